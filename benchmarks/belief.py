@@ -16,7 +16,7 @@ import numpy as np
 from rich.console import Console
 from scipy.optimize import minimize
 
-from lerobot_pneutac.diagnosis.belief import WEIGHTS, features
+from lerobot_pneutac.diagnosis.verdict import WEIGHTS, features
 from pneutac_benchmarks.diagnosis.rules import BASE, COUNTS, counts
 from pneutac_benchmarks.experiments import LAWS
 from pneutac_benchmarks.tables import terminal

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from lerobot_pneutac.diagnosis.common_programs import common_programs
 from lerobot_pneutac.diagnosis.design import Choice, Limits
+from lerobot_pneutac.diagnosis.programs import common_programs
 from lerobot_pneutac.verbs.diagnose import diagnose
 from lerobot_pneutac.verbs.foreseen import error_of
 from lerobot_pneutac.verbs.learn import Rounds

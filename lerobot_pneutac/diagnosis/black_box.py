@@ -6,6 +6,8 @@ same blocks as the model, its stiffness chosen by cross-validation there.
 
 import numpy as np
 
+from lerobot_pneutac.diagnosis import thresholds as T
+
 STIFFNESS = (1e0, 1e1, 1e2, 1e3, 1e4, 1e5)
 MOST_ROWS = 4000
 
@@ -26,7 +28,7 @@ def share_left(
         Between 0 (nothing, or nothing was left) and 1.
     """
     left = float((residual[test] ** 2).sum(axis=1).mean()) - floor**2
-    if left <= 0.05 * floor**2:
+    if left <= T.BLACK_BOX_EXCESS * floor**2:
         return 0.0
     predicted = predict(residual, features, learn)
     after = float(((residual - predicted)[test] ** 2).sum(axis=1).mean()) - floor**2

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-DRAWS = 2000
+from lerobot_pneutac.diagnosis import thresholds as T
 
 
-class Resampler:
+class BlockBootstrap:
     """Draws of mean square errors of one part of the recording.
 
     Args:
@@ -28,9 +28,11 @@ class Resampler:
         self.units = len(used)
         self._size = np.bincount(self._index, minlength=self.units).astype(float)
         rng = np.random.default_rng([seed, 77])
-        weight = np.zeros((DRAWS, self.units))
+        weight = np.zeros((T.DRAWS, self.units))
         for members in _strata(stratum[used]):
-            weight[:, members] = rng.multinomial(len(members), np.full(len(members), 1 / len(members)), DRAWS)
+            weight[:, members] = rng.multinomial(
+                len(members), np.full(len(members), 1 / len(members)), T.DRAWS
+            )
         self._weight = weight
         self._total = weight @ self._size
 
@@ -43,7 +45,6 @@ class Resampler:
         return self._weight @ self.sums(squared) / self._total
 
     def value(self, squared: np.ndarray) -> float:
-        """Mean square error of the part itself."""
         return float(squared[self.mask].mean())
 
     def shares(self, models: Sequence[np.ndarray]) -> np.ndarray:
@@ -58,10 +59,10 @@ class Resampler:
     def drop(self, before: np.ndarray, after: np.ndarray) -> tuple[float, float, float]:
         """Fall of the mean square error: value, lower 1 % bound, upper 99 % bound."""
         d = self.mse(before) - self.mse(after)
-        lo, hi = np.quantile(d, [0.01, 0.99])
+        lo, hi = np.quantile(d, [T.SIGNIFICANCE, 1 - T.SIGNIFICANCE])
         return self.value(before) - self.value(after), float(lo), float(hi)
 
-    def surely(self, before: np.ndarray, after: np.ndarray) -> bool:
+    def significant_drop(self, before: np.ndarray, after: np.ndarray) -> bool:
         """Whether the error falls for sure, in 99 % of the draws of units, by squared errors (n,).
 
         What counts of a unit is its fall as a share of both errors. The moments after a step of the command
@@ -70,7 +71,7 @@ class Resampler:
         """
         b, a = self.sums(before), self.sums(after)
         share = (b - a) / np.maximum(b + a, 1e-300)
-        return bool(np.quantile(self._weight @ share, 0.01) > 0)
+        return bool(np.quantile(self._weight @ share, T.SIGNIFICANCE) > 0)
 
     def reduction(
         self, before: np.ndarray, after: np.ndarray, floor: float
@@ -85,10 +86,10 @@ class Resampler:
         Returns:
             Share, at most 1 (0 where nothing was avoidable), and its interval.
         """
-        room = self.value(before) - floor**2
-        if room <= 0.02 * floor**2 or self.units < 2:
+        excess = self.value(before) - floor**2
+        if excess <= T.AVOIDABLE * floor**2 or self.units < 2:
             return 0.0, (0.0, 0.0)
-        share = 1 - (self.value(after) - floor**2) / room
+        share = 1 - (self.value(after) - floor**2) / excess
         b, a = self.mse(before) - floor**2, self.mse(after) - floor**2
         ok = b > 0.01 * floor**2
         draws = 1 - a[ok] / b[ok]

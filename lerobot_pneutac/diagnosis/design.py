@@ -12,25 +12,20 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lerobot_pneutac.diagnosis.common_programs import common_programs, on_chambers, ways
+from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.hands import Hands
 from lerobot_pneutac.diagnosis.law_programs import law_program
-from lerobot_pneutac.diagnosis.limits import Limits, visited
-from lerobot_pneutac.diagnosis.programs import table
-from lerobot_pneutac.diagnosis.result import Contender
+from lerobot_pneutac.diagnosis.programs import Limits, common_programs, on_chambers, table, visited, ways
+from lerobot_pneutac.diagnosis.result import Candidate
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import plural
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.data import BodyData
 from pneutac_sim.twin import Twin, Value
 
-INDEPENDENT_S = 1.0  # a model's error hardly changes within; so long a stretch counts as one measurement
-OVERHEAD_S = 15.0  # that any program costs beside its own time
-HAND_S = 60.0  # that what a hand changes costs beside
 BY_HAND = ("strokes to 100% in 15 s", "stairs to 100%, 5 s each")  # programs for which a hand is asked
 WEIGHED = 64  # programs whose gain on constants is worked out, a prediction a constant; of others it is 0
-LITTLE = 0.05  # nats about contenders, or share of the time where none has been, that count as none
 Z95 = 1.96
 
 NO_HANDS = Hands()
@@ -68,18 +63,20 @@ class Choice:
 
     @property
     def seconds(self) -> float:
-        """Its length."""
         return float(self.time_s[-1])
 
     @property
     def tells_little(self) -> bool:
-        """Whether it is hardly worth the bench's time."""
-        return self.rivals < LITTLE and self.new < LITTLE and self.constants < 1.0
+        return (
+            self.rivals < T.LITTLE_GAIN
+            and self.new < T.LITTLE_GAIN
+            and self.constants < T.LITTLE_GAIN_CONSTANTS
+        )
 
 
 def choices(
     recording: Recording,
-    contenders: Sequence[Contender],
+    contenders: Sequence[Candidate],
     noise: float,
     limits: Limits,
     hands: Hands = NO_HANDS,
@@ -113,7 +110,7 @@ def choices(
             f"No program fits into the {limits.seconds:.0f} s that are left; give a larger budget."
         )
     sigma = noise / np.sqrt(_columns(recording, contenders[0].twin))
-    share = 1 / (sigma**2 * INDEPENDENT_S * limits.hz)
+    share = 1 / (sigma**2 * T.INDEPENDENT_S * limits.hz)
     likely = np.array([c.probability for c in contenders])
     for name, kind, t, p, hand in fits:
         conditions = hands.changes.get(hand, hands.usual)
@@ -138,8 +135,7 @@ def choices(
 
 
 def _costs_s(c: Choice) -> float:
-    """Of the bench's time."""
-    return c.seconds + OVERHEAD_S + HAND_S * bool(c.hand)
+    return c.seconds + T.OVERHEAD_S + T.HAND_S * bool(c.hand)
 
 
 def nats_between(told: Sequence[np.ndarray], probability: np.ndarray, share: float) -> float:
@@ -160,7 +156,7 @@ def nats_between(told: Sequence[np.ndarray], probability: np.ndarray, share: flo
 
 
 def _programs(
-    recording: Recording, contenders: Sequence[Contender], limits: Limits, hands: Hands
+    recording: Recording, contenders: Sequence[Candidate], limits: Limits, hands: Hands
 ) -> Iterator[tuple[str, str, np.ndarray, np.ndarray, str]]:
     """Name, kind, time, command and what a hand changes."""
     for name, kind, t, p in common_programs(limits):
@@ -175,7 +171,7 @@ def _programs(
             values = {k: v.value for k, v in c.twin.effects.get(effect, {}).items()}
             law = law_program(recording, effect, values) if values else None
             if law is None or (recording.has("temperature_c") and law.samples["temperature_c"].nunique() > 1):
-                continue  # none, or one that asks for a warm room
+                continue  # none, or one that asks for a warm excess
             t = law.samples["time_s"].to_numpy(float)
             p = law.samples[recording.pressure_columns[0]].to_numpy(float)
             grid = np.arange(round(t[-1] * limits.hz) + 1) / limits.hz

@@ -10,7 +10,6 @@ GRAVITY = ("gravity_x", "gravity_y", "gravity_z")
 
 
 def _nobody(sentence: str) -> None:
-    """Nobody is there to do it."""
     raise InputError(f"{sentence} Nobody is there to be asked.")
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from lerobot_pneutac.diagnosis.programs import HZ, Program, beside_one, pressure_span, table
+from lerobot_pneutac.diagnosis.programs import HZ, STEP_S, Program, beside_one, pressure_span, table
 from pneutac_datasets.recording.pressures import supply_limits
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.laws import TABLE
@@ -16,7 +16,6 @@ from pneutac_sim.effects.laws import TABLE
 MOST_S = 600.0
 MOST_HZ = 100.0
 WARMER_C = 8.0
-STEP_S = 1e-3  # that a commanded step takes
 
 Knots = list[tuple[float, float]]  # seconds since the one before, kPa
 

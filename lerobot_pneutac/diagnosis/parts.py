@@ -4,14 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lerobot_pneutac.diagnosis import thresholds as T
 from pneutac_datasets.recording import blocks
 from pneutac_datasets.recording.recording import Recording
-
-FRACTIONS = (0.5, 0.25, 0.25)
-FEW_BLOCKS = 10  # below this a third part would hold a block or two: validation is then the test as well
-RARE = 4  # blocks of a condition below which they are cut finer
-LEAST_OF_A_KIND = 8  # blocks of each condition: one in each part may fall where nothing shows
-UNITS = 16  # wanted in each held-out part; a bootstrap over fewer says little about its own spread
 
 
 @dataclass
@@ -56,16 +51,16 @@ def deal(recording: Recording, seed: int) -> Parts:
         seed: decides which block goes where.
     """
     block = recording.blocks()
-    if len(np.unique(block)) < FEW_BLOCKS:
+    if len(np.unique(block)) < T.FEW_BLOCKS:
         train, test = recording.split(seed=seed)
         validation = test
     else:
         block = _refine(recording, block)
-        part = blocks.assign(recording.samples, block, seed, FRACTIONS)
+        part = blocks.assign(recording.samples, block, seed, T.FRACTIONS)
         train, validation, test = (part == i for i in range(3))
     pieces = 1
     for part in (validation, test):
-        pieces = max(pieces, min(4, -(-UNITS // max(1, len(np.unique(block[part]))))))
+        pieces = max(pieces, min(4, -(-T.UNITS // max(1, len(np.unique(block[part]))))))
     unit = _cut(block, np.full(block.max() + 1, pieces))
     stratum = blocks.strata(recording.samples, block)[block]
     first = np.unique(unit, return_index=True)[1]
@@ -97,7 +92,7 @@ def _refine(recording: Recording, block: np.ndarray) -> np.ndarray:
     """Finer blocks (n,) where a condition has too few of them for every part to get some."""
     stratum = blocks.strata(recording.samples, block)
     count = np.bincount(stratum)[stratum]
-    return _cut(block, np.where(count < RARE, -(-LEAST_OF_A_KIND // count), 1))
+    return _cut(block, np.where(count < T.RARE, -(-T.LEAST_OF_A_KIND // count), 1))
 
 
 def _cut(block: np.ndarray, pieces: np.ndarray) -> np.ndarray:

@@ -1,16 +1,113 @@
-"""The menu of experiments that can be proposed: two minutes each, made from the recording's own range."""
+"""Programs of pressure: their limits, the menu of next experiments, and programs that are no law's own.
 
+Of several chambers each common program is driven on each alone, on each two and on all, and some turn the
+bend about the axis.
+"""
+
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
+from pneutac_datasets.recording.mounts import CONDITIONS
 from pneutac_datasets.recording.pressures import supply_limits
 from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.errors import InputError
 from pneutac_sim.finger.switches import steps
+
+LEVELS = 8  # of pressure
+PACES = (0.02, 0.2, 1.0)  # of the range a second
+STILL_S = (2.0, 10.0)  # that the command has stood
+PRESSED = 1 / 16  # of the range: from there on a chamber counts as one that is under pressure
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """What a program may do.
+
+    Attributes:
+        low_kpa: lowest set-point of each chamber (chambers,); a number where all have one.
+        high_kpa: highest one, likewise.
+        hz: samples a second.
+        seconds: most that is left.
+        length_s: of the programs that are no law's own; all their times scale with it.
+    """
+
+    low_kpa: np.ndarray
+    high_kpa: np.ndarray
+    hz: float = 20.0
+    seconds: float = 600.0
+    length_s: float = 60.0
+
+    def __post_init__(self):
+        low, high = np.broadcast_arrays(
+            *(np.atleast_1d(x).astype(float) for x in (self.low_kpa, self.high_kpa))
+        )
+        object.__setattr__(self, "low_kpa", low)
+        object.__setattr__(self, "high_kpa", high)
+        for i in np.flatnonzero(~(low < high)):
+            where = f" in chamber {i + 1}" if len(low) > 1 else ""
+            raise InputError(
+                f"No program fits between {low[i]:g} and {high[i]:g} kPa{where}; give a wider range."
+            )
+
+    @property
+    def chambers(self) -> int:
+        return len(self.low_kpa)
+
+    @property
+    def rest_kpa(self) -> np.ndarray:
+        """(chambers,) where programs begin: without pressure, as far as the limits allow."""
+        return np.minimum(np.maximum(0.0, self.low_kpa), self.high_kpa)
+
+    @property
+    def far_kpa(self) -> np.ndarray:
+        """(chambers,) to where common programs go: the highest set-point, or vacuum where rest is that."""
+        return np.where(self.high_kpa > self.rest_kpa, self.high_kpa, self.low_kpa)
+
+    def pressure_kpa(self, share: np.ndarray) -> np.ndarray:
+        """Set-points (n, chambers) of shares (n, chambers) of the way from rest to there."""
+        return self.rest_kpa + (self.far_kpa - self.rest_kpa) * share
+
+
+def visited(recording: Recording, limits: Limits) -> dict[tuple, float]:
+    """Cell of conditions, level, direction and pace, or of level and time at rest, to seconds spent in it.
+
+    Each chamber has cells of its own, one set for each choice of others that are under pressure meanwhile.
+    """
+    cells: dict[tuple, float] = {}
+    span, scale = limits.far_kpa - limits.rest_kpa, limits.length_s / 60.0
+    clock = recording.column("time_s")
+    command = recording.samples[recording.pressure_columns].to_numpy(float)
+    names = [c for c in CONDITIONS if c != "temperature_c" and recording.has(c)]  # that one is never still
+    conditions = [np.round(recording.column(c) / CONDITIONS[c]) for c in names]
+    for rows in recording.trials().values():
+        t, held = clock[rows], tuple(c[rows][0] for c in conditions)
+        dt = np.diff(t, append=t[-1] + (t[-1] - t[-2] if len(t) > 1 else 0.1))
+        shares = (command[rows] - limits.rest_kpa) / span
+        pressed = shares > PRESSED
+        for chamber, share in enumerate(shares.T):
+            rate = np.gradient(share, t) if len(t) > 1 else np.zeros(1)
+            since, still = 0.0, []
+            for moving, step in zip(np.abs(rate) > 1e-3, dt, strict=True):
+                since = 0.0 if moving else since + step
+                still.append(since)
+            level = np.clip((LEVELS * share).astype(int), 0, LEVELS - 1)
+            pace = np.digitize(np.abs(rate) * scale, PACES)
+            rest = np.digitize(np.array(still) / scale, STILL_S)
+            beside = np.delete(pressed, chamber, axis=1)
+            for i in range(len(t)):
+                moves = abs(rate[i]) > 1e-3
+                motion = (np.sign(rate[i]), pace[i]) if moves else (0, 10 + rest[i])
+                cell = (held, level[i], *motion, chamber, *beside[i])
+                cells[cell] = cells.get(cell, 0.0) + float(dt[i])
+    return cells
+
 
 SECONDS = 120.0
 HZ = 10.0
+STEP_S = 1e-3  # that a commanded step takes
 HIGHER = "higher"
 GOLDEN = 0.618034  # its multiples' fractions fill an interval as evenly as any
 
@@ -157,3 +254,128 @@ def sent_s(t: np.ndarray, p: np.ndarray) -> np.ndarray:
     out = np.array(t, float)
     out[at] -= lead * (t[at] - t[at - 1])
     return out
+
+
+Share = float | np.ndarray  # of the range, of all chambers alike or of each (chambers,)
+Knots = list[tuple[float, Share]]  # seconds since the one before, and where to
+
+
+def ways(chambers: int) -> Iterator[tuple[str, np.ndarray]]:
+    """Which chambers go along: a name, empty of one chamber, and the share of each (chambers,)."""
+    one = np.eye(chambers)
+    if chambers == 1:
+        yield "", one[0]
+        return
+    for i in range(chambers):
+        yield f"chamber {i + 1}", one[i]
+    for i in range(chambers if chambers > 2 else 0):
+        other = (i + 1) % chambers
+        a, b = sorted((i + 1, other + 1))
+        yield f"chambers {a} and {b}", one[i] + one[other]
+    yield "all chambers", one.sum(axis=0)
+
+
+def on_chambers(name: str, way: str) -> str:
+    """A program's name with the chambers that it goes to."""
+    return f"{name}, {way}" if way else name
+
+
+def turning(chambers: int, turn_s: float, share: float, turns: float) -> Knots:
+    """The bend goes round the axis, the last half of the turns backwards; from rest to rest."""
+    steps = 24
+    phase = np.arange(round(turns * steps) + 1)
+    phase = np.minimum(phase, phase[-1] - phase) * 2 * np.pi / steps
+    around = np.maximum(np.cos(phase[:, None] - 2 * np.pi * np.arange(chambers) / chambers), 0.0)
+    way = [(turn_s / steps, share * x) for x in around[1:]]
+    return [(turn_s / 4, share * around[0]), *way, (turn_s / 4, 0.0)]
+
+
+def first_program(limits: Limits) -> tuple[np.ndarray, np.ndarray]:
+    """Time (n,) and command (n, chambers) of what to begin with: stairs, steps, a hold, strokes or turns."""
+    if limits.chambers > 1:
+        return sampled(_first_of_several(limits.chambers), limits)
+    stairs = [0.0, 0.25, 0.5, 0.75, 1.0, 0.75, 0.5, 0.25, 0.0]
+    knots = [k for x in stairs for k in hold(x, 2.0)]
+    knots += [(8.0, 0.9), (8.0, 0.0), (2.0, 1.0), (2.0, 0.0), *hold(0.8, 9.0), *hold(0.0, 5.0)]
+    knots += [*hold(0.5, 3.0), *hold(0.2, 3.0), *hold(1.0, 3.0), *hold(0.0, 2.0)]
+    return sampled(knots, limits)
+
+
+def _first_of_several(chambers: int) -> Knots:
+    one = np.eye(chambers)
+    knots: Knots = hold(0.0, 1.0)
+    for alone in one:
+        knots += [k for x in (0.33, 0.67, 1.0, 0.5, 0.0) for k in hold(x * alone, 2.0)]
+    knots += turning(chambers, 12.0, 0.9, 2.0)
+    knots += [*hold(0.5 * one.sum(0), 2.0), *hold(one.sum(0), 3.0), *hold(0.0, 2.0)]
+    knots += [*hold(0.8 * one[0], 9.0), *hold(0.0, 5.0)]
+    knots += [*hold(0.5 * one[1], 3.0), *hold(0.2 * one[1], 3.0), *hold(one[1], 3.0), *hold(0.0, 2.0)]
+    return knots
+
+
+def common_programs(limits: Limits) -> Iterator[tuple[str, str, np.ndarray, np.ndarray]]:
+    """Name, kind, time (n,) and command (n, chambers) of each."""
+    for name, kind, knots in _grid():
+        for way, shares in ways(limits.chambers):
+            along: Knots = [(s, x * shares) for s, x in knots]
+            yield on_chambers(name, way), kind, *sampled(along, limits)
+    for share in (0.4, 0.7, 1.0) if limits.chambers > 1 else ():
+        for turn_s in (4.0, 12.0, 29.0):
+            turns = max(1.0, round(58 / turn_s) - 0.5)
+            knots = turning(limits.chambers, turn_s, share, turns)
+            yield f"turns at {share:.0%} in {turn_s:g} s", "turns", *sampled(knots, limits)
+
+
+def _grid() -> Iterator[tuple[str, str, Knots]]:
+    """Amplitude x pace x hold, each about 60 s long and from rest to rest."""
+    for a in (0.4, 0.7, 1.0):
+        for hold_s in (2.0, 6.0, 15.0):
+            count = max(1, round(60 / (2 * hold_s)))
+            yield (
+                f"steps to {a:.0%}, held {hold_s:g} s", "steps",
+                [*hold(0.0, 1.0), *([*hold(a, hold_s), *hold(0.0, hold_s)] * count)],
+            )  # fmt: skip
+        for half in (1.5, 4.0, 15.0):
+            count = max(1, round(60 / (2 * half)))
+            yield f"strokes to {a:.0%} in {half:g} s", "strokes", [(half, a), (half, 0.0)] * count
+    for a in (0.6, 1.0):
+        for dwell in (2.0, 5.0):
+            levels = a * np.r_[0:7, 5:-1:-1] / 6
+            count = max(1, round(60 / (dwell * len(levels))))
+            knots = [k for x in np.tile(levels, count) for k in hold(x, dwell)]
+            yield f"stairs to {a:.0%}, {dwell:g} s each", "stairs", knots
+    for span in (0.1, 0.3):
+        for half in (1.0, 4.0):
+            for middle in (0.35, 0.65):
+                count = max(1, round(50 / (2 * half)))
+                turns = [(half, middle + span), (half, middle - span)] * count
+                yield (
+                    f"loops of {span:.0%} about {middle:.0%} in {half:g} s", "loops",
+                    [(3.0, middle - span), *turns, (3.0, 0.0)],
+                )  # fmt: skip
+    for a in (0.4, 0.9):
+        yield f"hold at {a:.0%}", "hold", [*hold(0.0, 1.0), *hold(a, 40.0), *hold(0.0, 19.0)]
+    turn = np.arange(600) * 0.1
+    chirp = 0.5 - 0.4 * np.cos(2 * np.pi * 0.03 * 60 / np.log(30) * (30 ** (turn / 60) - 1))
+    yield "chirp", "chirp", [(0.1, float(x)) for x in chirp]
+    rng = np.random.default_rng(0)
+    for number in (1, 2):
+        levels, holds = rng.uniform(0, 1, 24), np.exp(rng.uniform(np.log(0.5), np.log(6.0), 24))
+        holds *= 60 / holds.sum()
+        knots = [k for x, s in zip(levels, holds, strict=True) for k in hold(float(x), float(s))]
+        yield f"random holds {number}", "random holds", knots
+
+
+def hold(share: Share, seconds: float) -> Knots:
+    return [(STEP_S, share), (seconds - STEP_S, share)]
+
+
+def sampled(knots: Knots, limits: Limits) -> tuple[np.ndarray, np.ndarray]:
+    """Time (n,) and pressure (n, chambers) of shares of the range at times for a length of 60 s."""
+    scale = limits.length_s / 60.0
+    time_s = np.array([0.0, *(s for s, _ in knots)])
+    share = np.array([np.broadcast_to(x, limits.chambers) for x in (0.0, *(x for _, x in knots))])
+    time_s = np.cumsum(np.where(time_s <= STEP_S, time_s, scale * time_s))
+    grid = np.arange(round(time_s[-1] * limits.hz) + 1) / limits.hz
+    kpa = limits.pressure_kpa(np.stack([np.interp(grid, time_s, x) for x in share.T], axis=1))
+    return grid, np.clip(kpa, limits.low_kpa, limits.high_kpa)  # rounding

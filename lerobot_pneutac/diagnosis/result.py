@@ -1,12 +1,54 @@
 """What a diagnosis found, whatever the device; report and `result.json` are made from it."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
-from lerobot_pneutac.diagnosis.model import FittedModel
+import numpy as np
+
 from lerobot_pneutac.diagnosis.verdict import Evidence
+from pneutac_sim.finger.quantities import squared_distance
 from pneutac_sim.twin import Twin
 
+
+@dataclass(kw_only=True)
+class FittedModel:
+    """What is known of a fit, for all samples.
+
+    Attributes:
+        effects: switched on.
+        residual: (n, k) measured - model of what the error counts.
+        count: parameters fitted.
+        twin: with the fitted parameters.
+        at_bound: names of parameters stopped by a bound.
+        not_identified: parameters that the recording cannot tell, and why.
+    """
+
+    effects: tuple[str, ...]
+    residual: np.ndarray
+    count: int
+    twin: Twin
+    at_bound: list[str] = field(default_factory=list)
+    not_identified: dict[str, str] = field(default_factory=dict)
+
+    @cached_property
+    def squared(self) -> np.ndarray:
+        return squared_distance(self.residual)
+
+
 PROFILE = "bend_profile"  # among known causes: the device bends by a profile of its own, which is no effect
+
+
+@dataclass
+class Untested:
+    """An effect that this recording cannot test.
+
+    Attributes:
+        name: the effect.
+        reason: what is missing, a sentence with the remedy.
+    """
+
+    name: str
+    reason: str
 
 
 @dataclass
@@ -31,7 +73,6 @@ class Tested:
 
     @property
     def heldout(self) -> float:
-        """Error on the test part."""
         return self.errors["heldout"]
 
 
@@ -98,7 +139,7 @@ class Refits:
 
 
 @dataclass
-class Contender:
+class Candidate:
     """A model that a search fitted well, and how likely it is beside the others.
 
     Attributes:
@@ -133,7 +174,6 @@ class Outcome:
         rivals: rivals of each selected effect.
         evidence: numbers behind the verdict.
         verdict: one of five.
-        twin: the final model.
         seconds: wall time.
         chosen_in: effect to the share of split seeds that chose it.
         base_model: how the device bends before any effect, in numbers.
@@ -151,7 +191,6 @@ class Outcome:
     rivals: list[Rival]
     evidence: Evidence
     verdict: str
-    twin: Twin
     seconds: float
     known: list[str] = field(default_factory=list)
     baseline: FittedModel | None = None
@@ -159,5 +198,9 @@ class Outcome:
     run_terms: dict[str, float] | None = None
     chosen_in: dict[str, float] = field(default_factory=dict)
     base_model: dict = field(default_factory=dict)
-    contenders: list[Contender] = field(default_factory=list)
+    contenders: list[Candidate] = field(default_factory=list)
     likely_right: float | None = None
+
+    @property
+    def twin(self) -> Twin:
+        return self.after.twin

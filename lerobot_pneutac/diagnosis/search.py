@@ -1,83 +1,88 @@
-"""The search over models: lines first, then terms, alone and in pairs, by a beam, then backward.
+"""The search over models: actuation first, then terms, alone and in pairs, by a beam, then backward.
 
-It knows nothing of the device. A space offers forms and fits them; a model's worth is its error on blocks of
-time that its fit did not see (`crossed`), pooled over all blocks but those of the report.
+It knows nothing of the device. A space offers structures and fits them; a model's worth is its
+cross-validated error (`cv_squared`), pooled over all blocks of time but those of the report.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Callable, Container, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Any, Self
 
 import numpy as np
 
-from lerobot_pneutac.diagnosis.bootstrap import Resampler
+from lerobot_pneutac.diagnosis import thresholds as T
+from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
 from lerobot_pneutac.diagnosis.parts import out_of_time
-
-MOST_TERMS = 6
-BEAM = 3
-OTHER_LINES = 4  # fitted well, where the line is chosen anew
-ADEQUATE = 1.1  # times the noise: what is nearer needs no other line
-COARSE, FINE = 12, 6  # additions fitted roughly, and then well, in a round
-WORTH_OF_ROOM = 0.04  # of the avoidable mean square error that is left: least fall worth a term
-WORTH_OF_FLOOR = 0.03  # of the noise's mean square
-WORTH_OF_START = 0.005  # of the avoidable mean square error of the start
-LINE_AGAIN = 0.5  # of the avoidable mean square error at which a line was chosen; below, it is chosen anew
-ALIKE = 0.01  # of the avoidable mean square error: models that differ by less are equal; the simpler wins
-AHEAD = (0.4, 0.6, 0.8, 1.0)  # of the rows: stretches that an addition must foretell from all before them
-
-
-class Space(Protocol):
-    """What a search may try, see `BodySpace`."""
-
-    def bases(self) -> Sequence[Any]:
-        """What to begin with."""
-        ...
-
-    def with_lines(self, model) -> Sequence[Any]:
-        """A model with each line, as trials."""
-        ...
-
-    def settle_line(self, model) -> Any:
-        """A model with a line, fitted well."""
-        ...
-
-    def grow(self, model, most: int, pairs: int) -> Sequence[Any]:
-        """The most promising additions to a model, as trials."""
-        ...
-
-    def fit(self, trial, steps: int, every: int) -> Any:
-        """A model, or None where a trial cannot be fitted."""
-        ...
-
-    def again(self, model) -> Any:
-        """A model as a trial."""
-        ...
-
-    def settle(self, model) -> Any:
-        """An accepted model, with how it was recorded."""
-        ...
-
-    def removable(self, model) -> Sequence[str]:
-        """Terms that a model may do without."""
-        ...
-
-    def without(self, model, term: str) -> Any:
-        """A model re-fitted without a term."""
-        ...
+from lerobot_pneutac.diagnosis.result import Candidate, FittedModel, Rival
+from pneutac_sim.twin import Twin
 
 
 @dataclass(frozen=True)
-class Trial:
-    """A form of a model to be fitted, with where to start.
+class Structure:
+    """Which effects a model has, in the order in which they came."""
 
-    Attributes:
-        form: structure; its `effects` are names.
-        values: starting values by name.
-    """
+    effects: tuple[str, ...] = ()
 
-    form: Any
-    values: dict[str, float]
+    def plus(self, *effects: str) -> Self:
+        """With further effects; a law that is there already comes in a second instance."""
+        now = list(self.effects)
+        for e in effects:
+            number, name = 2, e
+            while name in now:
+                name, number = f"{e} #{number}", number + 1
+            now.append(name)
+        return replace(self, effects=tuple(now))
+
+    def without(self, *effects: str) -> Self:
+        return replace(self, effects=tuple(e for e in self.effects if e not in effects))
+
+
+type Start = tuple[Any, Any]  # a structure, and where its fit begins: values by name, or a fitted gel
+
+
+class Space(ABC):
+    """What a search may try on one kind of recording. By default there is nothing to choose but effects."""
+
+    candidates: Sequence[str]
+
+    @abstractmethod
+    def bases(self) -> Sequence[Start]:
+        """What to begin with."""
+
+    @abstractmethod
+    def grow(self, model: Any, most: int, pairs: int) -> Sequence[Start]:
+        """The most promising additions to a model, single and in pairs."""
+
+    @abstractmethod
+    def fit(self, start: Start, steps: int, every: int = 1) -> Any:
+        """A model, by so many steps and one row in so many; None where it cannot be fitted."""
+
+    @abstractmethod
+    def without(self, model: Any, term: str) -> Any:
+        """The model re-fitted without a term."""
+
+    def with_actuations(self, model: Any) -> Sequence[Start]:
+        """The model with each actuation model in place of its own."""
+        return []
+
+    def refine_actuation(self, model: Any) -> Any:
+        """A model with its actuation refined."""
+        return model
+
+    def refine(self, model: Any) -> Any:
+        """An accepted model, with how it was recorded."""
+        return model
+
+    def again(self, model: Any) -> Start:
+        """The model's structure, started where it is."""
+        return (model.structure, model.values)
+
+    def removable(self, model: Any) -> Sequence[str]:
+        """Terms that the model might do without."""
+        return model.structure.effects
 
 
 @dataclass
@@ -86,12 +91,12 @@ class Scored:
 
     Attributes:
         model: as fitted.
-        crossed: (N,) squared errors on rows that the fit did not see.
+        cv_squared: (N,) squared errors on rows that the fit did not see.
         value: their mean.
     """
 
     model: Any
-    crossed: np.ndarray
+    cv_squared: np.ndarray
     value: float
 
 
@@ -119,7 +124,7 @@ class Search:
 
     Args:
         space: what may be tried.
-        judge: draws blocks of the search's rows.
+        bootstrap: draws blocks of the search's rows.
         fold: (N,) number of each row's fold; rows are in the order of time.
         floor: noise, in the unit of the error.
         run: like `map`, perhaps in parallel.
@@ -130,21 +135,20 @@ class Search:
     def __init__(
         self,
         space,
-        judge: Resampler,
+        bootstrap: BlockBootstrap,
         fold,
         floor: float,
         run: Callable = map,
         tell=lambda text: None,
         condition: np.ndarray | None = None,
     ):
-        self.space, self.judge, self.fold, self.floor2 = space, judge, fold, floor**2
+        self.space, self.bootstrap, self.fold, self.noise_mse = space, bootstrap, fold, floor**2
         self.run, self.tell = run, tell
         self.condition = np.zeros(len(fold), int) if condition is None else condition
 
     def score(self, model) -> Scored:
-        """A model with its worth."""
-        crossed = model.crossed(self.fold)
-        return Scored(model, crossed, self.judge.value(crossed))
+        cv_squared = model.cv_squared(self.fold)
+        return Scored(model, cv_squared, self.bootstrap.value(cv_squared))
 
     def fits(self, trials, steps: int, every: int = 1) -> list[Scored]:
         """Fits trials, the best first."""
@@ -152,31 +156,30 @@ class Search:
         return sorted((s for s in out if np.isfinite(s.value)), key=lambda s: s.value)
 
     def find(self) -> Found:
-        """Runs the search."""
         beam = self._begin()
         base = best = beam[0]
         found = Found(base, [base], base)
-        start = lined = base.value - self.floor2
-        for _ in range(MOST_TERMS):
-            room = best.value - self.floor2
-            if room < 0.06 * self.floor2:
+        start = lined = base.value - self.noise_mse
+        for _ in range(T.MOST_TERMS):
+            excess = best.value - self.noise_mse
+            if excess < T.STOP_EXCESS * self.noise_mse:
                 break
             done = [d for d in self._round(beam) if self._improves_out_of_time(best, d)]
             if not done:
                 break
-            taken = self._accepted(best, done, room, start)
+            taken = self._accepted(best, done, excess, start)
             if taken is None:
                 break
-            settled = self.score(self.space.settle(taken.model))
-            best = settled if settled.value < taken.value else taken
-            self.tell(f"found {' + '.join(best.model.form.effects)}: error {best.value**0.5:.3g}")
+            refined = self.score(self.space.refine(taken.model))
+            best = refined if refined.value < taken.value else taken
+            self.tell(f"found {' + '.join(best.model.structure.effects)}: error {best.value**0.5:.3g}")
             found.path.append(best)
             found.rivals.append([d for d in done if d is not taken])
-            beam = [best, *(d for d in done if d is not taken)][:BEAM]
-            if best.value - self.floor2 < LINE_AGAIN * lined:
-                lined = best.value - self.floor2
-                best = self._line_again(best, found)
-                beam = [best, *(s for s in beam if s is not best)][:BEAM]
+            beam = [best, *(d for d in done if d is not taken)][: T.BEAM]
+            if best.value - self.noise_mse < T.ACTUATION_AGAIN * lined:
+                lined = best.value - self.noise_mse
+                best = self._actuation_again(best, found)
+                beam = [best, *(s for s in beam if s is not best)][: T.BEAM]
         found.final = self.pruned(best, found)
         return found
 
@@ -184,90 +187,104 @@ class Search:
         """The best bases and lines, the chosen one first."""
         bare = self.fits(self.space.bases(), 12)
         cheap = min(bare, key=lambda s: (s.model.cost, s.value))
-        chosen = bare[0] if self._surely(cheap, bare[0], 0.05 * max(cheap.value - self.floor2, 0)) else cheap
-        quick = self.fits(self.space.with_lines(chosen.model), 2, 4)
-        front = list(self.run(lambda s: self.space.settle_line(s.model), best_of_each(quick, 2)))
+        chosen = (
+            bare[0]
+            if self._significant(cheap, bare[0], T.WORTH_OF_BASE * max(cheap.value - self.noise_mse, 0))
+            else cheap
+        )
+        quick = self.fits(self.space.with_actuations(chosen.model), 2, 4)
+        front = list(self.run(lambda s: self.space.refine_actuation(s.model), best_of_each(quick, 2)))
         done = best_of_each(sorted([chosen, *map(self.score, front)], key=lambda s: s.value), 1)
         for s in done:
-            self.tell(f"trying {' + '.join(s.model.form.effects) or 'the base'}: error {s.value**0.5:.3g}")
-        near = done[0].value + 0.02 * max(done[0].value, self.floor2)
+            self.tell(
+                f"trying {' + '.join(s.model.structure.effects) or 'the base'}: error {s.value**0.5:.3g}"
+            )
+        near = done[0].value + T.SAME_ACTUATION * max(done[0].value, self.noise_mse)
         first = min((s for s in done if s.value <= near), key=lambda s: s.model.cost)
-        least = set(first.model.form.effects)  # with more, and no better, all would be tried twice
-        done = [s for s in done if s.value > near or not least < set(s.model.form.effects)]
-        return [first, *(s for s in done if s is not first)][: BEAM - 1] + (
-            [chosen] if chosen is not first and chosen not in done[: BEAM - 1] else []
+        least = set(first.model.structure.effects)  # with more, and no better, all would be tried twice
+        done = [s for s in done if s.value > near or not least < set(s.model.structure.effects)]
+        return [first, *(s for s in done if s is not first)][: T.BEAM - 1] + (
+            [chosen] if chosen is not first and chosen not in done[: T.BEAM - 1] else []
         )
 
-    def _line_again(self, best: Scored, found: Found) -> Scored:
+    def _actuation_again(self, best: Scored, found: Found) -> Scored:
         """The model with another line where that is surely better.
 
         The line was chosen while most of the error was of what has been found since, and may have stood in
         for it.
         """
-        others = self.other_lines(best)
-        if not others or not self._surely(best, others[0], WORTH_OF_ROOM * (best.value - self.floor2)):
+        others = self.other_actuations(best)
+        if not others or not self._significant(
+            best, others[0], T.WORTH_OF_EXCESS * (best.value - self.noise_mse)
+        ):
             return best
-        self.tell(f"line {' + '.join(others[0].model.form.effects)}: error {others[0].value ** 0.5:.3g}")
+        effects = " + ".join(others[0].model.structure.effects)
+        self.tell(f"actuation {effects}: error {others[0].value ** 0.5:.3g}")
         found.path.append(others[0])
         found.rivals.append([best])
         return others[0]
 
-    def other_lines(self, model: Scored) -> list[Scored]:
+    def other_actuations(self, model: Scored) -> list[Scored]:
         """The most promising models with another line, fitted well, the best first; none at the noise."""
-        if model.value < ADEQUATE**2 * self.floor2:
+        if model.value < T.AS_IS_NOISE**2 * self.noise_mse:
             return []
-        quick, now = self.fits(self.space.with_lines(model.model), 2, 4), set(model.model.form.effects)
-        others = [s for s in best_of_each(quick, 1) if set(s.model.form.effects) != now]
-        front = self.run(lambda s: self.space.settle_line(s.model), others[:OTHER_LINES])
+        quick, now = (
+            self.fits(self.space.with_actuations(model.model), 2, 4),
+            set(model.model.structure.effects),
+        )
+        others = [s for s in best_of_each(quick, 1) if set(s.model.structure.effects) != now]
+        front = self.run(lambda s: self.space.refine_actuation(s.model), others[: T.OTHER_ACTUATIONS])
         return sorted(map(self.score, front), key=lambda s: s.value)
 
     def _round(self, beam: list[Scored]) -> list[Scored]:
         """The best models with one or two terms more, fitted well."""
         trials = []
         for k, s in enumerate(beam):
-            trials += self.space.grow(s.model, COARSE if k == 0 else 4, 4 if k == 0 else 2)
+            trials += self.space.grow(s.model, T.COARSE if k == 0 else 4, 4 if k == 0 else 2)
         done, seen, fine = self.fits(trials, 5, 2), set(), []
         for s in done:
-            key = tuple(sorted(s.model.form.effects))
-            if key not in seen and len(fine) < FINE:
+            key = tuple(sorted(s.model.structure.effects))
+            if key not in seen and len(fine) < T.FINE:
                 seen.add(key)
                 fine.append(s.model)
         done = self.fits([self.space.again(m) for m in fine], 8)
         for s in best_of_each(done, 1):
-            self.tell(f"tried {' + '.join(s.model.form.effects)}: error {s.value**0.5:.3g}")
+            self.tell(f"tried {' + '.join(s.model.structure.effects)}: error {s.value**0.5:.3g}")
         return done
 
-    def _accepted(self, now: Scored, done: list[Scored], room: float, start: float) -> Scored | None:
+    def _accepted(self, now: Scored, done: list[Scored], excess: float, start: float) -> Scored | None:
         """The simplest of the best, if the error falls for sure and worthwhile."""
-        least = max(WORTH_OF_ROOM * room, WORTH_OF_FLOOR * self.floor2, WORTH_OF_START * start)
-        alike = [d for d in done if d.value < done[0].value + ALIKE * max(room, 0)]
+        least = max(T.WORTH_OF_EXCESS * excess, T.WORTH_OF_NOISE * self.noise_mse, T.WORTH_OF_START * start)
+        alike = [d for d in done if d.value < done[0].value + T.EQUAL * max(excess, 0)]
         alike.sort(key=lambda d: (d.model.cost, d.value))
         rest = [d for d in done if d not in alike]
         for d in (*alike[:3], *rest[:2]):
-            if self._surely(now, d, least):
+            if self._significant(now, d, least):
                 return d
         return None
 
     def _improves_out_of_time(self, now: Scored, after: Scored) -> bool:
-        """Whether a model errs less than the one it replaces in the last of `AHEAD`, and in all together.
+        """Whether a model errs less than the one it replaces in the last stretch of `AHEAD`, and in all.
 
         Blocks dealt at random lie between others that were fitted: there any slow course does well, one of
         time or one of a long memory.
         """
         n, drops = len(self.fold), []
-        for begin, end in pairwise((np.array(AHEAD) * n).astype(int)):
+        for begin, end in pairwise((np.array(T.AHEAD) * n).astype(int)):
             fold = out_of_time(self.condition, begin)
             if (fold[:end] == 0).any():
-                drops.append(float((now.model.crossed(fold) - after.model.crossed(fold))[:end].sum()))
+                drops.append(float((now.model.cv_squared(fold) - after.model.cv_squared(fold))[:end].sum()))
         return not drops or min(drops[-1], sum(drops)) > 0
 
     def is_worth(self, now: Scored, after: Scored) -> bool:
         """Whether a step between models is significant, large enough and improves out of time."""
-        least = max(WORTH_OF_ROOM * (now.value - self.floor2), WORTH_OF_FLOOR * self.floor2)
-        return self._surely(now, after, least) and self._improves_out_of_time(now, after)
+        least = max(T.WORTH_OF_EXCESS * (now.value - self.noise_mse), T.WORTH_OF_NOISE * self.noise_mse)
+        return self._significant(now, after, least) and self._improves_out_of_time(now, after)
 
-    def _surely(self, before: Scored, after: Scored, least: float) -> bool:
-        return before.value - after.value > least and self.judge.surely(before.crossed, after.crossed)
+    def _significant(self, before: Scored, after: Scored, least: float) -> bool:
+        return before.value - after.value > least and self.bootstrap.significant_drop(
+            before.cv_squared, after.cv_squared
+        )
 
     def pruned(self, best: Scored, found: Found) -> Scored:
         """Takes away what is not needed, one after the other."""
@@ -279,8 +296,10 @@ class Search:
             without = {t: self.score(m) for t, m in zip(terms, models, strict=True)}
             found.without = without
             weakest = min(without, key=lambda t: without[t].value)
-            room = without[weakest].value - self.floor2
-            if self._surely(without[weakest], best, max(0.02 * room, WORTH_OF_FLOOR * self.floor2)):
+            excess = without[weakest].value - self.noise_mse
+            if self._significant(
+                without[weakest], best, max(T.WORTH_KEEPING * excess, T.WORTH_OF_NOISE * self.noise_mse)
+            ):
                 return best
             best = without[weakest]
 
@@ -290,14 +309,104 @@ def best_of_each(scored: list[Scored], most: int) -> list[Scored]:
     count: dict[tuple, int] = {}
     out = []
     for s in scored:
-        count[s.model.form.effects] = count.get(s.model.form.effects, 0) + 1
-        if count[s.model.form.effects] <= most:
+        count[s.model.structure.effects] = count.get(s.model.structure.effects, 0) + 1
+        if count[s.model.structure.effects] <= most:
             out.append(s)
     return out
 
 
-def chosen(scored: Sequence[Scored], value: Callable[[Scored], float], floor2: float) -> Scored:
+def chosen(scored: Sequence[Scored], value: Callable[[Scored], float], noise_mse: float) -> Scored:
     """The simplest of those that are as good as the best, by some measure of worth."""
     best = min(map(value, scored))
-    alike = [s for s in scored if value(s) <= best + max(2 * ALIKE * (best - floor2), 0.01 * floor2)]
+    alike = [
+        s for s in scored if value(s) <= best + max(2 * T.EQUAL * (best - noise_mse), T.EQUAL * noise_mse)
+    ]
     return min(alike, key=lambda s: (s.model.cost, value(s)))
+
+
+def deal_folds(unit: np.ndarray, folds: int, seed: int) -> np.ndarray:
+    """(N,) fold of each row: whole units, dealt at random."""
+    index = np.unique(unit, return_inverse=True)[1]
+    order = np.random.default_rng([seed, 5]).permutation(index.max() + 1)
+    return (order % folds)[index]
+
+
+def chosen_in(found: Found, unit: np.ndarray, floor: float, kind: Callable[[str], str]) -> dict[str, float]:
+    """Share of the votes in which each term of the final model, or another of its kind, came.
+
+    Each vote leaves out a quarter of the blocks and deals the others anew into five folds; at each acceptance
+    it chooses among the models that were fitted well there.
+
+    Args:
+        found: by a search.
+        unit: (N,) block of each row.
+        floor: noise.
+        kind: of a term.
+    """
+    count: Counter[str] = Counter()
+    index = np.unique(unit, return_inverse=True)[1]
+    for seed in range(T.VOTES):
+        rng = np.random.default_rng([seed, 9])
+        keep = rng.permutation(index.max() + 1) < T.VOTE_BLOCKS * (index.max() + 1)
+        fold = np.where(keep[index], deal_folds(unit, 5, seed), -1)
+        terms = set(found.final.model.structure.effects)
+        for taken, rivals in zip(found.path[1:], found.rivals, strict=True):
+            winner = _winner([taken, *rivals], fold, floor)
+            if winner is not taken:
+                kinds = {kind(e) for e in winner.model.structure.effects}
+                terms = {t for t in terms if kind(t) in kinds}
+                break
+        count.update(terms)
+    return {t: count[t] / T.VOTES for t in found.final.model.structure.effects}
+
+
+def rivals(
+    found: Found,
+    floor: float,
+    terms: Sequence[str],
+    kind: Callable[[str], str],
+    fitted: Callable[[Scored], FittedModel],
+    as_good: Callable[[Scored, Scored, Scored], bool] | None = None,
+    most: int = T.MOST_RIVALS,
+) -> list[Rival]:
+    """Models as good where a term was accepted, with one of another kind in its place; the first few.
+
+    Args:
+        found: by a search.
+        floor: noise.
+        terms: that count as found.
+        kind: of a term.
+        fitted: a model of the search on all samples.
+        as_good: of the model before a term, the one with it and another; by their errors where None.
+        most: that are returned.
+    """
+    out = []
+    for taken, others, before in zip(found.path[1:], found.rivals, found.path, strict=False):
+        least = T.AS_GOOD * max(before.value - floor**2, 0.0)
+        new = [e for e in taken.model.structure.effects if e not in before.model.structure.effects]
+        for s in others if len(new) == 1 and new[0] in terms else ():
+            instead = [e for e in s.model.structure.effects if e not in taken.model.structure.effects]
+            if len(instead) != 1 or kind(instead[0]) == kind(new[0]) or len(out) == most:
+                continue
+            if as_good(before, taken, s) if as_good else s.value - taken.value < least:
+                share = s.value / max(taken.value, 1e-30) - 1
+                out.append(Rival(new[0], instead[0], share, fitted(s), fitted(taken)))
+    return out
+
+
+def contenders(
+    scored: Sequence[Scored],
+    bootstrap: BlockBootstrap,
+    known: Container[str],
+    twin_of: Callable[[Scored], Twin],
+) -> list[Candidate]:
+    """Models with how likely each is the best, and their terms beside those that are known."""
+    share = bootstrap.shares([s.cv_squared for s in scored])
+    terms = [tuple(e for e in s.model.structure.effects if e not in known) for s in scored]
+    return [Candidate(twin_of(s), e, float(p)) for s, e, p in zip(scored, terms, share, strict=True)]
+
+
+def _winner(scored: Sequence, fold: np.ndarray, floor: float):
+    rows = fold >= 0
+    value = {id(s): float(s.model.cv_squared(fold)[rows].mean()) for s in scored}
+    return chosen(scored, lambda s: value[id(s)], floor**2)

@@ -20,7 +20,6 @@ class Steps:
         self._report()
 
     def done(self) -> None:
-        """One step more is done."""
         self._done += 1
         self._report()
 

@@ -9,13 +9,9 @@ ambiguous           this recording cannot tell
 
 from dataclasses import dataclass, field
 
-MOST = 0.5  # share of the avoidable error that effects must remove to carry the headline
-CLOSE = 1.5  # error over noise up to which a law may be named
-LITTLE = 1.2  # error over noise up to which nothing need be missing
-AT_NOISE = 1.1  # error over noise of the twin as it is up to which nothing is named
-UNFINISHED = 0.2  # share of what is left that a black box may remove without a word
-FEW_UNITS = 6  # held-out pieces of time below which no bootstrap means much
-FEW_SAMPLES = 60
+import numpy as np
+
+from lerobot_pneutac.diagnosis import thresholds as T
 
 
 @dataclass
@@ -36,6 +32,8 @@ class Evidence:
         forward: whether it holds for the later part when fitted to the earlier one.
         agreed: share of split seeds that chose the same.
         noise_known: whether the noise was declared or measured by repeats.
+        explained: share of all that the device does that the model predicts, effects of the twin included; of
+            gels.
     """
 
     before: float | None
@@ -50,11 +48,12 @@ class Evidence:
     forward: bool = True
     agreed: float = 1.0
     noise_known: bool = True
+    explained: float = 0.0
 
     @property
     def is_noise(self) -> bool:
         """Whether what is left is called noise, wherever it is spoken of."""
-        return self.after is not None and self.after <= LITTLE
+        return self.after is not None and self.after <= T.NOISE
 
     @property
     def at_noise(self) -> bool:
@@ -63,20 +62,20 @@ class Evidence:
         Where the noise is unknown, so is what could be avoided: a small fall of the error names nothing.
         """
         if self.before is None:
-            return self.removed < MOST
-        return self.before <= (LITTLE if self.removed < MOST else AT_NOISE)
+            return self.removed < T.MOST
+        return self.before <= (T.NOISE if self.removed < T.MOST else T.AS_IS_NOISE)
 
     @property
     def unfinished(self) -> bool:
         """Whether a black box still finds much in what is left, where that is more than noise."""
         much = not self.noise_known or not self.is_noise
-        return much and self.left_to_black_box > UNFINISHED
+        return much and self.left_to_black_box > T.UNFINISHED
 
     @property
     def objections(self) -> list[str]:
         """Why what was found may not be called the missing effect, one phrase each."""
         out = []
-        if self.noise_known and self.after is not None and self.after > CLOSE:
+        if self.noise_known and self.after is not None and self.after > T.CLOSE:
             out.append(f"the error stays at {self.after:.2g} times the noise")
         if not self.noise_known and self.unfinished:
             out.append("the noise is not known")
@@ -84,7 +83,7 @@ class Evidence:
             out.append(f"a black box still removes {100 * self.left_to_black_box:.0f} % of what is left")
         if not self.forward:
             out.append("fitted to the earlier part, it does not hold in the later one")
-        if self.agreed < 0.5:
+        if self.agreed < T.AGREED:
             out.append(f"only {100 * self.agreed:.0f} % of the splits chose it")
         if self.at_bound:
             out.append(f"{', '.join(self.at_bound)} stopped at a bound")
@@ -94,7 +93,7 @@ class Evidence:
         return out
 
 
-def too_few(samples: int, units: int, few_samples: int = FEW_SAMPLES) -> bool:
+def too_few(samples: int, units: int, few_samples: int = T.FEW_SAMPLES) -> bool:
     """Whether a recording is too short for any claim, by `diagnose` and `add` alike.
 
     Args:
@@ -102,19 +101,41 @@ def too_few(samples: int, units: int, few_samples: int = FEW_SAMPLES) -> bool:
         units: held-out pieces of time, or photographs.
         few_samples: below which nothing can be claimed; a photograph is worth many rows.
     """
-    return samples < few_samples or units < FEW_UNITS
+    return samples < few_samples or units < T.FEW_UNITS
 
 
 def decide(e: Evidence) -> str:
-    """The verdict."""
     if e.poor:
         return "ambiguous"
+    unknown = "insufficient_form" if e.explained >= T.MOST else "unknown_effect"
     if not e.selected:
         if e.is_noise:
             return "adequate"
         if e.near_miss:
             return "ambiguous"
-        return "unknown_effect" if e.noise_known or e.unfinished else "adequate"
-    if e.removed < MOST and not e.is_noise:
-        return "unknown_effect"
+        return unknown if e.noise_known or e.unfinished else "adequate"
+    if e.removed < T.MOST and not e.is_noise:
+        return unknown
     return "insufficient_form" if e.objections else "missing_effect"
+
+
+# Constant, per unit of: log of error over noise, log odds of the share, verdict that the form suffices.
+WEIGHTS = (-0.86, -1.76, 0.35, 2.28)
+
+
+def calibrated_confidence(error_over_noise: float, share: float, suffices: bool) -> float:
+    """Probability that the headline is the device's physics.
+
+    Args:
+        error_over_noise: on test blocks, with what was found.
+        share: of the draws of blocks in which it beats the other models in the running.
+        suffices: whether the verdict says that nothing of weight is left.
+    """
+    return float(1 / (1 + np.exp(-(np.array(WEIGHTS) @ features(error_over_noise, share, suffices)))))
+
+
+def features(error_over_noise, share, suffices) -> np.ndarray:
+    """(4, ...) what the weights are of, from numbers or arrays."""
+    odds = np.log((np.asarray(share) + T.EVEN) / (1 - np.asarray(share) + T.EVEN))
+    error = np.log(np.maximum(error_over_noise, 1.0))
+    return np.stack(np.broadcast_arrays(1.0, error, odds, np.asarray(suffices, float)))

@@ -8,10 +8,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from lerobot_pneutac.diagnosis.common_programs import sampled, turning
 from lerobot_pneutac.diagnosis.law_programs import law_programs
-from lerobot_pneutac.diagnosis.limits import Limits
-from lerobot_pneutac.diagnosis.programs import menu, sent_s
+from lerobot_pneutac.diagnosis.programs import Limits, menu, sampled, sent_s, turning
 from pneutac_datasets.recording.chambers import chambers_commanded, command_columns, per_chamber
 from pneutac_datasets.recording.mounts import CONDITIONS
 from pneutac_datasets.recording.recording import Recording

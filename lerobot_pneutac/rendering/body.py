@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from lerobot_pneutac.diagnosis.thresholds import LEVEL_KPA
 from lerobot_pneutac.rendering import particles as draw
 from lerobot_pneutac.rendering.film import (
     STRETCH,
@@ -21,7 +22,6 @@ from lerobot_pneutac.rendering.options import FPS, RenderConfig
 from lerobot_pneutac.rendering.silhouettes import differing
 from lerobot_pneutac.rendering.view import view_painter
 from lerobot_pneutac.study.photographs import (
-    NEAR_KPA,
     held_levels,
     masked_cameras,
     mean_conditions,
@@ -124,7 +124,7 @@ def photograph_painter(twin: Twin, body: Body, recorded: Recorded, spines: np.nd
         mask, solid = photograph.mask, seen.alpha > SOLID
         panels = (photograph.image, 255 * light.clip(0, 1), differing(mask, solid))
         iou = float((mask & solid).sum() / (mask | solid).sum())
-        same = bool(np.abs(pressure - pose.pressure).max() < NEAR_KPA)
+        same = bool(np.abs(pressure - pose.pressure).max() < LEVEL_KPA)
         captions = (
             f"photograph, {pressure_text(pressure)}",
             f"twin, {pressure_text(pose.pressure)}",

@@ -5,7 +5,7 @@
 
 import numpy as np
 
-from lerobot_pneutac.diagnosis.verdict import LITTLE
+from lerobot_pneutac.diagnosis.thresholds import NOISE
 from pneutac_datasets.recording.axes import Axis
 from pneutac_datasets.recording.wording import plural
 from pneutac_sim.finger.quantities import root_mean
@@ -31,7 +31,7 @@ def sentence(c) -> str:
         )
     if c.noise.value:
         times = error / c.noise.value
-        if times <= LITTLE:
+        if times <= NOISE:
             return f"{text}: at the noise ({c.noise.value:.2g} {c.unit})."
         text += f", {times:.3g} times the noise of the measurement ({c.noise.value:.2g} {c.unit})"
     if len(squared) < FEW_ROWS:

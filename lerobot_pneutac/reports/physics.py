@@ -4,10 +4,10 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from lerobot_pneutac.diagnosis.experiment import read
 from lerobot_pneutac.diagnosis.result import Outcome
 from lerobot_pneutac.reports.colours import AFTER, BEFORE, MEASURED
 from lerobot_pneutac.study.base import EffectStudy
-from lerobot_pneutac.study.reading import read
 from pneutac_datasets.recording.axes import axes, unit_of
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.laws import family

@@ -5,7 +5,7 @@ from enum import StrEnum
 
 from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.result import Outcome
-from lerobot_pneutac.diagnosis.verdict import AT_NOISE
+from lerobot_pneutac.diagnosis.thresholds import AS_IS_NOISE
 from lerobot_pneutac.study.base import EffectStudy
 from pneutac_datasets.recording.wording import joined
 from pneutac_sim.effects.laws import family, is_law
@@ -273,7 +273,7 @@ def warnings(s: State) -> list[str]:
         if s.agreed is not None and s.agreed < AGREED:
             out.append(f"{100 * s.agreed:.0f} % of repeated searches found the first-listed cause.")
         if s.kind is Kind.NOTHING and s.at_noise and s.noise is not None:
-            least = s.noise * (AT_NOISE**2 - 1) ** 0.5
+            least = s.noise * (AS_IS_NOISE**2 - 1) ** 0.5
             out.append(f"An effect that adds less than {least:.2g} {s.unit} to the error would not show.")
         if s.noise is None:
             out.append(f"The noise {s.noise_how}.")

@@ -1,18 +1,29 @@
 """One device's data under judgement: what every kind of device offers to the statistics and to the verbs."""
 
+import time
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from lerobot_pneutac.diagnosis.bootstrap import Resampler
-from lerobot_pneutac.diagnosis.candidates import Untested
+from lerobot_pneutac.diagnosis import thresholds as T
+from lerobot_pneutac.diagnosis.black_box import share_left
+from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
 from lerobot_pneutac.diagnosis.experiment import Separation
-from lerobot_pneutac.diagnosis.model import FittedModel
 from lerobot_pneutac.diagnosis.parts import Parts
-from lerobot_pneutac.diagnosis.result import Contribution, Outcome, Refits, Rival
+from lerobot_pneutac.diagnosis.result import (
+    Contribution,
+    FittedModel,
+    Outcome,
+    Refits,
+    Rival,
+    Tested,
+    Untested,
+)
 from lerobot_pneutac.diagnosis.steps import Steps
+from lerobot_pneutac.diagnosis.verdict import Evidence, decide
 from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.effect import Parameter
@@ -21,8 +32,6 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.finger.quantities import root_mean
 from pneutac_sim.twin import Twin, Value
 
-SPANS = 0.8  # share of the allowed range that an interval covers when it says nothing
-TIMES = 10.0  # a positive quantity whose interval goes from nothing to so many times its value
 SIGNED = ("gain_rad_per_kpa",)  # parameters whose sign must be known
 ANGLES = "record the angles of the joints (q_1_rad ...)"
 RECORD = {
@@ -34,7 +43,6 @@ RECORD = {
 
 
 def with_unit(value: Value, unit: str) -> dict:
-    """A parameter as results have it."""
     return {"value": value.value, "ci95": list(value.ci95) if value.ci95 else None, "unit": unit}
 
 
@@ -53,8 +61,8 @@ def not_identifiable(value: float, ci95: Sequence[float] | None, spec: Parameter
     covered = np.log(high / max(low, lower)) / np.log(upper / lower) if spec.log and low > 0 else (
         (high - low) / (upper - lower)
     )  # fmt: skip
-    open_size = lower >= 0 and low <= lower and high > TIMES * abs(value) > 0
-    return bool(covered > SPANS or open_size or (spec.name in SIGNED and low < 0 < high))
+    open_size = lower >= 0 and low <= lower and high > T.TIMES * abs(value) > 0
+    return bool(covered > T.SPANS or open_size or (spec.name in SIGNED and low < 0 < high))
 
 
 def unidentified(experiment: str) -> str:
@@ -73,7 +81,7 @@ class Study:
         unit: of the error.
         noise: error that the measurement's own noise makes; None where it cannot be told.
         parts: train fits parameters, validation decides what is kept, test is looked at by reports alone.
-        own: effects that the twin has.
+        twin_effects: effects that the twin has.
         candidates: effects to try.
         untested: effects that this recording cannot test.
         excluded: effects that are no part of any line or base that a search tries by itself.
@@ -85,7 +93,7 @@ class Study:
     unit: str
     noise: NoiseFloor | None = None
     parts: Parts
-    own: Sequence[str] = ()
+    twin_effects: Sequence[str] = ()
     candidates: Sequence[str] = ()
     untested: Sequence[Untested] = ()
     excluded: Sequence[str] = ()
@@ -97,14 +105,14 @@ class Study:
         return len(self.recording)
 
     @cached_property
-    def judge(self) -> Resampler:
+    def bootstrap(self) -> BlockBootstrap:
         """Resamples the validation part."""
-        return Resampler(self.parts.validation, self.parts.unit, self.parts.stratum, self.seed)
+        return BlockBootstrap(self.parts.validation, self.parts.unit, self.parts.stratum, self.seed)
 
     @cached_property
-    def test(self) -> Resampler:
+    def test(self) -> BlockBootstrap:
         """Resamples the test part."""
-        return Resampler(self.parts.test, self.parts.unit, self.parts.stratum, self.seed + 1)
+        return BlockBootstrap(self.parts.test, self.parts.unit, self.parts.stratum, self.seed + 1)
 
 
 class EffectStudy(Study, ABC):
@@ -177,12 +185,14 @@ class EffectStudy(Study, ABC):
 
     def refits(self, effects: Sequence[str], steps: Steps) -> Refits:
         """The twin re-fitted as it is and with these effects, and what each adds to the others."""
-        before = self.refit(self.own, None, steps)
-        after = self.refit((*self.own, *effects), before, steps)
+        before = self.refit(self.twin_effects, None, steps)
+        after = self.refit((*self.twin_effects, *effects), before, steps)
         significant = self.significant(before, after)
         without = dict.fromkeys(effects, before)
         for e in effects if len(effects) > 1 else ():
-            without[e] = self.refit((*self.own, *(o for o in effects if o != e)), before, Steps(None))
+            without[e] = self.refit(
+                (*self.twin_effects, *(o for o in effects if o != e)), before, Steps(None)
+            )
         error = self.errors(after)["heldout"]
         contributions = [
             Contribution(e, False, self.errors(m)["heldout"], error, self.test.drop(m.squared, after.squared))
@@ -193,7 +203,86 @@ class EffectStudy(Study, ABC):
 
     def significant(self, before: FittedModel, after: FittedModel) -> bool:
         """Whether the error falls significantly on the validation part."""
-        return self.judge.drop(before.squared, after.squared)[1] > 0
+        return self.bootstrap.drop(before.squared, after.squared)[1] > 0
+
+    # ---------------------------------------------------------------- what a search ended with
+
+    def signals(self) -> np.ndarray | None:
+        """(n, f) causal signals from which a black box predicts what a model leaves; None for none."""
+        return None
+
+    def removed(self, worst: float, left: float, floor: float) -> float:
+        """Share of the excess of a mean square error that went; 0 where nothing was avoidable."""
+        avoidable = worst > (1 + T.AVOIDABLE) * floor**2
+        return 1 - max(left - floor**2, 0.0) / (worst - floor**2) if avoidable else 0.0
+
+    def evidence(
+        self,
+        before: FittedModel,
+        after: FittedModel,
+        selected: list[str],
+        chosen_in: Mapping[str, float],
+        floor: float | None = None,
+        worst: float | None = None,
+        left: np.ndarray | None = None,
+        **more: Any,
+    ) -> Evidence:
+        """What the verdict rests on: errors of the test part, which nothing was fitted or chosen on.
+
+        Args:
+            before: the twin as it is, re-fitted.
+            after: with what was found.
+            selected: effects found, the most important first.
+            chosen_in: share of the votes of each.
+            floor: of the noise, where it is not the study's.
+            worst: mean square error to begin with, where it is not that of `before`.
+            left: (n,) squared errors that are left, where they are not those of `after`.
+            more: further fields.
+        """
+        floor = self.noise.floor if floor is None else floor
+        worst = self.test.value(before.squared) if worst is None else worst
+        rest = self.test.value(after.squared if left is None else left)
+        known, signals, parts = self.noise.value is not None, self.signals(), self.parts
+        return Evidence(
+            poor=bool(self.too_little()),
+            before=float(np.sqrt(worst)) / floor if known else None,
+            after=float(np.sqrt(rest)) / floor if known else None,
+            selected=selected,
+            removed=float(np.clip(self.removed(worst, rest, floor), -1, 1)) if selected else 0.0,
+            at_bound=[n for n in self.at_bound(after, selected) if n.rpartition(".")[0] in selected],
+            left_to_black_box=0.0
+            if signals is None
+            else share_left(after.residual, signals, parts.learnt, parts.test, floor),
+            agreed=min((chosen_in.get(t, 1.0) for t in selected[:1]), default=1.0),
+            noise_known=self.noise.known,
+            **more,
+        )
+
+    def alone(
+        self, name: str, model: FittedModel, ground: FittedModel, how: str, instance: str = ""
+    ) -> Tested:
+        """What one effect does alone on a ground model; `instance`: its name in the model."""
+        share, interval = self.reduction(ground, model)
+        values = self.parameters(model, instance or name)
+        return Tested(name, self.tested_errors(model), share, interval, values, how)
+
+    def tested_errors(self, model: FittedModel) -> dict[str, float]:
+        """The errors that are reported of each candidate."""
+        return {"heldout": float(np.sqrt(self.test.value(model.squared)))}
+
+    def outcome(
+        self, began: float, before: FittedModel, after: FittedModel, evidence: Evidence, **found: Any
+    ) -> Outcome:
+        """What a search ended with; `began` by `time.perf_counter`, `found`: further fields."""
+        return Outcome(
+            before=before,
+            after=after,
+            selected=evidence.selected,
+            evidence=evidence,
+            verdict=decide(evidence),
+            seconds=time.perf_counter() - began,
+            **found,
+        )
 
     def errors(self, model: FittedModel) -> dict[str, float]:
         """Root mean square errors: `train`, and `heldout`, which is the test part."""
@@ -207,7 +296,7 @@ class EffectStudy(Study, ABC):
 
         Args:
             selected: effects that it found.
-            breaks: corrections of the recording, see `BodyStudy.apply_break`.
+            breaks: corrections of the recording, see `data_breaks.without_break`.
         """
         return
 
@@ -251,10 +340,10 @@ class EffectStudy(Study, ABC):
 
     def already_on(self, effect: str) -> str:
         """A sentence where the twin has this effect."""
-        if effect not in self.own:
+        if effect not in self.twin_effects:
             return ""
         return (
-            f"The twin has the effect '{effect}' already (it has {', '.join(self.own)}); "
+            f"The twin has the effect '{effect}' already (it has {', '.join(self.twin_effects)}); "
             "`pneutac calibrate` re-fits it."
         )
 

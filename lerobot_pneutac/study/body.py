@@ -1,208 +1,55 @@
 """A recording of a finger or an arm under judgement; a sample is a row."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 
-from lerobot_pneutac.diagnosis.candidates import sort_candidates
-from lerobot_pneutac.diagnosis.experiment import predict
-from lerobot_pneutac.diagnosis.model import FittedModel
-from lerobot_pneutac.diagnosis.parts import deal
-from lerobot_pneutac.diagnosis.result import PROFILE, Contribution, Outcome, Refits
-from lerobot_pneutac.diagnosis.search import Found, Scored, Trial
+from lerobot_pneutac.diagnosis import thresholds as T
+from lerobot_pneutac.diagnosis.experiment import predict, read
+from lerobot_pneutac.diagnosis.result import (
+    PROFILE,
+    Candidate,
+    Contribution,
+    FittedModel,
+    Outcome,
+    Refits,
+    Tested,
+)
+from lerobot_pneutac.diagnosis.search import Found, Scored, contenders, rivals
 from lerobot_pneutac.diagnosis.steps import Steps
-from lerobot_pneutac.study import gauge
-from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, Form, Reading
-from lerobot_pneutac.study.body_outcome import body_outcome
-from lerobot_pneutac.study.body_search import BodySearch, Searched, base_effects
+from lerobot_pneutac.diagnosis.verdict import Evidence, calibrated_confidence, decide
+from lerobot_pneutac.study.body_base import BodyBase, base_effects
+from lerobot_pneutac.study.body_model import BodyFitter, BodyModel
+from lerobot_pneutac.study.body_search import BodySearch, Searched
 from lerobot_pneutac.study.body_space import BodySpace
-from lerobot_pneutac.study.body_words import BodyWords
-from lerobot_pneutac.study.one_device import move_back
-from lerobot_pneutac.study.pair import device_moves, enough_rows
-from lerobot_pneutac.study.reading import read
-from pneutac_datasets.recording.checks import check
-from pneutac_datasets.recording.mounts import on_one_mount
-from pneutac_datasets.recording.noise import noise_floor
-from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.effects.laws import family, starts
-from pneutac_sim.effects.registry import body_effects, get_effect, of_body
-from pneutac_sim.finger.confidence import Z95, confidence
+from pneutac_sim.effects.laws import family, is_law, starts
 from pneutac_sim.finger.data import BodyData
-from pneutac_sim.twin import Twin, Value
 
-RESTED_S = 1e4  # a pause at zero pressure after which everything has rested
 OF_TRIALS = (
     "Each run has its own small offset, gain and time shift. They are no part of the device and not in the "
     "twin; the error without them is reported separately."
 )
-EDGE = 1e-3
 
 
 def _of(parameter: str) -> str:
-    """The effect that a parameter of a pipeline belongs to."""
     return parameter.rpartition(".")[0]
 
 
-class BodyStudy(BodyWords):
-    """Markers, angles or curvatures of a finger or an arm.
-
-    Args:
-        twin: of the recording's device.
-        recording: of a finger or an arm.
-        seed: decides the parts and every bootstrap.
-        adding: the effects that are to be tried; empty where all are.
-
-    Attributes:
-        measured: columns of measured pressure, empty where it tells nothing.
-        checked: number of findings before a search.
-        start: how trials are taken to begin, before a search asks.
-        joints: of the spine, tried beside the twin's own number.
-        breaks: corrections of the recording for this judgement, see `apply_break`.
-
-    Raises:
-        InputError: the recording has too few rows to fit the twin at all, or is of another device.
-    """
-
-    def __init__(self, twin: Twin, recording: Recording, seed: int = 0, adding: Sequence[str] = ()):
-        self.twin, self.seed, self._given = twin, seed, recording
-        self.breaks: tuple[dict, ...] = ()
-        device_moves(recording)
-        self.recording, self.findings = check(recording)
-        self.parts = deal(self.recording, seed)
-        self.own = tuple(of_body(twin.effects))
-        self.candidates, self.untested = sort_candidates(self.recording, twin)
-        if any(self.refusal(e) for e in adding):
-            return
-        largest = max(body_effects(), key=lambda e: len(get_effect(e).parameters))
-        enough_rows(twin, self.recording, [*self.own, *(adding or [largest])], self.parts.train)
-        self.recording, moved = on_one_mount(self.recording, twin, self.parts.train)
-        self.findings = self.findings + moved
-        self.checked = len(self.findings)
-        self.noise = noise_floor(self.recording)
-        self.unit = self.noise.unit
-        self.measured = gauge.measured_columns(self.recording)
-        data = BodyData.of(self.recording, twin, source="command")
-        starts_vented = np.isinf(data.inputs.dt_s).sum() and not np.array_equal(data.inputs.rows[:1], [0])
-        known = twin.parameters.get("pause_s")
-        self.start: str | float = known.value if known else "vented" if starts_vented else "held"
-        self.joints = 8 if twin.device == "finger" else len(twin.spine_joint_positions_mm)
-
-    @property
-    def given_rows(self) -> int:
-        """Rows of the recording as it was given."""
-        return len(self._given)
-
-    @property
-    def air_noise(self) -> float:
-        """Noise of the measured pressure, kPa."""
-        return gauge.sensor_noise(self.recording, self.measured)
-
-    def prepare(self, selected: Sequence[str], breaks: Sequence[dict]) -> None:
-        """Corrects the recording as a written diagnosis did."""
-        for correction in breaks:
-            self.apply_break(correction)
-
-    def apply_break(self, correction: dict) -> None:
-        """Corrects the recording where it is not of one device seen by one marker.
-
-        Args:
-            correction: `from_row` and `shift` (mm or rad by column) of a marker that slipped, or `first_row`
-                and `last_row` of what stands on one side of a change for good.
-        """
-        if "shift" in correction:
-            samples = self.recording.samples.copy()
-            for name, shift in correction["shift"].items():
-                samples.loc[samples.index[correction["from_row"] :], name] -= shift
-            self.recording = replace(self.recording, samples=samples)
-        else:
-            rows = np.arange(len(self.recording))
-            keep = (rows >= correction["first_row"]) & (rows <= correction["last_row"])
-            self.recording = self.recording.keep(keep)
-            self.parts = deal(self.recording, self.seed)
-        self.breaks = (*self.breaks, correction)
-
-    # ---------------------------------------------------------------- models
-
-    def fitted(self, model: BodyModel) -> FittedModel:
-        """A model of the search on all samples: from the command as its twin runs, else by the gauge."""
-        twin = self.twin_with(model)
-        if model.form.reading.source == "command":
-            residual = self.residual(twin)
-        else:
-            residual = self.residual_with_runs(model)
-        names = [model.pipeline.names[i] for i in model.free]
-        edge = (model.v < EDGE) | (model.v > 1 - EDGE)
-        bound = [
-            n for n, i, e, v in zip(names, model.free, edge, model.v, strict=True)
-            if e and "." in n and n.rpartition(".")[0] not in base_effects(self)
-            and (model.bounds.upper if v > 0.5 else model.bounds.lower)[i] != model.pipeline.specs[i].neutral
-        ]  # fmt: skip
-        return FittedModel(
-            effects=model.form.effects, residual=residual, count=len(names), twin=twin, at_bound=bound
-        )
-
-    def residual_with_runs(self, model: BodyModel) -> np.ndarray:
-        """(n, k) measured minus predicted, with what single runs have of their own."""
-        fitter = BodyFitter(self.recording, self.twin, np.zeros(1, int))
-        data = fitter.data(model.form.reading)
-        return (data.measured - fitter.predict(model))[:, : data.counted]
-
-    def twin_with(self, model: BodyModel) -> Twin:
-        """The twin with a model's parameters, their intervals, and how its recordings begin."""
-        fitter = BodyFitter(self.recording, self.twin, np.zeros(1, int))
-        edge = (model.v < EDGE) | (model.v > 1 - EDGE)
-        adjacent = np.ones(len(model.residual), bool)
-        more = np.zeros(model.jacobian.shape[1] - len(edge), bool)
-        sd = confidence(model.jacobian, model.residual, adjacent, np.r_[edge, more]).sd[: len(edge)]
-        low = model.bounds.value(np.clip(model.v - Z95 * sd, 0, 1), model.free)
-        high = model.bounds.value(np.clip(model.v + Z95 * sd, 0, 1), model.free)
-        names = [model.pipeline.names[i] for i in model.free]
-        ci95 = {n: (float(a), float(b)) for n, a, b in zip(names, low, high, strict=True)}
-        twin = model.pipeline.update(fitter.twin_with(model.form.joints), model.theta, ci95)
-        reading = model.form.reading
-        if reading.switch is not None:
-            twin.parameters["switch_share"] = Value(
-                float(np.nanmedian(np.array(reading.switch, dtype=float)))
-            )
-        if reading.start != "held":
-            pause = RESTED_S if reading.start == "vented" else float(reading.start)
-            twin.parameters["pause_s"] = Value(pause)
-        return replace(twin, arrays={}, gel={}, history=[])
-
-    def with_air(self, body: BodyModel, air: BodyModel) -> Twin:
-        """The twin of a body that the measured pressure drove, with the air before it."""
-        twin, of_air = self.twin_with(body), self.twin_with(air).effects
-        return replace(twin, effects=twin.effects | {k: v for k, v in of_air.items() if get_effect(k).of_air})
-
-    def as_it_is(self, search: BodySearch) -> Scored:
-        """The twin with its own effects, re-fitted."""
-        fitter = BodyFitter(self.recording, self.twin, search.rows)
-        own = any(n.startswith("bend_") for n in self.twin.parameters)
-        switch = self.twin.parameters.get("switch_share")
-        reading = Reading(start=self.start, switch=switch.value if switch else None)
-        form = Form(tuple(self.own), reading, len(self.twin.spine_joint_positions_mm), own)
-        space = BodySpace(fitter, self.own, [form.joints], [], ((),), form.reading)
-        models = [fitter.fit(form, v, 12) for v in ({}, fitter.rough(form))]
-        return min((search.score(space.settle_line(m)) for m in models), key=lambda s: s.value)
-
-    def residual(self, twin: Twin) -> np.ndarray:
-        """(n, k) measured minus predicted from the commanded pressure, each step at its own instant."""
-        data = read(self.recording, twin)
-        return data.measured[:, : data.counted] - predict(twin, data)[0]
+class BodyStudy(BodyBase):
+    """Markers, angles or curvatures of a finger or an arm, and the search for what their twin lacks."""
 
     # ---------------------------------------------------------------- the verbs
 
     def search(self, jobs: int, steps: Steps) -> Outcome:
-        """Looks for what the twin lacks."""
         began = time.perf_counter()
         with ThreadPoolExecutor(jobs) as pool:
             steps.expect("fitting the twin as it is", 1)
             search, done = self._searched(pool.map, lambda text: steps.expect(text, 0))
-            before = self.as_it_is(search)
-            if done.model.model.form.trials:
+            before = search.as_it_is()
+            if done.model.model.structure.trials:
                 self.findings = [*self.findings, OF_TRIALS]
             steps.done()
             return body_outcome(self, search, before, done, began)
@@ -222,28 +69,28 @@ class BodyStudy(BodyWords):
         significantly.
         """
         search = BodySearch(self, map, lambda text: None)
-        start = self.as_it_is(search)
-        while move_back(self, search, start):
-            start = self.as_it_is(search)
+        start = search.as_it_is()
+        while search.take_back_slip(start):
+            start = search.as_it_is()
         steps.done()
         fitter = BodyFitter(self.recording, self.twin, search.rows)
-        causes = [e for e in base_effects(self) if e not in (*self.own, *effects)]
-        form = replace(start.model.form, effects=(*self.own, *causes), own=True)
+        causes = [e for e in base_effects(self) if e not in (*self.twin_effects, *effects)]
+        structure = replace(start.model.structure, effects=(*self.twin_effects, *causes), own_profile=True)
         joints = [len(self.twin.spine_joint_positions_mm)]
-        space = BodySpace(fitter, form.effects, joints, self.candidates, ((),), form.reading)
+        space = BodySpace(fitter, structure.effects, joints, self.candidates, ((),), structure.input_model)
         engine, values, new = search.engine(space), start.model.values, []
-        rich = engine.fits([Trial(form, values), Trial(form, values | fitter.rough(form))], 8)
+        rich = engine.fits([(structure, values), (structure, values | fitter.rough(structure))], 8)
         for name in effects:
-            form = form.plus(name)
-            new.append(form.effects[-1])
+            structure = structure.plus(name)
+            new.append(structure.effects[-1])
             values = rich[0].model.values if rich else values
-            rich = engine.fits([space.trial(form, values, name, s) for s in starts(name)], 8)
-        rich = [search.score(space.settle_line(space.settle(s.model))) for s in rich[:1]] or [start]
-        whole = search.simplified(space, Found(start, [start], rich[0]), (*self.own, *new))
-        model, terms = whole.model, [e for e in whole.model.form.effects if e not in self.own]
+            rich = engine.fits([space.trial(structure, values, name, s) for s in starts(name)], 8)
+        rich = [search.score(space.refine_actuation(space.refine(s.model))) for s in rich[:1]] or [start]
+        whole = search.simplified(space, Found(start, [start], rich[0]), (*self.twin_effects, *new))
+        model, terms = whole.model, [e for e in whole.model.structure.effects if e not in self.twin_effects]
         without = {t: search.score(space.without(model, t)) for t in terms}
         known = [t for t in terms if t not in new]
-        if model.form.own and not start.model.form.own:
+        if model.structure.own_profile and not start.model.structure.own_profile:
             known.append(PROFILE)
             if (plain := search.plain(space, model)) is not None:
                 without[PROFILE] = plain
@@ -274,14 +121,14 @@ class BodyStudy(BodyWords):
         engine = search.engine(space)
         space.candidates = [e for e in space.candidates if family(e) not in kinds]
         others = engine.fits(space.grow(base.model, 12, 0), 8)
-        if not others or not search.judge.surely(whole.crossed, others[0].crossed):
+        if not others or not search.bootstrap.significant_drop(whole.cv_squared, others[0].cv_squared):
             return None
-        added = [e for e in whole.model.form.effects if e not in base.model.form.effects]
+        added = [e for e in whole.model.structure.effects if e not in base.model.structure.effects]
         values = others[0].model.values | {k: v for k, v in whole.model.values.items() if _of(k) in added}
-        both = engine.fits([Trial(others[0].model.form.plus(*added), values)], 8)
+        both = engine.fits([(others[0].model.structure.plus(*added), values)], 8)
         if both and engine.is_worth(others[0], both[0]):
             return None
-        return others[0].model.form.effects[-1], others[0]
+        return others[0].model.structure.effects[-1], others[0]
 
     def contributions(
         self, after: FittedModel, without: Mapping[str, FittedModel], known: Sequence[str]
@@ -293,22 +140,246 @@ class BodyStudy(BodyWords):
             out.append(Contribution(name, name in known, self.errors(model)["heldout"], error, drop))
         return sorted(out, key=lambda c: -c.drop[0])
 
-    def refusal(self, effect: str) -> str:
-        """Why an effect cannot be switched on."""
-        if get_effect(effect).stage not in get_effect("creep").stages:
-            return f"'{effect}' does not bend a body; give one of {', '.join(body_effects())}."
-        untested = {u.name: f"{self.recording.folder}: effect '{effect}' {u.reason}." for u in self.untested}
-        return self.already_on(effect) or untested.get(effect, "")
 
-    def twin_of(self, model: FittedModel) -> Twin:
-        """The fitted body with the gel, pictures and networks of the twin that was given."""
-        kept = {k: v for k, v in self.twin.effects.items() if k not in of_body(self.twin.effects)}
-        given = self.twin.copy()
-        return replace(
-            model.twin,
-            effects=kept | model.twin.effects,
-            gel=given.gel,
-            arrays=given.arrays,
-            history=given.history,
-            fitted_to={"change": "added", "recording": str(self.recording.folder), "seed": self.seed},
+def body_outcome(
+    study: "BodyStudy", search: BodySearch, start: Scored, done: Searched, began: float
+) -> Outcome:
+    """What a search ended with, judged on test blocks; `began` by `time.perf_counter`."""
+    before = study.fitted(start.model)
+    after = _after(study, done, done.model.model)
+    helps = search.bootstrap.significant_drop(start.cv_squared, done.model.cv_squared)
+    helps = helps and study.test.value(after.squared) < study.test.value(before.squared)
+    if not helps:
+        after, done.terms = before, []
+    runs, left = _run_terms(study, done.model.model) if helps else None, after.squared
+    if runs is not None:
+        left = (study.residual_with_runs(done.model.model) ** 2).sum(axis=1)
+        runs["error"] = float(np.sqrt(study.test.value(left)))
+    evidence = _evidence(study, before, after, done, left)
+    if done.terms and evidence.at_noise:
+        helps, after, near_miss, done.terms, runs = False, before, done.terms, [], None
+        evidence = _evidence(study, before, after, done, after.squared)
+        evidence.near_miss = near_miss if evidence.before is None else []
+    known = _known(study, start, done) if helps else []
+    ladder = [("as it is", before)]
+    if helps:
+        ladder += _ladder(study, done, after)
+    models = _contenders(study, search, start, done if helps else None)
+    likely = None
+    if evidence.selected and evidence.noise_known and not evidence.poor and evidence.after is not None:
+        likely = calibrated_confidence(
+            evidence.after, models[0].probability, decide(evidence) == "missing_effect"
         )
+    return study.outcome(
+        began,
+        before,
+        after,
+        evidence,
+        ladder=ladder,
+        tested=_tested(study, search, done, before),
+        rivals=rivals(done.found, study.noise.floor, done.terms, family, lambda s: study.fitted(s.model)),
+        known=known,
+        baseline=_baseline(study, search, start, done, known) if helps else None,
+        contributions=_contributions(study, search, done, after, known) if helps else [],
+        run_terms=runs,
+        chosen_in=done.chosen_in,
+        base_model=_base(done) if helps else {},
+        contenders=models,
+        likely_right=likely,
+    )
+
+
+def _known(study: "BodyStudy", start: Scored, done: Searched) -> list[str]:
+    """Known causes among what the final model needed and the twin lacks."""
+    causes = base_effects(study)
+    own_profile = done.model.model.structure.own_profile and not start.model.structure.own_profile
+    return [*(t for t in done.terms if t in causes), *([PROFILE] if own_profile else [])]
+
+
+def _baseline(
+    study: "BodyStudy", search: BodySearch, start: Scored, done: Searched, known: Sequence[str]
+) -> FittedModel | None:
+    """The twin with the known causes alone, re-fitted from the command; None where there are none."""
+    if not known:
+        return None
+    structure = replace(
+        start.model.structure, own_profile=start.model.structure.own_profile or PROFILE in known
+    )
+    structure = structure.plus(*(k for k in known if k != PROFILE))
+    values = start.model.values | {
+        k: v for k, v in done.model.model.values.items() if k.rpartition(".")[0] in known
+    }
+    fitter = BodyFitter(study.recording, study.twin, search.rows)
+    fits = [fitter.fit(structure, v, 12) for v in (values, values | fitter.rough(structure))]
+    return study.fitted(min(map(search.score, fits), key=lambda s: s.value).model)
+
+
+def _contributions(
+    study: "BodyStudy", search: BodySearch, done: Searched, after: FittedModel, known: Sequence[str]
+) -> list[Contribution]:
+    """What each term is worth beside all others; of the air too where the gauge drove the body."""
+    models = {t: _after(study, done, s.model) for t, s in done.without.items() if t in done.terms}
+    if PROFILE in known and (plain := search.plain(done.space, done.model.model)) is not None:
+        models[PROFILE] = _after(study, done, plain.model)
+    if done.driven and done.air is not None:
+        for term, air in done.air.without.items():
+            if term in done.terms and term not in models:
+                twin = study.with_air(done.model.model, air.model)
+                models[term] = FittedModel(
+                    effects=tuple(twin.effects), residual=study.residual(twin), count=0, twin=twin
+                )
+    return study.contributions(after, models, known)
+
+
+def _run_terms(study: "BodyStudy", model: BodyModel) -> dict[str, float] | None:
+    """Root mean squares over runs of what single runs have of their own; None where runs do not differ."""
+    if not model.structure.trials:
+        return None
+    data = BodyFitter(study.recording, study.twin, np.zeros(1, int)).data(model.structure.input_model)
+    d, p = len(data.columns), data.inputs.pressure_range_kpa
+    offset, gain, zero, clock = model.structure.trials
+    travel = float(np.ptp(data.measured * data.scale, axis=0).max())
+    rms = np.sqrt((model.of_trials**2).mean(axis=0))
+    return {
+        "offset": offset * travel * float(np.linalg.norm(rms[: data.counted])),
+        "gain": gain * float(rms[d]),
+        "pressure_kpa": zero * p * float(rms[d + 1]),
+        "clock_s": clock * float(rms[d + 2]),
+    }
+
+
+def _after(study: "BodyStudy", done: Searched, model: BodyModel) -> FittedModel:
+    """A model of the body, with the air that was found where the measured pressure drove it."""
+    if not done.driven:
+        return study.fitted(model)
+    assert done.air is not None
+    twin = study.with_air(model, done.air.final.model)
+    return FittedModel(
+        effects=tuple(twin.effects), residual=study.residual(twin), count=len(model.free), twin=twin
+    )
+
+
+def _ladder(study: "BodyStudy", done: Searched, after: FittedModel) -> list[tuple[str, FittedModel]]:
+    out, had = [], set(study.twin_effects)
+    for i, s in enumerate(done.found.path):
+        new = [e for e in s.model.structure.effects if e not in had and (i > 0 or e not in done.space.base)]
+        out.append(
+            (" + ".join(["how it bends", *new] if i == 0 else ["", *new]).strip(), study.fitted(s.model))
+        )
+        had |= set(s.model.structure.effects)
+    return [*out[:-1], ("all that was found", after)]
+
+
+def _contenders(
+    study: "BodyStudy", search: BodySearch, start: Scored, done: Searched | None
+) -> list[Candidate]:
+    """The final model, others of other physics, and the twin as it is, re-fitted.
+
+    Others are up to `MOST_OTHERS` that the search weighed where it accepted its last terms, and the final
+    model re-fitted without each of its terms.
+    """
+    if done is None:
+        return contenders([start], search.bootstrap, study.twin_effects, lambda s: study.fitted(s.model).twin)
+    known = {*done.space.base, *study.twin_effects}
+    others = [s for weighed in reversed(done.found.rivals) for s in sorted(weighed, key=lambda s: s.value)]
+    scored = _differing([done.model], [*reversed(done.found.path), *others], known)[: 1 + T.MOST_OTHERS]
+    scored = _differing(scored, done.without.values(), known)
+    return contenders(
+        [*scored, start],
+        search.bootstrap,
+        known,
+        lambda s: (study.fitted(s.model) if s is start else _after(study, done, s.model)).twin,
+    )
+
+
+def _differing(first: list[Scored], more: Iterable[Scored], known: set[str]) -> list[Scored]:
+    """The first, then of the others one of each kind of physics that none before it has."""
+    out, kinds = list(first), {frozenset(), *(_kinds(s, known) for s in first)}
+    for s in more:
+        if _kinds(s, known) not in kinds:
+            kinds.add(_kinds(s, known))
+            out.append(s)
+    return out
+
+
+def _kinds(scored: Scored, known: set[str]) -> frozenset[str]:
+    return frozenset(family(e) for e in scored.model.structure.effects if e not in known)
+
+
+def _base(done: Searched) -> dict:
+    model = done.model.model
+    values = {k: v for k, v in model.values.items() if "." not in k}
+    parts = [e for e in model.structure.effects if e in done.space.base and e not in done.terms]
+    values |= {k: v for k, v in model.values.items() if k.rpartition(".")[0] in parts}
+    switch = model.structure.input_model.switch
+    return {
+        "joints": model.structure.joints,
+        "profile": "its own" if model.structure.own_profile else "the paper's",
+        "trials_begin": model.structure.input_model.start,
+        "switch_share": None if switch is None else float(np.nanmedian(np.array(switch, dtype=float))),
+        "driven_by": "measured pressure" if done.driven else "command",
+        "parameters": values,
+    }
+
+
+def _tested(study: "BodyStudy", search: BodySearch, done: Searched, before: FittedModel) -> list[Tested]:
+    """What each effect does alone: those found, then the best of the others, from the first round."""
+    first: dict[str, FittedModel] = {}
+    base = set(done.found.base.model.structure.effects)
+    rounds = [*done.found.path[1:2], *(done.found.rivals[0] if done.found.rivals else [])]
+    for s in rounds:
+        new = [e for e in s.model.structure.effects if e not in base]
+        if len(new) == 1:
+            first.setdefault(new[0], study.fitted(s.model))
+    ground = study.fitted(done.found.base.model)
+    out = []
+    how = "pose, driven by the measured pressure" if done.driven else "pose, driven by the command"
+    for name in (*done.terms, *(e for e in first if e not in done.terms)):
+        model = first.get(name)
+        if model is None and name in done.importance and name in done.space.candidates:
+            structure = done.found.base.model.structure.plus(name.partition(" #")[0])
+            fits = search.engine(done.space).fits(
+                [done.space.trial(structure, done.found.base.model.values, name, s) for s in starts(name)], 8
+            )
+            model = study.fitted(fits[0].model) if fits else None
+        if model is None:
+            continue
+        out.append(study.alone(name, model, ground, how, model.effects[-1]))
+    return out
+
+
+def _evidence(
+    study: "BodyStudy", before: FittedModel, after: FittedModel, done: Searched, left: np.ndarray
+) -> Evidence:
+    """What the verdict rests on: errors of test blocks, which nothing was fitted or chosen on.
+
+    `left` (n,) are the squared errors of the final model, without what single runs have of their own.
+    """
+    test, data = study.test, BodyData.of(study.recording, study.twin, source="command")
+    seen = data.measured[:, : data.counted]
+    constant = ((seen - seen[~study.parts.test].mean(axis=0)) ** 2).sum(axis=1)
+    worst = min(test.value(before.squared), test.value(constant))
+    if done.model.model.structure.trials:  # what zeros of trials take away, no law did
+        worst = min(worst, test.value((study.residual_with_runs(done.found.base.model) ** 2).sum(axis=1)))
+    return study.evidence(
+        before,
+        after,
+        done.terms,
+        done.chosen_in,
+        worst=worst,
+        left=left,
+        cancelling=_cancelling(study, after, done.terms),
+        forward=done.forward,
+    )
+
+
+def _cancelling(study: "BodyStudy", model: FittedModel, terms: Sequence[str]) -> list[str]:
+    """Laws each of which moves the device by more than it travels."""
+    data = read(study.recording, model.twin)
+    seen, out = predict(model.twin, data)[0], []
+    travel = np.linalg.norm(np.ptp(data.measured[:, : data.counted], axis=0))
+    for name in filter(is_law, terms):
+        moved = seen - predict(model.twin.without(name), data)[0]
+        if np.linalg.norm(moved, axis=1).max() > travel:
+            out.append(name)
+    return out

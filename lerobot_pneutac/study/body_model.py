@@ -6,7 +6,8 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from lerobot_pneutac.study.body_trials import ALIKE, TRIAL_RANGE, TrialProblem, of_each_trial
+from lerobot_pneutac.diagnosis import thresholds as T
+from lerobot_pneutac.diagnosis.search import Structure
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.instants import StepRows
@@ -15,6 +16,84 @@ from pneutac_sim.finger.problem import Bounds, Problem, past_jumps
 from pneutac_sim.finger.starts import rough_drive
 from pneutac_sim.least_squares import minimise
 from pneutac_sim.twin import Twin
+
+TRIAL_RANGE = 6.0  # widths that a trial may be off
+
+
+def of_each_trial(pipeline: Pipeline, data: BodyData, run, widths: tuple[float, ...]) -> np.ndarray:
+    """(n, D, D + 3): what a width of a trial's offsets, gain, zero and clock does, in the error's unit."""
+    offset, gain, zero, clock = widths
+    p = data.inputs.pressure_range_kpa
+    u, eps = run.signals[pipeline.drive], 1e-4 * p
+    moved = pipeline.run(data.inputs, run.theta, run, u + eps)
+    bent = (pipeline.outputs(moved, data.columns) - pipeline.outputs(run, data.columns)) * data.scale / eps
+    n, d = bent.shape
+    out = np.zeros((n, d, d + 3))
+    out[:, range(d), range(d)] = offset * np.ptp(data.measured * data.scale, axis=0).max()
+    share = u[data.inputs.rows].mean(axis=1, keepdims=True)
+    out[:, :, d], out[:, :, d + 1] = gain * share * bent, zero * p * bent
+    drive = u[data.inputs.rows]
+    out[:, :, d + 2] = clock * rate(drive, data.inputs.sample_dt_s).mean(axis=1, keepdims=True) * bent
+    return out
+
+
+def rate(u: np.ndarray, dt_s: np.ndarray) -> np.ndarray:
+    """(n, chambers) 1/s: change of the drive within a trial, to the sample before or the next, the smaller.
+
+    A step is on one side of a sample alone, and a clock that is a little off does not move it past one.
+    """
+    begins = ~np.isfinite(dt_s)
+    slope = np.diff(u, axis=0) / np.where(begins[1:], np.inf, dt_s[1:])[:, None]
+    before, after = np.pad(slope, ((1, 0), (0, 0))), np.pad(slope, ((0, 1), (0, 0)))
+    first, last = begins[:, None], np.r_[begins[1:], True][:, None]
+    before, after = np.where(first, after, before), np.where(last, before, after)
+    return np.where(before * after > 0, np.sign(before) * np.minimum(np.abs(before), np.abs(after)), 0.0)
+
+
+class TrialProblem:
+    """A problem in which each trial has offsets of its outputs, a gain and a zero of its drive.
+
+    Args:
+        problem: without them.
+        trial: (N,) of each row.
+        trials: how many there are, also those of which there is no row.
+    """
+
+    def __init__(self, problem: Problem, trial: np.ndarray, trials: int, widths: tuple[float, ...]):
+        self._problem, self._trial, self._widths, self.free = problem, trial, widths, problem.free
+        self._trials, self.count = trials, trials * (len(problem.data.columns) + 3)
+
+    def begin(self, v: np.ndarray) -> np.ndarray:
+        """The same parameters of the device, with the zeros that suit them best under their prior."""
+        zeros = 0.5 + np.zeros(self.count)
+        for _ in range(2):
+            r = self.residual(np.r_[v, zeros])
+            C, stiff = self._columns, np.mean(r**2) * T.CORRELATED * (2 * TRIAL_RANGE) ** 2
+            H = C.T @ C + stiff * np.eye(self.count)
+            zeros = np.clip(zeros - np.linalg.solve(H, C.T @ r + stiff * (zeros - 0.5)), 0.0, 1.0)
+        return np.r_[v, zeros]
+
+    def theta(self, v: np.ndarray) -> np.ndarray:
+        return self._problem.theta(v[: len(self.free)])
+
+    def residual(self, v: np.ndarray) -> np.ndarray:
+        r = self._problem.residual(v[: len(self.free)])
+        return r + self._columns @ (v[len(self.free) :] - 0.5)
+
+    def jacobian(self, v: np.ndarray) -> np.ndarray:
+        J = self._problem.jacobian(v[: len(self.free)])
+        return np.concatenate([J, self._columns], axis=1)
+
+    @cached_property
+    def _columns(self) -> np.ndarray:
+        """(N D, count): what each trial's numbers do, over their range, where the problem was last run."""
+        problem = self._problem
+        each = of_each_trial(problem.pipeline, problem.data, problem.run, self._widths)
+        n, d = each.shape[:2]
+        out = np.zeros((n, d, self._trials, d + 3))
+        out[np.arange(n), :, self._trial] = 2 * TRIAL_RANGE * each
+        return out.reshape(n * d, -1)
+
 
 # Standard deviation of what is not a law, in its own unit, before any data is seen; at full pressure where a
 # parameter is counted per kPa.
@@ -34,12 +113,11 @@ PRIOR = {
     "gravity.tip_mass_g": 300.0,
 }
 LAW_WEIGHT = 1.0
-FAR = 0.3  # of a parameter's range: how far a fit without a fold may be from the whole one
 MANY = 3  # steps of each half of a fit from which on it also looks past jumps
 
 
 @dataclass(frozen=True)
-class Reading:
+class InputModel:
     """How a recording is taken to have been made; see `Inputs.from_samples`.
 
     Attributes:
@@ -56,38 +134,22 @@ class Reading:
 
 
 @dataclass(frozen=True)
-class Form:
+class BodyStructure(Structure):
     """The structure of a model.
 
     Attributes:
-        effects: all that are switched on, in the order in which they came.
-        reading: of the recording.
+        input_model: of the recording.
         joints: of the spine.
-        own: whether bend profile, curl and directions of chambers are the device's own, or the paper's.
+        own_profile: whether bend profile, curl and directions of chambers are the device's, or the paper's.
         trials: widths of what each trial has of its own, no part of the device: offset of outputs, as a share
             of their range, gain of the drive, its zero, as a share of the pressure's, and its clock, s; empty
             for none.
     """
 
-    effects: tuple[str, ...]
-    reading: Reading
-    joints: int
-    own: bool = True
+    input_model: InputModel = InputModel()
+    joints: int = 8
+    own_profile: bool = True
     trials: tuple[float, ...] = ()
-
-    def plus(self, *effects: str) -> "Form":
-        """With further effects; a law that is there already comes in a second instance."""
-        now = list(self.effects)
-        for e in effects:
-            number, name = 2, e
-            while name in now:
-                name, number = f"{e} #{number}", number + 1
-            now.append(name)
-        return replace(self, effects=tuple(now))
-
-    def without(self, effect: str) -> "Form":
-        """Without one effect."""
-        return replace(self, effects=tuple(e for e in self.effects if e != effect))
 
 
 @dataclass
@@ -95,7 +157,7 @@ class BodyModel:
     """A fitted model.
 
     Attributes:
-        form: its structure.
+        structure: its structure.
         pipeline: that runs it.
         theta: (P,) all parameters.
         free: (F,) those that were fitted.
@@ -110,7 +172,7 @@ class BodyModel:
         fitter: that fitted it; None where no instants of steps were fitted.
     """
 
-    form: Form
+    structure: BodyStructure
     pipeline: Pipeline
     theta: np.ndarray
     free: np.ndarray
@@ -126,32 +188,30 @@ class BodyModel:
 
     @property
     def values(self) -> dict[str, float]:
-        """Name to value of all parameters."""
         return dict(zip(self.pipeline.names, map(float, self.theta), strict=True))
 
     @property
     def cost(self) -> int:
         """Number of parameters, which a simpler model has fewer of; one stuck at a bound counts twice."""
-        stuck = (self.v <= 1e-3) | (self.v >= 1 - 1e-3)
+        stuck = (self.v <= T.AT_BOUND) | (self.v >= 1 - T.AT_BOUND)
         return len(self.free) + int(stuck.sum())
 
     @cached_property
     def normal(self) -> np.ndarray:
-        """(F, F) normal matrix with the prior."""
         return self.jacobian.T @ self.jacobian + self.weight
 
     @cached_property
     def judged(self) -> tuple[np.ndarray, np.ndarray]:
         """Residual (N, D) and what is to be added to its squares (N,), see `finger.instants`."""
-        if self.fitter is None or not isinstance(self.form.reading.switch, tuple):
+        if self.fitter is None or not isinstance(self.structure.input_model.switch, tuple):
             return self.residual, np.zeros(len(self.residual))
         return self.fitter.judged(self)
 
-    def crossed(self, fold: np.ndarray) -> np.ndarray:
+    def cv_squared(self, fold: np.ndarray) -> np.ndarray:
         """(N,) squared errors, each by a fit without its own fold, one Gauss-Newton step from the whole one.
 
-        Errors are counted as `judged` says. The step stays within bounds and within `FAR`, where a linear
-        model says something.
+        Errors are counted as `judged` says. The step stays within bounds and within `thresholds.FAR`, where
+        a linear model says something.
 
         Args:
             fold: (N,) number of each row's fold; rows of a negative one stay out and count 0.
@@ -159,7 +219,7 @@ class BodyModel:
         d, of_trials = self.residual.shape[1], np.arange(len(self.v), self.jacobian.shape[1])
         out = np.zeros(len(fold))
         moves = np.flatnonzero((self.v > 1e-6) & (self.v < 1 - 1e-6))
-        low, high = np.maximum(-self.v, -FAR)[moves], np.minimum(1 - self.v, FAR)[moves]
+        low, high = np.maximum(-self.v, -T.FAR)[moves], np.minimum(1 - self.v, T.FAR)[moves]
         use, (judged, added) = np.r_[moves, of_trials], self.judged
         if not len(use):
             return np.where(fold >= 0, (judged[:, : self.counted] ** 2).sum(axis=1) + added, 0.0)
@@ -195,7 +255,7 @@ def _least_within(H: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarra
 
 
 class BodyFitter:
-    """Fits forms to a recording.
+    """Fits structures to a recording.
 
     Args:
         recording: of a finger or an arm.
@@ -206,36 +266,41 @@ class BodyFitter:
     def __init__(self, recording, twin: Twin, rows: np.ndarray):
         self.recording, self.twin, self.rows = recording, twin, rows
         self.trial = np.unique(np.asarray(recording.samples["trial"]), return_inverse=True)[1]
-        self._data: dict[Reading, BodyData] = {}
-        self._steps: dict[Reading, StepRows] = {}
+        self._data: dict[InputModel, BodyData] = {}
+        self._steps: dict[InputModel, StepRows] = {}
         between = np.diff(np.asarray(recording.samples["time_s"], dtype=float))[np.diff(self.trial) == 0]
         self.row_s = float(np.median(between)) if len(between) else None
 
-    def data(self, reading: Reading) -> BodyData:
-        """The whole recording, read so."""
-        data = self._data.get(reading)
+    def data(self, input_model: InputModel) -> BodyData:
+        data = self._data.get(input_model)
         if data is None:
             if len(self._data) > 60:
                 self._data.clear()  # other threads may be in here as well
-            switch = np.array(reading.switch) if isinstance(reading.switch, tuple) else reading.switch
-            data = BodyData.of(
-                self.recording, self.twin, reading.source, reading.target, reading.start, switch
+            switch = (
+                np.array(input_model.switch) if isinstance(input_model.switch, tuple) else input_model.switch
             )
-            self._data[reading] = data
+            data = BodyData.of(
+                self.recording, self.twin, input_model.source, input_model.target, input_model.start, switch
+            )
+            self._data[input_model] = data
         return data
 
-    def steps(self, reading: Reading) -> StepRows:
+    def steps(self, input_model: InputModel) -> StepRows:
         """The rows just after the command's steps, read so but for the instants."""
-        key = replace(reading, switch=None)
+        key = replace(input_model, switch=None)
         if key not in self._steps:
-            self._steps[key] = StepRows(self.recording, lambda s: self.data(replace(reading, switch=s)))
+            self._steps[key] = StepRows(self.recording, lambda s: self.data(replace(input_model, switch=s)))
         return self._steps[key]
 
     def judged(self, model: BodyModel) -> tuple[np.ndarray, np.ndarray]:
         """`BodyModel.judged` of a model with instants of steps, fitted to all `rows`."""
-        reading, out, added = model.form.reading, model.residual.copy(), np.zeros(len(model.residual))
-        step = self.steps(reading)
-        now = step.residual(self.data(reading).thin(step.rows.ravel()), model.pipeline, model.theta)
+        input_model, out, added = (
+            model.structure.input_model,
+            model.residual.copy(),
+            np.zeros(len(model.residual)),
+        )
+        step = self.steps(input_model)
+        now = step.residual(self.data(input_model).thin(step.rows.ravel()), model.pipeline, model.theta)
         variance = float((model.residual[:, : model.counted] ** 2).sum(axis=1).mean())
         judged, cost = step.judged(model.pipeline, model.theta, variance)
         at = np.minimum(np.searchsorted(self.rows, step.rows), len(self.rows) - 1)
@@ -264,55 +329,60 @@ class BodyFitter:
                 )
         return twin
 
-    def pipeline(self, form: Form) -> Pipeline:
-        """The model of a form."""
-        return Pipeline.of(self.twin_with(form.joints), self.data(form.reading).inputs, form.effects)
+    def pipeline(self, structure: BodyStructure) -> Pipeline:
+        return Pipeline.of(
+            self.twin_with(structure.joints), self.data(structure.input_model).inputs, structure.effects
+        )
 
-    def start(self, form: Form, pipeline: Pipeline, values: dict[str, float]) -> np.ndarray:
+    def start(self, structure: BodyStructure, pipeline: Pipeline, values: dict[str, float]) -> np.ndarray:
         """(P,) parameters to start from: given ones, else the twin's, else defaults."""
-        theta = pipeline.theta(self.twin_with(form.joints), self.data(form.reading).inputs.pressure_range_kpa)
+        theta = pipeline.theta(
+            self.twin_with(structure.joints), self.data(structure.input_model).inputs.pressure_range_kpa
+        )
         return np.array([values.get(n, t) for n, t in zip(pipeline.names, theta, strict=True)])
 
-    def fit(self, form: Form, values: dict[str, float], steps: int = 8, every: int = 1) -> BodyModel:
-        """Fits all parameters of a form.
+    def fit(
+        self, structure: BodyStructure, values: dict[str, float], steps: int = 8, every: int = 1
+    ) -> BodyModel:
+        """Fits all parameters of a structure.
 
         Args:
-            form: structure.
+            structure: structure.
             values: where to start, by name.
             steps: most Gauss-Newton steps; 0 takes the values as they are.
             every: uses one row in so many.
         """
-        data, pipeline = self.data(form.reading), self.pipeline(form)
+        data, pipeline = self.data(structure.input_model), self.pipeline(structure)
         p = data.inputs.pressure_range_kpa
         bounds = Bounds(pipeline, p, self.row_s)
-        theta = np.clip(self.start(form, pipeline, values), bounds.lower, bounds.upper)
-        free = self.free(pipeline, data, form.own)
+        theta = np.clip(self.start(structure, pipeline, values), bounds.lower, bounds.upper)
+        free = self.free(pipeline, data, structure.own_profile)
         problem = Problem(pipeline, data.thin(self.rows[::every]), theta, bounds, free)
         v, jumps = bounds.scaled(theta, free), problem.jumps
         centre, spread = self._prior(pipeline, free, bounds, p)
-        if form.trials:
+        if structure.trials:
             trial = self.trial[self.rows[::every]]
-            problem = TrialProblem(problem, trial, self.trial.max() + 1, form.trials)
+            problem = TrialProblem(problem, trial, self.trial.max() + 1, structure.trials)
             more = problem.count
             v, centre = problem.begin(v), np.r_[centre, np.full(more, 0.5)]
             spread = np.r_[spread, np.full(more, 0.5 / TRIAL_RANGE)]
         r = problem.residual(v)
         if steps:
             for part in (steps // 2, steps - steps // 2):
-                weight = np.diag(np.mean(r**2) * ALIKE / spread**2)
+                weight = np.diag(np.mean(r**2) * T.CORRELATED / spread**2)
                 v = minimise(problem.residual, problem.jacobian, v, part, 1e-4, (centre, weight)).v
                 v = past_jumps(problem.residual, jumps, v) if part >= MANY else v
                 r = problem.residual(v)
         J = problem.jacobian(v)
-        weight = np.diag(np.mean(r**2) * ALIKE / spread**2)
+        weight = np.diag(np.mean(r**2) * T.CORRELATED / spread**2)
         return BodyModel(
-            form=form,
+            structure=structure,
             pipeline=pipeline,
             theta=problem.theta(v),
             free=free,
             v=v[: len(free)],
             of_trials=(2 * v[len(free) :] - 1).reshape(-1, len(data.columns) + 3) * TRIAL_RANGE
-            if form.trials
+            if structure.trials
             else np.zeros((0, 0)),
             residual=r.reshape(-1, len(data.columns)),
             jacobian=J,
@@ -323,13 +393,13 @@ class BodyFitter:
             fitter=self if every == 1 else None,
         )
 
-    def rough(self, form: Form) -> dict[str, float]:
+    def rough(self, structure: BodyStructure) -> dict[str, float]:
         """Gain, rest pressure and directions of chambers from a coarse grid, by name."""
-        data, pipeline = self.data(form.reading), self.pipeline(form)
+        data, pipeline = self.data(structure.input_model), self.pipeline(structure)
         bounds = Bounds(pipeline, data.inputs.pressure_range_kpa, self.row_s)
-        theta = self.start(form, pipeline, {})
+        theta = self.start(structure, pipeline, {})
         thin = data.thin(self.rows[:: max(1, len(self.rows) // 400)])
-        theta = rough_drive(pipeline, thin, theta, bounds, self.free(pipeline, data, form.own))
+        theta = rough_drive(pipeline, thin, theta, bounds, self.free(pipeline, data, structure.own_profile))
         return dict(zip(pipeline.names, map(float, theta), strict=True))
 
     def free(self, pipeline: Pipeline, data: BodyData, own: bool) -> np.ndarray:
@@ -369,10 +439,10 @@ class BodyFitter:
 
     def predict(self, model: BodyModel) -> np.ndarray:
         """(n, D) predictions at all samples, with what each trial has of its own."""
-        data = self.data(model.form.reading)
+        data = self.data(model.structure.input_model)
         run = model.pipeline.run(data.inputs, model.theta)
         out = model.pipeline.outputs(run, data.columns)
-        if model.form.trials:
-            each = of_each_trial(model.pipeline, data, run, model.form.trials)
+        if model.structure.trials:
+            each = of_each_trial(model.pipeline, data, run, model.structure.trials)
             out = out + np.einsum("ndk,nk->nd", each, model.of_trials[self.trial]) / data.scale
         return out

@@ -2,31 +2,25 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from lerobot_pneutac.diagnosis.bootstrap import Resampler
+from lerobot_pneutac.diagnosis import thresholds as T
+from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
 from lerobot_pneutac.diagnosis.parts import conditions, out_of_time
-from lerobot_pneutac.diagnosis.search import WORTH_OF_FLOOR, Found, Scored, Search, Trial
-from lerobot_pneutac.diagnosis.votes import chosen_in, deal_folds
-from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, Reading
-from lerobot_pneutac.study.body_space import LINES, BodySpace
-from lerobot_pneutac.study.one_device import keep_one_device, move_back
+from lerobot_pneutac.diagnosis.search import Found, Scored, Search, chosen_in, deal_folds
+from lerobot_pneutac.study.body_base import BodyBase, base_effects
+from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, BodyStructure, InputModel
+from lerobot_pneutac.study.body_space import ACTUATIONS, BodySpace
+from lerobot_pneutac.study.data_breaks import change_break, slip_break
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.laws import family
 from pneutac_sim.effects.registry import get_effect
 
-if TYPE_CHECKING:
-    from lerobot_pneutac.study.body import BodyStudy
-
 MOST_ROWS = 1700  # of the learning part that fits use
-JOINTS = 8  # tried where the twin has fewer
 SMOOTH_SAMPLES = 2.0
-TRIAL_WIDTHS = ((0.01, 0.02, 0.02, 0.01), (0.04, 0.06, 0.06, 0.02))  # tried, see `Form.trials`
-AS_WELL = 1.1  # of the mean square error from the command: what a body driven by the gauge may leave more
-NEAR = 1.4  # times the noise: what is nearer needs no trials that differ
+TRIAL_WIDTHS = ((0.01, 0.02, 0.02, 0.01), (0.04, 0.06, 0.06, 0.02))  # tried, see `BodyStructure.trials`
 
 
 @dataclass
@@ -44,7 +38,6 @@ class Searched:
         without: of each of the body, the model re-fitted without it.
         chosen_in: of each, share of the votes.
         forward: whether it holds for the later part when fitted to the earlier one.
-        black_box: share of what is left that a black box removes.
     """
 
     space: BodySpace
@@ -57,7 +50,6 @@ class Searched:
     without: dict[str, Scored] = field(default_factory=dict)
     chosen_in: dict[str, float] = field(default_factory=dict)
     forward: bool = True
-    black_box: float = 0.0
 
 
 class BodySearch:
@@ -69,28 +61,30 @@ class BodySearch:
         tell: called with a line of progress.
     """
 
-    def __init__(self, study: "BodyStudy", run: Callable, tell: Callable[[str], None]):
+    def __init__(self, study: BodyBase, run: Callable, tell: Callable[[str], None]):
         self.study, self.run, self.tell = study, run, tell
         learn = np.flatnonzero(study.parts.learnt)
         self.rows = learn[:: max(1, len(learn) // MOST_ROWS)]
         self.unit = study.parts.unit[self.rows]
         self.fold = deal_folds(self.unit, 5, study.seed)
-        self.judge = Resampler(np.ones(len(self.rows), bool), self.unit, study.parts.stratum, study.seed)
+        self.bootstrap = BlockBootstrap(
+            np.ones(len(self.rows), bool), self.unit, study.parts.stratum, study.seed
+        )
         self.condition = conditions(study.recording)[self.rows]
 
     def find(self) -> Searched | None:
         """Looks for what the twin lacks; None where the recording was amended, so that it must begin anew."""
         study = self.study
         air = self._air() if study.measured else None
-        done = self._body(study.recording, Reading(start=study.start), air)
+        done = self._body(study.recording, InputModel(start=study.start), air)
         if done is None:
             return None
-        if air is not None and np.sqrt(air.final.value) > 1.3 * max(study.air_noise, 1e-9):
+        if air is not None and np.sqrt(air.final.value) > T.GAUGE_NOISE * max(study.air_noise, 1e-9):
             driven = self._driven(air)
-            other = self._body(driven, Reading(source="measured", start=study.start), None)
+            other = self._body(driven, InputModel(source="measured", start=study.start), None)
             assert other is not None  # a recording is amended by what the command leaves
-            close = other.model.value < 0.9 * done.model.value
-            if close and self._foreseen(other, air) < AS_WELL * self._foreseen(done):
+            close = other.model.value < T.GAUGE_BETTER * done.model.value
+            if close and self._foreseen(other, air) < T.AS_WELL * self._foreseen(done):
                 done = replace(other, driven=True)
         done.air = air
         return self._told(done)
@@ -104,26 +98,47 @@ class BodySearch:
         twin = self.study.twin_with(model) if air is None else self.study.with_air(model, air.final.model)
         return float((self.study.residual(twin)[self.rows] ** 2).sum(axis=1).mean())
 
+    def as_it_is(self) -> Scored:
+        study = self.study
+        fitter = BodyFitter(study.recording, study.twin, self.rows)
+        own = any(n.startswith("bend_") for n in study.twin.parameters)
+        switch = study.twin.parameters.get("switch_share")
+        input_model = InputModel(start=study.start, switch=switch.value if switch else None)
+        structure = BodyStructure(
+            tuple(study.twin_effects), input_model, len(study.twin.spine_joint_positions_mm), own
+        )
+        space = BodySpace(fitter, study.twin_effects, [structure.joints], [], ((),), structure.input_model)
+        models = [fitter.fit(structure, v, 12) for v in ({}, fitter.rough(structure))]
+        return min((self.score(space.refine_actuation(m)) for m in models), key=lambda s: s.value)
+
+    def take_back_slip(self, found: Scored) -> bool:
+        """Corrects a slip of the marker that what a model leaves shows; whether it did."""
+        study = self.study
+        if len(study.findings) - study.checked >= T.MOST_SLIPS:
+            return False
+        residual = study.fitted(found.model).residual
+        return study.amend(slip_break(study, self.rows, self.bootstrap, self.score, found, residual))
+
     # ---------------------------------------------------------------- stages
 
     def engine(self, space: BodySpace, floor: float | None = None, unit: str = "") -> Search:
         """Searches a space; by the study's noise and unit where no others are given."""
         floor, unit = self.study.noise.floor if floor is None else floor, unit or self.study.unit
         tell = lambda text: self.tell(f"{text} {unit}")  # noqa: E731
-        return Search(space, self.judge, self.fold, floor, self.run, tell, self.condition)
+        return Search(space, self.bootstrap, self.fold, floor, self.run, tell, self.condition)
 
     def _air(self) -> Found:
         """What lies between command and measured pressure."""
         study = self.study
         fitter = BodyFitter(study.recording, study.twin, self.rows)
-        own = tuple(e for e in study.own if get_effect(e).stage == "pneumatics")
+        own = tuple(e for e in study.twin_effects if get_effect(e).stage == "pneumatics")
         candidates = [e for e in study.candidates if get_effect(e).stage == "pneumatics"]
         joints = len(study.twin.spine_joint_positions_mm)
-        reading = Reading(target="pressure", start=study.start)
-        space = BodySpace(fitter, own, [joints], candidates, _lines(own, study.excluded), reading)
+        input_model = InputModel(target="pressure", start=study.start)
+        space = BodySpace(fitter, own, [joints], candidates, _actuations(own, study.excluded), input_model)
         found = self.engine(space, study.air_noise, "kPa").find()
-        settled = self.score(space.settle_air(found.final.model))
-        found.final = min(found.final, settled, key=lambda s: s.value)
+        refined = self.score(space.refine_air(found.final.model))
+        found.final = min(found.final, refined, key=lambda s: s.value)
         return found
 
     def _driven(self, air: Found) -> Recording:
@@ -139,26 +154,32 @@ class BodySearch:
         samples[study.measured] = predicted + rest
         return replace(study.recording, samples=samples)
 
-    def _body(self, recording: Recording, reading: Reading, air: Found | None) -> Searched | None:
+    def _body(self, recording: Recording, input_model: InputModel, air: Found | None) -> Searched | None:
         """What the pose tells; None where the recording was amended."""
         study = self.study
         fitter = BodyFitter(recording, study.twin, self.rows)
-        of_air = [e for e in study.own if get_effect(e).of_air] if reading.source == "measured" else []
-        own = tuple(e for e in study.own if e not in of_air)
+        of_air = (
+            [e for e in study.twin_effects if get_effect(e).of_air]
+            if input_model.source == "measured"
+            else []
+        )
+        own = tuple(e for e in study.twin_effects if e not in of_air)
         base = (*own, *(e for e in base_effects(study) if e not in own))
         joints = sorted({len(study.twin.spine_joint_positions_mm), study.joints})
         candidates = [c for c in study.candidates if c not in base and get_effect(c).stage != "pneumatics"]
-        lines, values = _lines(own, study.excluded), {}
-        if reading.source == "measured":
-            lines = ((),)
+        actuations, values = _actuations(own, study.excluded), {}
+        if input_model.source == "measured":
+            actuations = ((),)
         elif air is not None:
-            told = tuple(e for e in air.final.model.form.effects if e not in own and get_effect(e).of_air)
+            told = tuple(
+                e for e in air.final.model.structure.effects if e not in own and get_effect(e).of_air
+            )
             values = {k: v for k, v in air.final.model.values.items() if k.rpartition(".")[0] in told}
-            lines = (*lines, told) if told and told not in lines else lines
-        space = BodySpace(fitter, base, joints, candidates, lines, reading, values)
+            actuations = (*actuations, told) if told and told not in actuations else actuations
+        space = BodySpace(fitter, base, joints, candidates, actuations, input_model, values)
         found = self.engine(space).find()
-        if reading.source == "command" and (
-            move_back(study, self, found.final) or keep_one_device(study, self, found.final)
+        if input_model.source == "command" and (
+            self.take_back_slip(found.final) or study.amend(change_break(study, self.rows, found.final))
         ):
             self.tell(f"{study.findings[-1].partition(':')[0]}; the search begins anew")
             return None
@@ -167,36 +188,38 @@ class BodySearch:
             # An offset of a run also absorbs what differs from run to run for a reason, such as a payload:
             # the known causes that are needed without offsets stay, and only runs that were left out decide.
             self.tell("each run seems to have an offset of its own; the search begins anew with that")
-            causes = tuple(e for e in plain.model.form.effects if e in base_effects(study))
+            causes = tuple(e for e in plain.model.structure.effects if e in base_effects(study))
             space.trials, space.kept = widths, space.base
             with_offsets = self.engine(space).find()
             fold = fitter.trial[self.rows]
-            alone, better = (float(f.final.model.crossed(fold).mean()) for f in (found, with_offsets))
+            alone, better = (float(f.final.model.cv_squared(fold).mean()) for f in (found, with_offsets))
             if better < alone:
                 own = (*own, *(e for e in causes if e not in own))
                 found, plain = with_offsets, self.simplified(space, with_offsets, own)
             else:
                 space.trials = ()
-        return Searched(space, found, self._without_idle(space, self._settled(space, plain), own))
+        return Searched(space, found, self._without_idle(space, self._refined(space, plain), own))
 
     def _without_idle(self, space: BodySpace, model: Scored, own: tuple[str, ...]) -> Scored:
         """The model without terms that ended where they do nothing, at the same instants of steps."""
-        for term in model.model.form.effects:
+        for term in model.model.structure.effects:
             if term not in own and space.idle(model.model, term):
-                form, values = model.model.form.without(term), model.model.values
-                model = self.score(space.fitter.fit(form, values, 8))
+                structure, values = model.model.structure.without(term), model.model.values
+                model = self.score(space.fitter.fit(structure, values, 8))
         return model
 
-    def _settled(self, space: BodySpace, model: Scored) -> Scored:
-        """The model with its air fitted to the moments after steps, or another line if surely better.
+    def _refined(self, space: BodySpace, model: Scored) -> Scored:
+        """The model with its air fitted to the moments after steps, or a significantly better actuation.
 
-        The line was chosen before all terms were known.
+        The actuation was chosen before all terms were known.
         """
         best = model
-        for air in (model, *self.engine(space).other_lines(model)[:2]):
-            settled = self.score(space.settle_air(air.model))
-            best = min(best, air, settled, key=lambda s: s.value)
-        better = best.model.form == model.model.form or self.judge.surely(model.crossed, best.crossed)
+        for air in (model, *self.engine(space).other_actuations(model)[:2]):
+            refined = self.score(space.refine_air(air.model))
+            best = min(best, air, refined, key=lambda s: s.value)
+        better = best.model.structure == model.model.structure or self.bootstrap.significant_drop(
+            model.cv_squared, best.cv_squared
+        )
         return best if better else model
 
     def _trials_differ(self, space: BodySpace, found: Found) -> tuple[float, ...]:
@@ -204,38 +227,48 @@ class BodySearch:
 
         Of the widths tried, those that predict best what no fit saw.
         """
-        now, floor2 = found.final, self.study.noise.floor**2
-        if now.value < NEAR**2 * floor2 or self.study.recording.samples["trial"].nunique() < 4:
+        now, noise_mse = found.final, self.study.noise.floor**2
+        if (
+            now.value < T.RUNS_NOISE**2 * noise_mse
+            or self.study.recording.samples["trial"].nunique() < T.FEW_RUNS
+        ):
             return ()
-        form, values = now.model.form, now.model.values
-        tried = self.engine(space).fits([Trial(replace(form, trials=w), values) for w in TRIAL_WIDTHS], 8)
+        structure, values = now.model.structure, now.model.values
+        tried = self.engine(space).fits([(replace(structure, trials=w), values) for w in TRIAL_WIDTHS], 8)
         if not tried:
             return ()
         best = tried[0]
-        differ = now.value - best.value > 0.3 * (now.value - floor2)
-        return best.model.form.trials if differ and self.judge.surely(now.crossed, best.crossed) else ()
+        differ = now.value - best.value > T.RUNS_WORTH * (now.value - noise_mse)
+        return (
+            best.model.structure.trials
+            if differ and self.bootstrap.significant_drop(now.cv_squared, best.cv_squared)
+            else ()
+        )
 
     def simplified(self, space: BodySpace, found: Found, own: tuple[str, ...]) -> Scored:
         """The final model with the paper's base, and without parts of the base, where that is as good."""
         search = self.engine(space)
         final = found.final
-        floor2 = self.study.noise.floor**2
+        noise_mse = self.study.noise.floor**2
         plain, kept = self.plain(space, final.model), final
         if plain is not None:
-            room = max(found.base.value - floor2, 0.0)
-            drop, needed = plain.value - final.value, self.judge.surely(plain.crossed, final.crossed)
-            if not needed or drop < max(0.01 * room, 0.03 * floor2):
+            excess = max(found.base.value - noise_mse, 0.0)
+            drop, needed = (
+                plain.value - final.value,
+                self.bootstrap.significant_drop(plain.cv_squared, final.cv_squared),
+            )
+            if not needed or drop < max(T.PLAIN_OF_EXCESS * excess, T.PLAIN_OF_NOISE * noise_mse):
                 kept = plain
         space.kept = own
         return search.pruned(kept, found)
 
     def plain(self, space: BodySpace, model: BodyModel) -> Scored | None:
         """The model re-fitted with the paper's bend profile; None where it cannot be fitted."""
-        form = replace(model.form, own=False)
+        structure = replace(model.structure, own_profile=False)
         values = {k: v for k, v in model.values.items() if not k.startswith(("bend_", "curl"))}
-        trials = [Trial(form, values), Trial(form, values | space.fitter.rough(form))]
+        trials = [(structure, values), (structure, values | space.fitter.rough(structure))]
         first = self.engine(space).fits(trials, 12)
-        again = [Trial(form, s.model.values) for s in first]  # the profile's place is taken by slow steps
+        again = [(structure, s.model.values) for s in first]  # the profile's place is taken by slow steps
         return min((*first, *self.engine(space).fits(again, 24)), key=lambda s: s.value, default=None)
 
     # ---------------------------------------------------------------- what it means
@@ -243,13 +276,13 @@ class BodySearch:
     def _told(self, done: Searched) -> Searched:
         """Which terms count as found, how sure each is, and what is left."""
         study, space, model = self.study, done.space, done.model
-        own = set(study.own)
-        terms = [e for e in model.model.form.effects if e not in own]
+        own = set(study.twin_effects)
+        terms = [e for e in model.model.structure.effects if e not in own]
         without = dict(self.run(lambda t: (t, self.score(space.without(model.model, t))), terms))
         done.without = without
         done.importance = {t: s.value - model.value for t, s in without.items()}
         if done.air is not None and done.driven:
-            terms += [e for e in done.air.final.model.form.effects if e not in own]
+            terms += [e for e in done.air.final.model.structure.effects if e not in own]
             done.importance |= {e: 0.0 for e in terms if e not in done.importance}
         done.terms = sorted(terms, key=lambda t: (t == "base_tilt", -done.importance[t]))
         done.chosen_in = dict.fromkeys(terms, 1.0) | {
@@ -261,48 +294,27 @@ class BodySearch:
         return done
 
     def score(self, model: BodyModel) -> Scored:
-        """A model with its worth."""
-        crossed = model.crossed(self.fold)
-        return Scored(model, crossed, self.judge.value(crossed))
+        cv_squared = model.cv_squared(self.fold)
+        return Scored(model, cv_squared, self.bootstrap.value(cv_squared))
 
     def _holds_forward(self, done: Searched) -> bool:
         """Fitted to the first 60 % of the rows, at least half of the fall of the error stays in the rest."""
         if not done.terms:
             return True
-        fold = out_of_time(self.condition, int(0.6 * len(self.rows)))
+        fold = out_of_time(self.condition, int(T.FORWARD_ROWS * len(self.rows)))
         later = fold == 0
         if not later.any():
             return True
-        before, after = (float(s.model.crossed(fold)[later].mean()) for s in (done.found.base, done.model))
+        before, after = (float(s.model.cv_squared(fold)[later].mean()) for s in (done.found.base, done.model))
         fall = done.found.base.value - done.model.value
-        if fall <= WORTH_OF_FLOOR * self.study.noise.floor**2:
+        if fall <= T.WORTH_OF_NOISE * self.study.noise.floor**2:
             return True  # the air was found before any term, and with it the base errs no more
-        return before - after > 0.5 * fall * (before / max(done.found.base.value, 1e-12))
+        return before - after > T.FORWARD_FALL * fall * (before / max(done.found.base.value, 1e-12))
 
 
-def base_effects(study: "BodyStudy") -> tuple[str, ...]:
-    """Known causes that a study's recording shows, see `known_causes`."""
-    return tuple(e for e in known_causes(study.recording) if e not in study.excluded)
-
-
-def known_causes(recording: Recording) -> tuple[str, ...]:
-    """Effects that belong to how any body bends: its mount, weight, load and stretch, as far as they show."""
-    out = []
-    tip = all(recording.has(f"tip_{a}_mm") for a in "xz")
-    if tip:
-        out.append("base_tilt")
-    known = all(recording.has(f"gravity_{a}") for a in "xyz")
-    if known and tip:
-        g = recording.samples[[f"gravity_{a}" for a in "xyz"]].to_numpy(float)
-        if np.ptp(g, axis=0).max() > 0.1:
-            out.append("gravity")
-        if recording.has("payload_g") and np.ptp(recording.column("payload_g")) > 1e-3:
-            out.append("payload")
-    if tip:
-        out.append("elongation")
-    return tuple(out)
-
-
-def _lines(own: tuple[str, ...], excluded: Iterable[str]) -> tuple[tuple[str, ...], ...]:
+def _actuations(own: tuple[str, ...], excluded: Iterable[str]) -> tuple[tuple[str, ...], ...]:
     """Lines of which nothing is in the twin already, or excluded."""
-    return ((), *(line for line in LINES if line and not set(line) & {*own, *excluded}))
+    return (
+        (),
+        *(actuation for actuation in ACTUATIONS if actuation and not set(actuation) & {*own, *excluded}),
+    )

@@ -1,4 +1,4 @@
-"""What a search may try on a body: bases and lines to begin with, terms to add, and how trials begin."""
+"""What a search may try on a body: bases and actuation models, terms to add, and how trials begin."""
 
 from dataclasses import replace
 from itertools import combinations
@@ -6,13 +6,14 @@ from itertools import combinations
 import numpy as np
 from scipy.optimize import minimize
 
-from lerobot_pneutac.diagnosis.search import Trial
-from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, Form, Reading
+from lerobot_pneutac.diagnosis import thresholds as T
+from lerobot_pneutac.diagnosis.search import Space, Start
+from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, BodyStructure, InputModel
 from pneutac_sim.effects.laws import is_law, starts
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.finger.instants import by_row, step_rows
 
-LINES = (
+ACTUATIONS = (
     (),
     ("dead_time",),
     ("valve_lag",),
@@ -23,13 +24,11 @@ LINES = (
     ("dead_time", "valve_slew"),
 )
 AWAY, TRIES = 0.03, 40  # of the air's parameters: first move, share of the range; and evaluations each
-EDGE = 1e-3  # of a parameter's range: nearer to a bound it is at it
-IDLE = 0.02  # of the rms residual: a term that moves the prediction by less does nothing
 QUICKER = ("s", "rad/s", "1/s", "kPa/s")  # units of times and rates, each of which does nothing at one bound
 PAUSES_S = (0.0, 2.0, 4.0, 6.0, 9.0, 15.0, 30.0, 100.0)
 
 
-class BodySpace:
+class BodySpace(Space):
     """Everything that a search asks of a body.
 
     Args:
@@ -37,55 +36,58 @@ class BodySpace:
         base: effects that every model has.
         joints: numbers of joints to try.
         candidates: names of effects and laws that may be added.
-        lines: alternatives for the air; only () where the measured pressure drives the body.
-        reading: to begin with.
+        actuations: alternatives for the air; only () where the measured pressure drives the body.
+        input_model: to begin with.
         told: parameters of air that the gauge told, by name.
     """
 
-    def __init__(self, fitter: BodyFitter, base, joints, candidates, lines, reading: Reading, told=None):
+    def __init__(
+        self, fitter: BodyFitter, base, joints, candidates, actuations, input_model: InputModel, told=None
+    ):
         self.told, self.kept = told or {}, tuple(base)
         self.trials: tuple[float, ...] = ()
         self.fitter, self.base, self.joints = fitter, tuple(base), tuple(joints)
-        self.candidates, self.lines, self.reading = list(candidates), lines, reading
-        data = fitter.data(reading)
-        self._steps = step_rows(fitter.recording) if reading.source == "command" else []
+        self.candidates, self.actuations, self.input_model = list(candidates), actuations, input_model
+        data = fitter.data(input_model)
+        self._steps = step_rows(fitter.recording) if input_model.source == "command" else []
         first = data.inputs.rows[np.isinf(data.inputs.sample_dt_s)]
         begins = np.abs(data.inputs.pressure_kpa[first])
-        self._begins_under_pressure = bool(begins.max() > 0.02 * data.inputs.pressure_range_kpa)
+        self._begins_under_pressure = bool(begins.max() > T.UNDER_PRESSURE * data.inputs.pressure_range_kpa)
         self.range_kpa = data.inputs.pressure_range_kpa
 
     # ---------------------------------------------------------------- to begin with
 
-    def bases(self) -> list[Trial]:
-        """Bases without any line."""
+    def bases(self) -> list[Start]:
         out = []
         for n in self.joints:
-            form = Form(self.base, self.reading, n, trials=self.trials)
-            out.append(Trial(form, {}))
-            if self.reading.target == "pose":
-                out.append(Trial(form, self.fitter.rough(form)))
+            structure = BodyStructure(self.base, self.input_model, n, trials=self.trials)
+            out.append((structure, {}))
+            if self.input_model.target == "pose":
+                out.append((structure, self.fitter.rough(structure)))
         return out
 
-    def with_lines(self, model: BodyModel) -> list[Trial]:
-        """The model with each line in place of its own; the command's steps happen between samples."""
-        of_lines, out = {e for line in self.lines for e in line}, []
-        rest = tuple(e for e in model.form.effects if e not in of_lines)
-        begins = (model.form.reading.start, "held", *(("vented",) if self._begins_under_pressure else ()))
+    def with_actuations(self, model: BodyModel) -> list[Start]:
+        of_actuations, out = {e for actuation in self.actuations for e in actuation}, []
+        rest = tuple(e for e in model.structure.effects if e not in of_actuations)
+        begins = (
+            model.structure.input_model.start,
+            "held",
+            *(("vented",) if self._begins_under_pressure else ()),
+        )
         for begin in dict.fromkeys(begins):
-            for line in self.lines:
-                reading = replace(model.form.reading, start=begin)
-                if line and len(self._steps):
-                    reading = replace(reading, switch=0.5)
-                form = replace(model.form, effects=(*line, *rest), reading=reading)
-                told = {k: v for k, v in self.told.items() if k.rpartition(".")[0] in line}
-                for start in (*_line_starts(line), *((told,) if told else ())):
-                    out.append(Trial(form, model.values | start))
+            for actuation in self.actuations:
+                input_model = replace(model.structure.input_model, start=begin)
+                if actuation and len(self._steps):
+                    input_model = replace(input_model, switch=0.5)
+                structure = replace(model.structure, effects=(*actuation, *rest), input_model=input_model)
+                told = {k: v for k, v in self.told.items() if k.rpartition(".")[0] in actuation}
+                for start in (*_actuation_starts(actuation), *((told,) if told else ())):
+                    out.append((structure, model.values | start))
         return out
 
     # ---------------------------------------------------------------- growing
 
-    def grow(self, model: BodyModel, most: int, pairs: int) -> list[Trial]:
-        """The most promising additions, single and in pairs."""
+    def grow(self, model: BodyModel, most: int, pairs: int) -> list[Start]:
         atoms, columns, groups = self._columns(model)
         if not atoms:
             return []
@@ -120,7 +122,7 @@ class BodySpace:
             G, p, found = N[:, index].T @ N[:, index], dot[index], []
             for x, y in combinations(range(len(top)), 2):
                 det = G[x, x] * G[y, y] - G[x, y] ** 2
-                if atoms[top[x]][0] == atoms[top[y]][0] or det < 0.02 * G[x, x] * G[y, y]:
+                if atoms[top[x]][0] == atoms[top[y]][0] or det < T.COLLINEAR * G[x, x] * G[y, y]:
                     continue
                 both = (G[y, y] * p[x] ** 2 - 2 * G[x, y] * p[x] * p[y] + G[x, x] * p[y] ** 2) / det
                 c = ((G[y, y] * p[x] - G[x, y] * p[y]) / det, (G[x, x] * p[y] - G[x, y] * p[x]) / det)
@@ -129,20 +131,20 @@ class BodySpace:
                 out.append(self._added(model, pair, c))
         return out
 
-    def _added(self, model: BodyModel, atoms, weights) -> Trial:
-        form, values = model.form, model.values
+    def _added(self, model: BodyModel, atoms, weights) -> Start:
+        structure, values = model.structure, model.values
         for (name, start), weight in zip(atoms, weights, strict=True):
-            form = form.plus(name)
-            new = form.effects[-1]
+            structure = structure.plus(name)
+            new = structure.effects[-1]
             values = values | {f"{new}.{n}": v for n, v in start.items()}
             if is_law(name) and "weight" in {p.name for p in get_effect(name).parameters}:
                 values[f"{new}.weight"] = float(np.clip(weight, -1.0, 1.0))
-        return Trial(form, values)
+        return (structure, values)
 
     def _columns(self, model: BodyModel):
         """Atoms as (name, start values), their columns (N D, C), and which columns are each atom's."""
-        f, form = self.fitter, model.form
-        data = f.data(form.reading)
+        f, structure = self.fitter, model.structure
+        data = f.data(structure.input_model)
         thin = data.thin(f.rows)
         pipe, theta = model.pipeline, model.theta
         run = pipe.run(thin.inputs, theta)
@@ -156,7 +158,7 @@ class BodySpace:
         atoms, columns, groups = [], [], []
         for name in self.candidates:
             effect = get_effect(name)
-            if name in form.effects and not is_law(name):
+            if name in structure.effects and not is_law(name):
                 continue
             if is_law(name) and effect.stage == "drive":
                 if data.unit == "kPa":
@@ -180,18 +182,18 @@ class BodySpace:
     def _by_running(self, name: str, model: BodyModel, thin, base: np.ndarray) -> list[np.ndarray]:
         """Columns of an effect: what it does at its start, and what moving each of its parameters does."""
         f = self.fitter
-        form = model.form.plus(name)
-        pipe = f.pipeline(form)
+        structure = model.structure.plus(name)
+        pipe = f.pipeline(structure)
         if name in pipe.left_out:
             return []
-        theta = f.start(form, pipe, model.values)
+        theta = f.start(structure, pipe, model.values)
         run = pipe.run(thin.inputs, theta)
         at = self._values(pipe, run, thin)
         if not np.isfinite(at).all():
             return []
         out = [at - base] if np.abs(at - base).max() > 1e-9 else []
         for i, (n, spec) in enumerate(zip(pipe.names, pipe.specs, strict=True)):
-            if n.rpartition(".")[0] != form.effects[-1] or spec.fixed:
+            if n.rpartition(".")[0] != structure.effects[-1] or spec.fixed:
                 continue
             _, low, high = spec.limits(self.range_kpa)
             moved = theta.copy()
@@ -219,37 +221,35 @@ class BodySpace:
 
     # ---------------------------------------------------------------- fitting
 
-    def fit(self, trial: Trial, steps: int, every: int = 1) -> BodyModel | None:
-        """Fits a trial; None where it does not come to a finite error."""
+    def fit(self, start: Start, steps: int, every: int = 1) -> BodyModel | None:
+        """A fitted model; None where it does not come to a finite error."""
         try:
-            model = self.fitter.fit(trial.form, trial.values, steps, every)
+            model = self.fitter.fit(*start, steps, every)
         except np.linalg.LinAlgError:
             return None
         if every > 1:
-            model = self.fitter.fit(model.form, model.values, 0)
+            model = self.fitter.fit(model.structure, model.values, 0)
         return model if np.isfinite(model.residual).all() and np.isfinite(model.jacobian).all() else None
 
-    def trial(self, form: Form, values: dict[str, float], name: str, start: tuple[float, ...]) -> Trial:
-        """A form whose last effect starts with these constants, see `laws.starts`."""
+    def trial(
+        self, structure: BodyStructure, values: dict[str, float], name: str, start: tuple[float, ...]
+    ) -> Start:
+        """A structure whose last effect starts with these constants, see `laws.starts`."""
         effect = get_effect(name)
         begin = self._start_values(effect, start) if start else {}
-        return Trial(form, values | {f"{form.effects[-1]}.{k}": v for k, v in begin.items()})
+        return (structure, values | {f"{structure.effects[-1]}.{k}": v for k, v in begin.items()})
 
-    def again(self, model: BodyModel) -> Trial:
-        """The model's form, started where it is."""
-        return Trial(model.form, model.values)
-
-    def settle_line(self, model: BodyModel) -> BodyModel:
+    def refine_actuation(self, model: BodyModel) -> BodyModel:
         """Finds the instants of steps, then fits well."""
         for _ in range(5):
             before = (model.residual**2).mean()
             moved = self.with_instants(model, 2)
-            model = self.fitter.fit(moved.form, moved.values, 0)  # judged on all rows of the search
-            if (model.residual**2).mean() > 0.97 * before:
+            model = self.fitter.fit(moved.structure, moved.values, 0)  # judged on all rows of the search
+            if (model.residual**2).mean() > T.INSTANTS_AGAIN * before:
                 break
-        return self.fitter.fit(model.form, model.values, 8)
+        return self.fitter.fit(model.structure, model.values, 8)
 
-    def settle_air(self, model: BodyModel) -> BodyModel:
+    def refine_air(self, model: BodyModel) -> BodyModel:
         """Fits the air by the samples just after the command's steps, each step at the instant that suits it.
 
         Instants and lags are nearly interchangeable, and a dead time moves the error in jumps: least squares
@@ -261,7 +261,7 @@ class BodySpace:
         ]  # fmt: skip
         if not air or not len(self._steps):
             return model
-        steps, index = self.fitter.steps(model.form.reading), model.free[air]
+        steps, index = self.fitter.steps(model.structure.input_model), model.free[air]
 
         def theta(v: np.ndarray) -> np.ndarray:
             out = model.theta.copy()
@@ -285,77 +285,75 @@ class BodySpace:
             },
         ).x
         values = replace(model, theta=theta(best)).values
-        moved = self.with_instants(self.fitter.fit(model.form, values, 0), 1)
-        return self.fitter.fit(moved.form, moved.values, 8)
+        moved = self.with_instants(self.fitter.fit(model.structure, values, 0), 1)
+        return self.fitter.fit(moved.structure, moved.values, 8)
 
-    def settle(self, model: BodyModel) -> BodyModel:
+    def refine(self, model: BodyModel) -> BodyModel:
         """Tries how trials may begin, then the instants of steps."""
         best, now = model, float((model.residual**2).mean())
         if any(e.remembers for e in model.pipeline.chain):
-            reading = model.form.reading
+            input_model = model.structure.input_model
             for start in ("held", "vented", *PAUSES_S):
-                if start == reading.start:
+                if start == input_model.start:
                     continue
-                form = replace(model.form, reading=replace(reading, start=start))
-                tried = self.fit(Trial(form, best.values), 3, 2)
-                if tried is not None and (tried.residual**2).mean() < 0.995 * now:
+                structure = replace(model.structure, input_model=replace(input_model, start=start))
+                tried = self.fit((structure, best.values), 3, 2)
+                if tried is not None and (tried.residual**2).mean() < T.BETTER_START * now:
                     best, now = tried, float((tried.residual**2).mean())
         best = self.with_instants(best, 1)
-        return self.fitter.fit(best.form, best.values, 8)
+        return self.fitter.fit(best.structure, best.values, 8)
 
     def removable(self, model: BodyModel) -> list[str]:
-        """Effects that the model might do without."""
-        return [e for e in model.form.effects if e not in self.kept]
+        return [e for e in model.structure.effects if e not in self.kept]
 
     def without(self, model: BodyModel, *effects: str) -> BodyModel:
         """The model re-fitted without effects; without one of the air, steps seem to come otherwise."""
-        form = model.form
-        for e in effects:
-            form = form.without(e)
-        left = self.fitter.fit(form, model.values, 8)
+        left = self.fitter.fit(model.structure.without(*effects), model.values, 8)
         of_air = any(get_effect(e).stage == "pneumatics" for e in effects)
-        return self.settle_line(left) if of_air else left
+        return self.refine_actuation(left) if of_air else left
 
     def idle(self, model: BodyModel, effect: str) -> bool:
         """Whether an effect ended where it does nothing: it moves no prediction or is too quick to show."""
-        pipe, data = model.pipeline, self.fitter.data(model.form.reading).thin(self.fitter.rows)
+        pipe, data = model.pipeline, self.fitter.data(model.structure.input_model).thin(self.fitter.rows)
         off = []
         for i, v in zip(model.free, model.v, strict=True):
             spec = pipe.specs[i]
             if pipe.names[i].rpartition(".")[0] == effect and spec.unit in QUICKER:
-                off.append(v > 1 - EDGE if spec.neutral > model.bounds.upper[i] else v < EDGE)
+                off.append(v > 1 - T.AT_BOUND if spec.neutral > model.bounds.upper[i] else v < T.AT_BOUND)
         if off and all(off):
             return True
-        bare = self.fitter.pipeline(model.form.without(effect))
+        bare = self.fitter.pipeline(model.structure.without(effect))
         theta = np.array([model.values[n] for n in bare.names])
         seen, without = (
             self._values(p, p.run(data.inputs, x), data) for p, x in ((pipe, model.theta), (bare, theta))
         )
         moved = (seen - without)[:, : model.counted]
-        return bool((moved**2).mean() < IDLE**2 * (model.residual[:, : model.counted] ** 2).mean())
+        return bool(
+            (moved**2).mean() < T.IDLE_OF_RESIDUAL**2 * (model.residual[:, : model.counted] ** 2).mean()
+        )
 
     # ---------------------------------------------------------------- how it was recorded
 
     def with_instants(self, model: BodyModel, every: int) -> BodyModel:
         """The model with the instant of each step of the command, within its sample, re-fitted once."""
-        reading, recording = model.form.reading, self.fitter.recording
-        if reading.switch is None or not len(self._steps) or "time_sent_s" in recording.samples:
+        input_model, recording = model.structure.input_model, self.fitter.recording
+        if input_model.switch is None or not len(self._steps) or "time_sent_s" in recording.samples:
             return model
-        share = by_row(recording, self.fitter.steps(reading), model.pipeline, model.theta)
-        form = replace(model.form, reading=replace(reading, switch=tuple(share)))
-        return self.fitter.fit(form, model.values, 6, every)
+        share = by_row(recording, self.fitter.steps(input_model), model.pipeline, model.theta)
+        structure = replace(model.structure, input_model=replace(input_model, switch=tuple(share)))
+        return self.fitter.fit(structure, model.values, 6, every)
 
 
-def _line_starts(line: tuple[str, ...]) -> list[dict[str, float]]:
-    """Starting values of a line's parameters: quick and slow, and several tones where it may ring."""
+def _actuation_starts(actuation: tuple[str, ...]) -> list[dict[str, float]]:
+    """Starting values of an actuation model: quick and slow, and several tones where it may ring."""
     out = []
     for delay, fill, vent in ((0.03, 0.05, 0.05), (0.03, 0.5, 0.7), (0.3, 0.1, 0.1)):
         lag = {"dead_time.delay_s": delay, "valve_lag.fill_time_s": fill, "valve_lag.vent_time_s": vent}
         out.append(
             lag | {"orifice_flow.fill_rate_1_per_s": 0.2 / fill, "orifice_flow.vent_rate_1_per_s": 0.2 / vent}
         )
-    if "air_resonance" in line:
+    if "air_resonance" in actuation:
         tones = [(w, z) for w in (5.0, 11.0, 24.0, 48.0) for z in (0.1, 0.4)]
         name = "air_resonance"
         out = [out[0] | {f"{name}.frequency_rad_per_s": w, f"{name}.damping_ratio": z} for w, z in tones]
-    return out[: 1 if not line else None]
+    return out[: 1 if not actuation else None]

@@ -7,23 +7,151 @@ imprints show where it pressed. Touch is shown `touch_late` frames late, and gro
 alike in all.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import least_squares
 
-from lerobot_pneutac.diagnosis.search import Trial
-from lerobot_pneutac.study.demonstration_bench import LIGHTLY, FreeBend
-from lerobot_pneutac.study.demonstration_data import EpisodeData, inputs_of
-from lerobot_pneutac.study.demonstration_model import DemonstrationModel, Form
-from lerobot_pneutac.study.demonstration_strength import Strength
-from lerobot_pneutac.study.demonstration_touch import TYPICAL, imprint_per_rad, stiffness_n_per_rad, touch
+from lerobot_pneutac.diagnosis import thresholds as T
+from lerobot_pneutac.diagnosis.search import Scored, Space, Start, Structure
+from lerobot_pneutac.study.demonstration_data import (
+    TYPICAL,
+    EpisodeData,
+    Strength,
+    imprint_per_rad,
+    inputs_of,
+    stiffness_n_per_rad,
+    touch,
+)
 from pneutac_sim.effects.effect import Parameter
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.finger import Pipeline
+from pneutac_sim.finger.confidence import Z95
+from pneutac_sim.finger.inputs import Inputs
 from pneutac_sim.twin import Twin, Value
+from pneutac_sim.world.conditions import USUAL
+
+HZ = 5.0
+STAIRS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 0.8, 0.6, 0.4, 0.2, 0.0)  # of the range
+STAIR_S = 5.0  # on each
+HELD, HELD_S, FREE_S = 0.8, 60.0, 25.0
+
+
+class FreeBend:
+    """The bend of a finger that touches nothing.
+
+    Args:
+        twin: as it is.
+        range_kpa: largest pressure of the program.
+    """
+
+    def __init__(self, twin: Twin, range_kpa: float):
+        levels = [np.full(round(STAIR_S * HZ), s) for s in STAIRS]
+        levels += [np.full(round(HELD_S * HZ), HELD), np.zeros(round(FREE_S * HZ))]
+        pressure = range_kpa * np.concatenate(levels)[:, None]
+        n = len(pressure)
+        dt = np.append(np.inf, np.full(n - 1, 1 / HZ))
+        columns = {name: np.full(n, value) for name, value in USUAL.items()}
+        columns |= {"session_time_s": np.zeros(n), "length_mm": np.full(n, twin.length_mm)}
+        self.inputs = Inputs(pressure, dt, np.arange(n), columns, True, range_kpa)
+        pipeline = Pipeline.of(twin, self.inputs)
+        self._known = self._bend(pipeline, pipeline.theta(twin, range_kpa))
+
+    def _bend(self, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
+        return pipeline.run(self.inputs, theta).markers[:, 3]
+
+    def apart(self, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
+        """(n,) by how much a model bends otherwise, rad.
+
+        Args:
+            pipeline: of the model; its input does not matter.
+            theta: (P,) its parameters.
+        """
+        effects = [e.name for e in pipeline.effects]
+        free = Pipeline(pipeline.geometry, effects, True, set(self.inputs.columns))
+        return self._bend(free, theta) - self._known
+
+
+SHARES = (1.0, 0.5, 0.25, 0.1)
+
+
+@dataclass
+class DemonstrationModel:
+    """A fitted model.
+
+    Attributes:
+        structure: what was free.
+        values: name to value.
+        residual: (n, k) of the rows and columns that were fitted, mm.
+        jacobian: (n, k, P) of it by what was free, in units of its range.
+        at_bound: names that stopped at a bound.
+        unit: of what the Jacobian is by: name to its lower and upper bound, of the logarithm of those that
+            are `logarithmic`.
+        logarithmic: names.
+        residual_at: (n, k) of it so far from what was found, (P,) in units of the range.
+        bench: of what the free bend off the bench's counts: half the slope (P,), and the curvature (P, P).
+    """
+
+    structure: Structure
+    values: dict[str, float]
+    residual: np.ndarray
+    jacobian: np.ndarray
+    at_bound: list[str]
+    unit: dict[str, tuple[float, float]]
+    logarithmic: frozenset[str] = frozenset()
+    residual_at: Callable[[np.ndarray], np.ndarray] = lambda step: np.empty(0)  # noqa: E731
+    bench: tuple[np.ndarray, np.ndarray] = field(default_factory=lambda: (np.zeros(0), np.zeros((0, 0))))
+
+    @property
+    def cost(self) -> int:
+        return self.jacobian.shape[2] + len(self.structure.effects)
+
+    def cv_squared(self, fold: np.ndarray) -> np.ndarray:
+        """(n,) squared errors, each by a fit without its own fold, one Gauss-Newton step away.
+
+        A step that leads too far, as where the rest hardly tells, is shortened until it helps the rest.
+        """
+        squared = (self.residual**2).sum(1)
+        if not self.jacobian.shape[2]:
+            return squared
+        out, (slope, curved) = squared.copy(), self.bench
+        for k, step in zip(np.unique(fold), self._steps(fold), strict=True):
+            mine = fold == k
+            for share in SHARES:
+                there, way = (self.residual_at(share * step) ** 2).sum(1), share * step
+                if there[~mine].sum() + 2 * slope @ way + way @ curved @ way <= squared[~mine].sum():
+                    out[mine] = there[mine]
+                    break
+        return out
+
+    def _steps(self, fold: np.ndarray) -> np.ndarray:
+        """(folds, P) Gauss-Newton steps from the whole fit to those without each fold."""
+        J, r, out = self.jacobian, self.residual, []
+        slope, curved = self.bench
+        for k in np.unique(fold):
+            rest = J[fold != k].reshape(-1, J.shape[2])
+            H = rest.T @ rest + curved
+            ridge = 1e-6 * np.trace(H) / max(len(H), 1) + 1e-12
+            step = -np.linalg.solve(H + ridge * np.eye(len(H)), rest.T @ r[fold != k].ravel() + slope)
+            out.append(np.clip(step, -T.TRUST, T.TRUST))
+        return np.array(out)
+
+    def intervals(self, fold: np.ndarray) -> dict[str, tuple[float, float]]:
+        """95 % intervals of what was free, from fits without each fold (jackknife)."""
+        if not self.unit:
+            return {}
+        steps = self._steps(fold)
+        n = len(steps)
+        sd = np.sqrt((n - 1) / n * ((steps - steps.mean(0)) ** 2).sum(0))
+        out = {}
+        for (name, (low, high)), s in zip(self.unit.items(), sd, strict=True):
+            value, wide = self.values[name], Z95 * float(s) * (high - low)
+            log = name in self.logarithmic
+            out[name] = (value * np.exp(-wide), value * np.exp(wide)) if log else (value - wide, value + wide)
+        return out
+
 
 LATE = "late_commands"  # arm and air alike
 LATENCY = Parameter("latency_s", "s", default=0.1, lower=0.0, upper=0.8)
@@ -41,7 +169,7 @@ class Fitter:
     """Fits models of one twin to episodes.
 
     Args:
-        twin: as it is; what a form does not free stays as it has it.
+        twin: as it is; what a structure does not free stays as it has it.
         episodes: all of them.
         rows: (N,) mask of the frames that are fitted, over all episodes in a row.
     """
@@ -61,11 +189,11 @@ class Fitter:
 
     # ---------------------------------------------------------------- parameters
 
-    def free(self, form: Form, columns: slice = TOUCH) -> list[tuple[str, Parameter]]:
-        """Names and specifications of what a form fits to these columns."""
+    def free(self, structure: Structure, columns: slice = TOUCH) -> list[tuple[str, Parameter]]:
+        """Names and specifications of what a structure fits to these columns."""
         out = [("growth", GROWTH), ("touch_late", TOUCH_LATE)] if columns == TOUCH else []
-        pipeline = self._pipeline(form.effects)
-        for effect in form.effects:
+        pipeline = self._pipeline(structure.effects)
+        for effect in structure.effects:
             if effect == LATE:
                 out.append((f"{LATE}.latency_s", LATENCY))
             for name, spec in zip(pipeline.names, pipeline.specs, strict=True):
@@ -83,7 +211,7 @@ class Fitter:
             else (self.known_s or LATENCY.default)
             if effect == LATE
             else spec.limits(range_kpa)[0]
-            for name, spec in self.free(Form((effect,)), AIR)
+            for name, spec in self.free(Structure((effect,)), AIR)
             if name.startswith(f"{effect}.")
         }
 
@@ -99,7 +227,6 @@ class Fitter:
         return Pipeline(whole.geometry, names, False, columns)
 
     def _theta(self, effects: Sequence[str], values: Mapping[str, float]) -> tuple[Pipeline, np.ndarray]:
-        """A model and its parameters (P,)."""
         pipeline = self._pipeline(effects)
         theta = pipeline.theta(self.twin, self._range)
         for i, name in enumerate(pipeline.names):
@@ -116,18 +243,18 @@ class Fitter:
         if all(e == LATE or get_effect(e).of_air for e in effects):
             return np.zeros(0)
         apart = self.free_bend.apart(*self._theta(effects, values))
-        return self.mm_per_rad * apart * np.sqrt(LIGHTLY * self.rows.sum() / len(apart))
+        return self.mm_per_rad * apart * np.sqrt(T.BENCH_WEIGHT * self.rows.sum() / len(apart))
 
     # ---------------------------------------------------------------- prediction
 
     def predict(
-        self, form: Form, values: Mapping[str, float], columns: slice = slice(None)
+        self, structure: Structure, values: Mapping[str, float], columns: slice = slice(None)
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Residual (N, 5) of all frames, measured - predicted in mm, and the curves behind it, (N,) each.
 
         Columns that are not asked for may be left 0.
         """
-        run = self._run(form.effects, values)
+        run = self._run(structure.effects, values)
         latency = values.get(f"{LATE}.latency_s", self.known_s) * CONTROL_HZ
         more, residual = run.markers[:, 3] - self._bent, np.zeros((self.ends[-1], 5))
         imprint = np.zeros(self.ends[-1])
@@ -146,29 +273,30 @@ class Fitter:
 
     def strength(self, model: DemonstrationModel, growth: float) -> Strength:
         """How strong the imprints of all episodes are, where they grow by that power of the force."""
-        more = self._run(model.form.effects, model.values).markers[:, 3] - self._bent
+        more = self._run(model.structure.effects, model.values).markers[:, 3] - self._bent
         rows = zip(self.episodes, self.ends, self.ends[1:], strict=False)
         gains = [touch(e, more[a:b], growth, model.values["touch_late"])[1] for e, a, b in rows]
         return Strength.of(np.array(gains), growth, self.twin)
 
-    def fit(self, trial: Trial, columns: slice, steps: int = 12) -> DemonstrationModel:
+    def fit(self, start: Start, columns: slice, steps: int = 12) -> DemonstrationModel:
         """A model, by bounded least squares with differences, on the columns `AIR` or `TOUCH`."""
-        names, specs = zip(*self.free(trial.form, columns), strict=True)
-        known = ("", *trial.form.effects)
-        given = {n: v for n, v in trial.values.items() if n.rpartition(".")[0] in known}
+        structure, begin = start
+        names, specs = zip(*self.free(structure, columns), strict=True)
+        known = ("", *structure.effects)
+        given = {n: v for n, v in begin.items() if n.rpartition(".")[0] in known}
         low, high = np.array([_bounds(s, self._range) for s in specs]).T
 
         def free(v: np.ndarray) -> dict[str, float]:
             found = zip(names, specs, low + v * (high - low), strict=True)
             return given | {n: _value(s, x) for n, s, x in found}
 
-        start = [_inside(s, given[n], self._range) for n, s in zip(names, specs, strict=True)]
+        first = [_inside(s, given[n], self._range) for n, s in zip(names, specs, strict=True)]
 
         def residual(v: np.ndarray) -> np.ndarray:
-            return self.predict(trial.form, free(v), columns)[0][self.rows, columns].ravel()
+            return self.predict(structure, free(v), columns)[0][self.rows, columns].ravel()
 
         def held(v: np.ndarray) -> np.ndarray:
-            return np.concatenate([residual(v), self._off_bench(trial.form.effects, free(v))])
+            return np.concatenate([residual(v), self._off_bench(structure.effects, free(v))])
 
         def slopes(v: np.ndarray) -> np.ndarray:  # by steps of the range, not of what may be nearly 0
             steps = np.where(v < 0.5, STEP, -STEP)
@@ -177,7 +305,7 @@ class Fitter:
 
         found = least_squares(
             held,
-            np.clip(start, 1e-4, 1 - 1e-4),
+            np.clip(first, 1e-4, 1 - 1e-4),
             slopes,
             bounds=(0, 1),
             x_scale=0.1,
@@ -200,14 +328,13 @@ class Fitter:
 
         K = found.jac[size:][:, moving]
         bench = (found.fun[size:] @ K, K.T @ K)
-        return DemonstrationModel(trial.form, kept, r, J[:, :, moving], edge, unit, log, residual_at, bench)
+        return DemonstrationModel(structure, kept, r, J[:, :, moving], edge, unit, log, residual_at, bench)
 
     def base(self, columns: slice) -> DemonstrationModel:
-        """The twin as it is."""
         if columns == AIR:
-            r = self.predict(Form(), START, AIR)[0][self.rows, AIR]
-            return DemonstrationModel(Form(), dict(START), r, np.zeros((*r.shape, 0)), [], {})
-        return self.fit(Trial(Form(), dict(START)), TOUCH, 20)
+            r = self.predict(Structure(), START, AIR)[0][self.rows, AIR]
+            return DemonstrationModel(Structure(), dict(START), r, np.zeros((*r.shape, 0)), [], {})
+        return self.fit((Structure(), dict(START)), TOUCH, 20)
 
     def lateness(self, kept: list[np.ndarray]) -> float:
         """By how many frames touch is shown late in some frames of the episodes, (T,) masks each.
@@ -219,7 +346,7 @@ class Fitter:
         tried = np.arange(0.0, MOST_LATE, 0.25)
         errors = []
         for late in tried:
-            r = part.predict(Form(), START | {"touch_late": float(late)}, TOUCH)[0][part.rows, TOUCH]
+            r = part.predict(Structure(), START | {"touch_late": float(late)}, TOUCH)[0][part.rows, TOUCH]
             errors.append(float(np.abs(r).sum()))  # by squares the few frames of chatter would decide
         best = tried[int(np.argmin(errors))]
         near = np.abs(tried - best) <= 1.0  # between frames errors are a little jagged: a parabola is not
@@ -227,17 +354,16 @@ class Fitter:
         return float(np.clip(best - slope / (2 * curve), 0.0, MOST_LATE)) if curve > 0 else float(best)
 
     def twin_with(self, model: DemonstrationModel, ci95: Mapping[str, tuple[float, float]]) -> Twin:
-        """The twin with a model's effects and their intervals."""
         twin, fitted = self.twin.copy(), {}
-        pipeline = self._pipeline(model.form.effects)
+        pipeline = self._pipeline(model.structure.effects)
         theta = pipeline.theta(twin, self._range)
         for name, value in zip(pipeline.names, theta, strict=True):
             effect, _, parameter = name.rpartition(".")
-            if effect in model.form.effects:
+            if effect in model.structure.effects:
                 found = model.values[name] if name in model.values else float(value)
                 fitted.setdefault(effect, {})[parameter] = Value(found, ci95.get(name))
         twin.effects = twin.effects | fitted
-        if LATE in model.form.effects:
+        if LATE in model.structure.effects:
             known = model.values[f"{LATE}.latency_s"]
             twin.parameters = twin.parameters | {
                 "command_latency_s": Value(known, ci95.get(f"{LATE}.latency_s"))
@@ -246,7 +372,6 @@ class Fitter:
 
 
 def latency_s(twin: Twin) -> float:
-    """By which the twin's commands act late."""
     known = twin.parameters.get("command_latency_s")
     return known.value if known else 0.0
 
@@ -268,3 +393,64 @@ def _value(spec: Parameter, x: float) -> float:
 def _inside(spec: Parameter, value: float, range_kpa: float) -> float:
     low, high = _bounds(spec, range_kpa)
     return ((np.log(max(value, 1e-12)) if spec.log else value) - low) / (high - low)
+
+
+class DemonstrationSpace(Space):
+    """What a search may try on demonstrations.
+
+    Args:
+        fitter: fits models.
+        base: the twin as it is.
+        candidates: effects.
+        columns: of the residual that count: those of the air, or touch.
+    """
+
+    def __init__(self, fitter: Fitter, base: DemonstrationModel, candidates: Sequence[str], columns: slice):
+        self.fitter, self.base, self.candidates, self.columns = fitter, base, candidates, columns
+
+    def bases(self) -> list[Start]:
+        return [(Structure(), self.base.values)]
+
+    def grow(self, model: DemonstrationModel, most: int, pairs: int) -> list[Start]:
+        return [
+            (model.structure.plus(e), model.values | self.fitter.start(e))
+            for e in self.candidates
+            if e not in model.structure.effects
+        ]
+
+    def fit(self, start: Start, steps: int, every: int = 1) -> DemonstrationModel:
+        """A model; a rough one where `every` is above one."""
+        if not start[0].effects:
+            return self.base
+        return self.fitter.fit(start, self.columns, (2 if every > 1 else 4) * steps)
+
+    def refine(self, model: DemonstrationModel) -> DemonstrationModel:
+        return self.fitter.fit(self.again(model), self.columns, 60)
+
+    def without(self, model: DemonstrationModel, term: str) -> DemonstrationModel:
+        structure = model.structure.without(term)
+        if not structure.effects:
+            return self.base
+        return self.fitter.fit((structure, model.values), self.columns, 40)
+
+    def pruned(
+        self,
+        model: Scored,
+        score: Callable[[DemonstrationModel], Scored],
+        least: Callable[[float], float],
+    ) -> Scored:
+        """Without terms that hardly count, which must not ride on others; the weightiest first.
+
+        Args:
+            model: what a search found.
+            score: of a model.
+            least: rise of the mean square error by which a term counts where so much is left with it.
+        """
+        while terms := model.model.structure.effects:
+            without = {e: score(self.without(model.model, e)) for e in terms}
+            weakest = min(without, key=lambda e: without[e].value)
+            if without[weakest].value - model.value > least(model.value):
+                model.model.structure = Structure(tuple(sorted(terms, key=lambda e: -without[e].value)))
+                return model
+            model = without[weakest]
+        return model

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lerobot_pneutac.study.demonstration_strength import ALIKE, COMPLIANCE, STIFFNESS, SURE
-from lerobot_pneutac.study.demonstration_touch import TYPICAL
+from lerobot_pneutac.diagnosis import thresholds as T
+from lerobot_pneutac.study.demonstration_data import COMPLIANCE, STIFFNESS, TYPICAL
 from pneutac_datasets.demonstrations.motions import (
     LIGHT_KPA,
     MOTIONS,
@@ -35,11 +35,10 @@ PLAIN, CREEP, FRICTION = "as it is", "creep", "gel friction"
 MORE_CREEP, SOFTER, SLIPPERY = 2.5, 0.7, 0.5  # what is changed, by which factor
 DRAGS = ((12.0, PRESS_KPA), (20.0, PRESS_KPA), (20.0, LIGHT_KPA), (20.0, SEARCH_KPA))  # mm, kPa
 PLACES = (3, 4)  # seeds of the scene
-SURELY = 3.0  # standard deviations
 # What demonstrations of the stand-in miss by: the shape of a hold's force, as a share of it, of an episode;
 # the logarithm of imprints' strength, of a set; the turn under a drag, degrees a mm, of an episode. See
 # benchmarks/demonstrations.md.
-SHAPE, LEVEL, TURN = 0.013, ALIKE / SURE, 0.19
+SHAPE, LEVEL, TURN = 0.013, T.STRENGTH_DIFFERS / T.STRENGTH_ERRORS, 0.19
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,11 +82,9 @@ class Misses:
         return float(np.sqrt(np.mean(np.square(relative))) / self.shape)
 
     def levelled(self, a: Felt, b: Felt) -> float:
-        """The same by its level."""
         return abs(float(TYPICAL * np.log(a.force_n.mean() / b.force_n.mean()) / self.level))
 
     def turned(self, a: Felt, b: Felt) -> float:
-        """The same by the turn of the imprint."""
         return abs(a.turn_deg_per_mm - b.turn_deg_per_mm) / self.turn
 
 
@@ -131,7 +128,7 @@ def motion_choices(
 
 def shortest(choices: Sequence[MotionChoice], change: str) -> MotionChoice:
     """The shortest motion that surely tells a change, or the one that tells it most where none does."""
-    told = [c for c in choices if c.sure[change] >= SURELY]
+    told = [c for c in choices if c.sure[change] >= T.TELLS]
     if told:
         return min(told, key=lambda c: c.motion.seconds)
     return max(choices, key=lambda c: c.sure[change])

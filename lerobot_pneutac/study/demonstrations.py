@@ -6,49 +6,97 @@ A sample is a frame; whole episodes are learnt from or held out. Errors are thos
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import cached_property, partial
 
 import numpy as np
 
-from lerobot_pneutac.diagnosis.bootstrap import Resampler
-from lerobot_pneutac.diagnosis.model import FittedModel
+from lerobot_pneutac.diagnosis import thresholds as T
+from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
 from lerobot_pneutac.diagnosis.parts import Parts
-from lerobot_pneutac.diagnosis.result import Outcome
-from lerobot_pneutac.diagnosis.search import Found, Scored, Search, Trial
+from lerobot_pneutac.diagnosis.result import FittedModel, Outcome, Rival, Tested
+from lerobot_pneutac.diagnosis.search import Found, Scored, Search, Structure, chosen_in, rivals
 from lerobot_pneutac.diagnosis.steps import Steps
-from lerobot_pneutac.study.demonstration_data import episode_data
-from lerobot_pneutac.study.demonstration_fit import AIR, LATE, TOUCH, Fitter
-from lerobot_pneutac.study.demonstration_model import DemonstrationModel, Form
-from lerobot_pneutac.study.demonstration_noise import frame_noise
-from lerobot_pneutac.study.demonstration_outcome import demonstration_outcome, tested_alone
-from lerobot_pneutac.study.demonstration_space import DemonstrationSpace
-from lerobot_pneutac.study.demonstration_strength import COMPLIANCE, Strength
-from lerobot_pneutac.study.demonstration_words import (
-    CREEP,
-    OF_AIR,
-    OF_BODY,
-    UNIT,
-    DemonstrationWords,
-    bends,
-    of_air,
-    stopped,
+from lerobot_pneutac.study.base import EffectStudy, with_unit
+from lerobot_pneutac.study.demonstration_data import (
+    COMPLIANCE,
+    STIFFNESS,
+    Strength,
+    command_signals,
+    episode_data,
+)
+from lerobot_pneutac.study.demonstration_fit import (
+    AIR,
+    LATE,
+    TOUCH,
+    DemonstrationModel,
+    DemonstrationSpace,
+    Fitter,
+    latency_s,
 )
 from pneutac_datasets.demonstrations.replay.dragging import Dragging
 from pneutac_datasets.demonstrations.replay.imprint import brightness, rest_image
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
-from pneutac_sim.effects.laws import family
-from pneutac_sim.effects.registry import of_body
+from pneutac_datasets.recording.noise import NoiseFloor
+from pneutac_sim.effects.laws import family, is_law, law
+from pneutac_sim.effects.registry import body_effects, get_effect, of_body
 from pneutac_sim.finger.quantities import rms
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 
-HELD_OUT = 0.3  # share of the episodes
-# Least fall of the mean square error that counts: of what the twin left of the demonstrations that it was
-# last fitted to, by which others of the same finger may differ; where it was to none, of what is left.
-WORTH, WORTH_OF_LEFT = 0.3, 0.1
+UNIT = "mm at the tip"
+OF_AIR = ("dead_time", "valve_lag", "valve_slew", "leak")
+CREEP = "creep"
+OF_BODY = (CREEP, "power_law_memory(p)", "hysteresis", "stiffening", "friction")
+UNSEEN = ("another friction of the gel", "another stiffness of the finger", "another weight of the object")
+MORE = "Record ten demonstrations or more that press and hold, at two pressures."
 
 
-class DemonstrationStudy(DemonstrationWords):
+def of_air(effect: str) -> bool:
+    """Whether arm and gauge tell an effect; of the others touch does."""
+    return effect == LATE or (effect != COMPLIANCE and get_effect(effect).of_air)
+
+
+def bends(effect: str) -> bool:
+    """Whether an effect of the twin can be fitted anew to demonstrations: one of air, drive or material."""
+    e = law(effect) if is_law(effect) else body_effects()[effect]
+    return e.stage in ("pneumatics", "drive", "material") and not e.columns and not e.of_markers
+
+
+def stopped(name: str) -> bool:
+    """Whether a bound stops an effect: the weights of a series may well be zero."""
+    return not name.partition(".")[2].startswith(("weight", "delay", "vent_growth", "fill", "band"))
+
+
+MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
+
+
+def frame_noise(fitter: Fitter, remainder: float | None) -> NoiseFloor:
+    """What differs from frame to frame; or what the twin left before, where that is known and more.
+
+    Of each signal by the median size of its third differences over the root of 20, their gain on white noise:
+    motion has little of them.
+
+    Args:
+        fitter: with the episodes.
+        remainder: the most that the twin left of the demonstrations that it was last fitted to, mm; None
+            where it was to none.
+    """
+    columns: dict[str, list[np.ndarray]] = {"flange": [], "pressure.pos": [], "imprint": []}
+    for e in fitter.episodes:
+        columns["flange"].append(1e3 * np.sqrt(3) * np.diff(e.flange_m, 3, axis=0).ravel())
+        columns["pressure.pos"].append(fitter.mm_per_kpa * np.diff(e.pressure_kpa, 3))
+        strong = e.imprint > 0.5 * e.imprint.max()
+        columns["imprint"].append(fitter.mm_per_rad * np.diff(e.imprint[strong], 3) / fitter.slope)
+    sizes = {k: float(MAD * np.median(np.abs(np.concatenate(v))) / np.sqrt(20)) for k, v in columns.items()}
+    value = float(np.sqrt(sum(s**2 for s in sizes.values())))
+    if remainder is not None and remainder > value:
+        how = "what the twin left of the demonstrations that it was last fitted to, at most"
+        return NoiseFloor(remainder, None, UNIT, how, sizes, True)
+    return NoiseFloor(value, None, UNIT, "what differs from frame to frame", sizes, False)
+
+
+class DemonstrationStudy(EffectStudy):
     """Episodes of one task.
 
     Args:
@@ -71,6 +119,11 @@ class DemonstrationStudy(DemonstrationWords):
         bare_air, bare_touch: the twin as it is, on `fitter`.
     """
 
+    unit = UNIT
+    more_data = repeat = MORE
+    nothing_left = "Nothing needs to be recorded."
+    recording: Demonstrations  # pyright: ignore[reportIncompatibleVariableOverride]
+
     def __init__(
         self,
         twin: Twin,
@@ -80,8 +133,8 @@ class DemonstrationStudy(DemonstrationWords):
         progress: Progress = no_progress,
     ):
         self.twin, self.recording, self.seed = twin, recording, seed
-        self.own = tuple(of_body(twin.effects))
-        tried = dict.fromkeys((LATE, *OF_AIR, *OF_BODY, *(e for e in self.own if bends(e))))
+        self.twin_effects = tuple(of_body(twin.effects))
+        tried = dict.fromkeys((LATE, *OF_AIR, *OF_BODY, *(e for e in self.twin_effects if bends(e))))
         self.candidates = [e for e in tried if not adding or e in adding]
         self._last = ([{}] + [h for h in twin.history if h.get("unit") == UNIT])[-1]
         self.known = Strength.known(self._last, recording.task)
@@ -91,7 +144,7 @@ class DemonstrationStudy(DemonstrationWords):
         episodes = episode_data(twin, recording, progress, self.light)
         self.owner = np.repeat(np.arange(len(episodes)), list(map(len, episodes)))
         order = np.random.default_rng([seed, 5]).permutation(len(episodes))
-        away = order[: min(max(1, round(HELD_OUT * len(order))), len(order) - 1)]
+        away = order[: min(max(1, round(T.HELD_OUT * len(order))), len(order) - 1)]
         test = np.isin(self.owner, away)
         self.parts = Parts(~test, ~test, test, self.owner, np.zeros(len(episodes), int))
         self.fitter = Fitter(twin, episodes, self.parts.train)
@@ -116,10 +169,10 @@ class DemonstrationStudy(DemonstrationWords):
         fold = self.owner[self.parts.train]
         twin = self.fitter.twin_with(air, air.intervals(fold))
         replayed = Fitter(twin, fitter.episodes, fitter.rows) if fitter.twin is not twin else fitter
-        found = (*air.form.effects, *touch.form.effects)
+        found = (*air.structure.effects, *touch.structure.effects)
         twin = replayed.twin_with(touch, touch.intervals(fold))
         return FittedModel(
-            effects=tuple(dict.fromkeys((*self.own, *found))),
+            effects=tuple(dict.fromkeys((*self.twin_effects, *found))),
             residual=self._residual(fitter, touch, twin),
             count=len(air.unit) + len(touch.unit),
             twin=twin,
@@ -128,7 +181,7 @@ class DemonstrationStudy(DemonstrationWords):
 
     def _residual(self, fitter: Fitter, touch: DemonstrationModel, twin: Twin) -> np.ndarray:
         """(N, 5) of the model of a twin; where compliance is judged, touch is charged with its strength."""
-        residual, curves = fitter.predict(touch.form, touch.values)
+        residual, curves = fitter.predict(touch.structure, touch.values)
         growth = self.known.growth if self.known else touch.values["growth"]
         self.strengths[id(twin)] = fitter.strength(touch, growth)
         if self.charged and (apart := self.stronger_by(twin)):
@@ -145,27 +198,25 @@ class DemonstrationStudy(DemonstrationWords):
         return self.strengths[id(twin)].apart(self.known) if self.known else 0.0
 
     def residual(self, twin: Twin) -> np.ndarray:
-        """(N, 5) measured minus predicted by another twin of this finger."""
         fitter = self.world_of(twin)
         return self._residual(fitter, fitter.base(TOUCH), twin)
 
     def refit(self, effects: Sequence[str], start: FittedModel | None, steps: Steps) -> FittedModel:
         """The twin with these effects fitted, its own where they are named again."""
-        fold, asked = self.owner[self.parts.train], effects[len(self.own) :]
+        fold, asked = self.owner[self.parts.train], effects[len(self.twin_effects) :]
         if start is None:
             steps.done()
-            self._errors = [self.bare_air.crossed(fold) + self.bare_touch.crossed(fold)]
+            self._errors = [self.bare_air.cv_squared(fold) + self.bare_touch.cv_squared(fold)]
             return self.bare
         air = self._with(self.fitter, [e for e in asked if of_air(e)], AIR, self.bare_air)
-        fitter = self.world_of(self.fitter.twin_with(air, {})) if air.form.effects else self.fitter
+        fitter = self.world_of(self.fitter.twin_with(air, {})) if air.structure.effects else self.fitter
         touch = self._with(fitter, [e for e in asked if not of_air(e)], TOUCH, fitter.base(TOUCH))
-        self._errors.append(air.crossed(fold) + touch.crossed(fold))
+        self._errors.append(air.cv_squared(fold) + touch.cv_squared(fold))
         steps.done()
         return self.fitted(air, touch, fitter)
 
     @cached_property
     def bare(self) -> FittedModel:
-        """The twin as it is."""
         return self.fitted(self.bare_air, self.bare_touch, self.fitter)
 
     @staticmethod
@@ -177,10 +228,9 @@ class DemonstrationStudy(DemonstrationWords):
         values = dict(base.values)
         for e in effects:
             values |= fitter.start(e)
-        return fitter.fit(Trial(Form(tuple(effects)), values), columns, 60)
+        return fitter.fit((Structure(tuple(effects)), values), columns, 60)
 
     def errors(self, model: FittedModel) -> dict[str, float]:
-        """Root mean square errors, beside the usual ones of arm and gauge and of touch, of all episodes."""
         parts = {"arm_and_gauge": AIR, "touch": TOUCH}
         return super().errors(model) | {k: rms(model.residual[:, c]) for k, c in parts.items()}
 
@@ -192,6 +242,12 @@ class DemonstrationStudy(DemonstrationWords):
         own = np.mean([brightness(rest_image(e)) for e in self.recording.episodes], 0)
         return {"imprint": strength.kept(self.recording.task, own if self.light is None else self.light)}
 
+    def signals(self) -> np.ndarray:
+        return command_signals(self.fitter.episodes)
+
+    def removed(self, worst: float, left: float, floor: float) -> float:
+        return 1 - max(left - floor**2, 0.0) / (worst - floor**2) if worst > floor**2 else 1.0
+
     def prepare(self, selected: Sequence[str], breaks: Sequence[dict]) -> None:
         """Errors include the strength of imprints where that was among what was found."""
         self.charged = COMPLIANCE in selected
@@ -200,14 +256,13 @@ class DemonstrationStudy(DemonstrationWords):
         """Whether the error falls significantly on episodes that their fit did not see."""
         return self._learnt().drop(*self._errors)[1] > 0
 
-    def _learnt(self) -> Resampler:
+    def _learnt(self) -> BlockBootstrap:
         owner = self.owner[self.parts.train]
-        return Resampler(np.ones(len(owner), bool), owner, self.parts.stratum, self.seed)
+        return BlockBootstrap(np.ones(len(owner), bool), owner, self.parts.stratum, self.seed)
 
     # ---------------------------------------------------------------- the verbs
 
     def search(self, jobs: int, steps: Steps) -> Outcome:
-        """Looks for what the twin lacks: in its air by arm and gauge, then in its body by touch."""
         began = time.perf_counter()
         steps.expect("fitting arm and gauge", 2)
         air = self._stage(jobs, steps, self.fitter, self.bare_air, AIR)
@@ -216,7 +271,7 @@ class DemonstrationStudy(DemonstrationWords):
             air = Found(air.base, air.path[:1], air.base)
         steps.done()
         fitter = self.fitter
-        if air.final.model.form.effects:
+        if air.final.model.structure.effects:
             steps.expect("replaying with that", 0)
             fitter = self.world_of(self.fitter.twin_with(air.final.model, {}))
         base = fitter.base(TOUCH)
@@ -236,20 +291,20 @@ class DemonstrationStudy(DemonstrationWords):
         of all episodes, each unseen by its fit, is enough where the level speaks for it too, and what was
         found instead must be better by as much.
         """
-        base, instead = found.base.model, found.final.model.form.effects
+        base, instead = found.base.model, found.final.model.structure.effects
         if self.known is None or CREEP not in self.candidates or CREEP in map(family, instead):
             return found
         stronger = fitter.strength(base, self.known.growth).apart(self.known) > 0
-        if not stronger or set(air.final.model.form.effects) - {LATE}:  # a slow valve makes them so too
+        if not stronger or set(air.final.model.structure.effects) - {LATE}:  # a slow valve makes them so too
             return found
-        creep = fitter.fit(Trial(Form((CREEP,)), base.values | fitter.start(CREEP)), TOUCH, 60)
-        crossed = creep.crossed(self.owner[self.parts.train])
-        taken = Scored(creep, crossed, self._learnt().value(crossed))
+        creep = fitter.fit((Structure((CREEP,)), base.values | fitter.start(CREEP)), TOUCH, 60)
+        cv_squared = creep.cv_squared(self.owner[self.parts.train])
+        taken = Scored(creep, cv_squared, self._learnt().value(cv_squared))
         before, now, after = (
-            np.append(s.crossed, self._heldout(s.model, fitter, TOUCH)).mean()
+            np.append(s.cv_squared, self._heldout(s.model, fitter, TOUCH)).mean()
             for s in (found.base, found.final, taken)
         )
-        if before < (1 + WORTH_OF_LEFT) * after or after > (1 + WORTH_OF_LEFT) * now:
+        if before < (1 + T.WORTH_OF_LEFT) * after or after > (1 + T.WORTH_OF_LEFT) * now:
             return found
         self.by_level = True
         return Found(found.base, [found.base, taken], taken, [[]])
@@ -273,14 +328,204 @@ class DemonstrationStudy(DemonstrationWords):
     def _worth(self, found: Found, base: DemonstrationModel, fitter: Fitter, columns: slice) -> bool:
         """Whether what a stage found lowers the error of the held-out episodes too, by a good part."""
         before, after = (self._heldout(m, fitter, columns).mean() for m in (base, found.final.model))
-        return bool(found.final.model.form.effects) and before - after > WORTH_OF_LEFT * after
+        return bool(found.final.model.structure.effects) and before - after > T.WORTH_OF_LEFT * after
 
     def _heldout(self, model: DemonstrationModel, fitter: Fitter, columns: slice) -> np.ndarray:
         """(n,) squared errors of the frames of the held-out episodes."""
-        residual = fitter.predict(model.form, model.values)[0][self.parts.test, columns]
+        residual = fitter.predict(model.structure, model.values)[0][self.parts.test, columns]
         return (residual**2).sum(1)
 
     def _least(self, columns: slice, left: float) -> float:
         """Fall of the mean square error below which a term does not count, where `left` is left with it."""
         last = self._last.get("touch" if columns == TOUCH else "arm_and_gauge")
-        return WORTH * last**2 if last is not None else WORTH_OF_LEFT * left
+        return T.WORTH_OF_LAST * last**2 if last is not None else T.WORTH_OF_LEFT * left
+
+    # ---------------------------------------------------------------- sentences
+
+    def twin_of(self, model: FittedModel) -> Twin:
+        return model.twin
+
+    def refusal(self, effect: str) -> str:
+        if effect in self.candidates:
+            return ""
+        if effect == COMPLIANCE:
+            return f"'{COMPLIANCE}' is told by a diagnosis alone; give its folder with --from."
+        known = ", ".join(dict.fromkeys((LATE, *OF_AIR, *OF_BODY, *self.twin_effects)))
+        return f"Demonstrations do not tell of '{effect}'; give one of {known}."
+
+    def parameters(self, model: FittedModel, effect: str) -> dict[str, dict]:
+        if effect == COMPLIANCE:
+            known = model.twin.parameters.get(STIFFNESS)
+            return {STIFFNESS: with_unit(known, "N m/rad")} if known else {}
+        if effect != LATE:
+            return super().parameters(model, effect)
+        known = model.twin.parameters.get("command_latency_s")
+        return {"latency_s": with_unit(known, "s")} if known else {}
+
+    def at_bound(self, model: FittedModel, effects: Sequence[str]) -> list[str]:
+        return [n for n in model.at_bound if n.rpartition(".")[0] in effects]
+
+    def describe(self, model: FittedModel, effect: str) -> str:
+        if effect == LATE:
+            late = latency_s(model.twin)
+            return f"Your commands act {late:.2g} s late, of arm and air alike."
+        if effect == COMPLIANCE:
+            share = model.twin.parameter(STIFFNESS) / self.twin.parameter(STIFFNESS)
+            return (
+                f"Your finger is {'softer' if share < 1 else 'stiffer'} than when the twin was fitted to "
+                f"demonstrations: as far as its imprints tell it presses with {share:.2g} times the force."
+            )
+        if effect in self.twin_effects:
+            was, now = self.twin.effects[effect], model.twin.effects[effect]
+            changes = ", ".join(
+                f"{k} {was[k].value:.3g} -> {v.value:.3g}"
+                for k, v in now.items()
+                if k in was and v.value != was[k].value
+            )
+            kind = family(effect).replace("_", " ")
+            return f"Your finger's {kind} differs from the twin's ({effect}: {changes})."
+        return super().describe(model, effect)
+
+    def cause(self, model: FittedModel, effect: str) -> str:
+        if effect == LATE:
+            return f"a delay of {latency_s(model.twin):.2g} s of all commands"
+        if effect == COMPLIANCE:
+            share = model.twin.parameter(STIFFNESS) / self.twin.parameter(STIFFNESS)
+            return f"a finger that presses with {share:.2g} times the force"
+        if effect in self.twin_effects:
+            return f"a change of the twin's {family(effect).replace('_', ' ')}"
+        return super().cause(model, effect)
+
+    def alike(self, effects: Sequence[str]) -> str:
+        """What is told by touch alone may be the contact's instead, of which no model is fitted."""
+        body = [e for e in effects if e != COMPLIANCE and not of_air(e)]
+        kinds = dict.fromkeys(family(e).replace("_", " ") for e in body)
+        told = []
+        if kinds:
+            told.append(
+                f"Touch does not tell {' and '.join(kinds)} apart from {', '.join(UNSEEN[:-1])} or "
+                f"{UNSEEN[-1]}; a bench recording of the finger does."
+            )
+        if COMPLIANCE in effects:
+            told.append(
+                "A gel that has hardened makes imprints as faint; one that has softened, or more creep than "
+                "touch tells of, makes them as strong. A press of known force on the gel tells of the gel."
+            )
+        return " ".join(told)
+
+    def experiment(self, model: FittedModel, effect: str) -> str:
+        if effect == LATE:
+            return (
+                "Command a step of the arm and of the pressure in one frame, and hold still before and after."
+            )
+        if effect == COMPLIANCE:
+            return "Record the finger on the bench with a known weight at its tip, in a column payload_g."
+        return super().experiment(model, effect)
+
+    def too_little(self) -> str:
+        n = len(self.fitter.episodes)
+        return (
+            "" if n >= T.DEMONSTRATIONS else f"{n} demonstrations are too few to tell what is missing. {MORE}"
+        )
+
+    def how_tested(self, outcome: Outcome) -> str:
+        return "Each candidate is fitted to arm, gauge and touch together and judged on whole episodes."
+
+
+def demonstration_outcome(
+    study: "DemonstrationStudy", air: Found, touch: Found, fitter: Fitter, tested: list[Tested], began: float
+) -> Outcome:
+    """What a search ended with, judged on held-out episodes.
+
+    Args:
+        study: of the episodes.
+        air: what arm and gauge told.
+        touch: what touch told, of a body behind that air.
+        fitter: of the replays with that air.
+        tested: candidates alone.
+        began: by `time.perf_counter`.
+    """
+    before = study.bare
+    models, base = [air.final.model, touch.final.model], touch.base.model
+    after = study.fitted(models[0], models[1], fitter)
+    lower = study.test.value(after.squared) < study.test.value(before.squared)
+    if not (lower or study.by_level):
+        models, after, fitter = [study.bare_air, study.bare_touch], before, study.fitter
+    selected = [e for m in models for e in m.structure.effects]
+    ladder = [("as it is", before)]
+    if models[0].structure.effects:
+        ladder.append((" + ".join(models[0].structure.effects), study.fitted(models[0], base, fitter)))
+    if models[1].structure.effects:
+        ladder.append((" + ".join(selected), after))
+    pressing = pressing_as(study, after, models[1], fitter, selected)
+    if pressing is not None:
+        selected, after = [*selected, COMPLIANCE], pressing
+        study.prepare(selected, ())
+        before = study.fitted(study.bare_air, study.bare_touch, study.fitter)
+        ladder = [("as it is", before), *ladder[1:], (" + ".join(selected), after)]
+    others = rivals(
+        touch,
+        study.noise.by_column["imprint"],
+        selected,
+        family,
+        lambda s: study.fitted(air.final.model, s.model, fitter),
+    )
+    if study.by_level:
+        others.insert(0, _stiffer(study, study.fitted(models[0], base, fitter), after))
+    votes = {}
+    for found in (air, touch):
+        votes |= chosen_in(found, study.owner[study.parts.train], study.noise.floor, family)
+    chosen = {t: votes.get(t, 1.0) for t in selected}
+    floor = max(study.noise.floor, 1e-12)
+    evidence = study.evidence(before, after, selected, chosen, floor=floor)
+    return study.outcome(
+        began, before, after, evidence, ladder=ladder, tested=tested, rivals=others, chosen_in=chosen
+    )
+
+
+def pressing_as(
+    study: "DemonstrationStudy",
+    found: FittedModel,
+    touch: DemonstrationModel,
+    fitter: Fitter,
+    selected: Sequence[str],
+) -> FittedModel | None:
+    """The same with a finger that presses as hard as its imprints are strong; None where it does.
+
+    Imprints that are stronger where a slow valve or more of the body was found may tell of that.
+    """
+    apart, strength = study.stronger_by(found.twin), study.strengths[id(found.twin)]
+    if study.known is None or not apart or (apart > 0 and set(selected) - {LATE}):
+        return None
+    twin = strength.pressing(found.twin, study.known)
+    study.strengths[id(twin)] = strength
+    uncharged = fitter.predict(touch.structure, touch.values)[0]
+    return replace(found, twin=twin, residual=uncharged, count=found.count + 1)
+
+
+def _stiffer(study: "DemonstrationStudy", plain: FittedModel, found: FittedModel) -> Rival:
+    """A stiffer finger in place of creep that was named by the imprints' level too."""
+    assert study.known is not None
+    twin = study.strengths[id(plain.twin)].pressing(plain.twin, study.known)
+    worse = study.test.value(plain.squared) / study.test.value(found.squared) - 1
+    return Rival(CREEP, COMPLIANCE, worse, replace(plain, twin=twin), found)
+
+
+def tested_alone(
+    study: "DemonstrationStudy", found: Found, behind: tuple[DemonstrationModel, Fitter] | None
+) -> list[Tested]:
+    """Each candidate alone, of arm and gauge, or of touch behind a model of the air on its replays."""
+    before = study.bare
+    out, first = [], [*found.path[1:2], *(found.rivals[0] if found.rivals else [])]
+    for s in sorted(first, key=lambda s: s.value):
+        if len(s.model.structure.effects) != 1:
+            continue
+        name = s.model.structure.effects[0]
+        if behind is None:
+            model = study.fitted(s.model, study.bare_touch, study.fitter)
+            how, ground = "arm and gauge", study.fitter.predict(s.model.structure, s.model.values, AIR)[0]
+            model.residual = np.concatenate([ground[:, AIR], before.residual[:, TOUCH]], 1)
+        else:
+            model, how = study.fitted(behind[0], s.model, behind[1]), "touch"
+        out.append(study.alone(name, model, before, how))
+    return out

@@ -1,39 +1,165 @@
 """Photographs of a gel under judgement; a sample is a photograph."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
-from lerobot_pneutac.diagnosis.result import Outcome, Rival, Tested
-from lerobot_pneutac.diagnosis.search import Found, Scored, Search
-from lerobot_pneutac.diagnosis.steps import Steps
-from lerobot_pneutac.diagnosis.verdict import MOST, Evidence, decide, too_few
-from lerobot_pneutac.diagnosis.votes import AS_GOOD, chosen_in
-from lerobot_pneutac.study import gel_maps
-from lerobot_pneutac.study.base import EffectStudy
-from lerobot_pneutac.study.gel_model import at_bound, for_twin, kept, seen_by
-from lerobot_pneutac.study.gel_noise import away, noise
-from lerobot_pneutac.study.gel_parts import (
-    APART,
-    FOLDS,
-    NEEDED,
-    deal_photographs,
-    photograph_folds,
-    sort_candidates,
+from lerobot_pneutac.diagnosis import thresholds as T
+from lerobot_pneutac.diagnosis.parts import Parts
+from lerobot_pneutac.diagnosis.result import Outcome, Tested, Untested
+from lerobot_pneutac.diagnosis.search import (
+    Found,
+    Scored,
+    Search,
+    Structure,
+    chosen_in,
+    contenders,
+    deal_folds,
+    rivals,
 )
-from lerobot_pneutac.study.gel_press import contenders
-from lerobot_pneutac.study.gel_space import FittedGel, GelSpace, Trial, mean_squares
-from pneutac_datasets.recording.gel import GelRecording
+from lerobot_pneutac.diagnosis.steps import Steps
+from lerobot_pneutac.diagnosis.verdict import too_few
+from lerobot_pneutac.study.base import EffectStudy
+from lerobot_pneutac.study.gel_model import (
+    FittedGel,
+    GelSpace,
+    at_bound,
+    for_twin,
+    kept,
+    mean_squares,
+    seen_by,
+)
+from lerobot_pneutac.study.gel_press import weighed
+from pneutac_datasets.recording import blocks
+from pneutac_datasets.recording.gel import GelRecording, GelSample
 from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect, of_sensor, sensor_effects
+from pneutac_sim.errors import InputError
 from pneutac_sim.finger.quantities import root_mean
+from pneutac_sim.gel import optics
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import check_pair
+from pneutac_sim.gel.photograph import PressPhotograph, session_light
+from pneutac_sim.gel.session import FAR_ENOUGH, LEFT_RADII
 from pneutac_sim.twin import Twin
+
+RECENT = 3  # presses before, of which something may be left that is no noise
+
+
+def away(
+    photographs: Sequence[PressPhotograph], differences: Iterable[np.ndarray], px_per_mm: float
+) -> float:
+    """Root mean square of differences (H, W, 3) away from contacts; 0 where no photograph shows enough."""
+    out = []
+    for p, difference in zip(photographs, differences, strict=True):
+        far = ~p.near(px_per_mm)
+        for e in p.earlier[-RECENT:]:
+            far &= ~replace(p, press=e.press).near(px_per_mm, LEFT_RADII)
+        if far.mean() > FAR_ENOUGH:
+            out.append(np.mean(np.square(difference[far].astype(float))))
+    return float(np.sqrt(np.mean(out))) if out else 0.0
+
+
+def noise(photographs: Sequence[PressPhotograph], px_per_mm: float) -> float:
+    """What is left away from contacts once each photograph's own drift of light is taken off, levels."""
+    left = []
+    for p in photographs:
+        drift = optics.upsample(session_light(p, px_per_mm), *p.rest.shape[:2])
+        left.append(p.image.astype(float) - p.rest - drift)
+    return away(photographs, left, px_per_mm)
+
+
+UNHELD = "cannot be tested, record column hold_s and a time_s that runs on"
+
+
+def sort_candidates(data: GelRecording, own: Sequence[str]) -> tuple[list[str], list[Untested]]:
+    """Effects to try that a twin has not got, and those that these photographs cannot test."""
+    others = {n: e for n, e in sensor_effects().items() if n not in own}
+    told = any(s.earlier for s in data.samples)
+    untested = [Untested(n, UNHELD) for n, e in others.items() if e.late and not told]
+    return [n for n, e in others.items() if told or not e.late], untested
+
+
+def deal_photographs(recording: Recording, seed: int) -> Parts:
+    """Photographs to fit, to choose by and to test on; the last two are one where there are fewer than 24.
+
+    Raises:
+        InputError: there is no photograph beside the calibration pair.
+    """
+    n = len(recording)
+    roles = recording.samples["role"].astype(str) if recording.has("role") else np.full(n, "")
+    judged = np.asarray(roles != "calibration")
+    if not judged.any():
+        raise InputError("The recording has no image beside the calibration pair, so nothing can be judged.")
+    train, test = np.ones(n, bool), judged
+    if n >= T.APART:
+        others = np.flatnonzero(judged)
+        part = blocks.assign(recording.samples.iloc[others], np.arange(len(others)), seed, (2 / 3, 1 / 3))
+        test = np.isin(np.arange(n), others[part == 1])
+        train = ~test
+    stratum = np.unique(np.asarray(roles), return_inverse=True)[1]
+    return Parts(train, judged & train, test, np.arange(n), stratum)
+
+
+def photograph_folds(parts: Parts, seed: int) -> np.ndarray:
+    """(n,) fold of each photograph that is judged by cross-validation; -1 for all others."""
+    fold = np.full(len(parts.unit), -1)
+    fold[parts.validation] = deal_folds(parts.unit[parts.validation], T.FOLDS, seed)
+    return fold
+
+
+GAIN = 4.0  # maps are shown this many times brighter
+CONTACT_PX, CONTACT_RADII = 121, 3.0  # of the map around a contact, and how far it reaches
+
+
+def error_pictures(
+    samples: list[GelSample], differences: list[list[np.ndarray]]
+) -> list[tuple[np.ndarray, str]]:
+    """Maps of some models side by side, uint8 (H, W, 3), with what they show.
+
+    Args:
+        samples: n photographs.
+        differences: of each model, n of predicted - photographed, int16 (H, W, 3).
+    """
+    planes = np.concatenate([np.clip(GAIN * plane(each), 0, 255) for each in differences], 1)
+    contacts = [np.clip(128 + GAIN * contact(samples, each), 0, 255) for each in differences]
+    return [
+        (
+            planes.astype(np.uint8),
+            f"Root mean square error over the test images, {GAIN:g} times brighter; left as it is, right "
+            "with all effects found.",
+        ),
+        (
+            np.concatenate(contacts, 1).astype(np.uint8).repeat(2, 0).repeat(2, 1),
+            "Mean of rendered less photographed around the contact, three contact radii each way; grey is "
+            "none.",
+        ),
+    ]
+
+
+def plane(differences: list[np.ndarray]) -> np.ndarray:
+    """Root mean square in the image plane (H, W, 3), levels."""
+    return np.sqrt(np.mean([np.square(d.astype(float)) for d in differences], axis=0))
+
+
+def contact(samples: list[GelSample], differences: list[np.ndarray]) -> np.ndarray:
+    """Signed mean around the contact (121, 121, 3), from -3 to 3 contact radii, levels."""
+    t = np.linspace(-CONTACT_RADII, CONTACT_RADII, CONTACT_PX)
+    x, y = np.meshgrid(t, t)
+    total, count = np.zeros((CONTACT_PX, CONTACT_PX, 3)), np.zeros((CONTACT_PX, CONTACT_PX, 1))
+    for s, difference in zip(samples, differences, strict=True):
+        d = difference.astype(float)
+        at = [s.y_px - 0.5 + y * s.radius_px, s.x_px - 0.5 + x * s.radius_px]
+        inside = (at[0] >= 0) & (at[0] <= d.shape[0] - 1) & (at[1] >= 0) & (at[1] <= d.shape[1] - 1)
+        shown = np.stack([map_coordinates(d[..., k], at, order=1) for k in range(3)], -1)
+        total += shown * inside[..., None]
+        count += inside[..., None]
+    return total / np.maximum(count, 1)
 
 
 class GelStudy(EffectStudy):
@@ -54,7 +180,8 @@ class GelStudy(EffectStudy):
 
     unit = "levels"
     more_data = (
-        f"Press one ball at {NEEDED} places all over the window, to several depths; note where and how deep."
+        f"Press one ball at {T.NEEDED} places all over the window, to several depths; note where and how "
+        "deep."
     )
     repeat = (
         "Press other shapes, such as an edge or a small cylinder: so far the light is known for these alone."
@@ -67,13 +194,13 @@ class GelStudy(EffectStudy):
             check_pair(pair.rest, pair.image, pair.press, data.px_per_mm)
         self.twin, self.recording, self.seed, self.data = twin, recording, seed, data
         self.findings = data.warnings
-        self.own = tuple(of_sensor(twin.effects))
-        self.candidates, self.untested = sort_candidates(data, self.own)
+        self.twin_effects = tuple(of_sensor(twin.effects))
+        self.candidates, self.untested = sort_candidates(data, self.twin_effects)
         self.parts = deal_photographs(recording, seed)
         self._stored = seen_by(GelModel.from_twin(twin), data)
         fold = photograph_folds(self.parts, seed)
         gel = replace(self._stored, effects=kept(self._stored.effects))
-        self.space = GelSpace(data, gel, twin, self.parts.train, fold, self.own, self.candidates)
+        self.space = GelSpace(data, gel, twin, self.parts.train, fold, self.twin_effects, self.candidates)
         how = "images away from contacts, less each image's own smooth drift of light"
         self.noise = NoiseFloor(noise(self.space.photographs, data.px_per_mm), None, self.unit, how, {})
 
@@ -81,16 +208,15 @@ class GelStudy(EffectStudy):
 
     def refit(self, effects: Sequence[str], start: FittedGel | None, steps: Steps) -> FittedGel:
         """Light and these effects, fitted to all photographs that are not kept for the report."""
-        model = self.space.fit(Trial(tuple(sorted(effects)), start and start.fit.gel))
+        model = self.space.fit((Structure(tuple(sorted(effects))), start and start.values))
         steps.done()
         return model
 
     def search(self, jobs: int, steps: Steps) -> Outcome:
-        """Looks for optics effects that the twin lacks; in one process."""
         began, space = time.perf_counter(), self.space
         engine = Search(
             space,
-            self.judge,
+            self.bootstrap,
             space.fold,
             self.noise.floor,
             tell=lambda text: steps.expect(f"{text} {self.unit}", 0),
@@ -100,92 +226,64 @@ class GelStudy(EffectStudy):
         found = engine.find()
         base, final = found.base.model, found.final.model
         alone = {e: space.fit(space.plus(base, e)) for e in self.candidates}
-        steps.expect("what each effect of the twin is good for", len(self.own))
-        taken = {e: space.without(base, e) for e in self.own}
+        steps.expect("what each effect of the twin is good for", len(self.twin_effects))
+        taken = {e: space.without(base, e) for e in self.twin_effects}
         votes = chosen_in(found, self.parts.unit, self.noise.floor, str)
-        added = [e for e in _in_order_found(found) if e not in self.own]
+        added = [e for e in _in_order_found(found) if e not in self.twin_effects]
         selected = sorted(added, key=lambda e: -found.without[e].value)
-        evidence = self._evidence(base, final, selected, votes, alone)
-        verdict = decide(evidence)
-        if verdict == "unknown_effect" and self.explained(final) >= MOST:
-            verdict = "insufficient_form"  # what the twin's own effects explain counts too
-        return Outcome(
-            before=base,
-            after=final,
-            ladder=self._ladder(base, added),
-            selected=selected,
-            tested=self._tested(base, alone, taken),
-            rivals=self._rivals(found),
-            evidence=evidence,
-            verdict=verdict,
-            twin=self.twin_of(final),
-            seconds=time.perf_counter() - began,
+        excess = self.bootstrap.value(base.squared) - self.noise.floor**2
+        falls = {e: self.bootstrap.drop(base.squared, fit.squared)[0] for e, fit in alone.items()}
+        evidence = self.evidence(
+            base,
+            final,
+            selected,
+            votes,
+            floor=max(self.noise.floor, self._far(final)),  # drifts of light count too
+            near_miss=[] if selected else [e for e, fall in falls.items() if fall > T.MOST * excess > 0],
+            explained=self.explained(final),
+        )
+        tested = [self.alone(e, fit, base, "added to the twin") for e, fit in alone.items()]
+        tested.sort(key=lambda t: -(t.reduction or 0.0))
+        tested += [
+            Tested(e, self.errors(f), None, None, {}, "taken out of the twin") for e, f in taken.items()
+        ]
+        ladder = [("as it is", base)]
+        for name in added:
+            ladder.append((f"+ {name}", space.fit(space.plus(ladder[-1][1], name))))
+        others = rivals(
+            found,
+            self.noise.floor,
+            final.effects,
+            str,
+            lambda s: s.model,
+            self._as_good,
+            len(self.candidates),
+        )
+        return self.outcome(
+            began,
+            base,
+            final,
+            evidence,
+            ladder=ladder,
+            tested=tested,
+            rivals=sorted(others, key=lambda r: r.difference),
             chosen_in={e: votes[e] for e in selected},
-            contenders=contenders(found, self.judge, self.twin_of),
+            contenders=contenders(
+                weighed(found), self.bootstrap, base.effects, lambda s: self.twin_of(s.model)
+            ),
         )
 
-    def _ladder(self, base: FittedGel, added: list[str]) -> list[tuple[str, FittedGel]]:
-        out = [("as it is", base)]
-        for name in added:
-            out.append((f"+ {name}", self.space.fit(self.space.plus(out[-1][1], name))))
-        return out
-
-    def _tested(
-        self, base: FittedGel, alone: dict[str, FittedGel], taken: dict[str, FittedGel]
-    ) -> list[Tested]:
-        """Each candidate alone, the best first; then the twin without each of its own effects."""
-        tested = []
-        for name, fit in alone.items():
-            share, interval = self.reduction(base, fit)
-            values = self.parameters(fit, name)
-            tested.append(Tested(name, self.errors(fit), share, interval, values, "added to the twin"))
-        tested.sort(key=lambda t: -t.reduction)
-        return tested + [
-            Tested(name, self.errors(fit), None, None, {}, "taken out of the twin")
-            for name, fit in taken.items()
-        ]
-
-    def _rivals(self, found: Found) -> list[Rival]:
-        """Models as good, as far as can be told, with another effect in the place of a found one."""
-        out = []
-        for before, taken, others in zip(found.path[:-1], found.path[1:], found.rivals, strict=True):
-            new = set(taken.model.effects) - set(before.model.effects)
-            if len(new) != 1 or not new <= set(found.final.model.effects):
-                continue
-            for other in others:
-                instead = set(other.model.effects) - set(before.model.effects)
-                if len(instead) == 1 and self._as_good(before, taken, other):
-                    share = other.value / max(taken.value, 1e-30) - 1
-                    out.append(Rival(*new, *instead, share, other.model, taken.model))
-        return sorted(out, key=lambda r: r.difference)
+    def tested_errors(self, model: FittedGel) -> dict[str, float]:
+        return self.errors(model)
 
     def _as_good(self, before: Scored, taken: Scored, other: Scored) -> bool:
         """Whether another model helps for sure, and the one that was taken does not surely help more."""
-        more, low, _ = self.judge.drop(other.crossed, taken.crossed)
-        room = max(before.value - self.noise.floor**2, 0.0)
-        return self.judge.drop(before.crossed, other.crossed)[1] > 0 and (low <= 0 or more < AS_GOOD * room)
-
-    def _evidence(
-        self,
-        base: FittedGel,
-        final: FittedGel,
-        selected: list[str],
-        votes: dict[str, float],
-        alone: dict[str, FittedGel],
-    ) -> Evidence:
-        """Errors of photographs that no fit saw, over a noise that counts drifts of light too."""
-        floor = max(self.noise.floor, self._far(final))
-        room = self.judge.value(base.squared) - self.noise.floor**2
-        falls = {e: self.judge.drop(base.squared, fit.squared)[0] for e, fit in alone.items()}
-        return Evidence(
-            poor=bool(self.too_little()),
-            before=self.errors(base)["heldout"] / floor,
-            after=self.errors(final)["heldout"] / floor,
-            selected=selected,
-            removed=self.test.reduction(base.squared, final.squared, floor)[0] if selected else 0.0,
-            at_bound=self.at_bound(final, selected),
-            near_miss=[] if selected else [e for e, fall in falls.items() if fall > MOST * room > 0],
-            agreed=votes[selected[0]] if selected else 1.0,
+        if not set(taken.model.effects) - set(before.model.effects) - set(other.model.effects):
+            return False
+        more, low, _ = self.bootstrap.drop(other.cv_squared, taken.cv_squared)
+        excess = max(before.value - self.noise.floor**2, 0.0)
+        return self.bootstrap.drop(before.cv_squared, other.cv_squared)[1] > 0 and (
+            low <= 0 or more < T.AS_GOOD * excess
         )
 
     def explained(self, model: FittedGel) -> float:
@@ -204,14 +302,12 @@ class GelStudy(EffectStudy):
     # ---------------------------------------------------------------- what it tells
 
     def errors(self, model: FittedGel) -> dict[str, float]:
-        """Also in the contact."""
         return super().errors(model) | {
             "train": root_mean(model.seen[self.parts.train]),
             "heldout_contact": root_mean(model.contact[self.parts.test]),
         }
 
     def refusal(self, effect: str) -> str:
-        """Why an effect cannot be switched on."""
         why = next((u.reason for u in self.untested if u.name == effect), "")
         if why:
             return f"'{effect}' {why}."
@@ -220,49 +316,43 @@ class GelStudy(EffectStudy):
         return self.already_on(effect)
 
     def twin_of(self, model: FittedGel) -> Twin:
-        """The twin with the fitted gel."""
         twin = self.twin.copy()
         for_twin(model.fit.gel, twin).into_twin(twin)
         return twin
 
     def parameters(self, model: FittedGel, effect: str) -> dict[str, dict]:
-        """Value and unit; a fit of light gives no intervals."""
         units = {p.name: p.unit for p in get_effect(effect).parameters}
         values = model.fit.gel.effects[effect]
         return {k: {"value": v, "ci95": None, "unit": units[k]} for k, v in values.items()}
 
     def at_bound(self, model: FittedGel, effects: Sequence[str]) -> list[str]:
-        """Parameters at a bound."""
         return at_bound(model.fit.gel, effects)
 
     def too_little(self) -> str:
-        """How many photographs there are and how many it takes."""
         images, judged = len(self.data.samples), self.test.units
-        if not too_few(images, judged, NEEDED):
+        if not too_few(images, judged, T.NEEDED):
             return ""
         return (
             f"This recording cannot tell: it has {images} images, of which {judged} "
-            f"can be judged by; it takes {NEEDED}, the calibration pair's among them."
+            f"can be judged by; it takes {T.NEEDED}, the calibration pair's among them."
         )
 
     def how_tested(self, outcome: Outcome) -> str:
-        """What was fitted to what."""
         parts, stored = self.parts, self._stored_error
         n, tested = len(parts.train), parts.test.sum()
         as_stored = "" if stored is None else f"As stored it is {stored:.3g} levels off. "
         if parts.has_test:
             return (
                 f"{as_stored}All that follows is re-fitted to {parts.train.sum()} of the {n} images, chosen "
-                f"by {FOLDS}-fold cross-validation among them, and judged on the other {tested}."
+                f"by {T.FOLDS}-fold cross-validation among them, and judged on the other {tested}."
             )
         return (
-            f"{as_stored}With {n} images, fewer than {APART}, none are kept for the report alone: effects "
+            f"{as_stored}With {n} images, fewer than {T.APART}, none are kept for the report alone: effects "
             f"are chosen and judged on {tested}, each predicted by a fit without its fifth of them, so the "
             "errors are a little optimistic."
         )
 
     def as_written(self, parameters: dict[str, dict]) -> dict[str, float]:
-        """Values alone, as there is no interval."""
         return {k: p["value"] for k, p in parameters.items()}
 
     @cached_property
@@ -274,7 +364,6 @@ class GelStudy(EffectStudy):
         return float(np.sqrt(self.test.value(mean_squares(differences))))
 
     def details(self, outcome: Outcome) -> dict:
-        """What only a gel's `result.json` has."""
         fit, names = outcome.after.fit, [s.name for s in self.data.samples]
         return {
             "stored": self._stored_error,
@@ -289,10 +378,9 @@ class GelStudy(EffectStudy):
         models = [outcome.before, outcome.after] if outcome.selected else [outcome.before]
         shown = np.flatnonzero(self.parts.test)
         each = [self.space.differences(m.gels) for m in models]
-        return gel_maps.pictures([self.data.samples[i] for i in shown], [[d[i] for i in shown] for d in each])
+        return error_pictures([self.data.samples[i] for i in shown], [[d[i] for i in shown] for d in each])
 
 
 def _in_order_found(found: Found) -> list[str]:
-    """Effects of the final model in the order in which they came."""
     came = [e for step in found.path for e in step.model.effects]
     return [e for e in dict.fromkeys(came) if e in found.final.model.effects]

@@ -1,14 +1,22 @@
-"""A gel between a twin and a recording's images."""
+"""A gel between a twin and a recording's images, and what a search may try on them."""
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lerobot_pneutac.diagnosis import thresholds as T
+from lerobot_pneutac.diagnosis.result import FittedModel
+from lerobot_pneutac.diagnosis.search import Space, Start, Structure
+from lerobot_pneutac.diagnosis.steps import Steps
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_sim.effects.registry import get_effect, sensor_effects
+from pneutac_sim.gel.fit import fit_photographs
+from pneutac_sim.gel.makes import library
+from pneutac_sim.gel.metrics import CONTACT_DISC
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import Predictor, Pressed, PressPhotograph
+from pneutac_sim.gel.problem import GelFit
 from pneutac_sim.twin import Twin
 
 
@@ -53,5 +61,149 @@ def at_bound(gel: GelModel, effects: Sequence[str]) -> list[str]:
         for e in effects
         for p in get_effect(e).parameters
         if min(gel.effects[e][p.name] - p.lower, p.upper - gel.effects[e][p.name])
-        < 1e-3 * (p.upper - p.lower)
+        < T.AT_BOUND * (p.upper - p.lower)
     ]
+
+
+@dataclass(kw_only=True)
+class FittedGel(FittedModel):
+    """Light and effects fitted to photographs; `residual` (n, 1) is each one's error, unseen by its fit.
+
+    Attributes:
+        structure: its structure, effects sorted.
+        fit: what was fitted to all photographs that are not kept for the report.
+        gels: n gels, each fitted without the fold of its photograph.
+        seen: (n,) mean square errors of `fit`, levels^2.
+        contact: (n,) as the squares of `residual`, in the contact region.
+    """
+
+    structure: Structure
+    fit: GelFit
+    gels: list[GelModel]
+    seen: np.ndarray
+    contact: np.ndarray
+
+    @property
+    def values(self) -> GelModel:
+        """Where a fit of a similar structure begins."""
+        return self.fit.gel
+
+    @property
+    def cost(self) -> int:
+        return self.count
+
+    def cv_squared(self, fold: np.ndarray) -> np.ndarray:
+        """(n,) squared errors, each from a fit without its fold; 0 where the fold is negative.
+
+        A fit takes seconds, so the folds that the space was given stand, however they are dealt here.
+        """
+        return np.where(fold >= 0, self.squared, 0.0)
+
+
+class GelSpace(Space):
+    """Everything that a search asks of photographs.
+
+    Args:
+        data: the photographs.
+        gel: gives size, scale and thickness.
+        twin: that the recording is judged with.
+        train: (n,) mask of photographs that are fitted.
+        fold: (n,) fold of photographs that are fitted and judged, -1 for all others.
+        own: effects that every model has.
+        candidates: effects that may be added.
+    """
+
+    def __init__(
+        self,
+        data: GelRecording,
+        gel: GelModel,
+        twin: Twin,
+        train: np.ndarray,
+        fold: np.ndarray,
+        own: Sequence[str],
+        candidates: Sequence[str],
+    ):
+        self.data, self.gel, self.twin, self.train, self.fold = data, gel, twin, train, fold
+        self.twin_effects, self.candidates = tuple(own), list(candidates)
+        self.photographs = [s.photograph for s in data.samples]
+        self.steps, self._makes = Steps(), library()
+        self._regions = [p.near(data.px_per_mm, CONTACT_DISC) for p in self.photographs]
+        self._wholes: dict[Structure, tuple[GelFit, np.ndarray]] = {}
+        self._known: dict[Structure, FittedGel] = {}
+
+    # ---------------------------------------------------------------- what a search tries
+
+    def bases(self) -> list[Start]:
+        return [(Structure(tuple(sorted(self.twin_effects))), None)]
+
+    def grow(self, model: FittedGel, most: int, pairs: int) -> list[Start]:
+        """One effect more, where it lowers the error of the photographs it is fitted to."""
+        open_ = [self.plus(model, c) for c in self.candidates if c not in model.effects]
+        left = {s[0]: float(self._whole(s)[1][self.train].mean()) for s in open_}
+        limit = (1 - T.PROMISE) * float(model.seen[self.train].mean())
+        return sorted((s for s in open_ if left[s[0]] < limit), key=lambda s: left[s[0]])[:most]
+
+    def plus(self, model: FittedGel, effect: str) -> Start:
+        return (Structure(tuple(sorted({*model.effects, effect}))), model.values)
+
+    def removable(self, model: FittedGel) -> list[str]:
+        return [e for e in model.effects if e not in self.twin_effects]
+
+    def without(self, model: FittedGel, term: str) -> FittedGel:
+        return self.fit((model.structure.without(term), model.values))
+
+    # ---------------------------------------------------------------- fits
+
+    def fit(self, start: Start, steps: int = 0, every: int = 1) -> FittedGel:
+        """Fits a structure to all photographs, and for each fold to all others; always to the end."""
+        structure, _ = start
+        if structure not in self._known:
+            whole, seen = self._whole(start)
+            parts = {-1: whole.gel} | {
+                k: self._fit(structure, self.train & (self.fold != k), whole.gel, True).gel
+                for k in range(self.fold.max() + 1)
+            }
+            gels = [parts[k] for k in self.fold]
+            differences = self.differences(gels)
+            self._known[structure] = FittedGel(
+                effects=structure.effects,
+                residual=np.sqrt(mean_squares(differences))[:, None],
+                count=sum(len(get_effect(e).parameters) for e in structure.effects),
+                twin=self.twin,
+                at_bound=at_bound(whole.gel, structure.effects),
+                structure=structure,
+                fit=whole,
+                gels=gels,
+                seen=seen,
+                contact=mean_squares(d[m] for d, m in zip(differences, self._regions, strict=True)),
+            )
+            self.steps.done()
+        return self._known[structure]
+
+    def differences(self, gels: Sequence[GelModel]) -> list[np.ndarray]:
+        """Predicted - photographed of every photograph, each by its own gel, int16 (H, W, 3)."""
+        pairs = calibration_pairs(self.data)
+        predictors = {id(g): Predictor(g, pairs) for g in gels}
+        return [
+            predictors[id(g)].image(p.press, p.rest, p.clock, p.earlier).astype(np.int16) - p.image
+            for g, p in zip(gels, self.photographs, strict=True)
+        ]
+
+    def _whole(self, start: Start) -> tuple[GelFit, np.ndarray]:
+        """The fit to all photographs that may be fitted, and its mean square error (n,) on each."""
+        structure, near = start
+        if structure not in self._wholes:
+            fit = self._fit(structure, self.train, near, False)
+            self._wholes[structure] = (
+                fit,
+                mean_squares(self.differences([fit.gel] * len(self.photographs))),
+            )
+        return self._wholes[structure]
+
+    def _fit(self, structure: Structure, mask: np.ndarray, near: GelModel | None, quick: bool) -> GelFit:
+        chosen = [p for p, m in zip(self.photographs, mask, strict=True) if m]
+        return fit_photographs(self.gel, chosen, structure.effects, self._makes, near=near, quick=quick)
+
+
+def mean_squares(images: Iterable[np.ndarray]) -> np.ndarray:
+    return np.array([np.mean(np.square(np.asarray(image, np.float64))) for image in images])

@@ -36,7 +36,6 @@ class Modulus:
     heldout: float | None
 
     def parameter(self) -> dict[str, dict]:
-        """As a parameter of a calibration."""
         return {MODULUS: {"value": self.value_mpa, "ci95": self.ci95, "unit": "MPa"}}
 
 
@@ -79,13 +78,11 @@ def keep_modulus(twin: Twin, data: GelRecording) -> Modulus | None:
 
 
 def _over(law: GelForce, s: GelSample) -> float:
-    """The measured force over the law's."""
     assert s.force_n is not None
     return s.force_n / law.force(s.press.depths(law.window_mm, law.thickness_mm))
 
 
 def modulus_sentence(modulus: Modulus | None, twin: Twin) -> str:
-    """How stiff the gel is and how that is known."""
     if modulus is None:
         known = twin.parameters.get(MODULUS)
         value = known.value if known else MATERIAL[MODULUS]

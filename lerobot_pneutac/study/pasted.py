@@ -18,7 +18,6 @@ class RestAlone:
         return cls(pair.rest)
 
     def image(self, press: Press) -> np.ndarray:
-        """The rest image, uint8 (H, W, 3), whatever presses."""
         return self._rest.copy()
 
 
@@ -39,7 +38,6 @@ class Pasted:
         return cls(pair.rest, pair.indentation.astype(np.int16) - pair.rest, pair.press, pair.px_per_mm)
 
     def image(self, press: Press) -> np.ndarray:
-        """Tactile image, uint8 (H, W, 3)."""
         here, there = (press_px(p, self._rest.shape, self._px_per_mm) for p in (press, self._press))
         moved = shift(self._difference, round(here[0] - there[0]), round(here[1] - there[1]))
         return np.clip(self._rest + moved, 0, 255).astype(np.uint8)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.parts import Parts
 from lerobot_pneutac.study.base import Study
 from pneutac_datasets.recording.photographs import (
@@ -19,9 +20,6 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.photo_fit.objective import MaskedPhotograph
 from pneutac_sim.splat.camera import Camera
 
-NEAR_KPA = 0.25  # of a training level
-LIKE = 0.9  # cosine from which two cameras look along the same line and tell the same
-
 
 @dataclass(frozen=True, eq=False)
 class PhotoStudy(Study):
@@ -35,7 +33,7 @@ class PhotoStudy(Study):
         cameras: names of those that are fitted, then of the others.
         fitted: how many.
         photographs: of all rows and fitted cameras; `state` counts `pressures`.
-        markers_mm: (T, 3) mean tip at each pressure where the recording tells it: to judge, never to fit.
+        markers_mm: (T, 3) mean tip at each pressure where the recording tells it: to bootstrap, never to fit.
         conditions: means of the other columns that are numbers.
         findings: where masks were found by segmentation, a sentence for each camera.
     """
@@ -87,7 +85,7 @@ def photo_study(recording: Recording, levels_kpa: tuple[float, ...]) -> PhotoStu
             "recording.json, to calibrate by images."
         )
     levels, rows, state = held_levels(recording)
-    train = (np.abs(levels[..., None] - np.asarray(levels_kpa)).min(-1) < NEAR_KPA).all(1)
+    train = (np.abs(levels[..., None] - np.asarray(levels_kpa)).min(-1) < T.LEVEL_KPA).all(1)
     if train.sum() < 2:
         shown = ", ".join(f"{v:g}" for v in np.unique(levels)[:12])
         raise InputError(
@@ -196,6 +194,6 @@ def _crossing(cameras: dict[str, Camera]) -> list[str]:
     out: list[str] = []
     for name, camera in cameras.items():
         axis = camera.extrinsics[2, :3]
-        if all(abs(axis @ cameras[o].extrinsics[2, :3]) < LIKE for o in out):
+        if all(abs(axis @ cameras[o].extrinsics[2, :3]) < T.SAME_VIEW for o in out):
             out.append(name)
     return out

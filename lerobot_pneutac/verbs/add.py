@@ -5,13 +5,12 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from lerobot_pneutac.diagnosis.model import FittedModel
-from lerobot_pneutac.diagnosis.result import Contribution, Refits
+from lerobot_pneutac.diagnosis.result import Contribution, FittedModel, Refits
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.reports.colours import AFTER, BEFORE, KNOWN
 from lerobot_pneutac.reports.page import Report, interval, span
 from lerobot_pneutac.reports.sentences import percent
-from lerobot_pneutac.study.by_device import study_of
+from lerobot_pneutac.study import study_of
 from lerobot_pneutac.study.pair import same_body
 from lerobot_pneutac.verbs.diagnosis import Diagnosis
 from lerobot_pneutac.verbs.found import read_found

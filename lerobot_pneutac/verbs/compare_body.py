@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from lerobot_pneutac.diagnosis.experiment import read
 from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.reports.compare_sentence import inside_band, sentence
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.session import worst_passages
-from lerobot_pneutac.study.reading import read
 from lerobot_pneutac.verbs.compare_band import Band, prediction_band
 from lerobot_pneutac.verbs.comparison import Comparison, rms_of
 from pneutac_datasets.recording.axes import Axis, axes, is_still, motion

@@ -5,11 +5,10 @@ from functools import cached_property
 
 import numpy as np
 
-from lerobot_pneutac.diagnosis.search import Trial
+from lerobot_pneutac.diagnosis.search import Structure
 from lerobot_pneutac.reports.compare_demonstrations import demonstrations_page, film_frames
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.study.demonstration_fit import ARM, LATE, TOUCH
-from lerobot_pneutac.study.demonstration_model import Form
 from lerobot_pneutac.study.demonstrations import UNIT, DemonstrationStudy
 from lerobot_pneutac.verbs.comparison import Comparison, rms_of
 from pneutac_datasets.demonstrations.episodes import Episode
@@ -263,7 +262,7 @@ def compare_demonstrations(
     replayed = [
         world.replay(e, data.place, keep=True) for e, data in zip(given.episodes, f.episodes, strict=True)
     ]
-    late = f.fit(Trial(Form((LATE,)), f.start(LATE)), ARM, 40).values[f"{LATE}.latency_s"]
+    late = f.fit((Structure((LATE,)), f.start(LATE)), ARM, 40).values[f"{LATE}.latency_s"]
     touch = f.base(TOUCH).values["touch_late"] / CONTROL_HZ
     return DemonstrationComparison(
         study=study,

@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from lerobot_pneutac.diagnosis.result import Contender
+from lerobot_pneutac.diagnosis.result import Candidate
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import write_json
 from pneutac_sim.twin import Twin
@@ -12,7 +12,7 @@ from pneutac_sim.twin import Twin
 FILE = "contenders.json"
 
 
-def save_contenders(folder: str | Path, contenders: Sequence[Contender]) -> None:
+def save_contenders(folder: str | Path, contenders: Sequence[Candidate]) -> None:
     """Writes their twins, and last what they are."""
     for i, c in enumerate(contenders):
         c.twin.save(Path(folder) / "contenders" / str(i))
@@ -21,13 +21,13 @@ def save_contenders(folder: str | Path, contenders: Sequence[Contender]) -> None
     )
 
 
-def load_contenders(folder: str | Path) -> list[Contender]:
+def load_contenders(folder: str | Path) -> list[Candidate]:
     """What `save_contenders` wrote; raises InputError where there is nothing."""
     file = Path(folder) / FILE
     if not file.is_file():
         raise InputError(f"There is no {file}; give the folder that `pneutac diagnose --out=` wrote.")
     told = json.loads(file.read_text())
     return [
-        Contender(Twin.load(Path(folder) / "contenders" / str(i)), tuple(c["terms"]), c["probability"])
+        Candidate(Twin.load(Path(folder) / "contenders" / str(i)), tuple(c["terms"]), c["probability"])
         for i, c in enumerate(told)
     ]

@@ -9,7 +9,7 @@ import numpy as np
 
 from lerobot_pneutac.diagnosis.design import NO_HANDS, Choice, Limits, choices
 from lerobot_pneutac.diagnosis.hands import Hands, instructions
-from lerobot_pneutac.diagnosis.result import Contender
+from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.reports.design import design_page
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import called
@@ -43,7 +43,7 @@ class Design(Result):
 
     twin: Twin
     recording: Recording
-    contenders: tuple[Contender, ...]
+    contenders: tuple[Candidate, ...]
     choices: tuple[Choice, ...]
     noise: float
     unit: str

@@ -4,19 +4,19 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from lerobot_pneutac.diagnosis.thresholds import TELLS
 from lerobot_pneutac.reports.design import motion_page
 from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.study.demonstration_data import COMPLIANCE, Strength
 from lerobot_pneutac.study.demonstration_motions import (
     CREEP,
     FRICTION,
-    SURELY,
     Misses,
     MotionChoice,
     motion_choices,
     shortest,
 )
-from lerobot_pneutac.study.demonstration_strength import COMPLIANCE, Strength
-from lerobot_pneutac.study.demonstration_words import UNIT
+from lerobot_pneutac.study.demonstrations import UNIT
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.demonstrations.motions import TASK
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
@@ -53,7 +53,7 @@ class MotionDesign(Result):
     def chosen(self) -> dict[str, MotionChoice]:
         """For each change the shortest motion that surely tells it; without those that none tells."""
         best = {change: shortest(self.choices, change) for change in WORDS}
-        return {change: c for change, c in best.items() if c.sure[change] >= SURELY}
+        return {change: c for change, c in best.items() if c.sure[change] >= TELLS}
 
     @property
     def sentence(self) -> str:

@@ -6,12 +6,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from lerobot_pneutac.diagnosis.design import LITTLE
-from lerobot_pneutac.diagnosis.result import Contender
+from lerobot_pneutac.diagnosis.result import Candidate
+from lerobot_pneutac.diagnosis.thresholds import LITTLE_GAIN
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import called
-from lerobot_pneutac.study.gel_held import HeldChoice, held_choice
-from lerobot_pneutac.study.gel_press import PressChoice, press_choices
+from lerobot_pneutac.study.gel_press import HeldChoice, PressChoice, held_choice, press_choices
 from lerobot_pneutac.study.pair import same_device
 from lerobot_pneutac.verbs.contenders import load_contenders
 from lerobot_pneutac.verbs.diagnosis import Diagnosis
@@ -34,12 +33,12 @@ class PressDesign(Result):
         recording: that was diagnosed.
         contenders: models in the running.
         choices: see `lerobot_pneutac.study.gel_press`.
-        held: the two presses that tell most about creep, see `lerobot_pneutac.study.gel_held`.
+        held: the two presses that tell most about creep, see `lerobot_pneutac.study.gel_press`.
     """
 
     twin: Twin
     recording: Recording
-    contenders: tuple[Contender, ...]
+    contenders: tuple[Candidate, ...]
     choices: tuple[PressChoice, ...]
     held: HeldChoice
 
@@ -57,12 +56,12 @@ class PressDesign(Result):
     @property
     def tells_little(self) -> bool:
         """Whether it is hardly worth a photograph."""
-        return self.best.rivals < LITTLE
+        return self.best.rivals < LITTLE_GAIN
 
     @property
     def held_first(self) -> bool:
         """Whether a model in the running has creep, and two presses tell more of it than any one."""
-        return not self.held.assumed and self.held.rivals > max(self.best.rivals, LITTLE)
+        return not self.held.assumed and self.held.rivals > max(self.best.rivals, LITTLE_GAIN)
 
     @property
     def sentence(self) -> str:
@@ -163,7 +162,7 @@ def design_press(twin: Twin, recording: Recording, diagnosis: str | Path | Diagn
     )
 
 
-def _named(contender: Contender) -> str:
+def _named(contender: Candidate) -> str:
     return " + ".join(map(called, contender.terms)) or "no effect"
 
 

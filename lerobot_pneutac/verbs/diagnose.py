@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable
 
 from lerobot_pneutac.diagnosis.steps import Steps
-from lerobot_pneutac.study.by_device import study_of
+from lerobot_pneutac.study import study_of
 from lerobot_pneutac.study.pair import same_body
 from lerobot_pneutac.verbs.diagnosis import Diagnosis
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations

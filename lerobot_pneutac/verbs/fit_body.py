@@ -10,15 +10,14 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from lerobot_pneutac.diagnosis.bootstrap import Resampler
+from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
 from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.diagnosis.result import Contribution
 from lerobot_pneutac.reports.colours import HELDOUT, MEASURED, MODEL
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.study.base import ANGLES, RECORD, not_identifiable, unidentified
-from lerobot_pneutac.study.body_search import known_causes
-from lerobot_pneutac.study.pair import fit_parts
-from lerobot_pneutac.study.pressure_unit import pressure_unit_doubts
+from lerobot_pneutac.study.body_base import known_causes
+from lerobot_pneutac.study.pair import fit_parts, pressure_unit_doubts
 from lerobot_pneutac.verbs.calibration import Calibration
 from lerobot_pneutac.verbs.fit_compliance import NO_LOAD, fit_compliance
 from lerobot_pneutac.verbs.measured_range import range_sentence
@@ -195,7 +194,7 @@ class _Judge:
 
     def __init__(self, command: BodyData, recording: Recording, heldout: np.ndarray, seed: int):
         self._command, parts = command, deal(recording, seed)
-        self._held = Resampler(heldout, parts.unit, parts.stratum, seed) if heldout.any() else None
+        self._held = BlockBootstrap(heldout, parts.unit, parts.stratum, seed) if heldout.any() else None
 
     def squared(self, twin: Twin) -> np.ndarray:
         """(n,) squared errors, in the unit of the error."""
@@ -211,7 +210,7 @@ class _Judge:
         if self._held is None:
             return False
         rise = self._held.value(without) - self._held.value(squared)
-        return rise > WORTH * self._held.value(squared) and self._held.surely(without, squared)
+        return rise > WORTH * self._held.value(squared) and self._held.significant_drop(without, squared)
 
     def drop(self, before: np.ndarray, after: np.ndarray) -> tuple[float, float, float]:
         """Fall of the held-out mean square error: value, lower 1 % and upper 99 % bound."""

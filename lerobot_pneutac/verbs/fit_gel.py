@@ -16,9 +16,9 @@ from lerobot_pneutac.reports.gel_told import (
     told_sentences,
 )
 from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.study.gel import UNHELD
 from lerobot_pneutac.study.gel_model import at_bound, kept, predict
 from lerobot_pneutac.study.gel_modulus import Modulus, keep_modulus, modulus_sentence
-from lerobot_pneutac.study.gel_parts import UNHELD
 from lerobot_pneutac.study.pasted import Pasted
 from lerobot_pneutac.verbs.calibration import Calibration
 from lerobot_pneutac.verbs.comparison import rms_of

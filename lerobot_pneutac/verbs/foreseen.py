@@ -5,9 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from lerobot_pneutac.diagnosis.experiment import predict
+from lerobot_pneutac.diagnosis.experiment import predict, read
 from lerobot_pneutac.diagnosis.hands import GRAVITY
-from lerobot_pneutac.study.reading import read
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.finger.quantities import root_mean
 from pneutac_sim.twin import Twin

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from lerobot_pneutac.diagnosis.common_programs import first_program
 from lerobot_pneutac.diagnosis.design import NO_HANDS, Choice, Limits, choices
 from lerobot_pneutac.diagnosis.hands import Hands, instructions
-from lerobot_pneutac.diagnosis.result import Contender
+from lerobot_pneutac.diagnosis.programs import first_program
+from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.reports.learn_film import FORESEEN
 from lerobot_pneutac.study.pair import same_body, same_chambers
 from lerobot_pneutac.verbs.benches import Bench, save_program
@@ -106,7 +106,7 @@ class Rounds:
         return self._out / f"round_{number}"
 
     @property
-    def _contenders(self) -> list[Contender]:
+    def _contenders(self) -> list[Candidate]:
         return load_contenders(self._folder(self.done[-1].number) / "diagnosis")
 
     def next(self, limits: Limits) -> tuple[Choice | None, str]:
@@ -143,7 +143,7 @@ class Rounds:
         pairs = [*zip(self._recordings, (r.pause_s for r in self.done), strict=True), *newest]
         return joined(*zip(*pairs, strict=True))
 
-    def _rivals(self) -> list[Contender]:
+    def _rivals(self) -> list[Candidate]:
         """The contenders; one without each law that is not confirmed is at least as likely as `DOUBT`."""
         contenders = self._contenders
         best = contenders[0]
@@ -151,7 +151,7 @@ class Rounds:
             lacking = [i for i, c in enumerate(contenders[:-1]) if family(e) not in _families(c)]
             if not lacking:
                 rest = tuple(t for t in best.terms if t != e)
-                contenders.insert(-1, Contender(best.twin.without(e), rest, DOUBT))
+                contenders.insert(-1, Candidate(best.twin.without(e), rest, DOUBT))
                 continue
             likely = max(lacking, key=lambda i: contenders[i].probability)
             contenders[likely].probability = max(contenders[likely].probability, DOUBT)
@@ -288,7 +288,7 @@ class Rounds:
         return replace(r, confirmed_by=confirmed)
 
 
-def _families(contender: Contender) -> set[str]:
+def _families(contender: Candidate) -> set[str]:
     return {family(e) for e in contender.terms}
 
 

@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-from lerobot_pneutac.diagnosis.verdict import LITTLE
+from lerobot_pneutac.diagnosis.thresholds import NOISE
 from lerobot_pneutac.reports.learn import learn_page
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import called
@@ -72,7 +72,7 @@ class Round:
     @property
     def foreseen(self) -> bool:
         """Whether this recording was predicted to the noise before it was used."""
-        return self.predicted_error is not None and self.predicted_error <= LITTLE * self.noise
+        return self.predicted_error is not None and self.predicted_error <= NOISE * self.noise
 
     @property
     def refutes(self) -> bool:

@@ -184,7 +184,8 @@ def test_truths_are_what_applies_to_each_device():
 def test_lines_and_parts_of_the_base_are_taken_out_too(truth, out, tmp_path, monkeypatch):
     """What a search would try, without running it: nothing that counts as the truth's own physics."""
     from lerobot_pneutac.study.body import BodyStudy
-    from lerobot_pneutac.study.body_search import BodySearch, base_effects
+    from lerobot_pneutac.study.body_base import base_effects
+    from lerobot_pneutac.study.body_search import BodySearch
     from pneutac_datasets.recording.recording import Recording
     from pneutac_sim.twin import Twin
     from pneutac_truths import generate, write
@@ -208,7 +209,7 @@ def test_lines_and_parts_of_the_base_are_taken_out_too(truth, out, tmp_path, mon
     for wanted in (None, lambda name: not counts(name, out)):
         diagnosed(twin, recording, 0, wanted)
         space = tried["space"]
-        names = {*tried["base"], *space.candidates, *(e for line in space.lines for e in line)}
+        names = {*tried["base"], *space.candidates, *(e for line in space.actuations for e in line)}
         assert bool(names & set(out)) == (wanted is None)
         assert "valve_lag" in names and "creep" in names
 

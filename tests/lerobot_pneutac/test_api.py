@@ -84,7 +84,7 @@ def test_a_refusal_is_a_result(effect, own, reason, bench):
 @pytest.mark.slow
 def test_blocks_that_report_did_not_choose(bench):
     """Whether an effect is kept is decided on other blocks than those whose error is told."""
-    from lerobot_pneutac.study.by_device import study_of
+    from lerobot_pneutac.study import study_of
     from lerobot_pneutac.verbs.compare_body import train_mask
 
     calibrated, recording = bench

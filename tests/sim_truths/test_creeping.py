@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lerobot_pneutac import Recording, Twin, diagnose
-from lerobot_pneutac.study.gel_noise import noise
+from lerobot_pneutac.study.gel import noise
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_sim.effects import get_effect
 from pneutac_sim.effects.gel_creep import share_left

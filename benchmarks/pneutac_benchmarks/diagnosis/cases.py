@@ -100,7 +100,7 @@ def diagnosed(twin, recording, seed: int, wanted: Callable[[str], bool] | None =
             None.
     """
     from lerobot_pneutac.diagnosis.steps import Steps
-    from lerobot_pneutac.study.by_device import study_of
+    from lerobot_pneutac.study import study_of
     from lerobot_pneutac.verbs.diagnosis import Diagnosis
     from pneutac_sim.effects.registry import body_effects
 

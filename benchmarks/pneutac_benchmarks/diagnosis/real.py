@@ -51,7 +51,7 @@ def solve(case: Case) -> dict:
 
 def _blocks(d, seed: int) -> dict:
     """Errors on the test blocks of the study's own split."""
-    from lerobot_pneutac.study.body_black_box import features
+    from lerobot_pneutac.study.body_base import features
 
     study, test = d.study, d.study.parts.test
     before = d.outcome.before.residual
@@ -67,9 +67,8 @@ def _forward(d, whole) -> dict:
     """Errors on the later part; twins run through the whole, so that they remember the earlier part."""
     from types import SimpleNamespace
 
-    from lerobot_pneutac.diagnosis.experiment import predict
-    from lerobot_pneutac.study.body_black_box import features
-    from lerobot_pneutac.study.reading import read
+    from lerobot_pneutac.diagnosis.experiment import predict, read
+    from lerobot_pneutac.study.body_base import features
 
     later = np.arange(len(whole)) >= EARLIER * len(whole)
 

@@ -62,7 +62,7 @@ def solve(case: Case) -> dict:
 
 def _features(recording, told: list[str], study) -> np.ndarray:
     """(n, f) causal signals of the command and the conditions of any day, by columns that both days have."""
-    from lerobot_pneutac.study.body_black_box import features
+    from lerobot_pneutac.study.body_base import features
 
     return features(
         SimpleNamespace(

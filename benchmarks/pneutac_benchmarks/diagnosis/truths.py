@@ -82,15 +82,14 @@ class Days:
 
     def residual(self, twin: Twin) -> np.ndarray:
         """(n, k) of day 2, predicted from its commands alone."""
-        from lerobot_pneutac.diagnosis.experiment import predict
-        from lerobot_pneutac.study.reading import read
+        from lerobot_pneutac.diagnosis.experiment import predict, read
 
         data = read(self.judge, twin)
         return data.measured[:, : data.counted] - predict(twin, data)[0]
 
     def constant(self) -> float:
         """Root mean square error of day 2's own mean."""
-        from lerobot_pneutac.study.reading import read
+        from lerobot_pneutac.diagnosis.experiment import read
 
         data = read(self.judge, self.twin)
         seen = data.measured[:, : data.counted]

@@ -3,15 +3,15 @@
 import numpy as np
 
 from belief import fitted
-from lerobot_pneutac.diagnosis.belief import features, likely_right
+from lerobot_pneutac.diagnosis.verdict import calibrated_confidence, features
 
 
 def test_what_explains_less_is_less_likely_right_and_a_verdict_of_sufficient_form_more():
-    told = [likely_right(error, 0.9, True) for error in (1.0, 1.2, 2.0, 5.0)]
+    told = [calibrated_confidence(error, 0.9, True) for error in (1.0, 1.2, 2.0, 5.0)]
     assert all(a > b for a, b in zip(told, told[1:], strict=False)) and 0 < told[-1] < told[0] < 1
-    assert likely_right(1.1, 0.9, True) > likely_right(1.1, 0.9, False)
-    assert likely_right(1.1, 0.9, True) > likely_right(1.1, 0.3, True)
-    assert likely_right(0.9, 1.0, True) == likely_right(1.0, 1.0, True) < 1
+    assert calibrated_confidence(1.1, 0.9, True) > calibrated_confidence(1.1, 0.9, False)
+    assert calibrated_confidence(1.1, 0.9, True) > calibrated_confidence(1.1, 0.3, True)
+    assert calibrated_confidence(0.9, 1.0, True) == calibrated_confidence(1.0, 1.0, True) < 1
 
 
 def test_weights_come_back_from_answers_that_they_made():

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lerobot_pneutac.diagnosis.bootstrap import Resampler
+from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
 from lerobot_pneutac.diagnosis.parts import deal
 from pneutac_datasets.recording.recording import Recording
 
@@ -41,7 +41,7 @@ def test_bootstrap_interval_covers_the_true_drop():
         unit = np.repeat(np.arange(30), 40)
         level = rng.gamma(2.0, 1.0, 30)[unit]
         before, after = 3.0 + level, 2.0 + level * 0.5
-        judge = Resampler(np.ones(1200, bool), unit, np.zeros(30, int), seed)
+        judge = BlockBootstrap(np.ones(1200, bool), unit, np.zeros(30, int), seed)
         _, low, high = judge.drop(before, after)
         covered += low <= 1.0 + 0.5 * 2.0 <= high
     assert covered >= 54
@@ -51,31 +51,33 @@ def test_a_fall_is_sure_where_nearly_all_units_agree_though_two_hold_all_of_it()
     """Just after steps of the command squares are a thousand times those of the rest, both ways."""
     rng = np.random.default_rng(0)
     unit, noise = np.repeat(np.arange(60), 25), rng.chisquare(3, 1500)
-    judge = Resampler(np.ones(1500, bool), unit, np.zeros(60, int), 0)
+    judge = BlockBootstrap(np.ones(1500, bool), unit, np.zeros(60, int), 0)
     before, after = 1.2 * noise, noise.copy()
     for u, b, a in ((3, 9e3, 100.0), (20, 3e3, 50.0), (40, 50.0, 4e3)):
         before[25 * u], after[25 * u] = b, a
     assert judge.drop(before, after)[1] < 0 < judge.drop(before, after)[0]
-    assert judge.surely(before, after) and not judge.surely(after, before)
+    assert judge.significant_drop(before, after) and not judge.significant_drop(after, before)
     once = after.copy()
     once[75] = 900.0
-    assert not judge.surely(once, after) and not judge.surely(after, once), "one unit is chance"
+    assert not judge.significant_drop(once, after) and not judge.significant_drop(after, once), (
+        "one unit is chance"
+    )
 
 
 def test_stratified_draws_never_lose_a_rare_condition():
     unit = np.repeat(np.arange(36), 10)
     stratum = np.r_[np.zeros(32, int), np.ones(4, int)]
     gain = np.where(np.isin(unit, np.arange(32, 36)), 1.0, 0.0)
-    judge = Resampler(np.ones(360, bool), unit, stratum, 0)
+    judge = BlockBootstrap(np.ones(360, bool), unit, stratum, 0)
     _, low, _ = judge.drop(gain, np.zeros(360))
     assert low == pytest.approx(4 / 36)
-    plain = Resampler(np.ones(360, bool), unit, np.zeros(36, int), 0)
+    plain = BlockBootstrap(np.ones(360, bool), unit, np.zeros(36, int), 0)
     assert plain.drop(gain, np.zeros(360))[1] < low
 
 
 def test_reduction_is_one_when_only_noise_is_left():
     unit = np.repeat(np.arange(20), 50)
-    judge = Resampler(np.ones(1000, bool), unit, np.zeros(20, int), 0)
+    judge = BlockBootstrap(np.ones(1000, bool), unit, np.zeros(20, int), 0)
     rng = np.random.default_rng(0)
     noise = rng.normal(size=1000) ** 2
     share, (lo, hi) = judge.reduction(noise + 8.0, noise, 1.0)

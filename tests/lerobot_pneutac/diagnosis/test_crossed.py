@@ -8,7 +8,8 @@ import pandas as pd
 import pytest
 from scipy.optimize import lsq_linear
 
-from lerobot_pneutac.study.body_model import FAR, BodyFitter, BodyModel, Reading
+from lerobot_pneutac.diagnosis.thresholds import FAR
+from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, InputModel
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.twin import Twin
 
@@ -32,7 +33,7 @@ def linear(weight, held=()):
     every = np.arange(N * D)
     v = fit(every)
     model = BodyModel(
-        form=None, pipeline=None, theta=v, free=np.arange(F), v=v, residual=(A @ v - y).reshape(N, D),
+        structure=None, pipeline=None, theta=v, free=np.arange(F), v=v, residual=(A @ v - y).reshape(N, D),
         jacobian=A, weight=W, pull=W @ (v - centre), counted=1, bounds=SimpleNamespace(),
     )  # fmt: skip
     return model, fit, A, y
@@ -42,11 +43,11 @@ def linear(weight, held=()):
 def test_crossed_equals_explicit_refits_of_a_linear_model(weight, held):
     model, fit, A, y = linear(weight, held)
     fold = np.arange(N) // 20 % 5
-    crossed = model.crossed(fold)
+    cv_squared = model.cv_squared(fold)
     for k in range(5):
         v = fit(np.flatnonzero(np.repeat(fold != k, D)))
         apart = ((A @ v - y).reshape(N, D)[:, 0] ** 2)[fold == k]
-        np.testing.assert_allclose(crossed[fold == k], apart, rtol=1e-4, atol=1e-8)
+        np.testing.assert_allclose(cv_squared[fold == k], apart, rtol=1e-4, atol=1e-8)
 
 
 @pytest.mark.parametrize("bounded", [4, 3])
@@ -60,28 +61,30 @@ def test_of_numbers_that_only_their_sum_tells_none_leaves_its_bounds(bounded):
     v, noise = np.array([0.4, 0.9, 0.6, 0.5]), 0.2 * np.random.default_rng(1).normal(size=N * D)
     r = noise - A @ np.linalg.lstsq(A, noise, rcond=None)[0]  # so v is the best of all rows
     fold = np.arange(N) // 20 % 5
-    crossed = replace(model, v=v[:bounded], residual=r.reshape(N, D), jacobian=A).crossed(fold)
+    cv_squared = replace(model, v=v[:bounded], residual=r.reshape(N, D), jacobian=A).cv_squared(fold)
     for k in range(5):
         rows = np.repeat(fold != k, D)
         within = np.clip([v - FAR, v + FAR], 0, 1)
         within[:, bounded:] = [[-np.inf], [np.inf]]
         apart = A @ lsq_linear(A[rows], (A @ v - r)[rows], within).x - (A @ v - r)
         expected = (apart.reshape(N, D)[fold == k, 0] ** 2).mean()
-        np.testing.assert_allclose(crossed[fold == k].mean(), expected, rtol=1e-3)
+        np.testing.assert_allclose(cv_squared[fold == k].mean(), expected, rtol=1e-3)
 
 
 def test_rows_of_no_fold_stay_out_and_count_nothing():
     model, fit, A, y = linear(0.0)
     fold = np.where(np.arange(N) < 200, -1, 0)
-    crossed = model.crossed(fold)
-    assert not crossed[:200].any()
+    cv_squared = model.cv_squared(fold)
+    assert not cv_squared[:200].any()
     v = fit(np.flatnonzero(np.repeat(fold < 0, D)))
-    np.testing.assert_allclose(crossed[200:], (A @ v - y).reshape(N, D)[200:, 0] ** 2, rtol=1e-4, atol=1e-8)
+    np.testing.assert_allclose(
+        cv_squared[200:], (A @ v - y).reshape(N, D)[200:, 0] ** 2, rtol=1e-4, atol=1e-8
+    )
 
 
 def test_without_a_free_parameter_nothing_moves():
     model, *_ = linear(0.0, held=range(F))
-    np.testing.assert_array_equal(model.crossed(np.arange(N) % 5), model.residual[:, 0] ** 2)
+    np.testing.assert_array_equal(model.cv_squared(np.arange(N) % 5), model.residual[:, 0] ** 2)
 
 
 def test_a_recording_is_read_though_another_thread_empties_what_was_read(tmp_path):
@@ -95,4 +98,4 @@ def test_a_recording_is_read_though_another_thread_empties_what_was_read(tmp_pat
     recording = Recording(tmp_path, {"length_mm": 110.0}, table, "finger")
     fitter = BodyFitter(recording, Twin.builtin(), np.arange(50))
     fitter._data = Emptied()
-    np.testing.assert_array_equal(fitter.data(Reading()).measured[:, 1], t)
+    np.testing.assert_array_equal(fitter.data(InputModel()).measured[:, 1], t)

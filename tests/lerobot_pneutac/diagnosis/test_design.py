@@ -4,11 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lerobot_pneutac.diagnosis.common_programs import common_programs, first_program
 from lerobot_pneutac.diagnosis.design import choices, nats_between
-from lerobot_pneutac.diagnosis.limits import Limits, visited
-from lerobot_pneutac.diagnosis.programs import sent_s, table
-from lerobot_pneutac.diagnosis.result import Contender
+from lerobot_pneutac.diagnosis.programs import Limits, common_programs, first_program, sent_s, table, visited
+from lerobot_pneutac.diagnosis.result import Candidate
 from pneutac_datasets.recording.chambers import command_columns, device_with
 from pneutac_datasets.recording.joined import joined
 from pneutac_datasets.recording.recording import Recording
@@ -49,7 +47,7 @@ def test_information_between_models_is_what_is_known_of_equal_and_of_far_ones():
 def test_the_program_that_shows_a_lag_ranks_before_those_that_hide_it(tmp_path):
     t, p = first_program(LIMITS)
     lagged = twin(valve_lag={"fill_time_s": 0.06, "vent_time_s": 0.06})
-    models = [Contender(lagged, ("valve_lag",), 0.5), Contender(twin(), (), 0.5)]
+    models = [Candidate(lagged, ("valve_lag",), 0.5), Candidate(twin(), (), 0.5)]
     ranked = choices(recording(tmp_path, t, p), models, 0.5, LIMITS)
     told = {c.name: c.rivals for c in ranked}
     assert told["steps to 100%, held 2 s"] > 0.65 > 0.4 > told["strokes to 40% in 15 s"]
@@ -74,7 +72,7 @@ def test_a_wide_interval_is_worth_narrowing_and_a_known_constant_is_not(tmp_path
         made = twin()
         value = made.parameters["gain_rad_per_kpa"].value
         made.parameters["gain_rad_per_kpa"] = Value(value, (value - half, value + half))
-        ranked = choices(recording(tmp_path, t, p), [Contender(made, (), 1.0)], 0.5, LIMITS)
+        ranked = choices(recording(tmp_path, t, p), [Candidate(made, (), 1.0)], 0.5, LIMITS)
         return next(c.constants for c in ranked if c.name == "hold at 90%")
 
     assert gain(1e-9) == pytest.approx(0.0, abs=1e-3)
@@ -109,7 +107,7 @@ def test_a_finger_of_vacuum_alone_is_driven_below_zero_and_one_of_both_above(tmp
 
 def test_limits_that_leave_nothing_are_told(tmp_path):
     t, p = first_program(LIMITS)
-    models = [Contender(twin(), (), 1.0)]
+    models = [Candidate(twin(), (), 1.0)]
     with pytest.raises(InputError, match="No program fits into the 5 s"):
         choices(recording(tmp_path, t, p), models, 0.5, Limits(0.0, 15.0, seconds=5.0))
     with pytest.raises(InputError, match="No program fits between 3 and 3 kPa"):
@@ -178,7 +176,7 @@ def test_the_chamber_in_which_two_models_differ_is_driven(tmp_path):
     t, p = first_program(limits)
     weaker = arm()
     weaker.parameters["chamber_2_gain"] = Value(0.8 * weaker.parameters["chamber_2_gain"].value)
-    models = [Contender(arm(), (), 0.5), Contender(weaker, ("weaker",), 0.5)]
+    models = [Candidate(arm(), (), 0.5), Candidate(weaker, ("weaker",), 0.5)]
     ranked = choices(recording(tmp_path, t, p), models, 0.5, limits)
     told = {c.name: c.rivals for c in ranked}
     assert told["hold at 40%, chamber 2"] > 0.6 and told["hold at 40%, chamber 1"] < 0.01

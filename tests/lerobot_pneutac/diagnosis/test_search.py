@@ -7,15 +7,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lerobot_pneutac.diagnosis import search
-from lerobot_pneutac.diagnosis.bootstrap import Resampler
+from lerobot_pneutac.diagnosis import thresholds
+from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
 from lerobot_pneutac.diagnosis.search import Scored, Search, chosen
 
 UNITS, SIZE = 40, 25
 N = UNITS * SIZE
 UNIT = np.repeat(np.arange(UNITS), SIZE)
 FOLD = UNIT % 5
-JUDGE = Resampler(np.ones(N, bool), UNIT, np.zeros(UNITS, int), 0)
+JUDGE = BlockBootstrap(np.ones(N, bool), UNIT, np.zeros(UNITS, int), 0)
 NOISE = 0.3
 
 
@@ -29,10 +29,10 @@ class Linear:
     cost: int
 
     @property
-    def form(self):
+    def structure(self):
         return SimpleNamespace(effects=self.effects)
 
-    def crossed(self, fold):
+    def cv_squared(self, fold):
         out = np.zeros(N)
         for k in range(fold.max() + 1):
             w = np.linalg.lstsq(self.X[fold != k], self.y[fold != k], rcond=None)[0]
@@ -51,7 +51,7 @@ class LinearSpace:
     def bases(self):
         return [()]
 
-    def with_lines(self, model):
+    def with_actuations(self, model):
         return []
 
     def fit(self, trial, steps=0, every=1):
@@ -61,7 +61,7 @@ class LinearSpace:
     def again(self, model):
         return model.effects
 
-    def settle(self, model):
+    def refine(self, model):
         return model
 
     def removable(self, model):
@@ -146,10 +146,10 @@ class Written:
     def __init__(self, effects, value, cost=None, patchy=False, ahead=None):
         self.effects, self.cost = effects, len(effects) + 1 if cost is None else cost
         self.ahead = value if ahead is None else ahead
-        self.form = SimpleNamespace(effects=effects)
+        self.structure = SimpleNamespace(effects=effects)
         self._crossed = np.where(UNIT >= UNITS - 4, 0.0, value / 0.9) if patchy else np.full(N, float(value))
 
-    def crossed(self, fold):
+    def cv_squared(self, fold):
         return self._crossed if np.min(fold) >= 0 else np.where(fold < 0, 0.0, float(self.ahead))
 
 
@@ -171,7 +171,7 @@ class Table:
     def bases(self):
         return [tuple(b) for b in self.begins]
 
-    def with_lines(self, model):
+    def with_actuations(self, model):
         rest = [e for e in model.effects if e not in "".join(self.lines)]
         return [(*line, *rest) for line in self.lines]
 
@@ -183,11 +183,11 @@ class Table:
     def again(self, model):
         return model.effects
 
-    def settle(self, model):
+    def refine(self, model):
         row = self.rows.get("!" + "".join(sorted(model.effects)))
         return model if row is None else written(model.effects, row)
 
-    settle_line = settle
+    refine_actuation = refine
 
     def removable(self, model):
         return [e for e in model.effects if e not in self.kept]
@@ -208,9 +208,9 @@ def find(rows, tell=lambda text: None, **options):
 
 
 def test_the_thresholds_are_those_of_the_manual():
-    assert (search.MOST_TERMS, search.BEAM, search.COARSE, search.FINE) == (6, 3, 12, 6)
-    assert (search.WORTH_OF_ROOM, search.WORTH_OF_FLOOR) == (0.04, 0.03)
-    assert (search.WORTH_OF_START, search.ALIKE) == (0.005, 0.01)
+    assert (thresholds.MOST_TERMS, thresholds.BEAM, thresholds.COARSE, thresholds.FINE) == (6, 3, 12, 6)
+    assert (thresholds.WORTH_OF_EXCESS, thresholds.WORTH_OF_NOISE) == (0.04, 0.03)
+    assert (thresholds.WORTH_OF_START, thresholds.EQUAL) == (0.005, 0.01)
 
 
 @pytest.mark.parametrize(
@@ -223,7 +223,7 @@ def test_a_fall_must_be_worth_a_share_of_the_room_or_of_the_noise(start, after, 
 
 
 def test_late_falls_must_be_worth_a_share_of_the_start():
-    rows = {"": 8.25, "A": 0.75, "B": 8.25}  # 0.04 is needed of a start's room of 8
+    rows = {"": 8.25, "A": 0.75, "B": 8.25}  # 0.04 is needed of a start's excess of 8
     assert find(rows | {"AB": 0.711})[1].final.model.effects == ("A",)
     assert find(rows | {"AB": 0.709})[1].final.model.effects == ("A", "B")
 
@@ -243,7 +243,7 @@ def test_the_beam_goes_on_from_the_others_too():
     rows = {"": 4.25, "A": 2.0, "B": 2.2, "C": 2.4, "D": 2.6}
     table, found = find(rows)
     assert [e for e, _, _ in table.asked] == [(), ("A",), ("B",), ("C",)] and table.asked[1:] == [
-        (("A",), search.COARSE, 4),
+        (("A",), thresholds.COARSE, 4),
         (("B",), 4, 2),
         (("C",), 4, 2),
     ]
@@ -260,7 +260,7 @@ def test_only_so_many_different_ones_are_fitted_well():
     rows = {"": 4.25} | {c: 4.2 + 0.001 * i for i, c in enumerate("ABCDEFGH")}
     table, found = find(rows)
     well = [trial for trial, steps, _ in table.fitted if steps == 8]
-    assert well == [(c,) for c in "ABCDEF"] and len(well) == search.FINE and found.rivals == []
+    assert well == [(c,) for c in "ABCDEF"] and len(well) == thresholds.FINE and found.rivals == []
     rows = {"": 4.25, "A": 2.0, "B": 2.001, "AB": 1.999}
     table, found = find(rows)  # in the second round AB comes from A and from B
     assert [len(r) for r in found.rivals] == [2]
@@ -277,11 +277,11 @@ def test_no_more_acceptances_than_allowed():
     """One or two terms each."""
     rows = {"ABCDEFGHIJKLMNOP"[:k]: 20.0 - k for k in range(17)}
     _, found = find(rows)
-    assert len(found.path) == search.MOST_TERMS + 1 and len(found.rivals) == search.MOST_TERMS
+    assert len(found.path) == thresholds.MOST_TERMS + 1 and len(found.rivals) == thresholds.MOST_TERMS
 
 
 def test_among_alike_the_simplest_is_accepted():
-    """Alike within 0.01 of a room of 4."""
+    """Alike within 0.01 of a excess of 4."""
     rows = {"": 4.25, "A": {"value": 1.0, "cost": 6}, "B": {"value": 1.03, "cost": 2}}
     assert find(rows)[1].final.model.effects == ("B",)
     assert find(rows | {"B": {"value": 1.05, "cost": 2}})[1].final.model.effects == ("A",)
@@ -289,7 +289,7 @@ def test_among_alike_the_simplest_is_accepted():
         "": 0.5,
         "A": {"value": 0.3, "cost": 6},
         "B": {"value": 0.305, "cost": 2},
-    }  # of a room of a quarter
+    }  # of a excess of a quarter
     assert find(small)[1].final.model.effects == ("A",)
 
 
@@ -314,7 +314,7 @@ def test_what_settles_worse_is_taken_as_it_was_fitted():
 @pytest.mark.parametrize(
     ("final", "without", "kept"),
     [
-        (0.75, 0.760, False),  # 0.02 of a room of a half
+        (0.75, 0.760, False),  # 0.02 of a excess of a half
         (0.75, 0.761, True),
         (0.26, 0.2670, False),  # 0.03 of the noise's quarter
         (0.26, 0.2680, True),
@@ -367,7 +367,7 @@ def test_of_others_the_best_is_taken_where_an_addition_does_not_foretell():
 
 
 def test_the_cheaper_base_stays_unless_the_other_is_surely_better():
-    # 0.05 of a room of 4 is 0.2, of a room of 0.5 it is 0.025
+    # 0.05 of a excess of 4 is 0.2, of a excess of 0.5 it is 0.025
     for start, value, first in ((4.25, 4.06, "S"), (4.25, 4.04, "T"), (0.75, 0.73, "S"), (0.75, 0.72, "T")):
         rows = {"S": {"value": start, "cost": 3}, "T": {"value": value, "cost": 9}}
         _, found = find(rows, bases=("S", "T"), kept="ST")
@@ -401,7 +401,7 @@ def test_of_each_line_the_best_two_are_settled_and_the_best_is_kept():
     class Lines(Table):
         settled = ()
 
-        def with_lines(self, model):
+        def with_actuations(self, model):
             return [(2.0,), (2.2,), (2.1,)]
 
         def fit(self, trial, steps=0, every=None):
@@ -411,8 +411,8 @@ def test_of_each_line_the_best_two_are_settled_and_the_best_is_kept():
             self.asked.append((model.effects, most, pairs))
             return []
 
-        def settle_line(self, model):
-            self.settled += (float(model.crossed(0)[0]),)
+        def refine_actuation(self, model):
+            self.settled += (float(model.cv_squared(0)[0]),)
             return model
 
     space = Lines({})

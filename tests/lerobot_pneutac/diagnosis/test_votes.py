@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from lerobot_pneutac.diagnosis.search import Found, Scored
-from lerobot_pneutac.diagnosis.votes import VOTES, chosen_in, deal_folds
+from lerobot_pneutac.diagnosis.search import Found, Scored, chosen_in, deal_folds
+from lerobot_pneutac.diagnosis.thresholds import VOTES
 
 UNITS, SIZE = 40, 10
 UNIT = np.repeat(np.arange(UNITS), SIZE) + 100
@@ -15,13 +15,13 @@ FLOOR = 0.1
 
 def scored(effects, errors, cost=None):
     """A model with these squared errors, one for all or (units,)."""
-    crossed = np.repeat(np.broadcast_to(np.asarray(errors, float), UNITS), SIZE)
+    cv_squared = np.repeat(np.broadcast_to(np.asarray(errors, float), UNITS), SIZE)
     model = SimpleNamespace(
-        form=SimpleNamespace(effects=effects),
+        structure=SimpleNamespace(effects=effects),
         cost=len(effects) if cost is None else cost,
-        crossed=lambda fold: np.where(fold >= 0, crossed, 0.0),
+        cv_squared=lambda fold: np.where(fold >= 0, cv_squared, 0.0),
     )
-    return Scored(model, crossed, float(crossed.mean()))
+    return Scored(model, cv_squared, float(cv_squared.mean()))
 
 
 def found(taken, *rivals):

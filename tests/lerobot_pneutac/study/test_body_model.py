@@ -1,7 +1,6 @@
 import numpy as np
 
-from lerobot_pneutac.study.body_model import BodyFitter, Form, Reading
-from lerobot_pneutac.study.body_trials import rate
+from lerobot_pneutac.study.body_model import BodyFitter, BodyStructure, InputModel, rate
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.twin import Twin
 from pneutac_truths import generate, write
@@ -17,6 +16,6 @@ def test_a_trial_of_which_no_row_was_fitted_has_no_numbers_of_its_own(tmp_path):
     recording = Recording.load(write(generate("rod", ["plain"], 3, minutes=1.0), tmp_path / "r"))
     trial = recording.column("trial")
     fitter = BodyFitter(recording, Twin("finger", recording.length_mm), np.flatnonzero(trial < trial.max()))
-    model = fitter.fit(Form((), Reading(), 8, trials=(0.01, 0.02, 0.02, 0.01)), {}, 2)
+    model = fitter.fit(BodyStructure((), InputModel(), 8, trials=(0.01, 0.02, 0.02, 0.01)), {}, 2)
     assert model.of_trials[:-1].any(axis=1).all() and np.abs(model.of_trials[-1]).max() < 1e-9
     assert np.isfinite(fitter.predict(model)).all()

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lerobot_pneutac.study.changes import find_change
+from lerobot_pneutac.study.data_breaks import find_change
 
 N, NOISE = 1500, 0.4
 

@@ -5,17 +5,20 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lerobot_pneutac.diagnosis.search import Found, Scored, Trial
+from lerobot_pneutac.diagnosis.search import Found, Scored, Structure
 from lerobot_pneutac.study import demonstrations
-from lerobot_pneutac.study.demonstration_bench import FreeBend
-from lerobot_pneutac.study.demonstration_data import MORE_RAD, EpisodeData, inputs_of
-from lerobot_pneutac.study.demonstration_fit import AIR, LATE, TOUCH, Fitter
-from lerobot_pneutac.study.demonstration_model import Form
-from lerobot_pneutac.study.demonstration_outcome import demonstration_outcome, pressing_as
-from lerobot_pneutac.study.demonstration_strength import COMPLIANCE, STIFFNESS
-from lerobot_pneutac.study.demonstration_touch import TYPICAL, imprint_per_rad, stiffness_n_per_rad
-from lerobot_pneutac.study.demonstration_words import UNIT
-from lerobot_pneutac.study.demonstrations import DemonstrationStudy
+from lerobot_pneutac.study.demonstration_data import (
+    COMPLIANCE,
+    MORE_RAD,
+    STIFFNESS,
+    TYPICAL,
+    EpisodeData,
+    imprint_per_rad,
+    inputs_of,
+    stiffness_n_per_rad,
+)
+from lerobot_pneutac.study.demonstration_fit import AIR, LATE, TOUCH, Fitter, FreeBend
+from lerobot_pneutac.study.demonstrations import UNIT, DemonstrationStudy, demonstration_outcome, pressing_as
 from pneutac_datasets.demonstrations.replay.replaying import Place
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.features import CONTROL_HZ
@@ -76,7 +79,7 @@ def fitter(twin, episodes):
 
 def test_late_commands_are_told_from_arm_and_gauge(twin):
     f = fitter(twin, [made(twin, twin, seed, 2 / CONTROL_HZ) for seed in range(4)])
-    found = f.fit(Trial(Form((LATE,)), f.start(LATE)), AIR, 40)
+    found = f.fit((Structure((LATE,)), f.start(LATE)), AIR, 40)
     assert found.values[f"{LATE}.latency_s"] == pytest.approx(2 / CONTROL_HZ, abs=0.005)
     before, after = (np.sqrt((m.residual**2).sum(1).mean()) for m in (f.base(AIR), found))
     assert after < 0.5 * before
@@ -92,9 +95,9 @@ def test_creep_is_told_from_touch_and_better_than_stiffening(twin):
     f = fitter(twin, [made(twin, creeps, seed) for seed in range(4)])
     base = f.base(TOUCH)
     fold = np.repeat(np.arange(4), 150)
-    errors = {"as it is": base.crossed(fold).mean()}
+    errors = {"as it is": base.cv_squared(fold).mean()}
     for e in ("creep", "stiffening"):
-        errors[e] = f.fit(Trial(Form((e,)), base.values | f.start(e)), TOUCH, 40).crossed(fold).mean()
+        errors[e] = f.fit((Structure((e,)), base.values | f.start(e)), TOUCH, 40).cv_squared(fold).mean()
     assert errors["creep"] < 0.3 * errors["as it is"]
     assert errors["creep"] < 0.6 * errors["stiffening"]
 
@@ -105,8 +108,8 @@ def test_what_the_bench_told_of_the_free_bend_stays_where_demonstrations_leave_i
     twin, truth = creeping(**known), creeping(**known, weight_1_3s=0.3)
     f, fold = fitter(twin, [made(twin, truth, seed) for seed in range(3)]), np.repeat(np.arange(3), 150)
     base = f.base(TOUCH)
-    found = f.fit(Trial(Form(("creep",)), base.values | f.start("creep")), TOUCH, 40)
-    assert found.crossed(fold).mean() < 0.1 * base.crossed(fold).mean()
+    found = f.fit((Structure(("creep",)), base.values | f.start("creep")), TOUCH, 40)
+    assert found.cv_squared(fold).mean() < 0.1 * base.cv_squared(fold).mean()
     true = FreeBend(truth, 15.0)
 
     def off(model):
@@ -141,11 +144,11 @@ def test_errors_across_episodes_are_those_of_fits_without_each(twin):
         e.press_n = 0.4 * e.press_n
         e.imprint = 0.1 * e.imprint + 0.02 * np.sin(np.arange(len(e)))
     f, fold = fitter(twin, episodes), np.repeat(np.arange(4), 150)
-    crossed = f.base(TOUCH).crossed(fold)
+    cv_squared = f.base(TOUCH).cv_squared(fold)
     for k in range(4):
         part = Fitter(twin, episodes, fold != k).base(TOUCH)
-        true = (f.predict(part.form, part.values)[0][fold == k, 4] ** 2).mean()
-        assert crossed[fold == k].mean() == pytest.approx(true, rel=0.2)
+        true = (f.predict(part.structure, part.values)[0][fold == k, 4] ** 2).mean()
+        assert cv_squared[fold == k].mean() == pytest.approx(true, rel=0.2)
 
 
 def test_an_object_that_gives_way_does_not_make_a_small_touch_a_large_error(twin):
@@ -191,8 +194,8 @@ def test_stronger_imprints_are_creeps_where_it_explains_the_holds(twin, monkeypa
     study = study_of(
         knowing(study_of(twin, twin, 1.0, monkeypatch)), creeping(weight_1_3s=weight), 2.0, monkeypatch
     )
-    crossed = study.bare_touch.crossed(study.owner[study.parts.train])
-    air, bare = (Scored(m, crossed, crossed.mean()) for m in (study.bare_air, study.bare_touch))
+    cv_squared = study.bare_touch.cv_squared(study.owner[study.parts.train])
+    air, bare = (Scored(m, cv_squared, cv_squared.mean()) for m in (study.bare_air, study.bare_touch))
     air, nothing = Found(air, [air], air), Found(bare, [bare], bare)
     found = study._nearer(air, nothing, study.fitter)
     outcome = demonstration_outcome(study, air, found, study.fitter, [], 0.0)

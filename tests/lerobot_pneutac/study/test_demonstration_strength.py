@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lerobot_pneutac.study.demonstration_strength import ALIKE, STIFFNESS, Strength
-from lerobot_pneutac.study.demonstration_touch import TYPICAL
+from lerobot_pneutac.diagnosis.thresholds import STRENGTH_DIFFERS
+from lerobot_pneutac.study.demonstration_data import STIFFNESS, TYPICAL, Strength
 from pneutac_sim.twin import Twin
 
 GAINS = np.array([0.7, 0.8, 0.75, 0.85, 0.0, 0.78, 0.74])  # an episode without an imprint decides nothing
@@ -25,7 +25,7 @@ def test_a_softer_finger_is_told_with_its_force():
         stiff = seen.pressing(twin, known).parameters[STIFFNESS]
         assert stiff.value == pytest.approx(share * twin.parameter(STIFFNESS))
         assert stiff.ci95[0] < stiff.value < stiff.ci95[1]
-    assert strength(np.exp(-0.9 * ALIKE / TYPICAL)).apart(known) == 0
+    assert strength(np.exp(-0.9 * STRENGTH_DIFFERS / TYPICAL)).apart(known) == 0
 
 
 def test_a_corrected_twin_is_not_corrected_again():

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lerobot_pneutac.study.pressure_unit import pressure_unit_doubts, unlike_the_twin
+from lerobot_pneutac.study.pair import pressure_unit_doubts, unlike_the_twin
 from lerobot_pneutac.verbs.calibrate import calibrate
 from lerobot_pneutac.verbs.new import new_twin
 from pneutac_datasets.recording.recording import Recording

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lerobot_pneutac.study.slips import find_slip
+from lerobot_pneutac.study.data_breaks import find_slip
 
 TRIAL = np.arange(6000) // 750
 RESTS = np.zeros((6000, 3))  # a prediction

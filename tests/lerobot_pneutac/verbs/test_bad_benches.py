@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from lerobot_pneutac.cli import main
-from lerobot_pneutac.study.by_device import study_of
+from lerobot_pneutac.study import study_of
 from lerobot_pneutac.study.pair import load_pair
 from lerobot_pneutac.verbs.calibrate import calibrate
 from lerobot_pneutac.verbs.check import check_path

@@ -9,9 +9,8 @@ import pytest
 from generated import once
 
 from lerobot_pneutac.cli.design import main as design
-from lerobot_pneutac.diagnosis.result import Contender
-from lerobot_pneutac.study.gel_held import held_choice
-from lerobot_pneutac.study.gel_press import press_choices
+from lerobot_pneutac.diagnosis.result import Candidate
+from lerobot_pneutac.study.gel_press import held_choice, press_choices
 from lerobot_pneutac.verbs.contenders import save_contenders
 from pneutac_datasets.generate.gel import write_gel_recording
 from pneutac_datasets.recording.gel import GelRecording
@@ -40,7 +39,7 @@ def models(recording):
         shadow = {k: v * (share if "levels" in k else 1.0) for k, v in gel.effects["shadow"].items()}
         twin = Twin("gel", 16.0)
         replace(gel, effects={"shadow": shadow}).into_twin(twin)
-        made.append(Contender(twin, terms, probability))
+        made.append(Candidate(twin, terms, probability))
     return made
 
 
@@ -56,7 +55,7 @@ def test_where_shadows_are_longest_they_are_told_best(recording, models):
 
 
 def test_models_that_predict_the_same_are_told_apart_by_none(recording, models, tmp_path, capsys):
-    save_contenders(tmp_path / "same", [models[0], Contender(models[0].twin, (), 0.4)])
+    save_contenders(tmp_path / "same", [models[0], Candidate(models[0].twin, (), 0.4)])
     twin = models[1].twin.save(tmp_path / "twin")
     common = [f"--twin={twin}", f"--recording={recording.folder}"]
     design([*common, f"--diagnosis={tmp_path / 'same'}"])
@@ -97,9 +96,9 @@ def test_two_presses_are_asked_for_where_creep_is_in_question(recording, models,
     for g, terms in ((strong, ("gel_creep",)), (gel, ())):
         twin = Twin("gel", 16.0)
         g.into_twin(twin)
-        made.append(Contender(twin, terms, 0.5))
+        made.append(Candidate(twin, terms, 0.5))
     faint.into_twin(twin := Twin("gel", 16.0))
-    small = held_choice(data, [Contender(twin, ("gel_creep",), 0.5), made[1]])
+    small = held_choice(data, [Candidate(twin, ("gel_creep",), 0.5), made[1]])
     assert not small.seen and "too little to see" in small.sentence
     save_contenders(tmp_path / "creep", made)
     given = [f"--twin={made[1].twin.save(tmp_path / 'twin')}", f"--recording={recording.folder}"]

@@ -36,8 +36,8 @@ def test_laws_that_cancel_each_other_are_seen(creep):
     """Two equal laws of opposite sign change no prediction, so no error tells of them."""
     from dataclasses import replace
 
-    from lerobot_pneutac.diagnosis.model import FittedModel
-    from lerobot_pneutac.study.body_outcome import _cancelling
+    from lerobot_pneutac.diagnosis.result import FittedModel
+    from lerobot_pneutac.study.body import _cancelling
 
     def constants(weight):
         return {"weight": Value(weight), "scale_kpa": Value(15.0), "time_s": Value(8.0)}

@@ -10,10 +10,10 @@ from lerobot_pneutac.cli.calibrate import main as calibrate
 from lerobot_pneutac.cli.compare import main as compare
 from lerobot_pneutac.cli.diagnose import main as diagnose
 from lerobot_pneutac.diagnosis.steps import Steps
-from lerobot_pneutac.study import gel_space
-from lerobot_pneutac.study.gel import GelStudy
+from lerobot_pneutac.diagnosis.thresholds import APART, FOLDS, NEEDED
+from lerobot_pneutac.study import gel_model
+from lerobot_pneutac.study.gel import GelStudy, deal_photographs, photograph_folds
 from lerobot_pneutac.study.gel_model import predict
-from lerobot_pneutac.study.gel_parts import APART, FOLDS, NEEDED, deal_photographs, photograph_folds
 from pneutac_datasets.generate.gel import write_gel_recording
 from pneutac_datasets.generate.hidden_gel import SIZES, write_hidden_gel
 from pneutac_datasets.recording.recording import Recording
@@ -146,7 +146,7 @@ def test_no_photograph_is_judged_by_a_fit_that_saw_it(tmp_path, monkeypatch):
         trained[id(out)] = out, {id(p) for p in photographs}
         return GelFit(out, 0.0, 1)
 
-    monkeypatch.setattr(gel_space, "fit_photographs", fit)
+    monkeypatch.setattr(gel_model, "fit_photographs", fit)
     for r in (recording, many(recording)):
         study = GelStudy(twin, r)
         model = study.refit([], None, Steps())

@@ -8,7 +8,7 @@ from generated import twin_of
 
 from lerobot_pneutac.cli import diagnose as verb
 from lerobot_pneutac.diagnosis.experiment import separations
-from lerobot_pneutac.study.by_device import study_of
+from lerobot_pneutac.study import study_of
 from lerobot_pneutac.study.pair import same_body
 from lerobot_pneutac.verbs.diagnose import diagnose
 from pneutac_datasets.recording.recording import Recording

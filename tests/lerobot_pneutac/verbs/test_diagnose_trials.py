@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lerobot_pneutac.diagnosis.steps import Steps
-from lerobot_pneutac.study.by_device import study_of
+from lerobot_pneutac.study import study_of
 from lerobot_pneutac.verbs.diagnose import diagnose
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.twin import Twin

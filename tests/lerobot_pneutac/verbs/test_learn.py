@@ -17,7 +17,7 @@ from lerobot_pneutac.cli.learn import main
 from lerobot_pneutac.diagnosis.design import Limits, choices
 from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.hands import Hands, instructions
-from lerobot_pneutac.diagnosis.result import Contender
+from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.verbs.benches import StandinBench, save_program
 from lerobot_pneutac.verbs.contenders import load_contenders, save_contenders
 from lerobot_pneutac.verbs.foreseen import not_as_asked
@@ -165,7 +165,7 @@ def test_a_law_is_not_confirmed_by_what_another_model_without_it_foresaw_as_well
     (out / f"round_{last.number}" / "round.json").unlink()
     before = out / f"round_{last.number - 1}" / "diagnosis"
     best, *others = load_contenders(before)
-    rival = Contender(best.twin, ("another_effect",), 0.01)
+    rival = Candidate(best.twin, ("another_effect",), 0.01)
     save_contenders(before, [best, rival, *others])
     again = Rounds(out, Twin.builtin(), Mirror(), 0, 1, None).drive(None)  # what was measured is kept
     assert again.predicted_error == last.predicted_error and last.confirmed_by

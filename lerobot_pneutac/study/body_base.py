@@ -1,0 +1,415 @@
+"""A recording of a finger or an arm, its parts, its twin and its sentences; a sample is a row."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from lerobot_pneutac.diagnosis import thresholds as T
+from lerobot_pneutac.diagnosis.experiment import Separation, predict, read, separations
+from lerobot_pneutac.diagnosis.law_programs import law_program
+from lerobot_pneutac.diagnosis.parts import deal
+from lerobot_pneutac.diagnosis.result import PROFILE, FittedModel, Outcome, Rival, Untested
+from lerobot_pneutac.diagnosis.verdict import too_few
+from lerobot_pneutac.study.base import EffectStudy
+from lerobot_pneutac.study.body_model import BodyFitter, BodyModel
+from lerobot_pneutac.study.data_breaks import Break, without_break
+from lerobot_pneutac.study.pair import LONGER, device_moves, enough_rows
+from pneutac_datasets.recording.checks import check
+from pneutac_datasets.recording.mounts import on_one_mount
+from pneutac_datasets.recording.noise import noise_floor
+from pneutac_datasets.recording.pressures import supply_limits
+from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.wording import listed
+from pneutac_sim.effects.laws import family, is_law, law, law_names
+from pneutac_sim.effects.registry import body_effects, get_effect, of_body
+from pneutac_sim.finger.confidence import Z95, confidence
+from pneutac_sim.finger.data import BodyData
+from pneutac_sim.finger.inputs import conditions_of
+from pneutac_sim.twin import Twin, Value
+
+
+def sort_candidates(recording: Recording, twin: Twin) -> tuple[list[str], list[Untested]]:
+    """Effects to try and those that cannot be tried; what the twin has already is in neither."""
+    names, untested = [], []
+    known = conditions_of(recording.samples, recording.device)
+    marked = any(recording.has(f"tip_{a}_mm") for a in "xyz")
+    for name, effect in (body_effects() | {n: law(n) for n in law_names()}).items():
+        if name in twin.effects and not is_law(name):
+            continue
+        if is_law(name) and not can_act(name, recording, marked, known):
+            continue
+        missing = [c for c in effect.columns if c not in known]
+        if any(c.startswith("other_") for c in missing):
+            continue  # there is no other chamber on record, so none whose effect could be missing
+        constant = [
+            c
+            for c in effect.columns
+            if c in T.LEAST_CHANGE and recording.has(c) and np.ptp(recording.column(c)) < T.LEAST_CHANGE[c]
+        ]
+        if missing:
+            untested.append(Untested(name, f"cannot be tested, record column {', '.join(missing)}"))
+        elif constant:
+            untested.append(Untested(name, f"cannot be tested, column {constant[0]} hardly changes: vary it"))
+        elif effect.of_markers and not marked:
+            untested.append(Untested(name, "cannot be tested on angles, record tip_x_mm, tip_y_mm, tip_z_mm"))
+        else:
+            names.append(name)
+    return names, untested
+
+
+def can_act(name: str, recording: Recording, marked: bool, known: set[str]) -> bool:
+    """Whether a law can show in a recording; one that cannot is not worth a word."""
+    effect = law(name)
+    if any(c not in known for c in effect.columns):
+        return False
+    if any(
+        np.ptp(recording.column(c)) < T.LEAST_CHANGE.get(c, 0.1) for c in effect.columns if recording.has(c)
+    ):
+        return False
+    if name.startswith("bend"):
+        return not marked
+    return marked or not effect.of_markers or name == "tracker_lag"
+
+
+MAD = 1.4826
+
+
+def measured_columns(recording: Recording) -> list[str]:
+    """Columns of measured pressure, empty where one is missing or tells nothing."""
+    columns = [c.replace("pressure_cmd", "pressure") for c in recording.pressure_columns]
+    for command, measured in zip(recording.pressure_columns, columns, strict=True):
+        if not recording.has(measured):
+            return []
+        p, m = recording.column(command).astype(float), recording.column(measured).astype(float)
+        if np.ptp(p) <= T.STANDS_KPA or np.ptp(m) < T.DEAF_GAUGE * np.ptp(p):
+            return []
+    return columns
+
+
+def sensor_noise(recording: Recording, columns: list[str]) -> float:
+    """Noise of the measured pressures together, kPa.
+
+    From second differences, whose variance is six times that of white noise; their median is blind to steps.
+    """
+    total = 0.0
+    for rows in recording.trials().values():
+        p = recording.samples[columns].to_numpy(float)[rows]
+        if len(p) >= 20:
+            d = np.diff(p, 2, axis=0)
+            total = max(total, float(((MAD * np.median(np.abs(d), axis=0)) ** 2).sum() / 6))
+    return float(np.sqrt(total))
+
+
+def features(study: "BodyBase") -> np.ndarray:
+    """(n, f) causal signals of the command and the conditions, for a black box."""
+    data = BodyData.of(study.recording, study.twin, source="command", start=study.start)
+    u, dt = data.inputs.pressure_kpa / data.inputs.pressure_range_kpa, data.inputs.dt_s
+    columns = [u]
+    for name, values in (
+        *(
+            ("lag(p)", {"weight": 1.0, "scale_kpa": 1.0, "time_s": t})
+            for t in (0.05, 0.15, 0.5, 1.5, 5.0, 20.0, 80.0)
+        ),
+        *(("play(p)", {"weight": 1.0, "scale_kpa": 1.0, "width_kpa": w}) for w in (0.05, 0.2)),
+    ):
+        effect = law(name)
+        x = np.array(u)
+        theta = np.array([*effect.codes, *(values[p.name] for p in effect.parameters)])
+        effect.run(x, dt, theta, np.zeros((len(x), 0)), np.zeros(effect.state_size(x.shape[1])))
+        columns.append(x - u)
+    columns = [c[data.inputs.rows] for c in columns]
+    for name in ("temperature_c", "payload_g", "gravity_x", "gravity_y", "gravity_z"):
+        if study.recording.has(name):
+            columns.append(study.recording.column(name).astype(float)[:, None])
+    return np.concatenate(columns, axis=1)
+
+
+RESTED_S = 1e4  # a pause at zero pressure after which everything has rested
+LATE = ("creep", "valve_lag", "ringing", "leak")  # families that air and body may both cause
+REPEAT = "Repeat one test after an hour. Differences between the two come from the setup, not the device."
+
+
+class BodyBase(EffectStudy):
+    """Markers, angles or curvatures of a finger or an arm.
+
+    Args:
+        twin: of the recording's device.
+        recording: of a finger or an arm.
+        seed: decides the parts and every bootstrap.
+        adding: the effects that are to be tried; empty where all are.
+
+    Attributes:
+        measured: columns of measured pressure, empty where it tells nothing.
+        checked: number of findings before a search.
+        start: how trials are taken to begin, before a search asks.
+        joints: of the spine, tried beside the twin's own number.
+        breaks: corrections of the recording for this judgement, see `data_breaks`.
+
+    Raises:
+        InputError: the recording has too few rows to fit the twin at all, or is of another device.
+    """
+
+    more_data, repeat = LONGER, REPEAT
+
+    def __init__(self, twin: Twin, recording: Recording, seed: int = 0, adding: Sequence[str] = ()):
+        self.twin, self.seed, self._given = twin, seed, recording
+        self.breaks: tuple[dict, ...] = ()
+        device_moves(recording)
+        self.recording, self.findings = check(recording)
+        self.parts = deal(self.recording, seed)
+        self.twin_effects = tuple(of_body(twin.effects))
+        self.candidates, self.untested = sort_candidates(self.recording, twin)
+        if any(self.refusal(e) for e in adding):
+            return
+        largest = max(body_effects(), key=lambda e: len(get_effect(e).parameters))
+        enough_rows(twin, self.recording, [*self.twin_effects, *(adding or [largest])], self.parts.train)
+        self.recording, moved = on_one_mount(self.recording, twin, self.parts.train)
+        self.findings = self.findings + moved
+        self.checked = len(self.findings)
+        self.noise = noise_floor(self.recording)
+        self.unit = self.noise.unit
+        self.measured = measured_columns(self.recording)
+        data = BodyData.of(self.recording, twin, source="command")
+        starts_vented = np.isinf(data.inputs.dt_s).sum() and not np.array_equal(data.inputs.rows[:1], [0])
+        known = twin.parameters.get("pause_s")
+        self.start: str | float = known.value if known else "vented" if starts_vented else "held"
+        self.joints = 8 if twin.device == "finger" else len(twin.spine_joint_positions_mm)
+
+    @property
+    def given_rows(self) -> int:
+        return len(self._given)
+
+    @property
+    def air_noise(self) -> float:
+        """Noise of the measured pressure, kPa."""
+        return sensor_noise(self.recording, self.measured)
+
+    def prepare(self, selected: Sequence[str], breaks: Sequence[dict]) -> None:
+        for correction in breaks:
+            self.apply_break(correction)
+
+    def amend(self, found: Break | None) -> bool:
+        """Corrects the recording for this judgement and reports why; whether there was a break."""
+        if found is not None:
+            self.apply_break(found.correction)
+            self.findings = [*self.findings, found.finding]
+        return found is not None
+
+    def apply_break(self, correction: dict) -> None:
+        self.recording = without_break(self.recording, correction)
+        if "shift" not in correction:
+            self.parts = deal(self.recording, self.seed)
+        self.breaks = (*self.breaks, correction)
+
+    def fitted(self, model: BodyModel) -> FittedModel:
+        """A model of the search on all samples: from the command as its twin runs, else by the gauge."""
+        twin = self.twin_with(model)
+        if model.structure.input_model.source == "command":
+            residual = self.residual(twin)
+        else:
+            residual = self.residual_with_runs(model)
+        names = [model.pipeline.names[i] for i in model.free]
+        edge = (model.v < T.AT_BOUND) | (model.v > 1 - T.AT_BOUND)
+        bound = [
+            n for n, i, e, v in zip(names, model.free, edge, model.v, strict=True)
+            if e and "." in n and n.rpartition(".")[0] not in base_effects(self)
+            and (model.bounds.upper if v > 0.5 else model.bounds.lower)[i] != model.pipeline.specs[i].neutral
+        ]  # fmt: skip
+        return FittedModel(
+            effects=model.structure.effects, residual=residual, count=len(names), twin=twin, at_bound=bound
+        )
+
+    def residual_with_runs(self, model: BodyModel) -> np.ndarray:
+        """(n, k) measured minus predicted, with what single runs have of their own."""
+        fitter = BodyFitter(self.recording, self.twin, np.zeros(1, int))
+        data = fitter.data(model.structure.input_model)
+        return (data.measured - fitter.predict(model))[:, : data.counted]
+
+    def twin_with(self, model: BodyModel) -> Twin:
+        """The twin with a model's parameters, their intervals, and how its recordings begin."""
+        fitter = BodyFitter(self.recording, self.twin, np.zeros(1, int))
+        edge = (model.v < T.AT_BOUND) | (model.v > 1 - T.AT_BOUND)
+        adjacent = np.ones(len(model.residual), bool)
+        more = np.zeros(model.jacobian.shape[1] - len(edge), bool)
+        sd = confidence(model.jacobian, model.residual, adjacent, np.r_[edge, more]).sd[: len(edge)]
+        low = model.bounds.value(np.clip(model.v - Z95 * sd, 0, 1), model.free)
+        high = model.bounds.value(np.clip(model.v + Z95 * sd, 0, 1), model.free)
+        names = [model.pipeline.names[i] for i in model.free]
+        ci95 = {n: (float(a), float(b)) for n, a, b in zip(names, low, high, strict=True)}
+        twin = model.pipeline.update(fitter.twin_with(model.structure.joints), model.theta, ci95)
+        input_model = model.structure.input_model
+        if input_model.switch is not None:
+            twin.parameters["switch_share"] = Value(
+                float(np.nanmedian(np.array(input_model.switch, dtype=float)))
+            )
+        if input_model.start != "held":
+            pause = RESTED_S if input_model.start == "vented" else float(input_model.start)
+            twin.parameters["pause_s"] = Value(pause)
+        return replace(twin, arrays={}, gel={}, history=[])
+
+    def with_air(self, body: BodyModel, air: BodyModel) -> Twin:
+        """The twin of a body that the measured pressure drove, with the air before it."""
+        twin, of_air = self.twin_with(body), self.twin_with(air).effects
+        return replace(twin, effects=twin.effects | {k: v for k, v in of_air.items() if get_effect(k).of_air})
+
+    def residual(self, twin: Twin) -> np.ndarray:
+        """(n, k) measured minus predicted from the commanded pressure, each step at its own instant."""
+        data = read(self.recording, twin)
+        return data.measured[:, : data.counted] - predict(twin, data)[0]
+
+    def refusal(self, effect: str) -> str:
+        if get_effect(effect).stage not in get_effect("creep").stages:
+            return f"'{effect}' does not bend a body; give one of {', '.join(body_effects())}."
+        untested = {u.name: f"{self.recording.folder}: effect '{effect}' {u.reason}." for u in self.untested}
+        return self.already_on(effect) or untested.get(effect, "")
+
+    def twin_of(self, model: FittedModel) -> Twin:
+        """The fitted body with the gel, pictures and networks of the twin that was given."""
+        kept = {k: v for k, v in self.twin.effects.items() if k not in of_body(self.twin.effects)}
+        given = self.twin.copy()
+        return replace(
+            model.twin,
+            effects=kept | model.twin.effects,
+            gel=given.gel,
+            arrays=given.arrays,
+            history=given.history,
+            fitted_to={"change": "added", "recording": str(self.recording.folder), "seed": self.seed},
+        )
+
+    def signals(self) -> np.ndarray:
+        return features(self)
+
+    # ---------------------------------------------------------------- sentences
+
+    @property
+    def nothing_left(self) -> str:
+        """The range is all that could grow, unless the supply ends there."""
+        more = self._supply or "; go to higher pressure to find where the twin ends"
+        return f"Nothing needs to be recorded{more}."
+
+    @property
+    def _supply(self) -> str:
+        """Where the supply ends, as the end of a sentence; empty where nothing shows it."""
+        ends = supply_limits(self.recording).values()
+        return f": the supply ends at {listed(f'{kpa:.3g}' for kpa in ends)} kPa" if ends else ""
+
+    def cause(self, model: FittedModel, effect: str) -> str:
+        return "a bend that is uneven along its length" if effect == PROFILE else super().cause(model, effect)
+
+    def alike(self, effects: Sequence[str]) -> str:
+        """The finding that lags of air and of body look alike, where such a lag was found."""
+        late = [e for e in effects if family(e) in LATE or get_effect(e).stage == "pneumatics"]
+        missing = (f for f in self.findings if "no measured pressure" in f)
+        return next(missing, "") if late else ""
+
+    def size(self, model: FittedModel, effect: str) -> str:
+        """What the effect does to the prediction that another gain and offset could not."""
+        data = read(self.recording, model.twin)
+        seen, plain = (predict(t, data)[0] for t in (model.twin, model.twin.without(effect)))
+        ground = np.concatenate([plain, np.ones((len(plain), 1))], axis=1)
+        left = seen - ground @ np.linalg.lstsq(ground, seen, rcond=None)[0]
+        what = {"mm": "tip", "rad": "bend", "1/m": "curvature"}[self.unit]
+        moved = np.linalg.norm(left, axis=1)
+        if moved.max() < 1e-6:  # such as a turned base, which an offset does as well
+            return ""
+        typically = f"{np.sqrt((moved**2).mean()):.2g} {self.unit}"
+        return f"That moves its {what} by {typically} typically and {moved.max():.2g} {self.unit} at most."
+
+    def idle(self, model: FittedModel, effect: str) -> bool:
+        """Whether an effect moves the prediction by less than `thresholds.IDLE_OF_NOISE` of the noise."""
+        if effect not in model.twin.effects:
+            return False
+        data = read(self.recording, model.twin)
+        seen, plain = (predict(t, data)[0] for t in (model.twin, model.twin.without(effect)))
+        return bool(
+            np.sqrt(((seen - plain) ** 2).sum(axis=1).mean()) < T.IDLE_OF_NOISE * (self.noise.value or 0.0)
+        )
+
+    def experiment(self, model: FittedModel, effect: str) -> str:
+        """By the law's own program where it is one and was found."""
+        constants = {k: v.value for k, v in model.twin.effects.get(effect, {}).items()}
+        program = law_program(self.recording, effect, constants) if constants else None
+        advice = program.advice if program else super().experiment(model, effect)
+        return f"{advice} Go no higher{self._supply}." if self._supply else advice
+
+    def at_bound(self, model: FittedModel, effects: Sequence[str]) -> list[str]:
+        return list(model.at_bound)
+
+    @property
+    def _moves(self) -> bool:
+        command = self.recording.samples[self.recording.pressure_columns].to_numpy(float)
+        return bool(np.ptp(command, axis=0).max() > T.STANDS_KPA)
+
+    def too_little(self) -> str:
+        if not self._moves:
+            return (
+                "This recording cannot tell: the commanded pressure never moves, so nothing about bending "
+                "can be learnt from it."
+            )
+        samples, units = int((~self.test.mask).sum()), self.test.units
+        if not too_few(samples, units):
+            return ""
+        return (
+            f"This recording is too short to tell anything: {samples} samples to fit and "
+            f"{units} pieces of time to test on."
+        )
+
+    def caveats(self, outcome: Outcome) -> list[str]:
+        """What the pressure log leaves open, where there is one."""
+        logged = [c.replace("cmd_", "") for c in self.recording.pressure_columns]
+        if self.measured or not all(map(self.recording.has, logged)):
+            return []
+        if self._moves:
+            return [
+                "The measured pressure hardly moves while the command does and was left out, so a slow valve "
+                "and a creeping body look alike."
+            ]
+        moved = max(np.ptp(self.recording.column(c)) for c in logged)
+        if moved > max(T.STANDS_KPA, 10 * sensor_noise(self.recording, logged)):
+            return [
+                "The measured pressure moves although the commanded one never does: check that "
+                "pressure_cmd_kpa is what was asked for."
+            ]
+        return ["The measured pressure does not move either."]
+
+    def how_tested(self, outcome: Outcome) -> str:
+        if not self.measured:
+            return "Effects of air and body are tried on the pose alike; no measured pressure is of use."
+        return (
+            "Effects of the air are tried on the measured pressure and on the pose, all others on the pose."
+        )
+
+    def separation(self, rival: Rival) -> Separation | None:
+        a, b, names = rival.winner.twin, rival.fit.twin, (rival.effect, rival.rival)
+        return next(iter(separations(self.recording, a, b, self.noise.floor, names)), None)
+
+    def details(self, outcome: Outcome) -> dict:
+        return {
+            "measured_pressure": bool(self.measured),
+            "base_model": outcome.base_model,
+            "data_breaks": list(self.breaks),
+        }
+
+
+def base_effects(study: "BodyBase") -> tuple[str, ...]:
+    """Known causes that a study's recording shows, see `known_causes`."""
+    return tuple(e for e in known_causes(study.recording) if e not in study.excluded)
+
+
+def known_causes(recording: Recording) -> tuple[str, ...]:
+    """Effects that belong to how any body bends: its mount, weight, load and stretch, as far as they show."""
+    out = []
+    tip = all(recording.has(f"tip_{a}_mm") for a in "xz")
+    if tip:
+        out.append("base_tilt")
+    known = all(recording.has(f"gravity_{a}") for a in "xyz")
+    if known and tip:
+        g = recording.samples[[f"gravity_{a}" for a in "xyz"]].to_numpy(float)
+        if np.ptp(g, axis=0).max() > T.GRAVITY_CHANGE:
+            out.append("gravity")
+        if recording.has("payload_g") and np.ptp(recording.column("payload_g")) > 1e-3:
+            out.append("payload")
+    if tip:
+        out.append("elongation")
+    return tuple(out)
