@@ -95,7 +95,7 @@ FINGER = "--twin=finger --recording=finger_creep"
 ARM = "--twin=arm --recording=arm_creep"
 GEL = "--twin=gel --recording=gel_presses"
 NAIVE = "--output.repo_id=local/naive --output.root=naive --method=naive --out=augment_naive"
-PLANNED = "--output.repo_id=local/more --output.root=more --fidelity=probe --out=augment"
+PLANNED = "--output.repo_id=local/more --output.root=more --fidelity=probe --method=planner --out=augment"
 AUGMENT = "augment --dataset.repo_id=local/demos --dataset.root=demos --workers=1 --seed=5 --episodes=2"
 QUICK = "--planner.samples=4 --planner.elites=2 --planner.iterations=1 --planner.horizon=6"
 
