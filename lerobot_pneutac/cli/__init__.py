@@ -1,12 +1,17 @@
-"""`pneutac VERB`: one command, one module a verb, options in LeRobot's own style (draccus)."""
+"""`pneutac VERB`: a table of commands, with options in LeRobot's own style (draccus).
+
+A verb's module has `command(options, terminal)` and the dataclass of its options, whose docstring is the
+text of `--help`; a `command(argv, terminal)` reads its arguments by itself.
+"""
 
 import difflib
 import importlib
 import importlib.metadata
+import inspect
 import os
 import sys
 
-# verb -> what it does; the module of its name has `main(argv)`
+# verb -> what it does
 VERBS = {
     "demo": "do the main job, end to end, on a robot that stands in for a real one",
     "new": "make a new twin",
@@ -31,6 +36,13 @@ VERBS = {
     "repair": "make a dataset whole whose recording was killed",
     "benchmark": "measure accuracy and speed, as tables",
     "doctor": "check what is installed, and which GPU, ports and cameras answer",
+}
+# Modules of commands that are not `lerobot_pneutac.verbs.VERB`; none is imported before it is asked for.
+MODULES = {
+    "benchmark": "lerobot_pneutac.cli.benchmark",
+    "ppo": "lerobot_pneutac.rl.command",
+    "report": "lerobot_pneutac.studio.report",
+    "studio": "lerobot_pneutac.studio.command",
 }
 
 
@@ -76,7 +88,7 @@ def _dispatch(argv: list[str]) -> None:
         sys.exit(f"pneutac: '{verb}' is not a verb; {hint}")
     sys.argv = [f"pneutac {verb}", *argv[1:]]  # the usage lines name the program so
     try:
-        _module(verb).main(argv[1:])
+        run_verb(verb, argv[1:])
     except InputError as e:
         known = options_class(verb)
         sys.exit(f"pneutac {verb}: {name_option(str(e), known) if known else e}")
@@ -85,6 +97,18 @@ def _dispatch(argv: list[str]) -> None:
     except OSError as e:  # a folder that cannot be read or written, a full disk, a Hub out of reach
         what = f"{e.filename}: {e.strerror}" if e.filename and e.strerror else " ".join(str(e).split())
         sys.exit(f"pneutac {verb}: {printable(what)}.")
+
+
+def run_verb(verb: str, argv: list[str]) -> None:
+    """Runs a command with its arguments; raises InputError where they are bad."""
+    from lerobot_pneutac.cli.options import parse_options
+    from lerobot_pneutac.cli.terminal import Terminal
+
+    command, terminal = _module(verb).command, Terminal(verb, argv)
+    if "argv" in inspect.signature(command).parameters:
+        command(argv, terminal)
+    else:
+        command(parse_options(options_class(verb), argv, command.__doc__), terminal)
 
 
 def options_class(command: str) -> type | None:
@@ -98,4 +122,4 @@ def options_class(command: str) -> type | None:
 
 
 def _module(verb: str):
-    return importlib.import_module(f"lerobot_pneutac.cli.{verb}")
+    return importlib.import_module(MODULES.get(verb, f"lerobot_pneutac.verbs.{verb}"))

@@ -21,7 +21,7 @@ TABLES = {
 }
 
 
-def main(argv: list[str]) -> None:
+def command(argv: list[str], terminal) -> None:
     """Runs one table."""
     name = argv[0] if argv else ""
     if name in ("-h", "--help"):

@@ -17,8 +17,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import draccus
-
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import check_writable, read_yaml
 
@@ -56,21 +54,32 @@ class TableOptions:
     mapping: Path | None = None
 
 
-def parse_options(config_class: type, argv: list[str]):
+def parse_options(config_class: type, argv: list[str], what: str | None = None):
     """Reads `--name=value` options into a dataclass that validates itself.
 
-    `a,b` is the list `[a,b]`, a flag may stand without its `=true`, and `--help` prints all and exits.
+    `a,b` is the list `[a,b]`, a flag may stand without its `=true`, and `--help` prints all and exits. The
+    class may name the option that the `first` argument is without its name, and `aliases` of options.
+
+    Args:
+        config_class: the dataclass.
+        argv: the arguments.
+        what: the sentence of `--help`; that of the class' module where it is None.
 
     Raises:
         InputError: an option is unknown or malformed, or the dataclass refuses the values.
     """
     options = {o.name: o for o in list_options(config_class)}
     if "-h" in argv or "--help" in argv:
-        print(help_text(config_class))
+        print(help_text(config_class, what))
         raise SystemExit(0)
-    argv = _completed(options, argv)
+    first = getattr(config_class, "first", "")
+    if first and argv and not argv[0].startswith("-"):
+        argv = [f"--{first}={argv[0]}", *argv[1:]]
+    argv = _completed(options, argv, getattr(config_class, "aliases", {}))
     for path in (a.partition("=")[2] for a in argv if a.startswith("--config_path=")):
         _check_file(Path(path), options)
+    import draccus  # which the library does without
+
     try:
         config = draccus.parse(config_class, args=argv)
     except draccus.ParsingError as e:  # draccus hides what the dataclass itself raised
@@ -172,9 +181,9 @@ def attribute_texts(config_class: type) -> dict[str, str]:
     return texts
 
 
-def help_text(config_class: type) -> str:
-    """What `--help` prints: the sentence of the command's module, and every option."""
-    sentence = inspect.cleandoc(sys.modules[config_class.__module__].__doc__ or "").split("\n\n")[0]
+def help_text(config_class: type, what: str | None = None) -> str:
+    """What `--help` prints: what the command does, and every option; see `parse_options`."""
+    sentence = inspect.cleandoc(what or sys.modules[config_class.__module__].__doc__ or "").split("\n\n")[0]
     sentence = re.sub(r"^`pneutac [^`]*`: ", "", " ".join(sentence.split()))
     width = min(110, shutil.get_terminal_size((100, 24)).columns)
     lines = [f"usage: {sys.argv[0].rpartition('/')[2]} [--option=value ...]", ""]
@@ -222,7 +231,7 @@ def _placeholder(kind: type) -> str:
     return "=" + PLACEHOLDERS.get(kind, "VALUE")
 
 
-def _completed(options: dict[str, Option], argv: list[str]) -> list[str]:
+def _completed(options: dict[str, Option], argv: list[str], aliases: dict[str, str]) -> list[str]:
     """The same arguments as draccus wants them: lists in brackets, which it would else take letter by letter.
 
     Raises:
@@ -233,7 +242,7 @@ def _completed(options: dict[str, Option], argv: list[str]) -> list[str]:
         name, given, value = rest.pop(0).partition("=")
         if not name.startswith("--"):
             raise InputError(f"'{name}' is not an option; they are written --name=value.")
-        name = name.removeprefix("--")
+        name = aliases.get(name.removeprefix("--"), name.removeprefix("--"))
         if name != "config_path" and name not in options:
             raise InputError(_unknown(name, options))
         kind = options[name].kind if name in options else Path

@@ -3,21 +3,25 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from lerobot_pneutac.diagnosis.result import Contribution, FittedModel, Refits
+from lerobot_pneutac.cli.options import TableOptions
+from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.reports.colours import AFTER, BEFORE, KNOWN
 from lerobot_pneutac.reports.page import Report, interval, span
 from lerobot_pneutac.reports.sentences import percent
 from lerobot_pneutac.study import study_of
-from lerobot_pneutac.study.pair import same_body
+from lerobot_pneutac.study.pair import load_pair, same_body
 from lerobot_pneutac.verbs.diagnosis import Diagnosis
 from lerobot_pneutac.verbs.found import read_found
 from lerobot_pneutac.verbs.result import Result, command_on
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.errors import InputError
+from pneutac_sim.files import check_writable
 from pneutac_sim.twin import Twin
 
 OF_DEMONSTRATIONS = ("late_commands", "compliance")  # parameters of a twin, no effects
@@ -474,3 +478,60 @@ def _known_help(study, found: Refits) -> str:
 
 def _listed(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+@dataclass
+class AddConfig(TableOptions):
+    """Options of `pneutac add`.
+
+    Attributes:
+        twin: folder of the twin; its next version is written there if the test error falls significantly.
+        recording: folder of a bench recording, or tables as `pneutac convert` reads them of the same finger,
+            arm or gel; or of a LeRobotDataset of demonstrations, or its name on the Hub.
+        effect: names of the effects or laws to switch on, joined by commas.
+        diagnosis: folder that `pneutac diagnose` wrote; all that it found is switched on. Also `--from`.
+        task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
+        station: of demonstrations: `station.yaml` of the arm and its place; left out, the one that their
+            robot left in them, or the paper's.
+        anyway: stores the version although the error does not fall significantly, marked as unconfirmed.
+        out: folder for `result.json` and `report.html`.
+        seed: seed of the choice of what is held out, and of the bootstrap.
+    """
+
+    aliases: ClassVar = {"from": "diagnosis"}
+
+    twin: Path
+    recording: Path
+    effect: str = ""
+    diagnosis: Path | None = None
+    task: str = ""
+    station: Path | None = None
+    anyway: bool = False
+    out: Path | None = None
+    seed: int = 0
+
+    def __post_init__(self):
+        if bool(self.effect) == (self.diagnosis is not None):
+            raise InputError(
+                "Give the effects with --effect=A,B, or all that a diagnosis found with --from=DIR; "
+                "`pneutac diagnose --out=DIR` tells what is missing."
+            )
+
+
+def command(cfg: AddConfig, terminal: Terminal) -> None:
+    """Switches effects on in a twin, re-fits all, and stores that if the test error falls."""
+    effects = [e.strip() for e in cfg.effect.split(",")] if cfg.effect else []
+    for e in effects:
+        get_effect(e)
+    twin, recording = load_pair(cfg.twin, cfg.recording, "add to", cfg.task, cfg.station)
+    check_writable(cfg.twin, f"--twin={cfg.twin}")
+    with terminal.progress() as progress:
+        result = add(
+            twin, recording, cfg.diagnosis or effects, seed=cfg.seed, anyway=cfg.anyway, progress=progress
+        )
+    stored = result.accepted or result.unconfirmed
+    if stored:
+        result = result.save(cfg.twin)
+    terminal.finish(result, cfg.out, sentence=stored)
+    if not stored:
+        raise InputError(result.reason)

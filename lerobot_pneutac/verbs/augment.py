@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
@@ -280,3 +281,10 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
     if file:
         station.save(config.output.root / "meta")
     return Augmentation(config, summary, references)
+
+
+def command(config: AugmentConfig, terminal: Terminal) -> None:
+    """Makes many demonstrations out of a few, planned on the twin and guided by touch."""
+    with terminal.progress() as progress:
+        result = augment(config, progress)
+    terminal.finish(result, config.out)

@@ -1,17 +1,22 @@
 """Fits a twin to a bench recording: markers, photographs or tactile images."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from lerobot_pneutac.cli.options import TableOptions
+from lerobot_pneutac.cli.terminal import Terminal
+from lerobot_pneutac.verbs import calibrate_files as files
 from lerobot_pneutac.verbs.calibrate_files import BEST, SEARCH
 from lerobot_pneutac.verbs.calibration import Calibration
 from lerobot_pneutac.verbs.measured_range import measured_range
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError, check_choice, check_least
+from pneutac_sim.files import check_writable
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 
@@ -128,3 +133,83 @@ def training_levels(levels: Sequence[float] | str) -> tuple[float, ...]:
     if len(out) < 2 or not np.isfinite(out).all():
         raise InputError(f"train_kpa={shown} must be at least two pressures in kPa, such as 0,3,6,9,12,15.")
     return out
+
+
+@dataclass
+class CalibrateConfig(TableOptions):
+    """Options of `pneutac calibrate`.
+
+    Attributes:
+        twin: folder of the twin; a twin of a gel is begun where there is none.
+        recording: folder of the bench recording, or tables as `pneutac convert` reads them; without it a twin
+            of a gel is begun, from the DIGIT photographs in $PNEUTAC_DATA or generated images. Of a
+            LeRobotDataset of demonstrations, or its name on the Hub, the gel's light at rest is taken.
+        task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
+        station: of demonstrations: `station.yaml` of the arm and its place; left out, the one that their
+            robot left in them, or the paper's.
+        out: folder for `result.json`, `report.html` and pictures.
+        effects: optics effects of a gel to fit, with commas between, or `none` for the paper's linear model;
+            where left out, those once chosen for the twin, else all that the presses can tell.
+        through: `mpm` to fit a gel's light to the surfaces that material points have under the presses, which
+            takes minutes; where left out, to those of the closed form.
+        image_size: width and height in px in which the twin has a gel's images, such as [240,320]; where left
+            out, those of the photographs.
+        save_prior: name under which a gel's lights are kept for other sensors of its make.
+        by: what a finger or an arm is fitted to: `images` (photographs with masks) or `markers` (markers and
+            angles); where left out, markers if the recording has them, else images.
+        train_kpa: pressures to fit by images, with commas between; all others are held out.
+        evaluations: bodies that the search by images tries.
+        particles: number of material points of a body by images, about.
+        seed: seed of every random choice.
+    """
+
+    twin: Path
+    recording: Path | None = None
+    task: str = ""
+    station: Path | None = None
+    out: Path | None = None
+    effects: str | None = None
+    through: str | None = None
+    image_size: tuple[int, int] | None = None
+    save_prior: str | None = None
+    by: str | None = None
+    train_kpa: str = "0,3,6,9,12,15"
+    evaluations: int = 84
+    particles: int = 4000
+    seed: int = 0
+
+
+def command(cfg: CalibrateConfig, terminal: Terminal) -> None:
+    """Fits a twin to a bench recording, in place, as its next version."""
+    with TemporaryDirectory() as scratch:
+        result = run(cfg, Path(scratch), terminal)
+    terminal.finish(result, cfg.out)
+    if result.worse:
+        raise InputError(result.worse)
+
+
+def run(cfg: CalibrateConfig, scratch: Path, terminal: Terminal) -> Calibration:
+    """Fits and, unless it is worse, saves the twin's next version; `scratch` is for generated data."""
+    recording, note = files.recording_for(cfg.recording, scratch, cfg.seed, cfg.task, cfg.twin, cfg.station)
+    terminal.console.print(note, end="\n" if note else "", highlight=False)
+    check_writable(cfg.twin, f"--twin={cfg.twin}")
+    files.check_prior(cfg.save_prior, recording)
+    twin, keep = files.twin_for(cfg.twin, recording), cfg.out or cfg.twin
+    if not (cfg.twin / "twin.yaml").exists():
+        terminal.say(f"There is no twin at {cfg.twin} yet: beginning one of a gel.")
+    passed = ("by", "effects", "through", "image_size", "train_kpa", "evaluations", "particles", "seed")
+    options = {name: getattr(cfg, name) for name in passed}
+    try:
+        with terminal.progress() as progress:
+            result = calibrate(twin, recording, **options, keep=keep, progress=progress)
+    except KeyboardInterrupt:
+        terminal.say(files.stopped(keep))
+        raise
+    if result.worse:
+        return result
+    if cfg.out is None:
+        files.forget_search(keep)
+    if note and isinstance(recording, Recording) and recording.meta.get("generated"):
+        result = replace(result, recording=f"generated images (seed {cfg.seed})")  # their folder goes
+    terminal.console.print(files.keep_prior(result, cfg.save_prior), end="", highlight=False)
+    return result.save(cfg.twin)

@@ -1,11 +1,16 @@
 """What a later verb would refuse in a dataset, a recording or a twin, said in seconds and all at once."""
 
 import difflib
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lerobot_pneutac.study import study_of
+from rich.markup import escape
+
+from lerobot_pneutac.cli.tables import show_understood
+from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.study.pair import fit_parts
 from lerobot_pneutac.verbs.new import new_twin
 from pneutac_datasets.demonstrations.faults import demonstration_faults, demonstration_notes, rate_notes
@@ -203,3 +208,40 @@ def _networks(twin: Twin) -> list[str]:
     except InputError as e:
         return [f"{e} Until then --env.fidelity=probe works without."]
     return []
+
+
+USAGE = """usage: pneutac check PATH [PATH ...] [--twin=PATH] [--station=FILE]
+
+Tells in seconds what a later verb would refuse, all faults at once, and exits with 1 where there is one.
+
+  PATH            folder of a twin, a bench recording or a LeRobotDataset of demonstrations, a lab's table
+                  (CSV, .mat, Parquet) or a station.yaml
+  --twin=PATH     twin for which demonstrations or a station are looked at (default the built-in one)
+  --station=FILE  station.yaml in which demonstrations were recorded (default what they tell)"""
+
+
+def command(argv: list[str], terminal: Terminal) -> None:
+    """Checks what is named; exits with 1 where there is a fault."""
+    if not argv or {"-h", "--help"} & set(argv):
+        print(USAGE)
+        return
+    options = dict(a.split("=", 1) for a in argv if a.startswith("--") and "=" in a)
+    wrong = [a for a in argv if a.startswith("-") and a.split("=")[0] not in ("--twin", "--station")]
+    wrong += [a for a in ("--twin", "--station") if a in argv]
+    if wrong:
+        raise InputError(f"There is no option {wrong[0]}; the options are --twin=PATH and --station=FILE.")
+    twin = Twin.load(options["--twin"]) if "--twin" in options else None
+    station = Station.load(options["--station"]) if "--station" in options else None
+    faulty = False
+    for path in (a for a in argv if not a.startswith("-")):
+        found = check_path(path, twin, station)
+        faulty = faulty or bool(found.faults)
+        if found.understood is not None:
+            show_understood(found.understood, terminal.console)
+        said = f"[red]{len(found.faults)} to mend[/]" if found.faults else "[green]good[/]"
+        terminal.say(f"{escape(path)} ({found.kind}): {said}", markup=True)
+        for mark, sentences in (("[red]fault:[/]", found.faults), ("[yellow]note:[/]", found.notes)):
+            for sentence in sentences:
+                terminal.say(f"  {mark} {escape(sentence)}", markup=True)
+    if faulty:
+        sys.exit(1)

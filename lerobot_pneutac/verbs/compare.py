@@ -1,6 +1,12 @@
 """How far a twin is from a recording, and where it fails."""
 
-from lerobot_pneutac.study.pair import same_device, with_unit_note
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from lerobot_pneutac.cli.options import TableOptions
+from lerobot_pneutac.cli.terminal import Terminal
+from lerobot_pneutac.study.pair import load_bench_pair, load_pair, same_device, with_unit_note
+from lerobot_pneutac.verbs.ageing import ageing
 from lerobot_pneutac.verbs.comparison import Comparison
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
@@ -68,3 +74,53 @@ def check_fidelity(fidelity: str, samples: int | None) -> None:
     check_choice("fidelity", fidelity, FIDELITIES)
     if samples is not None and (samples < 2 or fidelity != "mpm"):
         raise InputError(f"samples={samples} must be 2 or more, together with fidelity=mpm.")
+
+
+@dataclass
+class CompareConfig(TableOptions):
+    """Options of `pneutac compare`.
+
+    Attributes:
+        twin: folder of the twin.
+        recording: folder of a bench recording, or tables as `pneutac convert` reads them of the same device;
+            or of a LeRobotDataset of demonstrations, or its name on the Hub, which are replayed in the twin's
+            world.
+        task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
+        station: of demonstrations: `station.yaml` of the arm and its place; left out, the one that their
+            robot left in them, or the paper's.
+        out: folder for `result.json` and `report.html`; nothing is written without it.
+        fidelity: `pipeline` (the twin's kinematics, every sample) or `mpm` (of a finger or an arm: the full
+            body of material points, at samples spread over the recording).
+        samples: largest number of samples by mpm; where left out, 200.
+        later: recordings of the same finger or arm on other dates: how it ages, when to calibrate it again.
+        seed: seed of the choice of the samples by mpm, and of the demonstrations that are held out.
+    """
+
+    twin: Path
+    recording: Path
+    task: str = ""
+    station: Path | None = None
+    out: Path | None = None
+    fidelity: str = "pipeline"
+    samples: int | None = None
+    later: list[Path] = field(default_factory=list)
+    seed: int = 0
+
+    def __post_init__(self):
+        check_fidelity(self.fidelity, self.samples)
+        if self.later and self.fidelity != "pipeline":
+            raise InputError(f"later is compared by the pipeline, not by fidelity={self.fidelity}; omit it.")
+
+
+def command(cfg: CompareConfig, terminal: Terminal) -> None:
+    """Compares a twin with a recording, and shows where it fails."""
+    if cfg.later:
+        pairs = [load_bench_pair(cfg.twin, p, "tell ageing by") for p in (cfg.recording, *cfg.later)]
+        terminal.finish(ageing(pairs[0][0], [recording for _, recording in pairs], cfg.seed), cfg.out)
+        return
+    twin, recording = load_pair(cfg.twin, cfg.recording, "compare", cfg.task, cfg.station)
+    with terminal.progress() as progress:
+        result = compare(
+            twin, recording, fidelity=cfg.fidelity, samples=cfg.samples, seed=cfg.seed, progress=progress
+        )
+    terminal.finish(result, cfg.out)

@@ -1,14 +1,16 @@
 """Commands of pressure with which a finger bends as it is told, and how well it followed them."""
 
 import shlex
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.reports.control import control_page
 from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.study.pair import same_body
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
@@ -209,3 +211,34 @@ def _measured(recording: Recording, twin: Twin, end_s: float) -> tuple[np.ndarra
         time_s[rows] -= time_s[rows][0]
     driven = time_s <= end_s
     return time_s[driven], bend[driven]
+
+
+@dataclass
+class ControlConfig:
+    """Options of `pneutac control`.
+
+    Attributes:
+        twin: folder of a finger's calibrated twin.
+        bend: `steps`, `sine` or `loops` inside the finger's reach, or a CSV with `time_s` and
+            `bend_angle_rad`.
+        hz: control steps a second.
+        conditions: what the twin's effects ask for, such as {temperature_c: 22}.
+        recording: folder of a recording in which the program was driven; shows how well the finger followed.
+        out: folder for `program.csv`, `result.json` and `report.html`; nothing is written without it.
+    """
+
+    twin: Path
+    bend: str = "sine"
+    hz: float = 20.0
+    conditions: dict[str, float] = field(default_factory=dict)
+    recording: Path | None = None
+    out: Path | None = None
+
+
+def command(cfg: ControlConfig, terminal: Terminal) -> None:
+    """Makes a pressure program that bends a finger as asked, and shows how it followed."""
+    twin = Twin.load(cfg.twin)
+    recording = Recording.load(cfg.recording) if cfg.recording else None
+    if recording is not None:
+        same_body(twin, recording, "control")
+    terminal.finish(control(twin, cfg.bend, cfg.hz, cfg.conditions, recording), cfg.out)

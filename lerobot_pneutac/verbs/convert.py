@@ -1,20 +1,24 @@
 """`pneutac convert`: makes a bench recording of what a lab's other systems logged."""
 
 import re
+import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
+from lerobot_pneutac.cli.tables import show_understood
+from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.measuring.camera import Intrinsics, MarkerTracker
 from lerobot_pneutac.measuring.video import track_aruco, track_dots
 from pneutac_datasets.recording import rules
 from pneutac_datasets.recording.recording import Recording
-from pneutac_datasets.recording.sources import mocap, plain, rosbag
+from pneutac_datasets.recording.sources import joining, mocap, plain, rosbag
 from pneutac_datasets.recording.sources.columns import Column, parse_columns
 from pneutac_datasets.recording.sources.frame import BaseFrame, of_body, of_motion
-from pneutac_datasets.recording.sources.joining import command, joined, shifted, tabled
+from pneutac_datasets.recording.sources.joining import joined, shifted, tabled
 from pneutac_datasets.recording.sources.plain import Given, Understood
 from pneutac_datasets.recording.sources.tracks import Source, Track
 from pneutac_datasets.recording.wording import listed
@@ -56,6 +60,8 @@ class ConvertConfig:
         dots_mm: distance of these two.
         date: of the measurement, such as 2026-03-01, for `compare` over several dates.
     """
+
+    first: ClassVar = "source"
 
     source: Path
     out: Path | None = None
@@ -113,10 +119,10 @@ def convert(config: ConvertConfig, show: Callable[[Understood], None] = lambda u
     columns = {n: n for n in log.columns} if config.log is not None else config.columns
     if film:
         tip = _of_film(config)
-        frame = BaseFrame(_upright(tip, command(tip, log, columns)), np.zeros(3))
+        frame = BaseFrame(_upright(tip, joining.command(tip, log, columns)), np.zeros(3))
     elif config.tip:
         tip = source.track(config.tip, "tip")
-        frame = _frame(source.track(config.base, "base"), tip, config, command(tip, log, columns))
+        frame = _frame(source.track(config.base, "base"), tip, config, joining.command(tip, log, columns))
     elif any(re.match("tip_|bend_|q_", c) for c in config.columns.values()):  # a bag of numbers alone
         table = log.table({n: Column.parsed(n, c).column for n, c in config.columns.items()})
         tip = frame = None
@@ -230,3 +236,22 @@ def _upright(tip: Track, kpa: np.ndarray) -> np.ndarray:
     seen = np.isfinite(z)
     bends = np.sum((z[seen] - np.median(z[seen])) * (kpa[seen] - kpa[seen].mean()))
     return np.diag([1.0, 1.0, 1.0] if bends >= 0 else [1.0, -1.0, -1.0])
+
+
+def command(config: ConvertConfig, terminal: Terminal) -> None:
+    """Makes a bench recording of what a lab's other systems logged."""
+    shown = []
+
+    def show(understood: Understood) -> None:
+        shown.append(understood)
+        show_understood(understood, terminal.console)
+
+    recording = convert(config, show)
+    if not shown:
+        terminal.say(f"{config.source}: {plain.extent(recording)}")
+    for warning in recording.warnings:
+        terminal.note(warning)
+    terminal.say(
+        f"{recording.folder} holds the recording; next: `pneutac new --twin=TWIN"
+        f" --recording={shlex.quote(str(recording.folder))}`."
+    )

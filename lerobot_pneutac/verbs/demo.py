@@ -17,6 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.verbs.demo_result import DemoResult
 from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.features import CONTROL_HZ, TRIAL_S
@@ -281,3 +282,23 @@ class Demo:
         if process.returncode != 0:
             raise InputError(f"the command above failed; the end of {log} says:\n{''.join(lines[-15:])}")
         return "".join(lines)
+
+
+def command(cfg: DemoConfig, terminal: Terminal) -> None:
+    """Does the main job end to end, on the stand-in for reality, by the commands that a user would type.
+
+    A finger with hidden physics is measured; what was finished before is not repeated.
+    """
+    start = time.monotonic()
+
+    def announce(text: str) -> None:
+        terminal.say(text, style="dim" if text.startswith("$") else "bold")
+
+    with terminal.progress() as progress:
+        result = Demo(cfg, announce, progress).run()
+    report = result.report(cfg.out)
+    terminal.console.print(f"\n[bold]{result.sentence}[/]", highlight=False)
+    terminal.say(f"Report: {report} ({(time.monotonic() - start) / 60:.1f} minutes)")
+    terminal.say("Try next:")
+    for line in result.next_commands:
+        terminal.say(f"  {line}")

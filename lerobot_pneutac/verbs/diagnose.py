@@ -2,10 +2,15 @@
 
 import os
 from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
 
+from lerobot_pneutac.cli.options import TableOptions
+from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.study import study_of
-from lerobot_pneutac.study.pair import same_body
+from lerobot_pneutac.study.pair import load_pair, same_body
+from lerobot_pneutac.verbs.contenders import save_contenders
 from lerobot_pneutac.verbs.diagnosis import Diagnosis
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
@@ -42,3 +47,40 @@ def diagnose(
 def cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@dataclass
+class DiagnoseConfig(TableOptions):
+    """Options of `pneutac diagnose`.
+
+    Attributes:
+        twin: folder of the twin, which is not changed.
+        recording: folder of a bench recording, or tables as `pneutac convert` reads them of the same finger,
+            arm or gel; or of a LeRobotDataset of demonstrations, or its name on the Hub.
+        task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
+        station: of demonstrations: `station.yaml` of the arm and its place; left out, the one that their
+            robot left in them, or the paper's.
+        out: folder for `result.json` and `report.html`.
+        jobs: number of processes; 0 for all cores.
+        seed: seed of the choice of what is held out, and of every bootstrap.
+    """
+
+    twin: Path
+    recording: Path
+    task: str = ""
+    station: Path | None = None
+    out: Path | None = None
+    jobs: int = 0
+    seed: int = 0
+
+
+def command(cfg: DiagnoseConfig, terminal: Terminal) -> None:
+    """Finds the physical effect that a twin lacks, its rivals and the next experiment."""
+    twin, recording = load_pair(cfg.twin, cfg.recording, "diagnose", cfg.task, cfg.station)
+    with terminal.progress() as progress:
+        result = diagnose(twin, recording, jobs=cfg.jobs, seed=cfg.seed, progress=progress)
+    if cfg.out is not None and recording.device != "gel":
+        result = result.save(cfg.out)
+    elif cfg.out is not None:
+        save_contenders(cfg.out, result.outcome.contenders)
+    terminal.finish(result, cfg.out)

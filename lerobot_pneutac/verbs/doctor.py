@@ -7,6 +7,11 @@ import shutil
 import sys
 from pathlib import Path
 
+from rich.markup import escape
+from rich.table import Table
+
+from lerobot_pneutac.cli.terminal import Terminal
+
 OK, NOTE, FAIL = "ok", "note", "missing"
 DEV = Path("/dev")
 Check = tuple[str, str, str, str]  # name, state, what was found, remedy
@@ -127,3 +132,22 @@ def check_all() -> list[Check]:
             name = check.__name__.removeprefix("check_")
             rows.append((name, FAIL, f"{type(e).__name__}: {e}", "install what is missing, then ask again"))
     return rows
+
+
+COLOURS = {OK: "green", NOTE: "yellow", FAIL: "red"}
+
+
+def command(argv: list[str], terminal: Terminal) -> None:
+    """Runs every check and prints one table; exits with 1 where something needed is missing."""
+    if argv in (["-h"], ["--help"]):
+        print("usage: pneutac doctor\n\nTells what is installed and what answers; takes no options.")
+        return
+    if argv:
+        sys.exit("pneutac doctor takes no options.")
+    rows = check_all()
+    table = Table("", "state", "found", "remedy", box=None, header_style="dim")
+    for name, state, found, remedy in rows:
+        table.add_row(name, f"[{COLOURS[state]}]{state}[/]", escape(found), escape(remedy))
+    terminal.console.print(table)
+    if any(state == FAIL for _, state, _, _ in rows):
+        sys.exit(1)

@@ -2,18 +2,25 @@
 
 import re
 from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
+from rich.table import Table
 
+from lerobot_pneutac.cli.options import parse_options
+from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.reports.colours import AFTER, BEFORE, COMMAND, MEASURED
 from lerobot_pneutac.reports.page import Report
-from lerobot_pneutac.verbs.effect_file import units
+from lerobot_pneutac.verbs.effect_file import effect_source, file_name, units
 from lerobot_pneutac.verbs.result import Result
 from pneutac_sim.effects.body_effect import BodyEffect
 from pneutac_sim.effects.effect import Effect
 from pneutac_sim.effects.laws import family, is_law, law_names
 from pneutac_sim.effects.registry import all_effects, get_effect, of_sensor
+from pneutac_sim.errors import InputError
+from pneutac_sim.files import write_text
 from pneutac_sim.twin import Twin, Value
 
 TIP = ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
@@ -177,3 +184,53 @@ def plain_equation(latex: str) -> str:
     text = re.sub(r"\^\{([^{}]*)\}", r"^(\1)", text)
     text = re.sub(r"\\(\w+)", r"\1", text).replace("{", "").replace("}", "")
     return " ".join(text.split())
+
+
+ACTIONS = "list, show NAME, export NAME --out=FILE"
+
+
+@dataclass
+class EffectsConfig:
+    """Options of `pneutac effects`.
+
+    Attributes:
+        out: folder for `result.json` and `report.html` (of `show`), or the Python file to write (of `export`;
+            where left out, the effect's name here).
+    """
+
+    names_a_file: ClassVar[bool] = True
+
+    out: Path | None = None
+
+
+def command(argv: list[str], terminal: Terminal) -> None:
+    """Lists, shows and exports the effects and laws that a twin may have, as files to begin with."""
+    action = argv[0] if argv else ""
+    if action in ("-h", "--help"):
+        print(f"usage: pneutac effects ACTION\n\nACTION is {ACTIONS}.\n")
+        parse_options(EffectsConfig, argv, "What a twin may have, and files to begin with.")
+    if action not in ("list", "show", "export"):
+        raise InputError(f"'{action}' is no action of effects; give one of {ACTIONS}.")
+    names = [] if action == "list" else argv[1:2]
+    if action != "list" and (not names or names[0].startswith("--")):
+        raise InputError(f"Name the effect: pneutac effects {action} NAME; `pneutac effects list` has all.")
+    cfg = parse_options(EffectsConfig, argv[1 + len(names) :])
+    if action == "list":
+        table = Table("name", "stage", "family", "equation")
+        for row in list_effects():
+            table.add_row(*row.values())
+        terminal.console.print(table)
+    elif action == "show":
+        if cfg.out is not None and cfg.out.is_file():
+            raise InputError(f"--out={cfg.out} is a file; give a folder.")
+        terminal.finish(show_effect(names[0]), cfg.out)
+    else:
+        _export(names[0], cfg.out or Path(f"{file_name(names[0])}.py"), terminal)
+
+
+def _export(name: str, out: Path, terminal: Terminal) -> None:
+    text = effect_source(name)
+    if out.suffix != ".py" or out.exists():
+        raise InputError(f"--out={out} must name a new file that ends in .py.")
+    write_text(out, text)
+    terminal.say(f"effect: {out}; its first lines say how a package offers it")

@@ -1,7 +1,10 @@
 """The versions of a twin, and the way back to one of them."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
+from lerobot_pneutac.cli.terminal import Terminal
+from lerobot_pneutac.verbs.report import report
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
 
@@ -33,3 +36,25 @@ def restore(folder: str | Path, version: int) -> Twin:
         folder, f"back to version {version}: {entry['change']}", entry.get("recording", ""), rest
     )
     return twin
+
+
+@dataclass
+class HistoryConfig:
+    """Options of `pneutac history`.
+
+    Attributes:
+        twin: folder of the twin.
+        restore: number of the version to go back to; it is written as the newest one, and nothing is lost.
+    """
+
+    twin: Path
+    restore: int | None = None
+
+
+def command(cfg: HistoryConfig, terminal: Terminal) -> None:
+    """Lists the versions of a twin, and goes back to one of them."""
+    twin = Twin.load(cfg.twin) if cfg.restore is None else restore(cfg.twin, cfg.restore)
+    terminal.show(report(twin))
+    if cfg.restore is not None:
+        number = twin.history[-1]["version"]
+        terminal.say(f"wrote version {number} of {cfg.twin}, equal to version {cfg.restore}")

@@ -3,16 +3,17 @@
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from lerobot_pneutac.diagnosis.design import NO_HANDS, Choice, Limits, choices
-from lerobot_pneutac.diagnosis.hands import Hands, instructions
 from lerobot_pneutac.diagnosis.programs import first_program
 from lerobot_pneutac.diagnosis.result import Candidate
+from lerobot_pneutac.cli.terminal import Terminal
+from lerobot_pneutac.diagnosis.hands import Hands, instructions, named
 from lerobot_pneutac.reports.learn_film import FORESEEN
 from lerobot_pneutac.study.pair import same_body, same_chambers
-from lerobot_pneutac.verbs.benches import Bench, save_program
+from lerobot_pneutac.verbs.benches import Bench, check_bench, make_bench, save_program
 from lerobot_pneutac.verbs.contenders import load_contenders
 from lerobot_pneutac.verbs.diagnose import diagnose
 from lerobot_pneutac.verbs.diagnosis import Diagnosis
@@ -21,7 +22,7 @@ from lerobot_pneutac.verbs.learning import CONFIRMS, Learning, Round
 from pneutac_datasets.recording.joined import joined
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.laws import family
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.files import whole, write_json
 from pneutac_sim.twin import Twin
 
@@ -294,3 +295,77 @@ def _families(contender: Candidate) -> set[str]:
 
 def _body(twin: Twin) -> tuple:
     return twin.device, twin.length_mm, twin.parameters, twin.effects
+
+
+@dataclass
+class LearnConfig:
+    """Options of `pneutac learn`.
+
+    Attributes:
+        twin: folder of the finger's or arm's twin, which is not changed.
+        out: folder of programs, recordings and the learnt twin; a call with a folder that holds rounds goes
+            on after them.
+        bench: `standin`, the finger or the arm that stands in for a real one, or `measure`, your bench.
+        measure: YAML file with the options of `pneutac measure` for your bench, without `program` and `out`.
+        hands: what a person may be asked to change: `none`, or `flip` (turn the base over), `payload` (hang a
+            weight at the tip) and `warm`, with commas; the stand-in does the first two by itself.
+        payload_g: weight that can be hung.
+        warm_c: to which the finger can be warmed.
+        budget_min: minutes of programs, together.
+        program_s: length of a program of the common kinds.
+        seed: seed of the choice of what is held out, and of the stand-in's noise.
+        jobs: number of threads of the search; 0 for all cores.
+    """
+
+    twin: Path
+    out: Path
+    bench: str = "standin"
+    measure: Path | None = None
+    hands: str = "none"
+    payload_g: float = 20.0
+    warm_c: float = 35.0
+    budget_min: float = 15.0
+    program_s: float = 60.0
+    seed: int = 0
+    jobs: int = 0
+
+    def __post_init__(self):
+        check_bench(self.bench, self.measure)
+        check_least(5, program_s=self.program_s)
+        check_least(1, payload_g=self.payload_g)
+
+
+def command(cfg: LearnConfig, terminal: Terminal) -> None:
+    """Asks the bench, program by program, until it is known what a twin lacks."""
+    from lerobot_robot_pneutac.hardware.parts import HardwareFault  # LeRobot, which the library does not need
+
+    twin = Twin.load(cfg.twin)
+    bench, usual = make_bench(cfg.measure, cfg.out, cfg.seed, twin.device)
+
+    def ask(sentence: str) -> None:
+        if cfg.measure is None:
+            return
+        try:
+            terminal.console.input(f"[yellow]{sentence}[/] Then press Enter: ")
+        except EOFError as e:
+            raise InputError(f"{sentence} Nobody answers; give --hands=none, or a terminal.") from e
+
+    hands = Hands.of(named(cfg.hands), usual, cfg.payload_g, cfg.warm_c, ask)
+
+    def tell(r: Round) -> None:
+        foreseen = "" if r.predicted_error is None else f", foreseen to {r.predicted_error:.3g}"
+        terminal.console.print(
+            f"round {r.number}, {r.program} ({r.seconds:.0f} s){foreseen}: {r.error:.3g} {r.unit} (noise "
+            f"{r.noise:.3g}) with {', '.join(r.selected) or 'nothing'}, {r.verdict}",
+            highlight=False,
+        )
+
+    try:
+        with terminal.progress() as progress:
+            result = learn(
+                twin, bench, cfg.out, budget_s=60 * cfg.budget_min, program_s=cfg.program_s, seed=cfg.seed,
+                jobs=cfg.jobs, hands=hands, progress=progress, on_round=tell,
+            )  # fmt: skip
+    except HardwareFault as e:
+        raise InputError(f"{e} Finished rounds are kept; the same command goes on after them.") from e
+    terminal.finish(result, cfg.out)

@@ -10,13 +10,16 @@ import numpy as np
 import pandas as pd
 from lerobot.cameras import Camera, make_cameras_from_configs
 
-from lerobot_pneutac.measuring.camera import Intrinsics, MarkerTracker
+from lerobot_pneutac.cli.terminal import Terminal
+from lerobot_pneutac.diagnosis.hands import instructions
+from lerobot_pneutac.measuring.camera import Intrinsics, MarkerTracker, calibrate_camera
 from lerobot_pneutac.measuring.options import STANDIN, MeasureConfig
 from lerobot_pneutac.measuring.programs import PressureTrial, read_program
 from lerobot_robot_pneutac.hardware.chambers import Chambers
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault
 from pneutac_datasets.recording.chambers import command_columns, device_with, measured_columns
 from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.errors import InputError
 from pneutac_sim.files import write_image
 
 BASE_IMAGES = 15
@@ -240,3 +243,46 @@ def _image(camera: Camera, name: str) -> np.ndarray:
         return camera.async_read(timeout_ms=FRAME_MS)
     except Exception as e:
         raise HardwareFault(f"The camera '{name}' gives no picture: {str(e).rstrip('.')}.") from e
+
+
+MOST_UNSEEN = 0.2  # share of a trial's images without the tip marker above which it is told
+MOST_MISSED = 0.1  # share of a trial's samples for which the cameras were too slow, likewise
+
+
+def command(config: MeasureConfig, terminal: Terminal) -> None:
+    """Drives a pressure program at the bench and writes what finger and gel did."""
+    if config.chessboard is not None:
+        camera, views = calibrate_camera(config.chessboard, config.corners, config.square_mm)
+        camera.save(config.intrinsics)
+        terminal.say(f"{config.intrinsics}: {views} photographs, error {camera.rms_px:.2f} px")
+        return
+    trials = 0
+
+    def start(number: int, seconds: float) -> None:
+        nonlocal trials
+        trials = number
+        terminal.say(f"{trials} trials, {seconds / 60:.1f} min; Ctrl-C keeps those that are finished.")
+
+    def show(note: TrialNote) -> None:
+        what = "kept" if note.seen else "left out"
+        terminal.say(f"trial {note.number + 1} of {trials}, {note.program}: {what}")
+        unseen, missed = 1 - note.seen / note.taken, 1 - note.taken / note.planned
+        if unseen > MOST_UNSEEN:
+            terminal.note(f"the tip marker was unseen in {100 * unseen:.0f} % of it")
+        if missed > MOST_MISSED:
+            terminal.note(f"{100 * missed:.0f} % of its samples are missing, the camera is slower than --hz")
+
+    for sentence in dict.fromkeys(s for t in program_of(config) for s in instructions({}, t.conditions)):
+        terminal.console.print(f"[yellow]first:[/] {sentence}", highlight=False)
+        if terminal.console.is_terminal:
+            terminal.console.input("Then press Enter: ")
+    try:
+        measure(config, start, show)
+    except HardwareFault as e:
+        raise InputError(str(e)) from e
+    finally:
+        kept = len(kept_trials(config.out))
+        if kept:
+            terminal.say(f"{config.out}: {kept} of {trials} trials")
+        elif trials:
+            terminal.say("No trial was finished; nothing is kept.")

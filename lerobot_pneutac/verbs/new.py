@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import shlex
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from rich.markup import escape
 
-from lerobot_pneutac.verbs.measured_range import measured_range
+from lerobot_pneutac.cli.options import TableOptions
+from lerobot_pneutac.cli.terminal import Terminal
+from lerobot_pneutac.verbs.measured_range import measured_range, range_sentence
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.errors import InputError
+from pneutac_datasets.recording.wording import an
+from pneutac_sim.errors import InputError, check_choice
+from pneutac_sim.files import check_writable
 from pneutac_sim.finger import Pipeline
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.twin import PAPER_FINGER, Twin, Value
+from pneutac_sim.twin import DEVICES, PAPER_FINGER, Twin, Value
 
 if TYPE_CHECKING:  # meshes are slow to import, and most twins have none
     from pneutac_sim.mpm.user_mesh import UserMesh
@@ -137,3 +143,72 @@ def write_geometry(twin: Twin, folder: Path) -> None:
     if twin.device == "finger" and stored_mesh(twin) is None:
         mount = digit_mount_mesh(1e-3 * twin.length_mm, 1e-3 * WIDTH_MM["finger"])
         mount.apply_scale(1000.0).export(folder / "mount.stl")
+
+
+@dataclass
+class NewConfig(TableOptions):
+    """Options of `pneutac new`.
+
+    Attributes:
+        twin: folder to write; it must not hold a twin yet.
+        device: `finger`, `arm` or `gel`; where left out, the recording's own, else a finger.
+        recording: bench recording whose recording.json gives the geometry, or tables as `pneutac convert`
+            reads them.
+        mesh: STL, OBJ or PLY of the soft body of a finger or an arm.
+        mesh_unit: unit of the mesh's coordinates, `mm` or `m`.
+        mesh_axis: axis along which the mesh lies, base first: `x`, `y` or `z`; where left out, its longest
+            side. Axes are renamed in cyclic order: along z it bends towards the file's y, along y towards x,
+            along x towards z.
+        length_mm: length of the straight device, where no mesh, recording or the paper's finger tells it.
+    """
+
+    twin: Path
+    device: str | None = None
+    recording: Path | None = None
+    mesh: Path | None = None
+    mesh_unit: str = "mm"
+    mesh_axis: str | None = None
+    length_mm: float | None = None
+
+    def __post_init__(self):
+        check_choice("device", self.device or DEVICES[0], DEVICES)
+        if self.mesh is None:
+            return
+        if self.device == "gel":
+            raise InputError("--mesh is of a finger or an arm; a gel's shape is its window, omit one.")
+        if self.length_mm is not None:
+            raise InputError("--length_mm is the mesh's own where --mesh is given; omit one.")
+
+
+def command(config: NewConfig, terminal: Terminal) -> None:
+    """Makes a twin from the parametric device, a mesh, or the geometry of a recording."""
+    if (config.twin / "twin.yaml").exists():
+        raise InputError(f"{config.twin} already holds a twin; choose another folder, or delete that one.")
+    check_writable(config.twin, f"--twin={config.twin}")
+    recording = Recording.load(config.recording) if config.recording is not None else None
+    if recording is not None and config.device not in (None, recording.device):
+        raise InputError(
+            f"--device is '{config.device}', but {config.recording} is of {an(recording.device)}; omit one."
+        )
+    if (
+        recording is not None
+        and recording.meta.get("source")
+        and not (recording.length_mm or config.length_mm)
+    ):
+        raise InputError(f"Give --length_mm: nothing in {config.recording} tells how long the device is.")
+    device = config.device or (recording.device if recording else "finger")
+    body = None
+    if config.mesh is not None:
+        body = read_body(config.mesh, device, recording, config.mesh_unit, config.mesh_axis)
+    twin = new_twin(device, recording, config.length_mm, body)
+    write_geometry(twin, twin.save(config.twin))
+    if body is not None:
+        terminal.say(f"{config.mesh}: {mesh_sentence(body)}")
+        for note in body.notes:
+            terminal.say(f"[yellow]{escape(str(config.mesh))}:[/] {note}", markup=True)
+    if recording is not None and twin.device != "gel" and measured_range(recording):
+        terminal.say(range_sentence(twin.pressure_range_kpa))
+    joints = len(twin.spine_joint_positions_mm)
+    shape = f", {twin.length_mm:g} mm long with {joints} spine joints" if joints else ""
+    fit = ["pneutac", "calibrate", f"--twin={config.twin}", f"--recording={config.recording or 'DIR'}"]
+    terminal.say(f"{config.twin} holds a new {twin.device}{shape}. Next: `{shlex.join(fit)}`")

@@ -1,5 +1,6 @@
 """Pictures and a film of a finger, arm or gel of material points under load."""
 
+import json
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -7,10 +8,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.rendering.film import Film
 from lerobot_pneutac.rendering.options import FPS, RenderConfig, filled
 from lerobot_pneutac.reports.page import Report, write_result
 from lerobot_pneutac.verbs.result import Result, about
+from pneutac_sim.errors import InputError
 from pneutac_sim.files import write_image
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
@@ -105,3 +108,32 @@ def _write(film: Film, pictures: list[np.ndarray], result: RenderedFilm, out: Pa
             report.image(np.asarray(Image.open(out / row["picture"])), row["picture"])
         report.write(out)
     write_result(out, result.to_dict())
+
+
+# What helps where no equilibrium is found.
+BODY_REMEDY = "give lower --pressure_kpa, more --particles, or a thicker mesh where the twin has its own"
+GEL_REMEDY = "press less deep with --depth_mm, or give a larger indenter with --size_mm"
+
+
+def command(config: RenderConfig, terminal: Terminal) -> None:
+    """Draws a finger, arm or gel of material points under load, as pictures and a film.
+
+    What is finished is kept and shown where it is interrupted.
+    """
+    twin = Twin.load(config.twin)
+    config = filled(config, twin)
+    with terminal.console.status("building the body"):
+        film = make_film(twin, config)
+    from pneutac_sim.mpm.solve import MpmDiverged
+
+    try:
+        with terminal.progress() as progress:
+            draw_film(film, config.out, progress)
+    except MpmDiverged as e:
+        remedy = GEL_REMEDY if twin.device == "gel" else BODY_REMEDY
+        raise InputError(f"{e.finding}; {remedy}.") from e
+    finally:
+        result = RenderedFilm(**json.loads((config.out / "result.json").read_text()))
+        terminal.show(result)
+        end = "" if result.complete else f" (stopped after {result.frames} pictures of the film)"
+        terminal.say(f"{config.out / (result.film or 'result.json')}{end}")

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.wording import an
@@ -278,3 +279,47 @@ def _write_card(trained: TrainedNetworks, folder: Path) -> None:
 
 def _sem(x: float | None, digits: int) -> str:
     return "" if x is None else f" ± {x:.{digits}f}"
+
+
+@dataclass
+class SurrogateConfig:
+    """Options of `pneutac surrogate`.
+
+    Attributes:
+        twin: folder of a finger's twin; the networks are written into it.
+        trajectories: number of motions of the full finger; two sixths of them are held out.
+        seconds: length of each motion.
+        contacts: number of presses on the full gel; of two kinds of indenter all are held out.
+        particles: number of material points of the finger, about.
+        fresh: training also where the networks that are shipped were trained for such a finger and gel.
+        device: `auto`, `cpu` or `cuda`.
+        seed: seed of programs, contacts and weights.
+        out: folder for `result.json` and `report.html`; nothing is written without it.
+    """
+
+    twin: Path
+    trajectories: int = 12
+    seconds: float = 0.5
+    contacts: int = 24
+    particles: int = 4000
+    fresh: bool = False
+    device: str = "auto"
+    seed: int = 0
+    out: Path | None = None
+
+
+def command(config: SurrogateConfig, terminal: Terminal) -> None:
+    """Trains the networks in place of a twin's material points, from full simulations."""
+    twin = Twin.load(config.twin)
+    collection = Collection(
+        config.trajectories, config.seconds, config.contacts, config.particles, config.seed
+    )
+    minutes = collection.minutes(twin, config.fresh)
+    if minutes:
+        terminal.say(
+            f"Full simulations and training: about {max(1, round(minutes))} min on two cores of their own."
+        )
+    with terminal.progress() as progress:
+        trained = train_networks(twin, config.twin, collection, config.fresh, config.device, progress)
+    terminal.finish(trained, config.out)
+    terminal.say(f"networks and {CARD} are in {config.twin}")

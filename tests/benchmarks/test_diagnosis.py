@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from lerobot_pneutac.cli import benchmark
+from lerobot_pneutac.cli import run_verb
 from pneutac_benchmarks.diagnosis import (
     hidden,
     main,
@@ -88,7 +88,7 @@ def test_a_case_is_solved_blindly_and_kept(tmp_path, monkeypatch):
     assert kept["truth"]["effects"] == [] and kept["verdict"] in ("adequate", "ambiguous")
     monkeypatch.setattr(hidden, "cases", lambda cfg: [case])
     monkeypatch.setattr(main, "solve", None)
-    benchmark.main(["diagnosis", "--set=hidden", f"--out={out}"])
+    run_verb("benchmark", ["diagnosis", "--set=hidden", f"--out={out}"])
     assert (out / "table.md").is_file() and (out / "confusion.png").is_file()
 
 
@@ -288,4 +288,4 @@ def test_options_are_told_what_is_right():
 
 def test_other_tables_say_so_in_one_sentence():
     with pytest.raises(InputError, match="no benchmark; give one of diagnosis"):
-        benchmark.main(["cooking"])
+        run_verb("benchmark", ["cooking"])

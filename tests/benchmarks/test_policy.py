@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lerobot_pneutac.cli import benchmark
+from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.cli.options import parse_options
 from pneutac_benchmarks.policy import run as benchmark_policy_run
 from pneutac_benchmarks.policy.main import BenchmarkPolicyConfig
@@ -168,7 +168,7 @@ def test_a_fault_writes_the_table_and_ends_the_command_with_an_error(tmp_path, m
     monkeypatch.setattr(benchmark_policy_run, "run_units", faulty)
     argv = ["--conditions=[real]", "--tasks=[switch]", "--seeds=[0]", "--device=cpu", f"--out={tmp_path}"]
     with pytest.raises(InputError, match="switch/0/x ended in a fault"):
-        benchmark.main(["policy", *argv])
+        run_verb("benchmark", ["policy", *argv])
     assert "OSError: full" in (tmp_path / "table.md").read_text()
 
 
@@ -188,7 +188,7 @@ def test_a_killed_benchmark_goes_on_to_all_six_conditions(tmp_path):
             time.sleep(0.05)
         os.kill(process.pid, signal.SIGKILL)
     kept = first.read_text()
-    benchmark.main(["policy", *argv])
+    run_verb("benchmark", ["policy", *argv])
     assert first.read_text() == kept  # not recorded again
     result = json.loads((tmp_path / "result.json").read_text())
     assert set(result["success"]) == set(CONDITIONS)

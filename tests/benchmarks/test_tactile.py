@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from lerobot_pneutac.cli.benchmark import main
+from lerobot_pneutac.cli import run_verb
 from pneutac_benchmarks.tactile import methods as methods
 from pneutac_benchmarks.tactile.main import measure
 from pneutac_benchmarks.tactile.methods import FOUND_ALONE, METHODS, makes_for
@@ -42,7 +42,7 @@ def data(tmp_path_factory):
 def out(data, tmp_path_factory):
     """Where the verb was run once."""
     folder = tmp_path_factory.mktemp("out")
-    main(["tactile", f"--data={data}", f"--methods={FAST}", f"--out={folder}"])
+    run_verb("benchmark", ["tactile", f"--data={data}", f"--methods={FAST}", f"--out={folder}"])
     return folder
 
 
@@ -90,7 +90,7 @@ def test_the_second_run_measures_nothing_and_prints_what_result_json_holds(data,
         monkeypatch.setitem(METHODS, key, replace(METHODS[key], fit=fail))
     monkeypatch.setattr(methods, "own_gel", fail)
     monkeypatch.setenv("COLUMNS", "160")
-    main(["tactile", f"--data={data}", f"--methods={FAST}", f"--out={out}"])
+    run_verb("benchmark", ["tactile", f"--data={data}", f"--methods={FAST}", f"--out={out}"])
     said, table = capsys.readouterr().out, (out / "table.md").read_text()
     assert " 0 to do" in said and result(out) == before
     for name, content in before["sets"].items():
@@ -107,11 +107,11 @@ def test_changed_images_are_measured_again(data, tmp_path, capsys):
     copy, out = tmp_path / "data", tmp_path / "out"
     shutil.copytree(data, copy)
     argv = ["tactile", f"--data={copy}", "--methods=rest", f"--out={out}"]
-    main(argv)
+    run_verb("benchmark", argv)
     before = result(out)["sets"]
     file = copy / "second" / "images" / "ball_1.png"
     Image.fromarray(255 - np.asarray(Image.open(file))).save(file)
-    main(argv)
+    run_verb("benchmark", argv)
     assert ", 1 to do" in capsys.readouterr().out
     after = result(out)["sets"]
     assert after["first"] == before["first"]
@@ -175,25 +175,25 @@ def test_pictured_images_spread_from_the_best_to_the_worst():
 )
 def test_bad_options_end_in_one_sentence(data, tmp_path, options, says):
     with pytest.raises(InputError, match=says) as e:
-        main(["tactile", f"--data={data}", f"--out={tmp_path / 'out'}", *options])
+        run_verb("benchmark", ["tactile", f"--data={data}", f"--out={tmp_path / 'out'}", *options])
     assert "\n" not in str(e.value)
 
 
 def test_bad_folders_end_in_one_sentence(data, tmp_path, monkeypatch):
     monkeypatch.delenv("PNEUTAC_DATA", raising=False)
     with pytest.raises(InputError, match="^--data is not given; .* set PNEUTAC_DATA"):
-        main(["tactile"])
+        run_verb("benchmark", ["tactile"])
     with pytest.raises(InputError, match="whose device is 'gel'"):
-        main(["tactile", f"--data={data / 'first'}"])
+        run_verb("benchmark", ["tactile", f"--data={data / 'first'}"])
     with pytest.raises(InputError, match="is a file"):
-        main(["tactile", f"--data={data}", f"--out={data / 'first' / 'rest.png'}"])
+        run_verb("benchmark", ["tactile", f"--data={data}", f"--out={data / 'first' / 'rest.png'}"])
     shutil.copytree(data / "first", tmp_path / "data" / "bare")
     recording = Recording.load(tmp_path / "data" / "bare")
     for roles, says in (("calibration", "bare has no held-out image"), ("heldout", "bare.*no row with role")):
         recording.samples["role"] = roles
         recording.write(tmp_path / "data" / "bare")
         with pytest.raises(InputError, match=says):
-            main(["tactile", f"--data={tmp_path / 'data'}", f"--out={tmp_path / 'out'}"])
+            run_verb("benchmark", ["tactile", f"--data={tmp_path / 'data'}", f"--out={tmp_path / 'out'}"])
 
 
 def test_a_pair_that_shows_no_contact_is_named(data, tmp_path):

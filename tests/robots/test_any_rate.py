@@ -12,7 +12,7 @@ from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata, io_utils
 from lerobot.policies import make_policy
 from lerobot.utils.constants import OBS_STATE
 
-from lerobot_pneutac.cli import check as verb
+from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment
 from lerobot_pneutac.verbs.check import check_path
 from lerobot_robot_pneutac.cameras.simulated import PneutacSceneConfig
@@ -60,7 +60,7 @@ def test_30_hz_are_recorded_checked_augmented_and_learnt(station, recorded, tmp_
     state = np.stack(first[OBS_STATE])
     speed = np.linalg.norm(np.diff(state[:, EE], axis=0), axis=1) * 30
     assert 0.06 < np.quantile(speed, 0.95) < 0.11  # m/s, as at any rate
-    verb.main([str(recorded), f"--station={station}"])
+    run_verb("check", [str(recorded), f"--station={station}"])
     assert "good" in capsys.readouterr().out
 
     options = {

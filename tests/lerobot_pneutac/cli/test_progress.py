@@ -4,8 +4,8 @@ import io
 
 from rich.console import Console
 
-from lerobot_pneutac.cli import progress as module
-from lerobot_pneutac.cli.progress import progress_bar
+from lerobot_pneutac.cli import terminal as module
+from lerobot_pneutac.cli.terminal import progress_bar
 from lerobot_pneutac.diagnosis.steps import Steps
 
 

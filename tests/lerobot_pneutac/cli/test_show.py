@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import pytest
 from rich.console import Console
 
-from lerobot_pneutac.cli.show import show
+from lerobot_pneutac.cli.terminal import show
 from lerobot_pneutac.verbs.result import Result
 from pneutac_sim.errors import InputError
 

@@ -9,7 +9,7 @@ import torch
 
 pytest.importorskip("stable_baselines3", reason="PPO needs the extra 'rl' (stable-baselines3)")
 
-from lerobot_pneutac.cli import ppo as ppo_command
+from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.rl.actor import Actor, try_actor
 from lerobot_pneutac.rl.env import PpoEnv
 from lerobot_pneutac.rl.options import StudentRef
@@ -157,7 +157,7 @@ def test_damaged_files_are_refused(trained, tmp_path):
 )
 def test_bad_options_are_refused(tmp_path, options, match):
     with pytest.raises(InputError, match=match):
-        ppo_command.main(([f"--out={tmp_path / 'a'}"] if options else []) + options)
+        run_verb("ppo", ([f"--out={tmp_path / 'a'}"] if options else []) + options)
     assert not (tmp_path / "a").exists()
 
 

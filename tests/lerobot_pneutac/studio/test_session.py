@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from lerobot_pneutac.cli.studio import main
+from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.studio.session import Session
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
@@ -43,7 +43,7 @@ def test_looking_writes_nothing_and_going_back_loses_nothing(folder):
 
 def test_a_misspelt_twin_is_told_before_there_is_an_address(tmp_path, capsys):
     with pytest.raises(InputError, match="no twin at"):
-        main([f"--twin={tmp_path / 'nothing'}", "--port=0"])
+        run_verb("studio", [f"--twin={tmp_path / 'nothing'}", "--port=0"])
     assert capsys.readouterr().out == ""
 
 

@@ -6,8 +6,7 @@ import pytest
 from generated import once
 
 from lerobot_pneutac import add, compare, diagnose
-from lerobot_pneutac.cli import add as verb
-from lerobot_pneutac.cli import calibrate
+from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.add import Addition
 from lerobot_pneutac.verbs.found import BEFORE, FOUND
 from pneutac_datasets.generate.gel import write_gel_recording
@@ -29,7 +28,7 @@ def pair(tmp_path_factory):
 
 def test_adding_the_hidden_effect_writes_the_next_version(pair, tmp_path):
     twin, recording = pair
-    verb.main([f"--twin={twin}", f"--recording={recording}", "--effect=creep", f"--out={tmp_path}"])
+    run_verb("add", [f"--twin={twin}", f"--recording={recording}", "--effect=creep", f"--out={tmp_path}"])
     result = json.loads((tmp_path / "result.json").read_text())
     assert result["after"]["heldout"] < 0.5 * result["before"]["heldout"]
     assert result["after"]["heldout_ci95"][1] < result["before"]["heldout_ci95"][0]
@@ -41,7 +40,7 @@ def test_adding_the_hidden_effect_writes_the_next_version(pair, tmp_path):
     assert new.history[-1]["heldout"] == pytest.approx(result["after"]["heldout"])
     assert (twin / "history" / "000" / "twin.yaml").is_file()
     with pytest.raises(InputError, match="has the effect 'creep' already"):
-        verb.main([f"--twin={twin}", f"--recording={recording}", "--effect=creep"])
+        run_verb("add", [f"--twin={twin}", f"--recording={recording}", "--effect=creep"])
 
 
 def test_what_speaks_against_a_diagnosis_is_told_where_its_finding_is_added(pair, tmp_path):
@@ -80,7 +79,7 @@ def test_what_the_data_check_found_is_told(pair, tmp_path, capsys):
     r.samples = r.samples.drop(columns=["pressure_kpa"])
     r.write(tmp_path / "blind")
     twin = Twin("finger", r.length_mm, r.spine_joint_positions_mm).save(tmp_path / "twin")
-    verb.main([f"--twin={twin}", f"--recording={tmp_path / 'blind'}", "--effect=creep"])
+    run_verb("add", [f"--twin={twin}", f"--recording={tmp_path / 'blind'}", "--effect=creep"])
     said = " ".join(capsys.readouterr().out.split())
     assert "There is no measured pressure" in said and "the test error falls from" in said
 
@@ -93,7 +92,7 @@ def test_an_effect_that_does_not_help_is_refused_with_numbers(pair, tmp_path):
     with pytest.raises(
         InputError, match="Not added: leak changes nothing; its constants end where it does nothing"
     ):
-        verb.main([f"--twin={twin}", f"--recording={recording}", "--effect=leak"])
+        run_verb("add", [f"--twin={twin}", f"--recording={recording}", "--effect=leak"])
     assert (twin / "twin.yaml").read_text() == before and not (twin / "history").exists()
 
 
@@ -145,12 +144,15 @@ def test_a_diagnosis_and_its_addition_report_the_same_errors_of_the_same_blocks(
 def test_unknown_effect_lists_the_valid_ones(pair):
     twin, recording = pair
     with pytest.raises(InputError, match="no effect 'crep'.*creep"):
-        verb.main([f"--twin={twin}", f"--recording={recording}", "--effect=crep"])
+        run_verb("add", [f"--twin={twin}", f"--recording={recording}", "--effect=crep"])
 
 
 def test_a_gels_diagnosis_in_a_folder_is_refused(tmp_path):
     write_gel_recording(tmp_path / "recording", seed=0, heldout=3)
-    calibrate.main([f"--twin={tmp_path / 'twin'}", f"--recording={tmp_path / 'recording'}", "--effects=none"])
+    run_verb(
+        "calibrate",
+        [f"--twin={tmp_path / 'twin'}", f"--recording={tmp_path / 'recording'}", "--effects=none"],
+    )
     recording, twin = Recording.load(tmp_path / "recording"), Twin.load(tmp_path / "twin")
     for name in (BEFORE, FOUND):
         twin.save(tmp_path / "d" / name)
@@ -167,7 +169,7 @@ def test_an_effect_without_its_column_is_refused(pair, tmp_path):
     r.write(tmp_path / "cold")
     twin = Twin("finger", r.length_mm, r.spine_joint_positions_mm).save(tmp_path / "twin")
     with pytest.raises(InputError, match="record column temperature_c"):
-        verb.main([f"--twin={twin}", f"--recording={tmp_path / 'cold'}", "--effect=thermal"])
+        run_verb("add", [f"--twin={twin}", f"--recording={tmp_path / 'cold'}", "--effect=thermal"])
 
 
 def test_every_verb_sees_the_fall_of_a_pneumatic_effect(tmp_path):
@@ -175,7 +177,7 @@ def test_every_verb_sees_the_fall_of_a_pneumatic_effect(tmp_path):
     once(generate, ["valve_lag"], tmp_path / "recording", 5004, minutes=3.0, hz=10)
     recording = Recording.load(tmp_path / "recording")
     folder = Twin("finger", recording.length_mm, recording.spine_joint_positions_mm).save(tmp_path / "twin")
-    calibrate.main([f"--twin={folder}", f"--recording={recording.folder}"])
+    run_verb("calibrate", [f"--twin={folder}", f"--recording={recording.folder}"])
 
     def heldout():
         twin = Twin.load(folder)
@@ -183,7 +185,7 @@ def test_every_verb_sees_the_fall_of_a_pneumatic_effect(tmp_path):
 
     plain = heldout()
     assert Twin.load(folder).history[-1]["heldout"] == pytest.approx(plain, rel=0.02)
-    verb.main([f"--twin={folder}", f"--recording={recording.folder}", "--effect=valve_lag"])
+    run_verb("add", [f"--twin={folder}", f"--recording={recording.folder}", "--effect=valve_lag"])
     assert heldout() < 0.5 * plain
 
 

@@ -14,7 +14,7 @@ import pytest
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata, merge_datasets
 from lerobot.utils.constants import ACTION, OBS_STATE
 
-from lerobot_pneutac.cli import augment as verb
+from lerobot_pneutac.cli import run_verb
 from lerobot_robot_pneutac.cameras.simulated import PneutacSceneConfig
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
@@ -83,7 +83,7 @@ def made(recorded, tmp_path_factory):
     checks = ["--check_mpm=2", f"--out={folder / 'report'}"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(check, "checking_world", lambda setup, real=check.checking_world: real(setup, "probe"))
-        verb.main(options(recorded, folder / "more", "--episodes=3", "--seed=5", *checks))
+        run_verb("augment", options(recorded, folder / "more", "--episodes=3", "--seed=5", *checks))
     return folder
 
 
@@ -106,14 +106,14 @@ def test_the_task_is_the_one_that_the_instruction_names(recorded, tmp_path, inst
 
     monkeypatch.setattr(run, "augment_guided", plan)
     with pytest.raises(InputError, match=found):
-        verb.main(options(root, tmp_path / "more"))
+        run_verb("augment", options(root, tmp_path / "more"))
 
 
 @pytest.mark.parametrize("method", ["tactile", "naive"])
 def test_an_output_that_exists_is_refused_before_anything_is_read(tmp_path, method):
     (tmp_path / "more").mkdir()
     with pytest.raises(InputError, match="more' exists; give a new folder"):
-        verb.main(options(tmp_path / "not there", tmp_path / "more", f"--method={method}"))
+        run_verb("augment", options(tmp_path / "not there", tmp_path / "more", f"--method={method}"))
 
 
 def test_output_has_the_sources_features_and_merges(recorded, made, tmp_path):
@@ -186,11 +186,11 @@ def command(recorded, out) -> list[str]:
     code = f"""
 import sys
 from functools import partialmethod
-from lerobot_pneutac.cli.augment import main
+from lerobot_pneutac.cli import run_verb
 from pneutac_datasets.demonstrations.augment.episode import AugmentSetup
 
 AugmentSetup.__init__ = partialmethod(AugmentSetup.__init__, candidates={FEW})
-main(sys.argv[1:])
+run_verb("augment", sys.argv[1:])
 """
     return [sys.executable, "-c", code, *options(recorded, out, "--episodes=3", "--seed=5")]
 
@@ -208,8 +208,8 @@ def test_killed_and_resumed_equals_uninterrupted(recorded, made, tmp_path):
     assert not out.exists()
     assert list(work.glob("episode_*.npz"))
     with pytest.raises(InputError, match="another seed; delete that folder"):
-        verb.main(options(recorded, out, "--episodes=3", "--seed=6"))
-    verb.main(options(recorded, out, "--episodes=3", "--seed=5"))
+        run_verb("augment", options(recorded, out, "--episodes=3", "--seed=6"))
+    run_verb("augment", options(recorded, out, "--episodes=3", "--seed=5"))
     for one, two in zip(table(made / "more"), table(out), strict=True):
         np.testing.assert_array_equal(one, two)
     name = "meta/provenance.jsonl"
@@ -218,7 +218,7 @@ def test_killed_and_resumed_equals_uninterrupted(recorded, made, tmp_path):
 
 
 def test_naive_through_the_same_verb(recorded, tmp_path):
-    verb.main(options(recorded, tmp_path / "naive", "--episodes=2", "--method=naive"))
+    run_verb("augment", options(recorded, tmp_path / "naive", "--episodes=2", "--method=naive"))
     assert LeRobotDatasetMetadata("local/naive", tmp_path / "naive").total_episodes == 2
     lines = (tmp_path / "naive" / "meta" / "provenance.jsonl").read_text().splitlines()
     assert [json.loads(x)["source_episode"] for x in lines] == [0, 1]
@@ -227,7 +227,7 @@ def test_naive_through_the_same_verb(recorded, tmp_path):
 def test_bad_input_is_named(recorded, made, tmp_path):
     def refused(*more, match):
         with pytest.raises(InputError, match=match):
-            verb.main(options(recorded, tmp_path / "o", *more))
+            run_verb("augment", options(recorded, tmp_path / "o", *more))
 
     refused("--task=bottle", match="^task is 'bottle'; it must be one of switch, egg, card")
     refused("--method=magic", match="^method is 'magic'; it must be one of library, expert, planner, naive")
@@ -237,7 +237,7 @@ def test_bad_input_is_named(recorded, made, tmp_path):
     refused(f"--dataset.root={tmp_path / 'none'}", match="holds no LeRobotDataset")
     refused(f"--output.root={made / 'more'}", match="exists; give a new folder")
     with pytest.raises(InputError, match="^Give --dataset.repo_id=TEXT and --dataset.root=PATH;"):
-        verb.main(["--output.repo_id=local/o", f"--output.root={tmp_path / 'o'}"])
+        run_verb("augment", ["--output.repo_id=local/o", f"--output.root={tmp_path / 'o'}"])
     features = LeRobotDatasetMetadata("local/demos", recorded).features
     ours = {k: features[k] for k in (OBS_STATE, ACTION, TACTILE)}
     for name, fps, chosen, match in (
@@ -314,4 +314,4 @@ def test_what_differs_is_measured_and_what_was_checked_is_not_checked_again(tmp_
 )
 def test_checks_that_cannot_be_are_refused(tmp_path, more, says):
     with pytest.raises(InputError, match=says):
-        verb.main(options(tmp_path / "demos", tmp_path / "new", *more))
+        run_verb("augment", options(tmp_path / "demos", tmp_path / "new", *more))

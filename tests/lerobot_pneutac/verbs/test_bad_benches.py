@@ -103,7 +103,7 @@ def test_a_fit_that_is_worse_than_the_twin_was_is_not_stored(twin, tmp_path, mon
     object.__setattr__(found, "before", found.error["heldout"] / 1.5)
     with pytest.raises(InputError, match=r"Nothing was stored: .* and the twin as it was by"):
         found.save(copy)
-    monkeypatch.setattr("lerobot_pneutac.cli.calibrate.calibrate", lambda *a, **k: found)
+    monkeypatch.setattr("lerobot_pneutac.verbs.calibrate.calibrate", lambda *a, **k: found)
     argv = ["pneutac", "calibrate", f"--twin={copy}", f"--recording={folder}", f"--out={tmp_path / 'out'}"]
     monkeypatch.setattr(sys, "argv", argv)
     with pytest.raises(SystemExit, match="Nothing was stored"):

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from lerobot_pneutac.cli.calibrate import main
-from lerobot_pneutac.cli.new import main as new_verb
+from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.study.pasted import shift
 from lerobot_pneutac.verbs.calibrate import calibrate
 from lerobot_pneutac.verbs.fit_gel import MPM, OURS, REST, render, scores_of
@@ -58,7 +57,7 @@ def recording(generated, tmp_path):
 
 
 def run(twin, recording, *more):
-    main([f"--twin={twin}", f"--recording={recording}", *more])
+    run_verb("calibrate", [f"--twin={twin}", f"--recording={recording}", *more])
 
 
 def test_generated_pair_beats_rest_and_pasted_difference_on_held_out_images(out):
@@ -120,7 +119,7 @@ def test_effects_asked_for_are_fitted_and_kept_at_the_next_calibration(generated
 
 
 def test_the_optics_that_new_writes_are_no_findings(generated, twin, tmp_path):
-    new_verb([f"--twin={tmp_path / 'twin'}", f"--recording={generated}"])
+    run_verb("new", [f"--twin={tmp_path / 'twin'}", f"--recording={generated}"])
     run(tmp_path / "twin", generated)
     begun, alone = Twin.load(tmp_path / "twin"), Twin.load(twin)
     assert set(begun.effects) == set(alone.effects) == ONE_PRESS
@@ -152,12 +151,12 @@ def test_lights_are_kept_and_recognised_by_the_next_calibration(generated, tmp_p
 
 def test_without_a_recording_the_output_says_that_the_images_are_generated(tmp_path, capsys, monkeypatch):
     monkeypatch.delenv("PNEUTAC_DATA", raising=False)
-    main([f"--twin={tmp_path / 'twin'}", f"--out={tmp_path / 'out'}", "--effects=none"])
+    run_verb("calibrate", [f"--twin={tmp_path / 'twin'}", f"--out={tmp_path / 'out'}", "--effects=none"])
     said = capsys.readouterr().out
     assert "GENERATED images, not photographs" in said and "real tactile" not in said
     assert Twin.load(tmp_path / "twin").history[-1]["recording"] == "generated images (seed 0)"
     with pytest.raises(InputError, match="Give --recording=DIR: which measurement"):
-        main([f"--twin={tmp_path / 'twin'}"])
+        run_verb("calibrate", [f"--twin={tmp_path / 'twin'}"])
     page = (tmp_path / "out" / "report.html").read_text()
     assert "from two photographs" not in page and "Above real" not in page
     assert f"--out={tmp_path / 'out'}" in page and "/generated" not in page
@@ -299,7 +298,7 @@ def test_bad_options_get_one_sentence(generated, tmp_path):
         ([f"--twin={tmp_path}", f"--out={generated / 'rest.png'}"], "is a file"),
     ]:
         with pytest.raises(InputError, match=says) as e:
-            main(argv)
+            run_verb("calibrate", argv)
         assert "\n" not in str(e.value)
 
 

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from generated import once
 
-from lerobot_pneutac.cli import compare, new
+from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.reports.compare import heat_map
 from lerobot_pneutac.reports.compare_sentence import phrase
 from lerobot_pneutac.verbs.compare_body import compare_body, train_mask
@@ -33,7 +33,7 @@ def bench(tmp_path_factory):
     root = tmp_path_factory.mktemp("bench")
     for name in ("none", "creep"):
         once(generate, name, root / name, seed=3, minutes=2, hz=20)
-    new.main([f"--twin={root / 'twin'}", f"--recording={root / 'none'}"])
+    run_verb("new", [f"--twin={root / 'twin'}", f"--recording={root / 'none'}"])
     r = Recording.load(root / "none")
     found = calibrate_body(Twin.load(root / "twin"), r)
     found.twin.save_version(
@@ -43,7 +43,7 @@ def bench(tmp_path_factory):
 
 
 def run(bench, recording, out):
-    compare.main([f"--twin={bench / 'twin'}", f"--recording={bench / recording}", f"--out={out}"])
+    run_verb("compare", [f"--twin={bench / 'twin'}", f"--recording={bench / recording}", f"--out={out}"])
     return json.loads((out / "result.json").read_text())
 
 
@@ -106,8 +106,9 @@ def test_samples_beyond_the_training_of_the_action_network_are_told(bench, tmp_p
         file = own.save(tmp_path / "action.safetensors")
         twin.networks = {"action": file}
         twin.save(tmp_path / "twin")
-        compare.main(
-            [f"--twin={tmp_path / 'twin'}", f"--recording={bench / 'none'}", f"--out={tmp_path / 'o'}"]
+        run_verb(
+            "compare",
+            [f"--twin={tmp_path / 'twin'}", f"--recording={bench / 'none'}", f"--out={tmp_path / 'o'}"],
         )
         return json.loads((tmp_path / "o" / "result.json").read_text())
 
@@ -176,29 +177,29 @@ def test_new_takes_the_geometry_and_never_overwrites(bench, tmp_path):
     assert twin.spine_joint_positions_mm == pytest.approx(meta["spine_joint_positions_mm"])
     before = (bench / "twin" / "twin.yaml").read_bytes()
     with pytest.raises(InputError, match="already holds a twin"):
-        new.main([f"--twin={bench / 'twin'}", "--device=finger"])
+        run_verb("new", [f"--twin={bench / 'twin'}", "--device=finger"])
     assert (bench / "twin" / "twin.yaml").read_bytes() == before
     for device, joints in (("finger", 4), ("arm", 6), ("gel", 0)):
-        new.main([f"--twin={tmp_path / device}", f"--device={device}"])
+        run_verb("new", [f"--twin={tmp_path / device}", f"--device={device}"])
         made = Twin.load(tmp_path / device)
         assert made.device == device and len(made.spine_joint_positions_mm) == joints
     with pytest.raises(InputError, match="must be one of finger, arm, gel"):
-        new.main([f"--twin={tmp_path / 'x'}", "--device=claw"])
+        run_verb("new", [f"--twin={tmp_path / 'x'}", "--device=claw"])
     with pytest.raises(InputError, match="omit one"):
-        new.main([f"--twin={tmp_path / 'x'}", "--device=arm", f"--recording={bench / 'none'}"])
+        run_verb("new", [f"--twin={tmp_path / 'x'}", "--device=arm", f"--recording={bench / 'none'}"])
 
 
 @pytest.mark.slow
 def test_bad_input_is_refused_before_work_starts(bench, tmp_path):
-    new.main([f"--twin={tmp_path / 'arm'}", "--device=arm"])
+    run_verb("new", [f"--twin={tmp_path / 'arm'}", "--device=arm"])
     with pytest.raises(InputError, match="is of a finger and .* of an arm; compare .* own device"):
-        compare.main([f"--twin={tmp_path / 'arm'}", f"--recording={bench / 'none'}"])
+        run_verb("compare", [f"--twin={tmp_path / 'arm'}", f"--recording={bench / 'none'}"])
     with pytest.raises(InputError, match="There is no twin"):
-        compare.main([f"--twin={tmp_path / 'nothing'}", f"--recording={bench / 'none'}"])
+        run_verb("compare", [f"--twin={tmp_path / 'nothing'}", f"--recording={bench / 'none'}"])
     with pytest.raises(InputError, match="no bench recording"):
-        compare.main([f"--twin={bench / 'twin'}", f"--recording={tmp_path / 'nothing'}"])
+        run_verb("compare", [f"--twin={bench / 'twin'}", f"--recording={tmp_path / 'nothing'}"])
     with pytest.raises(InputError, match="Give --recording=PATH; --help"):
-        compare.main([f"--twin={bench / 'twin'}"])
+        run_verb("compare", [f"--twin={bench / 'twin'}"])
 
 
 @pytest.mark.slow
@@ -206,7 +207,9 @@ def test_bad_input_is_refused_before_work_starts(bench, tmp_path):
 def test_the_poorest_recording_still_compares(bench, tmp_path, rows):
     r = Recording.load(bench / "none")
     r.keep(np.arange(len(r)) < rows).write(tmp_path / "poor")
-    compare.main([f"--twin={bench / 'twin'}", f"--recording={tmp_path / 'poor'}", f"--out={tmp_path / 'o'}"])
+    run_verb(
+        "compare", [f"--twin={bench / 'twin'}", f"--recording={tmp_path / 'poor'}", f"--out={tmp_path / 'o'}"]
+    )
     result = json.loads((tmp_path / "o" / "result.json").read_text())
     assert result["samples"] == rows and any("one trial only" in s for s in result["checks"])
     assert "worst at" not in result["sentence"] and "worst where" not in result["sentence"]

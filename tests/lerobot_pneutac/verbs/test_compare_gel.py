@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from lerobot_pneutac.cli.calibrate import main as calibrate
-from lerobot_pneutac.cli.compare import main as compare
+from lerobot_pneutac.cli import run_verb
 from pneutac_datasets.generate.gel import write_gel_recording
 from pneutac_datasets.recording.recording import Recording
 
@@ -21,12 +20,15 @@ def bench(tmp_path_factory):
     """A recording and a twin calibrated to it."""
     folder = tmp_path_factory.mktemp("bench")
     write_gel_recording(folder / "recording", seed=0, heldout=3)
-    calibrate([f"--twin={folder / 'twin'}", f"--recording={folder / 'recording'}", "--effects=rest_colour"])
+    run_verb(
+        "calibrate",
+        [f"--twin={folder / 'twin'}", f"--recording={folder / 'recording'}", "--effects=rest_colour"],
+    )
     return folder
 
 
 def run(bench, recording, out):
-    compare([f"--twin={bench / 'twin'}", f"--recording={recording}", f"--out={out}"])
+    run_verb("compare", [f"--twin={bench / 'twin'}", f"--recording={recording}", f"--out={out}"])
     return json.loads((out / "result.json").read_text())
 
 

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from generated import once
 
-from lerobot_pneutac.cli import compare
+from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.compare_mpm import markers_by_mpm, spread
 from lerobot_pneutac.verbs.fit_body import calibrate_body
 from pneutac_datasets.generate.hidden.generate import generate
@@ -51,7 +51,7 @@ def test_an_effect_acts_in_the_full_simulation(bench, tmp_path):
         for fidelity, options in (("pipeline", []), ("mpm", [f"--samples={SAMPLES}"])):
             out = tmp_path / twin / fidelity
             common = [f"--twin={bench / twin}", f"--recording={bench / 'creep'}", f"--out={out}"]
-            compare.main([*common, f"--fidelity={fidelity}", *options])
+            run_verb("compare", [*common, f"--fidelity={fidelity}", *options])
             result = json.loads((out / "result.json").read_text())
             assert result["fidelity"] == fidelity
             error[twin, fidelity] = result["error"]["all"]
@@ -116,9 +116,9 @@ def test_what_cannot_be_simulated_is_told(bench, tmp_path):
         (["--fidelity=mpm", "--samples=1"], "2 or more"),
     ):
         with pytest.raises(InputError, match=said):
-            compare.main([f"--twin={bench / 'with'}", recording, *options])
+            run_verb("compare", [f"--twin={bench / 'with'}", recording, *options])
     gel = Twin("gel", 16.0)
     GelModel.builtin().into_twin(gel)
     gel.save(tmp_path / "gel")
     with pytest.raises(InputError, match="give|own device"):
-        compare.main([f"--twin={tmp_path / 'gel'}", recording, "--fidelity=mpm"])
+        run_verb("compare", [f"--twin={tmp_path / 'gel'}", recording, "--fidelity=mpm"])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from lerobot_pneutac.cli import demo as command
+from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.reports import demo as pages
 from lerobot_pneutac.verbs.demo import Demo, DemoConfig
 from lerobot_pneutac.verbs.demo_result import DemoResult
@@ -219,9 +219,11 @@ def test_the_interval_is_wilsons(successes, trials, low, high, tmp_path):
 
 
 def test_the_sentence_says_what_was_found_and_the_report_is_written(commands, tmp_path, monkeypatch):
-    monkeypatch.setattr(command, "Console", lambda **options: Console(width=500, **options))
+    monkeypatch.setattr(
+        "lerobot_pneutac.cli.terminal.Console", lambda **options: Console(width=500, **options)
+    )
     out = tmp_path / "d"
-    command.main([f"--out={out}"])
+    run_verb("demo", [f"--out={out}"])
     result = json.loads((out / "result.json").read_text())
     assert result["trials"] == 40 and result["success_ci95"] == pytest.approx([76.95, 96.04], abs=0.01)
     page = (out / "report.html").read_text()
@@ -238,7 +240,7 @@ def test_the_sentence_says_what_was_found_and_the_report_is_written(commands, tm
 
 
 def test_the_command_ends_with_what_to_try_next(commands, tmp_path, capsys):
-    command.main([f"--out={tmp_path / 'd'}"])
+    run_verb("demo", [f"--out={tmp_path / 'd'}"])
     printed = capsys.readouterr().out
     after = printed.split("Try next:\n")[1].strip().splitlines()
     assert [line.split()[0] for line in after] == ["pneutac", "pneutac", "python", "pneutac"]

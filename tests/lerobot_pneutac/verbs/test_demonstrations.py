@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from lerobot_pneutac import Demonstrations, InputError, Recording, Twin, add, calibrate, compare, diagnose
-from lerobot_pneutac.cli import compare as compare_verb
-from lerobot_pneutac.cli import report as report_verb
+from lerobot_pneutac.cli import run_verb
 from lerobot_robot_pneutac.standin.gel import new_gel
 from lerobot_robot_pneutac.standin.world import Physics, StandinWorld
 from pneutac_datasets.demonstrations.episodes import Episode
@@ -161,8 +160,8 @@ def test_what_demonstrations_tell_does_not_spoil_the_bench(tmp_path):
     assert after < 1.1 * before
 
 
-@pytest.mark.parametrize(("verb", "option"), [(compare_verb, "--later"), (report_verb, "--rrd")])
+@pytest.mark.parametrize(("verb", "option"), [("compare", "--later"), ("report", "--rrd")])
 def test_what_takes_bench_recordings_alone_says_so(verb, option, tmp_path):
     twin, value = Twin.builtin().save(tmp_path / "twin"), tmp_path / "out.rrd"
     with pytest.raises(InputError, match="demos holds demonstrations; .* a bench recording of the device."):
-        verb.main([f"--twin={twin}", f"--recording={GOLDEN / 'demos'}", f"{option}={value}"])
+        run_verb(verb, [f"--twin={twin}", f"--recording={GOLDEN / 'demos'}", f"{option}={value}"])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lerobot_pneutac import InputError, Twin, design_motion, load_demonstrations
-from lerobot_pneutac.cli.design import main as design
+from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.study import demonstration_motions as motions
 from lerobot_pneutac.study.demonstration_motions import COMPLIANCE, CREEP, FRICTION, Misses, motion_choices
 from lerobot_robot_pneutac.standin.world import Physics, StandinWorld
@@ -82,7 +82,7 @@ def test_it_says_which_motions_to_record(tmp_path):
 def test_what_motions_do_not_take_is_said(tmp_path, option):
     twin = Twin.builtin().save(tmp_path / "twin")
     with pytest.raises(InputError, match=f"^{option}: .* leave it out"):
-        design([f"--twin={twin}", f"--recording={DEMOS}", f"--{option}={tmp_path}"])
+        run_verb("design", [f"--twin={twin}", f"--recording={DEMOS}", f"--{option}={tmp_path}"])
 
 
 def test_a_body_of_several_chambers_is_refused():

@@ -8,9 +8,10 @@ import pandas as pd
 import pytest
 from generated import once
 
-from lerobot_pneutac.cli.design import main as design
 from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.study.gel_press import held_choice, press_choices
+from lerobot_pneutac.cli import run_verb
+from lerobot_pneutac.study.gel_press import press_choices
 from lerobot_pneutac.verbs.contenders import save_contenders
 from pneutac_datasets.generate.gel import write_gel_recording
 from pneutac_datasets.recording.gel import GelRecording
@@ -58,11 +59,11 @@ def test_models_that_predict_the_same_are_told_apart_by_none(recording, models, 
     save_contenders(tmp_path / "same", [models[0], Candidate(models[0].twin, (), 0.4)])
     twin = models[1].twin.save(tmp_path / "twin")
     common = [f"--twin={twin}", f"--recording={recording.folder}"]
-    design([*common, f"--diagnosis={tmp_path / 'same'}"])
+    run_verb("design", [*common, f"--diagnosis={tmp_path / 'same'}"])
     assert "No press of these indenters would tell" in " ".join(capsys.readouterr().out.split())
 
     save_contenders(tmp_path / "apart", models)
-    design([*common, f"--diagnosis={tmp_path / 'apart'}", f"--out={tmp_path / 'out'}"])
+    run_verb("design", [*common, f"--diagnosis={tmp_path / 'apart'}", f"--out={tmp_path / 'out'}"])
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert not result["tells_little"] and [c["terms"] for c in result["contenders"]] == [["shadow"], []]
     assert "data:image/png;base64" in (tmp_path / "out" / "report.html").read_text()
@@ -73,9 +74,9 @@ def test_models_that_predict_the_same_are_told_apart_by_none(recording, models, 
     assert {"x_mm": again.press.x_mm, "depth_mm": again.press.depth_mm}.items() <= result["press"].items()
 
     with pytest.raises(InputError, match="max_kpa: a press of a gel has no such option; leave it out"):
-        design([*common, f"--diagnosis={tmp_path / 'apart'}", "--max_kpa=10"])
+        run_verb("design", [*common, f"--diagnosis={tmp_path / 'apart'}", "--max_kpa=10"])
     with pytest.raises(InputError, match="contenders.json; give the folder"):
-        design([*common, f"--diagnosis={tmp_path / 'nothing'}"])
+        run_verb("design", [*common, f"--diagnosis={tmp_path / 'nothing'}"])
 
 
 def test_two_presses_are_asked_for_where_creep_is_in_question(recording, models, tmp_path, capsys):
@@ -102,7 +103,7 @@ def test_two_presses_are_asked_for_where_creep_is_in_question(recording, models,
     assert not small.seen and "too little to see" in small.sentence
     save_contenders(tmp_path / "creep", made)
     given = [f"--twin={made[1].twin.save(tmp_path / 'twin')}", f"--recording={recording.folder}"]
-    design([*given, f"--diagnosis={tmp_path / 'creep'}", f"--out={tmp_path / 'out'}"])
+    run_verb("design", [*given, f"--diagnosis={tmp_path / 'creep'}", f"--out={tmp_path / 'out'}"])
     assert "for 60 s and lift it" in " ".join(capsys.readouterr().out.split())
     rows = pd.read_csv(tmp_path / "out" / "press.csv")
     samples = recording.samples.iloc[:2].reset_index(drop=True).assign(**rows)

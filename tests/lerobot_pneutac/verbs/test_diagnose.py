@@ -7,7 +7,7 @@ import pytest
 from generated import twin_of
 
 from lerobot_pneutac import add
-from lerobot_pneutac.cli import diagnose as verb
+from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.reports.sentences import percent
 from lerobot_pneutac.verbs.diagnose import diagnose
 from pneutac_sim.effects.laws import family, is_law, law
@@ -118,7 +118,10 @@ def test_the_verb_writes_result_and_report_and_leaves_the_twin(bench, tmp_path, 
     recording = bench("none")
     twin = twin_of(recording).save(tmp_path / "twin")
     before = (twin / "twin.yaml").read_text()
-    verb.main([f"--twin={twin}", f"--recording={recording.folder}", f"--out={tmp_path / 'out'}", "--jobs=1"])
+    run_verb(
+        "diagnose",
+        [f"--twin={twin}", f"--recording={recording.folder}", f"--out={tmp_path / 'out'}", "--jobs=1"],
+    )
     assert (twin / "twin.yaml").read_text() == before
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert result["verdict"] == "adequate" and result["selected"] == []
@@ -138,9 +141,9 @@ def test_wrong_device_and_missing_options_are_one_sentence(bench, tmp_path):
     recording = bench("none")
     twin = Twin("arm", recording.length_mm).save(tmp_path / "arm")
     with pytest.raises(InputError, match="of a finger and .* of an arm; diagnose"):
-        verb.main([f"--twin={twin}", f"--recording={recording.folder}"])
+        run_verb("diagnose", [f"--twin={twin}", f"--recording={recording.folder}"])
     with pytest.raises(InputError, match="Give --twin=PATH"):
-        verb.main([f"--recording={recording.folder}"])
+        run_verb("diagnose", [f"--recording={recording.folder}"])
 
 
 def test_percentages_have_no_minus_zero_and_no_empty_interval():

@@ -5,10 +5,7 @@ import numpy as np
 import pytest
 from generated import once
 
-from lerobot_pneutac.cli.add import main as add
-from lerobot_pneutac.cli.calibrate import main as calibrate
-from lerobot_pneutac.cli.compare import main as compare
-from lerobot_pneutac.cli.diagnose import main as diagnose
+from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.diagnosis.thresholds import APART, FOLDS, NEEDED
 from lerobot_pneutac.study import gel_model
@@ -27,12 +24,12 @@ pytestmark = pytest.mark.slow
 
 def linear_twin(folder, recording):
     """The paper's linear model of a recording's sensor."""
-    calibrate([f"--twin={folder}", f"--recording={recording.folder}", "--effects=none"])
+    run_verb("calibrate", [f"--twin={folder}", f"--recording={recording.folder}", "--effects=none"])
     return folder
 
 
 def run(verb, out, twin, recording, *more):
-    verb([f"--twin={twin}", f"--recording={recording.folder}", f"--out={out}", *more])
+    run_verb(verb, [f"--twin={twin}", f"--recording={recording.folder}", f"--out={out}", *more])
     return json.loads((out / "result.json").read_text())
 
 
@@ -41,7 +38,7 @@ def run(verb, out, twin, recording, *more):
 def test_a_hidden_effect_is_named_added_and_lowers_the_error(effect, tmp_path, capsys):
     recording = once(write_hidden_gel, tmp_path / "recording", [effect], seed=3, images=16)
     twin = linear_twin(tmp_path / "twin", recording)
-    found = run(diagnose, tmp_path / "d", twin, recording)
+    found = run("diagnose", tmp_path / "d", twin, recording)
     assert found["selected"] == [effect] and found["verdict"] == "missing_effect"
     assert found["reduction"] > 0.9 and found["after"]["heldout"] < 1.1 * found["noise_floor"]
     truth = json.loads((tmp_path / "truth" / "recording.json").read_text())[effect]
@@ -58,10 +55,10 @@ def test_a_hidden_effect_is_named_added_and_lowers_the_error(effect, tmp_path, c
         "image/png;base64" in page and f"pneutac add --twin={twin}" in page and f"--effect={effect}" in page
     )
 
-    before = run(compare, tmp_path / "c1", twin, recording)["error"]["heldout"]
-    added = run(add, tmp_path / "a", twin, recording, f"--effect={effect}")
+    before = run("compare", tmp_path / "c1", twin, recording)["error"]["heldout"]
+    added = run("add", tmp_path / "a", twin, recording, f"--effect={effect}")
     assert added["after"]["heldout"] < added["before"]["heldout"] and added["version"] == 1
-    after = run(compare, tmp_path / "c2", twin, recording)["error"]["heldout"]
+    after = run("compare", tmp_path / "c2", twin, recording)["error"]["heldout"]
     assert after < 0.85 * before, "the stored twin predicts better"
     assert list(Twin.load(twin).effects) == [effect]
     capsys.readouterr()
@@ -82,17 +79,17 @@ def test_a_diagnosis_and_a_comparison_predict_the_same_images(tmp_path):
 def test_nothing_is_found_where_nothing_is_hidden(tmp_path, capsys):
     recording = once(write_hidden_gel, tmp_path / "recording", [], seed=4, images=NEEDED)
     twin = linear_twin(tmp_path / "twin", recording)
-    found = run(diagnose, tmp_path / "d", twin, recording)
+    found = run("diagnose", tmp_path / "d", twin, recording)
     assert found["selected"] == [] and found["verdict"] == "adequate"
     with pytest.raises(InputError, match="Not added"):
-        add([f"--twin={twin}", f"--recording={recording.folder}", "--effect=shadow"])
+        run_verb("add", [f"--twin={twin}", f"--recording={recording.folder}", "--effect=shadow"])
     assert Twin.load(twin).effects == {} and len(Twin.load(twin).history) == 1
     assert "Nothing is missing" in capsys.readouterr().out
 
 
 def test_too_few_images_are_no_verdict_and_the_sentence_says_how_many_it_takes(tmp_path, capsys):
     recording = once(write_hidden_gel, tmp_path / "recording", ["shadow"], images=5)
-    found = run(diagnose, tmp_path / "d", linear_twin(tmp_path / "twin", recording), recording)
+    found = run("diagnose", tmp_path / "d", linear_twin(tmp_path / "twin", recording), recording)
     assert found["verdict"] == "ambiguous"
     assert "it has 5 images" in found["sentence"] and f"it takes {NEEDED}" in found["sentence"]
     assert "can be judged by" in " ".join(capsys.readouterr().out.split())
@@ -102,14 +99,14 @@ def test_to_what_cannot_be_diagnosed_nothing_is_added(tmp_path):
     recording = once(write_hidden_gel, tmp_path / "recording", ["shadow"], images=NEEDED - 1)
     twin = linear_twin(tmp_path / "twin", recording)
     with pytest.raises(InputError, match=f"it has {NEEDED - 1} images"):
-        add([f"--twin={twin}", f"--recording={recording.folder}", "--effect=shadow"])
+        run_verb("add", [f"--twin={twin}", f"--recording={recording.folder}", "--effect=shadow"])
     assert Twin.load(twin).effects == {}
 
 
 @pytest.mark.nightly
 def test_ten_images_are_enough_and_it_is_said_that_none_were_kept_for_the_report(tmp_path):
     recording = once(write_hidden_gel, tmp_path / "recording", ["shadow"], images=NEEDED)
-    found = run(diagnose, tmp_path / "d", linear_twin(tmp_path / "twin", recording), recording)
+    found = run("diagnose", tmp_path / "d", linear_twin(tmp_path / "twin", recording), recording)
     assert found["verdict"] == "missing_effect" and found["selected"] == ["shadow"]
     assert any("optimistic" in w for w in found["warnings"])
 
@@ -183,7 +180,9 @@ def test_other_effects_are_refused(effect, said, tmp_path):
     recording = once(write_hidden_gel, tmp_path / "recording", [], images=2)
     Twin(device="gel", length_mm=16.0).save(tmp_path / "twin")
     with pytest.raises(InputError, match=said):
-        add([f"--twin={tmp_path / 'twin'}", f"--recording={recording.folder}", f"--effect={effect}"])
+        run_verb(
+            "add", [f"--twin={tmp_path / 'twin'}", f"--recording={recording.folder}", f"--effect={effect}"]
+        )
 
 
 def test_a_recording_of_one_pair_cannot_be_judged(tmp_path):
@@ -191,11 +190,11 @@ def test_a_recording_of_one_pair_cannot_be_judged(tmp_path):
     recording.keep(np.array([True, False])).write(recording.folder)
     twin = linear_twin(tmp_path / "twin", recording)
     with pytest.raises(InputError, match="nothing can be judged"):
-        diagnose([f"--twin={twin}", f"--recording={recording.folder}"])
+        run_verb("diagnose", [f"--twin={twin}", f"--recording={recording.folder}"])
 
 
 def test_a_finger_without_a_gel_is_refused(tmp_path):
     recording = once(write_hidden_gel, tmp_path / "recording", [], images=2)
     Twin.builtin().save(tmp_path / "finger")
     with pytest.raises(InputError, match="of a gel"):
-        diagnose([f"--twin={tmp_path / 'finger'}", f"--recording={recording.folder}"])
+        run_verb("diagnose", [f"--twin={tmp_path / 'finger'}", f"--recording={recording.folder}"])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from generated import twin_of
 
-from lerobot_pneutac.cli import diagnose as verb
+from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.diagnosis.experiment import separations
 from lerobot_pneutac.study import study_of
 from lerobot_pneutac.study.pair import same_body
@@ -50,7 +50,7 @@ def test_too_few_rows_to_fit_name_the_file_and_what_to_record(bench, tmp_path):
     twin = twin_of(recording).save(tmp_path / "twin")
     wanted = r"three/samples\.csv has 3 rows, .* at least \d+ .*; record ten minutes with steps"
     with pytest.raises(InputError, match=wanted) as e:
-        verb.main([f"--twin={twin}", f"--recording={tmp_path / 'three'}"])
+        run_verb("diagnose", [f"--twin={twin}", f"--recording={tmp_path / 'three'}"])
     least = int(re.search(r"at least (\d+)", str(e.value))[1])
     d = diagnose(twin_of(recording), recording.keep(np.arange(len(recording)) < least), jobs=1)
     assert d.verdict == "ambiguous"

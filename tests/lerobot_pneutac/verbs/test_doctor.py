@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from lerobot_pneutac.cli.doctor import main
+from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs import doctor
 from lerobot_robot_pneutac.cameras import digit as digit_camera
 
@@ -24,7 +24,7 @@ def wide(monkeypatch):
 @pytest.mark.slow
 def test_a_package_that_cannot_be_imported_is_a_row_and_not_an_end():
     program = (
-        "import sys; sys.modules['mujoco'] = None; from lerobot_pneutac.cli.doctor import main; main([])"
+        "import sys; sys.modules['mujoco'] = None; import lerobot_pneutac.cli as c; c.run_verb('doctor', [])"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120)
     said = " ".join(done.stdout.split())
@@ -47,7 +47,7 @@ def test_ports_without_permission_and_a_digit_are_told(monkeypatch, capsys, tmp_
     (node / "device").symlink_to(usb / "1-1:1.0")
     monkeypatch.setattr(digit_camera, "SYSFS", tmp_path / "class")
     with pytest.raises(SystemExit):
-        main([])
+        run_verb("doctor", [])
     said = told(capsys)
     assert "no permission on /dev/ttyACM7 sudo usermod -aG dialout" in said
     assert "D20001 at /dev/video3" in said

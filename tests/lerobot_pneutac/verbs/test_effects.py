@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from lerobot_pneutac.cli import effects as command
+from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.effect_file import effect_source, file_name
 from lerobot_pneutac.verbs.effects import list_effects, plain_equation, show_effect, tips
 from pneutac_sim.effects.body_effect import BodyEffect
@@ -105,7 +105,7 @@ def test_equations_need_no_latex():
 
 @pytest.mark.parametrize("name", ["lag(p^2)", "hysteresis", "shadow"])
 def test_show_writes_a_page(name, tmp_path, capsys):
-    command.main(["show", name, f"--out={tmp_path / 'page'}"])
+    run_verb("effects", ["show", name, f"--out={tmp_path / 'page'}"])
     page = (tmp_path / "page" / "report.html").read_text()
     assert ("Plotly.newPlot" in page) == (name in body_effects() or name == "lag(p^2)")
     out = capsys.readouterr().out
@@ -123,10 +123,10 @@ def test_a_late_law_makes_the_tip_late():
 
 def test_export_writes_a_new_file_once(tmp_path):
     out = tmp_path / "mine.py"
-    command.main(["export", "lag(p^2)", f"--out={out}"])
+    run_verb("effects", ["export", "lag(p^2)", f"--out={out}"])
     assert "EFFECT = BodyEffect(" in out.read_text()
     with pytest.raises(InputError, match="must name a new file"):
-        command.main(["export", "lag(p^2)", f"--out={out}"])
+        run_verb("effects", ["export", "lag(p^2)", f"--out={out}"])
 
 
 WRONG = (
@@ -139,11 +139,11 @@ WRONG = (
 @pytest.mark.parametrize("argv, sentence", WRONG)
 def test_what_is_wrong_is_told(argv, sentence):
     with pytest.raises(InputError, match=sentence):
-        command.main(argv)
+        run_verb("effects", argv)
 
 
 def test_list_names_all(capsys):
-    command.main(["list"])
+    run_verb("effects", ["list"])
     out = capsys.readouterr().out
     assert "creep" in out and "tracker_lag" in out
     assert len(list_effects()) == len(all_effects()) + len(law_names())

@@ -11,10 +11,10 @@ from generated import once
 from PIL import Image
 from rich.console import Console
 
-from lerobot_pneutac.cli.calibrate import CalibrateConfig, run
+from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.study.photographs import photo_study
 from lerobot_pneutac.verbs import calibrate as verb
-from lerobot_pneutac.verbs.calibrate import training_levels
+from lerobot_pneutac.verbs.calibrate import CalibrateConfig, run, training_levels
 from lerobot_pneutac.verbs.fit_photographs import search_key
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
@@ -93,7 +93,9 @@ def altered(recording, folder, **changes):
 
 def calibrate(cfg, scratch, console):
     """As the command does; returns what is in `result.json`."""
-    result = run(cfg, scratch, console)
+    terminal = Terminal("calibrate", [])
+    terminal.console = console
+    result = run(cfg, scratch, terminal)
     if cfg.out is not None:
         result.report(cfg.out)
     return result.to_dict()

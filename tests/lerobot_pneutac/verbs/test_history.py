@@ -2,7 +2,7 @@
 
 import pytest
 
-from lerobot_pneutac.cli import history
+from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.history import restore
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin, Value
@@ -37,7 +37,7 @@ def test_a_version_that_cannot_be_restored_is_refused_and_nothing_changes(folder
 
 
 def test_the_command_lists_unconfirmed_versions_as_such(folder, capsys):
-    history.main([f"--twin={folder}"])
+    run_verb("history", [f"--twin={folder}"])
     assert "unconfirmed" in " ".join(capsys.readouterr().out.split())
-    history.main([f"--twin={folder}", "--restore=0"])
+    run_verb("history", [f"--twin={folder}", "--restore=0"])
     assert "equal to version 0" in " ".join(capsys.readouterr().out.split())

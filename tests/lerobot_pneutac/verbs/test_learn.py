@@ -12,13 +12,12 @@ from doc_blocks import blocks
 from pressure_rig import SimulatedTime, build, converse
 
 from lerobot_pneutac import design, learn
-from lerobot_pneutac.cli.bench import make_bench
-from lerobot_pneutac.cli.learn import main
+from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.diagnosis.design import Limits, choices
 from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.hands import Hands, instructions
 from lerobot_pneutac.diagnosis.result import Candidate
-from lerobot_pneutac.verbs.benches import StandinBench, save_program
+from lerobot_pneutac.verbs.benches import StandinBench, make_bench, save_program
 from lerobot_pneutac.verbs.contenders import load_contenders, save_contenders
 from lerobot_pneutac.verbs.foreseen import not_as_asked
 from lerobot_pneutac.verbs.learn import Rounds
@@ -234,7 +233,7 @@ def test_what_a_hidden_arm_of_three_chambers_lacks_is_confirmed_and_it_ends_by_i
 def test_options_that_do_not_fit_are_refused(tmp_path, options, sentence):
     folder = Twin.builtin().save(tmp_path / "twin")
     with pytest.raises(InputError, match=sentence):
-        main([f"--twin={folder}", f"--out={tmp_path / 'out'}", *options])
+        run_verb("learn", [f"--twin={folder}", f"--out={tmp_path / 'out'}", *options])
 
 
 def test_the_options_of_a_bench_come_from_a_file_as_the_page_shows_it(tmp_path):

@@ -11,7 +11,7 @@ import pytest
 from lerobot.cameras import Camera, CameraConfig
 from lerobot.cameras import utils as camera_utils
 
-from lerobot_pneutac.cli import compare, measure, new
+from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.measuring.camera import DICTIONARY, Intrinsics, MarkerTracker, calibrate_camera
 from lerobot_pneutac.verbs import measure as library
 from lerobot_pneutac.verbs.compare import compare as compare_library
@@ -262,7 +262,7 @@ def test_a_chessboard_gives_the_camera_back(tmp_path, capsys):
     ]
     chessboard(tmp_path / "board", poses)
     file = tmp_path / "camera.json"
-    measure.main([f"--chessboard={tmp_path / 'board'}", f"--intrinsics={file}"])
+    run_verb("measure", [f"--chessboard={tmp_path / 'board'}", f"--intrinsics={file}"])
     found = Intrinsics.load(file)
     np.testing.assert_allclose(found.matrix, K, rtol=0.01, atol=6)
     assert found.size_px == SIZE and found.rms_px < 0.2
@@ -281,7 +281,7 @@ def test_a_chessboard_gives_the_camera_back(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_a_run_is_a_recording_with_true_tips_that_compare_accepts(bench, tmp_path):
-    measure.main(bench + ["--digit.type=digit_generated"])
+    run_verb("measure", bench + ["--digit.type=digit_generated"])
     r = Recording.load(tmp_path / "run")
     assert r.device == "finger" and r.length_mm == LENGTH and not r.warnings
     assert len(r.trials()) == 3
@@ -302,9 +302,10 @@ def test_a_run_is_a_recording_with_true_tips_that_compare_accepts(bench, tmp_pat
     assert [s.start for s in r.starts.values()] == ["unknown", "continues", "continues"]
     assert all(0.3 <= r.starts[k].pause_s < 0.6 for k in (1, 2))
 
-    new.main([f"--twin={tmp_path / 'twin'}", f"--recording={tmp_path / 'run'}"])
-    compare.main(
-        [f"--twin={tmp_path / 'twin'}", f"--recording={tmp_path / 'run'}", f"--out={tmp_path / 'c'}"]
+    run_verb("new", [f"--twin={tmp_path / 'twin'}", f"--recording={tmp_path / 'run'}"])
+    run_verb(
+        "compare",
+        [f"--twin={tmp_path / 'twin'}", f"--recording={tmp_path / 'run'}", f"--out={tmp_path / 'c'}"],
     )
     assert json.loads((tmp_path / "c/result.json").read_text())["unit"] == "mm"
 
@@ -320,21 +321,22 @@ def test_three_chambers_on_three_controllers_are_an_arm(bench, tmp_path, monkeyp
     columns = command_columns(3)
     rows = [(0, t, *p) for t, p in ((0, (0, 0, 0)), (0.3, (4, 0, 8)), (1.5, (9, 6, 3)), (3, (0, 0, 0)))]
     pd.DataFrame(rows, columns=["trial", "time_s", *columns]).to_csv(tmp_path / "stairs.csv", index=False)
-    measure.main([*bench, "--pressure.ports=/a,/b,/c", "--max_kpa=10,8,9"])
+    run_verb("measure", [*bench, "--pressure.ports=/a,/b,/c", "--max_kpa=10,8,9"])
     r = Recording.load(tmp_path / "run")
     assert r.device == "arm" and r.pressure_columns == columns
     np.testing.assert_allclose(r.samples[columns].max(), [9, 6, 8])
     assert (r.samples[measured_columns(3)].max() > [5, 3, 5]).all()
     assert [p._target_kpa for p in parts.values()] == [0.0, 0.0, 0.0]
     with pytest.raises(InputError, match="from 0 to 8 kPa in chamber 3; min_kpa and max_kpa allow 0 to 7"):
-        measure.main(
+        run_verb(
+            "measure",
             [
                 *bench[:4],
                 f"--out={tmp_path / 'b'}",
                 *bench[5:],
                 "--pressure.ports=/a,/b,/c",
                 "--max_kpa=10,8,7",
-            ]
+            ],
         )
 
 
@@ -344,15 +346,17 @@ def test_the_stand_in_answers_a_program_of_three_chambers(tmp_path):
     table = pd.DataFrame({"time_s": t} | {c: 20 * (1 + np.sin(t + i)) for i, c in enumerate(columns)})
     table.to_csv(tmp_path / "p.csv", index=False)
     options = ["--bench=standin", f"--program={tmp_path / 'p.csv'}", "--max_kpa=40", "--repeat=2"]
-    measure.main([*options, f"--out={tmp_path / 'r'}"])
+    run_verb("measure", [*options, f"--out={tmp_path / 'r'}"])
     r = Recording.load(tmp_path / "r")
     assert r.device == "arm" and len(r.trials()) == 2 and r.pressure_columns == columns
     np.testing.assert_allclose(r.samples[columns].max(), table[columns].max(), rtol=0.01)
     assert 0 < compare_library(new_twin("arm", r), r).heldout < 100
     with pytest.raises(InputError, match=r"in chamber 1; min_kpa and max_kpa allow 0 to 15"):
-        measure.main([*options[:2], f"--out={tmp_path / 's'}"])
+        run_verb("measure", [*options[:2], f"--out={tmp_path / 's'}"])
     with pytest.raises(InputError, match="'steps' leaves 0 to 65.2 kPa, which the stand-in bears"):
-        measure.main(["--bench=standin", "--program=steps", "--max_kpa=70,20,20", f"--out={tmp_path / 's'}"])
+        run_verb(
+            "measure", ["--bench=standin", "--program=steps", "--max_kpa=70,20,20", f"--out={tmp_path / 's'}"]
+        )
 
 
 @pytest.mark.slow
@@ -366,7 +370,7 @@ def test_a_command_whose_picture_was_lost_keeps_the_time_at_which_it_was_sent(be
         return seen(self, image)
 
     monkeypatch.setattr(library.MarkerTracker, "tip_mm", hidden)
-    measure.main(bench)
+    run_verb("measure", bench)
     r = Recording.load(tmp_path / "run")
     sent, t = r.column("time_sent_s"), r.column("time_s")
     after = int(np.argmax(r.column("pressure_cmd_kpa") == 4.0))
@@ -385,7 +389,7 @@ def test_a_trial_after_one_that_was_never_seen_starts_unknown(bench, tmp_path, m
     monkeypatch.setattr(
         library.MarkerTracker, "tip_mm", lambda self, i: None if driven[-1:] == [1] else seen(self, i)
     )
-    measure.main(bench)
+    run_verb("measure", bench)
     r = Recording.load(tmp_path / "run")
     assert {k: s.start for k, s in r.starts.items()} == {0: "unknown", 2: "unknown"}
 
@@ -403,7 +407,7 @@ def test_an_end_within_a_trial_keeps_those_before_it_and_vents(bench, tmp_path, 
 
     monkeypatch.setattr(library.BenchDriver, "drive", ends_in_the_third)
     with pytest.raises(KeyboardInterrupt if isinstance(end, KeyboardInterrupt) else InputError):
-        measure.main(bench)
+        run_verb("measure", bench)
     r = Recording.load(tmp_path / "run")
     assert list(r.trials()) == [0, 1] and len(r) == sum(taken)
     assert sorted(p.name for p in (tmp_path / "run/images").iterdir()) == ["trial_000", "trial_001"]
@@ -422,7 +426,7 @@ def test_ctrl_c_just_after_a_trial_came_into_the_table_keeps_its_pictures(bench,
 
     monkeypatch.setattr(Path, "replace", pressed)
     with pytest.raises(KeyboardInterrupt):
-        measure.main(bench)
+        run_verb("measure", bench)
     r = Recording.load(tmp_path / "run")
     assert list(r.trials()) == [0]
     assert r.image(r.column("image_camera")[-1]).shape == (480, 640, 3)
@@ -437,7 +441,7 @@ def test_a_slow_camera_costs_samples_and_not_the_programs_pace(bench, tmp_path, 
         return read(self)
 
     monkeypatch.setattr(BenchRendered, "async_read", slow)
-    measure.main(bench)
+    run_verb("measure", bench)
     r = Recording.load(tmp_path / "run")
     assert len(r) < 0.5 * 3 * 21
     late = r.column("time_s")[r.column("trial") == 1].max() - 1.3
@@ -451,13 +455,13 @@ def test_a_camera_that_cannot_be_opened_is_one_sentence(bench, monkeypatch):
 
     monkeypatch.setattr(BenchRendered, "connect", connect)
     with pytest.raises(InputError, match="The camera 'camera' cannot be opened: No device at 0."):
-        measure.main(bench)
+        run_verb("measure", bench)
 
 
 def test_an_end_within_the_first_trial_leaves_nothing(bench, tmp_path):
     BenchRendered.ends, BenchRendered.ends_after = KeyboardInterrupt(), library.BASE_IMAGES + 3
     with pytest.raises(KeyboardInterrupt):
-        measure.main(bench)
+        run_verb("measure", bench)
     assert not (tmp_path / "run").exists()
 
 
@@ -467,7 +471,7 @@ def test_a_pressure_far_above_the_program_ends_the_run(bench, monkeypatch):
         SimulatedPressure, "pressure", lambda self: true(self) + 30 * (BenchRendered.chamber._target_kpa > 3)
     )
     with pytest.raises(InputError, match="pressure reads"):
-        measure.main(bench)
+        run_verb("measure", bench)
     assert BenchRendered.clock.now_s < 5
     assert BenchRendered.chamber._target_kpa == 0.0
 
@@ -484,4 +488,4 @@ def test_a_pressure_far_above_the_program_ends_the_run(bench, monkeypatch):
 )
 def test_bad_options_are_one_sentence(bench, option, said):
     with pytest.raises(InputError, match=said):
-        measure.main([*bench, option])
+        run_verb("measure", [*bench, option])

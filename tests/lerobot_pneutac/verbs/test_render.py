@@ -9,7 +9,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from lerobot_pneutac.cli import render
+from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.rendering import particles as particle_picture
 from lerobot_pneutac.rendering.film import Film, FilmFrame
 from lerobot_pneutac.rendering.options import FPS, RenderConfig, deepest_press, filled
@@ -37,8 +37,9 @@ def inked(path) -> np.ndarray:
 
 def test_finger_is_seen_bending(finger, tmp_path):
     out = tmp_path / "out"
-    render.main(
-        [f"--twin={finger}", "--pressure_kpa=[0,15]", "--seconds=0.4", "--particles=600", f"--out={out}"]
+    run_verb(
+        "render",
+        [f"--twin={finger}", "--pressure_kpa=[0,15]", "--seconds=0.4", "--particles=600", f"--out={out}"],
     )
     result = json.loads((out / "result.json").read_text())
     assert result["complete"] and result["frames"] == 7
@@ -63,7 +64,9 @@ def test_gel_shows_the_imprint_where_it_is(tmp_path, monkeypatch):
     monkeypatch.setattr(devices, "gel", partial(devices.gel, counts=(30, 41, 7)))
     monkeypatch.setattr("lerobot_pneutac.rendering.gel.PRESS_FRAMES", 2)
     out = tmp_path / "out"
-    render.main([f"--twin={tmp_path / 'gel'}", "--depth_mm=1.0", "--x_mm=2", "--y_mm=-3", f"--out={out}"])
+    run_verb(
+        "render", [f"--twin={tmp_path / 'gel'}", "--depth_mm=1.0", "--x_mm=2", "--y_mm=-3", f"--out={out}"]
+    )
     still = json.loads((out / "result.json").read_text())["stills"]
     assert [r["depth_mm"] for r in still] == [0.5, 1.0]
     assert still[1]["face_mm"] == pytest.approx(1.0, abs=0.06)
@@ -120,13 +123,13 @@ def test_nearer_balls_hide_farther_ones():
 )
 def test_bad_options_are_named_and_write_nothing(finger, tmp_path, options, said):
     with pytest.raises(InputError, match=said):
-        render.main([f"--twin={finger}", f"--out={tmp_path / 'out'}", *options])
+        run_verb("render", [f"--twin={finger}", f"--out={tmp_path / 'out'}", *options])
     assert not (tmp_path / "out").exists()
 
 
 def test_a_missing_twin_is_asked_for():
     with pytest.raises(InputError, match=r"^Give --twin=PATH; --help lists all options\.$"):
-        render.main(["--pressure_kpa=[0,5]"])
+        run_verb("render", ["--pressure_kpa=[0,5]"])
 
 
 @pytest.mark.parametrize(
@@ -146,7 +149,7 @@ def test_a_missing_twin_is_asked_for():
 def test_what_a_gel_has_no_use_for_is_refused(tmp_path, options, said):
     folder = Twin("gel", 16.0).save(tmp_path / "gel")
     with pytest.raises(InputError, match=said):
-        render.main([f"--twin={folder}", f"--out={tmp_path / 'out'}", *options])
+        run_verb("render", [f"--twin={folder}", f"--out={tmp_path / 'out'}", *options])
     assert not (tmp_path / "out").exists()
 
 
@@ -231,7 +234,7 @@ def test_where_no_rest_is_found_the_options_that_help_are_named(tmp_path, monkey
     monkeypatch.setattr(solve, "solve_equilibrium", partial(solve.solve_equilibrium, max_substeps=25))
     few = ["--particles=600"] if device == "finger" else []
     with pytest.raises(InputError, match=f"is not at rest after .* was asked; .*{said}") as refused:
-        render.main([f"--twin={folder}", "--device=cpu", f"--out={tmp_path / 'out'}", *few])
+        run_verb("render", [f"--twin={folder}", "--device=cpu", f"--out={tmp_path / 'out'}", *few])
     assert "warm" not in str(refused.value) and "substeps, or" not in str(refused.value)
 
 
@@ -240,13 +243,13 @@ def test_an_effect_without_its_condition_is_named(tmp_path):
     twin.effects["payload"] = {"share": Value(1.0)}
     folder = twin.save(tmp_path / "twin")
     with pytest.raises(InputError, match="payload.*payload_g"):
-        render.main([f"--twin={folder}", f"--out={tmp_path / 'out'}"])
+        run_verb("render", [f"--twin={folder}", f"--out={tmp_path / 'out'}"])
 
 
 def test_too_deep_a_press_is_refused(tmp_path):
     folder = Twin("gel", 16.0).save(tmp_path / "gel")
     with pytest.raises(InputError, match="2.5 mm thick"):
-        render.main([f"--twin={folder}", "--depth_mm=2.4"])
+        run_verb("render", [f"--twin={folder}", "--depth_mm=2.4"])
 
 
 def test_poses_that_are_not_given_reach_as_far_as_the_twin_was_measured(tmp_path):

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from lerobot_pneutac.cli import render
+from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.rendering.options import RenderView
 from lerobot_pneutac.rendering.view import FOV_DEG, HEIGHT, view_camera
 from pneutac_datasets.recording.recording import Recording
@@ -58,7 +58,7 @@ def drawn(tmp_path_factory):
 def run(drawn, out, *options, twin="twin") -> list[dict]:
     """Rows of the stills, each with its picture (H, W, 3)."""
     common = ["--particles=600", "--seconds=0.2", "--device=cpu", f"--out={out}"]
-    render.main([f"--twin={drawn / twin}", *common, *options])
+    run_verb("render", [f"--twin={drawn / twin}", *common, *options])
     rows = json.loads((out / "result.json").read_text())["stills"]
     return [r | {"picture": np.asarray(Image.open(out / r["picture"])).astype(int)} for r in rows]
 
@@ -154,5 +154,7 @@ def test_what_cannot_be_shown_is_told(drawn, tmp_path):
         (drawn / "twin", away, [], "The camera does not see the body"),
     ):
         with pytest.raises(InputError, match=said):
-            render.main([f"--twin={twin}", f"--recording={folder}", f"--out={tmp_path / 'out'}", *options])
+            run_verb(
+                "render", [f"--twin={twin}", f"--recording={folder}", f"--out={tmp_path / 'out'}", *options]
+            )
     assert not (tmp_path / "out").exists()

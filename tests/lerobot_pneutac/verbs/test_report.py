@@ -2,7 +2,7 @@
 
 import pytest
 
-from lerobot_pneutac.cli import report as command
+from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.report import report
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
@@ -20,7 +20,7 @@ def folder(tmp_path):
 
 def test_the_page_tells_history_effects_and_numbers_and_needs_nothing_else(folder, tmp_path, capsys):
     before = (folder / "twin.yaml").read_bytes()
-    command.main([str(folder), f"--out={tmp_path / 'out'}"])
+    run_verb("report", [str(folder), f"--out={tmp_path / 'out'}"])
     page = (tmp_path / "out" / "report.html").read_text()
     assert "0.61 mm off" in page and "added creep" in page and "gain_rad_per_kpa" in page
     assert 'src="http' not in page and (folder / "twin.yaml").read_bytes() == before
@@ -32,8 +32,8 @@ def test_one_that_was_never_judged_and_options_that_do_not_go_together(tmp_path)
     Twin(device="gel").save(tmp_path / "gel")
     assert "never judged" in report(Twin.load(tmp_path / "gel")).sentence
     with pytest.raises(InputError, match="must end in .rrd"):
-        command.main([str(tmp_path / "gel"), "--rrd=x.txt"])
+        run_verb("report", [str(tmp_path / "gel"), "--rrd=x.txt"])
     with pytest.raises(InputError, match="goes with --rrd"):
-        command.main([str(tmp_path / "gel"), "--recording=x"])
+        run_verb("report", [str(tmp_path / "gel"), "--recording=x"])
     with pytest.raises(InputError, match="--rrd takes a finger or an arm"):
-        command.main([str(tmp_path / "gel"), f"--rrd={tmp_path / 'x.rrd'}"])
+        run_verb("report", [str(tmp_path / "gel"), f"--rrd={tmp_path / 'x.rrd'}"])

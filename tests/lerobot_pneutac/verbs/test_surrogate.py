@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from lerobot_pneutac.cli import new, surrogate
+from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.surrogate import CARD, DATA, Collection
 from pneutac_sim.errors import InputError
 from pneutac_sim.surrogate import collect
@@ -19,7 +19,7 @@ STIFFENING = {"linear_1_per_kpa": Value(0.02), "quadratic_1_per_kpa2": Value(0.0
 
 
 def train(twin, *options) -> None:
-    surrogate.main([f"--twin={twin}", *TINY, *options])
+    run_verb("surrogate", [f"--twin={twin}", *TINY, *options])
 
 
 def other_body() -> Twin:
@@ -128,7 +128,7 @@ def test_a_damaged_network_of_the_twin_is_refused(tmp_path):
 
 def test_twins_that_cannot_be_trained_are_refused(tmp_path):
     for device in ("arm", "gel"):
-        new.main([f"--twin={tmp_path / device}", f"--device={device}"])
+        run_verb("new", [f"--twin={tmp_path / device}", f"--device={device}"])
         with pytest.raises(InputError, match=f"is the twin of an? {device}, .* give a finger's twin"):
             train(tmp_path / device)
     twin = Twin.builtin()
@@ -155,4 +155,4 @@ def test_options_that_cannot_work_are_refused_before_anything_is_collected(tmp_p
         train(tmp_path / "twin", option)
     assert not list((tmp_path / "twin").glob("**/action_*"))
     with pytest.raises(InputError, match="Give --twin=PATH;"):
-        surrogate.main([])
+        run_verb("surrogate", [])

@@ -1,12 +1,10 @@
-"""`pneutac report DIR`: a twin with its history as one page to send to somebody, or as a file for Rerun."""
+"""`pneutac report`: a twin with its history as one page, or as a file for Rerun."""
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
-from rich.console import Console
-
-from lerobot_pneutac.cli.options import parse_options
-from lerobot_pneutac.cli.show import finish
+from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.study.pair import load_bench_pair
 from lerobot_pneutac.verbs.report import report
 from pneutac_sim.errors import InputError
@@ -24,6 +22,8 @@ class ReportConfig:
         recording: with `rrd`: a recording of it instead, measured beside modelled.
     """
 
+    first: ClassVar = "twin"
+
     twin: Path
     out: Path | None = None
     rrd: Path | None = None
@@ -38,20 +38,15 @@ class ReportConfig:
             )
 
 
-def main(argv: list[str]) -> None:
-    """Runs the verb."""
-    given = [f"--twin={argv[0]}", *argv[1:]] if argv and not argv[0].startswith("-") else argv
-    cfg, console = parse_options(ReportConfig, given), Console()
+def command(cfg: ReportConfig, terminal: Terminal) -> None:
+    """A twin with its history as one page to send to somebody, or as a file for Rerun."""
     twin, recording = Twin.load(cfg.twin), None
     if cfg.recording is not None:
         twin, recording = load_bench_pair(cfg.twin, cfg.recording, "report on")
-    result = report(twin)
-    finish(result, console, cfg.out, "report", given)
+    terminal.finish(report(twin), cfg.out)
     if cfg.rrd is not None:
         from lerobot_pneutac.studio.rerun_file import write_rrd
 
         cfg.rrd.parent.mkdir(parents=True, exist_ok=True)
         frames = write_rrd(cfg.rrd, twin, recording)
-        console.print(
-            f"{cfg.rrd}: {frames} frames; `rerun {cfg.rrd}` shows them", highlight=False, soft_wrap=True
-        )
+        terminal.say(f"{cfg.rrd}: {frames} frames; `rerun {cfg.rrd}` shows them")

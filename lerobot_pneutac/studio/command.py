@@ -1,13 +1,11 @@
-"""`pneutac studio`: a twin in the browser: bend it, see where it fails, find and add what is missing."""
+"""`pneutac studio`: its options, and the server that runs until it is interrupted."""
 
 import threading
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.console import Console
-
-from lerobot_pneutac.cli.bench import check_bench, make_bench
-from lerobot_pneutac.cli.options import parse_options
+from lerobot_pneutac.cli.terminal import Terminal
+from lerobot_pneutac.verbs.benches import check_bench, make_bench
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
 
@@ -42,9 +40,8 @@ class StudioConfig:
             check_bench(self.bench, self.measure)
 
 
-def main(argv: list[str]) -> None:
-    """Runs the verb until it is interrupted."""
-    cfg, console = parse_options(StudioConfig, argv), Console()
+def command(cfg: StudioConfig, terminal: Terminal) -> None:
+    """A twin in the browser: bend it, see where it fails, find and add what is missing."""
     device = Twin.load(cfg.twin).device  # before there is an address: a misspelt folder has none
     try:
         from lerobot_pneutac.studio.app import Studio
@@ -55,7 +52,7 @@ def main(argv: list[str]) -> None:
             "The studio needs the package viser; `pip install 'lerobot_robot_pneutac[studio]'`."
         ) from e
     studio = Studio(cfg.port)
-    console.print(f"The studio opens at {studio.address} (Ctrl+C ends it)", soft_wrap=True, highlight=False)
+    terminal.say(f"The studio opens at {studio.address} (Ctrl+C ends it)")
     try:
         from lerobot_pneutac.studio.session import Session
 

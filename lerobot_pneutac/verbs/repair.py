@@ -1,12 +1,11 @@
-"""`pneutac repair`: makes a dataset whole whose recording was killed, with all finished episodes."""
+"""Makes a dataset whole whose recording was killed, with all finished episodes."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.console import Console
 from rich.markup import escape
 
-from lerobot_pneutac.cli.options import parse_options
+from lerobot_pneutac.cli.terminal import Terminal
 
 
 @dataclass
@@ -24,15 +23,14 @@ class RepairConfig:
     drop: bool = False
 
 
-def main(argv: list[str]) -> None:
-    """Runs the verb."""
-    config, console = parse_options(RepairConfig, argv), Console()
+def command(config: RepairConfig, terminal: Terminal) -> None:
+    """Makes a dataset whole whose recording was killed, with all finished episodes."""
     from pneutac_datasets.demonstrations.repair.dataset import repair_dataset
 
     repaired = repair_dataset(config.dataset, config.like, config.drop)
     for remark in repaired.remarks:
-        console.print(escape(remark), highlight=False)
-    console.print(
+        terminal.console.print(escape(remark), highlight=False)
+    terminal.console.print(
         f"\n[bold]{escape(str(config.dataset))} is whole: {repaired.episodes} episodes,"
         f" {repaired.recovered} of them recovered.[/]",
         highlight=False,

@@ -1,0 +1,123 @@
+"""The terminal of a command: sentences, results, and how far the work has come."""
+
+import shlex
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.errors import MarkupError
+from rich.markup import escape
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Column, Table
+from rich.text import Text
+
+from lerobot_pneutac.reports.page import cell
+from pneutac_sim.errors import printable
+
+LINE_S = 10.0  # between two lines of progress where there is no bar
+
+
+class Terminal:
+    """What a command prints to.
+
+    Args:
+        verb: the command.
+        argv: its arguments, shown at the end of a report.
+    """
+
+    def __init__(self, verb: str, argv: list[str]):
+        self.console = Console()
+        self._line = f"pneutac {verb} {shlex.join(argv)}"
+
+    def say(self, text: str, markup: bool = False, **style) -> None:
+        """Prints one line, which a reader may copy: not wrapped, nothing in it coloured."""
+        self.console.print(text, highlight=False, soft_wrap=True, markup=markup, **style)
+
+    def note(self, text: str) -> None:
+        """Prints what a reader should look at."""
+        self.say(f"[yellow]note:[/] {escape(printable(text))}", markup=True)
+
+    def progress(self) -> AbstractContextManager[Callable[[str, int, int], None]]:
+        """See `progress_bar`."""
+        return progress_bar(Console(stderr=True))
+
+    def finish(self, result, out: Path | None, sentence: bool = True) -> None:
+        """Writes result and report into folder `out` (nothing where it is None), then prints the result.
+
+        In this order, so that a reader of the output who goes away, such as `head`, costs no file.
+        """
+        path = None if out is None else result.report(out, self._line)
+        self.show(result, sentence)
+        if path is not None:
+            self.say(f"report: {path}")
+
+    def show(self, result, sentence: bool = True) -> None:
+        """Prints notes, sentence, table and remarks of a `Result`."""
+        show(result, self.console, sentence)
+
+
+def show(result, console: Console, sentence: bool = True) -> None:
+    """Prints notes, sentence, table and remarks of a `Result`."""
+    for finding in result.findings_shown:
+        console.print(f"[yellow]note:[/] {escape(printable(finding))}", highlight=False)
+    if sentence and result.sentence:
+        console.print(f"\n[bold]{escape(printable(result.sentence))}[/]\n", highlight=False)
+    rows = result.rows()
+    if rows:
+        columns = (Column(str(k), overflow="fold") for k in rows[0])
+        table = Table(*columns, title=result.title, title_justify="left", box=SIMPLE_HEAD)
+        for row in rows:
+            style = "yellow" if row.get("note", "held") not in ("", "held") else None
+            table.add_row(*(Text(printable(cell(row[k], ""))) for k in rows[0]), style=style)
+        console.print(table)
+    for remark in result.remarks():
+        console.print(_remark(printable(remark)), highlight=False)
+
+
+def _remark(text: str) -> Text:
+    """A remark may be marked up; a name in it that looks like markup is none."""
+    try:
+        return Text.from_markup(text)
+    except MarkupError:
+        return Text(text)
+
+
+@contextmanager
+def progress_bar(console: Console) -> Iterator[Callable[[str, int, int], None]]:
+    """Gives `progress(text, done, total)`; the total may grow."""
+    if not console.is_terminal:
+        yield _lines(Console(stderr=True) if console.file is sys.stdout else console)
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(
+        *columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console, transient=True
+    ) as bar:
+        task = bar.add_task("starting", total=1)
+
+        def progress(text: str, done: int, total: int) -> None:
+            bar.update(task, description=text[:48], completed=done, total=max(total, 1))
+
+        yield progress
+
+
+def _lines(console: Console) -> Callable[[str, int, int], None]:
+    last = -LINE_S
+
+    def progress(text: str, done: int, total: int) -> None:
+        nonlocal last
+        if time.monotonic() - last >= LINE_S:
+            last = time.monotonic()
+            console.print(f"{text}: {done} of {total}" if total > 1 else f"{text} ...", highlight=False)
+
+    return progress
