@@ -4,6 +4,7 @@ import base64
 import io
 import re
 from collections.abc import Sequence
+from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
 
@@ -150,6 +151,8 @@ def plain(x):
         return x.tolist()
     if isinstance(x, Path):
         return str(x)
+    if is_dataclass(x):
+        return {f.name: plain(getattr(x, f.name)) for f in fields(x)}
     if x is None or type(x) in (bool, int, float, str):
         return x
     raise TypeError(f"{type(x).__name__} has no place in a result.json")

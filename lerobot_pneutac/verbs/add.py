@@ -1,7 +1,7 @@
 """Switches effects on in a twin, re-fits everything, and reports what each term is worth."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -91,6 +91,12 @@ class Addition(Result):
     noted: dict | None = field(default=None, repr=False)
     saved_to: Path | None = None
 
+    keys = (
+        "effect", "accepted", "reason", "unconfirmed", "unit", "noise_floor", "before", "baseline", "after",
+        ("known_causes", "known"), "contributions", "reduction", "reduction_ci95", "parameters", "at_bound",
+        "not_identified", ("checks", "findings"), "objections",
+    )  # fmt: skip
+
     def save(self, folder: str | Path) -> "Addition":
         """Writes the twin as the next version of `folder`; returns the result that knows where it lies."""
         twin = self.twin.copy()
@@ -110,7 +116,6 @@ class Addition(Result):
 
     @property
     def title(self) -> str:
-        """Heading of table and report."""
         stored = "Added" if self.accepted else "Added without confirmation:" if self.unconfirmed else ""
         return f"{stored} {self.effect}" if stored else f"{self.effect} was not added"
 
@@ -160,10 +165,6 @@ class Addition(Result):
                 rows.append(row | ({"contact": e["heldout_contact"]} if "heldout_contact" in e else {}))
         return rows
 
-    def subject(self) -> tuple[Twin, str]:
-        """The twin as it is now, and what it was fitted to."""
-        return self.twin, self.recording
-
     @property
     def next_command(self) -> str:
         """To see where it still fails; where the effect was refused, what is missing."""
@@ -196,33 +197,12 @@ class Addition(Result):
             )
         return out
 
-    def to_dict(self) -> dict:
-        """The content of `result.json`."""
-        saved = {}
+    def content(self) -> dict:
+        out = super().content()
+        out |= {"explains_more": self.instead and {"effect": self.instead, "test": self.instead_error}}
         if self.saved_to:
-            saved = {"twin": self.saved_to, "version": self.twin.history[-1]["version"]}
-        return {
-            "effect": self.effect,
-            "accepted": self.accepted,
-            "reason": self.reason,
-            "unconfirmed": self.unconfirmed,
-            "unit": self.unit,
-            "noise_floor": self.noise_floor,
-            "before": self.before,
-            "baseline": self.baseline,
-            "after": self.after,
-            "known_causes": list(self.known),
-            "contributions": [asdict(c) for c in self.contributions],
-            "explains_more": self.instead and {"effect": self.instead, "test": self.instead_error},
-            "reduction": self.reduction,
-            "reduction_ci95": list(self.reduction_ci95),
-            "parameters": self.parameters,
-            "at_bound": sorted(self.at_bound),
-            "not_identified": self.not_identified,
-            "checks": list(self.findings),
-            "objections": list(self.objections),
-            **saved,
-        }
+            out |= {"twin": self.saved_to, "version": self.twin.history[-1]["version"]}
+        return out
 
     def page(self) -> Report:
         """The errors, what each term is worth, and the parameters."""
@@ -412,7 +392,7 @@ def _judged(
         reduction=reduction,
         reduction_ci95=interval,
         parameters=parameters,
-        at_bound=tuple(study.at_bound(after, effects)),
+        at_bound=tuple(sorted(study.at_bound(after, effects))),
         not_identified=after.not_identified,
         physics=tuple(study.describe(after, e) for e in effects if e in after.effects),
         findings=tuple(study.findings),

@@ -57,7 +57,6 @@ class Ageing(Result):
 
     @property
     def title(self) -> str:
-        """Heading of table and report."""
         return f"Ageing over {(self.dates[-1].day - self.dates[0].day).days} days"
 
     @property
@@ -87,7 +86,6 @@ class Ageing(Result):
 
     @property
     def sentence(self) -> str:
-        """What a reader should take away."""
         first, last, (slope, half) = self.dates[0], self.dates[-1], self.slope
         if abs(slope) > half:
             word = "more" if slope > 0 else "less"
@@ -105,7 +103,6 @@ class Ageing(Result):
         return f"{said}; {errors}: calibrate it again about {self.again.isoformat()}."
 
     def rows(self) -> list[dict]:
-        """One row a date."""
         return [
             {
                 "date": d.day.isoformat(),
@@ -123,8 +120,7 @@ class Ageing(Result):
             " ahead follows from the change of the bend alone."
         ]
 
-    def to_dict(self) -> dict:
-        """As in `result.json`."""
+    def content(self) -> dict:
         slope, half = self.slope
         return {
             "unit": self.unit,

@@ -147,7 +147,6 @@ class Augmentation(Result):
 
     @property
     def title(self) -> str:
-        """Heading of the table."""
         return f"Augmentation of {self.config.dataset.repo_id} ({self.config.method})"
 
     @property
@@ -204,14 +203,12 @@ class Augmentation(Result):
         options += [f"--output_dir={new.root}_policy", "--env_eval_freq=0", "--wandb.enable=false"]
         return shlex.join(["lerobot-train", "--policy.type=pneutac_bc", *options])
 
-    def to_dict(self) -> dict:
-        """As in `result.json`."""
+    def content(self) -> dict:
         from lerobot_pneutac.reports.augment import augment_result
 
         return augment_result(self.config.method, self.summary, self.references)
 
     def page(self) -> Report:
-        """The report."""
         from lerobot_pneutac.reports.augment import augment_page
 
         new = (self.config.output.repo_id, self.config.output.root)

@@ -67,9 +67,8 @@ class LightCalibration(Calibration):
         """How imprints turned under a drag, which later ones are held against."""
         return {"dragging": self.dragging.kept(self.task)} if self.dragging else {}
 
-    def to_dict(self) -> dict:
-        """The content of `result.json`."""
-        return super().to_dict() | {"light": self.light.to_dict(), "before": self.before}
+    def content(self) -> dict:
+        return super().content() | {"light": self.light.to_dict(), "before": self.before}
 
 
 def calibrate_demonstrations(twin: Twin, given: Demonstrations, seed: int = 0) -> LightCalibration:

@@ -42,6 +42,8 @@ class Calibration(Result):
     findings: tuple[str, ...] = ()
     saved_to: Path | None = None
 
+    keys = ("parameters", "error", "unit", "evaluations", "seconds", "recording")
+
     @property
     def reference(self) -> tuple[str, float | None]:
         """What a fit must not be worse than on held-out samples, and its error; None without one."""
@@ -82,17 +84,12 @@ class Calibration(Result):
         """Number of the saved version."""
         return self.twin.history[-1]["version"] if self.saved_to else None
 
-    def subject(self) -> tuple[Twin, str]:
-        """The twin and what it was fitted to."""
-        return self.twin, self.recording
-
     @property
     def next_command(self) -> str:
         """To see where it still fails."""
         return command_on("compare", self.twin, self.recording)
 
     def rows(self) -> list[dict]:
-        """One row a parameter."""
         return self.parameter_rows()
 
     def parameter_rows(self) -> list[dict]:
@@ -108,18 +105,9 @@ class Calibration(Result):
             for name, p in self.parameters.items()
         ]
 
-    def to_dict(self) -> dict:
-        """The content of `result.json`."""
+    def content(self) -> dict:
         where = {"twin": self.saved_to, "version": self.version} if self.saved_to else {}
-        return {
-            "parameters": self.parameters,
-            "error": self.error,
-            "unit": self.unit,
-            "evaluations": self.evaluations,
-            "seconds": self.seconds,
-            "recording": self.recording,
-            **where,
-        }
+        return super().content() | where
 
     def _now(self) -> str:
         """The end of a remark that tells where the twin is."""

@@ -71,6 +71,11 @@ class BodyComparison(Comparison):
     fidelity: str = "pipeline"
     out_of_range: float | None = None
 
+    keys = (
+        "fidelity", "simulated", "unit", "sentence", "error", "noise_floor", "coverage", "out_of_range", "by",
+        "worst", "history", ("checks", "findings"),
+    )  # fmt: skip
+
     @cached_property
     def squared(self) -> np.ndarray:
         """(n,) squared Euclidean distance."""
@@ -78,12 +83,7 @@ class BodyComparison(Comparison):
 
     @property
     def title(self) -> str:
-        """Heading of table and report."""
         return f"Twin against recording: {Path(self.recording.folder).name}"
-
-    def subject(self) -> tuple[Twin, Path]:
-        """The twin and the recording's folder."""
-        return self.twin, Path(self.recording.folder)
 
     @property
     def noise_floor(self) -> float | None:
@@ -115,7 +115,6 @@ class BodyComparison(Comparison):
 
     @property
     def sentence(self) -> str:
-        """What a newcomer should take away."""
         return sentence(self)
 
     @property
@@ -129,7 +128,6 @@ class BodyComparison(Comparison):
         return worst_passages(self.recording, self.squared)
 
     def rows(self) -> list[dict]:
-        """The key numbers."""
 
         def number(x: float | None) -> str:
             return "-" if x is None else f"{x:.3g} {self.unit}"
@@ -158,36 +156,19 @@ class BodyComparison(Comparison):
             rows.append((f"version {v['version']}", f"{v['change']}: held out {error}"))
         return [{"": name, "value": value} for name, value in rows]
 
-    def to_dict(self) -> dict:
-        """The content of `result.json`; numbers without a sample behind them are null."""
+    def content(self) -> dict:
         pressure = self.pressure_error and {
             "unit": "kPa",
             "error": self.pressure_error,
             "means": "measured pressure against what the twin makes of the command",
         }
         residual = self.measured - self.model
-        return {
-            "fidelity": self.fidelity,
-            "simulated": self.simulated,
-            "unit": self.unit,
-            "sentence": self.sentence,
-            "error": self.error,
-            "noise_floor": self.noise.value,
-            "noise": {
-                "session": self.noise.session,
-                "how": self.noise.how,
-                "by_column": self.noise.by_column,
-            },
-            "coverage": self.coverage,
+        return super().content() | {
+            "noise": {n: getattr(self.noise, n) for n in ("session", "how", "by_column")},
             "band": None if self.band is None else {"level": 0.95, "how": self.band.how},
             "columns": {name: rms_of(residual[:, i] ** 2) for i, name in enumerate(self.columns)},
             "pressure": pressure,
-            "out_of_range": self.out_of_range,
-            "by": self.by,
-            "worst": self.worst,
-            "history": self.history,
             "samples": len(self.squared),
-            "checks": list(self.findings),
         }
 
     def page(self) -> Report:

@@ -51,6 +51,10 @@ class DemonstrationComparison(Comparison):
     light: LightDrift
 
     unit = UNIT
+    keys = (
+        "unit", "error", "noise_floor", "by", "worst", "history", ("task", "demonstrations.task"),
+        "latency_s", "clock_s", ("clock_drift_s", "drift_s"),
+    )  # fmt: skip
 
     @property
     def twin(self) -> Twin:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -69,7 +73,6 @@ class DemonstrationComparison(Comparison):
 
     @property
     def title(self) -> str:
-        """Heading of the report."""
         return f"Twin against demonstrations: {self.demonstrations.folder.name}"
 
     def subject(self) -> tuple[Twin, str]:
@@ -98,13 +101,9 @@ class DemonstrationComparison(Comparison):
         """(N,) phase of each frame, an index of `PHASES`."""
         return np.concatenate([phases(e) for e in self.demonstrations.episodes])
 
-    @property
+    @cached_property
     def by(self) -> dict[str, list[dict]]:
         """Errors by phase, by episode and by imprint depth."""
-        return self._by
-
-    @cached_property
-    def _by(self) -> dict[str, list[dict]]:
         owner = self.study.owner
         episodes = [
             {"bin": str(i), **self._row(owner == i)} | self._touches(i)
@@ -169,7 +168,6 @@ class DemonstrationComparison(Comparison):
         )
 
     def rows(self) -> list[dict]:
-        """Errors by phase."""
         name = f"{UNIT} (noise {self.noise_floor:.3g})"
         return [
             {name: r["bin"], **{k: r[k] for k in ("error", "arm", "gauge", "touch")}, "area": r["area"]}
@@ -200,19 +198,8 @@ class DemonstrationComparison(Comparison):
             )
         return out
 
-    def to_dict(self) -> dict:
-        """The content of `result.json`."""
-        return {
-            "unit": UNIT,
-            "error": self.error,
-            "noise_floor": self.noise_floor,
-            "by": self.by,
-            "worst": self.worst,
-            "history": self.history,
-            "task": self.demonstrations.task,
-            "latency_s": self.latency_s,
-            "clock_s": self.clock_s,
-            "clock_drift_s": self.drift_s,
+    def content(self) -> dict:
+        return super().content() | {
             "light": self.light.to_dict(),
             "places": [
                 {"seed": e.place.seed, "shift_m": list(e.place.shift_m)} for e in self.study.fitter.episodes

@@ -47,14 +47,16 @@ class GelComparison(Comparison):
     twin: Twin
 
     unit = "levels"
+    keys = (
+        "unit", "error", "noise_floor", "image", "by", "worst", ("touch", "touch_error"), "history",
+        ("checks", "findings"), "sentence",
+    )  # fmt: skip
 
     @property
     def title(self) -> str:
-        """Heading of the report."""
         return f"Gel twin against recording: {self.folder.name}"
 
     def subject(self) -> tuple[Twin, Path]:
-        """The twin and the recording's folder."""
         return self.twin, self.folder
 
     @property
@@ -117,7 +119,6 @@ class GelComparison(Comparison):
 
     @property
     def sentence(self) -> str:
-        """What a newcomer should take away."""
         image = self.image
         if image is None:
             return (
@@ -130,28 +131,13 @@ class GelComparison(Comparison):
         )
 
     def rows(self) -> list[dict]:
-        """Errors by role."""
         return self.by["role"]
 
-    def to_dict(self) -> dict:
-        """The content of `result.json`."""
+    def content(self) -> dict:
         how = f"change of the picture further than {QUIET_RADII:g} contact radii from the contact"
-        return {
-            "unit": self.unit,
-            "error": self.error,
-            "noise_floor": self.noise_floor,
-            "noise": {"how": how},
-            "image": self.image,
-            "by": self.by,
-            "worst": self.worst,
-            "touch": self.touch_error,
-            "history": self.history,
-            "checks": list(self.findings),
-            "sentence": self.sentence,
-        }
+        return super().content() | {"noise": {"how": how}}
 
     def pictures(self) -> dict[str, np.ndarray]:
-        """Photographs above renderings."""
         first = next((s for s in self.data.samples if s.role == "calibration"), self.data.samples[0])
         return {"tactile.png": picture_grid(self.data, self.predicted, first)}
 

@@ -13,12 +13,15 @@ FILE = "contenders.json"
 
 
 def save_contenders(folder: str | Path, contenders: Sequence[Candidate]) -> None:
+def described(contenders: Sequence[Contender]) -> list[dict]:
+    """Terms and probability of each."""
+    return [{"terms": list(c.terms), "probability": c.probability} for c in contenders]
+
+def save_contenders(folder: str | Path, contenders: Sequence[Contender]) -> None:
     """Writes their twins, and last what they are."""
     for i, c in enumerate(contenders):
         c.twin.save(Path(folder) / "contenders" / str(i))
-    write_json(
-        Path(folder) / FILE, [{"terms": list(c.terms), "probability": c.probability} for c in contenders]
-    )
+    write_json(Path(folder) / FILE, described(contenders))
 
 
 def load_contenders(folder: str | Path) -> list[Candidate]:

@@ -53,10 +53,7 @@ class Control(Result):
     measured_rad: np.ndarray | None = None
 
     title = "Bend as commanded"
-
-    def subject(self) -> tuple[Twin | None, str | Path]:
-        """The twin, and the recording where there is one."""
-        return self.twin, self.recording.folder if self.recording else ""
+    keys = ("reach_rad", "expected_error_rad", "error_rad")
 
     @property
     def expected_error_rad(self) -> float:
@@ -95,7 +92,6 @@ class Control(Result):
         ]
 
     def next_after(self, out: Path) -> str:
-        """To drive the program."""
         if self.recording:
             return ""
         return shlex.join(["pneutac", "measure", f"--program={out}/program.csv", f"--out={out}/recording"])
@@ -111,16 +107,12 @@ class Control(Result):
             table.to_csv(part, index=False, float_format="%.6g")
         return super().report(out, command)
 
-    def to_dict(self) -> dict:
-        """The content of `result.json`."""
-        return {
+    def content(self) -> dict:
+        return super().content() | {
             "samples": len(self.time_s),
             "duration_s": self.time_s[-1],
-            "reach_rad": list(self.reach_rad),
             "bend_by": bend_is_by(self.twin),
-            "expected_error_rad": self.expected_error_rad,
-            "error_rad": self.error_rad,
-            "largest_pressure_kpa": float(self.pressure_kpa.max()),
+            "largest_pressure_kpa": self.pressure_kpa.max(),
         }
 
 

@@ -64,8 +64,7 @@ class DemoResult(Result):
         """The corrected twin, and what it was measured by."""
         return Twin.load(self.out / "twin"), self.out / "bench/finger"
 
-    def to_dict(self) -> dict:
-        """The content of `result.json`."""
+    def content(self) -> dict:
         s = self.state
         return {
             "tip_error_mm": {"before": s["twin"]["tip_error_mm"], "after": s["add"]["tip_error_mm"]},
@@ -79,5 +78,4 @@ class DemoResult(Result):
         }
 
     def page(self) -> Report:
-        """The report, not yet written."""
         return demo_page(self)

@@ -17,7 +17,7 @@ from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import called
 from lerobot_pneutac.study.pair import load_bench_pair, load_pair
 from lerobot_pneutac.verbs.benches import save_program
-from lerobot_pneutac.verbs.contenders import load_contenders
+from lerobot_pneutac.verbs.contenders import described, load_contenders
 from lerobot_pneutac.verbs.design_press import design_press
 from lerobot_pneutac.verbs.diagnosis import Diagnosis
 from lerobot_pneutac.verbs.result import Result
@@ -55,10 +55,11 @@ class Design(Result):
     hands: Hands = NO_HANDS
 
     title = "The next experiment"
-
-    def subject(self) -> tuple[Twin, Path]:
-        """The twin and the recording."""
-        return self.twin, self.recording.folder
+    keys = (
+        ("program", "best.name"), ("kind", "best.kind"), ("hand", "best.hand"), ("seconds", "best.seconds"),
+        ("nats_between_models", "best.rivals"), ("nats_about_constants", "best.constants"),
+        ("share_where_nothing_was", "best.new"), ("tells_little", "best.tells_little"), "sentence",
+    )  # fmt: skip
 
     @property
     def best(self) -> Choice:
@@ -91,7 +92,6 @@ class Design(Result):
         return "decides between them" if decides else "sharpens the constants of the first"
 
     def rows(self) -> list[dict]:
-        """The best programs."""
         return [
             {
                 "program": c.name,
@@ -104,23 +104,10 @@ class Design(Result):
         ]
 
     def next_after(self, out: Path) -> str:
-        """To drive it."""
         return shlex.join(["pneutac", "measure", f"--program={out}/program.csv", f"--out={out}/recording"])
 
-    def to_dict(self) -> dict:
-        """The content of `result.json`."""
-        return {
-            "program": self.best.name,
-            "kind": self.best.kind,
-            "hand": self.best.hand,
-            "seconds": self.best.seconds,
-            "nats_between_models": self.best.rivals,
-            "nats_about_constants": self.best.constants,
-            "share_where_nothing_was": self.best.new,
-            "tells_little": self.best.tells_little,
-            "contenders": [{"terms": list(c.terms), "probability": c.probability} for c in self.contenders],
-            "sentence": self.sentence,
-        }
+    def content(self) -> dict:
+        return super().content() | {"contenders": described(self.contenders)}
 
     def report(self, out: str | Path, command: str = "") -> Path:
         """Writes `program.csv` too."""

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
 
 from lerobot_pneutac.diagnosis.thresholds import TELLS
 from lerobot_pneutac.reports.design import motion_page
@@ -44,10 +43,7 @@ class MotionDesign(Result):
     known: bool
 
     title = "The next demonstrations"
-
-    def subject(self) -> tuple[Twin, Path]:
-        """The twin and the dataset."""
-        return self.twin, self.recording.folder
+    keys = (("imprints_known", "known"), "sentence")
 
     @property
     def chosen(self) -> dict[str, MotionChoice]:
@@ -103,17 +99,14 @@ class MotionDesign(Result):
         )
         return out
 
-    def to_dict(self) -> dict:
-        """The content of `result.json`."""
-        return {
+    def content(self) -> dict:
+        return super().content() | {
             "episodes": len(self.recording.episodes),
-            "imprints_known": self.known,
             "motions": [
                 {"name": c.motion.name, "seconds": c.motion.seconds, "standard_deviations": c.sure}
                 for c in self.choices
             ],
             "chosen": {change: c.motion.name for change, c in self.chosen.items()},
-            "sentence": self.sentence,
         }
 
     def page(self) -> Report:

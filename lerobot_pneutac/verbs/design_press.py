@@ -12,7 +12,7 @@ from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import called
 from lerobot_pneutac.study.gel_press import HeldChoice, PressChoice, held_choice, press_choices
 from lerobot_pneutac.study.pair import same_device
-from lerobot_pneutac.verbs.contenders import load_contenders
+from lerobot_pneutac.verbs.contenders import described, load_contenders
 from lerobot_pneutac.verbs.diagnosis import Diagnosis
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.gel import GelRecording
@@ -43,10 +43,7 @@ class PressDesign(Result):
     held: HeldChoice
 
     title = "The next press"
-
-    def subject(self) -> tuple[Twin, Path]:
-        """The twin and the recording."""
-        return self.twin, self.recording.folder
+    keys = (("nats_between_models", "best.rivals"), "tells_little", "sentence")
 
     @property
     def best(self) -> PressChoice:
@@ -81,7 +78,6 @@ class PressDesign(Result):
         )
 
     def rows(self) -> list[dict]:
-        """The best presses."""
         return [
             {
                 "indenter": f"{c.press.indenter}, {c.press.size_mm:g} mm",
@@ -97,23 +93,14 @@ class PressDesign(Result):
         """What would tell creep, where that is not what is asked for first."""
         return [] if self.held_first else [self.held.sentence]
 
-    def to_dict(self) -> dict:
-        """The content of `result.json`."""
-        return {
+    def content(self) -> dict:
+        held = self.held
+        creep = {"presses": self._held_rows(), "wait_s": held.wait_s, "share_left": held.share}
+        creep |= {"levels": held.levels, "nats": held.rivals, "assumed": held.assumed}
+        return super().content() | {
             "press": _row(self.best.press),
-            "nats_between_models": self.best.rivals,
-            "tells_little": self.tells_little,
-            "creep": {
-                "presses": self._held_rows(),
-                "wait_s": self.held.wait_s,
-                "share_left": self.held.share,
-                "levels": self.held.levels,
-                "nats": self.held.rivals,
-                "assumed": self.held.assumed,
-                "first": self.held_first,
-            },
-            "contenders": [{"terms": list(c.terms), "probability": c.probability} for c in self.contenders],
-            "sentence": self.sentence,
+            "creep": creep | {"first": self.held_first},
+            "contenders": described(self.contenders),
         }
 
     def _held_rows(self) -> list[dict]:

@@ -1,7 +1,7 @@
 """What a diagnosis tells, whatever the device."""
 
 import time
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -37,6 +37,17 @@ class Diagnosis(Result):
     outcome: Outcome
     saved_to: Path | None = None
     made_at: str = field(default_factory=lambda: time.strftime("%Y-%m-%d %H:%M"))
+
+    keys = (
+        "verdict", "sentence", ("confidence", "confidence.value"), "warnings", "do_next",
+        ("unit", "study.unit"), ("noise_floor", "study.noise.value"), ("noise_floor_how", "study.noise.how"),
+        ("baseline", "before"),
+        "selected", ("known_causes", "outcome.known"), ("contributions", "outcome.contributions"),
+        ("run_terms", "outcome.run_terms"), "after", ("at_bound", "outcome.evidence.at_bound"),
+        ("likely_right", "outcome.likely_right"), ("objections", "outcome.evidence.objections"), "findings",
+        "next_experiment", ("rows", "study.given_rows"), ("seed", "study.seed"),
+        ("seconds", "outcome.seconds"), ("time", "made_at"),
+    )  # fmt: skip
 
     @property
     def twin(self) -> Twin:
@@ -91,7 +102,6 @@ class Diagnosis(Result):
 
     @property
     def title(self) -> str:
-        """Heading of the table."""
         return f"test error, {self.study.unit} (noise {noise_text(self.study.noise.value)})"
 
     @cached_property
@@ -157,46 +167,22 @@ class Diagnosis(Result):
         said = [*(f"- {escape(w)}" for w in told[:SHOWN]), *more]
         return [*(["[bold]Warnings[/]", *said] if said else []), f"[bold]Do next:[/] {escape(self.do_next)}"]
 
-    def to_dict(self) -> dict:
-        """The content of `result.json`."""
+    def content(self) -> dict:
         o, study = self.outcome, self.study
-        return {
-            "verdict": o.verdict,
-            "sentence": self.sentence,
-            "confidence": self.confidence.value,
-            "warnings": self.warnings,
-            "do_next": self.do_next,
-            "unit": study.unit,
-            "noise_floor": study.noise.value,
-            "noise_floor_how": study.noise.how,
-            "baseline": self.before,
-            "selected": o.selected,
-            "known_causes": o.known,
+        return super().content() | {
             "with_known_causes": None if o.baseline is None else study.errors(o.baseline),
-            "contributions": [asdict(c) for c in o.contributions],
-            "run_terms": o.run_terms,
-            "after": self.after,
             "reduction": self.reduction[0],
-            "reduction_ci95": list(self.reduction[1]),
+            "reduction_ci95": self.reduction[1],
             "parameters": {e: study.as_written(study.parameters(o.after, e)) for e in o.selected},
             "ladder": [{"change": label, **study.errors(model)} for label, model in o.ladder],
             "effects": [_tested(t, study) for t in o.tested] + [_untested(u) for u in study.untested],
             "indistinguishable": [[r.effect, r.rival] for r in o.rivals],
             "chosen_in": {e: o.chosen_in.get(e, 1.0) for e in o.selected},
-            "at_bound": o.evidence.at_bound,
             "error_over_noise": {k: getattr(o.evidence, k) for k in ("before", "after")},
             "black_box": {
                 "share_of_rest": o.evidence.left_to_black_box,
                 "unfinished": o.evidence.unfinished,
             },
-            "likely_right": o.likely_right,
-            "objections": o.evidence.objections,
-            "findings": list(self.findings),
-            "next_experiment": self.next_experiment,
-            "rows": study.given_rows,
-            "seed": study.seed,
-            "seconds": o.seconds,
-            "time": self.made_at,
             **study.details(o),
         }
 

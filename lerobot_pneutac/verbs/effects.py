@@ -37,9 +37,13 @@ class ShownEffect(Result):
 
     effect: Effect
 
+    keys = (
+        ("name", "effect.name"), ("stage", "effect.stage"), "sentence", ("latex", "effect.equation"),
+        ("experiment", "effect.experiment"),
+    )  # fmt: skip
+
     @property
     def title(self) -> str:
-        """Name and stage."""
         return f"{self.effect.name} ({self.effect.stage})"
 
     @property
@@ -49,7 +53,6 @@ class ShownEffect(Result):
         return self.effect.describe(values, "gel" if of_sensor([self.effect.name]) else "finger")
 
     def rows(self) -> list[dict]:
-        """Its parameters."""
         return units(self.effect)
 
     def remarks(self) -> list[str]:
@@ -61,14 +64,10 @@ class ShownEffect(Result):
         out += [f"needs on record: {', '.join(columns)}"] if columns else []
         return [*out, f"seen by: {e.experiment}"]
 
-    def to_dict(self) -> dict:
-        """The content of `result.json`."""
+    def content(self) -> dict:
         e = self.effect
-        return {
-            "name": e.name, "stage": e.stage, "family": family(e.name), "sentence": self.sentence,
-            "equation": plain_equation(e.equation), "latex": e.equation, "parameters": self.rows(),
-            "columns": list(getattr(e, "columns", ())), "experiment": e.experiment,
-        }  # fmt: skip
+        out = {"family": family(e.name), "equation": plain_equation(e.equation), "parameters": self.rows()}
+        return super().content() | out | {"columns": getattr(e, "columns", ())}
 
     def page(self) -> Report:
         """The same with a picture of a finger that goes through steps and ramps."""

@@ -6,7 +6,7 @@ slow valve cannot pass for a creeping body; else everything is fitted to the pos
 """
 
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -59,7 +59,6 @@ class BodyCalibration(Calibration):
 
     @property
     def title(self) -> str:
-        """Heading of the report."""
         return f"Calibrated {self.twin.device}"
 
     @property
@@ -105,14 +104,9 @@ class BodyCalibration(Calibration):
             f"{self.unit}. Without each, all else re-fitted: {each} {self.unit}."
         ]
 
-    def to_dict(self) -> dict:
-        """The content of `result.json`."""
-        return super().to_dict() | {
-            "before": {"heldout": self.before},
-            "without_causes": {"heldout": self.without_causes},
-            "known_causes": [asdict(c) for c in self.causes],
-            "compliance": self.compliance,
-        }
+    def content(self) -> dict:
+        errors = {k: {"heldout": getattr(self, k)} for k in ("before", "without_causes")}
+        return super().content() | errors | {"known_causes": self.causes, "compliance": self.compliance}
 
     def page(self) -> Report:
         """Parameters, and measurements beside the twin."""

@@ -81,7 +81,6 @@ class GelCalibration(Calibration):
 
     @property
     def title(self) -> str:
-        """Heading of table and report."""
         n = len(self.data.presses)
         return "A tactile sensor from two images" if n == 1 else f"A tactile sensor from {n} presses"
 
@@ -167,13 +166,12 @@ class GelCalibration(Calibration):
             )
         return out
 
-    def to_dict(self) -> dict:
-        """The content of `result.json`."""
+    def content(self) -> dict:
         methods = {name: _finite(self.mean(name)) for name in self.scores} if self.data.heldout else {}
         image = None
         if self.data.heldout:
             image = methods[OURS] | {"rest_rmse": methods[REST]["rmse"], "n": len(self.data.heldout)}
-        return super().to_dict() | {
+        return super().content() | {
             "make": self.fit.make,
             "orientation": str(self.fit.orientation) if self.fit.make else "",
             "make_likeness": self.fit.likeness,
@@ -189,7 +187,6 @@ class GelCalibration(Calibration):
         }
 
     def pictures(self) -> dict[str, np.ndarray]:
-        """Photographs above renderings."""
         return {"tactile.png": picture_grid(self.data, self.predicted, self.data.calibration)}
 
     def page(self) -> Report:

@@ -77,7 +77,6 @@ class PhotoCalibration(Calibration):
 
     @property
     def title(self) -> str:
-        """Heading of the report."""
         return f"Calibrated {self.twin.device} by images"
 
     @property
@@ -118,12 +117,11 @@ class PhotoCalibration(Calibration):
             f"in {self.seconds:.0f} s{self._now()}"
         ]
 
-    def to_dict(self) -> dict:
-        """The content of `result.json`."""
+    def content(self) -> dict:
         loss = self.scores.appearance[0] + SILHOUETTE * (1 - self.scores.iou[0])
         names, study = self.fitted.names, self.study
         tip = {} if self.tip_mm is None else {"tip_error_mm": self.tip_mm}
-        return super().to_dict() | tip | {
+        return super().content() | tip | {
             "objective": _parts(study, loss),
             "iou": self.iou,
             "not_identified": self.confidence.not_identified,

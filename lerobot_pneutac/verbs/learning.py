@@ -1,6 +1,6 @@
 """What the bench taught, round by round."""
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -103,6 +103,10 @@ class Learning(Result):
     folder: Path
 
     title = "Learnt from the bench"
+    keys = (
+        "confirmed", ("confirmed_by", "last.confirmed_by"), ("selected", "last.selected"),
+        ("verdict", "last.verdict"), "ended", "bench_s", "sentence", "rounds",
+    )  # fmt: skip
 
     @property
     def last(self) -> Round:
@@ -146,7 +150,6 @@ class Learning(Result):
         return f"After {minutes}: {what}.{foreseen}{told} It ended because {self.ended}."
 
     def rows(self) -> list[dict]:
-        """One a round."""
         return [
             {
                 "round": r.number,
@@ -170,24 +173,6 @@ class Learning(Result):
             "* confirmed: a recording of another kind was predicted with it before it was used",
             f"twin: {self.folder / 'twin'}, a version for each round",
         ]
-
-    def to_dict(self) -> dict:
-        """The content of `result.json`."""
-        last = self.last
-        return {
-            "confirmed": self.confirmed,
-            "confirmed_by": last.confirmed_by,
-            "selected": last.selected,
-            "verdict": last.verdict,
-            "ended": self.ended,
-            "bench_s": self.bench_s,
-            "sentence": self.sentence,
-            "rounds": [asdict(r) for r in self.rounds],
-        }
-
-    def subject(self) -> tuple[Twin, str]:
-        """The twin as it is now."""
-        return self.twin, ""
 
     @property
     def next_command(self) -> str:

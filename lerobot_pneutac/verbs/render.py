@@ -40,11 +40,9 @@ class RenderedFilm(Result):
     stills: list[dict]
 
     def rows(self) -> list[dict]:
-        """The stills."""
         return self.stills
 
-    def to_dict(self) -> dict:
-        """As in `result.json`."""
+    def content(self) -> dict:
         return asdict(self)
 
 

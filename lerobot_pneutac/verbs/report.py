@@ -18,9 +18,10 @@ class TwinReport(Result):
 
     twin: Twin
 
+    keys = (("device", "twin.device"), "sentence")
+
     @property
     def title(self) -> str:
-        """Heading of the page."""
         return f"Twin of a {self.twin.device}" + (f": {self.twin.folder.name}" if self.twin.folder else "")
 
     def subject(self) -> tuple[Twin, str]:
@@ -45,7 +46,6 @@ class TwinReport(Result):
         return f"{said}; where it was not fitted it was {error} off when last judged."
 
     def rows(self) -> list[dict]:
-        """One row a version."""
         names = ("version", "change", "train", "heldout", "unit", "recording")
         return [{k: e.get(k) for k in names} for e in self.twin.history]
 
@@ -62,15 +62,9 @@ class TwinReport(Result):
         rows = [_row("body", k, v) for k, v in self.twin.parameters.items()]
         return rows + [_row(e, k, v) for e, values in self.twin.effects.items() for k, v in values.items()]
 
-    def to_dict(self) -> dict:
-        """The content of `result.json`."""
-        return {
-            "device": self.twin.device,
-            "sentence": self.sentence,
-            "history": self.rows(),
-            "effects": list(self.twin.effects),
-            "parameters": self.parameters(),
-        }
+    def content(self) -> dict:
+        out = {"history": self.rows(), "effects": list(self.twin.effects), "parameters": self.parameters()}
+        return super().content() | out
 
     def page(self) -> Report:
         """Its history, what its effects do, its numbers, its looks."""

@@ -1,9 +1,9 @@
 """What the results of all verbs share: `result.json`, a report, a look in a notebook."""
 
-import functools
 import shlex
-from collections.abc import Callable
+from operator import attrgetter
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -15,19 +15,18 @@ from pneutac_sim.twin import Twin
 class Result:
     """Base of the frozen dataclasses that the verbs return.
 
+    A subclass declares what is in `result.json` (`keys`, and `content` for what is computed), a sentence, the
+    rows of one short table and remarks; from these come the file, the console, a notebook and the page.
+
     Attributes:
         title: heading of table and report.
         findings: what the checks of the recording found, one sentence each.
+        keys: of `result.json`; a pair is a key and the attribute that holds its value, with dots.
     """
 
     title: str = ""
     findings: tuple[str, ...] = ()
-
-    def __init_subclass__(cls, **options):
-        """Makes plain numbers, texts, lists and dicts of whatever a subclass' `to_dict` gives."""
-        super().__init_subclass__(**options)
-        if "to_dict" in vars(cls):
-            cls.to_dict = _plainly(cls.to_dict)
+    keys: ClassVar[tuple[str | tuple[str, str], ...]] = ()
 
     @property
     def findings_shown(self) -> tuple[str, ...]:
@@ -36,7 +35,8 @@ class Result:
 
     def subject(self) -> tuple[Twin | None, str | Path]:
         """The twin that it is about, and the recording's folder; None and empty where there is none."""
-        return None, ""
+        recording = getattr(self, "recording", None) or ""
+        return getattr(self, "twin", None), getattr(recording, "folder", recording)
 
     @property
     def next_command(self) -> str:
@@ -61,8 +61,13 @@ class Result:
         return []
 
     def to_dict(self) -> dict:
-        """The content of `result.json`."""
-        raise NotImplementedError
+        """The content of `result.json`: dicts, lists, texts, numbers and None."""
+        return {str(k): plain(v) for k, v in self.content().items()}
+
+    def content(self) -> dict:
+        """The same, which may hold arrays, tuples, paths and dataclasses."""
+        pairs = ((k, k) if isinstance(k, str) else k for k in self.keys)
+        return {key: attrgetter(attribute)(self) for key, attribute in pairs}
 
     def page(self) -> Report:
         """The report, not yet written."""
@@ -106,14 +111,6 @@ class Result:
         for remark in self.remarks():
             page.text(remark)
         return page.fragment()
-
-
-def _plainly(to_dict: Callable[..., dict]) -> Callable[..., dict]:
-    @functools.wraps(to_dict)
-    def found(self) -> dict:
-        return {str(k): plain(v) for k, v in to_dict(self).items()}
-
-    return found
 
 
 def about(twin: Twin | None, recording: str | Path = "") -> str:

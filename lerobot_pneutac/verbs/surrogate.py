@@ -98,24 +98,17 @@ class TrainedNetworks(Result):
     twin: Twin
     networks: dict
     errors: list[tuple[str, str, str]]
+
     title = "Networks in place of material points"
+    keys = (("twin", "twin.folder"), "networks")
 
     def rows(self) -> list[dict]:
-        """What was measured."""
         return [dict(zip(HEADER, row, strict=True)) for row in self.errors]
-
-    def to_dict(self) -> dict:
-        """As in `result.json`."""
-        return {"twin": self.twin.folder, "networks": self.networks}
 
     def remarks(self) -> list[str]:
         """How they become finer."""
         trained = any(found["source"] == "trained" for found in self.networks.values())
         return [f"For finer ones repeat with {REFINED}; contacts that were collected are kept."] * trained
-
-    def subject(self) -> tuple[Twin, str]:
-        """The twin alone."""
-        return self.twin, ""
 
     @property
     def next_command(self) -> str:
@@ -123,7 +116,6 @@ class TrainedNetworks(Result):
         return shlex.join(["pneutac", "benchmark", "surrogate", f"--twin={self.twin.folder}"])
 
     def page(self) -> Report:
-        """The report."""
         page = Report(self.title)
         page.lead("Errors against the full simulation, on motions and contacts that were held out.")
         page.table(self.rows())

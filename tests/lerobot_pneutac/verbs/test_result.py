@@ -68,7 +68,7 @@ def test_results_of_networks_are_plain(tmp_path):
 
 def test_whatever_a_verb_finds_becomes_plain():
     class Found(Result):
-        def to_dict(self):
+        def content(self):
             return {
                 1: np.float64(0.5),
                 "a": (np.int64(2), [np.arange(2)]),
@@ -77,8 +77,8 @@ def test_whatever_a_verb_finds_becomes_plain():
             }
 
     class More(Found):
-        def to_dict(self):
-            return super().to_dict() | {"d": np.float32(0.25)}
+        def content(self):
+            return super().content() | {"d": np.float32(0.25)}
 
     plain = {"1": 0.5, "a": [2, [[0, 1]]], "b": "x", "c": True, "d": 0.25}
     assert More().to_dict() == plain and all_plain(More().to_dict())
@@ -86,7 +86,7 @@ def test_whatever_a_verb_finds_becomes_plain():
 
 def test_what_has_no_place_in_json_is_refused():
     class Found(Result):
-        def to_dict(self):
+        def content(self):
             return {"a": {1, 2}}
 
     with pytest.raises(TypeError, match="set has no place in a result.json"):
@@ -118,9 +118,6 @@ def test_a_report_names_twin_version_and_recording_and_what_comes_next(body, tmp
 def test_the_next_command_is_told_of_demonstrations_what_the_first_was(tmp_path):
     class Found(Result):
         title, next_command = "found", "pneutac add --twin=t --recording=d"
-
-        def to_dict(self):
-            return {}
 
     first = "pneutac diagnose --twin=t --recording=d --task=button '--station=my lab.yaml' --seed=1"
     page = Found().report(tmp_path, first).read_text()
