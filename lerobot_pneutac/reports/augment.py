@@ -7,6 +7,7 @@ import plotly.graph_objects as go
 from lerobot.datasets import LeRobotDataset
 from lerobot.utils.constants import OBS_STATE
 
+from lerobot_pneutac.reports.colours import SERIES
 from lerobot_pneutac.reports.page import Report
 from pneutac_datasets.demonstrations.augment.reference import Reference, onset_sigma_m
 from pneutac_sim.features import VELOCITY_NAMES, Places
@@ -118,14 +119,14 @@ def _places(references: list[Reference]) -> Places:
 
 def _touch(states: list[np.ndarray], sources: list[int], references: list[Reference]) -> go.Figure:
     places = _places(references)
-    figure, colours = go.Figure(), ("#0b6e99", "#c2410c", "#15803d", "#7e22ce")
+    figure = go.Figure()
     for state, source in zip(states, sources, strict=True):
         if source < SHOWN:
             t = np.arange(len(state)) / references[source].control_hz
-            line = {"color": colours[source], "width": 0.7}
+            line = {"color": SERIES[source], "width": 0.7}
             figure.add_scatter(x=t, y=state[:, places.area], mode="lines", line=line, showlegend=False)
     for r in references[:SHOWN]:
-        t, line = np.arange(len(r)) / r.control_hz, {"color": colours[r.source], "width": 3}
+        t, line = np.arange(len(r)) / r.control_hz, {"color": SERIES[r.source], "width": 3}
         figure.add_scatter(x=t, y=r.area, mode="lines", line=line, name=f"demonstration {r.source}")
     figure.update_layout(xaxis_title="time (s)", yaxis_title="contact area (share of the image)")
     return figure

@@ -4,14 +4,23 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from lerobot_pneutac.reports.colours import CHAMBERS, COMMAND, FLOOR, HELDOUT, MEASURED, MODEL, SHADE, TRAIN
+from lerobot_pneutac.reports.colours import (
+    BAND,
+    CHAMBERS,
+    COMMAND,
+    FLOOR,
+    HELDOUT,
+    MEASURED,
+    MODEL,
+    SHADE,
+    TRAIN,
+)
 from lerobot_pneutac.reports.compare_sentence import inside_band
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.session import name_runs, session_clock
 from pneutac_datasets.recording.axes import numbers, unit_of
 from pneutac_sim.finger.quantities import root_mean
 
-BAND = "rgba(42, 157, 143, 0.3)"  # of held-out samples
 POINTS = 1500  # a line: more cannot be seen on a screen
 GAP = np.array([np.nan])  # between the parts of a line
 EACH, ALL = 60, 30_000  # of a trial at least, but where the least of all trials together is more than that

@@ -1,7 +1,5 @@
 """The page of a twin against demonstrations: recorded touch beside the twin's, curves, a film, errors."""
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
 
@@ -9,16 +7,13 @@ from lerobot_pneutac.reports.colours import COMMAND, MEASURED, MODEL, OTHER
 from lerobot_pneutac.reports.page import Report
 from pneutac_sim.features import AREA, CONTROL_HZ, PRESSURE
 
-if TYPE_CHECKING:
-    from lerobot_pneutac.verbs.compare_demonstrations import DemonstrationComparison
-
 WIDTH = 180  # of a picture of the gel, px
 GAIN = 3  # by which a change is shown larger
 SHOWN = 3  # episodes with curves
 EVERY = 2  # frames of an episode that are shown in the film
 
 
-def demonstrations_page(c: "DemonstrationComparison") -> Report:
+def demonstrations_page(c) -> Report:
     """The report of a comparison."""
     page = Report(c.title)
     page.lead(c.sentence)
@@ -47,7 +42,7 @@ def demonstrations_page(c: "DemonstrationComparison") -> Report:
     return page
 
 
-def film_frames(c: "DemonstrationComparison", number: int) -> list[np.ndarray]:
+def film_frames(c, number: int) -> list[np.ndarray]:
     """Of an episode: the gel as recorded and as replayed side by side, uint8 (H, W, 3) each."""
     recorded, replayed = c.demonstrations.episodes[number].images, c.replayed[number].images
     assert replayed is not None
@@ -62,7 +57,7 @@ def beside(recorded: np.ndarray, replayed: np.ndarray) -> np.ndarray:
     return np.hstack([cv2.resize(x, (WIDTH, height), interpolation=cv2.INTER_AREA) for x in three])
 
 
-def _curves(c: "DemonstrationComparison", number: int):
+def _curves(c, number: int):
     from plotly.subplots import make_subplots
 
     e, r = c.demonstrations.episodes[number], c.replayed[number]

@@ -1,16 +1,12 @@
 """The demo's page: what was found, how the error fell, what the policy does and feels, what was run."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
 
 from lerobot_pneutac.reports.colours import AFTER, BEFORE
 from lerobot_pneutac.reports.page import Report
-
-if TYPE_CHECKING:
-    from lerobot_pneutac.verbs.demo_result import DemoResult
 
 TITLES = {
     "bench": "Measured",
@@ -24,7 +20,7 @@ TITLES = {
 }
 
 
-def demo_page(result: "DemoResult") -> Report:
+def demo_page(result) -> Report:
     """The report of a finished demo, not yet written."""
     state, out = result.state, result.out
     page = Report(result.title)

@@ -1,16 +1,26 @@
 """The page of `pneutac learn`: how well each next program was foreseen, and what was found."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import plotly.graph_objects as go
+from PIL import Image, ImageDraw, ImageFont
 from plotly.subplots import make_subplots
 
-from lerobot_pneutac.reports.compare import HELDOUT, MEASURED, MODEL, TRAIN
+from lerobot_pneutac.reports.colours import CHAMBERS, HELDOUT, INK, MEASURED, MODEL, PALE, PAPER, TRAIN
 from lerobot_pneutac.reports.design import pressure_traces
-from lerobot_pneutac.reports.learn_film import FASTER, FORESEEN, FRAMES_HZ, film_frames
 from lerobot_pneutac.reports.page import Report
+
+FORESEEN = "foreseen.csv"  # in a round's folder: what was foreseen of its program, and measured
+FASTER, FRAMES_HZ = 10.0, 10.0
+SIZE = (720, 400)  # width, height
+CURVE, COMMAND, BARS = (
+    (60, 60, 470, 270),
+    (60, 300, 470, 370),
+    (530, 60, 700, 370),
+)  # left, top, right, bottom
 
 
 def learn_page(learning) -> Report:
@@ -96,3 +106,72 @@ def _likely(learning) -> go.Figure:
     figure.update_xaxes(title_text="round", dtick=1)
     figure.update_yaxes(title_text="probability")
     return figure
+
+
+def film_frames(rounds, files: list[Path]) -> Iterator[np.ndarray]:
+    """Pictures, uint8 (H, W, 3), `FRAMES_HZ` of them a second.
+
+    Args:
+        rounds: that had a model before them, in order.
+        files: of each, what was foreseen and measured.
+    """
+    for k, (r, file) in enumerate(zip(rounds, files, strict=True)):
+        table = pd.read_csv(file)
+        t = table["time_s"].to_numpy(float) - table["time_s"].iloc[0]
+        names = [c.removesuffix(" measured") for c in table if c.endswith(" measured")]
+        name = max(names, key=lambda n: np.ptp(table[f"{n} measured"]))
+        for now_s in np.arange(0.0, t[-1] + FASTER / FRAMES_HZ, FASTER / FRAMES_HZ):
+            yield _frame(rounds[: k + 1], r, t, table, name, min(now_s, t[-1]))
+
+
+def _frame(rounds, r, t: np.ndarray, table: pd.DataFrame, name: str, now_s: float) -> np.ndarray:
+    picture = Image.new("RGB", SIZE, PAPER)
+    draw = ImageDraw.Draw(picture)
+    small, large = ImageFont.load_default(13), ImageFont.load_default(16)
+    draw.text((60, 12), f"program {r.number}: {r.program}", INK, large)
+    seen, measured = table[f"{name} foreseen"].to_numpy(float), table[f"{name} measured"].to_numpy(float)
+    reach = (min(seen.min(), measured.min()), max(seen.max(), measured.max()))
+    past = t <= now_s
+    _line(draw, CURVE, t[past], measured[past], reach, MEASURED, t[-1], 3)
+    _line(draw, CURVE, t, seen, reach, MODEL, t[-1])
+    draw.text((CURVE[0], CURVE[1] - 20), f"{name}: foreseen", MODEL, small)
+    draw.text((CURVE[0] + 190, CURVE[1] - 20), "measured", MEASURED, small)
+    commands = table[[c for c in table if c.startswith("pressure_cmd_")]].to_numpy(float).T
+    reach, colours = (commands.min(), commands.max()), CHAMBERS if len(commands) > 1 else (INK,)
+    for command, colour in zip(commands, colours, strict=False):
+        _line(draw, COMMAND, t[past], command[past], reach, colour, t[-1])
+    draw.text((COMMAND[0], COMMAND[1] - 18), f"command, up to {reach[1]:.3g} kPa", INK, small)
+    draw.text((COMMAND[2] - 60, COMMAND[3] + 6), f"{now_s:.0f} of {t[-1]:.0f} s", INK, small)
+    _bars(draw, rounds if now_s >= t[-1] else rounds[:-1], small)
+    return np.asarray(picture)
+
+
+def _line(draw, box, t, y, reach, colour, end_s, width=1) -> None:
+    left, top, right, bottom = box
+    draw.rectangle(box, outline=PALE)
+    if len(t) > 1:
+        x = left + (right - left) * t / end_s
+        down = bottom - (bottom - top) * (y - reach[0]) / max(reach[1] - reach[0], 1e-9)
+        draw.line(list(zip(x, down, strict=True)), colour, width)
+
+
+def _bars(draw, rounds, font) -> None:
+    """Error over noise of each program before it was used, by the model and by the twin as given."""
+    left, top, right, bottom = BARS
+    draw.text((left, top - 40), "error / noise, before use", INK, font)
+    draw.text((left, top - 22), "foreseen", MODEL, font)
+    draw.text((left + 70, top - 22), "as given", HELDOUT, font)
+    most = 30.0
+
+    def place(ratio: float) -> float:
+        return bottom - (bottom - top) * np.log(max(ratio, 1.0)) / np.log(most)
+
+    for ratio in (1, 3, 10, 30):
+        draw.line([(left, place(ratio)), (right, place(ratio))], PALE)
+        draw.text((left - 24, place(ratio) - 8), f"{ratio}", INK, font)
+    step = (right - left) / max(len(rounds), 8)
+    for i, r in enumerate(rounds):
+        for j, (error, colour) in enumerate(((r.predicted_error, MODEL), (r.bare_error, HELDOUT))):
+            x = left + step * (i + 0.15 + 0.38 * j)
+            height = place(min(max(error / r.noise, 1.05), most))
+            draw.rectangle([x, height, x + 0.33 * step, bottom], fill=colour)

@@ -1,5 +1,7 @@
 """Fits a twin to a bench recording: markers, photographs or tactile images."""
 
+import json
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,17 +11,17 @@ import numpy as np
 
 from lerobot_pneutac.cli.options import TableOptions
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.verbs import calibrate_files as files
-from lerobot_pneutac.verbs.calibrate_files import BEST, SEARCH
 from lerobot_pneutac.verbs.calibration import Calibration
 from lerobot_pneutac.verbs.measured_range import measured_range
-from pneutac_datasets.demonstrations.replay.reading import Demonstrations
+from pneutac_datasets.demonstrations.replay.reading import Demonstrations, is_dataset, load_demonstrations
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.errors import InputError, check_choice, check_least
+from pneutac_sim.errors import InputError, check_choice, check_least, option
 from pneutac_sim.files import check_writable
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 
+SEARCH = "evaluations.json"  # in the folder where a search by images is kept
+BEST = "best.png"  # there, the best rendering so far
 WAYS = ("images", "markers")
 THROUGH = ("mpm",)
 
@@ -190,11 +192,11 @@ def command(cfg: CalibrateConfig, terminal: Terminal) -> None:
 
 def run(cfg: CalibrateConfig, scratch: Path, terminal: Terminal) -> Calibration:
     """Fits and, unless it is worse, saves the twin's next version; `scratch` is for generated data."""
-    recording, note = files.recording_for(cfg.recording, scratch, cfg.seed, cfg.task, cfg.twin, cfg.station)
+    recording, note = recording_for(cfg.recording, scratch, cfg.seed, cfg.task, cfg.twin, cfg.station)
     terminal.console.print(note, end="\n" if note else "", highlight=False)
     check_writable(cfg.twin, f"--twin={cfg.twin}")
-    files.check_prior(cfg.save_prior, recording)
-    twin, keep = files.twin_for(cfg.twin, recording), cfg.out or cfg.twin
+    check_prior(cfg.save_prior, recording)
+    twin, keep = twin_for(cfg.twin, recording), cfg.out or cfg.twin
     if not (cfg.twin / "twin.yaml").exists():
         terminal.say(f"There is no twin at {cfg.twin} yet: beginning one of a gel.")
     passed = ("by", "effects", "through", "image_size", "train_kpa", "evaluations", "particles", "seed")
@@ -203,13 +205,113 @@ def run(cfg: CalibrateConfig, scratch: Path, terminal: Terminal) -> Calibration:
         with terminal.progress() as progress:
             result = calibrate(twin, recording, **options, keep=keep, progress=progress)
     except KeyboardInterrupt:
-        terminal.say(files.stopped(keep))
+        terminal.say(stopped(keep))
         raise
     if result.worse:
         return result
     if cfg.out is None:
-        files.forget_search(keep)
+        forget_search(keep)
     if note and isinstance(recording, Recording) and recording.meta.get("generated"):
         result = replace(result, recording=f"generated images (seed {cfg.seed})")  # their folder goes
-    terminal.console.print(files.keep_prior(result, cfg.save_prior), end="", highlight=False)
+    terminal.console.print(keep_prior(result, cfg.save_prior), end="", highlight=False)
     return result.save(cfg.twin)
+
+
+def recording_for(
+    folder: Path | None,
+    scratch: Path,
+    seed: int,
+    task: str = "",
+    twin: Path | None = None,
+    station: Path | None = None,
+) -> tuple[Recording | Demonstrations, str]:
+    """The recording, and a sentence where none was given.
+
+    Without one the DIGIT photographs in $PNEUTAC_DATA, or images generated in folder `scratch` where that is
+    unset.
+
+    Raises:
+        InputError: none was given for a twin that exists, which those do not measure; or as the readers.
+    """
+    if folder is not None and is_dataset(folder):
+        known = Twin.load(twin) if twin and (twin / "twin.yaml").exists() else None
+        return load_demonstrations(folder, task, known, station=station), ""
+    if folder is not None:
+        return Recording.load(folder), ""
+    if twin and (twin / "twin.yaml").exists():
+        raise InputError(f"Give --recording=DIR: which measurement is the twin at '{twin}' to be fitted to?")
+    real = Path(os.environ.get("PNEUTAC_DATA", "/nonexistent")) / "tactile" / "digit_nagoya"
+    if real.is_dir():
+        return Recording.load(real), f"No --recording given: using the DIGIT photographs in {real}."
+    from pneutac_datasets.generate.gel import write_gel_recording
+
+    return Recording.load(write_gel_recording(scratch / "generated", seed).folder), (
+        "[yellow]No --recording given: using GENERATED images, not photographs.[/] "
+        "Give --recording=DIR to calibrate to a real sensor."
+    )
+
+
+def twin_for(folder: Path, recording: Recording | Demonstrations) -> Twin:
+    """The twin in a folder; a twin of a gel is begun where there is none yet.
+
+    Raises:
+        InputError: there is none and the recording is of a body, the folder holds something else, or the
+            devices differ.
+    """
+    if (folder / "twin.yaml").exists():
+        twin = Twin.load(folder)
+        if twin.device != recording.device and (twin.device, recording.device) != ("finger", "gel"):
+            raise InputError(
+                f"{recording.folder} is a recording of a '{recording.device}' but the twin at '{folder}' is "
+                f"of a '{twin.device}'; give a twin of that device."
+            )
+        return twin
+    if recording.device != "gel":
+        raise InputError(
+            f"There is no twin at '{folder}'; make one with `pneutac new {option('twin', folder)} "
+            f"--device={recording.device}`."
+        )
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"'{folder}' holds no twin but something else; give an empty or new folder.")
+    return Twin(device="gel", length_mm=16.0)
+
+
+def check_prior(name: str | None, recording: Recording | Demonstrations) -> None:
+    """Raises InputError, before any work, where a prior cannot be kept under this name."""
+    if name is None:
+        return
+    if recording.device != "gel":
+        raise InputError(
+            f"save_prior keeps a gel's lights, but {recording.folder} is of a '{recording.device}'; omit it."
+        )
+    from pneutac_sim.gel.makes import check_name
+
+    check_name(name)
+
+
+def keep_prior(result: Calibration, name: str | None) -> str:
+    """Keeps a gel's lights under this name; returns a line that tells where, empty where there is no name."""
+    if name is None:
+        return ""
+    from lerobot_pneutac.verbs.fit_gel import GelCalibration
+
+    assert isinstance(result, GelCalibration)
+    return f"Kept the sensor's lights as {result.save_prior(name)}.\n"
+
+
+def stopped(keep: Path) -> str:
+    """What to say where a calibration was interrupted."""
+    search = keep / SEARCH
+    count = len(json.loads(search.read_text())["evaluations"]) if search.is_file() else 0
+    if not count:
+        return "Stopped before the first candidates were evaluated; the twin is as it was."
+    return (
+        f"Stopped after {count} evaluations, kept in {search}; the twin is as it was, and the same command "
+        "goes on from here."
+    )
+
+
+def forget_search(keep: Path) -> None:
+    """Deletes the search that was kept."""
+    for name in (SEARCH, BEST):
+        (keep / name).unlink(missing_ok=True)

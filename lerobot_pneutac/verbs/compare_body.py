@@ -18,7 +18,8 @@ from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.mounts import on_one_mount
 from pneutac_datasets.recording.noise import NoiseFloor, noise_floor
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.finger import BodyData, simulate
+from pneutac_sim.errors import option
+from pneutac_sim.finger import BodyData, Pipeline, simulate
 from pneutac_sim.finger.quantities import squared_distance
 from pneutac_sim.twin import Twin
 
@@ -195,8 +196,6 @@ def compare_body(twin: Twin, recording: Recording) -> BodyComparison:
     bench = prediction.data
     outside, range_finding = None, None
     if twin.networks:
-        from lerobot_pneutac.verbs.compare_networks import out_of_range
-
         outside, range_finding = out_of_range(twin, bench)
     rate, noise = motion(clean)[0], noise_floor(clean)
     return BodyComparison(
@@ -256,3 +255,42 @@ def by_axis(axis: Axis, squared: np.ndarray, train: np.ndarray) -> list[dict]:
         }
         rows.append(row)
     return rows
+
+
+def out_of_range(twin: Twin, bench: BodyData) -> tuple[float | None, str | None]:
+    """Share of samples whose bending pressure or joint angles lie outside the training, and a sentence.
+
+    Each sample's joint angles count, as in the world in free air.
+
+    Args:
+        twin: of a finger or an arm; both results are None where it has no action network of its own.
+        bench: the recording, as prepared for it.
+
+    Raises:
+        InputError: the network's file is damaged.
+    """
+    file = twin.networks.get("action")
+    if file is None:
+        return None, None
+    from pneutac_sim.surrogate.finger import network_of
+    from pneutac_sim.surrogate.network import ActionNetwork
+
+    network = network_of(twin, ActionNetwork.load(file))
+    if network is None:
+        return None, (
+            "The twin's action network was trained before its body's shape or material changed, so its range "
+            f"says nothing; run `pneutac surrogate {option('twin', Path(file).parent)}`."
+        )
+    pipeline = Pipeline.of(twin, bench.inputs)
+    joints = pipeline.run(bench.inputs, pipeline.theta(twin, bench.inputs.pressure_range_kpa)).joints
+    outside = np.array([not network.resistance(q, q)[2] for q in joints])
+    share = float(outside.mean())
+    if not outside.any():
+        return share, "All samples lie within what the twin's action network was trained with."
+    low, high = network.low[-1], network.high[-1]
+    asked = network.pressure_kpa(joints)
+    return share, (
+        f"{100 * share:.2g}% of samples lie outside what the twin's action network was trained with (bending "
+        f"pressures from {low:.3g} to {high:.3g} kPa; the recording's go from {asked.min():.3g} to "
+        f"{asked.max():.3g} kPa); there its torque goes on straight."
+    )

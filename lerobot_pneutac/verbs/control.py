@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
 
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.reports.control import control_page
+from lerobot_pneutac.reports.colours import HELDOUT, MEASURED, MODEL, TRAIN
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.study.pair import same_body
 from lerobot_pneutac.verbs.result import Result
@@ -98,7 +100,7 @@ class Control(Result):
 
     def page(self) -> Report:
         """Target, twin, finger and pressure over time."""
-        return control_page(self)
+        return _page(self)
 
     def report(self, out: str | Path, command: str = "") -> Path:
         """Writes `program.csv`, for `pneutac measure --program=`, too."""
@@ -234,3 +236,25 @@ def command(cfg: ControlConfig, terminal: Terminal) -> None:
     if recording is not None:
         same_body(twin, recording, "control")
     terminal.finish(control(twin, cfg.bend, cfg.hz, cfg.conditions, recording), cfg.out)
+
+
+def _page(c: Control) -> Report:
+    """The report of a `Control`."""
+    report = Report(c.title)
+    report.lead(c.sentence)
+    report.table(c.rows(), "Root mean square of the bend against what was asked for.")
+    figure = make_subplots(2, 1, shared_xaxes=True, row_heights=[0.7, 0.3], vertical_spacing=0.06)
+    for name, y, colour in (("asked for", c.target_rad, MEASURED), ("by the twin", c.predicted_rad, MODEL)):
+        figure.add_trace(go.Scatter(x=c.time_s, y=y, name=name, line={"color": colour}), 1, 1)
+    if c.measured_rad is not None:
+        dots = {"size": 4, "color": TRAIN}
+        figure.add_trace(
+            go.Scatter(x=c.measured_s, y=c.measured_rad, name="measured", mode="markers", marker=dots), 1, 1
+        )
+    held = {"shape": "hv", "color": HELDOUT}
+    figure.add_trace(go.Scatter(x=c.time_s, y=c.pressure_kpa, name="command", line=held), 2, 1)
+    figure.update_yaxes(title_text="bend, rad", row=1, col=1)
+    figure.update_yaxes(title_text="pressure, kPa", row=2, col=1)
+    figure.update_xaxes(title_text="time, s", row=2, col=1)
+    report.figure(figure, "Above the bend, below the pressure that was commanded for it.", 520)
+    return report

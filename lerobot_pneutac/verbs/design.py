@@ -17,9 +17,9 @@ from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import called
 from lerobot_pneutac.study.pair import load_bench_pair, load_pair
 from lerobot_pneutac.verbs.benches import save_program
-from lerobot_pneutac.verbs.contenders import described, load_contenders
 from lerobot_pneutac.verbs.design_press import design_press
 from lerobot_pneutac.verbs.diagnosis import Diagnosis
+from lerobot_pneutac.verbs.found import described, load_contenders
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.demonstrations.replay.reading import is_dataset
 from pneutac_datasets.recording.chambers import per_chamber

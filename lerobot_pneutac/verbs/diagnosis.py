@@ -13,8 +13,7 @@ from lerobot_pneutac.reports import sentences
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import Confidence, State, next_experiment
 from lerobot_pneutac.study.base import EffectStudy
-from lerobot_pneutac.verbs.contenders import save_contenders
-from lerobot_pneutac.verbs.found import BASELINE, BEFORE, FOUND
+from lerobot_pneutac.verbs.found import BASELINE, BEFORE, FOUND, save_contenders
 from lerobot_pneutac.verbs.result import Result, command_on
 from pneutac_datasets.recording.noise import noise_text
 from pneutac_sim.twin import Twin

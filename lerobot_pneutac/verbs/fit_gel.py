@@ -22,10 +22,9 @@ from lerobot_pneutac.study.gel_modulus import Modulus, keep_modulus, modulus_sen
 from lerobot_pneutac.study.pasted import Pasted
 from lerobot_pneutac.verbs.calibration import Calibration
 from lerobot_pneutac.verbs.comparison import rms_of
-from lerobot_pneutac.verbs.gel_effects import EFFECTS, STANDARD, wanted
 from pneutac_datasets.recording.gel import GelRecording, pair_faults
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.effects.registry import get_effect, of_sensor
+from pneutac_sim.effects.registry import get_effect, of_sensor, sensor_effects
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.fit import fit_presses
 from pneutac_sim.gel.indenter import Press
@@ -41,6 +40,7 @@ from pneutac_sim.twin import Twin
 if TYPE_CHECKING:
     from pneutac_sim.mpm.pressed import PressedGel  # which starts a compiler
 
+EFFECTS, STANDARD = "effects", "standard"  # in the history of a twin whose effects nobody chose
 OURS, PASTED, REST = "this model", "difference pasted", "rest image"
 # A press is poor above this share of the rest image's error, and this many times the median share.
 LEAST_PRESSES, POOR_SHARE, POOR_TIMES = 4, 0.8, 1.6
@@ -227,7 +227,7 @@ def calibrate_gel(
     Args:
         twin: of a gel, or of a finger that gets this gel.
         recording: of a gel, with a row of role `calibration` or more.
-        effects: see `gel_effects.wanted`.
+        effects: see `wanted`.
         through_mpm: whether material points give the surfaces that the light is fitted to.
         image_size: width and height in px in which the twin has its images; None for that of the photographs.
         progress: called with a text, the presses of material points done and all of them.
@@ -392,3 +392,27 @@ def _parameters(gel: GelModel) -> dict[str, dict]:
         out |= {f"{effect}.{k}": {"value": round(v, 6), "unit": units[k]} for k, v in values.items()}
     out["threshold_levels"] = {"value": gel.threshold_levels, "unit": "levels"}
     return out
+
+
+def wanted(effects: Sequence[str] | None, twin: Twin) -> list[str] | None:
+    """Optics effects to fit: those asked for, else those once chosen for the twin, else None (standard ones).
+
+    An effect is chosen by `calibrate --effects` or `add`. What `pneutac new` writes are defaults, and what a
+    calibration without `--effects` fits depends on its presses: neither binds the next one.
+
+    Raises:
+        InputError: a name is no optics effect, or acts on a session and not on one pair.
+    """
+    if effects is None:
+        fits = [version for version in twin.history if version.get("unit") == "levels"]
+        chosen = any(version.get(EFFECTS) != STANDARD for version in fits)
+        return of_sensor(twin.effects) if twin.gel and chosen else None
+    of_one_pair = [name for name, effect in sensor_effects().items() if not effect.of_session]
+    for name in effects:
+        if name not in of_one_pair:
+            why = "needs more than one pair of images" if of_sensor([name]) else "is no optics effect"
+            raise InputError(
+                f"effects={','.join(effects)}: '{name}' {why}; give some of {','.join(of_one_pair)}, or "
+                "none for the paper's linear model."
+            )
+    return list(dict.fromkeys(effects))

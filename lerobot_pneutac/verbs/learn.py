@@ -12,12 +12,13 @@ from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis.hands import Hands, instructions, named
 from lerobot_pneutac.reports.learn_film import FORESEEN
+from lerobot_pneutac.reports.learn import FORESEEN
 from lerobot_pneutac.study.pair import same_body, same_chambers
 from lerobot_pneutac.verbs.benches import Bench, check_bench, make_bench, save_program
-from lerobot_pneutac.verbs.contenders import load_contenders
 from lerobot_pneutac.verbs.diagnose import diagnose
 from lerobot_pneutac.verbs.diagnosis import Diagnosis
 from lerobot_pneutac.verbs.foreseen import error_of, not_as_asked, paths
+from lerobot_pneutac.verbs.found import load_contenders
 from lerobot_pneutac.verbs.learning import CONFIRMS, Learning, Round
 from pneutac_datasets.recording.joined import joined
 from pneutac_datasets.recording.recording import Recording

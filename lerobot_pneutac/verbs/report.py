@@ -68,9 +68,7 @@ class TwinReport(Result):
 
     def page(self) -> Report:
         """Its history, what its effects do, its numbers, its looks."""
-        from lerobot_pneutac.reports.twin import twin_page
-
-        return twin_page(self)
+        return _page(self)
 
 
 def _row(of: str, name: str, value: Value) -> dict:
@@ -80,3 +78,27 @@ def _row(of: str, name: str, value: Value) -> dict:
 def report(twin: Twin) -> TwinReport:
     """The twin with its history; nothing is changed."""
     return TwinReport(twin=twin)
+
+
+def _page(r: TwinReport) -> Report:
+    """The report of a `TwinReport`."""
+    from lerobot_pneutac.reports.compare import history  # plotly
+
+    page = Report(r.title)
+    page.lead(r.sentence)
+    if r.twin.history:
+        page.heading("How it became so")
+        for unit in dict.fromkeys(e["unit"] for e in r.rows() if e["unit"]):
+            entries = [e for e in r.rows() if e["unit"] == unit]
+            if len(entries) > 1:
+                page.figure(history(entries, unit), "Errors as each version recorded them.", 340)
+        page.table(r.rows())
+    if r.twin.effects:
+        page.heading("What its effects do")
+        page.text("\n\n".join(r.described()))
+    page.heading("Its numbers")
+    page.table(r.parameters(), "Units are in the names; where no interval stands, none was fitted.")
+    if "rest_image" in r.twin.arrays:
+        page.heading("Its touch sensor without contact")
+        page.image(r.twin.arrays["rest_image"], width=240)
+    return page

@@ -21,8 +21,7 @@ from playwright.sync_api import expect, sync_playwright
 
 from lerobot_pneutac.studio.app import Studio
 from lerobot_pneutac.studio.session import Session
-from lerobot_pneutac.verbs.demo import Demo, DemoConfig
-from lerobot_pneutac.verbs.demo_result import DemoResult
+from lerobot_pneutac.verbs.demo import Demo, DemoConfig, DemoResult
 from pneutac_sim.twin import Twin
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

@@ -11,8 +11,7 @@ from PIL import Image
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.study.pasted import shift
 from lerobot_pneutac.verbs.calibrate import calibrate
-from lerobot_pneutac.verbs.fit_gel import MPM, OURS, REST, render, scores_of
-from lerobot_pneutac.verbs.gel_effects import wanted
+from lerobot_pneutac.verbs.fit_gel import MPM, OURS, REST, render, scores_of, wanted
 from pneutac_datasets.generate.gel import HEIGHT, WIDTH, write_gel_recording
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording

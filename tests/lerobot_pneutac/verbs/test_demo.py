@@ -9,8 +9,7 @@ from rich.console import Console
 
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.reports import demo as pages
-from lerobot_pneutac.verbs.demo import Demo, DemoConfig
-from lerobot_pneutac.verbs.demo_result import DemoResult
+from lerobot_pneutac.verbs.demo import Demo, DemoConfig, DemoResult
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin, Value
