@@ -1,5 +1,7 @@
 """The report of a diagnosis: the headline first, then the evidence as pictures."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
@@ -35,6 +37,7 @@ FEWEST = 3  # steps
 BINS = 24
 MEANT = {"measured": MEASURED, "without": BEFORE, "with": AFTER}
 MOST_POINTS = 4000
+Step = tuple[str, float, Sequence[float], str]  # what changed, test error, its interval, colour
 CONDITIONS = ("gravity", "payload_g", "temperature_c")  # shown first
 
 
@@ -196,26 +199,31 @@ def ladder(study: EffectStudy, o: Outcome) -> go.Figure:
         steps += [(f"+ {text}", model, OTHER)] if text else []
     if o.selected or o.known:
         steps.append(("with all", o.after, AFTER))
-    models = [m for _, m, _ in steps]
-    rms = [study.errors(m)["heldout"] for m in models]
-    labels = [f"{label}<br>{x:.3g} {study.unit}" for (label, *_), x in zip(steps, rms, strict=True)]
-    band = [study.interval(m) for m in models]
-    up = [max(0.0, float(b[1]) - v) for b, v in zip(band, rms, strict=True)]
-    down = [max(0.0, v - float(b[0])) for b, v in zip(band, rms, strict=True)]
+    shown = [(name, study.errors(m)["heldout"], study.interval(m), colour) for name, m, colour in steps]
+    return error_bars(shown, study.unit, study.noise.value)
+
+
+def error_bars(steps: list[Step], unit: str, noise: float | None) -> go.Figure:
+    """Test errors with their 95 % intervals, one bar a step, and the noise as a dashed line."""
+    whisker = {
+        "type": "data", "color": WHISKER,
+        "array": [max(0.0, float(band[1]) - error) for _, error, band, _ in steps],
+        "arrayminus": [max(0.0, error - float(band[0])) for _, error, band, _ in steps],
+    }  # fmt: skip
     figure = go.Figure(
         go.Bar(
-            x=labels, y=rms, marker_color=[c for *_, c in steps], width=0.5,
-            error_y={"type": "data", "array": up, "arrayminus": down, "color": WHISKER},
+            x=[f"{name}<br>{error:.3g} {unit}" for name, error, *_ in steps], y=[s[1] for s in steps],
+            marker_color=[s[3] for s in steps], width=0.5, error_y=whisker,
         )
     )  # fmt: skip
-    _noise(figure, study)
-    return figure.update_yaxes(title=f"test error ({study.unit})", rangemode="tozero")
+    _noise(figure, noise)
+    return figure.update_yaxes(title=f"test error ({unit})", rangemode="tozero")
 
 
-def _noise(figure: go.Figure, study: EffectStudy, **place) -> None:
-    if study.noise.value:
+def _noise(figure: go.Figure, noise: float | None, **place) -> None:
+    if noise:
         figure.add_hline(
-            y=study.noise.value, line={"dash": "dash", "color": FLOOR},
+            y=noise, line={"dash": "dash", "color": FLOOR},
             annotation_text="" if place else "noise", **place,
         )  # fmt: skip
 
@@ -295,7 +303,7 @@ def by_level(study: EffectStudy, o: Outcome, found: list[Axis]) -> go.Figure:
                 x=axis.labels, y=np.round(y, 4), name=name, marker_color=colour, legendgroup=name,
                 showlegend=k == 0, **at,
             )  # fmt: skip
-        _noise(figure, study, **at)
+        _noise(figure, study.noise.value, **at)
         figure.update_xaxes(type="category", tickfont={"size": 10}, **at)
     return figure.update_yaxes(title_text=study.unit, col=1)
 

@@ -151,18 +151,12 @@ class Addition(Result):
         return [] if self.diagnosed else self._errors()
 
     def _errors(self) -> list[dict]:
-        steps = [("before", self.before)]
-        if self.known:
-            steps.append((f"with known causes ({', '.join(self.known)})", self.baseline))
-        if self._effects:
-            steps.append((f"with {', '.join(self._effects)}", self.after))
         noise = "unknown" if self.noise_floor is None else f"{self.noise_floor:.3g}"
         rows = []
-        for name, e in steps:
-            if e is not None:
-                row = {f"error, {self.unit} (noise {noise})": name, "training": e["train"]}
-                row |= {"test": e["heldout"], "95 % interval": span(e["heldout_ci95"])}
-                rows.append(row | ({"contact": e["heldout_contact"]} if "heldout_contact" in e else {}))
+        for name, e, _ in self._steps():
+            row = {f"error, {self.unit} (noise {noise})": name, "training": e["train"]}
+            row |= {"test": e["heldout"], "95 % interval": span(e["heldout_ci95"])}
+            rows.append(row | ({"contact": e["heldout_contact"]} if "heldout_contact" in e else {}))
         return rows
 
     @property
@@ -214,7 +208,10 @@ class Addition(Result):
         if self.accepted and self.objections:
             page.text(f"**Warnings of the diagnosis:** {'; '.join(self.objections)}.")
         if self.before is not None:
-            page.figure(self._figure())
+            from lerobot_pneutac.reports.diagnosis import error_bars  # plotly
+
+            steps = [(name, e["heldout"], e["heldout_ci95"], colour) for name, e, colour in self._steps()]
+            page.figure(error_bars(steps, self.unit, self.noise_floor))
             page.table(self._errors())
             share = percent(self.reduction, self.reduction_ci95)
             page.text(f"Of the squared error above the noise {share} goes with all of it.")
@@ -250,22 +247,13 @@ class Addition(Result):
             page.text("\n\n".join(self.findings))
         return page
 
-    def _figure(self):
-        import plotly.graph_objects as go
-
-        figure = go.Figure()
+    def _steps(self) -> list[tuple[str, dict, str]]:
         steps = [("before", self.before, BEFORE)]
-        steps += [("with known causes", self.baseline, KNOWN)] if self.known else []
+        steps += (
+            [(f"with known causes ({', '.join(self.known)})", self.baseline, KNOWN)] if self.known else []
+        )
         steps += [(f"with {', '.join(self._effects)}", self.after, AFTER)] if self._effects else []
-        for name, e, colour in steps:
-            if e is None:
-                continue
-            a, b = e["heldout_ci95"]
-            error = {"type": "data", "array": [b - e["heldout"]], "arrayminus": [e["heldout"] - a]}
-            figure.add_bar(x=[name], y=[e["heldout"]], error_y=error, marker_color=colour, showlegend=False)
-        if self.noise_floor is not None:
-            figure.add_hline(y=self.noise_floor, line_dash="dash", annotation_text="noise")
-        return figure.update_yaxes(title=f"test error ({self.unit})", rangemode="tozero")
+        return [(name, e, colour) for name, e, colour in steps if e is not None]
 
 
 def add(
