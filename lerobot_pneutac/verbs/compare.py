@@ -6,7 +6,6 @@ from pathlib import Path
 from lerobot_pneutac.cli.options import TableOptions
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.study.pair import load_bench_pair, load_pair, same_device, with_unit_note
-from lerobot_pneutac.verbs.ageing import ageing
 from lerobot_pneutac.verbs.comparison import Comparison
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
@@ -115,6 +114,8 @@ class CompareConfig(TableOptions):
 def command(cfg: CompareConfig, terminal: Terminal) -> None:
     """Compares a twin with a recording, and shows where it fails."""
     if cfg.later:
+        from lerobot_pneutac.verbs.ageing import ageing  # plotly, which the library loads for a page alone
+
         pairs = [load_bench_pair(cfg.twin, p, "tell ageing by") for p in (cfg.recording, *cfg.later)]
         terminal.finish(ageing(pairs[0][0], [recording for _, recording in pairs], cfg.seed), cfg.out)
         return
