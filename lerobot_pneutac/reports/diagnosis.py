@@ -6,7 +6,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from lerobot_pneutac.diagnosis.experiment import Separation
+from lerobot_pneutac.diagnosis.experiment import Separation, read
 from lerobot_pneutac.diagnosis.result import Contribution, Outcome
 from lerobot_pneutac.reports.colours import (
     AFTER,
@@ -23,7 +23,6 @@ from lerobot_pneutac.reports.page import Report, interval
 from lerobot_pneutac.reports.sentences import State, alternatives, evidence, meaning, percent
 from lerobot_pneutac.reports.session import name_runs, session_clock, worst_passages
 from lerobot_pneutac.study.base import EffectStudy
-from lerobot_pneutac.study.reading import read
 from pneutac_datasets.recording.axes import Axis, axes, numbers, unit_of
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.laws import family

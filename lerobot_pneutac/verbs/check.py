@@ -6,11 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from lerobot_pneutac.study import study_of
 from rich.markup import escape
 
 from lerobot_pneutac.cli.tables import show_understood
 from lerobot_pneutac.cli.terminal import Terminal
+from lerobot_pneutac.study import study_of
 from lerobot_pneutac.study.pair import fit_parts
 from lerobot_pneutac.verbs.new import new_twin
 from pneutac_datasets.demonstrations.faults import demonstration_faults, demonstration_notes, rate_notes

@@ -10,8 +10,8 @@ import numpy as np
 from lerobot_pneutac.cli.options import TableOptions
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis.design import NO_HANDS, Choice, Limits, choices
-from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.diagnosis.hands import GRAVITY, Hands, instructions, named
+from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.reports.design import design_page
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import called

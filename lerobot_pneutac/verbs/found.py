@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from lerobot_pneutac.diagnosis.result import Contender
+from lerobot_pneutac.diagnosis.result import Candidate
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError, option
@@ -60,25 +60,25 @@ def read_found(folder: str | Path, recording: Recording | Demonstrations) -> Wri
     return WrittenDiagnosis(result, *(Twin.load(f) if f.is_dir() else None for f in twins))
 
 
-def described(contenders: Sequence[Contender]) -> list[dict]:
+def described(contenders: Sequence[Candidate]) -> list[dict]:
     """Terms and probability of each."""
     return [{"terms": list(c.terms), "probability": c.probability} for c in contenders]
 
 
-def save_contenders(folder: str | Path, contenders: Sequence[Contender]) -> None:
+def save_contenders(folder: str | Path, contenders: Sequence[Candidate]) -> None:
     """Writes their twins, and last what they are."""
     for i, c in enumerate(contenders):
         c.twin.save(Path(folder) / "contenders" / str(i))
     write_json(Path(folder) / FILE, described(contenders))
 
 
-def load_contenders(folder: str | Path) -> list[Contender]:
+def load_contenders(folder: str | Path) -> list[Candidate]:
     """What `save_contenders` wrote; raises InputError where there is nothing."""
     file = Path(folder) / FILE
     if not file.is_file():
         raise InputError(f"There is no {file}; give the folder that `pneutac diagnose --out=` wrote.")
     told = json.loads(file.read_text())
     return [
-        Contender(Twin.load(Path(folder) / "contenders" / str(i)), tuple(c["terms"]), c["probability"])
+        Candidate(Twin.load(Path(folder) / "contenders" / str(i)), tuple(c["terms"]), c["probability"])
         for i, c in enumerate(told)
     ]

@@ -6,12 +6,11 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis.design import NO_HANDS, Choice, Limits, choices
+from lerobot_pneutac.diagnosis.hands import Hands, instructions, named
 from lerobot_pneutac.diagnosis.programs import first_program
 from lerobot_pneutac.diagnosis.result import Candidate
-from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.diagnosis.hands import Hands, instructions, named
-from lerobot_pneutac.reports.learn_film import FORESEEN
 from lerobot_pneutac.reports.learn import FORESEEN
 from lerobot_pneutac.study.pair import same_body, same_chambers
 from lerobot_pneutac.verbs.benches import Bench, check_bench, make_bench, save_program

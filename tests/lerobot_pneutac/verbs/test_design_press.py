@@ -8,10 +8,9 @@ import pandas as pd
 import pytest
 from generated import once
 
+from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.study.gel_press import held_choice, press_choices
-from lerobot_pneutac.cli import run_verb
-from lerobot_pneutac.study.gel_press import press_choices
 from lerobot_pneutac.verbs.found import save_contenders
 from pneutac_datasets.generate.gel import write_gel_recording
 from pneutac_datasets.recording.gel import GelRecording
