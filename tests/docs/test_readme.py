@@ -17,7 +17,7 @@ def test_blocks_run(tmp_path):
 
 
 def test_it_is_short():
-    assert len(TEXT.split()) <= 650
+    assert len(TEXT.split()) <= 600
     assert "make demo" in TEXT and "make test" in TEXT
 
 
