@@ -24,10 +24,9 @@ test: .venv/ready
 	$(PYTEST) -m "not nightly and not realtime"
 	$(REALTIME) || $(REALTIME) --last-failed
 
-# What is too long for CI: the longest tutorials and the mutations.
+# What is too long for CI.
 nightly: .venv/ready
 	$(PYTEST) -m nightly
-	$(BIN)/python tests/mutation.py
 
 lint: .venv/ready
 	$(BIN)/ruff check .

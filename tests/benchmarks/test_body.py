@@ -1,8 +1,6 @@
 """The tables of bodies, drawn and calibrated: what is measured, what is left out, what is written."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,27 +8,21 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from pneutac_benchmarks.body import looks as benchmark_looks
 from pneutac_benchmarks.body import shape as benchmark_shape
-from pneutac_benchmarks.body.looks import benchmark_looks as measure_looks
-from pneutac_benchmarks.body.looks import rmse, summary
+from pneutac_benchmarks.body.looks import rmse
 from pneutac_benchmarks.body.options import BenchmarkBodyConfig
 from pneutac_benchmarks.body.shape_case import (
-    ARM_HELDOUT_KPA,
     DOWN,
     HIDDEN,
     add_effect,
     at_rest,
-    first_twin,
     heldout,
-    photographed,
 )
-from pneutac_benchmarks.body.shape_table import errors, mean_sem, parameter_row, write_tables
+from pneutac_benchmarks.body.shape_table import write_tables
 from pneutac_datasets.generate.photo_plan import hidden_twin, session
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
-from pneutac_sim.splat.rasteriser import Rendering
 from pneutac_sim.twin import Value
 
 pytestmark = pytest.mark.slow
@@ -48,41 +40,6 @@ def test_error_counts_both_silhouettes_and_nothing_else():
     # missed: 200 levels; right but for 10 levels; drawn where there is nothing: 190 levels
     assert rmse(image, alpha, photograph, mask) == pytest.approx(np.sqrt((200**2 + 10**2 + 190**2) / 3))
     assert rmse(np.zeros_like(image), np.zeros_like(alpha), photograph, mask) == pytest.approx(200)
-
-
-def test_means_leave_out_the_photograph_that_was_trained_on():
-    def row(view, value, trained=False):
-        return {"method": "a", "view": view, "trained": trained, "rmse": value, "fit_s": 1.0, "render_s": 0.1}
-
-    (line,) = summary(
-        [row("front", 0, True), row("front", 10), row("front", 14), row("back", 30), row("back", 30)]
-    )
-    assert line["front"] == 12 and line["front_sem"] == pytest.approx(2)
-    assert line["back"] == 30 and line["back_sem"] == 0
-
-
-@pytest.mark.nightly
-def test_run_writes_table_pictures_and_result(tmp_path, monkeypatch):
-    class Flat:
-        """The trained photograph's silhouette in its mean colour, wherever the finger is."""
-
-        def __init__(self, body, positions, gradients, image, mask, camera):
-            self.drawn = Rendering(mask[..., None] * image[mask].mean(0) / 255, mask.astype(float))
-
-        def image(self, positions, gradients, camera):
-            return self.drawn
-
-    ours = benchmark_looks.methods(fast=True)["PneuTac"]
-    monkeypatch.setattr(benchmark_looks, "methods", lambda fast: {"flat": Flat, "PneuTac": ours})
-    out = tmp_path / "looks"
-    result = measure_looks(BenchmarkBodyConfig(out=tmp_path, bodies=1, step_kpa=15.0, particles=1500))
-    assert json.loads((out / "result.json").read_text())["table"] == result["table"]
-    assert (out / "pictures.png").is_file()
-    assert "PneuTac" in (out / "table.md").read_text()
-    flat, splats = result["table"]
-    assert splats["front"] < 0.6 * flat["front"] and splats["back"] < 0.8 * flat["back"]
-    assert sum(r["trained"] for r in result["rows"]) == 2
-    assert len(result["rows"]) == 2 * 2 * 2  # methods, views, pressures
 
 
 def test_bad_options_are_named():
@@ -111,23 +68,6 @@ def recorded(name: str, tmp_path: Path) -> tuple[Recording, np.ndarray]:
 
 
 @pytest.mark.nightly
-def test_an_effect_added_from_markers_lowers_the_error_where_nothing_was_fitted(tmp_path):
-    recording, tips = recorded("stiffening", tmp_path)
-    rows = heldout(recording)
-    start = hidden_twin(3, "finger")
-
-    def miss(twin):
-        return np.linalg.norm(at_rest(twin, recording, rows, FEW, "auto")[1] - tips[rows], axis=1).mean()
-
-    plain, with_effect = add_effect(start, recording, ""), add_effect(start, recording, "stiffening")
-    assert list(with_effect.effects) == ["stiffening"] and not plain.effects
-    for name in ("gain_alpha", "gain_beta"):  # the tip does not tell them
-        assert with_effect.parameters[name].value == start.parameters[name].value
-    assert miss(with_effect) < 0.015 * 110
-    assert miss(with_effect) < 0.6 * miss(plain)
-
-
-@pytest.mark.nightly
 def test_markers_of_held_out_pressures_are_not_looked_at(tmp_path):
     recording, _ = recorded("stiffening", tmp_path)
     rows = heldout(recording)
@@ -136,47 +76,6 @@ def test_markers_of_held_out_pressures_are_not_looked_at(tmp_path):
     recording.samples.loc[rows, "tip_x_mm"] += 50
     again = add_effect(hidden_twin(3, "finger"), recording, "stiffening")
     assert again.effects == found.effects and again.parameters == found.parameters
-
-
-def test_a_tilted_base_turns_the_tips(tmp_path):
-    table = session(LEVELS[:2], "finger", (), {})
-    recording = Recording(tmp_path, {}, table, "finger")
-    twin, both = hidden_twin(3, "finger"), np.ones(2, bool)
-    q, straight = at_rest(twin, recording, both, FEW, "auto")
-    twin.effects["base_tilt"] = get_effect("base_tilt").neutral() | {"pitch_rad": Value(0.1)}
-    same, turned = at_rest(twin, recording, both, FEW, "auto")
-    np.testing.assert_allclose(same, q)
-    angle = np.arctan2(turned[:, 2], turned[:, 0]) - np.arctan2(straight[:, 2], straight[:, 0])
-    np.testing.assert_allclose(angle, 0.1, rtol=1e-6)
-
-
-def test_photographs_of_the_turned_base_are_not_fitted_and_arms_have_held_out_pressures(tmp_path):
-    turned = {k: np.repeat([v, 0.5], 2) for k, v in DOWN.items()}
-    table = session(np.array([0.0, 9.0, 0.0, 9.0]), "finger", (), turned)
-    kept = photographed(Recording(tmp_path, {}, table, "finger"))
-    assert kept.column("trial").tolist() == [0, 1]
-    pressures = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], *ARM_HELDOUT_KPA])
-    arm = Recording(tmp_path, {}, session(pressures, "arm", (), {}), "arm")
-    assert heldout(arm).tolist() == [False, False] + [True] * len(ARM_HELDOUT_KPA)
-
-
-def test_means_and_parameters_of_bodies():
-    assert mean_sem([1.0, 3.0, None]) == [2.0, 1.0]
-    assert mean_sem([2.0]) == [2.0, None] and mean_sem([]) == [None, None]
-    body = {"length_mm": 200.0, "before": {"tip_mm": [1.0, 3.0], "joints_deg": 0.5}}
-    assert errors([body], "before")["tip_percent"] == [1.0, None]
-    told = {"unit": "kPa", "truth": 10.0, "identified": True, "covered": False}
-    bodies = [{"parameters": {"p0": told | {"value": v}}} for v in (11.0, 8.0)]
-    row = parameter_row("p0", bodies)
-    assert row["error"][0] == -0.5 and row["error_percent"][0] == -5 and row["magnitude_percent"][0] == 15
-    assert (row["identified"], row["covered"], row["bodies"]) == (2, 0, 2)
-
-
-def test_fast_is_a_finger_and_an_effect_and_all_is_every_effect():
-    fast = benchmark_shape.cases(BenchmarkBodyConfig(fast=True))
-    assert [(c.device, c.hidden) for c in fast] == [("finger", ""), ("finger", "stiffening")]
-    every = benchmark_shape.cases(BenchmarkBodyConfig())
-    assert len(every) == 6 + 1 + 2 * len(HIDDEN) == len({c.key for c in every})
 
 
 def test_a_body_that_was_refused_is_counted_and_told(tmp_path):
@@ -234,16 +133,3 @@ def test_shape_judges_by_the_truth_and_goes_on_where_it_stopped(tmp_path, monkey
     assert 0.2 < row["tip_mm"][0] < 2 and row["tip_percent"][0] == pytest.approx(row["tip_mm"][0] / 1.1)
     assert "0.9700" in (tmp_path / "shape" / "tables.md").read_text()
     assert benchmark_shape.benchmark_shape(cfg)["shape"] == result["shape"] and calls == ["finger_10"]
-
-
-def test_shape_needs_neither_lerobot_nor_draccus():
-    lacking = "import sys; sys.modules['lerobot'] = sys.modules['draccus'] = None; "
-    code = lacking + "from pneutac_benchmarks.body.shape import benchmark_shape"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 0
-
-
-def test_an_arm_starts_as_a_new_twin_does():
-    arm = SimpleNamespace(device="arm", length_mm=200.0, spine_joint_positions_mm=[20.0, 60.0, 100.0])
-    twin = first_twin(arm)
-    assert twin.parameters["gain_rad_per_kpa"].value == pytest.approx(0.1 / 15)  # 0.1 rad at 15 kPa
-    assert twin.spine_joint_positions_mm == [20.0, 60.0, 100.0] and twin.length_mm == 200

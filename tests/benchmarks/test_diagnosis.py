@@ -11,7 +11,6 @@ from pneutac_benchmarks.diagnosis import (
     hidden,
     main,
     real,
-    regressors,
     rules,
     table_rivals,
     table_truths,
@@ -214,41 +213,12 @@ def test_lines_and_parts_of_the_base_are_taken_out_too(truth, out, tmp_path, mon
         assert "valve_lag" in names and "creep" in names
 
 
-def test_the_gentle_part_stays_low_and_holds_nothing_long(tmp_path):
-    from pneutac_datasets.recording.recording import Recording
-    from pneutac_truths import generate, write
-
-    whole = Recording.load(write(generate("rod", ["plain"], 3, minutes=4.0), tmp_path / "day"))
-    part, column = truths.gentle(whole), "pressure_cmd_kpa"
-    assert 0.05 < len(part) / len(whole) < 0.6
-    assert part.column(column).max() <= 0.6 * whole.column(column).max()
-    for rows in part.trials().values():
-        assert part.column("time_s")[rows][0] == 0.0, "each part begins as its trial did"
-
-
 def test_real_recordings_are_split_by_blocks_and_forward():
     made = real.cases(BenchmarkDiagnosisConfig(set="real"))
     assert sum(c.kind == "blocks" for c in made) == 9 and sum(c.kind == "forward" for c in made) == 3
 
 
 # ---------------------------------------------------------------- rivals
-
-
-@pytest.mark.parametrize(
-    "method", [regressors.ridge, regressors.stlsq, regressors.gaussian_process, regressors.network]
-)
-def test_a_black_box_learns_what_features_tell(method):
-    rng = np.random.default_rng(0)
-    F, G = rng.normal(size=(2000, 3)), rng.normal(size=(500, 3))
-
-    def target(x):
-        return np.stack([x[:, 0] * x[:, 1] + 0.5 * x[:, 2], 2.0 + x[:, 0]], axis=1)
-
-    noisy = target(F) + rng.normal(0, 0.1, (2000, 2))
-    left = target(G) - method(F, noisy, G, 0)
-    inside = (np.abs(G) < 2).all(axis=1)
-    assert np.sqrt((left[inside] ** 2).mean()) < 0.2
-    assert np.abs(method(F, noisy, np.full((1, 3), 1e6), 0)).max() < 50, "held to what was shown"
 
 
 def test_the_table_of_rivals(tmp_path):
@@ -284,8 +254,3 @@ def test_options_are_told_what_is_right():
     with pytest.raises(InputError, match="must be some of rod, arm, cosserat"):
         BenchmarkDiagnosisConfig(devices=("tentacle",))
     assert BenchmarkDiagnosisConfig(set="real").folder.name == "real"
-
-
-def test_other_tables_say_so_in_one_sentence():
-    with pytest.raises(InputError, match="no benchmark; give one of diagnosis"):
-        run_verb("benchmark", ["cooking"])

@@ -5,10 +5,8 @@ import pandas as pd
 import pytest
 
 from lerobot_pneutac.verbs.benches import save_program
-from pneutac_benchmarks.diagnosis.rules import COUNTS
-from pneutac_benchmarks.experiments import LAWS, NO_FORM, _known_at, wrong_ones
+from pneutac_benchmarks.experiments import _known_at
 from pneutac_datasets.generate.truth_bench import TruthBench
-from pneutac_truths import EFFECTS, generate
 from pneutac_truths.programs import given
 
 
@@ -22,12 +20,6 @@ def test_what_is_given_is_commanded_and_rests_lie_between():
     np.testing.assert_array_equal(first, np.where(at < 1 - 1e-9, 0.2, np.where(at < 2.5 - 1e-9, 0.8, 0.0)))
     assert not p.command[p.ends[0] : p.starts[1]].any()
     assert set(p.sent_s[p.starts[0] : p.ends[0]]) == {0.0, 1.0, 2.5}
-
-
-def test_one_trial_of_a_regulator_whose_zero_moves_between_trials_is_finite():
-    plan = given([("a", np.arange(0, 3, 0.05), np.linspace(0, 1, 60))], 10.0)
-    zero = generate("rod", ["regulator_zero"], 3, plan=plan)
-    assert np.isfinite(zero.samples["tip_z_mm"]).all() and np.ptp(zero.samples["tip_z_mm"]) > 5
 
 
 @pytest.mark.slow
@@ -54,16 +46,3 @@ def test_known_counts_from_the_moment_after_which_it_stays_known():
     assert _known_at("creep_fractional", [step(1, right, 1.6), step(2, right, 1.1)]) == 2
     assert _known_at("creep_fractional", [step(1, right, 1.2), step(2, right, 1.7)]) is None
     assert _known_at("creep_fractional", []) is None
-
-
-def test_a_confirmed_law_that_is_none_of_the_devices_is_a_wrong_one():
-    confirmed = ["power_law_memory(p)", "base_tilt", "play(p)"]
-    answer = {"effect": "creep_fractional", "steps": [{"confirmed": confirmed}]}
-    assert wrong_ones(answer) == ["play(p)"]
-
-
-def test_half_of_the_devices_have_no_form_in_the_grammar():
-    for name in LAWS + NO_FORM:
-        assert "rod" in EFFECTS[name].devices
-    assert len(LAWS) == len(NO_FORM) == 10
-    assert all(COUNTS[n] for n in LAWS) and not any(COUNTS[n] for n in NO_FORM)

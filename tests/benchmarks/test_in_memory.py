@@ -11,7 +11,6 @@ from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
 from pneutac_benchmarks.policy.frames import Frames, read_frames
 from pneutac_benchmarks.policy.in_memory import held_out_episodes, new_policy, save, train
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
-from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, ACTION_NAMES, CONTROL_HZ, IMAGE_SHAPE, STATE_NAMES
 
 pytestmark = pytest.mark.slow
@@ -112,37 +111,6 @@ def test_loss_and_gradients_are_those_of_forward(data, frames, use_tactile, monk
         assert a.abs().max() > 0 and torch.allclose(a, b, rtol=1e-3, atol=1e-4 * a.abs().max().item())
 
 
-def test_frames_know_episodes_and_previous_actions(frames):
-    assert np.bincount(frames.episode).tolist() == list(LENGTHS)
-    assert np.flatnonzero(frames.first).tolist() == [0, 5, 12]
-    inside = np.flatnonzero(~frames.first)
-    assert (frames.previous[inside] == frames.action[inside - 1]).all()
-    assert np.abs(frames.difference[frames.first]).max() < 0.2 < 1 < np.abs(frames.difference[inside]).max()
-
-
-def test_several_datasets_are_read_as_if_merged(data, frames, tmp_path):
-    other = write(tmp_path / "other", (4, 4), seed=1, level=120)
-    both = read_frames(data, other)
-    assert both.demonstrations.episodes == 5 and both.demonstrations.frames == len(both.state) == 24
-    assert np.bincount(both.episode).tolist() == [*LENGTHS, 4, 4]
-    assert (both.action[: len(frames.action)] == frames.action).all()
-    assert both.rest.mean() == pytest.approx(100 / 255, abs=0.005)  # the median of three at 100, two at 120
-
-
-def test_file_holds_everything_and_images_only_on_demand(frames, tmp_path):
-    frames.save(tmp_path / "frames.npz")
-    read = Frames.load(tmp_path / "frames.npz")
-    for name in ("state", "action", "previous", "first", "episode", "difference"):
-        assert (getattr(read, name) == getattr(frames, name)).all()
-    assert torch.equal(read.rest, frames.rest) and read.demonstrations == frames.demonstrations
-    blind = Frames.load(tmp_path / "frames.npz", touch=False)
-    assert blind.difference is None and blind.rest is None
-    with pytest.raises(InputError, match="without its tactile images"):
-        policy = new_policy(True, 3e-4, 0, "cpu")
-        blind.rest = frames.rest
-        train(policy, blind, 1, 4, 0)
-
-
 def test_training_learns_keeps_the_best_and_loads_again(frames, tmp_path):
     policy = new_policy(True, 3e-3, 0, "cpu")
     seen = []
@@ -173,24 +141,3 @@ def test_episodes_held_out_do_not_teach(frames):
         train(policy, data, 5, 8, 1, [1], rows=1)
     for a, b in zip(*(p.parameters() for p in policies), strict=True):
         assert torch.equal(a, b)
-
-
-@pytest.mark.parametrize(("episodes", "n"), [(2, 1), (10, 1), (20, 2), (100, 10)])
-def test_held_out_are_a_tenth_and_at_least_one(episodes, n):
-    chosen = held_out_episodes(episodes, 0.1, 3)
-    assert len(set(chosen)) == n and set(chosen) < set(range(episodes))
-    assert chosen == held_out_episodes(episodes, 0.1, 3)
-
-
-def test_bad_input_ends_in_a_sentence(frames, tmp_path):
-    with pytest.raises(InputError, match="no meta/info.json"):
-        read_frames((tmp_path, "local/none"))
-    with pytest.raises(InputError, match="single pictures"):
-        read_frames(write(tmp_path / "pictures", (2,), video=False))
-    with pytest.raises(InputError, match="2, are needed"):
-        held_out_episodes(1, 0.1, 0)
-    policy = new_policy(True, 3e-4, 0, "cpu")
-    with pytest.raises(InputError, match="updates is 0"):
-        train(policy, frames, 0, 8, 0)
-    with pytest.raises(InputError, match="All episodes are held out"):
-        train(policy, frames, 1, 8, 0, [0, 1, 2])

@@ -1,10 +1,9 @@
 """The table of attacks: what did harm is counted and named."""
 
-import subprocess
 from pathlib import Path
 
 from pneutac_benchmarks.robustness import main
-from pneutac_benchmarks.robustness.outcome import Outcome, judge
+from pneutac_benchmarks.robustness.outcome import judge
 from pneutac_sim.errors import InputError
 
 
@@ -19,20 +18,6 @@ def test_tracebacks_and_long_sentences_are_harm_and_short_sentences_are_not():
     assert outcome.tried == 5 and outcome.refused == 3
     assert [b.partition(":")[0] for b in outcome.broken] == ["2", "3", "4"]
     assert "KeyError at" in outcome.broken[2] and "test_robustness.py" in outcome.broken[2]
-
-
-def test_the_page_says_how_many_attacks_did_harm():
-    outcomes = [Outcome("a", 10_000, ()), Outcome("b", 2, ("1: lost",), "seen")]
-    text = main.page(outcomes, 1.0)
-    assert "Of 2 kinds of attack 1 did harm." in text
-    assert "| a | 10,000 | 0 |  |" in text and "| b | 2 | 1 | seen |" in text
-
-
-def test_failed_tests_are_harm(monkeypatch):
-    text = "FAILED tests/a.py::test_x - assert 1\n1 failed, 2 passed in 0.1s\n"
-    monkeypatch.setattr(subprocess, "run", lambda *a, **k: subprocess.CompletedProcess(a, 1, text, ""))
-    outcome = main.run_tests("a", ("tests/a.py", "wanted"))
-    assert (outcome.tried, outcome.broken) == (3, ("FAILED tests/a.py::test_x - assert 1",))
 
 
 def test_every_test_that_the_table_names_exists():

@@ -8,14 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from lerobot_pneutac.cli import run_verb
 from pneutac_benchmarks.tactile import methods as methods
-from pneutac_benchmarks.tactile.main import measure
 from pneutac_benchmarks.tactile.methods import FOUND_ALONE, METHODS, makes_for
-from pneutac_benchmarks.tactile.picture import columns
-from pneutac_benchmarks.tactile.sets import TactileSet
 from pneutac_benchmarks.tactile.table import SCORES, ahead, mean_sem, shown
 from pneutac_datasets.generate.gel import write_gel_recording
 from pneutac_datasets.recording.recording import Recording
@@ -73,14 +69,6 @@ def test_ours_is_ahead_of_the_pasted_difference_and_of_the_rest_image(out):
         assert content["times"]["this model"]["fit_s"] > content["times"]["difference pasted"]["fit_s"]
 
 
-def test_a_gel_serves_another_session_of_its_sensor_with_the_rest_image_alone(out):
-    across = result(out)["across"]
-    assert [(r["from"], r["to"]) for r in across] == [("first", "second"), ("second", "first")]
-    for r in across:
-        assert r["moved"]["contact_rmse"][0] < 0.5 * r["rest"]["contact_rmse"][0]
-        assert r["own"]["contact_rmse"][0] < 0.5 * r["rest"]["contact_rmse"][0]
-
-
 def test_the_second_run_measures_nothing_and_prints_what_result_json_holds(data, out, monkeypatch, capsys):
     def fail(*_):
         raise AssertionError("measured again")
@@ -103,43 +91,6 @@ def test_the_second_run_measures_nothing_and_prints_what_result_json_holds(data,
     assert "| **this model** |" in table and "| **rest image** |" not in table
 
 
-def test_changed_images_are_measured_again(data, tmp_path, capsys):
-    copy, out = tmp_path / "data", tmp_path / "out"
-    shutil.copytree(data, copy)
-    argv = ["tactile", f"--data={copy}", "--methods=rest", f"--out={out}"]
-    run_verb("benchmark", argv)
-    before = result(out)["sets"]
-    file = copy / "second" / "images" / "ball_1.png"
-    Image.fromarray(255 - np.asarray(Image.open(file))).save(file)
-    run_verb("benchmark", argv)
-    assert ", 1 to do" in capsys.readouterr().out
-    after = result(out)["sets"]
-    assert after["first"] == before["first"]
-    worse = [x["second"]["methods"]["rest image"]["heldout"]["rmse"][0] for x in (before, after)]
-    assert worse[1] > worse[0] + 5
-
-
-@pytest.mark.nightly
-def test_splats_show_the_same_model(data):
-    """Drawn by Gaussians the picture is the same but for their size, drift of light included."""
-    chosen = TactileSet.load(data / "first")
-    ours, splats = (METHODS[k].fit("first", chosen.data)(chosen.heldout[0]) for k in ("model", "splats"))
-    contact = rmse(ours, chosen.heldout[0].rest)
-    assert rmse(ours, splats) < 0.25 * contact
-
-
-def test_another_sessions_rest_image_takes_a_baselines_change(data):
-    chosen = TactileSet.load(data / "first")
-    sample = chosen.heldout[0]
-    darker = replace(sample, rest=(sample.rest * 0.8).astype(np.uint8))
-    for key in ("rest", "pasted"):
-        predict = METHODS[key].fit("first", chosen.data)
-        change = predict(sample).astype(int) - sample.rest
-        moved = predict(darker).astype(int) - darker.rest
-        inside = (predict(sample) > 60) & (predict(sample) < 255)
-        np.testing.assert_array_equal(change[inside], moved[inside])
-
-
 def test_a_digit_is_never_lent_constants_that_were_found_on_it():
     assert makes_for("digit_nagoya", "digit_fots") == (FOUND_ALONE["digit_nagoya"],)
     assert not makes_for("digit_nagoya", "digit_fots")[0].units, "it would lend the target's own field"
@@ -157,12 +108,6 @@ def test_who_is_ahead_is_told_by_paired_differences():
     rows["no_make"] = row([0.0, 0.0, 0.0])
     assert ahead(rows) == [{"method": "Taxim", "role": "heldout", "score": "rmse", "by": [1.0, 0.0]}]
     assert mean_sem([2.0]) == [2.0, None] and shown([2.0, None], 1) == "2.0"
-
-
-def test_pictured_images_spread_from_the_best_to_the_worst():
-    errors = np.random.default_rng(0).permutation(21).astype(float)
-    picks = columns([{"rmse": e} for e in errors])
-    assert list(errors[picks]) == [0, 5, 10, 15, 20]
 
 
 @pytest.mark.parametrize(
@@ -194,10 +139,3 @@ def test_bad_folders_end_in_one_sentence(data, tmp_path, monkeypatch):
         recording.write(tmp_path / "data" / "bare")
         with pytest.raises(InputError, match=says):
             run_verb("benchmark", ["tactile", f"--data={tmp_path / 'data'}", f"--out={tmp_path / 'out'}"])
-
-
-def test_a_pair_that_shows_no_contact_is_named(data, tmp_path):
-    shutil.copytree(data / "first", tmp_path / "quiet")
-    shutil.copy(tmp_path / "quiet" / "rest.png", tmp_path / "quiet" / "images" / "ball_0.png")
-    with pytest.raises(InputError, match="quiet, 'images/ball_0.png'.*the same picture"):
-        measure(TactileSet.load(tmp_path / "quiet"), "linear")

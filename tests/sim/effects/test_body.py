@@ -51,13 +51,6 @@ def test_the_grid_of_times_reproduces_any_time_constant(tau):
     assert np.abs(basis @ w - np.exp(-t / tau)).max() < 0.05
 
 
-def test_creep_tells_how_long_and_how_much():
-    only_4s = dict.fromkeys(NAMES, 0.0) | {"weight_4s": 0.25}
-    derived = get_effect("creep").derive(only_4s)
-    assert derived["late_percent"] == pytest.approx(20)
-    assert derived["settle_s"] == pytest.approx(4 * np.log(10), rel=0.01)
-
-
 def test_softening_below_the_maximum_follows_ogden_and_roxburgh():
     up_down_up = np.r_[np.linspace(0.01, 1, 50), np.linspace(1, 0.1, 50), np.linspace(0.1, 1.5, 70)]
     m, u = 0.3, 0.6

@@ -71,14 +71,6 @@ def test_a_lag_follows_straight_lines_as_the_solved_equation_does(tau):
     np.testing.assert_allclose(act("lag(p)", p, time_s=tau), exact.y[0], atol=2e-5)
 
 
-def test_a_lag_is_the_digital_filter_of_a_ramp_invariant_pole():
-    p, tau = polyline(), 0.3
-    a, h = math.exp(-DT / tau), DT / tau
-    b = 1 - (1 - a) / h
-    by_filter = lfilter([b, 1 - a - b], [1, -a], p - p[0]) + p[0]
-    np.testing.assert_allclose(act("lag(p)", p, time_s=tau), by_filter, atol=1e-10)
-
-
 def test_a_lag_of_the_square_and_a_gain_are_what_their_equations_say():
     t, p, dt = stepped(to=6.0)
     m = 36.0 / P * (1 - np.exp(-t / 2.0))
@@ -412,14 +404,6 @@ def test_a_law_of_no_weight_changes_nothing():
         np.testing.assert_array_equal(
             effect.apply(x, np.full(len(x), DT), values | {"weight": 0.0}, c), x, err_msg=name
         )
-
-
-def test_every_law_tells_what_it_is():
-    for name in law_names():
-        effect, _, _, values = case(name)
-        text = effect.describe(values, "arm")
-        assert text.endswith(".") and "{" not in text and effect.experiment.endswith(".") and family(name)
-        assert all(len(s) == len(row.constants) for s in starts(name)) if (row := TABLE.get(name)) else True
 
 
 # ---------------------------------------------------------------- laws of a twin

@@ -62,19 +62,6 @@ def test_one_call_equals_many_with_the_state_carried(effect):
     np.testing.assert_array_equal(np.concatenate(parts), whole)
 
 
-@pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
-def test_tells_a_newcomer_what_it_is(effect):
-    values = {k: v.value for k, v in effect.start(15.0).items()}
-    text = effect.describe(values, "arm")
-    assert text.endswith(".") and "{" not in text and "nan" not in text and "inf" not in text
-    assert effect.experiment.endswith(".")
-
-
-def test_large_numbers_are_written_out():
-    values = {"fill_rate_kpa_per_s": 1283.0, "vent_rate_kpa_per_s": 11.94, "band_kpa": 3.3}
-    assert "at most 1280 kPa/s in and 11.9 kPa/s out" in get_effect("valve_slew").describe(values)
-
-
 def test_effects_act_stage_by_stage_in_a_fixed_order():
     names = [
         e.name for e in in_order(["creep", "base_tilt", "valve_lag", "dead_time", "creep", "stiffening"])

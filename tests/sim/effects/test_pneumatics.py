@@ -37,40 +37,12 @@ def test_lag_fills_and_vents_with_its_own_time_each():
     np.testing.assert_allclose(-1 / HZ / np.log(vented), 1.1, rtol=1e-9)
 
 
-def test_lag_does_not_depend_on_how_a_straight_command_is_sampled():
-    t = np.sort(np.random.default_rng(0).uniform(0, 5, 200))
-    t[0] = 0.0
-    fine = np.unique(np.r_[t, np.linspace(0, 5, 1000)])
-    values = {"fill_time_s": 0.4, "vent_time_s": 0.4}
-    effect = get_effect("valve_lag")
-    a = effect.apply(2 * t, np.diff(t, prepend=0), values)
-    b = effect.apply(2 * fine, np.diff(fine, prepend=0), values)
-    np.testing.assert_allclose(a, np.interp(t, fine, b), atol=1e-9)
-
-
 def test_a_trial_begins_settled_at_its_first_pressure():
     x = np.r_[np.zeros(50), np.full(50, 8.0)]
     dt = np.full(100, 0.02)
     dt[50] = np.inf
     for name in ("valve_lag", "orifice_flow", "dead_time"):
         np.testing.assert_array_equal(get_effect(name).apply(x, dt), x)
-
-
-def test_choked_filling_is_constant_mass_flow():
-    p1, b, k = 600.0, 0.3, 0.2
-    p, h = 110.0, 0.05
-    pressures = [p]
-    for _ in range(10):
-        pressures.append(fill(pressures[-1], p1, k, b, h))
-    assert pressures[-1] / p1 < b
-    np.testing.assert_allclose(np.diff(pressures), k * p1 * h, rtol=1e-12)
-
-
-def test_choked_venting_is_exponential():
-    p = [900.0]
-    for _ in range(5):
-        p.append(vent(p[-1], 110.0, 0.5, 0.3, 0.1))
-    np.testing.assert_allclose(np.diff(np.log(p)), -0.5 * 0.1, rtol=1e-12)
 
 
 @pytest.mark.parametrize("direction", ["fill", "vent"])

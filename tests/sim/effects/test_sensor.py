@@ -34,20 +34,6 @@ def crept():
     return twin
 
 
-@pytest.mark.parametrize("effect", OPTICS.values(), ids=lambda e: e.name)
-def test_tells_a_newcomer_what_it_is(effect):
-    text = effect.describe({k: v.value for k, v in effect.start().items()}, "DIGIT")
-    assert text.endswith(".") and "{" not in text and "nan" not in text and "DIGIT" in text
-    assert effect.experiment.endswith(".") and effect.stage in ("gel", "light")
-
-
-@pytest.mark.parametrize("effect", OPTICS.values(), ids=lambda e: e.name)
-def test_every_parameter_has_a_prior_within_its_bounds(effect):
-    assert len(effect.prior_sd) == len(effect.parameters) and min(effect.prior_sd) > 0
-    for p, sd in zip(effect.parameters, effect.prior_sd, strict=True):
-        assert p.lower <= p.default <= p.upper and sd < p.upper - p.lower
-
-
 def test_optics_are_found_by_name_and_are_no_effects_of_a_body():
     for name, effect in OPTICS.items():
         assert get_effect(name) is effect

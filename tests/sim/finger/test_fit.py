@@ -5,7 +5,6 @@ from scipy.optimize import least_squares
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import BodyData, fit
-from pneutac_sim.finger.confidence import autocorrelation, independent
 from pneutac_sim.finger.fit import BY_IMAGES
 from pneutac_sim.least_squares import minimise
 from pneutac_sim.twin import Twin, Value
@@ -121,12 +120,6 @@ def test_a_parameter_at_its_bound_is_called_out(program, recording, with_effects
     assert f.at_bound["dead_time.delay_s"] == "upper"
 
 
-def test_weights_that_end_at_zero_are_no_bound_to_warn_of(program, recording, with_effects):
-    truth = with_effects(Twin.builtin(), {"creep": dict.fromkeys(CASES["creep"], 0.0) | {"weight_4s": 0.3}})
-    f = fit(Twin.builtin(), recording(truth, program()), ["creep"])
-    assert not f.at_bound
-
-
 def test_what_the_recording_cannot_tell_is_held_and_named(program, recording):
     rec = recording(Twin.builtin(), program())
     f = fit(Twin.builtin(), rec, ["base_tilt"])
@@ -161,14 +154,6 @@ def test_a_tip_does_not_change_what_photographs_told_of_the_joints(program, reco
     assert not {"gain_alpha", "gain_beta"} & set(held.free_names)
     assert held.twin.parameters["gain_alpha"] == seen.parameters["gain_alpha"]
     assert {"gain_rad_per_kpa", "stiffening.linear_1_per_kpa"} <= set(held.free_names)
-
-
-def test_only_some_parameters_can_be_fitted(program, recording, with_effects):
-    truth = with_effects(Twin.builtin(), {"valve_lag": {}})
-    f = fit(truth, recording(truth, program()), only=["valve_lag", "gain_rad_per_kpa"])
-    assert f.free_names == ["gain_rad_per_kpa", "valve_lag.fill_time_s", "valve_lag.vent_time_s"]
-    with pytest.raises(InputError, match="no parameter or effect 'gainn'"):
-        fit(truth, recording(truth, program()), only=["gainn"])
 
 
 def test_the_same_seed_gives_the_same_fit(program, recording):
@@ -243,19 +228,3 @@ def test_minimise_finds_what_scipy_finds_with_active_bounds():
     theirs = least_squares(residual, np.full(6, 0.4), jacobian, (0, 1), ftol=1e-14, xtol=1e-14, gtol=1e-14)
     assert ours.cost <= 2 * theirs.cost * (1 + 1e-6)
     assert (ours.v == 0).any()
-
-
-def test_dependent_columns_are_found_in_order():
-    rng = np.random.default_rng(0)
-    J = rng.normal(size=(100, 4))
-    J[:, 2] = 2 * J[:, 0] - J[:, 1] + 1e-6 * J[:, 3]
-    J = np.c_[J, 1e-6 * J[:, 3]]
-    np.testing.assert_array_equal(independent(J), [True, True, False, True, False])
-
-
-def test_autocorrelation_does_not_look_across_trials():
-    e = np.r_[np.ones(50), -np.ones(50)][:, None]
-    adjacent = np.ones(100, bool)
-    adjacent[[0, 50]] = False
-    assert autocorrelation(e, adjacent) == 0.9999
-    assert autocorrelation(np.random.default_rng(0).normal(size=(10000, 1)), np.ones(10000, bool)) < 0.05

@@ -5,7 +5,6 @@ from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import BodyData, Inputs, simulate
 from pneutac_sim.finger.inputs import SWITCH_S
-from pneutac_sim.finger.switches import steps
 from pneutac_sim.twin import Twin
 
 
@@ -58,13 +57,6 @@ def test_session_time_runs_on_where_the_clock_of_each_trial_restarts():
     np.testing.assert_allclose(
         Inputs.from_samples(running).columns["session_time_s"], np.arange(120) * 0.1, atol=1e-9
     )
-
-
-def test_other_chambers_on_record_become_conditions():
-    t = table() | {"segment2_cmd_1_kpa": np.arange(120.0), "supply_kpa": np.ones(120)}
-    c = Inputs.from_samples(t).conditions(("other_1_kpa", "other_2_kpa", "other_3_kpa"))
-    np.testing.assert_array_equal(c, np.c_[np.arange(120.0), np.ones(120), np.zeros(120)])
-    assert "other_1_kpa" not in Inputs.from_samples(table()).columns
 
 
 def test_bad_inputs_are_refused():
@@ -168,23 +160,6 @@ def test_commands_of_a_ramp_are_held_until_the_next_where_the_log_tells_when_eac
     held = np.interp(late, clock, inputs.pressure_kpa[:, 0]) - truth
     straight = np.interp(late, table["time_s"], table["pressure_cmd_kpa"]) - truth
     assert np.sqrt(np.mean(held**2)) < 0.2 * np.sqrt(np.mean(straight**2))
-
-
-def test_ramps_and_new_trials_are_no_steps():
-    t = table(levels=(2.0, 9.0), n=100)
-    t["pressure_cmd_kpa"][20:60] += np.linspace(0, 5, 40)
-    t["pressure_cmd_kpa"][60:100] += 5.0
-    first = np.r_[True, t["trial"][1:] != t["trial"][:-1]]
-    assert len(steps(t["pressure_cmd_kpa"][:, None], first)) == 0
-    t["pressure_cmd_kpa"][150:] = 1.0
-    assert steps(t["pressure_cmd_kpa"][:, None], first).tolist() == [150]
-
-
-def test_a_measured_pressure_does_not_step():
-    t = table(levels=(0.0,), n=100)
-    t["pressure_cmd_kpa"][50:] = 8.0
-    t["pressure_kpa"] = t["pressure_cmd_kpa"].copy()
-    assert len(Inputs.from_samples(t, start="held", switch=0.5).dt_s) == 100
 
 
 def test_thinned_inputs_are_observed_at_fewer_samples_of_the_same_time():

@@ -8,7 +8,7 @@ from pneutac_sim.effects import registry
 from pneutac_sim.effects.effect import Parameter
 from pneutac_sim.effects.sensor_effect import SensorEffect
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel import batch, layout
+from pneutac_sim.gel import layout
 from pneutac_sim.gel.batch import TactileBatch
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
@@ -66,15 +66,6 @@ def test_a_batch_is_what_the_sensor_draws_one_by_one(name):
 @pytest.mark.parametrize("name", GELS)
 def test_a_batch_on_cuda_is_what_the_sensor_draws_one_by_one(name):
     check(name, "cuda")
-
-
-def test_surfaces_are_those_of_the_sensor():
-    gel = GELS["generated"]
-    depth = np.stack([press_depth(p, gel) for p in PRESSES])
-    width, height = gel.window_mm
-    moved = batch.surfaces(torch.tensor(depth), (width / 59, height / 80), gel.decay_mm)
-    sensor = TactileSensor(gel)
-    np.testing.assert_allclose(moved, [sensor.displacement(d) for d in depth], atol=2e-6)
 
 
 def test_probe_grids_of_another_shape_are_refused():

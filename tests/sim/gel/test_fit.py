@@ -6,15 +6,12 @@ import numpy as np
 import pytest
 
 from pneutac_sim.effects import get_effect
-from pneutac_sim.effects.sensor_effect import CHANNELS
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.fit import fit_gel, fit_photographs, fit_presses, standard_effects
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.layout import DIGIT, Orientation
 from pneutac_sim.gel.metrics import rmse
 from pneutac_sim.gel.photograph import Predictor, PressPhotograph
-from pneutac_sim.gel.problem import slope_light
-from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.gel.surface import surface
 
 BALL = Press("sphere", 3.0, 0.6, -1.0, 0.9)
@@ -128,19 +125,6 @@ def test_images_that_are_mirrored_and_bgr_are_recognised_and_lit_by_the_makes_li
     assert plain.make == "", "without the rest colour there is nothing that a make could lend"
 
 
-def test_the_slopes_light_of_a_pair_is_the_linear_models(linear, photograph):
-    light = slope_light(linear, PressPhotograph(BALL, photograph(linear, BALL, noise=2), linear.rest_image))
-    np.testing.assert_allclose(light, linear.light, rtol=0.1, atol=6)
-
-
-def test_the_threshold_is_the_noise_of_the_quiet_part(linear, photograph):
-    rest = linear.rest_image
-    quiet, noisy = (fit_gel(rest, photograph(linear, BALL, noise=n), BALL, 20.0, ()).gel for n in (1, 8))
-    assert quiet.threshold_levels == 6.0 and 10 < noisy.threshold_levels < 25
-    noise = photograph(linear, Press("sphere", 3.0, 0, 0, 1e-6), noise=8, seed=5)
-    assert TactileSensor(noisy).contact(noise).area < 0.003
-
-
 @pytest.mark.parametrize(
     "effect, tolerance",
     [
@@ -161,13 +145,3 @@ def test_one_pair_tells_an_effect_that_shows_at_one_place(effect, tolerance, ben
             assert found == pytest.approx(truth, abs=max(rel * truth, open_))
     deeper = replace(BALL, depth_mm=1.2)
     assert rmse(Predictor(fit.gel).image(deeper, bent.rest_image), photograph(bent, deeper)) < 0.5
-
-
-def test_terms_that_start_at_zero_are_found(bent, session):
-    effect = "photometric_nonlinearity"
-    bent.effects = {effect: bent.effects[effect] | {f"along_{c}_levels": -40.0 for c in CHANNELS}}
-    fit = fit_photographs(bent, session(bent, 3), [effect], makes=())
-    for k, channel in enumerate(CHANNELS):
-        open_ = fit.channels[k].deviations()[effect, "along_levels"]
-        assert open_ < 20  # of 30 beforehand
-        assert fit.gel.effects[effect][f"along_{channel}_levels"] == pytest.approx(-40.0, abs=2 * open_)

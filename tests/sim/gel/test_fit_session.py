@@ -94,12 +94,3 @@ def test_contacts_at_their_stated_place_stay_there(linear, session):
     found = fit_photographs(linear, session(linear, 3), ["registration_shift"]).gel.effects
     neutral = {p.name: p.neutral for p in get_effect("registration_shift").parameters}
     assert off(found["registration_shift"], neutral).max() < 0.02
-
-
-def test_a_fit_around_another_needs_few_surfaces_and_finds_the_same(linear, session):
-    photographs = session(linear, 2)
-    first = fit_photographs(linear, photographs, [])
-    second = fit_photographs(linear, photographs, [], near=first.gel)
-    assert second.evaluations < first.evaluations
-    assert second.gel.decay_mm == pytest.approx(first.gel.decay_mm, rel=0.03)
-    assert second.cost < 1.05 * first.cost

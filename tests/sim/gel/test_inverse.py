@@ -41,16 +41,6 @@ def test_nothing_is_felt_where_nothing_touches(gel, photograph):
         assert touch.depth_mm == touch.force_n == touch.area_mm2 == 0 and np.isnan(touch.centre_mm).all()
 
 
-def test_each_of_two_contacts_ends_at_a_share_of_its_own_depth(linear):
-    both = np.maximum(press_depth(BALL, linear), press_depth(Press("sphere", 3.0, -2.5, 4.0, 0.3), linear))
-    touch = TouchReader(linear).read(TactileSensor(linear).image(both))
-    upper, lower = touch.contact[:40], touch.contact[40:]
-    assert touch.surface_mm[40:].max() < 0.5 * touch.surface_mm[:40].max()
-    for part, press in ((upper, BALL), (lower, Press("sphere", 3.0, -2.5, 4.0, 0.3))):
-        area = part.sum() * touch.cell_mm[0] * touch.cell_mm[1]
-        assert area == pytest.approx(np.pi * press.contact_radius_mm**2, rel=0.45)
-
-
 def test_the_force_is_that_of_a_bed_of_springs_and_of_the_twins_modulus(linear, photograph):
     punch = Press("cube", 4.0, 0.0, 0.0, 0.5)
     image = photograph(linear, punch)

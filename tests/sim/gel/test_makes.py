@@ -15,7 +15,7 @@ from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.layout import DIGIT, Layout, Orientation, Unit, kept, recognise_rest
 from pneutac_sim.gel.metrics import rmse
 from pneutac_sim.gel.photograph import Predictor, PressPhotograph
-from pneutac_sim.gel.residual import FEATURES, PLACE, ResidualField, levels
+from pneutac_sim.gel.residual import FEATURES, PLACE, ResidualField
 
 
 @pytest.fixture(autouse=True)
@@ -82,17 +82,6 @@ def test_a_make_lends_what_it_left_over_on_other_sensors_and_never_on_the_very_o
     back = Layout.read(tmp_path / "alone.yaml").units[0]
     np.testing.assert_allclose(back.field.weights, one.field.weights, rtol=1e-3, atol=1e-4)
     assert alone.lent(cv2.resize(one.rest.astype(np.uint8), (240, 320)), Orientation()) is None
-
-
-def test_a_field_seen_mirrored_is_the_field_mirrored():
-    field, u = unit(np.zeros((16, 12, 3)), 3).field, np.zeros((80, 59), np.float32)
-    u[20:40, 30:50] = 0.3
-    shadows, way = np.zeros((3, 80, 59), np.float32), Orientation((2, 0, 1), True, False)
-    shown = field.shown(way.channels, way.mirror_x, way.mirror_y)
-    cell = 12 / 59, 16 / 80
-    own = levels([field], u, cell, shadows)[list(way.channels)]
-    mirrored = levels([shown], np.ascontiguousarray(u[:, ::-1]), cell, shadows)
-    np.testing.assert_allclose(mirrored[:, :, ::-1], own, atol=1e-5)
 
 
 @pytest.mark.parametrize("true", [True, False])

@@ -36,7 +36,3 @@ def test_a_wrong_balance_of_colours_counts_in_the_difference():
     rest, d = np.full((60, 60, 3), 100.0), rng.normal(size=(60, 60, 1)) * [10, 10, 10]
     tinted = metrics.score(rest + d * [1, -1, 1], rest + d, rest, 30, 30, 10)
     assert tinted.contact_dncc == pytest.approx(1 / 3, abs=0.05)
-
-
-def test_disc_covers_its_area():
-    assert metrics.disc((100, 100), 50, 50, 20).sum() == pytest.approx(np.pi * 400, rel=0.01)

@@ -7,7 +7,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.gel.fit import fit_gel
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.pair import check_pair, press_px
+from pneutac_sim.gel.pair import check_pair
 from pneutac_sim.gel.photograph import Predictor
 
 BALL = Press("sphere", 3.0, 0.6, -1.0, 0.9)
@@ -64,10 +64,6 @@ def test_noise_alone_is_no_contact(photograph):
     gel = GelModel.builtin()
     with pytest.raises(InputError, match="shows no contact"):
         check_pair(gel.rest_image, photograph(gel, NOTHING, noise=2), BALL, 20.0)
-
-
-def test_a_press_is_measured_from_the_images_centre():
-    assert press_px(Press("sphere", 3.0, 1.0, -2.0, 0.5), (320, 240, 3), 20.0) == (140.0, 120.0)
 
 
 @pytest.mark.parametrize("bad", [{"indenter": "thumb"}, {"depth_mm": 0.0}, {"size_mm": float("nan")}])

@@ -12,11 +12,9 @@ from pneutac_sim.gel.photograph import (
     Predictor,
     PressPhotograph,
     expected_drift,
-    gains,
     press_depth,
     registered,
     session_light,
-    to_grid,
 )
 
 BALL = Press("sphere", 3.0, 0.6, -1.0, 0.9)
@@ -47,13 +45,6 @@ def test_every_indenter_touches_at_its_place_and_depth(kind):
     assert np.mean((i + 0.5) * 0.2 - 8) == pytest.approx(-2.0, abs=0.15)
 
 
-def test_an_edge_lies_along_its_yaw():
-    depth = press_depth(Press("edge", 6.0, 0, 0, 0.7, yaw_rad=0.5), GelModel.builtin())
-    i, j = np.nonzero(depth > 0.5)
-    slope = np.polyfit((j + 0.5) * 12 / 59 - 6, (i + 0.5) * 0.2 - 8, 1)[0]
-    assert np.arctan(slope) == pytest.approx(0.5, abs=0.05)
-
-
 def test_a_registration_shift_turns_scales_and_moves_a_press(linear):
     assert registered(OTHER, linear) is OTHER
     v = {"shift_x_mm": 0.5, "shift_y_mm": -1.0, "turn_rad": 0.3, "scale": 1.25}
@@ -62,14 +53,6 @@ def test_a_registration_shift_turns_scales_and_moves_a_press(linear):
     assert complex(true.x_mm, true.y_mm) == pytest.approx(expected)
     assert true.yaw_rad == pytest.approx(0.4)
     assert (true.depth_mm, true.size_mm) == (OTHER.depth_mm, OTHER.size_mm)
-
-
-def test_near_and_far_pixels_part_the_image(drifted):
-    near, far = to_grid(drifted.near(20.0)), drifted.far(20.0)
-    assert near.max() == 1 and 0.1 < far.mean() < 0.9
-    assert near[far].max() < 0.011
-    radius = np.sqrt(drifted.near(20.0).sum() / np.pi) / 20.0
-    assert radius == pytest.approx(3 * np.sqrt(3 * 0.9), rel=0.25), "cut off by the image's rim"
 
 
 # ---------------------------------------------------------------- light of the session
@@ -82,24 +65,10 @@ def test_the_sessions_light_is_read_away_from_the_contact_and_filled_in_under_it
     np.testing.assert_allclose(drift, np.broadcast_to([10, -6, 4], drift.shape), atol=1.5)
 
 
-def test_a_gain_of_the_light_is_a_gain_of_the_rest_image(linear, photograph):
-    pair = PressPhotograph(BALL, photograph(linear, BALL, gain=1.06), linear.rest_image)
-    drift, rest = session_light(pair, 20.0), to_grid(linear.rest_image)
-    np.testing.assert_allclose(drift, 0.06 * rest, atol=2.0)
-
-
 def test_nothing_is_told_where_the_contact_fills_the_image(linear, photograph):
     press = Press("sphere", 20.0, 0, 0, 1.5)
     pair = PressPhotograph(press, lit(photograph(linear, press), [20, 20, 20]), linear.rest_image)
     assert not session_light(pair, 20.0).any()
-
-
-def test_gains_go_with_the_clock(linear):
-    assert gains(linear, 0.5).tolist() == [1, 1, 1]
-    v = {"gain_red": 1.1, "gain_green": 1.0, "gain_blue": 0.9}
-    v |= {"drift_red": 0.0, "drift_green": 0.2, "drift_blue": -0.1}
-    linear.effects = {"illumination_drift": v}
-    np.testing.assert_allclose(gains(linear, 0.5), [1.1, 1.1, 0.85])
 
 
 def test_half_of_a_pairs_drift_is_expected_of_the_session_and_none_of_another(linear, drifted):
@@ -108,14 +77,6 @@ def test_half_of_a_pairs_drift_is_expected_of_the_session_and_none_of_another(li
     np.testing.assert_allclose(session.mean((0, 1)), [5, -3, 2], atol=0.3)
     other = drifted.rest.copy()
     np.testing.assert_array_equal(predictor.image(OTHER, other), steady.image(OTHER, other))
-
-
-def test_the_more_pairs_the_more_of_their_mean_drift_is_expected(linear, drifted):
-    seen = session_light(drifted, linear.px_per_mm)
-    for n in (1, 2, 5):
-        drift = expected_drift([drifted] * n, drifted.rest, linear.px_per_mm)
-        share = drift.sum() / (seen.sum() * drift[..., 0].size / seen[..., 0].size)
-        assert share == pytest.approx(n / (n + 1), rel=0.01)
 
 
 @pytest.mark.parametrize(("n", "noise"), [(1, 3.0), (5, 3.0), (1, 1.0), (1, 0.3)])
@@ -158,10 +119,3 @@ def test_resizing_keeps_the_physics(photograph):
     assert np.abs(large - photograph(GelModel.builtin(), BALL)).max() < 3
     with pytest.raises(InputError, match="crop"):
         gel.resized(320, 320)
-
-
-def test_a_punch_that_moves_by_less_than_a_cell_is_seen_to_move():
-    gel = GelModel.builtin()
-    at = [press_depth(Press("cube", 4.0, x, 0.0, 0.5), gel) for x in (0.0, 0.07, 0.14)]
-    middle = [(d.sum(0) @ np.arange(59)) / d.sum() * 12 / 59 for d in at]
-    np.testing.assert_allclose(np.diff(middle), 0.07, atol=0.01)

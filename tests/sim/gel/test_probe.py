@@ -52,25 +52,6 @@ def test_sphere_depth_is_the_closed_form():
     np.testing.assert_allclose(depth, expected, atol=1e-5)
 
 
-def test_flat_box_presses_its_own_footprint_to_its_own_depth():
-    x, y = grid_mm()
-    yaw = Rotation.from_euler("z", 0.5).as_matrix()
-    depth = probe_grid([BOX], [[0.003, 0.002, 0.01]], [[0.001, 0.002, 0.009]], [yaw])
-    u, v = np.cos(0.5) * (x - 1) + np.sin(0.5) * (y - 2), -np.sin(0.5) * (x - 1) + np.cos(0.5) * (y - 2)
-    np.testing.assert_allclose(depth, 1.0 * ((np.abs(u) < 3) & (np.abs(v) < 2)), atol=1e-5)
-
-
-def test_tilted_box_has_a_plane_face():
-    """A box rolled by 0.2 rad about y: depth falls by tan(0.2) per mm of x under its lower face."""
-    x, _ = grid_mm()
-    roll = Rotation.from_euler("y", 0.2).as_matrix()
-    depth = probe_grid([BOX], [[0.02, 0.02, 0.005]], [[0, 0, 0.0045]], [roll])
-    expected = 5 / np.cos(0.2) - 4.5 + np.tan(0.2) * x
-    touched = expected > 0
-    assert 0.3 < touched.mean() < 0.9
-    np.testing.assert_allclose(depth, np.where(touched, expected, 0), atol=1e-5)
-
-
 @pytest.mark.parametrize("kind", [k for k in probe.KINDS if k != MESH])
 def test_every_shape_agrees_with_marching_along_the_line(kind):
     rng = np.random.default_rng(kind)

@@ -32,12 +32,6 @@ def test_volume_and_mass_converge(shape):
     assert errors[-1] < 0.5 * errors[0]
 
 
-def test_particles_as_many_as_asked():
-    body = Body.from_mesh("ball", SHAPES["sphere"](), RUBBER, particles=4000)
-    assert abs(len(body.cells) - 4000) < 100
-    assert (np.linalg.norm(body.positions, axis=1) < 0.01).all()
-
-
 def test_an_open_mesh_is_refused():
     mesh = SHAPES["sphere"]()
     mesh.update_faces(np.arange(len(mesh.faces)) > 3)

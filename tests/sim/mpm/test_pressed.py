@@ -34,15 +34,6 @@ def test_a_share_of_a_press_is_a_less_deep_press_and_the_gel_rises_around_it(poi
     assert -0.15 < whole.min() < -0.005, "a gel that hardly changes its volume bulges, the closed form never"
 
 
-def test_shares_between_are_interpolated_and_kept(points, monkeypatch):
-    apart = np.abs(points.between(BALL, 1.0) - points.surface(BALL)).max()
-    assert apart < 0.02, "friction remembers the steps of the way in, by a hundredth of a millimetre"
-    monkeypatch.setattr(pressed, "solve_equilibrium", None)  # nothing is solved any more
-    low, mid, high = (points.between(BALL, s) for s in (0.8, 0.85, 0.9))
-    np.testing.assert_allclose(mid, (low + high) / 2, atol=1e-6)
-    assert low.max() < mid.max() < high.max()
-
-
 def test_no_rest_ends_in_one_sentence_and_leaves_the_steps_as_they_were(points, monkeypatch):
     def fail(solver, *_, **__):
         raise MpmDiverged("Body 'gel' is not at rest", "wait")

@@ -30,23 +30,6 @@ def test_the_fingers_spine_is_flat_and_its_ends_are_full():
     assert tops.max() == pytest.approx(0.01) and tops.min() == pytest.approx(0.0078, rel=0.02)
 
 
-def test_without_folds_a_tube_has_its_sections_volume():
-    """A closed form: a polygon of A corners on a circle has the area A/2 r^2 sin(2 pi / A)."""
-    n, r, length = shapes.ANGLES, 0.01, 0.1
-    a = np.linspace(0, 2 * np.pi, n, endpoint=False)
-    mesh = shapes._tube(length, r * np.stack([np.cos(a), np.sin(a)], 1), np.zeros(n))
-    assert mesh.is_watertight
-    assert mesh.volume == pytest.approx(n / 2 * r**2 * np.sin(2 * np.pi / n) * length, rel=1e-9)
-
-
-def test_the_arm_is_the_same_after_a_third_of_a_turn():
-    mesh = shapes.arm_mesh(0.2, 0.04)
-    assert mesh.is_watertight and mesh.is_winding_consistent
-    second = mesh.moment_inertia
-    assert second[1, 1] == pytest.approx(second[2, 2], rel=1e-6)  # three lobes: no soft direction
-    assert mesh.center_mass == pytest.approx([0.1, 0, 0], abs=1e-9)
-
-
 def test_the_gel_lies_under_its_window():
     twin = Twin("gel", 16.0)
     GelModel.builtin().into_twin(twin)

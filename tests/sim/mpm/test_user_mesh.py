@@ -6,17 +6,14 @@ import trimesh
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm import devices, shapes
-from pneutac_sim.mpm.body import Body, Material
 from pneutac_sim.mpm.loads import Loads
-from pneutac_sim.mpm.sections import is_inside, lattice_inside, neutral_axis
-from pneutac_sim.mpm.solid import filled_body
+from pneutac_sim.mpm.sections import neutral_axis
 from pneutac_sim.mpm.solve import solve_equilibrium
 from pneutac_sim.mpm.user_mesh import read_mesh, store_mesh, stored_mesh
 from pneutac_sim.twin import Twin
 
 pytestmark = pytest.mark.slow
 
-RUBBER = Material(1e6, 0.45)
 L_SHAPE = np.array([(0, 0), (12, 0), (12, 4), (4, 4), (4, 16), (0, 16)], float)  # mm, in y and z
 
 
@@ -66,17 +63,6 @@ def test_neutral_axis_of_a_hollow_bar_leaves_the_hole_out():
     np.testing.assert_allclose(centres[middle, 1], -2 * 16 / 84, rtol=1e-9)
 
 
-def test_inside_agrees_with_a_ball_and_with_the_other_test():
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=1.0)
-    counts, h = np.array([9, 10, 11]), 0.23
-    origin = -counts * h / 2
-    found = lattice_inside(ball.triangles, origin, counts, h)
-    points = origin + (np.argwhere(np.ones(counts)) + 0.5) * h
-    far = np.abs(np.linalg.norm(points, axis=1) - 1) > 0.02
-    np.testing.assert_array_equal(found.ravel()[far], np.linalg.norm(points[far], axis=1) < 1)
-    np.testing.assert_array_equal(found.ravel(), is_inside(points, ball.triangles))
-
-
 # ---------------------------------------------------------------- placing
 
 
@@ -85,18 +71,6 @@ def test_axis_base_and_neutral_axis_are_where_the_spine_expects_them(tmp_path):
     assert body.notes == () and body.length_mm == 90.0
     np.testing.assert_allclose(body.shift_mm, [12, -34, 64], atol=1e-4)  # the centroid was at (34, -64)
     np.testing.assert_allclose(body.mesh.bounds, [[0, -4, -6], [90, 8, 10]], atol=1e-4)
-
-
-@pytest.mark.parametrize("turn", [1, 2])
-def test_axes_keep_their_order_when_the_long_one_becomes_x(tmp_path, turn):
-    mesh = prism(L_SHAPE, 90.0)
-    mesh.vertices = np.roll(mesh.vertices, turn, axis=1)
-    axis = "xyz"[turn]
-    for told in (None, axis):
-        body = read_mesh(saved(mesh, tmp_path), axis=told)
-        np.testing.assert_allclose(body.mesh.bounds, [[0, -4, -6], [90, 8, 10]], atol=1e-4)
-        assert body.mesh.volume == pytest.approx(90 * 96, rel=1e-6)
-    assert f"{axis} became x, its {'xyz'[turn - 1]} z" in body.notes[0]
 
 
 def test_metres_and_millimetres_give_the_same_body(tmp_path):
@@ -259,34 +233,6 @@ def test_a_broken_stored_mesh_is_named():
 # ---------------------------------------------------------------- filling and bending
 
 
-@pytest.mark.parametrize("particles", [1000, 4000])
-@pytest.mark.parametrize(
-    "mesh",
-    [
-        shapes.finger_mesh(0.11, 0.02),
-        shapes.arm_mesh(0.2, 0.04),
-        capsule(90, 9).apply_scale(1e-3),
-        prism(L_SHAPE, 90.0).apply_scale(1e-3),
-        trimesh.creation.box((0.1, 0.02, 0.012)),
-    ],
-    ids=["finger", "arm", "capsule", "l", "bar"],
-)
-def test_particles_meet_number_and_volume(mesh, particles):
-    body = filled_body("body", mesh, RUBBER, particles)
-    assert len(body.cells) == pytest.approx(particles, rel=0.05)
-    assert body.volume_m3 == pytest.approx(mesh.volume, rel=0.05)
-    assert body.positions.mean(0) == pytest.approx(mesh.center_mass, abs=0.5 * body.spacing_m)
-
-
-def test_filling_puts_particles_where_bodies_do():
-    mesh = prism(L_SHAPE, 90.0).apply_scale(1e-3)
-    body = filled_body("body", mesh, RUBBER, 2000)
-    inside = is_inside(body.positions[::7], mesh.triangles)
-    assert inside.all()
-    usual = Body.from_mesh("body", mesh, RUBBER, particles=2000)
-    assert np.abs(body.positions.mean(0) - usual.positions.mean(0)).max() < body.spacing_m
-
-
 def test_a_users_finger_bends_towards_z_about_its_own_axis(tmp_path):
     """Joints and length are the mesh's, and its far end goes where the spine's does."""
     body = read_mesh(saved(capsule(80.0, 8.0), tmp_path))
@@ -303,17 +249,3 @@ def test_a_users_finger_bends_towards_z_about_its_own_axis(tmp_path):
     assert tip[1, 2] > tip[0, 2] + 0.01
     spine_tip = devices.spine_points(solver, rest.q)[:, -1]
     assert np.abs(tip - spine_tip).max() < 2 * solver.body.spacing_m
-
-
-def test_an_l_shaped_finger_bends_about_its_neutral_axis():
-    """The axis runs along the inner edge of the L, half of it in air; the spine still holds."""
-    twin = Twin("finger", 90.0, parameters=Twin.builtin().parameters)
-    store_mesh(twin, prism(L_SHAPE - [4, 6], 90.0))
-    solver = devices.finger(twin, particles=1500, device="cpu")
-    rest = solve_equilibrium(solver, Loads(q_cmd=(q_cmd := devices.joint_targets(twin, [12.0]))))
-    np.testing.assert_allclose(rest.q, q_cmd, rtol=0.03)
-    # the inner side, above the axis, is pressed together, the outer one stretched
-    x, z = solver.body.positions[:, 0], solver.body.positions[:, 2]
-    middle = (x > 0.03) & (x < 0.07)
-    along = np.linalg.norm(rest.gradients[0, :, :, 0], axis=1)
-    assert along[middle & (z > 3e-3)].mean() < 0.99 and along[middle & (z < -3e-3)].mean() > 1.01

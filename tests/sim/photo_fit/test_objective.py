@@ -30,14 +30,6 @@ def test_objective_is_least_at_the_truth(drawn):
     assert np.abs(objective.best - at_truth).max() < 2e-4
 
 
-def test_a_candidate_does_not_depend_on_its_company(drawn):
-    other = drawn.truth + 0.5 * drawn.parameters.step
-    alone = drawn.equilibria.solve(other[None])
-    together = drawn.equilibria.solve(np.stack([drawn.truth, other]))
-    assert np.abs(alone.tips[0] - together.tips[1]).max() < 1e-4
-    assert np.abs(alone.tips[0] - together.tips[0]).max() > 1e-3
-
-
 def test_silhouettes_tell_the_pose_and_not_the_modulus(drawn):
     objective = Objective(drawn.equilibria, drawn.photographs, drawn.looks)
     away = drawn.truth + 0.1 * drawn.parameters.step  # some misfit, as real photographs have

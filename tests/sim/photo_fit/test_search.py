@@ -8,7 +8,7 @@ import pytest
 from pneutac_sim.errors import InputError
 from pneutac_sim.photo_fit.coarse import Coarse
 from pneutac_sim.photo_fit.parameters import body_parameters
-from pneutac_sim.photo_fit.search import SearchRecord, first_axes, search
+from pneutac_sim.photo_fit.search import SearchRecord, search
 from pneutac_sim.twin import Twin
 
 pytestmark = pytest.mark.slow
@@ -63,13 +63,6 @@ def test_resumed_equals_uninterrupted(parameters, start, tmp_path):
     assert other.resumed == 0 and sum(calls) == 84
 
 
-def test_leaves_numpys_global_generator_alone(parameters, start):
-    np.random.seed(0)
-    before = np.random.get_state()[1].copy()
-    search(bowl(parameters, start), parameters, start, evaluations=14)
-    assert np.array_equal(before, np.random.get_state()[1])
-
-
 def test_candidates_stay_inside_the_bounds(parameters, start):
     def seen(x):
         assert (x >= parameters.lower).all() and (x <= parameters.upper).all()
@@ -77,15 +70,6 @@ def test_candidates_stay_inside_the_bounds(parameters, start):
 
     found = search(seen, parameters, start, seed=2)
     assert found.x[5] > 0.98 * parameters.upper[5]
-
-
-def test_first_steps_are_short_where_silhouettes_tell_much(parameters):
-    hessian = np.zeros((6, 6))
-    hessian[0, 0] = 1 / parameters.step[0] ** 2
-    axes = first_axes(parameters, hessian)
-    sd = np.sqrt(np.diag(axes @ axes.T))
-    assert sd[0] < 0.05 * parameters.step[0]
-    assert np.allclose(sd[1:], parameters.step[1:])
 
 
 def test_bad_input(parameters, start, tmp_path):

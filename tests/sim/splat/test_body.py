@@ -7,7 +7,6 @@ import pytest
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm import devices
-from pneutac_sim.mpm.body import Body, Material
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import solve_equilibrium
 from pneutac_sim.splat.body import fit_body_looks, looks_from_twin, looks_into_twin
@@ -57,15 +56,6 @@ def test_silhouettes_are_those_of_the_photographs(photographed, looks):
             assert (drawn & mask).sum() / (drawn | mask).sum() > 0.93
 
 
-def test_adam_goes_on_from_the_linear_solution(photographed, looks):
-    p = photographed
-    linear = fit(p, iterations=0)
-    assert error(p, looks, "front", 0) < 0.8 * error(p, linear, "front", 0)
-    image, mask = p.pictures["front"][0]
-    flat = replace(linear, colours=np.broadcast_to(image[mask].mean(0) / 255, linear.colours.shape))
-    assert error(p, linear, "front", 0) < error(p, flat, "front", 0)
-
-
 def test_far_side_is_filled_sensibly(photographed, looks):
     p = photographed
     now = looks.moved(p.positions[0], p.gradients[0])
@@ -76,24 +66,6 @@ def test_far_side_is_filled_sensibly(photographed, looks):
     for left in (0.0, 0.5):
         colours = np.where(unseen[:, None], left, looks.colours)
         assert ours < 0.8 * error(p, replace(looks, colours=colours), "back", 1)
-
-
-def test_far_side_of_a_two_coloured_bar_is_two_coloured():
-    material = Material(1e6, 0.4)
-    body = Body.box("bar", (30, 6, 6), 0.002, material, origin_m=(0.0, -0.006, -0.006))
-    eye = {"target": (0.03, 0, 0), "up": (-1, 0, 0), "fov_y_deg": 14, "width": 80, "height": 120}
-    front, back = (Camera.look_at((0.03, y, 0), **eye) for y in (-0.3, 0.3))
-    half = np.where(body.positions[:, :1] < 0.03, [[220, 40, 30]], [[30, 60, 210]]) / 255
-    n = len(half)
-    splats = Splats(front, body.positions, np.full((n, 3, 3), 1e-6) * np.eye(3), np.full(n, 0.9))
-    picture = splats.render(half)
-    mask = picture.alpha > 0.5
-    image = (255 * picture.image.clip(0, 1)).round().astype(np.uint8)
-    looks = fit_body_looks(body, body.positions, np.broadcast_to(np.eye(3), (n, 3, 3)), image, mask, front)
-    seen = rasterise(looks, back)
-    pixels, _ = back.project(np.array([[0.012, 0, 0], [0.048, 0, 0]]))
-    for (x, y), colour in zip(pixels.astype(int), half[[0, -1]], strict=True):
-        np.testing.assert_allclose(seen.image[y, x], colour, atol=0.12)
 
 
 def test_twin_keeps_looks(photographed, looks, tmp_path):
@@ -117,16 +89,6 @@ def test_looks_follow_particles_of_another_lattice(photographed, looks):
     other = replace(solver.body, origin_m=solver.body.origin_m + [0.02, 0, 0])
     with pytest.raises(InputError, match="those of another body"):
         carried(looks, other, state.positions[0], state.gradients[0])
-
-
-def test_detail_resolves_what_is_smaller_than_a_particle(photographed, looks):
-    p = photographed
-    fine = fit(p, detail=2)
-    assert len(fine) > 3 * len(looks)
-    for state in (0, 1):
-        assert error(p, fine, "front", state) < 0.85 * error(p, looks, "front", state)
-    with pytest.raises(InputError, match="detail is 0"):
-        fit(p, detail=0)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.zbuffer import cover, draw_disks, draw_triangles
+from pneutac_sim.splat.zbuffer import cover, draw_triangles
 
 SEE = Camera(np.array([[100.0, 0, 32], [0, 100.0, 24], [0, 0, 1]]), np.eye(4), 64, 48)
 RED, BLUE = np.array([1.0, 0, 0]), np.array([0, 0, 1.0])
@@ -36,24 +36,6 @@ def test_the_nearest_is_on_top_in_any_order():
         np.testing.assert_allclose(image[24, 40], BLUE, atol=1e-6)
 
 
-def test_colours_are_linear_in_space_not_in_the_picture():
-    corners = np.array([[-0.1, -0.2, 1.0], [0.3, -0.2, 3.0], [0.3, 0.2, 3.0], [-0.1, 0.2, 1.0]])
-    faces = np.array([[0, 1, 2], [0, 2, 3]])
-    image, _ = draw_triangles(SEE, corners, faces, np.array([RED, BLUE, BLUE, RED]))
-    x = 32.5  # this pixel's ray x = 0.005 z meets the plane x = -0.1 + 0.2 (z - 1)
-    ray = (x - 32) / 100
-    z = 0.3 / (0.2 - ray)
-    assert image[24, 32, 2] == pytest.approx((z - 1) / 2, abs=0.01)
-
-
-def test_disks_have_their_radius_and_the_nearest_wins():
-    image, alpha = draw_disks(SEE, np.array([[0, 0, 1.0], [0, 0, 2.0]]), 0.1, np.array([RED, BLUE]))
-    assert alpha.sum() == pytest.approx(np.pi * 100, rel=0.02)
-    np.testing.assert_allclose(image[24, 32], RED)
-    behind = draw_disks(SEE, np.array([[0, 0, -1.0]]), 0.1, RED[None])
-    assert behind.alpha.max() == 0
-
-
 def test_coverage_is_the_area_of_a_triangle_and_of_a_ball():
     corners = np.array([[-0.1, -0.08, 1.0], [0.15, -0.02, 1.0], [0.03, 0.11, 1.0]])  # 100 px/m at 1 m
     a, b = 100 * (corners[1] - corners[0])[:2], 100 * (corners[2] - corners[0])[:2]
@@ -66,8 +48,3 @@ def test_coverage_is_the_area_of_a_triangle_and_of_a_ball():
     tangent = 0.15**2 / (1 - 0.15**2)  # of the cone that touches it, squared
     assert covered.sum() == pytest.approx(np.pi * 100**2 * tangent, rel=5e-3)
     assert covered.max() == 1.0
-
-
-def test_nothing_behind_the_camera_covers_a_pixel():
-    corners = np.array([[-0.1, -0.1, -1.0], [0.1, -0.1, -1.0], [0.0, 0.1, -1.0]])
-    assert not cover(SEE, corners, np.array([[0, 1, 2]])).any()

@@ -7,7 +7,7 @@ import pytest
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.surrogate.action import FEWEST, evaluate_action, split, train_action
-from pneutac_sim.surrogate.collect import FRAME_S, Motion, Plan, collect_action, draw, read_motions
+from pneutac_sim.surrogate.collect import Plan, collect_action, read_motions
 from pneutac_sim.surrogate.finger import SurrogateFinger, network_of
 from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
 from pneutac_sim.surrogate.network import MARGIN, ActionNetwork
@@ -168,27 +168,6 @@ def test_bending_pressure_is_what_effects_leave_of_the_command():
     assert bending_range(twin) == pytest.approx((0.0, 15.0), abs=1e-3)  # the gain is that of the relaxed body
     twin.effects["gain_saturation"] = {"saturation_pressure_kpa": Value(10.0)}
     assert bending_range(twin)[1] == pytest.approx(10 * np.tanh(1.5), abs=1e-3)
-
-
-def test_programs_keep_to_their_range_and_half_have_loads():
-    twin, plan, t = Twin.builtin(), Plan(), np.arange(500) * FRAME_S
-    loads = 0
-    for i in range(16):
-        target, pressure = draw(twin, plan, i, t)
-        assert -1e-9 <= pressure.min() <= pressure.max() <= 15 + 1e-9
-        assert np.ptp(pressure) > 1
-        load = np.abs(target - joint_targets(twin, pressure)).max()
-        loads += load > 1e-2
-    assert loads == 8
-
-
-def test_acceleration_is_of_the_fourth_order():
-    t = np.arange(100) * FRAME_S
-    w = 2 * np.pi * 50
-    columns = {"target": np.zeros((100, 1)), "pressure_kpa": np.zeros(100)}
-    m = Motion(q=np.sin(w * t)[:, None], q_vel=w * np.cos(w * t)[:, None], **columns)
-    wanted = -(w**2) * np.sin(w * t[1:-1])
-    assert np.abs(m.accelerations()[:, 0] - wanted).max() < 0.01 * w**2  # central differences: 3 %
 
 
 def test_too_few_or_missing_trajectories(tmp_path):

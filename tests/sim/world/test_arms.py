@@ -8,10 +8,8 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.world.arms import ARMS
 from pneutac_sim.world.arms.chain import Chain
 from pneutac_sim.world.expert import ScriptedExpert
-from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.panda import HOME_JOINTS, forward_kinematics
 from pneutac_sim.world.station import Station
-from pneutac_sim.world.varied import VariedWorld
 from pneutac_sim.world.world import World
 
 UR5_A, UR5_D = (0.0, -0.425, -0.39225, 0.0, 0.0, 0.0), (0.089159, 0.0, 0.0, 0.10915, 0.09465, 0.0823)
@@ -83,18 +81,6 @@ def test_an_expert_does_its_task_and_the_state_has_the_arms_joints(name, joints)
     np.testing.assert_allclose(observation.state[-6:-3], position, atol=1e-5)
     np.testing.assert_allclose(world.flange_m - world.station.base_m, position, atol=1e-5)
     assert rotation[2, 2] < -0.999
-
-
-def test_plans_on_a_raised_arm_end_where_the_world_does():
-    world = VariedWorld("switch", touch="none", station=Station(arm="so101"))
-    world.reset(1)
-    gantry = Gantry(world)
-    gantry.mirror(world)
-    push = np.tile([0.05, 0.02, -0.03, 0.0], (12, 1))
-    planned, _ = gantry.rollout(push)
-    for action in push:
-        world.step(action)
-    np.testing.assert_allclose(planned[-1], world.flange_m, atol=1e-3)
 
 
 def test_out_of_reach_the_arm_stays_and_comes_back():

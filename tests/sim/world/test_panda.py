@@ -3,7 +3,6 @@
 import mujoco
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from pneutac_sim.features import JOINT_HIGH, JOINT_LOW
 from pneutac_sim.world import panda
@@ -56,25 +55,6 @@ def test_ik_reaches_targets_with_orientation_held():
         T = panda.forward_kinematics(q)
         np.testing.assert_allclose(T[:3, 3], goal, atol=1e-6)
         np.testing.assert_allclose(T[:3, :3], home[:3, :3], atol=1e-6)
-
-
-def test_an_iteration_of_ik_is_damped_least_squares():
-    """With a Jacobian by finite differences, away from home in position and orientation."""
-    q, h = panda.HOME_JOINTS + np.linspace(-0.1, 0.12, 7), 1e-6
-    held = panda.forward_kinematics(panda.HOME_JOINTS)[:3, :3]
-
-    def pose(q):
-        T = panda.forward_kinematics(q)
-        return np.append(T[:3, 3], Rotation.from_matrix(T[:3, :3] @ start.T).as_rotvec())
-
-    start = panda.forward_kinematics(q)[:3, :3]
-    J = np.stack([(pose(q + h * e) - pose(q - h * e)) / (2 * h) for e in np.eye(7)], axis=1)
-    goal = np.array([0.45, 0.02, 0.3])
-    error = np.append(goal - pose(q)[:3], Rotation.from_matrix(held @ start.T).as_rotvec())
-    wanted = q + J.T @ np.linalg.solve(J @ J.T + 0.1**2 * np.eye(6), error)
-    ik = panda.CartesianIK(damping=0.1, iterations=1)
-    ik.reset(q)
-    np.testing.assert_allclose(ik.solve(goal), wanted, atol=1e-8)
 
 
 def test_ik_stays_within_joint_limits_where_the_goal_is_out_of_reach():

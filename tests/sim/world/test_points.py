@@ -32,26 +32,6 @@ def test_forces_sum_to_the_one_of_the_gels_spring(pressed):
     assert np.abs(total[:2]).max() < 1.01 * GEL_FRICTION * abs(total[2])
 
 
-def test_they_are_where_the_gel_is_pressed(pressed):
-    points = tactile_points(pressed)
-    assert points.shape == POINTS_SHAPE and points.dtype == np.float32
-    width, height = pressed.sensor.model.window_mm
-    rows, columns, _ = POINTS_SHAPE
-    deepest = np.unravel_index(points[..., 2].argmin(), points.shape[:2])
-    at = [(deepest[1] + 0.5) / columns * width - width / 2, (deepest[0] + 0.5) / rows * height - height / 2]
-    assert pressed.imprint_m is not None
-    np.testing.assert_allclose(at, 1e3 * pressed.imprint_m, atol=1.0)  # a cell
-    mean = pressed.touch.displacement_mm.mean()
-    assert -points[..., 2].mean() == pytest.approx(mean, rel=1e-3) and mean > 0
-    assert not points[..., :2].any()
-
-
-def test_nothing_touched_is_all_zero(pressed):
-    free = World("switch", touch="area")
-    free.reset(2)
-    assert not tactile_points(free).any()
-
-
 def test_the_environment_has_them_where_asked_for():
     env = gymnasium.make("pneutac_sim/switch", touch="area", fidelity="probe", points=True)
     observation, _ = env.reset(seed=2)

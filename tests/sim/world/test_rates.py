@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from pneutac_sim.world.env import PneutacEnv
 from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.tasks.base import lately
@@ -58,8 +57,3 @@ def test_a_bump_is_as_short_at_every_rate():
             forces = lately(forces, 9.0, 1 / control_hz)
             assert min(forces) == 0.0
         assert min(lately(forces, 9.0, 1 / control_hz)) == 9.0
-
-
-def test_films_and_latency_have_the_stations_rate():
-    env = PneutacEnv("switch", "none", fidelity="probe", station=Station(control_hz=30, latency_s=0.1))
-    assert env.metadata["render_fps"] == 30 and env.world.station.late_commands == 3

@@ -16,7 +16,7 @@ from pneutac_sim.world.env import PneutacEnv
 from pneutac_sim.world.expert import ScriptedExpert, towards_gel
 from pneutac_sim.world.following import ball_torques
 from pneutac_sim.world.soft_finger import DEFAULTS, MATERIALS, gel_above_m, mjcf
-from pneutac_sim.world.spine import Spine, end_of, quaternions
+from pneutac_sim.world.spine import Spine, end_of
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.world import World
 
@@ -64,22 +64,6 @@ def test_each_chamber_bends_it_to_its_own_side_of_the_table(world):
         angle = 0.35 + 2 * np.pi / 3 * chamber
         assert np.angle(np.exp(1j * (np.arctan2(y, x) - angle))) == pytest.approx(0.0, abs=0.01)
         assert np.hypot(x, y) > 0.03 and z > 0.005
-
-
-def test_equal_pressures_of_equal_chambers_do_not_bend_it():
-    world = World("button", arm_twin(angle_rad=0.8), touch="none")
-    world.reset(0)
-    hold(world, (35, 35, 35))
-    np.testing.assert_allclose(world.tip, [100, 0, 0, 0, 0], atol=1e-3)
-
-
-def test_rotation_vectors_go_to_quaternions_and_back():
-    q = np.array([[0.0, 0.0], [1e-9, 0.0], [0.3, -0.4], [-1.2, 0.9]])
-    model = mujoco.MjModel.from_xml_string(_alone(arm_twin(joints=4)))
-    data, spine = mujoco.MjData(model), Spine(model, arm_twin(joints=4))
-    spine.write(data, q)
-    np.testing.assert_allclose(spine.read(data), q, atol=1e-12)
-    np.testing.assert_allclose(np.linalg.norm(quaternions(q), axis=1), 1.0)
 
 
 def _alone(twin):
@@ -294,24 +278,3 @@ def test_it_is_pressed_as_deep_as_its_springs_and_the_gels_say():
         to_z, to_y = world.spine_rad[n] - world.spine_target_rad[n]
         _, y, z = link.T @ pull[n]
         assert (-y, z) == pytest.approx((0.458 * to_z, 0.458 * to_y), abs=0.03 * np.abs(pull).max())
-
-
-def test_splats_follow_it():
-    from pneutac_sim.world.splats import SplatFinger
-
-    world = World("button", SIX, touch="none")
-    world.reset(0)
-    hold(world, (0, 40, 0))
-    splats = SplatFinger(world.model, SIX)
-    at = splats.at(world.data).means
-    tip = world.data.site("tip").xpos
-    near = np.linalg.norm(at - tip, axis=1)
-    assert near.min() < 0.02 and np.ptp(at[near < 0.03][:, 1]) > 0.01
-
-
-def test_an_arm_without_damping_has_that_of_the_papers_finger():
-    twin = arm_twin()
-    assert "joint_damping_nms_per_rad" not in twin.parameters
-    twin.parameters["joint_damping_nms_per_rad"] = Value(0.006)
-    a, b = World("button", arm_twin(), touch="none"), World("button", twin, touch="none")
-    assert a.model.dof_damping == pytest.approx(b.model.dof_damping)

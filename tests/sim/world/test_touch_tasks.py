@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from lerobot_robot_pneutac.standin.world import StandinWorld
-from pneutac_sim.features import task_names
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.world import World
 
@@ -28,10 +27,6 @@ def play(world, seed, actions=None):
         if world.success or world.failure:
             break
     return world.success and not world.failure
-
-
-def test_they_are_offered_like_every_task():
-    assert set(TASKS) <= set(task_names())
 
 
 def test_the_expert_does_it_and_holding_still_does_not(world):
