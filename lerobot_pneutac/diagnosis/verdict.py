@@ -30,6 +30,9 @@ class Evidence:
         near_miss: effects that helped, but not for sure.
         left_to_black_box: share of what is left that a black box removes.
         forward: whether it holds for the later part when fitted to the earlier one.
+        interval: 95 % interval of `after`, by resampling the blocks of the test part.
+        later: error over noise of the later part, of the model fitted to the earlier part; None where there is
+            no later part of the same conditions.
         agreed: share of split seeds that chose the same.
         noise_known: whether the noise was declared or measured by repeats.
         explained: share of all that the device does that the model predicts, effects of the twin included; of
@@ -46,6 +49,8 @@ class Evidence:
     near_miss: list[str] = field(default_factory=list)
     left_to_black_box: float = 0.0
     forward: bool = True
+    interval: tuple[float, float] | None = None
+    later: float | None = None
     agreed: float = 1.0
     noise_known: bool = True
     explained: float = 0.0

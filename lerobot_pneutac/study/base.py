@@ -241,12 +241,15 @@ class EffectStudy(Study, ABC):
         """
         floor = self.noise.floor if floor is None else floor
         worst = self.test.value(before.squared) if worst is None else worst
-        rest = self.test.value(after.squared if left is None else left)
+        squared = after.squared if left is None else left
+        rest = self.test.value(squared)
+        low, high = np.sqrt(np.quantile(self.test.mse(squared), [0.025, 0.975])) / floor
         known, signals, parts = self.noise.value is not None, self.signals(), self.parts
         return Evidence(
             poor=bool(self.too_little()),
             before=float(np.sqrt(worst)) / floor if known else None,
             after=float(np.sqrt(rest)) / floor if known else None,
+            interval=(float(low), float(high)) if known else None,
             selected=selected,
             removed=float(np.clip(self.removed(worst, rest, floor), -1, 1)) if selected else 0.0,
             at_bound=[n for n in self.at_bound(after, selected) if n.rpartition(".")[0] in selected],

@@ -370,6 +370,7 @@ def _evidence(
         left=left,
         cancelling=_cancelling(study, after, done.terms),
         forward=done.forward,
+        later=done.later,
     )
 
 

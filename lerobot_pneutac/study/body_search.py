@@ -38,6 +38,7 @@ class Searched:
         without: of each of the body, the model re-fitted without it.
         chosen_in: of each, share of the votes.
         forward: whether it holds for the later part when fitted to the earlier one.
+        later: error over noise of the later part, fitted to the earlier one; None where there is none.
     """
 
     space: BodySpace
@@ -50,6 +51,7 @@ class Searched:
     without: dict[str, Scored] = field(default_factory=dict)
     chosen_in: dict[str, float] = field(default_factory=dict)
     forward: bool = True
+    later: float | None = None
 
 
 class BodySearch:
@@ -290,26 +292,32 @@ class BodySearch:
             for t, share in chosen_in(done.found, self.unit, study.noise.floor, family).items()
             if t in terms
         }
-        done.forward = self._holds_forward(done)
+        done.forward, done.later = self._out_of_time(done)
         return done
 
     def score(self, model: BodyModel) -> Scored:
         cv_squared = model.cv_squared(self.fold)
         return Scored(model, cv_squared, self.bootstrap.value(cv_squared))
 
-    def _holds_forward(self, done: Searched) -> bool:
-        """Fitted to the first 60 % of the rows, at least half of the fall of the error stays in the rest."""
-        if not done.terms:
-            return True
+    def _out_of_time(self, done: Searched) -> tuple[bool, float | None]:
+        """How the model, fitted to the first 60 % of the rows, predicts the rest.
+
+        Returns:
+            Whether at least half of the fall of the error stays there, and the error over the noise; None where
+            no later row has a condition that occurred before.
+        """
         fold = out_of_time(self.condition, int(T.FORWARD_ROWS * len(self.rows)))
-        later = fold == 0
-        if not later.any():
-            return True
-        before, after = (float(s.model.cv_squared(fold)[later].mean()) for s in (done.found.base, done.model))
+        rows, noise_mse = fold == 0, self.study.noise.floor**2
+        if not rows.any():
+            return True, None
+        after = float(done.model.model.cv_squared(fold)[rows].mean())
+        later = float(np.sqrt(after / noise_mse))
         fall = done.found.base.value - done.model.value
-        if fall <= T.WORTH_OF_NOISE * self.study.noise.floor**2:
-            return True  # the air was found before any term, and with it the base errs no more
-        return before - after > T.FORWARD_FALL * fall * (before / max(done.found.base.value, 1e-12))
+        if not done.terms or fall <= T.WORTH_OF_NOISE * noise_mse:
+            return True, later  # the air was found before any term, and with it the base errs no more
+        before = float(done.found.base.model.cv_squared(fold)[rows].mean())
+        holds = before - after > T.FORWARD_FALL * fall * (before / max(done.found.base.value, 1e-12))
+        return holds, later
 
 
 def _actuations(own: tuple[str, ...], excluded: Iterable[str]) -> tuple[tuple[str, ...], ...]:

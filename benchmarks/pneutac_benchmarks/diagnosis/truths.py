@@ -139,6 +139,14 @@ def scored(days: Days, d, seconds: float) -> dict:
         "removed": removed(before, constant, after, floor),
         "test_before": d.before["heldout"], "test_after": d.after["heldout"],
         "black_box": evidence.left_to_black_box, "agreed": evidence.agreed, "forward": evidence.forward,
+        "interval": evidence.interval, "later": evidence.later, "error": evidence.after,
+        "contenders": [{"terms": c.terms, "probability": c.probability} for c in d.outcome.contenders],
+        "contributions": {c.name: [c.error_without, *c.drop] for c in d.outcome.contributions},
+        "rivals": [[r.effect, r.rival, r.difference] for r in d.outcome.rivals],
+        "chosen_in": d.outcome.chosen_in, "likely_right": d.outcome.likely_right,
+        "alone": {t.name: t.heldout for t in d.outcome.tested if t.reduction is not None},
+        "evidence_removed": evidence.removed, "noise_known": evidence.noise_known, "poor": evidence.poor,
+        "noise": d.study.noise.value, "at_bound": evidence.at_bound, "cancelling": evidence.cancelling,
         "objections": evidence.objections, "gauge": bool(d.study.measured), "seconds": seconds,
     }  # fmt: skip
 
