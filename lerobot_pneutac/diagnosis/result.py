@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lerobot_pneutac.diagnosis.verdict import Evidence
+from lerobot_pneutac.diagnosis.verdict import Evidence, Explained, Mechanism, explained
 from pneutac_sim.finger.quantities import squared_distance
 from pneutac_sim.twin import Twin
 
@@ -179,8 +179,8 @@ class Outcome:
         base_model: how the device bends before any effect, in numbers.
         contenders: the final model, its nearest others, and last the twin as it is, re-fitted;
             empty for demonstrations.
-        likely_right: probability that the headline is the physics of the device, see `belief`; None where
-            nothing was found or the noise is not known, and for gels and demonstrations.
+        mechanisms: what each cause may be, the largest first; empty where nothing was found, where the noise
+            was not measured, and for gels and demonstrations, for which nothing is calibrated.
     """
 
     before: FittedModel
@@ -199,7 +199,17 @@ class Outcome:
     chosen_in: dict[str, float] = field(default_factory=dict)
     base_model: dict = field(default_factory=dict)
     contenders: list[Candidate] = field(default_factory=list)
-    likely_right: float | None = None
+    mechanisms: list[Mechanism] = field(default_factory=list)
+
+    @property
+    def explained(self) -> Explained:
+        """How much of the error is explained."""
+        return explained(self.evidence)
+
+    @property
+    def likely_right(self) -> float | None:
+        """Probability that the first cause is what was found; None where there are no mechanisms."""
+        return self.mechanisms[0].probability if self.mechanisms else None
 
     @property
     def twin(self) -> Twin:

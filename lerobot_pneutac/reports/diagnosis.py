@@ -45,7 +45,7 @@ def diagnosis_page(d, separation: Separation | None) -> Report:
     study, o = d.study, d.outcome
     page = Report("What is missing")
     page.lead(d.sentence)
-    page.text(f"**Confidence: {d.confidence}.** {meaning(d.state)} {evidence(d.state)}")
+    page.text(f"{meaning(d.state)} {evidence(d.state)}")
     page.bullets("Warnings", d.warnings)
     page.next_here()
     if not d.next_command:

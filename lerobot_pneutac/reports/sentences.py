@@ -5,13 +5,14 @@ from enum import StrEnum
 
 from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.result import Outcome
-from lerobot_pneutac.diagnosis.thresholds import AS_IS_NOISE
+from lerobot_pneutac.diagnosis.thresholds import AS_IS_NOISE, CERTAIN
+from lerobot_pneutac.diagnosis.verdict import NONE, Explained, Mechanism
 from lerobot_pneutac.study.base import EffectStudy
 from pneutac_datasets.recording.wording import joined
 from pneutac_sim.effects.laws import family, is_law
 
-RIGHT = 0.8  # calibrated probability of the headline below which it is not called confirmed
 EVEN = 0.5  # below which it is not called likely
+LEAST_SHOWN = 0.05  # probability of a mechanism that is shown
 UNTESTED = "cannot be tested, "  # what the reasons of untested effects begin with
 AGREED = 0.7  # share of repeated searches below which it is not called confirmed
 COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
@@ -28,7 +29,7 @@ class Confidence(StrEnum):
 
 MEANING = {
     Confidence.CONFIRMED: "What remains is noise, every check passed and no other effect fits as well.",
-    Confidence.LIKELY: "The improvement is significant and no check failed; a warning says what is open.",
+    Confidence.LIKELY: "The improvement is significant. A warning or a probability says what is open.",
     Confidence.UNNAMED: "Something like this is missing. Which equation describes it is open.",
     Confidence.INCONCLUSIVE: "This recording does not decide what is missing.",
 }
@@ -73,7 +74,10 @@ class State:
         lower: effects that alone have a lower test error than the best of the causes alone.
         near_miss: effects that help, but not significantly.
         agreed: share of repeated searches that found the first cause; None where none were made.
-        right: calibrated probability that the first cause is the device's physics; None where unknown.
+        explained: how much of the error is explained.
+        interval: 95 % interval of the error that remains, over the noise; None where the noise is unknown.
+        later: error over noise of the later part, predicted from the earlier one; None where unknown.
+        mechanisms: what each cause may be; empty where no probabilities are calibrated.
         objections: checks that failed, one phrase each.
         black_box: share of the remaining error that a black box predicts; 0 where it is little.
         untested: what could not be tested, and why.
@@ -101,7 +105,10 @@ class State:
     lower: tuple[str, ...] = ()
     near_miss: tuple[str, ...] = ()
     agreed: float | None = None
-    right: float | None = None
+    explained: Explained = Explained.UNDETERMINED
+    interval: tuple[float, float] | None = None
+    later: float | None = None
+    mechanisms: tuple[Mechanism, ...] = ()
     objections: tuple[str, ...] = ()
     black_box: float = 0.0
     untested: tuple[str, ...] = ()
@@ -131,10 +138,11 @@ class State:
             return Confidence.CONFIRMED if sure else Confidence.LIKELY
         if self.kind is not Kind.CAUSES or self.verdict in ("ambiguous", "unknown_effect"):
             return Confidence.INCONCLUSIVE
-        right, agreed = (1.0 if x is None else x for x in (self.right, self.agreed))
+        right = min((m.probability for m in self.mechanisms[:1]), default=1.0)
+        agreed = 1.0 if self.agreed is None else self.agreed
         if self.verdict == "insufficient_form" or right < EVEN:
             return Confidence.UNNAMED
-        sure = sure and not self.rivals and not self.confusable and right >= RIGHT and agreed >= AGREED
+        sure = sure and not self.rivals and not self.confusable and right > CERTAIN and agreed >= AGREED
         return Confidence.CONFIRMED if sure else Confidence.LIKELY
 
 
@@ -167,7 +175,10 @@ def state_of(study: EffectStudy, outcome: Outcome) -> State:
         lower=tuple(map(called, lower)),
         near_miss=tuple(map(called, e.near_miss)),
         agreed=o.chosen_in.get(o.selected[0]) if o.selected else None,
-        right=o.likely_right,
+        explained=o.explained,
+        interval=e.interval,
+        later=e.later,
+        mechanisms=tuple(o.mechanisms) if named else (),
         objections=tuple(e.objections) if named else (),
         black_box=e.left_to_black_box if e.unfinished else 0.0,
         untested=tuple(f"{called(u.name)} ({u.reason.removeprefix(UNTESTED)})" for u in study.untested),
@@ -191,8 +202,47 @@ def _causes(study: EffectStudy, outcome: Outcome, named: list[str]) -> tuple[str
 
 
 def headline(s: State) -> str:
-    """The causes by size, the error and one confidence word."""
-    return f"{_headline(s)} Confidence: {s.confidence}."
+    """The causes by size, the error, and the two answers."""
+    return " ".join(part for part in (_headline(s), explanation(s), mechanism(s)) if part)
+
+
+def explanation(s: State) -> str:
+    """How much of the error is explained, a sentence; empty where the recording is too poor for any claim."""
+    if s.poor:
+        return ""
+    if s.noise is None:
+        return "Explained: undetermined, since the noise is not known."
+    times = f"{s.rest / s.noise:.2f} times the {'' if s.noise_measured else 'estimated '}noise"
+    if s.interval is not None:
+        times += f", 95 % interval {s.interval[0]:.2f} to {s.interval[1]:.2f}"
+    match s.explained:
+        case Explained.MOSTLY if s.at_noise and s.later is not None:
+            return (
+                f"Explained: mostly. The error is {times}, but {s.later:.2f} times the noise in the last "
+                "part, predicted from the first."
+            )
+        case Explained.UNDETERMINED if s.at_noise:
+            return f"Explained: undetermined, since the error is known too roughly ({times})."
+        case Explained.UNDETERMINED if not s.noise_measured:
+            return f"Explained: undetermined, since the error is {times}."
+        case Explained.UNDETERMINED:
+            return f"Explained: undetermined. The error is {times}."
+        case _:
+            return f"Explained: {s.explained}. The error is {times}."
+
+
+def mechanism(s: State) -> str:
+    """Which mechanism the causes are, a sentence; empty where no probabilities are calibrated."""
+    if not s.mechanisms or s.poor:
+        return ""
+    return f"Mechanism: {'; '.join(map(_ranked, s.mechanisms))}."
+
+
+def _ranked(m: Mechanism) -> str:
+    if m.certain:
+        return f"{called(m.cause)} is certain ({100 * m.probability:.0f} %)"
+    shown = [(k, p) for k, p in m.ranked if p >= LEAST_SHOWN or k == m.cause]
+    return ", ".join(f"{k if k == NONE else called(k)} {100 * p:.0f} %" for k, p in shown)
 
 
 def _headline(s: State) -> str:
@@ -268,8 +318,6 @@ def warnings(s: State) -> list[str]:
         if s.black_box:
             share = f"{100 * s.black_box:.0f} %"
             out.append(f"A black box predicts {share} of the remaining error from the inputs.")
-        if s.right is not None and s.right < RIGHT and s.causes:
-            out.append(_right(s.right))
         if s.agreed is not None and s.agreed < AGREED:
             out.append(f"{100 * s.agreed:.0f} % of repeated searches found the first-listed cause.")
         if s.kind is Kind.NOTHING and s.at_noise and s.noise is not None:
@@ -318,19 +366,11 @@ def evidence(s: State) -> str:
     if s.agreed is not None:
         share = f"{100 * s.agreed:.0f} %"
         out.append(f"Repeated on other splits of the data, {share} of the searches found the first cause.")
-    if s.right is not None:
-        out.append(_right(s.right))
     return " ".join(out)
 
 
 def _removed(s: State) -> str:
     return f"{percent(*s.removed)} of the squared error{'' if s.noise is None else ' above the noise'}"
-
-
-def _right(share: float) -> str:
-    return (
-        f"In tests with similar results the first-listed cause was right in {100 * share:.0f} of 100 cases."
-    )
 
 
 def called(name: str) -> str:

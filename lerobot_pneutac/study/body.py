@@ -16,11 +16,12 @@ from lerobot_pneutac.diagnosis.result import (
     FittedModel,
     Outcome,
     Refits,
+    Rival,
     Tested,
 )
 from lerobot_pneutac.diagnosis.search import Found, Scored, contenders, rivals
 from lerobot_pneutac.diagnosis.steps import Steps
-from lerobot_pneutac.diagnosis.verdict import Evidence, calibrated_confidence, decide
+from lerobot_pneutac.diagnosis.verdict import Evidence, Mechanism, alternative_families, mechanism
 from lerobot_pneutac.study.body_base import BodyBase, base_effects
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel
 from lerobot_pneutac.study.body_search import BodySearch, Searched
@@ -28,6 +29,7 @@ from lerobot_pneutac.study.body_space import BodySpace
 from pneutac_sim.effects.laws import family, is_law, starts
 from pneutac_sim.finger.data import BodyData
 
+NUISANCES = (PROFILE, "base_tilt")  # how the body is made and mounted, no mechanism that could be missing
 OF_TRIALS = (
     "Each run has its own small offset, gain and time shift. They are no part of the device and not in the "
     "twin; the error without them is reported separately."
@@ -165,11 +167,8 @@ def body_outcome(
     if helps:
         ladder += _ladder(study, done, after)
     models = _contenders(study, search, start, done if helps else None)
-    likely = None
-    if evidence.selected and evidence.noise_known and not evidence.poor and evidence.after is not None:
-        likely = calibrated_confidence(
-            evidence.after, models[0].probability, decide(evidence) == "missing_effect"
-        )
+    found_rivals = rivals(done.found, study.noise.floor, done.terms, family, lambda s: study.fitted(s.model))
+    worth = _contributions(study, search, done, after, known) if helps else []
     return study.outcome(
         began,
         before,
@@ -177,16 +176,48 @@ def body_outcome(
         evidence,
         ladder=ladder,
         tested=_tested(study, search, done, before),
-        rivals=rivals(done.found, study.noise.floor, done.terms, family, lambda s: study.fitted(s.model)),
+        rivals=found_rivals,
         known=known,
         baseline=_baseline(study, search, start, done, known) if helps else None,
-        contributions=_contributions(study, search, done, after, known) if helps else [],
+        contributions=worth,
         run_terms=runs,
         chosen_in=done.chosen_in,
         base_model=_base(done) if helps else {},
         contenders=models,
-        likely_right=likely,
+        mechanisms=_mechanisms(study, evidence, worth, models, found_rivals),
     )
+
+
+def _mechanisms(
+    study: "BodyStudy",
+    evidence: Evidence,
+    worth: Sequence[Contribution],
+    models: Sequence[Candidate],
+    rivals: Sequence[Rival],
+) -> list[Mechanism]:
+    """What each cause may be, the largest first; none where the noise was not measured."""
+    if evidence.poor or not evidence.noise_known:
+        return []
+    found = dict.fromkeys(
+        family(c.name) for c in worth if c.name in evidence.selected and c.name not in NUISANCES
+    )
+    weighed = [({family(t) for t in c.terms}, c.probability) for c in models]
+    weighed += [({family(r.rival)}, 1.0) for r in rivals]
+    out = []
+    for cause in found:
+        terms = [c for c in worth if family(c.name) == cause]
+        replaced = [r for r in rivals if family(r.effect) == cause]
+        out.append(
+            mechanism(
+                cause,
+                drop=max(c.drop[0] for c in terms) / study.noise.floor**2,
+                is_law=is_law(terms[0].name),
+                removed=evidence.removed,
+                alternatives=alternative_families(cause, found, weighed),
+                has_rival=bool(replaced),
+            )
+        )
+    return out
 
 
 def _known(study: "BodyStudy", start: Scored, done: Searched) -> list[str]:

@@ -303,8 +303,8 @@ class BodySearch:
         """How the model, fitted to the first 60 % of the rows, predicts the rest.
 
         Returns:
-            Whether at least half of the fall of the error stays there, and the error over the noise; None where
-            no later row has a condition that occurred before.
+            Whether at least half of the fall of the error stays there, and the error over the noise; None
+            where no later row has a condition that occurred before.
         """
         fold = out_of_time(self.condition, int(T.FORWARD_ROWS * len(self.rows)))
         rows, noise_mse = fold == 0, self.study.noise.floor**2

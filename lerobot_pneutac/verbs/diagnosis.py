@@ -9,6 +9,7 @@ from rich.markup import escape
 
 from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.result import PROFILE, Outcome, Tested
+from lerobot_pneutac.diagnosis.verdict import Explained
 from lerobot_pneutac.reports import sentences
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import Confidence, State, next_experiment
@@ -38,6 +39,7 @@ class Diagnosis(Result):
     made_at: str = field(default_factory=lambda: time.strftime("%Y-%m-%d %H:%M"))
 
     keys = (
+        ("explained", "outcome.explained.value"), "mechanism",
         "verdict", "sentence", ("confidence", "confidence.value"), "warnings", "do_next",
         ("unit", "study.unit"), ("noise_floor", "study.noise.value"), ("noise_floor_how", "study.noise.how"),
         ("baseline", "before"),
@@ -57,6 +59,19 @@ class Diagnosis(Result):
     def verdict(self) -> str:
         """`adequate`, `missing_effect`, `insufficient_form`, `unknown_effect` or `ambiguous`."""
         return self.outcome.verdict
+
+    @property
+    def explained(self) -> Explained:
+        """How much of the error is explained."""
+        return self.outcome.explained
+
+    @property
+    def mechanism(self) -> list[dict]:
+        """Of each cause the families that it may be with their probabilities, and whether it is certain."""
+        return [
+            {"cause": m.cause, "ranked": dict(m.ranked), "certain": m.certain}
+            for m in self.outcome.mechanisms
+        ]
 
     @property
     def selected(self) -> list[str]:

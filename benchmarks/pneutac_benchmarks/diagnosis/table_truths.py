@@ -10,6 +10,7 @@ from rich.console import Console
 
 from lerobot_pneutac.reports.page import write_result
 from pneutac_benchmarks.diagnosis import pictures
+from pneutac_benchmarks.diagnosis.answers import show
 from pneutac_benchmarks.diagnosis.rules import (
     COUNTS_AS_NEAR,
     COUNTS_AS_REMOVED,
@@ -96,6 +97,7 @@ def write_table(answers: list[dict], out: Path, console: Console) -> None:
         for r in rows
     ]  # fmt: skip
     console.print(terminal(f"diagnosis, {answers[0]['set']}", HEADS, cells))
+    show(answers, console)
     lines = [*markdown(HEADS, cells), "", *markdown(EACH, each(answers))]
     out.mkdir(parents=True, exist_ok=True)
     (out / "table.md").write_text("\n".join(lines) + "\n")

@@ -12,6 +12,7 @@ import numpy as np
 from pneutac_benchmarks.diagnosis.cases import BenchmarkDiagnosisConfig, Case, diagnosed
 from pneutac_benchmarks.diagnosis.rules import BASE, COUNTS, counts, removed
 from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.effects.laws import family
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
 from pneutac_truths import EFFECTS, PAIRS, Truth, generate, write
@@ -140,13 +141,12 @@ def scored(days: Days, d, seconds: float) -> dict:
         "test_before": d.before["heldout"], "test_after": d.after["heldout"],
         "black_box": evidence.left_to_black_box, "agreed": evidence.agreed, "forward": evidence.forward,
         "interval": evidence.interval, "later": evidence.later, "error": evidence.after,
-        "contenders": [{"terms": c.terms, "probability": c.probability} for c in d.outcome.contenders],
-        "contributions": {c.name: [c.error_without, *c.drop] for c in d.outcome.contributions},
-        "rivals": [[r.effect, r.rival, r.difference] for r in d.outcome.rivals],
-        "chosen_in": d.outcome.chosen_in, "likely_right": d.outcome.likely_right,
-        "alone": {t.name: t.heldout for t in d.outcome.tested if t.reduction is not None},
-        "evidence_removed": evidence.removed, "noise_known": evidence.noise_known, "poor": evidence.poor,
-        "noise": d.study.noise.value, "at_bound": evidence.at_bound, "cancelling": evidence.cancelling,
+        "explained": d.explained.value, "noise_known": evidence.noise_known,
+        "causes": [
+            {"cause": m.cause, "ranked": dict(m.ranked), "certain": m.certain, "features": m.features,
+             "terms": [t for t in d.selected if family(t) == m.cause]}
+            for m in d.outcome.mechanisms
+        ],
         "objections": evidence.objections, "gauge": bool(d.study.measured), "seconds": seconds,
     }  # fmt: skip
 

@@ -2,7 +2,16 @@
 
 import pytest
 
-from lerobot_pneutac.diagnosis.verdict import Evidence, decide, too_few
+from lerobot_pneutac.diagnosis.verdict import (
+    NONE,
+    Evidence,
+    Explained,
+    alternative_families,
+    decide,
+    explained,
+    mechanism,
+    too_few,
+)
 
 
 def evidence(**change):
@@ -28,6 +37,8 @@ NOTHING = {"selected": [], "removed": 0.0}
         ({"agreed": 0.49}, "insufficient_form"),
         ({"agreed": 0.5}, "missing_effect"),
         ({"at_bound": ["lag(p).time_s"]}, "insufficient_form"),
+        ({"at_bound": ["lag(p).time_s"], "agreed": 0.2, "later": 1.1}, "missing_effect"),
+        ({"forward": False, "later": 1.3}, "insufficient_form"),
         ({"cancelling": ["lag(p)"]}, "insufficient_form"),
         ({"removed": 0.51}, "missing_effect"),
         ({"removed": 0.49, "after": 1.3}, "unknown_effect"),
@@ -90,3 +101,48 @@ def test_objections_add_up():
         "at_bound": ["a.b"],
     }
     assert len(evidence(**all_at_once).objections) == 5
+
+
+@pytest.mark.parametrize(
+    ("change", "answer"),
+    [
+        ({"interval": (1.0, 1.1), "later": 1.1}, "fully"),
+        ({"interval": (1.0, 1.1)}, "fully"),
+        ({"interval": (0.9, 1.51), "later": 1.1}, "undetermined"),
+        ({"interval": (1.0, 1.1), "later": 1.21}, "mostly"),
+        ({"interval": (1.0, 1.1), "at_bound": ["a.b"], "forward": False, "later": 1.2}, "fully"),
+        ({"after": 2.0, "removed": 0.875, "interval": (1.9, 2.1)}, "mostly"),
+        ({"after": 3.4, "removed": 0.56, "interval": (3.0, 4.2)}, "undetermined"),
+        ({"after": 3.8, "removed": 0.44, "interval": (3.4, 4.2)}, "undetermined"),
+        ({"after": 4.0, "removed": 0.37, "interval": (3.9, 4.1)}, "no"),
+        ({"after": 4.0, "noise_known": False}, "undetermined"),
+        ({"after": 1.1, "noise_known": False}, "fully"),
+        (NOTHING | {"after": 1.1}, "fully"),
+        (NOTHING | {"after": 5.0}, "no"),
+        (NOTHING | {"after": 5.0, "near_miss": ["creep"]}, "undetermined"),
+        ({"after": None, "before": None}, "undetermined"),
+        ({"poor": True}, "undetermined"),
+    ],
+)
+def test_how_much_is_explained_follows_error_interval_and_out_of_time_error(change, answer):
+    assert explained(evidence(**change)) is Explained(answer)
+
+
+def test_probabilities_of_a_mechanism_sum_to_one_and_grow_with_the_evidence():
+    def of(drop=10.0, is_law=True, removed=0.95, alternatives=None, has_rival=False):
+        return mechanism("creep", drop, is_law, removed, alternatives or {}, has_rival)
+
+    for m in (of(), of(alternatives={"leak": 0.2, "friction": 0.4}), of(drop=0.0, removed=0.0)):
+        assert sum(p for _, p in m.ranked) == pytest.approx(1.0)
+        assert [p for _, p in m.ranked] == sorted((p for _, p in m.ranked), reverse=True)
+    assert of(drop=100.0).probability > of(drop=1.0).probability
+    assert of(removed=0.99).probability > of(removed=0.5).probability
+    assert of(drop=1000.0).certain and not of(drop=1e-9, removed=0.2).certain
+    assert of(drop=1e-9, removed=0.2).ranked[0][0] == NONE
+    shares = dict(of(alternatives={"leak": 0.2, "friction": 0.4}).ranked)
+    assert shares["friction"] == pytest.approx(2 * shares["leak"])
+
+
+def test_alternatives_are_families_of_models_without_the_cause():
+    models = [({"creep"}, 0.6), ({"leak", "hysteresis"}, 0.3), ({"leak"}, 0.1)]
+    assert alternative_families("creep", {"creep", "hysteresis"}, models) == {"leak": pytest.approx(0.4)}

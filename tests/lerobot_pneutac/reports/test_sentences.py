@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from lerobot_pneutac.diagnosis.result import Contribution
-from lerobot_pneutac.diagnosis.verdict import Evidence, decide
+from lerobot_pneutac.diagnosis.verdict import NONE, Evidence, Explained, Mechanism, decide, explained
 from lerobot_pneutac.reports.sentences import (
     Confidence,
     Kind,
@@ -14,8 +14,10 @@ from lerobot_pneutac.reports.sentences import (
     alternatives,
     do_next,
     evidence,
+    explanation,
     headline,
     meaning,
+    mechanism,
     next_experiment,
     state_of,
     warnings,
@@ -43,10 +45,14 @@ def given(selected=(LAW,), after=0.45, contributions=(), known=(), run_terms=Non
     )  # fmt: skip
     outcome = SimpleNamespace(
         evidence=e, verdict=decide(e), selected=list(selected), before=0.8, after=after, rivals=[], tested=[],
-        chosen_in=dict.fromkeys(selected, 6 / 7), likely_right=0.874, known=list(known), run_terms=run_terms,
-        contributions=list(contributions),
+        chosen_in=dict.fromkeys(selected, 6 / 7), known=list(known), run_terms=run_terms,
+        contributions=list(contributions), explained=explained(e), mechanisms=[creep(0.874)],
     )  # fmt: skip
     return study, outcome
+
+
+def creep(right: float) -> Mechanism:
+    return Mechanism("creep", (("creep", right), (NONE, 1 - right)), ())
 
 
 def text_of(s: State) -> list[str]:
@@ -66,7 +72,8 @@ def test_the_headline_lists_the_causes_by_size_without_equations():
     assert one.startswith(
         "One thing is missing from the model: creep, time constant 8 s. With it the test error"
     )
-    assert "from 0.8 to 0.45 mm (noise 0.43 mm). Confidence: confirmed." in one
+    assert "from 0.8 to 0.45 mm (noise 0.43 mm). Explained: fully. The error is 1.05 times the noise." in one
+    assert one.endswith("Mechanism: creep is certain (87 %).")
     worth = [
         Contribution("lag(p)", False, 0.5, 0.45, (0.1, 0.05, 0.2)),
         Contribution("play(p)", True, 0.7, 0.45, (0.3, 0.2, 0.4)),
@@ -143,10 +150,57 @@ def states():
             lower=("hysteresis",) if lower and causes else (),
             near_miss=("friction",) if verdict == "ambiguous" else (),
             objections=("a bound was reached",) if objection and causes else (),
-            black_box=0.4 if level == "above" and objection else 0.0, right=right if causes else None,
+            black_box=0.4 if level == "above" and objection else 0.0,
+            explained=Explained.FULLY if level == "noise" and not poor else Explained.UNDETERMINED,
+            mechanisms=() if right is None or not causes else (creep(right),),
             agreed=0.9 if causes else None, untested=("thermal: record column temperature_c",),
             experiment="Step and hold.",
         )  # fmt: skip
+
+
+def right_of(s: State) -> float | None:
+    return s.mechanisms[0].probability if s.mechanisms else None
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({}, "Explained: fully. The error is 1.05 times the noise, 95 % interval 1.00 to 1.10."),
+        (
+            {"later": 1.4, "explained": Explained.MOSTLY},
+            "but 1.40 times the noise in the last part",
+        ),
+        (
+            {"explained": Explained.UNDETERMINED},
+            "undetermined, since the error is known too roughly",
+        ),
+        (
+            {"at_noise": False, "rest": 0.9, "explained": Explained.NO},
+            "Explained: no. The error is 2.00",
+        ),
+        ({"noise": None}, "Explained: undetermined, since the noise is not known."),
+        ({"noise_measured": False}, "1.05 times the estimated noise"),
+        ({"poor": "Too short."}, ""),
+    ],
+)
+def test_how_much_is_explained_is_one_sentence(change, said):
+    base = {
+        "device": "finger", "unit": "mm", "verdict": "missing_effect", "before": 2.0, "after": 0.4725,
+        "rest": 0.4725, "noise": 0.45, "at_noise": True, "causes": ("creep",), "explained": Explained.FULLY,
+        "interval": (1.0, 1.1),
+    }  # fmt: skip
+    s = State(**(base | change))
+    text = explanation(s)
+    assert (said in text) if said else text == ""
+
+
+def test_a_mechanism_that_is_not_certain_shows_the_ranks_that_count():
+    ranked = (("creep", 0.55), (NONE, 0.39), ("leak", 0.04), ("valve_lag", 0.02))
+    s = State(
+        device="finger", unit="mm", verdict="missing_effect", before=2.0, after=0.45, rest=0.45, noise=0.45,
+        causes=("creep", "friction"), mechanisms=(Mechanism("creep", ranked, ()), creep(0.9)),
+    )  # fmt: skip
+    assert mechanism(s) == "Mechanism: creep 55 %, none of these 39 %; creep is certain (90 %)."
 
 
 def test_no_two_sentences_of_any_state_contradict_each_other():
@@ -157,7 +211,9 @@ def test_no_two_sentences_of_any_state_contradict_each_other():
         at_noise = "at the noise" in said or "at the estimated noise" in said
         unexplained = "no known effect describes" in said or "is unexplained" in said
         assert not (at_noise and unexplained), said
-        assert not (s.at_noise and (unexplained or "times the noise" in said)), said
+        assert not (s.at_noise and unexplained), said
+        assert ("Explained: fully" in said) == (s.explained is Explained.FULLY), said
+        assert ("creep is certain" in said) == (right_of(s) == 0.9 and not s.poor), said
         assert not ("Nothing is missing" in said and ("missing from the model" in said or unexplained)), said
         assert not (
             "No other effect" in said and ("reaches a slightly lower" in said or "about as well" in said)
@@ -171,17 +227,17 @@ def test_no_two_sentences_of_any_state_contradict_each_other():
                 said
             )
         if s.confidence is Confidence.CONFIRMED:
-            assert (
-                s.noise is not None and s.at_noise and "estimate" not in said and "35 of 100" not in said
-            ), said
+            assert s.noise is not None and s.at_noise and "estimate" not in said, said
+            assert right_of(s) in (0.9, None), said
         if s.confidence is Confidence.LIKELY:
-            assert [w for w in warnings(s) if not w.startswith("Not tested")], said
+            open_ = [w for w in warnings(s) if not w.startswith("Not tested")]
+            assert open_ or right_of(s) == 0.35, said
         if s.noise is None and not s.poor:
             assert "noise 0.43" not in said and "above the noise" not in said, said
             assert "noise unknown" in said or "cannot be determined" in said, said
         if "No effect" in said or s.kind is Kind.UNKNOWN:
             assert not s.causes
-        assert first.count("Confidence: ") == 1 and do_next(s, ADD) and "OUT/" not in said
+        assert first.count("Explained: ") == (not s.poor) and do_next(s, ADD) and "OUT/" not in said
         if s.kind is Kind.CAUSES and len(s.causes) == 2:
             assert "(1) the finger's own weight; (2) creep" in first
     assert count > 1000

@@ -1,0 +1,115 @@
+"""Whether the two answers of a diagnosis are true: how much is explained, and which mechanism it is.
+
+python -m pneutac_benchmarks.diagnosis.answers FOLDER ...          # scores of `pneutac benchmark diagnosis`
+python -m pneutac_benchmarks.diagnosis.answers --fit FOLDER ...    # new weights of `diagnosis.verdict`
+
+A recording ends explained where another day's error is at most `ENDS` times the noise. A cause is right where
+one of its terms is among the names that `rules.COUNTS` lists for the device. Rules of before any result.
+"""
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from scipy.optimize import minimize
+
+from pneutac_benchmarks.diagnosis.rules import COUNTS, COUNTS_AS_NEAR, counts
+from pneutac_benchmarks.diagnosis.table import wilson
+from pneutac_benchmarks.tables import terminal
+
+ENDS = 1.3
+EDGES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
+RIDGE = 1.7  # of the weights, on features of unit variance
+BETWEEN = (  # what changes between the days, so that no diagnosis of one of them can foretell the other
+    "marker_slip", "mount_knock", "mount_turned", "camera_warm_up", "slip_and_swelling", "stand_shakes",
+    "tracker_freezes", "gauge_drifting",
+)  # fmt: skip
+
+
+def causes(answers: Sequence[dict]) -> list[dict]:
+    """Each cause that was found, with `right` and the probability that was reported."""
+    out = []
+    for a in answers:
+        accepted = [n for t in a["truth"] for n in COUNTS[t]]
+        for c in a["causes"]:
+            right = any(counts(t, accepted) for t in c["terms"])
+            out.append(c | {"right": right, "probability": c["ranked"][c["cause"]], "effects": a["effects"]})
+    return out
+
+
+def show(answers: Sequence[dict], console: Console) -> None:
+    """Prints both answers' tables; `answers` of the sets of truths."""
+    rows = []
+    for name, chosen in (
+        ("all", answers),
+        ("nothing changes between the days", [a for a in answers if a["effects"] not in BETWEEN]),
+    ):
+        ends, called = (
+            [a for a in chosen if a["ratio"] <= ENDS],
+            [a for a in chosen if a["explained"] == "fully"],
+        )
+        recall, precision = (
+            sum(a["explained"] == "fully" for a in ends),
+            sum(a["ratio"] <= COUNTS_AS_NEAR for a in called),
+        )
+        rows.append((name, *_share(recall, len(ends)), *_share(precision, len(called))))
+    heads = (
+        "recordings", f"other day within {ENDS}: called fully explained", "95 %",
+        f"called fully explained: other day within {COUNTS_AS_NEAR}", "95 %",
+    )  # fmt: skip
+    console.print(terminal("Explained", heads, rows))
+    every = causes(answers)
+    if not every:
+        return
+    told, right = (np.array([c[k] for c in every], float) for k in ("probability", "right"))
+    rows = []
+    for low, high in zip(EDGES[:-1], EDGES[1:], strict=True):
+        i = (told >= low) & ((told < high) | (high == 1.0))
+        if i.any():
+            rows.append(
+                (f"{low:.1f} to {high:.1f}", f"{told[i].mean():.2f}", *_share(int(right[i].sum()), i.sum()))
+            )
+    console.print(terminal("Mechanism", ("probability reported", "mean", "right", "95 %"), rows))
+    base = right.mean()
+    console.print(
+        f"{len(every)} causes; Brier score {((told - right) ** 2).mean():.3f}; of the base rate {base:.2f} "
+        f"alone {base * (1 - base):.3f}"
+    )
+
+
+def _share(k: int, n: int) -> tuple[str, str]:
+    return f"{k} of {n}", "{:.0%} to {:.0%}".format(*wilson(k, n)) if n else "-"
+
+
+def fitted(X: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """(k,) weights of a logistic regression with a ridge; the first column of X (n, k) is one."""
+    mean, spread = X[:, 1:].mean(axis=0), X[:, 1:].std(axis=0) + 1e-9
+    Z = np.column_stack([np.ones(len(X)), (X[:, 1:] - mean) / spread])
+
+    def loss(b: np.ndarray) -> float:
+        z = Z @ b
+        return float((np.logaddexp(0, z) - right * z).sum() + RIDGE * (b[1:] ** 2).sum())
+
+    b = minimize(loss, np.zeros(Z.shape[1])).x
+    slopes = b[1:] / spread
+    return np.r_[b[0] - slopes @ mean, slopes]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("folders", nargs="+", type=Path, help="of pneutac benchmark diagnosis")
+    parser.add_argument("--fit", action="store_true", help="fit new weights")
+    args, console = parser.parse_args(), Console()
+    answers = [json.loads(f.read_text()) for d in args.folders for f in sorted((d / "cases").glob("*.json"))]
+    show(answers, console)
+    if args.fit:
+        every = causes(answers)
+        X, right = np.array([c["features"] for c in every]), np.array([c["right"] for c in every], float)
+        console.print(f"weights {np.round(fitted(X, right), 3).tolist()}")
+
+
+if __name__ == "__main__":
+    main()
