@@ -57,6 +57,9 @@ BLACK_BOX_EXCESS = 0.05  # of the noise: with less excess a black box finds noth
 AGREED = 0.5  # share of the votes below which a finding is unstable (verdict)
 FEW_UNITS = 6  # held-out pieces of time below which no bootstrap means much (verdict)
 FEW_SAMPLES = 60  # to fit, below which nothing is claimed (verdict)
+LATER = (
+    1.25  # error over noise of the later part, predicted from the earlier one: the same out of time (verdict)
+)
 CERTAIN = 0.8  # calibrated probability above which a mechanism is called certain (verdict)
 
 # ---------------------------------------------------------------- parameters
