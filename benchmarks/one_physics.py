@@ -287,42 +287,45 @@ def bent(twin: Twin) -> dict:
 
 PAGE = """# One physics, from the bench to the world
 
-Do finger and gel do the same on the bench, in material points, in the network and in the world?
+**Claim.** Finger and gel behave the same on the bench, in material points, in the network and
+in the world, within the limits of each section; contact areas and slip under sharp edges do not agree.
+
+**Command.** It writes this page, for the built-in twin.
 
     python benchmarks/one_physics.py
 
-writes this page, for the built-in twin.
+**Limitations.** One twin. Each section states its goal where there is one.
 
 ## In free air
 
-A slow sweep to 10 kPa and back: what an effect moves the tip by on the bench, and how far the tip of the
-world's finger (fidelity `surrogate`) is from the bench pipeline's, at most, in mm. The finger is
+A slow sweep to 10 kPa and back: how far an effect moves the tip on the bench, and the largest distance
+between the tips of the world's finger (fidelity `surrogate`) and of the bench pipeline, in mm. The finger is
 {length:.0f} mm long.
 
-| effect | moves the tip | bench and world apart |
+| effect | moves the tip | difference of bench and world |
 |---|---|---|
 {free}
 
-`tests/sim/world/test_effects_act.py` holds every effect, and one from another package, to 0.3 % of the
+`tests/sim/world/test_effects_act.py` checks every effect, and one from another package, to 0.3 % of the
 length.
 
 ## Fast programs
 
-The bench pipeline has no mass, and needs none: what it was calibrated on had. Its lags hold the finger's own
-inertia and damping. The world drives the spine with the inverse of its own free response, so that they are
-not counted twice; contact and the arm's motion still meet mass, damping and stiffness. How far both are
-apart, in mm, of 15 samples a second:
+The bench pipeline has no mass: its lags, calibrated on a finger with mass, include
+the finger's inertia and damping. The world drives the spine with the inverse of its own free response, so
+that they are not counted twice; contact and the arm's motion still meet mass, damping and stiffness.
+Differences in mm, at 15 samples a second:
 
 | effect | program | largest | root mean square |
 |---|---|---|---|
 {fast}
 
-Without that inverse the step was 13.85 mm apart and the sine of 1 Hz 1.30 mm.
+Without that inverse the step differed by 13.85 mm and the sine of 1 Hz by 1.30 mm.
 
 ## When a load is gone
 
-A force of 0.1 N across the tip is let go at 0 kPa; the finger swings with its sensor. Stiffness is that of
-the network, scaled to the modulus, mass that of the material points, each with the link that it lies beside;
+A force of 0.1 N across the tip is released at 0 kPa; the finger swings with its sensor. Stiffness is that of
+the network, scaled to the modulus, mass that of the material points, each with its nearest link;
 nothing is fitted. The neo-Hookean body has no losses of its own: what damps it is the chamber, by the twin's
 `joint_damping_nms_per_rad`, in both.
 
@@ -335,8 +338,8 @@ Goal: 10 %.
 ## Under a load
 
 The chamber drives the spine with a finite stiffness, the soft body adds its own, K(q), from its calibrated
-modulus: [how](../docs/concepts/fidelity.md#compliance). A force at the tip moves it by so much, in mm; in
-brackets how far that is from where material points have it. *Springs* are the same whole stiffness at every
+modulus: [how](../docs/concepts/fidelity.md#compliance). Displacement of the tip under a force, in mm; in
+brackets the difference from material points. *Springs* are the same total stiffness at every
 joint, as in `fidelity=probe`, at rest under the force where it then acts.
 
 | pressure | force | material points | network | springs |
@@ -345,25 +348,25 @@ joint, as in `fidelity=probe`, at rest under the force where it then acts.
 
 The network is off by {net_mean:.1f} % in the mean and {net_worst:.1f} % at most, the springs by
 {spring_mean:.1f} % and {spring_worst:.1f} %. Goal: 5 %. The material points rest to
-0.03 % of the forces on them; at 0.1 % what a small force does is known to 0.1 mm only.
+0.03 % of the forces on them; at 0.1 % the effect of a small force is known to 0.1 mm only.
 
 ![Tip under a force](one_physics_load.png)
 
 ## Moving under a load
 
-Steps, ramps, chirps and random pressures of {moved_s:.0f} s each, drawn anew, under forces of 0.2 to 0.6 N at
-the tip that are held, changed and let go. How far the tip of the world's finger is from the material points',
-in mm, mean and largest; and the mean of all in percent of the length (goal: 1 %, without the network at least
-three times as much):
+Steps, ramps, chirps and random pressures of {moved_s:.0f} s each, newly drawn, under forces of 0.2 to 0.6 N
+at the tip that are held, changed and released. Distance of the tips of the world's finger and of the
+material points in mm, mean and largest; and the mean of all in percent of the
+length (goal: 1 %, without the network at least three times as much):
 
 | finger of the world | {kinds} | all |
 |---|{kinds_rule}---|
 {moving}
 
-*Skeleton* is what the chamber drives alone, f_r = 0; *springs* have the finger's whole stiffness, the same at
+*Skeleton* is what the chamber drives alone, f_r = 0; *springs* have the finger's total stiffness, the same at
 every joint: against them the network gains a third. It is taken straight about the joint angles of each
 control step and acts at every substep. The torque of an elastic body depends on its angles and not on their
-rates, so the world asks the network at rest.
+rates, so the world evaluates the network at rest.
 
 Material points take {mpm_s:.1f} s of processor time a simulated second of one finger, the network
 {net_ms:.1f} ms on the same core: {saved:.1f} s are saved a simulated second.
@@ -396,15 +399,15 @@ contact, of the law at the imprint that the tactile sensor sees, and of the spri
 
 A round bar stands 1 mm before the gel of the finger at {touches:g} kPa, and the pressure is raised in steps.
 In the full simulation body and gel are both material points, and the angles are sought at which chamber, body
-and the gel's force balance. Without friction in either, since what sticks depends on the way there. By how
-much the bar holds the tip back, how far the tips are apart, and of both the force and the contact area:
+and the gel's force balance. Without friction in either, since what sticks depends on the way there. How
+far the bar holds the tip back, the distance of the tips, and both forces and contact areas:
 
-| pressure | held back | tips apart | force, full and world | area, full and world |
+| pressure | held back | distance of tips | force, full and world | area, full and world |
 |---|---|---|---|---|
 {coupled}
 
-The tips are apart by {tip_worst:.1f} % of what the bar holds back, at most, the forces by {force_worst:.1f} %
-(goal: 5 %). Areas are not: of 0.2 to 0.3 mm under a round bar the image shows 11 to 18 levels beside a
+The tips differ by {tip_worst:.1f} % of what the bar holds back, at most, the forces by {force_worst:.1f} %
+(goal: 5 %). Areas are not: of 0.2 to 0.3 mm under a round bar the image shows 11 to 18 levels at a
 threshold of 12, so that a hundredth of a millimetre moves the area by a third. Deeper contacts are on
 [the networks' page](surrogate.md).
 

@@ -1,4 +1,4 @@
-"""Learns the residual fields that the make DIGIT lends anew, from all photographs of the DIGITs in a folder.
+"""Learns the residual fields that the make DIGIT lends again, from all photographs of the DIGITs in a folder.
 
     python benchmarks/tactile_make.py --sets=digit_fots,digit_nagoya
 

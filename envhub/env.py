@@ -19,7 +19,7 @@ SHARED = (
 def make_env(n_envs: int = 1, use_async_envs: bool = False, cfg=None) -> dict:
     """The environments as LeRobot's evaluation takes them, `{"pneutac": {task number: vector environment}}`.
 
-    A sub-environment that is done starts anew in the same step, and its last `info` is in `final_info`.
+    A sub-environment that is done starts again in the same step, and its last `info` is in `final_info`.
 
     Args:
         n_envs: sub-environments of each.

@@ -93,7 +93,7 @@ class BenchmarkDemonstrationsConfig:
 def show(
     count: int, seed: int, physics: Physics, task: str = "button", drag_m: float = 0.0
 ) -> Demonstrations:
-    """Demonstrations of a scripted expert on the stand-in; one that fails is shown anew."""
+    """Demonstrations of a scripted expert on the stand-in; one that fails is shown again."""
     world, episodes = StandinWorld(task, physics=physics), []
     if drag_m:
         world.task.drag_m = drag_m
@@ -135,7 +135,7 @@ def run_case(twin: Twin, number: int, config: BenchmarkDemonstrationsConfig) -> 
     name, (physics, right) = list(CASES.items())[number]
     given = show(config.demonstrations, 1000 * config.seed + 100 + 37 * number, physics, config.task)
     found = diagnose(twin, given, jobs=1)
-    corrected = add(twin, given, found)  # replays the episodes anew with the corrected twin
+    corrected = add(twin, given, found)  # replays the episodes again with the corrected twin
     before = found.before
     after = corrected.after if corrected.accepted and corrected.after else before
     light = light_drift(given.episodes, twin.arrays["rest_image"])

@@ -1,6 +1,6 @@
 """A finger that moves under loads: material points against the world's finger with and without its network.
 
-Pressures as in the training of the action network, drawn anew, and forces at the tip that are held for some
+Pressures as in the training of the action network, newly drawn, and forces at the tip that are held for some
 control steps, change or are let go. Loads act as torques on the joints, the same for all.
 """
 

@@ -15,7 +15,7 @@ from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.sensor import TactileSensor
 
-NEEDS = {  # conditions that the program varies for an effect which lives by them
+NEEDS = {  # conditions that the program varies for an effect that needs them
     "gravity": "the base is turned from hanging to lying",
     "payload": "50 g hang at the tip",
     "thermal": "it warms from 20 to 30 °C",
@@ -42,7 +42,7 @@ def page(pictures: dict) -> str:
         "Each effect is one physical mechanism in one file. `pneutac diagnose` tries them all, `pneutac add` "
         "switches one on, and it then acts wherever the twin does. The pictures show the built-in twin with "
         "the effect at the size with which a fit starts: on the left the tip's deflection without it (grey) "
-        "and with it (orange), on the right how far apart the two are. For light: without, with, and four "
+        "and with it (orange), on the right their difference. For light: without, with, and four "
         "times the difference. [Add one of your own](../how_to/add_an_effect.md).",
         "",
     ]
@@ -92,7 +92,7 @@ def curve(name: str) -> str:
     t, _, a, b = tips(name)
     z = [(a[:, 2], "thin"), (b[:, 2], "thick")]
     left = _panel(0, t, "deflection, mm", z, min(a[:, 2].min(), b[:, 2].min()))
-    right = _panel(370, t, "apart, mm", [(np.linalg.norm(b - a, axis=1), "thick")], 0.0)
+    right = _panel(370, t, "difference, mm", [(np.linalg.norm(b - a, axis=1), "thick")], 0.0)
     return (
         '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 730 200"'
         ' font-family="sans-serif" font-size="12">'

@@ -5,7 +5,7 @@ from mkdocs.structure.files import File
 from lerobot_pneutac.verbs.effect_file import units
 from pneutac_sim.effects.laws import family, law, law_names
 
-HELD = ("scale_kpa",)  # of every law on pressure; told once, above the table
+HELD = ("scale_kpa",)  # of every law on pressure; stated once, above the table
 
 
 def on_files(files, config):
@@ -20,7 +20,7 @@ def page() -> str:
     lines = [
         "# Laws",
         "",
-        f"The {len(names)} laws that `pneutac diagnose` may compose a model of, beside the "
+        f"The {len(names)} laws that `pneutac diagnose` may add to a model, in addition to the "
         "[effects](effects.md). Each adds a term to the pressure that bends a body, with a weight \\(w\\) "
         "between -3 and 3, to where the tip is, or to what is read of it. \\(P\\) is the largest pressure of "
         "the recording "

@@ -1,4 +1,4 @@
-"""Where each effect acts, asked of the places themselves: pipeline, material points, world and so on."""
+"""Where each effect acts, computed from the code: pipeline, material points, world and so on."""
 
 from mkdocs.structure.files import File
 
@@ -18,7 +18,7 @@ from its stage and signal, so an effect of [your own](../how_to/add_an_effect.md
 slow sweep in free air moves the tip in the world as in the bench pipeline, within 0.3 % of the finger's
 length (`tests/sim/world/test_effects_act.py`).
 
-- *Networks* means the fidelity `surrogate`. They know how body and gel are deformed and not by what, so a
+- *Networks* means the fidelity `surrogate`. Their inputs are deformations of body and gel, not effects, so a
   twin keeps them when effects are added; another shape or material needs others (`pneutac surrogate`).
 - *No pictures*: `render` and the fit to photographs stop and name the effect, since the shape of the material
   points follows the joints alone; `compare --fidelity=mpm` and the world have it.
@@ -35,7 +35,7 @@ def on_files(files, config):
 
 
 def page() -> str:
-    """Markdown of all effects and laws; laws that act alike share a row."""
+    """Markdown of all effects and laws; laws that act in the same places share a row."""
     lines = [
         LEAD,
         f"| effect | needs | {' | '.join(PLACES)} |",

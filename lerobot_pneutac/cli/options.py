@@ -170,7 +170,7 @@ def _fields(config_class: type, group: str) -> Iterator[Option]:
 
 
 def attribute_texts(config_class: type) -> dict[str, str]:
-    """What the docstrings of a class and of those that it extends tell of its attributes."""
+    """Descriptions of attributes from the docstrings of a class and of those that it extends."""
     texts = {}
     for base in reversed(config_class.__mro__):
         doc = inspect.cleandoc(base.__doc__ or "").partition("Attributes:\n")[2]

@@ -1,4 +1,4 @@
-"""A lab's own table where a verb takes a recording: shown as it was understood, confirmed, kept beside it."""
+"""A lab's own table where a verb takes a recording: shown as understood, confirmed, stored next to it."""
 
 import shlex
 import sys

@@ -1,7 +1,7 @@
 """Paired block bootstrap, stratified by condition.
 
-Neighbouring errors are alike, so whole units of time are drawn; both models are scored on the same draw, so
-what is easy or hard in a unit cancels. Each condition keeps its number of units in every draw: gravity may
+Neighbouring errors are correlated, so whole units of time are drawn; both models are scored on the same draw,
+so what is easy or hard in a unit cancels. Each condition keeps its number of units in every draw: gravity may
 show in four units of thirty-six, and plain resampling would often miss all four.
 """
 
@@ -63,7 +63,7 @@ class BlockBootstrap:
         return self.value(before) - self.value(after), float(lo), float(hi)
 
     def significant_drop(self, before: np.ndarray, after: np.ndarray) -> bool:
-        """Whether the error falls for sure, in 99 % of the draws of units, by squared errors (n,).
+        """Whether the error falls significantly, in 99 % of the draws of units, by squared errors (n,).
 
         What counts of a unit is its fall as a share of both errors. The moments after a step of the command
         can hold nearly all of the squared error, in two units of sixty: its mean then says little of whether

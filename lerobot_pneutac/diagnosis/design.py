@@ -1,10 +1,10 @@
-"""The next program: it separates contenders, narrows the best one's constants, and goes where none was.
+"""The next program: it separates candidates, narrows the best one's constants, and explores.
 
-Between contenders it is, in nats, a bound of the mutual information between which of them is true and what
+Between candidates it is, in nats, a bound of the mutual information between which of them is true and what
 will be measured (Kolchinsky and Tracey, Entropy 19 (2017) 361: pairwise distances, here the Kullback and
 Leibler divergence of equal Gaussians); of the constants the expected gain of a linear model with a Gaussian
 prior (Lindley, Ann. Math. Stat. 27 (1956) 986), their present intervals being the prior. There are many
-constants and few laws, so their gain counts beside the largest that any program brings.
+constants and few laws, so their gain counts relative to the largest of any program.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -33,17 +33,17 @@ NO_HANDS = Hands()
 
 @dataclass(frozen=True)
 class Choice:
-    """One program, and what it is expected to tell.
+    """One program, and its expected information.
 
     Attributes:
         name: of the program.
         kind: programs of one kind differ in numbers alone.
         time_s: (n,) of its samples.
         pressure_kpa: (n, chambers) commanded.
-        rivals: nats about which contender is true.
-        constants: nats about the best contender's constants.
+        rivals: nats about which candidate is true.
+        constants: nats about the best candidate's constants.
         new: share of the time at levels, paces and rests that no recording has.
-        predictions: (n, k) headline columns by each contender.
+        predictions: (n, k) headline columns by each candidate.
         worth: all three for a second of the bench's time, see `choices`.
         hand: what a hand changes for it, see `hands.HANDS`; empty for nothing.
         conditions: in force throughout; empty where no hand may change any.
@@ -81,14 +81,14 @@ def choices(
     limits: Limits,
     hands: Hands = NO_HANDS,
 ) -> list[Choice]:
-    """All programs that fit into the limits, the one that tells most for its time first.
+    """All programs that fit into the limits, by expected information for their time.
 
-    What a program tells is its nats about contenders, its share of the largest gain on constants, and the
-    share of its time at levels, paces and rests that no recording has.
+    The information of a program is its nats about candidates, its share of the largest gain on constants, and
+    the share of its time at levels, paces and rests that no recording has.
 
     Args:
         recording: all that has been measured.
-        contenders: models in the running, the best first.
+        contenders: candidate models, the best first.
         noise: floor of the headline error, in its unit.
         limits: of device and time.
         hands: what may be changed for a program.
@@ -183,7 +183,7 @@ def _programs(
                 yield on_chambers(f"for {effect}", way), f"for {effect}", grid, along, ""
 
 
-# ---------------------------------------------------------------- what each would tell
+# ---------------------------------------------------------------- the information of each
 
 
 def _planned(recording: Recording, t: np.ndarray, p: np.ndarray, conditions) -> Recording:

@@ -16,12 +16,12 @@ from pneutac_sim.twin import Twin
 
 PRESSURE_NOISE = 0.005  # of the range: an ordinary gauge
 LOG_PRESSURE = "log the measured pressure"
-LOG_ADVICE = "Log the measured pressure (pressure_kpa): it tells what air does from what the body does."
+LOG_ADVICE = "Log the measured pressure (pressure_kpa): it separates the pneumatics from the body."
 
 
 @dataclass
 class Separation:
-    """How well one experiment tells two models apart.
+    """How well one experiment separates two models.
 
     Attributes:
         name: of the experiment.

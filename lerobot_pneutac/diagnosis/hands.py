@@ -10,7 +10,7 @@ GRAVITY = ("gravity_x", "gravity_y", "gravity_z")
 
 
 def _nobody(sentence: str) -> None:
-    raise InputError(f"{sentence} Nobody is there to be asked.")
+    raise InputError(f"{sentence} There is no terminal to ask.")
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The experiment that shows one law apart from its neighbours, made from its entry and its constants.
+"""The experiment that separates one law from its neighbours, made from its entry and its constants.
 
 A lag shows after a step, for a few of its time constants; a play where the pressure turns, whatever the
 speed; friction by speed; a limit that was passed only when one comes back below it.
@@ -85,7 +85,7 @@ def _around_threshold(row, c, low, top):
 
 
 def _after_steps(row, c, low, top):
-    """Memories that relax: two levels tell the power of the pressure, a gain needs a third."""
+    """Memories that relax: two levels identify the power of the pressure, a gain needs a third."""
     tau = c.get("time_s", 1 / c["rate_1_per_s"] if "rate_1_per_s" in c else 33.0)
     hold, middle = float(np.clip(3 * tau, 3.0, 100.0)), 0.5 * (low + top)
     knots = [*_hold(middle, hold), *_hold(low, hold), *_hold(top, hold), *_hold(low, hold)]

@@ -15,7 +15,7 @@ class Parts:
 
     Attributes:
         train: (n,) mask: fits parameters and ranks effects.
-        validation: (n,) mask: decides whether an effect is kept.
+        validation: (n,) mask: decides whether an effect stays.
         test: (n,) mask: looked at by the report alone; equal to `validation` where there is little data.
         unit: (n,) resampling unit of each sample: a block of time or a piece of one.
         stratum: (units,) condition of each unit (program, orientation, temperature, payload).

@@ -242,7 +242,7 @@ def sent_s(t: np.ndarray, p: np.ndarray) -> np.ndarray:
     """When the command of each sample is sent, (n,) s: at the sample, but a step up to a sample before it.
 
     Each step keeps another lead, so that together they are seen at all ages: samples that come at one age
-    alone tell a delay no better than to the time between two of them (equivalent-time sampling).
+    alone identify a delay only to the time between two of them (equivalent-time sampling).
 
     Args:
         t: (n,) s of the samples.
@@ -256,7 +256,7 @@ def sent_s(t: np.ndarray, p: np.ndarray) -> np.ndarray:
     return out
 
 
-Share = float | np.ndarray  # of the range, of all chambers alike or of each (chambers,)
+Share = float | np.ndarray  # of the range, of all chambers or of each (chambers,)
 Knots = list[tuple[float, Share]]  # seconds since the one before, and where to
 
 

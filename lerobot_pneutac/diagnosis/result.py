@@ -20,7 +20,7 @@ class FittedModel:
         count: parameters fitted.
         twin: with the fitted parameters.
         at_bound: names of parameters stopped by a bound.
-        not_identified: parameters that the recording cannot tell, and why.
+        not_identified: parameters that the recording does not identify, and why.
     """
 
     effects: tuple[str, ...]
@@ -123,9 +123,9 @@ class Refits:
         baseline: with the known causes that the recording shows; `before` where there are none.
         after: with these and the named effects.
         known: known causes that were switched on, see `Outcome.known`.
-        contributions: what each term is worth beside all others, the largest first.
+        contributions: what each term adds to all others, the largest first.
         significant: whether the step from `baseline` to `after` is significant in cross-validation.
-        better: another effect that explains significantly more by itself, beside which the named ones add
+        better: another effect that explains significantly more by itself, with which the named ones add
             nothing, with its model; None where there is none.
     """
 
@@ -140,11 +140,11 @@ class Refits:
 
 @dataclass
 class Candidate:
-    """A model that a search fitted well, and how likely it is beside the others.
+    """A model that a search fitted well, and its probability among the others.
 
     Attributes:
         twin: as fitted.
-        terms: effects beside how the device bends; empty where that is all.
+        terms: effects besides how the device bends; empty where that is all.
         probability: share of the draws of blocks in which it has the least error on what its fit did not see,
             by Laplace's rule.
     """
@@ -166,7 +166,7 @@ class Outcome:
         known: those of them that the recording shows as a cause (weight, payload, base pose, stretch), and
             `bend_profile` where the device bends by a profile of its own.
         baseline: the twin with the known causes alone, re-fitted; None where there are none.
-        contributions: what each term is worth beside all others, the largest first; of bodies.
+        contributions: what each term adds to all others, the largest first; of bodies.
         run_terms: what single runs have of their own, no part of the device: `offset`, `gain`, `pressure_kpa`
             and `clock_s` (root mean squares), and `error`, the test error once they are removed; None where
             runs do not differ.

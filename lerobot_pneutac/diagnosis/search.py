@@ -208,7 +208,7 @@ class Search:
         )
 
     def _actuation_again(self, best: Scored, found: Found) -> Scored:
-        """The model with another line where that is surely better.
+        """The model with another actuation model where that is significantly better.
 
         The line was chosen while most of the error was of what has been found since, and may have stood in
         for it.
@@ -253,7 +253,7 @@ class Search:
         return done
 
     def _accepted(self, now: Scored, done: list[Scored], excess: float, start: float) -> Scored | None:
-        """The simplest of the best, if the error falls for sure and worthwhile."""
+        """The simplest of the best, if the error falls significantly and worthwhile."""
         least = max(T.WORTH_OF_EXCESS * excess, T.WORTH_OF_NOISE * self.noise_mse, T.WORTH_OF_START * start)
         alike = [d for d in done if d.value < done[0].value + T.EQUAL * max(excess, 0)]
         alike.sort(key=lambda d: (d.model.cost, d.value))
@@ -334,8 +334,8 @@ def deal_folds(unit: np.ndarray, folds: int, seed: int) -> np.ndarray:
 def chosen_in(found: Found, unit: np.ndarray, floor: float, kind: Callable[[str], str]) -> dict[str, float]:
     """Share of the votes in which each term of the final model, or another of its kind, came.
 
-    Each vote leaves out a quarter of the blocks and deals the others anew into five folds; at each acceptance
-    it chooses among the models that were fitted well there.
+    Each vote leaves out a quarter of the blocks and deals the others again into five folds; at each
+    acceptance it chooses among the models that were fitted well there.
 
     Args:
         found: by a search.
@@ -400,7 +400,7 @@ def contenders(
     known: Container[str],
     twin_of: Callable[[Scored], Twin],
 ) -> list[Candidate]:
-    """Models with how likely each is the best, and their terms beside those that are known."""
+    """Models with how likely each is the best, and their terms besides those that are known."""
     share = bootstrap.shares([s.cv_squared for s in scored])
     terms = [tuple(e for e in s.model.structure.effects if e not in known) for s in scored]
     return [Candidate(twin_of(s), e, float(p)) for s, e, p in zip(scored, terms, share, strict=True)]

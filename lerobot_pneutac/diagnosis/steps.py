@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 
 class Steps:
-    """Tells a callback `progress(text, done, total)` what is being done.
+    """Calls `progress(text, done, total)` as work is done.
 
     Args:
         progress: the callback; None for nobody.

@@ -38,7 +38,7 @@ VOTES = 7  # other splits in which the choice is repeated (search)
 VOTE_BLOCKS = 0.75  # of the blocks, in each of these (search)
 AS_GOOD = 0.02  # of the excess: models that differ by less are rivals (search, gel)
 MOST_RIVALS = 3  # that are reported (search)
-MOST_OTHERS = 4  # candidates beside the final model and the twin as it is (body, gel_press)
+MOST_OTHERS = 4  # candidates besides the final model and the twin as it is (body, gel_press)
 
 # ---------------------------------------------------------------- parts
 
@@ -65,8 +65,8 @@ CERTAIN = 0.8  # calibrated probability above which a mechanism is called certai
 # ---------------------------------------------------------------- parameters
 
 AT_BOUND = 1e-3  # of a parameter's range: nearer to a bound it is at it (body, body_space, gel_model)
-SPANS = 0.8  # of the allowed range: an interval that covers more says nothing (base)
-TIMES = 10.0  # an interval from zero to more than so many times the value says nothing (base)
+SPANS = 0.8  # of the allowed range: an interval that covers more is uninformative (base)
+TIMES = 10.0  # an interval from zero to more than so many times the value is uninformative (base)
 FAR = 0.3  # of a range: a fit without a fold stays so near to the whole one, where it is linear (body_model)
 TRUST = 0.3  # of a range: the same for demonstrations (demonstration_fit)
 CORRELATED = 8.0  # neighbouring residuals are worth one independent one (body_model)
@@ -121,8 +121,8 @@ TELLS = 3.0  # standard deviations by which a motion shows a change (demonstrati
 LITTLE_GAIN = 0.05  # nats about candidates, or share of new time, that count as none (design, gel_press)
 LITTLE_GAIN_CONSTANTS = 1.0  # nats about constants, likewise (design)
 INDEPENDENT_S = 1.0  # a model's error hardly changes within: counts as one measurement (design)
-OVERHEAD_S = 15.0  # that any program costs beside its own time (design)
-HAND_S = 60.0  # that a manual change costs beside (design)
+OVERHEAD_S = 15.0  # that any program costs besides its own time (design)
+HAND_S = 60.0  # that a manual change costs in addition (design)
 HOLD_ENOUGH = 0.8  # of the most that any hold leaves: the shortest such hold is proposed (gel_press)
 
 # ---------------------------------------------------------------- recordings

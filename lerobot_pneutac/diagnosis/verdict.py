@@ -5,7 +5,7 @@ How much of the error is explained:
 fully          what remains is noise, on test blocks and out of time
 mostly         at least half of the avoidable squared error is gone
 no             less than half of it is gone
-undetermined   this recording cannot tell
+undetermined   this recording does not decide
 
 Which mechanism each cause is: families of physics with calibrated probabilities, "none of these" among them.
 
@@ -15,7 +15,7 @@ adequate            nothing but noise is left
 missing_effect      what was found explains all but noise, and no check failed
 insufficient_form   what was found explains most of the avoidable error; a check failed
 unknown_effect      most of it is explained by nothing that was found; an equation found stands in for it
-ambiguous           this recording cannot tell
+ambiguous           this recording does not decide
 """
 
 from collections.abc import Collection, Mapping
@@ -51,7 +51,7 @@ class Evidence:
         removed: share of the avoidable error that they remove together.
         at_bound: constants of what was found that stopped at a bound.
         cancelling: laws each of which moves the device by more than it travels, so that others take it back.
-        near_miss: effects that helped, but not for sure.
+        near_miss: effects that helped, but not significantly.
         left_to_black_box: share of what is left that a black box removes.
         forward: whether it holds for the later part when fitted to the earlier one.
         interval: 95 % interval of `after`, by resampling the blocks of the test part.
@@ -123,7 +123,7 @@ class Evidence:
 
 
 def too_few(samples: int, units: int, few_samples: int = T.FEW_SAMPLES) -> bool:
-    """Whether a recording is too short for any claim, by `diagnose` and `add` alike.
+    """Whether a recording is too short for any claim, by both `diagnose` and `add`.
 
     Args:
         samples: to fit.

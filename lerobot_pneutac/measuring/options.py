@@ -27,7 +27,7 @@ class MeasureConfig:
         pressure: the controller, as `--robot.pressure` of the robot.
         camera: camera of any LeRobot type that looks at the finger's two markers.
         intrinsics: file of the camera's calibration; with `chessboard`, the file to write.
-        digit: a tactile camera whose images are kept too.
+        digit: a tactile camera whose images are recorded too.
         bench: `own`, or `standin` to try a program on the simulated finger that stands in for a real one, or
             on such an arm of three chambers; the stand-in needs `program` and `out` alone.
         seed: of the stand-in's noise.
@@ -45,10 +45,10 @@ class MeasureConfig:
         base_id: number of the marker at the base.
         tip_id: number of the marker at the tip.
         base_offset_mm: vector from the finger's base to the base marker's centre, in the base frame.
-        conditions: columns that hold throughout, such as {gravity_x: 1, gravity_y: 0, gravity_z: 0}, the
-            direction of gravity in the base's frame, {payload_g: 50}, {temperature_c: 22}; those that a
-            program asks for go before them.
-        notes: text to keep in the recording.
+        conditions: constant columns, such as {gravity_x: 1, gravity_y: 0, gravity_z: 0}, the
+            direction of gravity in the base's frame, {payload_g: 50}, {temperature_c: 22}; those of a program
+            take precedence.
+        notes: text to store in the recording.
         chessboard: folder of photographs of a chessboard: calibrates the camera, and nothing else.
         corners: number of the chessboard's inner corners, columns and rows.
         square_mm: side of the chessboard's squares.

@@ -39,7 +39,7 @@ class PressureTrial:
 
 
 def program_chambers(given: str, recording: Path | None = None) -> int:
-    """Chambers of a program, or of the recording whose diagnosis it is; 0 where neither tells."""
+    """Chambers of a program, or of the recording whose diagnosis it is; 0 where neither has any."""
     if given in BUILTIN or not Path(given).is_file():
         return 0
     if Path(given).suffix == ".json":
@@ -194,4 +194,4 @@ def _proposed(path: Path, recording: Path | None, hz: float, chambers: int) -> P
             grid = np.arange(round(time_s[-1] * hz) + 1) / hz
             commands = p.samples[r.pressure_columns].to_numpy(float).T
             return _trial(p.name, grid, np.stack([np.interp(grid, time_s, x) for x in commands], axis=1))
-    raise InputError(f"{path} proposes what no pressure program does; read and do it by hand: {advice}")
+    raise InputError(f"{path} proposes a step that is no pressure program; do it by hand: {advice}")

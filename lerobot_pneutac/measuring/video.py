@@ -78,7 +78,7 @@ def track_dots(
         camera: takes out the lens's distortion; without it there is none.
 
     Raises:
-        InputError: the colours are alike or grey, or the base's dots are not seen in the first frames.
+        InputError: the colours are too similar or grey, or the base's dots are not seen in the first frames.
     """
     tip_hue, base_hue = _hue(tip_rgb, "tip_rgb"), _hue(base_rgb, "base_rgb")
     if _apart(np.array(tip_hue), base_hue) < 2 * HUE_DEGREES:

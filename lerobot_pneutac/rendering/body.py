@@ -102,7 +102,7 @@ def read_recorded(twin: Twin, config: RenderConfig) -> Recorded:
 
 
 def photograph_painter(twin: Twin, body: Body, recorded: Recorded, spines: np.ndarray) -> tuple[Painter, str]:
-    """Draws poses beside photographs, and says what one sees.
+    """Draws poses next to photographs, and describes them.
 
     Args:
         twin: with looks.

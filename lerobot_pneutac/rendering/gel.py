@@ -1,4 +1,4 @@
-"""Frames of a gel under an indenter: the cut through its material points beside the tactile image."""
+"""Frames of a gel under an indenter: the cut through its material points and the tactile image."""
 
 import time
 from collections.abc import Iterator

@@ -60,24 +60,24 @@ class RenderConfig:
 
     Attributes:
         twin: folder of the twin.
-        pressure_kpa: pressures of a finger, one after the other; of an arm three numbers for each pose. Where
-            left out, those of the recording; without one four from rest to the end of the range that the twin
+        pressure_kpa: pressures of a finger, one after the other; of an arm three numbers for each pose. If
+            omitted, those of the recording; without one four from rest to the end of the range that the twin
             was measured over, for an arm at rest, then two thirds of it in one chamber after the other.
-        seconds: time of each pressure in the film, half to get there, half to stay; where left out, 1.
+        seconds: time of each pressure in the film, half to get there, half to stay; if omitted, 1.
         conditions: values that the twin's effects ask for, such as {temperature_c: 30}.
-        recording: folder of photographs to put beside a finger or an arm calibrated by images.
-        camera: name of one of the recording's cameras; where left out, the first.
+        recording: folder of photographs to show next to a finger or an arm calibrated by images.
+        camera: name of one of the recording's cameras; if omitted, the first.
         view: direction of view without a recording, in the twin's looks where it has them.
-        indenter: indenter of a gel: `sphere`, `cylinder`, `cube`, `edge`, `cone`, `outline` or `mesh`; where
-            left out, a sphere.
-        size_mm: radius of the indenter, or side of cube and edge; where left out, 4.
+        indenter: indenter of a gel: `sphere`, `cylinder`, `cube`, `edge`, `cone`, `outline` or `mesh`; if
+            omitted, a sphere.
+        size_mm: radius of the indenter, or side of cube and edge; if omitted, 4.
         indenter_file: STL of a `mesh` in mm, its tip down, the contact's centre at x = y = 0.
         outline_mm: corners of an `outline` in mm from the contact's centre, as in "0 2; 2 -1; -2 -1".
-        depth_mm: depth of the press into the gel; where left out, 1.4.
-        x_mm: place along image columns, from the middle; where left out, 0.
-        y_mm: place along image rows, from the middle; where left out, 0.
-        yaw_rad: turn of the indenter, from columns towards rows; where left out, 0.
-        particles: number of material points of a finger or an arm, about; where left out, 4000.
+        depth_mm: depth of the press into the gel; if omitted, 1.4.
+        x_mm: place along image columns, from the middle; if omitted, 0.
+        y_mm: place along image rows, from the middle; if omitted, 0.
+        yaw_rad: turn of the indenter, from columns towards rows; if omitted, 0.
+        particles: number of material points of a finger or an arm, about; if omitted, 4000.
         device: `auto`, `cpu` or `cuda`.
         out: folder for pictures, film.mp4, `report.html` and `result.json`.
     """

@@ -1,4 +1,4 @@
-"""Photographs of a body beside its renderings, and where their silhouettes differ."""
+"""Photographs of a body and its renderings, and where their silhouettes differ."""
 
 import cv2
 import numpy as np

@@ -291,7 +291,7 @@ def residuals(c) -> go.Figure:
 
 
 def ladder(c) -> go.Figure:
-    """Train and held-out error of each version that was judged in the unit of this comparison."""
+    """Train and held-out error of each version that was tested in the unit of this comparison."""
     known = [e for e in c.history if e["unit"] == c.unit]
     figure = history([e for e in known if e["heldout"] is not None or e["train"] is not None], c.unit)
     if c.noise_floor:
@@ -300,7 +300,7 @@ def ladder(c) -> go.Figure:
 
 
 def history(entries: list[dict], unit: str) -> go.Figure:
-    """Train and held-out error of the versions judged in one unit."""
+    """Train and held-out error of the versions tested in one unit."""
     x = [f"{e['version']}: {e['change']}" for e in entries]
     figure = go.Figure()
     for key, colour, name in (("train", TRAIN, "train"), ("heldout", HELDOUT, "held out")):

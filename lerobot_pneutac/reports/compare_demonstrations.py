@@ -1,4 +1,4 @@
-"""The page of a twin against demonstrations: recorded touch beside the twin's, curves, a film, errors."""
+"""The page of a twin against demonstrations: recorded touch and the twin's, curves, a film, errors."""
 
 import cv2
 import numpy as np
@@ -22,8 +22,10 @@ def demonstrations_page(c) -> Report:
     worst = c.worst[0]["trial"]
     e = c.demonstrations.episodes[worst]
     frames = film_frames(c, worst)
-    told = f"Episode {worst}: the gel as recorded, as replayed, and their difference, {GAIN} times as large."
-    page.image(frames[int(np.argmax(e.state[:, AREA]))], told, 3 * WIDTH)
+    caption = (
+        f"Episode {worst}: the gel as recorded, as replayed, and their difference, {GAIN} times as large."
+    )
+    page.image(frames[int(np.argmax(e.state[:, AREA]))], caption, 3 * WIDTH)
     page.film(
         frames[::EVERY], EVERY / CONTROL_HZ, f"The same as a film, {len(e) / CONTROL_HZ:.0f} s.", 3 * WIDTH
     )
@@ -36,8 +38,8 @@ def demonstrations_page(c) -> Report:
     for axis, rows in c.by.items():
         page.table([{axis: r.pop("bin"), **r} for r in map(dict, rows)])
     page.text(
-        f"Error in {c.unit}: root mean square over frames; a gauge's and a touch's are told by the bend that "
-        "would make them. Area is the share of the image that is in contact."
+        f"Error in {c.unit}: root mean square over frames; errors of gauge and touch are converted to the "
+        "bend that would cause them. Area is the share of the image that is in contact."
     )
     return page
 

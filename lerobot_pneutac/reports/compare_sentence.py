@@ -1,4 +1,4 @@
-"""What a comparison says in one sentence, and how a bin of an axis is called in it.
+"""The sentence of a comparison, and names of the bins of an axis in it.
 
 `c` is a `BodyComparison` throughout.
 """

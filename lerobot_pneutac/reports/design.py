@@ -1,4 +1,4 @@
-"""The pages of `pneutac design`: a program, and what each model in the running predicts of it; motions."""
+"""The pages of `pneutac design`: a program, and what each candidate model predicts of it; motions."""
 
 import numpy as np
 import plotly.graph_objects as go
@@ -27,7 +27,7 @@ def design_page(design) -> Report:
     report.figure(
         figure, "What each model predicts, with its probability before the program, and the program.", 520
     )
-    report.table(design.rows(), "The programs that tell most for their time.")
+    report.table(design.rows(), "The programs with the most information for their time.")
     return report
 
 
@@ -41,10 +41,10 @@ def motion_page(design) -> Report:
         for name, felt in c.felt.items():
             x, y = (felt.way_mm, felt.turn_deg) if drags else (felt.time_s, felt.force_n)
             figure.add_trace(go.Scatter(x=x, y=y, name=name))
-        figure.update_xaxes(title_text="way of the arm sideways, mm" if drags else "time, s")
+        figure.update_xaxes(title_text="sideways path of the arm, mm" if drags else "time, s")
         figure.update_yaxes(title_text="turn of the imprint, degrees" if drags else "force on the gel, N")
         report.figure(figure, f"{c.motion.name}: the twin as it is, and with one thing changed.".capitalize())
-    report.table(design.rows(), "Standard deviations by which each motion tells a change.")
+    report.table(design.rows(), "Standard deviations with which each motion would show a change.")
     for remark in design.remarks():
         report.text(remark)
     return report

@@ -72,7 +72,7 @@ def diagnosis_page(d, separation: Separation | None) -> Report:
         page.heading("If you record more")
         page.text(d.next_experiment)
     if separation is not None:
-        page.figure(proposed(separation), f"Predictions of the two rivals: {separation.advice}")
+        page.figure(proposed(separation), f"Predictions of the two alternatives: {separation.advice}")
     page.heading("The recording")
     noise = study.noise.value
     size = "Noise" if noise is None else f"Noise {noise:.3g} {study.unit}:"

@@ -1,4 +1,4 @@
-"""In words: how sure the make of a sensor is, what its presses told, and which press to add."""
+"""In words: the sensor model, what its presses identify, and which press to add."""
 
 from collections.abc import Sequence
 
@@ -8,39 +8,39 @@ from pneutac_sim.gel.photograph import PressPhotograph
 from pneutac_sim.gel.problem import GelFit
 from pneutac_sim.gel.told import Told
 
-ENOUGH_LEVELS = ERROR_LEVELS / 4  # what is open beside the model's own error, which no press removes
+ENOUGH_LEVELS = ERROR_LEVELS / 4  # uncertainty besides the model's own error, which no press removes
 
 
 def make_sentence(fit: GelFit) -> str:
-    """Which make, told by what, and how sure; empty where no make was looked for."""
+    """The sensor model that was recognised, and by what; empty if none was looked for."""
     if fit.make and fit.by_rest:
         return (
-            f"The light is that of a {fit.make}, {fit.orientation}: its rest image correlates with that of "
-            f"the make by {fit.likeness:.2f} (it takes {LIKE:g})."
+            f"The light is that of a {fit.make}, {fit.orientation}: the rest images correlate by "
+            f"{fit.likeness:.2f} (at least {LIKE:g})."
         )
     if fit.make:
         return (
             f"The light may be that of a {fit.make}, {fit.orientation}: its directions in the first "
-            "press say so, its rest image does not."
+            "press agree, its rest image does not."
         )
     if fit.likeness is None:
         return ""
     if not fit.likeness:
-        return "The sensor is of no known make: the images of all have other proportions."
+        return "The sensor is of no known model: the images of all known ones have other proportions."
     return (
-        f"The sensor is of no known make: its rest image correlates with the likest by {fit.likeness:.2f}, "
-        f"and it takes {LIKE:g}."
+        f"The sensor is of no known model: its rest image correlates with the most similar by "
+        f"{fit.likeness:.2f}, less than {LIKE:g}."
     )
 
 
 def told_sentences(told: Told, make: str) -> list[str]:
-    """What the presses could not tell, and the press to add."""
+    """Parameters that the presses do not identify, and the press to add."""
     out = []
     if told.untold:
         source = f"what other sensors of the make {make} have" if make else "its default"
         out.append(f"The presses do not identify {_grouped(told.untold)}: each stays near {source}.")
     if told.open_levels < ENOUGH_LEVELS:
-        out.append("Another press of this indenter would tell little more.")
+        out.append("Another press of this indenter would add little information.")
         return out
     p = told.add
     out.append(

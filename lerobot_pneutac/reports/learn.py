@@ -1,4 +1,4 @@
-"""The page of `pneutac learn`: how well each next program was foreseen, and what was found."""
+"""The page of `pneutac learn`: how well each next program was predicted, and what was found."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,7 +13,7 @@ from lerobot_pneutac.reports.colours import CHAMBERS, HELDOUT, INK, MEASURED, MO
 from lerobot_pneutac.reports.design import pressure_traces
 from lerobot_pneutac.reports.page import Report
 
-FORESEEN = "foreseen.csv"  # in a round's folder: what was foreseen of its program, and measured
+FORESEEN = "foreseen.csv"  # in a round's folder: its program as predicted and as measured
 FASTER, FRAMES_HZ = 10.0, 10.0
 SIZE = (720, 400)  # width, height
 CURVE, COMMAND, BARS = (
@@ -38,7 +38,7 @@ def learn_page(learning) -> Report:
         report.film(
             frames,
             1 / FRAMES_HZ,
-            f"What was foreseen of each program, and what came, {FASTER:.0f} times as fast.",
+            f"Each program as predicted before it was measured, and as measured, {FASTER:.0f} times as fast.",
             720,
         )
     report.table(learning.rows(), "* confirmed by a program of another kind that was predicted with it.")
@@ -59,7 +59,7 @@ def _foreseen(learning) -> go.Figure:
     figure = go.Figure()
     seen = [r for r in rounds if r.predicted_error is not None]
     for name, colour, values in (
-        ("foreseen", MODEL, [r.predicted_error for r in seen]),
+        ("predicted", MODEL, [r.predicted_error for r in seen]),
         ("as given", HELDOUT, [r.bare_error for r in seen]),
     ):
         x = [r.number for r in seen]
@@ -113,7 +113,7 @@ def film_frames(rounds, files: list[Path]) -> Iterator[np.ndarray]:
 
     Args:
         rounds: that had a model before them, in order.
-        files: of each, what was foreseen and measured.
+        files: of each, as predicted and as measured.
     """
     for k, (r, file) in enumerate(zip(rounds, files, strict=True)):
         table = pd.read_csv(file)
@@ -134,7 +134,7 @@ def _frame(rounds, r, t: np.ndarray, table: pd.DataFrame, name: str, now_s: floa
     past = t <= now_s
     _line(draw, CURVE, t[past], measured[past], reach, MEASURED, t[-1], 3)
     _line(draw, CURVE, t, seen, reach, MODEL, t[-1])
-    draw.text((CURVE[0], CURVE[1] - 20), f"{name}: foreseen", MODEL, small)
+    draw.text((CURVE[0], CURVE[1] - 20), f"{name}: predicted", MODEL, small)
     draw.text((CURVE[0] + 190, CURVE[1] - 20), "measured", MEASURED, small)
     commands = table[[c for c in table if c.startswith("pressure_cmd_")]].to_numpy(float).T
     reach, colours = (commands.min(), commands.max()), CHAMBERS if len(commands) > 1 else (INK,)
@@ -159,7 +159,7 @@ def _bars(draw, rounds, font) -> None:
     """Error over noise of each program before it was used, by the model and by the twin as given."""
     left, top, right, bottom = BARS
     draw.text((left, top - 40), "error / noise, before use", INK, font)
-    draw.text((left, top - 22), "foreseen", MODEL, font)
+    draw.text((left, top - 22), "predicted", MODEL, font)
     draw.text((left + 70, top - 22), "as given", HELDOUT, font)
     most = 30.0
 

@@ -37,7 +37,6 @@ class Report:
         self._add("lead", text)
 
     def heading(self, text: str) -> None:
-        """A section's heading."""
         self._add("heading", text)
 
     def text(self, text: str) -> None:
@@ -55,7 +54,6 @@ class Report:
         self._next_at = len(self._sections)
 
     def next_command(self, command: str) -> None:
-        """What to run next."""
         at = len(self._sections) if self._next_at is None else self._next_at
         kind, title = ("heading", "Next") if self._next_at is None else ("text", "**Do next**")
         self._sections[at:at] = [{"kind": kind, "text": title}, {"kind": "code", "text": command}]

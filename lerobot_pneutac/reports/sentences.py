@@ -301,7 +301,7 @@ def _headline(s: State) -> str:
 
 
 def meaning(s: State) -> str:
-    """What the confidence word says of this headline."""
+    """The meaning of the confidence word for this headline."""
     if s.kind is Kind.NOTHING:
         return NOTHING[s.confidence]
     return MEANING[s.confidence]

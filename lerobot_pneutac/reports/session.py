@@ -41,7 +41,7 @@ def name_runs(figure: go.Figure, recording, row: int | None = None) -> go.Figure
 
 
 def worst_passages(recording, squared: np.ndarray) -> list[dict]:
-    """The passages of about `PASSAGE_S` with the largest error, at least two samples each, some time apart.
+    """The passages of about `PASSAGE_S` with the largest error, at least two samples each, separated in time.
 
     Args:
         recording: of a body, or demonstrations.

@@ -1,4 +1,4 @@
-"""The trained actor: a small network and how it is kept, in PyTorch alone."""
+"""The trained actor: a small network and how it is stored, in PyTorch alone."""
 
 import json
 from pathlib import Path
@@ -70,7 +70,7 @@ class Actor(nn.Module):
             actor = cls(hidden, card, int(card.pop("joints", PANDA_JOINTS)))
         except (ValueError, KeyError, TypeError, AttributeError, IndexError) as e:
             raise InputError(
-                f"'{folder / CARD_FILE}' is not an actor's card with 'hidden' and 'grid'; train it anew."
+                f"'{folder / CARD_FILE}' is not an actor's card with 'hidden' and 'grid'; train it again."
             ) from e
         if grid != GRID:
             raise InputError(f"'{folder / CARD_FILE}' has the grid {grid}; an actor here has {GRID}.")
@@ -82,7 +82,7 @@ class Actor(nn.Module):
                 f"'{folder / WEIGHTS_FILE}' is damaged or not of the network that {CARD_FILE} names."
             ) from e
         if not all(t.isfinite().all() for t in tensors.values()):
-            raise InputError(f"'{folder / WEIGHTS_FILE}' holds numbers that are not finite; train it anew.")
+            raise InputError(f"'{folder / WEIGHTS_FILE}' holds numbers that are not finite; train it again.")
         return actor.eval()
 
 

@@ -65,7 +65,7 @@ class Keeper(BaseCallback):
                 tensors = {k: f.get_tensor(k) for k in f.keys()}  # noqa: SIM118, it is no dict
             run, steps, curve = json.loads(notes["run"]), int(notes["steps"]), json.loads(notes["curve"])
         except (SafetensorError, KeyError, ValueError) as e:
-            raise InputError(f"'{file}' is damaged; delete it to begin anew.") from e
+            raise InputError(f"'{file}' is damaged; delete it to start again.") from e
         changed = [k for k in sorted(run.keys() | self._run.keys()) if run.get(k) != self._run.get(k)]
         if changed:
             raise InputError(

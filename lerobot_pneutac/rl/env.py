@@ -98,7 +98,7 @@ class PpoEnv(gymnasium.Env):
             task: a task's name, see `features.task_names`.
             twin: the finger with its gel; default the built-in one.
             randomise: whether friction and bend change with every episode.
-            length: control steps after which a trial is cut off; where left out, those of `EPISODE_S`.
+            length: control steps after which a trial is cut off; if omitted, those of `EPISODE_S`.
             conditions: of the world, see `World`.
             station: likewise.
 

@@ -40,14 +40,14 @@ class PpoConfig:
     Attributes:
         out: folder of the actor, its curve and the checkpoint.
         task: object in front of the robot: `switch`, `egg`, `card`, `fruit`, `cable`, `button`, or your own.
-        twin: folder of the finger's twin; where left out, the built-in one.
+        twin: folder of the finger's twin; if omitted, the built-in one.
         conditions: values that the twin's effects ask for, such as {temperature_c: 28}; every episode draws
             from a range [low, high].
-        station: file `station.yaml` of arm, workspace and mount; where left out, the paper's.
+        station: file `station.yaml` of arm, workspace and mount; if omitted, the paper's.
         steps: control steps of training, of all worlds together; with more than before the training goes on.
         seed: seed of networks and starts.
-        envs: number of worlds; where left out, two a core, at least 8.
-        parallel: a process for each world; where left out, on more than two cores.
+        envs: number of worlds; if omitted, two a core, at least 8.
+        parallel: a process for each world; if omitted, on more than two cores.
         device: device of the networks, `cpu` or `cuda`; they are small, so the CPU is seldom slower.
         student: demonstrations of the actor, from which a policy with a tactile image learns; none unless
             their folder is given.

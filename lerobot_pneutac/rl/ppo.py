@@ -3,7 +3,7 @@
 The library is Stable-Baselines3: it adds one package to what is installed already, runs worlds of one core
 each in processes, and takes a policy whose two networks read different parts of the observation.
 rsl-rl-lib has such actors and critics built in, but is made for thousands of worlds on a GPU, which these are
-not, and brings a dozen packages. What is kept on disk are safetensors and JSON; the library's own archive
+not, and brings a dozen packages. On disk are safetensors and JSON; the library's own archive
 holds pickles and is not used.
 """
 
@@ -101,7 +101,6 @@ class Asymmetric(nn.Module):
         return self.actor(features[:, : self.felt])
 
     def forward_critic(self, features: torch.Tensor) -> torch.Tensor:
-        """The critic's."""
         return self.critic(features)
 
 
@@ -180,8 +179,8 @@ def train_ppo(
     compute.check(steps)
     env = PpoEnv(task, twin, **options)  # refuses a bad task or twin before anything is written
     run = {"task": task, "twin": _identity(twin), "seed": seed, "settings": asdict(settings)}
-    told = {k: asdict(v) if isinstance(v, Station) else v for k, v in options.items()}
-    run = json.loads(json.dumps(run | {"weights": WEIGHTS, "options": told}))
+    plain = {k: asdict(v) if isinstance(v, Station) else v for k, v in options.items()}
+    run = json.loads(json.dumps(run | {"weights": WEIGHTS, "options": plain}))
     worlds = make_worlds(task, twin, compute.envs, compute.parallel, **options)
     try:
         model = make_ppo(worlds, seed, compute.device, settings, env.world.station.control_hz)

@@ -27,7 +27,7 @@ class Moment:
 
     Attributes:
         progress: how much of the task is done.
-        distance_m: gel to where the object wants touching.
+        distance_m: gel to where the object should be touched.
         depth_mm: deepest point of the probe grid.
         success, failure: whether the trial has ended, and how.
     """

@@ -58,7 +58,7 @@ def record_student(
     """Writes a LeRobotDataset with the features of recorded demonstrations; rollouts that fail are left out.
 
     Stored are the actor's means; the robot carries them out with noise, so that the student also sees what to
-    do beside the path.
+    do off the path.
 
     Args:
         actor_dir: folder of the actor.

@@ -1,4 +1,4 @@
-"""What reinforcement learning is told of a task: how far it has come, and where the object wants touching.
+"""What reinforcement learning needs of a task: its progress, and where the object should be touched.
 
 Only reward and critic see this; the actor does not.
 """
@@ -65,7 +65,7 @@ class TaskView:
         return float(self.goal.progress(self._inner()))
 
     def contact_point_m(self) -> np.ndarray:
-        """Where the object wants touching (3,), metres in the world."""
+        """Where the object should be touched (3,), metres in the world."""
         d = self._world.data
         return d.geom_xpos[self._geom] + d.geom_xmat[self._geom].reshape(3, 3) @ self._corner
 

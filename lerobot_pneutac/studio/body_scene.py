@@ -35,7 +35,7 @@ class BodyScene:
         width = UNIT * float(np.ptp(skin.vertices_mm[:, 2]))
         scene.add_box("/base", color=BASE, dimensions=(0.4 * width, 1.5 * width, 1.5 * width),
                       position=(-0.2 * width, 0.0, 0.0))  # fmt: skip
-        # sent anew as it moves: a skinned mesh of viser 1.1.1 breaks the page when the server restarts
+        # sent again as it moves: a skinned mesh of viser 1.1.1 breaks the page when the server restarts
         self._carried = skin
         self._skin = scene.add_mesh_simple(
             "/skin",
@@ -65,7 +65,7 @@ class BodyScene:
         self._solid = None
 
     def show(self, shape: Shape, measured_mm: np.ndarray | None = None) -> None:
-        """Draws a shape, and the measured tip (3,) beside the model's where there is one."""
+        """Draws a shape, and the measured tip (3,), if there is one."""
         with self._server.atomic():
             self._skin.vertices = (UNIT * self._carried.carried_mm(shape, self._joints)).astype(np.float32)
             spine = UNIT * shape.spine_mm(self._length, self._joints)
@@ -101,7 +101,7 @@ class BodyScene:
             self._solid, self._skin.visible = None, True
 
     def forget_path(self) -> None:
-        """The tip's path begins anew."""
+        """The tip's path starts again."""
         self._path = []
         self._trail.points = np.zeros((1, 2, 3), np.float32)
 

@@ -1,4 +1,4 @@
-"""Colours of the studio: those of the reports, told apart by the colour-blind, on light and on dark."""
+"""Colours of the studio: those of the reports, distinct for the colour-blind, on light and on dark."""
 
 from lerobot_pneutac.reports.colours import FLOOR, MODEL
 

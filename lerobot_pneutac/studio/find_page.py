@@ -28,7 +28,7 @@ class ExperimentPanel:
     def __init__(self, studio, work: Callable):
         self._studio, self._work, gui = studio, work, studio.server.gui
         self._design: Design | None = None
-        gui.add_button("Which program tells most?", hint="pneutac design").on_click(
+        gui.add_button("Which test is most informative?", hint="pneutac design").on_click(
             studio.safely(self.design)
         )
         self.told = gui.add_markdown("", visible=False)
@@ -42,7 +42,7 @@ class ExperimentPanel:
         self._drive.on_click(studio.safely(self.drive))
 
     def design(self) -> None:
-        """Chooses the program for the bench that tells most."""
+        """Chooses the most informative program for the bench."""
         session = self._studio.session
         recording = session.needs_recording()
         if session.diagnosis is None:

@@ -1,4 +1,4 @@
-"""The measurement page of a gel: each recorded image beside what the twin makes of its press."""
+"""The measurement page of a gel: each recorded image and the twin's prediction."""
 
 import threading
 

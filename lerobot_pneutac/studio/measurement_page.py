@@ -1,4 +1,4 @@
-"""The measurement page of a finger or an arm: the recording in time, beside what the twin makes of it."""
+"""The measurement page of a finger or an arm: the recording over time, and the twin's prediction."""
 
 import re
 import threading
@@ -48,7 +48,7 @@ class PhotographPanel:
         try:
             return read_camera(self._recording, name) if name in names else None
         except InputError:
-            return None  # `pneutac check` tells what is wrong with it; the photograph is shown all the same
+            return None  # `pneutac check` lists what is wrong with it; the photograph is shown all the same
 
     def show(self, sample: int, shape: Shape) -> None:
         """The photograph of a sample, if it has one, and the outline of the model's body on it."""
@@ -79,7 +79,7 @@ def silhouette(vertices_mm: np.ndarray, faces: np.ndarray, camera: Camera) -> np
     return mask > 0
 
 
-MOST_POINTS = 500  # of a line: more cannot be told apart in the panel
+MOST_POINTS = 500  # of a line: more cannot be distinguished in the panel
 WINDOWS = {"10 s": 10.0, "30 s": 30.0, "2 min": 120.0, "all": np.inf}
 TIPS = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
 

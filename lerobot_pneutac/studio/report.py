@@ -19,7 +19,7 @@ class ReportConfig:
         twin: folder of the twin; `pneutac report DIR` is the same as `--twin=DIR`.
         out: folder for `result.json` and `report.html`; nothing is written without it.
         rrd: file ending in .rrd to write for Rerun's viewer: the finger or arm over its pressures.
-        recording: with `rrd`: a recording of it instead, measured beside modelled.
+        recording: with `rrd`: a recording of it instead, measured and modelled.
     """
 
     first: ClassVar = "twin"

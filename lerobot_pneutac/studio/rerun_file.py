@@ -20,7 +20,7 @@ TIPS = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
 
 
 def write_rrd(file: Path, twin: Twin, recording: Recording | None = None) -> int:
-    """Writes a twin on a recording beside what was measured, or up and down its pressures; returns frames.
+    """Writes a twin on a recording and the measurement, or up and down its pressures; returns frames.
 
     Lengths are in mm, time is that of the recording with its trials laid end to end.
 

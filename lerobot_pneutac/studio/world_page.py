@@ -103,7 +103,7 @@ class EpisodePanel:
         if self._episode is not None:
             self._episode = None
             self._picture.visible = self._beside.visible = False
-            self.readout.content = "Another version of the twin is looked at; replay it anew."
+            self.readout.content = "Another version of the twin is looked at; replay it again."
 
     def close(self) -> None:
         self._player.close()
@@ -137,7 +137,7 @@ class WorldPage:
         self._player = gui.add_dropdown("moved by", PLAYERS)
         self._policy = gui.add_text("policy", studio.session.policy, visible=False,
                                     hint="folder of its weights, or its name on the Hub")  # fmt: skip
-        begin = gui.add_button("Begin anew", icon="player-play")
+        begin = gui.add_button("Begin again", icon="player-play")
         begin.on_click(studio.safely(self.begin))
         low, high = studio.session.twin.pressure_range_kpa
         self._held: dict[str, float] = {}

@@ -20,7 +20,7 @@ def study_of(
         adding: the effects that are to be tried; empty where all are.
 
     Raises:
-        InputError: there is too little to fit or to judge by.
+        InputError: there is too little to fit or to test.
     """
     if isinstance(recording, Demonstrations):
         from lerobot_pneutac.study.demonstrations import DemonstrationStudy

@@ -47,7 +47,7 @@ def with_unit(value: Value, unit: str) -> dict:
 
 
 def not_identifiable(value: float, ci95: Sequence[float] | None, spec: Parameter, range_kpa: float) -> bool:
-    """Whether an interval says nothing: it covers the allowed range, or leaves size or sign open.
+    """Whether an interval is uninformative: it covers the allowed range, or leaves size or sign open.
 
     Args:
         value: fitted.
@@ -79,8 +79,8 @@ class Study:
         recording: checked.
         seed: decides the parts and every bootstrap.
         unit: of the error.
-        noise: error that the measurement's own noise makes; None where it cannot be told.
-        parts: train fits parameters, validation decides what is kept, test is looked at by reports alone.
+        noise: error that the measurement's own noise makes; None if it is unknown.
+        parts: train fits parameters, validation decides what stays, test is used by reports only.
         twin_effects: effects that the twin has.
         candidates: effects to try.
         untested: effects that this recording cannot test.
@@ -116,7 +116,7 @@ class Study:
 
 
 class EffectStudy(Study, ABC):
-    """A study in which effects can be told: of markers and angles, or of a gel's images.
+    """A study in which effects can be found: of markers and angles, or of a gel's images.
 
     Attributes:
         twin: as it was given.
@@ -304,7 +304,7 @@ class EffectStudy(Study, ABC):
         return
 
     def noted(self, model: FittedModel) -> dict:
-        """What a twin's history keeps of a model beside its errors."""
+        """What a twin's history stores of a model besides its errors."""
         return {}
 
     def interval(self, model: FittedModel) -> list[float]:
@@ -330,11 +330,11 @@ class EffectStudy(Study, ABC):
         return ""
 
     def alike(self, effects: Sequence[str]) -> str:
-        """What this kind of recording cannot tell effects from, a sentence; empty where there is nothing."""
+        """What this kind of recording cannot separate from effects, a sentence; empty if nothing."""
         return ""
 
     def experiment(self, model: FittedModel, effect: str) -> str:
-        """What to record to see an effect apart from its rivals."""
+        """What to record to distinguish an effect from its alternatives."""
         return get_effect(effect).experiment
 
     def idle(self, model: FittedModel, effect: str) -> bool:
@@ -351,7 +351,7 @@ class EffectStudy(Study, ABC):
         )
 
     def caveats(self, outcome: Outcome) -> list[str]:
-        """What the reader must know beside the verdict."""
+        """What the reader must know besides the verdict."""
         return []
 
     def how_tested(self, outcome: Outcome) -> str:
@@ -359,7 +359,7 @@ class EffectStudy(Study, ABC):
         return ""
 
     def separation(self, rival: Rival) -> Separation | None:
-        """The experiment that tells two models apart best, where one can be computed."""
+        """The experiment that separates two models best, where one can be computed."""
         return None
 
     def as_written(self, parameters: dict[str, dict]) -> dict:

@@ -57,7 +57,7 @@ class BodyStudy(BodyBase):
             return body_outcome(self, search, before, done, began)
 
     def _searched(self, run, tell) -> tuple[BodySearch, Searched]:
-        """A search, begun anew where the recording turned out not to be of one device, seen by one marker."""
+        """A search, restarted where the recording turned out not to be of one device, seen by one marker."""
         while True:
             search = BodySearch(self, run, tell)
             done = search.find()
@@ -119,7 +119,7 @@ class BodyStudy(BodyBase):
     def _better(
         self, search: BodySearch, space: BodySpace, base: Scored, whole: Scored, kinds: set[str]
     ) -> tuple[str, Scored] | None:
-        """Another mechanism that explains significantly more by itself and beside which these add nothing."""
+        """Another mechanism that explains significantly more by itself and with which these add nothing."""
         engine = search.engine(space)
         space.candidates = [e for e in space.candidates if family(e) not in kinds]
         others = engine.fits(space.grow(base.model, 12, 0), 8)
@@ -146,7 +146,7 @@ class BodyStudy(BodyBase):
 def body_outcome(
     study: "BodyStudy", search: BodySearch, start: Scored, done: Searched, began: float
 ) -> Outcome:
-    """What a search ended with, judged on test blocks; `began` by `time.perf_counter`."""
+    """The result of a search, tested on test blocks; `began` by `time.perf_counter`."""
     before = study.fitted(start.model)
     after = _after(study, done, done.model.model)
     helps = search.bootstrap.significant_drop(start.cv_squared, done.model.cv_squared)
@@ -248,7 +248,7 @@ def _baseline(
 def _contributions(
     study: "BodyStudy", search: BodySearch, done: Searched, after: FittedModel, known: Sequence[str]
 ) -> list[Contribution]:
-    """What each term is worth beside all others; of the air too where the gauge drove the body."""
+    """What each term adds to all others; of the air too where the gauge drove the body."""
     models = {t: _after(study, done, s.model) for t, s in done.without.items() if t in done.terms}
     if PROFILE in known and (plain := search.plain(done.space, done.model.model)) is not None:
         models[PROFILE] = _after(study, done, plain.model)

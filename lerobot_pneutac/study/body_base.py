@@ -76,7 +76,7 @@ MAD = 1.4826
 
 
 def measured_columns(recording: Recording) -> list[str]:
-    """Columns of measured pressure, empty where one is missing or tells nothing."""
+    """Columns of measured pressure, empty where one is missing or has no information."""
     columns = [c.replace("pressure_cmd", "pressure") for c in recording.pressure_columns]
     for command, measured in zip(recording.pressure_columns, columns, strict=True):
         if not recording.has(measured):
@@ -140,10 +140,10 @@ class BodyBase(EffectStudy):
         adding: the effects that are to be tried; empty where all are.
 
     Attributes:
-        measured: columns of measured pressure, empty where it tells nothing.
+        measured: columns of measured pressure, empty where it has no information.
         checked: number of findings before a search.
         start: how trials are taken to begin, before a search asks.
-        joints: of the spine, tried beside the twin's own number.
+        joints: of the spine, tried besides the twin's own number.
         breaks: corrections of the recording for this judgement, see `data_breaks`.
 
     Raises:
@@ -298,7 +298,7 @@ class BodyBase(EffectStudy):
         return "a bend that is uneven along its length" if effect == PROFILE else super().cause(model, effect)
 
     def alike(self, effects: Sequence[str]) -> str:
-        """The finding that lags of air and of body look alike, where such a lag was found."""
+        """The finding that lags of air and of body cannot be distinguished, where such a lag was found."""
         late = [e for e in effects if family(e) in LATE or get_effect(e).stage == "pneumatics"]
         missing = (f for f in self.findings if "no measured pressure" in f)
         return next(missing, "") if late else ""
@@ -344,14 +344,14 @@ class BodyBase(EffectStudy):
     def too_little(self) -> str:
         if not self._moves:
             return (
-                "This recording cannot tell: the commanded pressure never moves, so nothing about bending "
+                "This recording cannot decide: the commanded pressure never moves, so nothing about bending "
                 "can be learnt from it."
             )
         samples, units = int((~self.test.mask).sum()), self.test.units
         if not too_few(samples, units):
             return ""
         return (
-            f"This recording is too short to tell anything: {samples} samples to fit and "
+            f"This recording is too short to decide anything: {samples} samples to fit and "
             f"{units} pieces of time to test on."
         )
 
@@ -362,20 +362,20 @@ class BodyBase(EffectStudy):
             return []
         if self._moves:
             return [
-                "The measured pressure hardly moves while the command does and was left out, so a slow valve "
-                "and a creeping body look alike."
+                "The measured pressure hardly moves while the command does and was left out, so a slow "
+                "valve and a creeping body cannot be distinguished."
             ]
         moved = max(np.ptp(self.recording.column(c)) for c in logged)
         if moved > max(T.STANDS_KPA, 10 * sensor_noise(self.recording, logged)):
             return [
                 "The measured pressure moves although the commanded one never does: check that "
-                "pressure_cmd_kpa is what was asked for."
+                "pressure_cmd_kpa is what was commanded."
             ]
         return ["The measured pressure does not move either."]
 
     def how_tested(self, outcome: Outcome) -> str:
         if not self.measured:
-            return "Effects of air and body are tried on the pose alike; no measured pressure is of use."
+            return "Effects of air and body are both tried on the pose; no measured pressure is usable."
         return (
             "Effects of the air are tried on the measured pressure and on the pose, all others on the pose."
         )

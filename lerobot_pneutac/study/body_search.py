@@ -75,7 +75,7 @@ class BodySearch:
         self.condition = conditions(study.recording)[self.rows]
 
     def find(self) -> Searched | None:
-        """Looks for what the twin lacks; None where the recording was amended, so that it must begin anew."""
+        """Looks for what the twin lacks; None where the recording was amended: then it must start again."""
         study = self.study
         air = self._air() if study.measured else None
         done = self._body(study.recording, InputModel(start=study.start), air)
@@ -157,7 +157,7 @@ class BodySearch:
         return replace(study.recording, samples=samples)
 
     def _body(self, recording: Recording, input_model: InputModel, air: Found | None) -> Searched | None:
-        """What the pose tells; None where the recording was amended."""
+        """What was found from the pose; None if the recording was amended."""
         study = self.study
         fitter = BodyFitter(recording, study.twin, self.rows)
         of_air = (
@@ -183,13 +183,13 @@ class BodySearch:
         if input_model.source == "command" and (
             self.take_back_slip(found.final) or study.amend(change_break(study, self.rows, found.final))
         ):
-            self.tell(f"{study.findings[-1].partition(':')[0]}; the search begins anew")
+            self.tell(f"{study.findings[-1].partition(':')[0]}; the search starts again")
             return None
         widths, plain = self._trials_differ(space, found), self.simplified(space, found, own)
         if widths:
             # An offset of a run also absorbs what differs from run to run for a reason, such as a payload:
             # the known causes that are needed without offsets stay, and only runs that were left out decide.
-            self.tell("each run seems to have an offset of its own; the search begins anew with that")
+            self.tell("each run seems to have its own offset; the search starts again with run offsets")
             causes = tuple(e for e in plain.model.structure.effects if e in base_effects(study))
             space.trials, space.kept = widths, space.base
             with_offsets = self.engine(space).find()
@@ -276,7 +276,7 @@ class BodySearch:
     # ---------------------------------------------------------------- what it means
 
     def _told(self, done: Searched) -> Searched:
-        """Which terms count as found, how sure each is, and what is left."""
+        """Which terms count as found, how certain each is, and what is left."""
         study, space, model = self.study, done.space, done.model
         own = set(study.twin_effects)
         terms = [e for e in model.model.structure.effects if e not in own]

@@ -38,7 +38,7 @@ class BodySpace(Space):
         candidates: names of effects and laws that may be added.
         actuations: alternatives for the air; only () where the measured pressure drives the body.
         input_model: to begin with.
-        told: parameters of air that the gauge told, by name.
+        told: parameters of the air found from the gauge, by name.
     """
 
     def __init__(

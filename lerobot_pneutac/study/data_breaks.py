@@ -199,7 +199,7 @@ def slip_break(
 
 
 def change_break(study: EffectStudy, rows: np.ndarray, found: Scored) -> Break | None:
-    """A change for good, confirmed by the same structure fitted to both sides; the longer side is kept."""
+    """A lasting change, confirmed by the same structure fitted to both sides; the longer side is used."""
     at = _change(study, found)
     if at is None:
         return None
@@ -215,9 +215,9 @@ def change_break(study: EffectStudy, rows: np.ndarray, found: Scored) -> Break |
     first, last = np.flatnonzero(longer)[[0, -1]]
     return Break(
         {"first_row": int(first), "last_row": int(last)},
-        f"Something changed for good in {where(study.recording, row)}: one model errs by "
-        f"{found.value**0.5:.3g} {study.unit}, fitted before and after apart by {left**0.5:.3g}. This "
-        f"judgement is of the {longer.sum()} rows {kept} it.",
+        f"Something changed permanently in {where(study.recording, row)}: the error of one model is "
+        f"{found.value**0.5:.3g} {study.unit}, that of models fitted before and after it {left**0.5:.3g}. "
+        f"Only the {longer.sum()} rows {kept} it are used.",
     )
 
 

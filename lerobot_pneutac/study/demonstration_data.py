@@ -1,7 +1,7 @@
 """Demonstrations as a study needs them: what was measured, and what the twin's world answers to more bend.
 
-Touch tells the bend only through the world: where the flange was, where the object stands, how far the
-finger gives way. So each episode is replayed once for each of some bends beside the pressure's, and what
+Touch shows the bend only through the world: where the flange was, where the object stands, how far the
+finger gives way. So each episode is replayed once for each of some bends besides the pressure's, and what
 any model of the finger makes of the touch is read between them, without a further simulation.
 """
 
@@ -25,7 +25,7 @@ from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.conditions import USUAL
 from pneutac_sim.world.soft_finger import GEL_ALONG_M
 
-MORE_RAD = (-0.10, -0.04, 0.0, 0.04, 0.10, 0.18)  # bends beside the pressure's that are replayed
+MORE_RAD = (-0.10, -0.04, 0.0, 0.04, 0.10, 0.18)  # bends besides the pressure's that are replayed
 LAGS_S = (0.1, 0.3, 1.0, 3.0)  # of the command
 CHATTER = 3  # frames
 BEFORE, AFTER = 6, 8  # frames about the touches in which touch is compared
@@ -72,8 +72,8 @@ def episode_data(
     Args:
         twin: of the finger.
         given: the episodes.
-        progress: is told how many are replayed.
-        light: brightness (3,) of the gel at rest, levels, as by which imprints are told; None for their own.
+        progress: called with how many are replayed.
+        light: brightness (3,) of the gel at rest, levels, in which imprints are measured; None for their own.
 
     Raises:
         InputError: an episode's objects cannot be placed.
@@ -133,7 +133,7 @@ APART_RAD = np.linspace(-0.10, 0.18, 29)  # by which an object may stand elsewhe
 ZOOM = np.linspace(-1, 1, 11)  # about the best of these, each time with a fifth of the step
 TYPICAL = 2.0  # power of the force with which imprints grow where faint light is not counted
 LEAST_N = 0.1
-LEAST_PER_RAD = 0.05  # levels: fainter imprints tell nothing of the bend
+LEAST_PER_RAD = 0.05  # levels: fainter imprints show nothing of the bend
 
 
 def touch(e: EpisodeData, more_rad: np.ndarray, growth: float, late: float) -> tuple[np.ndarray, float]:
@@ -166,7 +166,7 @@ def touch(e: EpisodeData, more_rad: np.ndarray, growth: float, late: float) -> t
 def imprint_per_rad(episodes: list[EpisodeData], stiff_n_per_rad: float) -> float:
     """By how many levels imprints grow with the bend, where they are strong: the median of the episodes.
 
-    One for all: a faint imprint tells less of the bend, not more. Where an object gives way, or is gone once
+    One for all: a faint imprint shows less of the bend, not more. Where an object gives way, or is gone once
     it is pressed, more bend does not press harder; there the finger's own stiffness says how much it takes.
     """
     middle, slopes = MORE_RAD.index(0.0), []
@@ -183,7 +183,7 @@ def imprint_per_rad(episodes: list[EpisodeData], stiff_n_per_rad: float) -> floa
 
 
 def stiffness_n_per_rad(twin: Twin) -> float:
-    """Force at the gel of a finger whose gel is held in place, per bend that its joints share alike."""
+    """Force at the gel of a finger whose gel is held in place, per bend shared equally by its joints."""
     arms_m = 1e-3 * (twin.length_mm - np.asarray(twin.spine_joint_positions_mm)) + GEL_ALONG_M
     return float(twin.parameter("joint_stiffness_nm_per_rad") * arms_m.mean() / (arms_m**2).sum())
 
@@ -230,7 +230,7 @@ class Strength:
         return cls(**kept["strength"] | {"light": tuple(kept["strength"]["light"])})
 
     def kept(self, task: str, light: Iterable[float]) -> dict:
-        """As a twin's history keeps it, with the light (3,) by which it was told, levels."""
+        """As stored in a twin's history, with the light (3,) in which it was measured, levels."""
         return {"task": task, "strength": asdict(self) | {"light": [float(x) for x in light]}}
 
     def apart(self, known: Self) -> float:

@@ -111,7 +111,8 @@ class DemonstrationModel:
     def cv_squared(self, fold: np.ndarray) -> np.ndarray:
         """(n,) squared errors, each by a fit without its own fold, one Gauss-Newton step away.
 
-        A step that leads too far, as where the rest hardly tells, is shortened until it helps the rest.
+        A step that leads too far, where the remaining episodes hardly determine it, is shortened until it
+        helps them.
         """
         squared = (self.residual**2).sum(1)
         if not self.jacobian.shape[2]:
@@ -156,7 +157,7 @@ class DemonstrationModel:
 LATE = "late_commands"  # arm and air alike
 LATENCY = Parameter("latency_s", "s", default=0.1, lower=0.0, upper=0.8)
 GROWTH = Parameter("growth", "", default=TYPICAL, lower=0.5, upper=5.0)
-MOST_LATE = 24.0  # frames by which clocks may have run apart
+MOST_LATE = 24.0  # frames by which clocks may have diverged
 TOUCH_LATE = Parameter("touch_late", "frames", default=1.0, lower=0.0, upper=6.0)
 # Of a residual's columns: the flange's x, y, z, and pressure; touch.
 ARM, AIR, TOUCH = slice(0, 3), slice(0, 4), slice(4, 5)

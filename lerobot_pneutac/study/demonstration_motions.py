@@ -1,9 +1,9 @@
-"""Which motion of the arm, with the finger against a bar, would tell what demonstrations leave open.
+"""Which motion of the arm, with the finger against a bar, shows what demonstrations leave open.
 
 Every motion is simulated in the twin's own world as it is, and with one thing changed: creep, the finger's
 stiffness, the gel's friction. Creep shows in the force's shape over time, stiffness in its level, friction in
 how the imprint turns under a drag (its other traces are the chatter of a rigid contact). A change is told by
-as many standard deviations as these differ beside what demonstrations miss them by.
+as many standard deviations as these differ relative to the error on demonstrations.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -43,7 +43,7 @@ SHAPE, LEVEL, TURN = 0.013, T.STRENGTH_DIFFERS / T.STRENGTH_ERRORS, 0.19
 
 @dataclass(frozen=True, eq=False)
 class MotionChoice:
-    """A motion, and how surely it would tell each change from all others.
+    """A motion, and how significantly it separates each change from all others.
 
     Attributes:
         motion: of the arm.
@@ -77,7 +77,7 @@ class Misses:
         return cls(SHAPE / root, LEVEL if known_strength else np.inf, TURN / root)
 
     def shaped(self, a: Felt, b: Felt) -> float:
-        """How far apart two fingers are by the shape of the force over one motion."""
+        """Difference of two fingers in the shape of the force over one motion."""
         relative = a.force_n / a.force_n.mean() - b.force_n / b.force_n.mean()
         return float(np.sqrt(np.mean(np.square(relative))) / self.shape)
 
@@ -95,13 +95,13 @@ def motion_choices(
     progress: Progress = no_progress,
     drags: Sequence[tuple[float, float]] = DRAGS,
 ) -> list[MotionChoice]:
-    """Every motion, and what it would tell; none is written anywhere.
+    """Every motion, and what it would show; none is written anywhere.
 
     Args:
         twin: of a finger of one chamber.
         misses: of the demonstrations that would be recorded.
         station: where.
-        progress: is told how many motions of all fingers have been simulated.
+        progress: called with how many motions of all fingers have been simulated.
         drags: how far to drag sideways, mm, pressing with what of the paper's finger, kPa.
 
     Raises:
@@ -127,7 +127,7 @@ def motion_choices(
 
 
 def shortest(choices: Sequence[MotionChoice], change: str) -> MotionChoice:
-    """The shortest motion that surely tells a change, or the one that tells it most where none does."""
+    """The shortest motion that significantly shows a change, else the one that shows it best."""
     told = [c for c in choices if c.sure[change] >= T.TELLS]
     if told:
         return min(told, key=lambda c: c.motion.seconds)

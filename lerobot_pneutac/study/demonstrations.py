@@ -53,12 +53,12 @@ MORE = "Record ten demonstrations or more that press and hold, at two pressures.
 
 
 def of_air(effect: str) -> bool:
-    """Whether arm and gauge tell an effect; of the others touch does."""
+    """Whether arm and gauge show an effect; touch shows the others."""
     return effect == LATE or (effect != COMPLIANCE and get_effect(effect).of_air)
 
 
 def bends(effect: str) -> bool:
-    """Whether an effect of the twin can be fitted anew to demonstrations: one of air, drive or material."""
+    """Whether an effect of the twin can be re-fitted to demonstrations: one of air, drive or material."""
     e = law(effect) if is_law(effect) else body_effects()[effect]
     return e.stage in ("pneumatics", "drive", "material") and not e.columns and not e.of_markers
 
@@ -104,7 +104,7 @@ class DemonstrationStudy(EffectStudy):
         recording: the episodes.
         seed: decides which are held out, and every bootstrap.
         adding: the effects that are to be tried; empty where all are.
-        progress: is told how many episodes are replayed.
+        progress: called with how many episodes are replayed.
 
     Attributes:
         fitter: fits models to the episodes that are learnt from, as replayed in the twin's world.
@@ -349,9 +349,9 @@ class DemonstrationStudy(EffectStudy):
         if effect in self.candidates:
             return ""
         if effect == COMPLIANCE:
-            return f"'{COMPLIANCE}' is told by a diagnosis alone; give its folder with --from."
+            return f"'{COMPLIANCE}' is found by a diagnosis only; give its folder with --from."
         known = ", ".join(dict.fromkeys((LATE, *OF_AIR, *OF_BODY, *self.twin_effects)))
-        return f"Demonstrations do not tell of '{effect}'; give one of {known}."
+        return f"Demonstrations cannot show '{effect}'; give one of {known}."
 
     def parameters(self, model: FittedModel, effect: str) -> dict[str, dict]:
         if effect == COMPLIANCE:
@@ -373,7 +373,7 @@ class DemonstrationStudy(EffectStudy):
             share = model.twin.parameter(STIFFNESS) / self.twin.parameter(STIFFNESS)
             return (
                 f"Your finger is {'softer' if share < 1 else 'stiffer'} than when the twin was fitted to "
-                f"demonstrations: as far as its imprints tell it presses with {share:.2g} times the force."
+                f"demonstrations: judged by its imprints it presses with {share:.2g} times the force."
             )
         if effect in self.twin_effects:
             was, now = self.twin.effects[effect], model.twin.effects[effect]
@@ -397,19 +397,19 @@ class DemonstrationStudy(EffectStudy):
         return super().cause(model, effect)
 
     def alike(self, effects: Sequence[str]) -> str:
-        """What is told by touch alone may be the contact's instead, of which no model is fitted."""
+        """What touch alone cannot separate from changes of the contact, which has no fitted model."""
         body = [e for e in effects if e != COMPLIANCE and not of_air(e)]
         kinds = dict.fromkeys(family(e).replace("_", " ") for e in body)
         told = []
         if kinds:
             told.append(
-                f"Touch does not tell {' and '.join(kinds)} apart from {', '.join(UNSEEN[:-1])} or "
-                f"{UNSEEN[-1]}; a bench recording of the finger does."
+                f"Touch cannot distinguish {' and '.join(kinds)} from {', '.join(UNSEEN[:-1])} or "
+                f"{UNSEEN[-1]}; a bench recording of the finger can."
             )
         if COMPLIANCE in effects:
             told.append(
                 "A gel that has hardened makes imprints as faint; one that has softened, or more creep than "
-                "touch tells of, makes them as strong. A press of known force on the gel tells of the gel."
+                "touch shows, makes them as strong. A press of known force on the gel decides."
             )
         return " ".join(told)
 
@@ -425,7 +425,7 @@ class DemonstrationStudy(EffectStudy):
     def too_little(self) -> str:
         n = len(self.fitter.episodes)
         return (
-            "" if n >= T.DEMONSTRATIONS else f"{n} demonstrations are too few to tell what is missing. {MORE}"
+            "" if n >= T.DEMONSTRATIONS else f"{n} demonstrations are too few to find what is missing. {MORE}"
         )
 
     def how_tested(self, outcome: Outcome) -> str:
@@ -435,12 +435,12 @@ class DemonstrationStudy(EffectStudy):
 def demonstration_outcome(
     study: "DemonstrationStudy", air: Found, touch: Found, fitter: Fitter, tested: list[Tested], began: float
 ) -> Outcome:
-    """What a search ended with, judged on held-out episodes.
+    """The result of a search, tested on held-out episodes.
 
     Args:
         study: of the episodes.
-        air: what arm and gauge told.
-        touch: what touch told, of a body behind that air.
+        air: what arm and gauge showed.
+        touch: what touch showed, of a body behind that air.
         fitter: of the replays with that air.
         tested: candidates alone.
         began: by `time.perf_counter`.
@@ -492,7 +492,7 @@ def pressing_as(
 ) -> FittedModel | None:
     """The same with a finger that presses as hard as its imprints are strong; None where it does.
 
-    Imprints that are stronger where a slow valve or more of the body was found may tell of that.
+    Imprints that are stronger where a slow valve or more of the body was found may come from that.
     """
     apart, strength = study.stronger_by(found.twin), study.strengths[id(found.twin)]
     if study.known is None or not apart or (apart > 0 and set(selected) - {LATE}):

@@ -89,13 +89,15 @@ def deal_photographs(recording: Recording, seed: int) -> Parts:
     """Photographs to fit, to choose by and to test on; the last two are one where there are fewer than 24.
 
     Raises:
-        InputError: there is no photograph beside the calibration pair.
+        InputError: there is no photograph besides the calibration pair.
     """
     n = len(recording)
     roles = recording.samples["role"].astype(str) if recording.has("role") else np.full(n, "")
     judged = np.asarray(roles != "calibration")
     if not judged.any():
-        raise InputError("The recording has no image beside the calibration pair, so nothing can be judged.")
+        raise InputError(
+            "The recording has no image beside the calibration pair, so no error can be computed."
+        )
     train, test = np.ones(n, bool), judged
     if n >= T.APART:
         others = np.flatnonzero(judged)
@@ -175,7 +177,7 @@ class GelStudy(EffectStudy):
         space: fits sets of effects to them.
 
     Raises:
-        InputError: there is no good calibration pair, or no photograph to judge by.
+        InputError: there is no good calibration pair, or no photograph to test on.
     """
 
     unit = "levels"
@@ -207,7 +209,7 @@ class GelStudy(EffectStudy):
     # ---------------------------------------------------------------- the verbs
 
     def refit(self, effects: Sequence[str], start: FittedGel | None, steps: Steps) -> FittedGel:
-        """Light and these effects, fitted to all photographs that are not kept for the report."""
+        """Light and these effects, fitted to all photographs outside the test part."""
         model = self.space.fit((Structure(tuple(sorted(effects))), start and start.values))
         steps.done()
         return model
@@ -277,7 +279,7 @@ class GelStudy(EffectStudy):
         return self.errors(model)
 
     def _as_good(self, before: Scored, taken: Scored, other: Scored) -> bool:
-        """Whether another model helps for sure, and the one that was taken does not surely help more."""
+        """Whether another model helps significantly, and the chosen one does not help significantly more."""
         if not set(taken.model.effects) - set(before.model.effects) - set(other.model.effects):
             return False
         more, low, _ = self.bootstrap.drop(other.cv_squared, taken.cv_squared)
@@ -299,7 +301,7 @@ class GelStudy(EffectStudy):
             [space.photographs[i] for i in shown], [differences[i] for i in shown], self.data.px_per_mm
         )
 
-    # ---------------------------------------------------------------- what it tells
+    # ---------------------------------------------------------------- sentences
 
     def errors(self, model: FittedGel) -> dict[str, float]:
         return super().errors(model) | {
@@ -333,8 +335,8 @@ class GelStudy(EffectStudy):
         if not too_few(images, judged, T.NEEDED):
             return ""
         return (
-            f"This recording cannot tell: it has {images} images, of which {judged} "
-            f"can be judged by; it takes {T.NEEDED}, the calibration pair's among them."
+            f"This recording cannot decide: it has {images} images, {judged} of them usable for the test; "
+            f"{T.NEEDED} are needed, including the calibration pair's."
         )
 
     def how_tested(self, outcome: Outcome) -> str:
@@ -343,13 +345,13 @@ class GelStudy(EffectStudy):
         as_stored = "" if stored is None else f"As stored it is {stored:.3g} levels off. "
         if parts.has_test:
             return (
-                f"{as_stored}All that follows is re-fitted to {parts.train.sum()} of the {n} images, chosen "
-                f"by {T.FOLDS}-fold cross-validation among them, and judged on the other {tested}."
+                f"{as_stored}Everything below is re-fitted to {parts.train.sum()} of the {n} images, chosen "
+                f"by {T.FOLDS}-fold cross-validation among them, and tested on the other {tested}."
             )
         return (
-            f"{as_stored}With {n} images, fewer than {T.APART}, none are kept for the report alone: effects "
-            f"are chosen and judged on {tested}, each predicted by a fit without its fifth of them, so the "
-            "errors are a little optimistic."
+            f"{as_stored}With {n} images, fewer than {T.APART}, there is no separate test part: effects are "
+            f"chosen and tested on {tested} by five-fold cross-validation, so the errors are slightly "
+            "optimistic."
         )
 
     def as_written(self, parameters: dict[str, dict]) -> dict[str, float]:

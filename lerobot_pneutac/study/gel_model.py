@@ -32,7 +32,7 @@ def calibration_pairs(data: GelRecording) -> list[PressPhotograph]:
 
 
 def predict(gel: GelModel, data: GelRecording, pressed: Pressed | None = None) -> list[np.ndarray]:
-    """Predicted image of every sample; the calibration pairs tell how the light drifts.
+    """Predicted image of every sample; the calibration pairs show how the light drifts.
 
     Args:
         gel: of this recording.
@@ -44,7 +44,7 @@ def predict(gel: GelModel, data: GelRecording, pressed: Pressed | None = None) -
 
 
 def kept(effects: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
-    """Effects whose values stay where photographs cannot tell them: of what earlier presses leave."""
+    """Effects whose values stay where photographs do not identify them: of what earlier presses leave."""
     return {name: values for name, values in effects.items() if sensor_effects()[name].late}
 
 
@@ -71,7 +71,7 @@ class FittedGel(FittedModel):
 
     Attributes:
         structure: its structure, effects sorted.
-        fit: what was fitted to all photographs that are not kept for the report.
+        fit: what was fitted to all photographs outside the test part.
         gels: n gels, each fitted without the fold of its photograph.
         seen: (n,) mean square errors of `fit`, levels^2.
         contact: (n,) as the squares of `residual`, in the contact region.

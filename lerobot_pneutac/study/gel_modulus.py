@@ -1,6 +1,6 @@
 """Young's modulus of a gel from presses whose force was measured, by the law of `pneutac_sim.gel.force`.
 
-At every imprint the law's force is proportional to the modulus, so that each press tells one; the gel's is
+At every imprint the law's force is proportional to the modulus, so that each press gives one; the gel's is
 their geometric mean, as errors of depth and of the law are relative ones.
 """
 
@@ -19,12 +19,12 @@ from pneutac_sim.twin import Twin, Value
 
 @dataclass(frozen=True)
 class Modulus:
-    """What presses tell of a gel's modulus.
+    """A gel's modulus from presses.
 
     Attributes:
         value_mpa: the modulus.
         ci95: its 95 % interval, by Student's t over presses; None of one press.
-        presses: how many tell it.
+        presses: how many have a force.
         off: relative error of the law's forces on them, root mean square.
         heldout: the same of presses that were not fitted; None where there are none.
     """
@@ -47,7 +47,7 @@ def keep_modulus(twin: Twin, data: GelRecording) -> Modulus | None:
         data: its recording.
 
     Returns:
-        The modulus; None, with the twin as it was, where no row tells its force.
+        The modulus; None, with the twin as it was, if no row has a force.
 
     Raises:
         InputError: the forces are not those of a rubber.
@@ -87,7 +87,7 @@ def modulus_sentence(modulus: Modulus | None, twin: Twin) -> str:
         known = twin.parameters.get(MODULUS)
         value = known.value if known else MATERIAL[MODULUS]
         kept = "keeps its modulus of" if known else "is assumed to have a modulus of"
-        return f"No press tells its force (column force_n), so the gel {kept} {value:.2g} MPa."
+        return f"No press has a force (column force_n), so the gel {kept} {value:.2g} MPa."
     of = f"{modulus.presses} presses" if modulus.presses > 1 else "one press"
     between = " ({:.2g} to {:.2g})".format(*modulus.ci95) if modulus.ci95 else ""
     off = (

@@ -25,12 +25,12 @@ from pneutac_sim.gel.told import DEEPER, DEEPEST, PLACES
 
 @dataclass(frozen=True)
 class PressChoice:
-    """One press, and what it is expected to tell.
+    """One press, and its expected information.
 
     Attributes:
         press: which indenter, where and how deep.
-        rivals: nats about which contender is true.
-        images: what each contender predicts, uint8 (H, W, 3).
+        rivals: nats about which candidate is true.
+        images: what each candidate predicts, uint8 (H, W, 3).
     """
 
     press: Press
@@ -47,14 +47,14 @@ def weighed(found: Found) -> list[Scored]:
 
 
 def press_choices(data: GelRecording, models: Sequence[Candidate]) -> list[PressChoice]:
-    """Presses of the recording's indenters all over the window, the one that tells most first.
+    """Presses of the recording's indenters all over the window, the most informative first.
 
     What a model leaves over is smooth over a contact, so that a photograph counts as `INDEPENDENT` pixels
-    with errors of `ERROR_LEVELS`; two models' images are as far apart as in the mean over the contact.
+    with errors of `ERROR_LEVELS`; two models' images differ as in the mean over the contact.
 
     Args:
         data: the photographs so far.
-        models: in the running.
+        models: candidates.
     """
     predictors = [
         Predictor(seen_by(GelModel.from_twin(m.twin), data), calibration_pairs(data)) for m in models
@@ -99,7 +99,7 @@ class HeldChoice:
         share: of the first that is left in the photograph.
         levels: root mean square that it changes where the first was.
         rivals: nats about whether the gel creeps.
-        assumed: whether the creep is the effect's default, as no model in the running has one.
+        assumed: whether the creep is the effect's default, as no candidate model has one.
     """
 
     first: Press
@@ -120,13 +120,13 @@ class HeldChoice:
         a, b = self.first, self.press
         whose = "a gel" if self.assumed else "the gel of the likeliest model with creep,"
         do = (
-            f"To tell whether it creeps, hold the {a.indenter} of {a.size_mm:g} mm {a.depth_mm:g} mm deep at "
+            f"To find whether it creeps, hold the {a.indenter} of {a.size_mm:g} mm {a.depth_mm:g} mm deep at "
             f"x {a.x_mm:g}, y {a.y_mm:g} mm for {self.hold_s:g} s and lift it; {self.wait_s:g} s later press "
             f"it {b.depth_mm:g} mm deep at x {b.x_mm:g}, y {b.y_mm:g} mm and photograph"
         )
         why = (
             f"on {whose} that still holds {100 * self.share:.1f} % of the first press then, that one's place "
-            f"changes by {self.levels:.1f} levels, {self.rivals:.2f} nats about whether it creeps"
+            f"changes by {self.levels:.1f} levels, {self.rivals:.2f} nats of information on whether it creeps"
         )
         if not self.seen:
             return f"{do}; but {why}, too little to see."
@@ -143,7 +143,7 @@ def held_choice(data: GelRecording, models: Sequence[Candidate]) -> HeldChoice:
 
     Args:
         data: the photographs so far.
-        models: in the running, the likeliest first.
+        models: candidates, the likeliest first.
     """
     gels = [GelModel.from_twin(m.twin) for m in models]
     creeping = [bool(branches_of(gel)) for gel in gels]

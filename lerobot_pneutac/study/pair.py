@@ -41,7 +41,7 @@ def pressure_unit_doubts(twin: Twin) -> list[str]:
     return [
         f"The {twin.device} bends by {bend:.2g} rad a kPa, {ratio / USUAL:.0f} times what fingers of"
         f" {modulus:.2g} MPa do: {_asked(ratio / USUAL)};"
-        " else it is softer, and rows with payload_g tell how much."
+        " else it is softer, and rows with payload_g show how much."
     ]
 
 
@@ -173,7 +173,7 @@ def fit_parts(
     if np.ptp(command, axis=0).max() < T.STANDS_KPA:
         raise InputError(
             f"{folder}: column '{checked.pressure_columns[0]}' is {command[0, 0]:g} kPa in every row that "
-            "would be fitted, so nothing tells how far pressure bends the device; record steps or ramps."
+            "would be fitted, so the bend per pressure cannot be fitted; record steps or ramps."
         )
     return checked, findings, train, heldout
 
@@ -207,5 +207,5 @@ def enough_rows(twin: Twin, recording: Recording, effects: list[str], train: np.
         file = recording.folder / recording.meta.get("samples", "")
         raise InputError(
             f"{file} has {plural(len(recording), 'row')}, and fitting the {count} parameters takes at least "
-            f"{least} (hundreds to tell effects apart); {LONGER[0].lower()}{LONGER[1:]}"
+            f"{least} (hundreds to distinguish effects); {LONGER[0].lower()}{LONGER[1:]}"
         )

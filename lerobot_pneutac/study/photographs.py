@@ -23,7 +23,7 @@ from pneutac_sim.splat.camera import Camera
 
 @dataclass(frozen=True, eq=False)
 class PhotoStudy(Study):
-    """Photographs of a body at rest under T pressures; they fit the base model and tell of no effect.
+    """Photographs of a body at rest under T pressures; they fit the base model and show no effect.
 
     Attributes:
         recording: of a finger or an arm.
@@ -33,7 +33,7 @@ class PhotoStudy(Study):
         cameras: names of those that are fitted, then of the others.
         fitted: how many.
         photographs: of all rows and fitted cameras; `state` counts `pressures`.
-        markers_mm: (T, 3) mean tip at each pressure where the recording tells it: to bootstrap, never to fit.
+        markers_mm: (T, 3) mean tip at each pressure, if recorded: to bootstrap, never to fit.
         conditions: means of the other columns that are numbers.
         findings: where masks were found by segmentation, a sentence for each camera.
     """

@@ -44,12 +44,12 @@ class Addition(Result):
         baseline: the same with the known causes that the recording shows; `before` where there are none.
         after: the same with the effects too.
         known: known causes that are switched on with them, such as `payload`.
-        contributions: what each term is worth beside all others, the largest first.
+        contributions: what each term adds to all others, the largest first.
         reduction: share of the avoidable error that known causes and effects remove together.
         reduction_ci95: its interval.
         parameters: name to `value`, `ci95` and `unit`.
         at_bound: parameters stopped by a bound.
-        not_identified: parameters that the recording cannot tell, and why.
+        not_identified: parameters that the recording does not identify, and why.
         physics: what each effect does to this device, sentences with the fitted numbers.
         findings: of the data check, one sentence each.
         objections: of the diagnosis that found it, one phrase each; empty where an effect was named.
@@ -305,7 +305,7 @@ def add(
 
 
 def _written(twin: Twin, recording: Recording | Demonstrations, folder: Path, anyway: bool) -> Addition:
-    """All that a diagnosis wrote to a folder, judged on its own blocks."""
+    """Everything that a diagnosis wrote to a folder, tested on its own blocks."""
     written = read_found(folder, recording)
     result = written.result
     study = study_of(twin, recording, result["seed"])
@@ -320,7 +320,7 @@ def _written(twin: Twin, recording: Recording | Demonstrations, folder: Path, an
 def _whole(
     study, twin: Twin, result: Mapping, models: Sequence[FittedModel | None], anyway: bool
 ) -> Addition:
-    """All that a diagnosis found, judged on its test blocks."""
+    """Everything that a diagnosis found, tested on its test blocks."""
     selected = list(result["selected"])
     given: dict[str, Any] = {
         "effect": ", ".join(selected) or "nothing",
@@ -359,8 +359,8 @@ def _judged(
     reason = _refusal(study, effects, found, named)
     if not reason and not decided:
         reason = (
-            f"Not added: the diagnosis is inconclusive; {_listed(effects)} only stands in for something that "
-            "no known effect describes."
+            f"Not added: the diagnosis is inconclusive; {_listed(effects)} only compensates for something "
+            f"that no known effect describes."
         )
     stored = not reason or anyway
     return Addition(
@@ -458,12 +458,12 @@ class AddConfig(TableOptions):
             arm or gel; or of a LeRobotDataset of demonstrations, or its name on the Hub.
         effect: names of the effects or laws to switch on, joined by commas.
         diagnosis: folder that `pneutac diagnose` wrote; all that it found is switched on. Also `--from`.
-        task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
-        station: of demonstrations: `station.yaml` of the arm and its place; left out, the one that their
+        task: of demonstrations: the task in front of the robot, if their instruction does not name it.
+        station: of demonstrations: `station.yaml` of the arm and its place; if omitted, the one that their
             robot left in them, or the paper's.
         anyway: stores the version although the error does not fall significantly, marked as unconfirmed.
         out: folder for `result.json` and `report.html`.
-        seed: seed of the choice of what is held out, and of the bootstrap.
+        seed: seed of the data split and of the bootstrap.
     """
 
     aliases: ClassVar = {"from": "diagnosis"}
@@ -482,7 +482,7 @@ class AddConfig(TableOptions):
         if bool(self.effect) == (self.diagnosis is not None):
             raise InputError(
                 "Give the effects with --effect=A,B, or all that a diagnosis found with --from=DIR; "
-                "`pneutac diagnose --out=DIR` tells what is missing."
+                "`pneutac diagnose --out=DIR` finds what is missing."
             )
 
 

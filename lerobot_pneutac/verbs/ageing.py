@@ -12,15 +12,15 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
 
-AGAIN = 1.5  # times the first date's error, above which a twin is calibrated anew
+AGAIN = 1.5  # times the first date's error, above which a twin is calibrated again
 DRAWS = 400  # of whole blocks of time, for the interval of the bend
-DAYS = 30.0  # in which changes are told
+DAYS = 30.0  # of changes
 FAR_DAYS = 3650
 
 
 @dataclass(frozen=True)
 class Date:
-    """What the recording of one date tells.
+    """The result for the recording of one date.
 
     Attributes:
         day: of the measurement.
@@ -94,7 +94,10 @@ class Ageing(Result):
                 f" (± {100 * half * DAYS:.1g} %)"
             )
         else:
-            said = f"No change of the bend is sure (within {100 * half * DAYS:.1g} % every {DAYS:.0f} days)"
+            said = (
+                f"No change of the bend is significant (within {100 * half * DAYS:.1g} % every "
+                f"{DAYS:.0f} days)"
+            )
         errors = f"the error went from {first.error:.2g} to {last.error:.2g} {self.unit}"
         if last.error > AGAIN * first.error:
             return f"{said}; {errors}: calibrate it again now."
@@ -114,7 +117,6 @@ class Ageing(Result):
         ]
 
     def remarks(self) -> list[str]:
-        """What the advice rests on."""
         return [
             f"A calibration is due where the error exceeds {AGAIN:g} times that of the first date; the day"
             " ahead follows from the change of the bend alone."
@@ -159,7 +161,7 @@ def ageing(twin: Twin, recordings: list[Recording], seed: int = 0) -> Ageing:
 def _day(recording: Recording) -> date:
     file = Path(recording.folder) / "recording.json"
     if recording.device == "gel":
-        raise InputError(f"{file}: ageing is told of a finger or an arm, and this is of a gel.")
+        raise InputError(f"{file}: ageing is computed for a finger or an arm, and this is of a gel.")
     value = recording.meta.get("date")
     try:
         return date.fromisoformat(value)

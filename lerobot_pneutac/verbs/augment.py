@@ -44,7 +44,7 @@ class AugmentConfig:
     Attributes:
         dataset: recorded demonstrations.
         output: new demonstrations, whose folder must not exist.
-        task: what stood in front of the robot, such as `switch`; where left out, the one that the
+        task: the task in front of the robot, such as `switch`; if omitted, the one that the
             demonstrations' instruction names.
         method: `library` (a controller made of the demonstrations, which starts anywhere and finds the object
             by touch), `expert` (the scripted controller that the task brings), `planner` (each is planned,
@@ -52,24 +52,24 @@ class AugmentConfig:
             simulator; looks at dataset, output, episodes and seed alone).
         episodes: number of new demonstrations.
         seed: seed of every random choice.
-        twin: folder of the finger's twin; where left out, the built-in one.
+        twin: folder of the finger's twin; if omitted, the built-in one.
         fidelity: way in which finger and gel deform where the plans are carried out: `surrogate`, by
             networks, `mpm`, by material points, or `probe`, by formulas; plans are made with the same, those
             for material points with formulas.
         conditions: values that the twin's effects ask for, such as {temperature_c: 28}; every demonstration
             draws from a range [low, high].
         station: file `station.yaml` of arm, workspace, mount and control rate in which they were recorded;
-            where left out, the one that their robot left in them, or the paper's.
+            if omitted, the one that their robot left in them, or the paper's.
         planner: horizon, samples and weights of the planner.
-        start_range: half widths in m along x, y and z by which `library` and `expert` start beside recorded
-            starts; where left out, the standard deviation of the recorded starts, 0.004 at least.
+        start_range: half widths in m along x, y and z of the starts of `library` and `expert` around recorded
+            starts; if omitted, the standard deviation of the recorded starts, 0.004 at least.
         real_share: share of the frames that are to be recorded ones; as many copies of the demonstrations
-            are added, so that `lerobot-train` mixes them. Where left out, 0.25 with `library` and `expert`
+            are added, so that `lerobot-train` mixes them. If omitted, 0.25 with `library` and `expert`
             and 0 with the others.
         attempts: number of variants tried for one demonstration before giving up.
         check_mpm: number of the new demonstrations that are carried out once more by material points; how far
             they agree goes into the report. Each takes minutes.
-        workers: number of processes; where left out, one a core.
+        workers: number of processes; if omitted, one a core.
         out: folder for `report.html` and `result.json`.
     """
 
@@ -137,7 +137,7 @@ class Augmentation(Result):
 
     Attributes:
         config: what was asked for.
-        summary: `kept`, `attempts`, `rejected` (reason to number), `wall_s`, and what the provenance tells.
+        summary: `kept`, `attempts`, `rejected` (reason to number), `wall_s`, and the provenance.
         references: the recorded demonstrations.
     """
 
@@ -174,13 +174,13 @@ class Augmentation(Result):
         ]
 
     def _mixed(self) -> list[str]:
-        """Where they start, and what the dataset holds beside them."""
+        """Where they start, and what else the dataset holds."""
         out, copies = [], self.summary.get("copies", 0)
         if start_range := self.summary.get("start_range_m"):
             x, y, z = (1e3 * each for each in start_range)
             out.append(
-                f"They start up to {x:.0f} / {y:.0f} / {z:.0f} mm (x / y / z) beside recorded starts"
-                " (--start_range)."
+                f"They start up to {x:.0f} / {y:.0f} / {z:.0f} mm (x / y / z) away from recorded starts "
+                f"(--start_range)."
             )
         if copies:
             times = copies // len(self.references)
@@ -249,7 +249,7 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
     if config.method == "naive":
         summary = augment_without_simulator(meta, *new, config.seed, progress)
     else:
-        base_m = np.array(station.base_m)  # demonstrations tell places in the arm's frame
+        base_m = np.array(station.base_m)  # demonstrations have positions in the arm's frame
         further = further_features(meta)
         placed = [replace(r, flange_m=r.flange_m + base_m) for r in references]
         onset_sigma_m(placed)
@@ -281,7 +281,7 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
 
 
 def command(config: AugmentConfig, terminal: Terminal) -> None:
-    """Makes many demonstrations out of a few, planned on the twin and guided by touch."""
+    """Generates many demonstrations from a few, planned on the twin and guided by touch."""
     with terminal.progress() as progress:
         result = augment(config, progress)
     terminal.finish(result, config.out)

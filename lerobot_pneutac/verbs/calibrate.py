@@ -20,7 +20,7 @@ from pneutac_sim.files import check_writable
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 
-SEARCH = "evaluations.json"  # in the folder where a search by images is kept
+SEARCH = "evaluations.json"  # in the folder where a search by images is stored
 BEST = "best.png"  # there, the best rendering so far
 WAYS = ("images", "markers")
 THROUGH = ("mpm",)
@@ -45,11 +45,11 @@ def calibrate(
 
     Args:
         twin: of the recording's device, or a finger for a recording of its gel.
-        recording: of a finger, an arm or a gel; or demonstrations, which tell the gel's light at rest.
+        recording: of a finger, an arm or a gel; or demonstrations, for the gel's light at rest.
         by: of a body: `images` (photographs with masks) or `markers` (markers and angles); by markers where
             the recording has them, else by images.
         effects: of a gel: optics effects to fit, none for the paper's linear model; those once chosen for
-            the twin (this way, or by `add`), else all that the presses can tell. Names, or a text with commas
+            the twin (this way, or by `add`), else all that the presses identify. Names, or a text with commas
             between, `none` for none.
         through: of a gel: `mpm` to fit its light to the surfaces that material points have under the presses
             (minutes); None for the closed form.
@@ -59,7 +59,7 @@ def calibrate(
         evaluations: by images: of the search.
         particles: by images: of the body, about.
         seed: decides every random choice.
-        keep: by images: folder in which the search is kept so that an interrupted one goes on.
+        keep: by images: folder in which the search is stored so that an interrupted one continues.
         progress: called with a text, the steps done and all of them.
 
     Raises:
@@ -146,19 +146,19 @@ class CalibrateConfig(TableOptions):
         recording: folder of the bench recording, or tables as `pneutac convert` reads them; without it a twin
             of a gel is begun, from the DIGIT photographs in $PNEUTAC_DATA or generated images. Of a
             LeRobotDataset of demonstrations, or its name on the Hub, the gel's light at rest is taken.
-        task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
-        station: of demonstrations: `station.yaml` of the arm and its place; left out, the one that their
+        task: of demonstrations: the task in front of the robot, if their instruction does not name it.
+        station: of demonstrations: `station.yaml` of the arm and its place; if omitted, the one that their
             robot left in them, or the paper's.
         out: folder for `result.json`, `report.html` and pictures.
         effects: optics effects of a gel to fit, with commas between, or `none` for the paper's linear model;
-            where left out, those once chosen for the twin, else all that the presses can tell.
+            if omitted, those chosen for the twin before, else all that the presses can identify.
         through: `mpm` to fit a gel's light to the surfaces that material points have under the presses, which
-            takes minutes; where left out, to those of the closed form.
-        image_size: width and height in px in which the twin has a gel's images, such as [240,320]; where left
-            out, those of the photographs.
-        save_prior: name under which a gel's lights are kept for other sensors of its make.
+            takes minutes; if omitted, to those of the closed form.
+        image_size: width and height in px in which the twin has a gel's images, such as [240,320]; if
+            omitted, those of the photographs.
+        save_prior: name under which a gel's illumination is stored for other sensors of its model.
         by: what a finger or an arm is fitted to: `images` (photographs with masks) or `markers` (markers and
-            angles); where left out, markers if the recording has them, else images.
+            angles); if omitted, markers if the recording has them, else images.
         train_kpa: pressures to fit by images, with commas between; all others are held out.
         evaluations: bodies that the search by images tries.
         particles: number of material points of a body by images, about.
@@ -277,7 +277,7 @@ def twin_for(folder: Path, recording: Recording | Demonstrations) -> Twin:
 
 
 def check_prior(name: str | None, recording: Recording | Demonstrations) -> None:
-    """Raises InputError, before any work, where a prior cannot be kept under this name."""
+    """Raises InputError, before any work, where a prior cannot be stored under this name."""
     if name is None:
         return
     if recording.device != "gel":
@@ -290,13 +290,13 @@ def check_prior(name: str | None, recording: Recording | Demonstrations) -> None
 
 
 def keep_prior(result: Calibration, name: str | None) -> str:
-    """Keeps a gel's lights under this name; returns a line that tells where, empty where there is no name."""
+    """Stores a gel's illumination under this name; returns a line with its place, or nothing."""
     if name is None:
         return ""
     from lerobot_pneutac.verbs.fit_gel import GelCalibration
 
     assert isinstance(result, GelCalibration)
-    return f"Kept the sensor's lights as {result.save_prior(name)}.\n"
+    return f"Stored the sensor's illumination as {result.save_prior(name)}.\n"
 
 
 def stopped(keep: Path) -> str:
@@ -306,12 +306,12 @@ def stopped(keep: Path) -> str:
     if not count:
         return "Stopped before the first candidates were evaluated; the twin is as it was."
     return (
-        f"Stopped after {count} evaluations, kept in {search}; the twin is as it was, and the same command "
-        "goes on from here."
+        f"Stopped after {count} evaluations, stored in {search}; the twin is unchanged, and the same command "
+        f"continues from here."
     )
 
 
 def forget_search(keep: Path) -> None:
-    """Deletes the search that was kept."""
+    """Deletes the stored search."""
     for name in (SEARCH, BEST):
         (keep / name).unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""From touch alone: the gel's light at rest is taken anew from demonstrations."""
+"""From touch alone: the gel's light at rest is taken again from demonstrations."""
 
 import time
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin
 
-LEAST = 2  # episodes: one to take the light from, one to judge it by
+LEAST = 2  # episodes: one to take the light from, one to test it
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -56,7 +56,6 @@ class LightCalibration(Calibration):
         ]
 
     def remarks(self) -> list[str]:
-        """What stays as it was."""
         out = [
             "How the light changes under a press stays as it was calibrated; presses of known objects on the "
             f"bench calibrate that{self._now()}."

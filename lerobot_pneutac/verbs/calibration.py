@@ -76,7 +76,7 @@ class Calibration(Result):
         return replace(self, twin=twin, saved_to=Path(folder))
 
     def _noted(self) -> dict:
-        """What the history keeps of this version beside its errors."""
+        """What the history stores of this version besides its errors."""
         return {}
 
     @property
@@ -110,5 +110,5 @@ class Calibration(Result):
         return super().content() | where
 
     def _now(self) -> str:
-        """The end of a remark that tells where the twin is."""
+        """The end of a remark with the place of the twin."""
         return f"; the twin at {self.saved_to} is now version {self.version}" if self.saved_to else ""

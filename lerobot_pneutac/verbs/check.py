@@ -1,4 +1,4 @@
-"""What a later verb would refuse in a dataset, a recording or a twin, said in seconds and all at once."""
+"""What a later verb would refuse in a dataset, a recording or a twin: all at once, in seconds."""
 
 import difflib
 import sys
@@ -149,8 +149,8 @@ def _twin(path: Path) -> tuple[list[str], list[str]]:
         asked = [c for c in effect.columns if c not in COMPUTED] if name in of_body([name]) else []
         if asked:
             notes.append(
-                f"The effect {name} asks robots and environments for {', '.join(asked)}: give them as"
-                f" --env.conditions='{{{asked[0]}: ...}}'."
+                f"With the effect {name} robots and environments need {', '.join(asked)}: give them as "
+                f"--env.conditions='{{{asked[0]}: ...}}'."
             )
     if twin.device == "finger":
         missing = [n for n in WORLD if n not in twin.parameters]
@@ -212,12 +212,12 @@ def _networks(twin: Twin) -> list[str]:
 
 USAGE = """usage: pneutac check PATH [PATH ...] [--twin=PATH] [--station=FILE]
 
-Tells in seconds what a later verb would refuse, all faults at once, and exits with 1 where there is one.
+Lists in seconds what a later command would refuse, and exits with 1 if there is anything.
 
   PATH            folder of a twin, a bench recording or a LeRobotDataset of demonstrations, a lab's table
                   (CSV, .mat, Parquet) or a station.yaml
   --twin=PATH     twin for which demonstrations or a station are looked at (default the built-in one)
-  --station=FILE  station.yaml in which demonstrations were recorded (default what they tell)"""
+  --station=FILE  station.yaml in which demonstrations were recorded (default the one stored with them)"""
 
 
 def command(argv: list[str], terminal: Terminal) -> None:
@@ -238,8 +238,9 @@ def command(argv: list[str], terminal: Terminal) -> None:
         faulty = faulty or bool(found.faults)
         if found.understood is not None:
             show_understood(found.understood, terminal.console)
-        said = f"[red]{len(found.faults)} to mend[/]" if found.faults else "[green]good[/]"
-        terminal.say(f"{escape(path)} ({found.kind}): {said}", markup=True)
+        n = len(found.faults)
+        verdict = f"[red]{n} problem{'s' * (n > 1)}[/]" if n else "[green]good[/]"
+        terminal.say(f"{escape(path)} ({found.kind}): {verdict}", markup=True)
         for mark, sentences in (("[red]fault:[/]", found.faults), ("[yellow]note:[/]", found.notes)):
             for sentence in sentences:
                 terminal.say(f"  {mark} {escape(sentence)}", markup=True)

@@ -84,13 +84,13 @@ class CompareConfig(TableOptions):
         recording: folder of a bench recording, or tables as `pneutac convert` reads them of the same device;
             or of a LeRobotDataset of demonstrations, or its name on the Hub, which are replayed in the twin's
             world.
-        task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
-        station: of demonstrations: `station.yaml` of the arm and its place; left out, the one that their
+        task: of demonstrations: the task in front of the robot, if their instruction does not name it.
+        station: of demonstrations: `station.yaml` of the arm and its place; if omitted, the one that their
             robot left in them, or the paper's.
         out: folder for `result.json` and `report.html`; nothing is written without it.
         fidelity: `pipeline` (the twin's kinematics, every sample) or `mpm` (of a finger or an arm: the full
             body of material points, at samples spread over the recording).
-        samples: largest number of samples by mpm; where left out, 200.
+        samples: largest number of samples by mpm; if omitted, 200.
         later: recordings of the same finger or arm on other dates: how it ages, when to calibrate it again.
         seed: seed of the choice of the samples by mpm, and of the demonstrations that are held out.
     """
@@ -116,7 +116,7 @@ def command(cfg: CompareConfig, terminal: Terminal) -> None:
     if cfg.later:
         from lerobot_pneutac.verbs.ageing import ageing  # plotly, which the library loads for a page alone
 
-        pairs = [load_bench_pair(cfg.twin, p, "tell ageing by") for p in (cfg.recording, *cfg.later)]
+        pairs = [load_bench_pair(cfg.twin, p, "compute ageing from") for p in (cfg.recording, *cfg.later)]
         terminal.finish(ageing(pairs[0][0], [recording for _, recording in pairs], cfg.seed), cfg.out)
         return
     twin, recording = load_pair(cfg.twin, cfg.recording, "compare", cfg.task, cfg.station)

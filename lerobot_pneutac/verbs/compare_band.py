@@ -4,7 +4,7 @@ To first order a sample's prediction varies by g C g^T, g its gradient to the pa
 covariance (Seber and Wild, Nonlinear Regression, Wiley 1989, ch. 5.1); the measurement adds its noise. A twin
 keeps the interval of each parameter but not how they go together: a bend that is a little too large may be
 put down to gain or to rest pressure. So C has the form that least squares gives it on the recording's train
-samples, and the size that the twin's intervals tell.
+samples, and the size from the twin's intervals.
 """
 
 from dataclasses import dataclass, replace
@@ -47,7 +47,7 @@ def prediction_band(twin: Twin, bench: BodyData, train: np.ndarray, noise: Noise
     Args:
         twin: of the recording's device.
         bench: the recording as the twin reads it.
-        train: (n,) mask of samples on which the parameters are told apart.
+        train: (n,) mask of samples on which the parameters were fitted.
         noise: of the recording.
 
     Returns:
@@ -89,13 +89,13 @@ def _moved(twin: Twin, bench: BodyData) -> np.ndarray:
 def _variance(moved: np.ndarray, train: np.ndarray) -> np.ndarray:
     """(n, k) variance of the predictions that the parameters leave open.
 
-    Parameters that the train samples cannot tell from others vary by their own intervals alone.
+    Parameters that the train samples do not separate vary by their own intervals only.
     """
-    told = moved[train].reshape(-1, moved.shape[-1])
-    known = independent(told)
+    trained = moved[train].reshape(-1, moved.shape[-1])
+    known = independent(trained)
     variance = (moved[..., ~known] ** 2).sum(axis=-1)
     if known.any():
-        inverse = np.linalg.inv(told[:, known].T @ told[:, known])
+        inverse = np.linalg.inv(trained[:, known].T @ trained[:, known])
         # counted in their own standard deviations, the diagonal of a covariance is one
         covariance = inverse / np.median(np.diag(inverse))
         variance += np.einsum("nki,ij,nkj->nk", moved[..., known], covariance, moved[..., known])

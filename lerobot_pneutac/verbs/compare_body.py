@@ -39,7 +39,7 @@ class BodyComparison(Comparison):
         train_samples: (n,) mask of those that the twin was fitted to; the others are held out. None of a
             recording that it was never fitted to, which is held out as a whole.
         noise: floor of the error.
-        band: within which a measurement should lie if the twin is right; None where nothing tells.
+        band: within which a measurement should lie if the twin is right; None if unknown.
         axes: ways to sort the samples.
         rate: (n,) of the commanded pressure, kPa/s.
         still: (n,) whether it stands.
@@ -125,7 +125,7 @@ class BodyComparison(Comparison):
 
     @cached_property
     def worst(self) -> list[dict]:
-        """The worst passages, some time apart."""
+        """The worst passages, separated in time."""
         return worst_passages(self.recording, self.squared)
 
     def rows(self) -> list[dict]:
@@ -278,8 +278,8 @@ def out_of_range(twin: Twin, bench: BodyData) -> tuple[float | None, str | None]
     network = network_of(twin, ActionNetwork.load(file))
     if network is None:
         return None, (
-            "The twin's action network was trained before its body's shape or material changed, so its range "
-            f"says nothing; run `pneutac surrogate {option('twin', Path(file).parent)}`."
+            "The twin's action network was trained before its body's shape or material changed, so its "
+            f"range is not valid; run `pneutac surrogate {option('twin', Path(file).parent)}`."
         )
     pipeline = Pipeline.of(twin, bench.inputs)
     joints = pipeline.run(bench.inputs, pipeline.theta(twin, bench.inputs.pressure_range_kpa)).joints
@@ -292,5 +292,5 @@ def out_of_range(twin: Twin, bench: BodyData) -> tuple[float | None, str | None]
     return share, (
         f"{100 * share:.2g}% of samples lie outside what the twin's action network was trained with (bending "
         f"pressures from {low:.3g} to {high:.3g} kPa; the recording's go from {asked.min():.3g} to "
-        f"{asked.max():.3g} kPa); there its torque goes on straight."
+        f"{asked.max():.3g} kPa); there its torque is extrapolated linearly."
     )

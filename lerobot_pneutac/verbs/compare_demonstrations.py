@@ -25,7 +25,7 @@ PHASES = ("free", "onset", "pressed", "release")
 NEAR = 4  # frames about the first and after the last touch that are its onset and release
 DEPTHS_MM = (0.0, 0.3, 0.6, 0.9, 1.2)
 FELT_MM = 0.03  # by which a replay's gel is pressed in where it touches; its images show it later
-LATE_S = 0.02  # beside the twin's own latency: more is told
+LATE_S = 0.02  # from the twin's own latency: more is reported
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -36,9 +36,9 @@ class DemonstrationComparison(Comparison):
         study: the episodes as measured and replayed for the errors.
         findings: of the checks, one sentence each.
         replayed: each episode in the twin's world, with images.
-        latency_s: by which the commands acted late, as the arm tells; with what the twin has.
-        clock_s: by which touch is shown late, as the camera's clock tells against the robot's.
-        drift_s: change of that from an episode's first half to its second; None where it cannot be told.
+        latency_s: by which the commands acted late, from the arm; including the twin's.
+        clock_s: by which touch is shown late, from the camera's clock against the robot's.
+        drift_s: change of that from an episode's first half to its second; None if it is unknown.
         light: how the light of the gel has changed since the twin was made.
     """
 
@@ -58,12 +58,10 @@ class DemonstrationComparison(Comparison):
 
     @property
     def twin(self) -> Twin:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """That was compared."""
         return self.study.twin
 
     @property
     def demonstrations(self) -> Demonstrations:
-        """That it was compared with."""
         return self.study.recording
 
     @property
@@ -175,15 +173,14 @@ class DemonstrationComparison(Comparison):
         ]
 
     def remarks(self) -> list[str]:
-        """Latency, clocks and light."""
         own = self.study.fitter.known_s
         out = []
         if self.latency_s - own > LATE_S:
             out.append(
                 f"Commands acted {self.latency_s:.2g} s late and the twin has {own:.2g} s; `pneutac "
-                "diagnose` tells whether arm and air are late alike."
+                "diagnose` finds whether arm and air are equally late."
             )
-        out.append(f"Touch is shown {self.clock_s:.2g} s after what the robot's joints and gauge tell.")
+        out.append(f"Touch is shown {self.clock_s:.2g} s after the robot's joints and gauge.")
         if self.drift_s is not None and abs(self.drift_s) > 1 / CONTROL_HZ:
             out.append(
                 f"[yellow]The clocks of camera and robot drift:[/] touch is {self.drift_s:+.2g} s later in "
@@ -194,7 +191,7 @@ class DemonstrationComparison(Comparison):
         if apart:
             out.append(
                 f"Imprints are {np.exp(apart):.2g} times as strong as in the demonstrations that the twin "
-                "was fitted to, which its touch is charged with; `pneutac diagnose` tells why."
+                "was fitted to, which counts as an error of its touch; `pneutac diagnose` finds why."
             )
         return out
 
@@ -211,7 +208,7 @@ class DemonstrationComparison(Comparison):
         return demonstrations_page(self)
 
     def pictures(self) -> dict[str, np.ndarray]:
-        """Recorded touch beside the twin's, of the worst episode, where it is pressed most."""
+        """Recorded touch and the twin's, of the worst episode, where it is pressed most."""
         frames = film_frames(self, self.worst[0]["trial"])
         e = self.demonstrations.episodes[self.worst[0]["trial"]]
         return {"touch.png": frames[int(np.argmax(e.state[:, AREA]))]}
@@ -239,7 +236,7 @@ def compare_demonstrations(
         twin: of the finger.
         given: the episodes.
         seed: decides which episodes are held out.
-        progress: is told how many episodes are replayed.
+        progress: called with how many episodes are replayed.
 
     Raises:
         InputError: an episode's objects cannot be placed.

@@ -33,7 +33,7 @@ class GelComparison(Comparison):
         predicted: of each, uint8 (H, W, 3).
         scores: of each.
         rest_scores: of the rest image alone.
-        touch: of each, what `TouchReader` reads from the photograph beside what its row states.
+        touch: of each, what `TouchReader` reads from the photograph, and what its row states.
         folder: of the recording.
         twin: that was compared.
     """
@@ -142,7 +142,6 @@ class GelComparison(Comparison):
         return {"tactile.png": picture_grid(self.data, self.predicted, first)}
 
     def page(self) -> Report:
-        """Pictures and scores."""
         page = Report(self.title)
         page.lead(self.sentence)
         page.image(
@@ -195,7 +194,7 @@ def compare_gel(twin: Twin, recording: Recording) -> GelComparison:
 
 
 def read_back(gel: GelModel, data: GelRecording) -> list[dict]:
-    """Depth, area and place that each photograph tells, beside the stated depth and place."""
+    """Depth, area and place read from each photograph, and the stated depth and place."""
     reader, out = TouchReader(gel), []
     for s in data.samples:
         touch = reader.read(s.image, s.rest)

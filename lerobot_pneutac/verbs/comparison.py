@@ -1,4 +1,4 @@
-"""What a comparison of a twin with a recording tells; by devices in `compare_body` and `compare_gel`."""
+"""The result of a comparison of a twin with a recording; by device in `compare_body` and `compare_gel`."""
 
 from abc import abstractmethod
 from pathlib import Path
@@ -48,7 +48,7 @@ class Comparison(Result):
     def next_command(self) -> str:
         """To learn why it fails, on a recording that the twin was fitted to.
 
-        A recording that it was never fitted to judges it, and would judge no more once it is diagnosed.
+        A recording that it was never fitted to tests it, and would no longer once it is diagnosed.
         """
         fitted = [Path(e["recording"]) for e in self.twin.history if e.get("recording")]
         here = Path(self.subject()[1])

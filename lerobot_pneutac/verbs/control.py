@@ -1,4 +1,4 @@
-"""Commands of pressure with which a finger bends as it is told, and how well it followed them."""
+"""Pressure commands for a wanted bend, and how well the finger followed them."""
 
 import shlex
 from dataclasses import dataclass, field
@@ -125,7 +125,7 @@ def control(
     conditions: dict[str, float] | None = None,
     recording: Recording | None = None,
 ) -> Control:
-    """Turns the twin round: which pressures bend the finger as told, all its effects compensated.
+    """Inverts the twin: which pressures give the wanted bend, with all its effects compensated.
 
     Args:
         twin: a finger of one chamber, calibrated.
@@ -134,7 +134,7 @@ def control(
             circular arc from the base to the tip, 2 atan2(z, x).
         hz: control steps a second.
         conditions: what the twin's effects ask for, such as {"temperature_c": 22}.
-        recording: in which `program.csv` was driven, each trial once through; tells how well it followed.
+        recording: in which `program.csv` was driven, each trial once through; shows how well it followed.
 
     Raises:
         InputError: the bend is out of reach or cannot be read, or the recording does not show a bend.
@@ -230,7 +230,7 @@ class ControlConfig:
 
 
 def command(cfg: ControlConfig, terminal: Terminal) -> None:
-    """Makes a pressure program that bends a finger as asked, and shows how it followed."""
+    """Makes the pressure program for a wanted bend, and shows how well it was followed."""
     twin = Twin.load(cfg.twin)
     recording = Recording.load(cfg.recording) if cfg.recording else None
     if recording is not None:
@@ -239,7 +239,6 @@ def command(cfg: ControlConfig, terminal: Terminal) -> None:
 
 
 def _page(c: Control) -> Report:
-    """The report of a `Control`."""
     report = Report(c.title)
     report.lead(c.sentence)
     report.table(c.rows(), "Root mean square of the bend against what was asked for.")

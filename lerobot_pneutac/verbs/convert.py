@@ -36,7 +36,7 @@ class ConvertConfig:
             each, a CSV of OptiTrack (Motive) or Vicon (Nexus), the folder of a ROS 2 bag, or a film.
             `pneutac convert FILE` is the same as `--source=FILE`.
         out: folder of the new bench recording, which must not exist; that of tables is `NAME.recording`
-            beside them where it is left out.
+            next to them if omitted.
         length_mm: of the straight finger, base to tip marker; of a table left out, where the tip rests.
         log: table of the pressures, where markers or a film have none.
         columns: what columns of a table or log are, where their names do not say it:

@@ -1,4 +1,4 @@
-"""Does the main job end to end, on the stand-in for reality, by the commands that a user would type.
+"""Runs every step once on the simulated robot that stands in for a real one, by the commands of a user.
 
 A finger with hidden physics is measured; its twin is compared with the measurements, the missing effects are
 found and added, and the error falls. The corrected twin then turns ten demonstrations into more, one policy
@@ -96,9 +96,8 @@ class DemoResult(Result):
         left = max(after**2 - noise**2, 0.0) ** 0.5
         rate = f"{e['success_percent']:.0f} %, 95 % interval {lo:.0f} to {hi:.0f}"
         return (
-            f"The finger moves as with {' and '.join(found)}, which its twin lacked; with this the held-out "
-            f"tip error fell from {before:.2f} to {after:.2f} mm. Beside the noise of {noise:.2f} mm, "
-            f"{left:.2f} mm are not explained. "
+            f"The twin lacked {' and '.join(found)}; with this the held-out tip error fell from "
+            f"{before:.2f} to {after:.2f} mm (noise {noise:.2f} mm, unexplained {left:.2f} mm). "
             "Trained on demonstrations of the corrected twin, the policy flipped the switch in "
             f"{e['successes']} of {e['trials']} starts that it had not seen ({rate})."
         )
@@ -140,7 +139,7 @@ Announce = Callable[[str], None]
 
 
 class Demo:
-    """One run: its folder, its stages and the commands that it ran. Finished stages are kept.
+    """One run: its folder, its stages and the commands that it ran. Finished stages are reused.
 
     Args:
         cfg: the options.
@@ -165,7 +164,7 @@ class Demo:
         self.finger, self.gel = self._path("bench/finger"), self._path("bench/gel")
 
     def run(self) -> DemoResult:
-        """All stages, those apart that an earlier run finished."""
+        """All stages, except those that an earlier run finished."""
         cfg = self.cfg
         stages = [
             ("bench", "Measure a finger on the bench (the stand-in for a real one)", self._bench),
@@ -208,8 +207,8 @@ class Demo:
         found = self._verb("diagnose", self.finger, "diagnosis")
         if not found["selected"]:
             raise InputError(
-                f"The diagnosis found no missing effect ({found['verdict']}; {self._path('diagnosis')} tells "
-                "why). Give another seed, or a longer session with more minutes."
+                f"The diagnosis found no missing effect ({found['verdict']}; see "
+                f"{self._path('diagnosis')}). Give another seed, or a longer session with more minutes."
             )
         return {"selected": found["selected"], "verdict": found["verdict"], "sentence": found["sentence"]}
 
@@ -217,7 +216,7 @@ class Demo:
         """All that was found, at once: found together, one alone may not be worth it."""
         if not set(self.state["diagnose"]["selected"]) <= set(Twin.load(self.twin).effects):
             shutil.rmtree(self._path("before"), ignore_errors=True)
-            shutil.copytree(self.twin, self._path("before"))  # to be found anew in the studio
+            shutil.copytree(self.twin, self._path("before"))  # to be found again in the studio
             self._verb("add", self.finger, "added", f"--from={self._path('diagnosis')}")
         return self._compare("compare_after")
 
@@ -271,7 +270,7 @@ class Demo:
         cfg, out, data = self.cfg, self._path("train"), self._path("training")
         for folder in (out, data):
             shutil.rmtree(folder, ignore_errors=True)
-        # What was recorded counts twice beside what was planned: 148 of 180 trials instead of 136 succeeded.
+        # Recorded episodes count twice, planned ones once: 148 of 180 trials instead of 136 succeeded.
         sources = [*[self._path("demonstrations")] * 2, self._path("augmented")]
         # Small images, one row a sample: these cores see ten times the frames in the same time.
         self._command(
@@ -359,7 +358,7 @@ class Demo:
 
 
 def command(cfg: DemoConfig, terminal: Terminal) -> None:
-    """Does the main job end to end, on the stand-in for reality, by the commands that a user would type.
+    """Runs every step once on the simulated robot that stands in for a real one, by the commands of a user.
 
     A finger with hidden physics is measured; what was finished before is not repeated.
     """

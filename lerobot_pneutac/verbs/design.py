@@ -34,12 +34,12 @@ SHOWN = 8
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Design(Result):
-    """Programs for the bench, the one that tells most for its time first.
+    """Programs for the bench, by expected information for their time.
 
     Attributes:
         twin: that was diagnosed.
         recording: that was diagnosed.
-        contenders: models in the running.
+        contenders: candidate models.
         choices: see `lerobot_pneutac.diagnosis.design`.
         noise: floor of the error.
         unit: of it.
@@ -68,7 +68,7 @@ class Design(Result):
 
     @property
     def sentence(self) -> str:
-        """What to drive and what it will tell."""
+        """What to drive and what it is expected to show."""
         c = self.best
         if c.tells_little:
             return (
@@ -83,7 +83,7 @@ class Design(Result):
         return (
             f"{first}Next, drive {c.name} ({c.seconds:.0f} s). Of {len(self.contenders)} candidate models "
             f"{best}; this test mainly {self._purpose}. Expected information: {gain}; "
-            f"{100 * c.new:.0f} % of its time is where no recording has been."
+            f"{100 * c.new:.0f} % of its time is at pressures that no recording has."
         )
 
     @property
@@ -186,7 +186,7 @@ class DesignConfig(TableOptions):
         recording: folder of the recording that was diagnosed, or its tables; or of a LeRobotDataset of
             demonstrations, or its name on the Hub, for which the next motions of the arm are chosen.
         diagnosis: folder that `pneutac diagnose --out=` wrote; demonstrations need none.
-        task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
+        task: of demonstrations: the task in front of the robot, if their instruction does not name it.
         station: of demonstrations: `station.yaml`, where their robot left none in them.
         out: folder for `program.csv` (of a gel `press.csv`), `result.json` and `report.html`; nothing is
             written without it.
@@ -224,7 +224,7 @@ class DesignConfig(TableOptions):
 
 
 def command(cfg: DesignConfig, terminal: Terminal) -> None:
-    """The program, a gel's press or an arm's motions that tell most of what is missing."""
+    """The program, a gel's press or an arm's motions with the most information on what is missing."""
     if is_dataset(cfg.recording):
         from lerobot_pneutac.verbs.design_motion import design_motion  # MuJoCo, which benches do not need
 

@@ -1,4 +1,4 @@
-"""The next demonstrations: which motion of the arm, with the finger against a bar, tells what is open."""
+"""The next demonstrations: which motion of the arm, with the finger against a bar, shows what is open."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ WORDS = {CREEP: "more creep", COMPLIANCE: "another stiffness", FRICTION: "half t
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class MotionDesign(Result):
-    """Motions of the arm, and how surely each would tell what.
+    """Motions of the arm, and how significantly each shows which change.
 
     Attributes:
         twin: in whose world they were simulated.
@@ -47,27 +47,28 @@ class MotionDesign(Result):
 
     @property
     def chosen(self) -> dict[str, MotionChoice]:
-        """For each change the shortest motion that surely tells it; without those that none tells."""
+        """For each change the shortest motion that significantly shows it; without those that none shows."""
         best = {change: shortest(self.choices, change) for change in WORDS}
         return {change: c for change, c in best.items() if c.sure[change] >= TELLS}
 
     @property
     def sentence(self) -> str:
-        """Which motions to record and what they will tell."""
+        """Which motions to record and what they show."""
         motions: dict[str, list[str]] = {}
         for change, c in self.chosen.items():
-            told = motions.setdefault(f"{c.motion.name} ({c.motion.seconds:.0f} s)", [])
-            told.append(f"{WORDS[change]} ({c.sure[change]:.1f} standard deviations)")
+            changes = motions.setdefault(f"{c.motion.name} ({c.motion.seconds:.0f} s)", [])
+            changes.append(f"{WORDS[change]} ({c.sure[change]:.1f} standard deviations)")
         if not motions:
             return (
-                "None of these motions would surely tell creep, stiffness or friction; record more episodes."
+                "None of these motions would significantly show creep, stiffness or friction; record more "
+                "episodes."
             )
-        tell = "; ".join(f"{name}, which tells {_listed(told)}" for name, told in motions.items())
+        tell = "; ".join(f"{name}, which shows {_listed(changes)}" for name, changes in motions.items())
         count = len(self.recording.episodes)
         return f"Record {count} episodes with the finger against the bar of '{TASK}': {tell}."
 
     def rows(self) -> list[dict]:
-        """Every motion, and by how many standard deviations it tells each change."""
+        """Every motion, and the standard deviations by which it shows each change."""
         return [
             {
                 "motion": c.motion.name,
@@ -78,24 +79,23 @@ class MotionDesign(Result):
         ]
 
     def remarks(self) -> list[str]:
-        """What the numbers rest on."""
         out = []
         if not self.known:
             out.append(
                 f"The twin was fitted to no demonstrations of '{TASK}', so how strong its imprints are is "
-                "not known, and no motion tells another stiffness by that. Add ten plain ones first."
+                f"not known, and no motion shows another stiffness by that. Add ten plain ones first."
             )
         for change in WORDS:
             best = shortest(self.choices, change)
             if change not in self.chosen:
                 out.append(
-                    f"No motion surely tells {WORDS[change]}: {best.motion.name} does best, by "
+                    f"No motion significantly shows {WORDS[change]}: {best.motion.name} does best, by "
                     f"{best.sure[change]:.1f} standard deviations."
                 )
         out.append(
             f"The gel's friction is taken as {GEL_FRICTION:g}, and the finger as stiff sideways as in its "
-            "plane. A drag tells less friction only beside earlier drags of the same kind, which `pneutac "
-            "calibrate` keeps."
+            "plane. A drag shows less friction only in comparison with earlier drags of the same kind, "
+            "which `pneutac calibrate` stores."
         )
         return out
 
@@ -120,7 +120,7 @@ def design_motion(twin: Twin, recording: Demonstrations, progress: Progress = no
     Args:
         twin: of a finger of one chamber, simulated as it is and with one change at a time.
         recording: demonstrations, as many as would be recorded, in whose station.
-        progress: is told how many motions have been simulated.
+        progress: called with how many motions have been simulated.
 
     Raises:
         InputError: the twin has several chambers, or its finger does not find the bar there.

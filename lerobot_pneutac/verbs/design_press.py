@@ -26,14 +26,14 @@ SHOWN = 8
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class PressDesign(Result):
-    """Presses for a gel, the one that tells most first.
+    """Presses for a gel, the most informative first.
 
     Attributes:
         twin: that was diagnosed.
         recording: that was diagnosed.
-        contenders: models in the running.
+        contenders: candidate models.
         choices: see `lerobot_pneutac.study.gel_press`.
-        held: the two presses that tell most about creep, see `lerobot_pneutac.study.gel_press`.
+        held: the two presses with the most information on creep, see `lerobot_pneutac.study.gel_press`.
     """
 
     twin: Twin
@@ -57,18 +57,18 @@ class PressDesign(Result):
 
     @property
     def held_first(self) -> bool:
-        """Whether a model in the running has creep, and two presses tell more of it than any one."""
+        """Whether a candidate model has creep, and two presses show more of it than any one."""
         return not self.held.assumed and self.held.rivals > max(self.best.rivals, LITTLE_GAIN)
 
     @property
     def sentence(self) -> str:
-        """What to press and what it will tell."""
+        """What to press and what it is expected to show."""
         if self.held_first:
             return self.held.sentence
         if self.tells_little:
             return (
-                "No press of these indenters would tell the models in the running apart; press another "
-                "shape, such as an edge or a small cylinder, and diagnose again."
+                "No press of these indenters would distinguish the candidate models; press another shape, "
+                "such as an edge or a small cylinder, and diagnose again."
             )
         p, likely = self.best.press, self.contenders[0]
         return (
@@ -90,7 +90,7 @@ class PressDesign(Result):
         ]
 
     def remarks(self) -> list[str]:
-        """What would tell creep, where that is not what is asked for first."""
+        """What would show creep, if that is not proposed first."""
         return [] if self.held_first else [self.held.sentence]
 
     def content(self) -> dict:

@@ -57,12 +57,12 @@ class DiagnoseConfig(TableOptions):
         twin: folder of the twin, which is not changed.
         recording: folder of a bench recording, or tables as `pneutac convert` reads them of the same finger,
             arm or gel; or of a LeRobotDataset of demonstrations, or its name on the Hub.
-        task: of demonstrations: what stood in front of the robot, where their instruction does not tell.
-        station: of demonstrations: `station.yaml` of the arm and its place; left out, the one that their
+        task: of demonstrations: the task in front of the robot, if their instruction does not name it.
+        station: of demonstrations: `station.yaml` of the arm and its place; if omitted, the one that their
             robot left in them, or the paper's.
         out: folder for `result.json` and `report.html`.
         jobs: number of processes; 0 for all cores.
-        seed: seed of the choice of what is held out, and of every bootstrap.
+        seed: seed of the data split and of every bootstrap.
     """
 
     twin: Path

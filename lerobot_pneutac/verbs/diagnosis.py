@@ -1,4 +1,4 @@
-"""What a diagnosis tells, whatever the device."""
+"""The result of a diagnosis, for every kind of device."""
 
 import time
 from dataclasses import dataclass, field, replace
@@ -175,10 +175,9 @@ class Diagnosis(Result):
         ]
 
     def remarks(self) -> list[str]:
-        """Warnings and the next step."""
-        told = self.warnings
-        more = [f"- {len(told) - SHOWN} more in the report (--out=DIR)"] if len(told) > SHOWN else []
-        said = [*(f"- {escape(w)}" for w in told[:SHOWN]), *more]
+        shown = self.warnings
+        more = [f"- {len(shown) - SHOWN} more in the report (--out=DIR)"] if len(shown) > SHOWN else []
+        said = [*(f"- {escape(w)}" for w in shown[:SHOWN]), *more]
         return [*(["[bold]Warnings[/]", *said] if said else []), f"[bold]Do next:[/] {escape(self.do_next)}"]
 
     def content(self) -> dict:
@@ -203,7 +202,7 @@ class Diagnosis(Result):
     def save(self, folder: str | Path) -> "Diagnosis":
         """Writes twins into folders of `folder`; returns the result that knows where.
 
-        Those before and after are for `add --from`, those of all contenders for `design`.
+        Those before and after are for `add --from`, those of all candidates for `design`.
         """
         self.study.twin_of(self.outcome.before).save(Path(folder) / BEFORE)
         if self.outcome.baseline is not None:

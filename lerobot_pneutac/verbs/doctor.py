@@ -130,7 +130,8 @@ def check_all() -> list[Check]:
             rows.append(check())
         except (ImportError, OSError) as e:  # a package or a system's library: what is looked for
             name = check.__name__.removeprefix("check_")
-            rows.append((name, FAIL, f"{type(e).__name__}: {e}", "install what is missing, then ask again"))
+            do = "install what is missing, then run this again"
+            rows.append((name, FAIL, f"{type(e).__name__}: {e}", do))
     return rows
 
 
@@ -140,7 +141,7 @@ COLOURS = {OK: "green", NOTE: "yellow", FAIL: "red"}
 def command(argv: list[str], terminal: Terminal) -> None:
     """Runs every check and prints one table; exits with 1 where something needed is missing."""
     if argv in (["-h"], ["--help"]):
-        print("usage: pneutac doctor\n\nTells what is installed and what answers; takes no options.")
+        print("usage: pneutac doctor\n\nLists what is installed and which devices answer; takes no options.")
         return
     if argv:
         sys.exit("pneutac doctor takes no options.")

@@ -89,10 +89,10 @@ def _used(functions: list) -> dict:
 
 
 def _parameter(p: Parameter) -> str:
-    told = [f"{p.name!r}, {p.unit!r}, {p.default!r}, {p.lower!r}, {p.upper!r}"]
+    arguments = [f"{p.name!r}, {p.unit!r}, {p.default!r}, {p.lower!r}, {p.upper!r}"]
     plain = {f.name: f.default for f in fields(Parameter)}
-    told += [f"{k}={v!r}" for k, v in vars(p).items() if plain[k] is not MISSING and v != plain[k]]
-    return f"Parameter({', '.join(told)})"
+    arguments += [f"{k}={v!r}" for k, v in vars(p).items() if plain[k] is not MISSING and v != plain[k]]
+    return f"Parameter({', '.join(arguments)})"
 
 
 def units(effect: Effect) -> list[dict[str, str]]:

@@ -1,4 +1,4 @@
-"""The effects and laws that a twin may have: what each says, and what it does to a finger."""
+"""The effects and laws that a twin may have: sentence, equation and curves of each."""
 
 import re
 from dataclasses import dataclass
@@ -48,7 +48,7 @@ class ShownEffect(Result):
 
     @property
     def sentence(self) -> str:
-        """What it says of a device at the size with which a fit starts."""
+        """Its sentence on a device at the size with which a fit starts."""
         values = {p.name: p.limits(TOP_KPA)[0] for p in self.effect.parameters}
         return self.effect.describe(values, "gel" if of_sensor([self.effect.name]) else "finger")
 
@@ -56,7 +56,6 @@ class ShownEffect(Result):
         return units(self.effect)
 
     def remarks(self) -> list[str]:
-        """Equation, experiment, what it needs."""
         e = self.effect
         out = [f"equation: {plain_equation(e.equation)}", f"LaTeX: {e.equation}"] if e.equation else []
         out += [f"family: {family(e.name)}"] if is_law(e.name) else []
@@ -148,7 +147,7 @@ def _figure(name: str):
         ("command (kPa)", command, COMMAND, "y2"),
         ("deflection without (mm)", without[:, 2], BEFORE, "y"),
         ("deflection with it (mm)", with_it[:, 2], AFTER, "y"),
-        ("apart (mm)", apart, MEASURED, "y"),
+        ("difference (mm)", apart, MEASURED, "y"),
     ):
         figure.add_scatter(x=t, y=np.round(y, 4), name=label, yaxis=axis, line={"color": colour})
     return figure.update_layout(
@@ -194,7 +193,7 @@ class EffectsConfig:
 
     Attributes:
         out: folder for `result.json` and `report.html` (of `show`), or the Python file to write (of `export`;
-            where left out, the effect's name here).
+            if omitted, the effect's name here).
     """
 
     names_a_file: ClassVar[bool] = True
@@ -232,4 +231,4 @@ def _export(name: str, out: Path, terminal: Terminal) -> None:
     if out.suffix != ".py" or out.exists():
         raise InputError(f"--out={out} must name a new file that ends in .py.")
     write_text(out, text)
-    terminal.say(f"effect: {out}; its first lines say how a package offers it")
+    terminal.say(f"effect: {out}; its first lines explain how a package offers it")

@@ -1,6 +1,6 @@
 """Calibrates a finger or an arm to marker or angle data: all parameters by bounded least squares.
 
-First of all known loads tell how stiff it is (`fit_compliance`), so that weights bend it by what they are.
+Known loads determine its stiffness first (`fit_compliance`), so that weights bend it by the right amount.
 Where the pressure was measured, pneumatic effects are fitted to it and the body is driven by it, so that a
 slow valve cannot pass for a creeping body; else everything is fitted to the pose at once.
 """
@@ -109,7 +109,7 @@ class BodyCalibration(Calibration):
         return super().content() | errors | {"known_causes": self.causes, "compliance": self.compliance}
 
     def page(self) -> Report:
-        """Parameters, and measurements beside the twin."""
+        """Parameters, and measurements with the twin's prediction."""
         import plotly.graph_objects as go
 
         page = Report(self.title)

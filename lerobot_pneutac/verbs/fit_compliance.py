@@ -1,7 +1,7 @@
-"""Tells a finger's modulus and its chamber's stiffness by loaded poses.
+"""Fits a finger's modulus and its chamber's stiffness to loaded poses.
 
 What loads the tip must be known: `payload_g` with the direction of gravity, or a measured `force_x_n`,
-`force_y_n`, `force_z_n`. The finger's own weight under another direction of gravity tells weight over
+`force_y_n`, `force_z_n`. The finger's own weight under another direction of gravity identifies weight over
 stiffness alone; it is fitted along and not taken for either.
 """
 
@@ -26,14 +26,14 @@ WHOLE, MODULUS = "joint_stiffness_nm_per_rad", "youngs_modulus_mpa"
 GRAVITY = ("gravity_x", "gravity_y", "gravity_z")
 LEAST_FORCE_N = 0.02  # by which loads must differ
 TURNED = 0.1  # change of a component of gravity from which on the finger's own weight counts
-WIDEST = 1.5  # upper over lower end of an interval, beyond which a number was not told
+WIDEST = 1.5  # upper over lower end of an interval, beyond which a number is not identified
 
 PARTICLES = 4000  # of the soft body, about
 
 
 @dataclass(frozen=True)
 class Compliance:
-    """What loaded poses tell.
+    """What loaded poses determine.
 
     Attributes:
         twin: with what was found.
@@ -52,13 +52,13 @@ def fit_compliance(twin: Twin, recording: Recording, train: np.ndarray, seed: in
     """Fits the joints' whole stiffness and the soft body's modulus where known loads bend the finger.
 
     Args:
-        twin: of a finger or an arm; of an arm, which bends in two planes, nothing is told.
+        twin: of a finger or an arm; of an arm, which bends in two planes, nothing is fitted.
         recording: of the same device.
         train: (n,) samples to fit.
         seed: of the starting points.
     """
     if twin.device != "finger":
-        return _held(twin, "An arm's modulus and stiffness are not fitted to loaded poses; they are held.")
+        return _held(twin, "An arm's modulus and stiffness are not fitted to loaded poses; they stay fixed.")
     force = known_forces(recording)
     if force is None or np.ptp(force[train], axis=0)[[0, 2]].max() < LEAST_FORCE_N:
         return _held(twin, f"{NO_LOAD}, so {_NEITHER}; {advice(twin)}.")
@@ -111,7 +111,7 @@ def advice(twin: Twin) -> str:
 
 
 NO_LOAD = "No known load bends the finger"
-_NEITHER = "neither the joints' stiffness nor the modulus is identified and both are held"
+_NEITHER = "neither the joints' stiffness nor the modulus is identified and both stay fixed"
 
 
 def _held(twin: Twin, remark: str) -> Compliance:
@@ -119,7 +119,7 @@ def _held(twin: Twin, remark: str) -> Compliance:
 
 
 def _found(twin: Twin, found: PipelineFit, body: SoftBody) -> Compliance:
-    """The twin with what the fit tells."""
+    """The twin with the fitted values."""
     if WHOLE not in found.ci95 or WHOLE in found.at_bound:
         return _held(twin, f"The loads bend the finger too little, so {_NEITHER}; {advice(twin)}.")
     new, whole = twin.copy(), found.twin.parameters[WHOLE]
@@ -142,7 +142,7 @@ def _found(twin: Twin, found: PipelineFit, body: SoftBody) -> Compliance:
         return Compliance(new, rows, remark, found.evaluations)
     value = twin.parameters.get(MODULUS, Value(PAPER_FINGER[MODULUS])).value
     range_mpa = f"{max(low, 0.0):.2g} to {high:.2g} MPa"
-    rows[MODULUS] = with_unit(Value(value), "MPa") | {"note": f"held: not identifiable ({range_mpa})"}
+    rows[MODULUS] = with_unit(Value(value), "MPa") | {"note": f"fixed: not identifiable ({range_mpa})"}
     remark += (
         f" Young's modulus cannot be identified from these data ({range_mpa}); record the angles of the "
         "joints too (q_1_rad ...)."

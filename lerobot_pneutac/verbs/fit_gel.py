@@ -54,13 +54,13 @@ class GelCalibration(Calibration):
     Attributes:
         gel: as the twin keeps it.
         fit: to the presses.
-        told: what they told.
+        told: what they identify.
         data: all images.
         predicted: of every image, uint8 (H, W, 3), by the model.
         scores: method to the score of every image.
         notes: of `recording.json`.
         standard: whether nobody chose the effects.
-        modulus: of the gel, by the presses that tell their force; None where none does.
+        modulus: of the gel, by the presses with a force; None if there is none.
         material: of the material points whose surfaces the light was fitted to; empty for the closed form.
     """
 
@@ -131,10 +131,13 @@ class GelCalibration(Calibration):
     @property
     def _refined(self) -> str:
         if self.fit.refined:
-            return "It was refined through the splat renderer, which held-back parts of the presses bear out."
+            return (
+                "It was refined through the splat renderer; held-out parts of the presses confirm the "
+                "refinement."
+            )
         return (
-            "What refining it through the splat renderer finds is not borne out by held-back parts of the "
-            "presses and was not taken."
+            "Its refinement through the splat renderer was not taken: held-out parts of the presses do not "
+            "confirm it."
         )
 
     def save_prior(self, name: str) -> Path:
@@ -162,7 +165,7 @@ class GelCalibration(Calibration):
         out += [f"[yellow]note:[/] {name} lies at its bound." for name in names]
         if not self.data.heldout:
             out.append(
-                "[yellow]note:[/] there is no held-out image, so nothing tells how well this generalises."
+                "[yellow]note:[/] there is no held-out image, so how well this generalises is unknown."
             )
         return out
 
@@ -190,7 +193,6 @@ class GelCalibration(Calibration):
         return {"tactile.png": picture_grid(self.data, self.predicted, self.data.calibration)}
 
     def page(self) -> Report:
-        """Pictures, scores and parameters."""
         page = Report(self.title)
         if self.sentence:
             page.lead(self.sentence)
@@ -302,7 +304,7 @@ def _against_earlier(twin: Twin, data: GelRecording) -> list[str]:
         return []
     return [
         f"the rest image shows something at ({found.x_mm:.1f}, {found.y_mm:.1f}) mm that the twin's earlier"
-        f" one does not, {found.levels:.0f} levels strong; if it is not the gel's own light, take it anew."
+        f" one does not, {found.levels:.0f} levels strong; if it is not the gel's own light, take it again."
     ]
 
 

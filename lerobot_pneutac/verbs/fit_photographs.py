@@ -134,7 +134,7 @@ class PhotoCalibration(Calibration):
         }  # fmt: skip
 
     def page(self) -> Report:
-        """Parameters, photographs beside renderings, and how the objective fell."""
+        """Parameters, photographs and renderings, and how the objective fell."""
         return _page(self)
 
 
@@ -241,7 +241,7 @@ def _parts(study: PhotoStudy, values: np.ndarray) -> dict[str, float | None]:
 
 
 def search_key(recording: Recording, twin: Twin, photographs: list[MaskedPhotograph], particles: int) -> str:
-    """What a search depends on beside where it starts: one of another key does not go on.
+    """What a search depends on besides its start: one with another key is not continued.
 
     Args:
         recording: of the photographs.
@@ -261,14 +261,13 @@ def _looks(photograph: MaskedPhotograph, equilibria: Equilibria, state: int, det
 
 
 def _page(c: PhotoCalibration) -> Report:
-    """The report of a `PhotoCalibration`."""
     import plotly.graph_objects as go
 
     page = Report(c.title)
     page.lead(c.sentence)
     page.table(
         c.rows(),
-        "Intervals tell how sharply the silhouettes fix each parameter. A body whose shape or neutral "
+        "Intervals show how well the silhouettes determine each parameter. A body whose shape or neutral "
         "axis is not the twin's shifts all of them together, by more than that.",
     )
     page.heading("Photographs and renderings")

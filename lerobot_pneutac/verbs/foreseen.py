@@ -1,4 +1,4 @@
-"""How well a twin foresees rows of a recording, and whether what a hand was asked to change was changed."""
+"""How well a twin predicts rows of a recording, and whether requested manual changes were made."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -32,7 +32,7 @@ def error_of(twin: Twin, recording: Recording, rows: slice = slice(None), favour
 
 
 def paths(twin: Twin, recording: Recording, rows: slice) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Headline columns (n, k) foreseen and measured in some rows, and their names; see `error_of`."""
+    """Headline columns (n, k) predicted and measured in some rows, and their names; see `error_of`."""
     data = read(recording, twin)
     seen, measured = predict(twin, data)[0][rows], data.measured[rows, : data.counted]
     return seen, measured, tuple(data.columns[: data.counted])
@@ -48,7 +48,7 @@ def not_as_asked(
 ) -> str:
     """What the finger looks like instead of what was asked for, a sentence; empty where it agrees.
 
-    A twin that has not seen such a change before cannot tell.
+    A twin that was not fitted to such a change does not decide.
 
     Args:
         twin: fitted to what came before.

@@ -77,8 +77,8 @@ def load_contenders(folder: str | Path) -> list[Candidate]:
     file = Path(folder) / FILE
     if not file.is_file():
         raise InputError(f"There is no {file}; give the folder that `pneutac diagnose --out=` wrote.")
-    told = json.loads(file.read_text())
+    stored = json.loads(file.read_text())
     return [
         Candidate(Twin.load(Path(folder) / "contenders" / str(i)), tuple(c["terms"]), c["probability"])
-        for i, c in enumerate(told)
+        for i, c in enumerate(stored)
     ]

@@ -1,4 +1,4 @@
-"""Asks the bench what a twin lacks: measure, search anew on everything, choose the next program, go on."""
+"""Finds what a twin lacks at the bench: measure, search on everything, choose the next program, repeat."""
 
 import json
 import shutil
@@ -26,9 +26,11 @@ from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.files import whole, write_json
 from pneutac_sim.twin import Twin
 
-NEEDED = 1.2  # by so much worse the best contender without a law must have foreseen it to confirm that law
+NEEDED = (
+    1.2  # a law is confirmed if the best model without it predicted the recording at least this factor worse
+)
 DOUBT = 0.1  # probability that an unconfirmed law is not there, when the next program is chosen
-GIVE_UP = 4  # programs in a row, foreseen badly and no better, after which it ends
+GIVE_UP = 4  # programs in a row, predicted badly and no better, after which it ends
 FALLS = 0.9  # of the error over noise: what stays above has not fallen
 
 
@@ -45,9 +47,9 @@ def learn(
     progress: Callable[[str, int, int], None] | None = None,
     on_round: Callable[[Round], None] = lambda r: None,
 ) -> Learning:
-    """Measures, searches anew on everything, and chooses the next program, until it is known or time is up.
+    """Measures, searches again on everything, and chooses the next program, until it is known or time is up.
 
-    What was measured in `out` is kept: a call with the same folder goes on after it.
+    What was measured in `out` is stored: a call with the same folder continues after it.
 
     Args:
         twin: of the device; not changed.
@@ -65,7 +67,7 @@ def learn(
         InputError: the budget is too small for the first program, twin and bench differ in their chambers,
             the folder holds rounds of another twin, the bench's recording cannot be used, or a hand did twice
             what was not asked for.
-        HardwareFault: as the bench raises it; finished rounds are kept.
+        HardwareFault: as the bench raises it; finished rounds are stored.
     """
     out = Path(out)
     limits = Limits(*bench.range_kpa, bench.hz, budget_s, program_s)
@@ -134,18 +136,17 @@ class Rounds:
         if self.done[-1].unconfirmed or not self.done[-1].selected:  # a law is confirmed by another kind
             ranked = [c for c in ranked if c.kind not in kinds] or ranked
         if ranked[0].tells_little:
-            reason = reason or "no program within the limits would tell anything more"
+            reason = reason or "no program within the limits would add information"
         if by_hand and (reason or limits.seconds < (len(hands) + 1) * limits.length_s):
             return by_hand[0], ""
         return ranked[0], reason
 
     def _joined(self, *newest: tuple[Recording, float | None]) -> Recording:
-        """All that was measured."""
         pairs = [*zip(self._recordings, (r.pause_s for r in self.done), strict=True), *newest]
         return joined(*zip(*pairs, strict=True))
 
     def _rivals(self) -> list[Candidate]:
-        """The contenders; one without each law that is not confirmed is at least as likely as `DOUBT`."""
+        """The candidates; one without each law that is not confirmed is at least as likely as `DOUBT`."""
         contenders = self._contenders
         best = contenders[0]
         for e in (e for e in self.done[-1].unconfirmed if e in best.terms):
@@ -164,18 +165,18 @@ class Rounds:
             if not last.unconfirmed:
                 return "all that was found predicted a program that it had not seen"
             if all(r.foreseen for r in two) and len({r.kind for r in two}) == 2:
-                return "two programs of other kinds in a row were foreseen"
+                return "two programs of other kinds in a row were predicted to within the noise"
         ratios = [r.predicted_error / r.noise for r in self.done[1:]][-GIVE_UP:]
         if len(ratios) == GIVE_UP and min(ratios) > CONFIRMS and ratios[-1] > FALLS * ratios[0]:
-            return f"{GIVE_UP} programs in a row were foreseen no better, so something is not in any model"
+            return f"{GIVE_UP} programs in a row were predicted no better, so some physics is in no model"
         return ""
 
     def drive(self, choice: Choice) -> Round:
-        """Measures, judges what was foreseen, searches anew on everything, and saves."""
+        """Measures, tests the prediction, searches again on all recordings, and saves."""
         folder = self._folder(len(self.done))
-        told = self._measured(folder, choice)
+        entry = self._measured(folder, choice)
         recording = same_body(self._base, Recording.load(folder / "recording"), "learn")
-        everything = self._joined((recording, told["pause_s"]))
+        everything = self._joined((recording, entry["pause_s"]))
         newest = slice(len(everything) - len(recording), None)
         foreseen = self._foreseen(everything, newest)
         if self.done:
@@ -183,7 +184,7 @@ class Rounds:
         found = diagnose(self._base, everything, **self._how)
         found.save(folder / "diagnosis")
         self._recordings.append(recording)
-        r = self._judged(told, found, foreseen)
+        r = self._judged(entry, found, foreseen)
         names = ", ".join(r.selected) or "nothing"
         history, given = (Twin.load(self._out / name).history for name in ("twin", "given"))
         errors = {k: found.after[k] for k in ("train", "heldout")} | {"unit": r.unit}
@@ -205,9 +206,9 @@ class Rounds:
                 for sentence in instructions(self._hands.usual, choice.conditions):
                     self._hands.ask(f"{wrong} {sentence}")
                 if wrong := self._driven(folder, choice):
-                    raise InputError(f"{wrong} Twice; weigh what hangs there, and start anew after it.")
-            told = {"program": choice.name, "kind": choice.kind, "seconds": choice.seconds}
-            write_json(file, told | {"pause_s": self._bench.pause_s, "hand": choice.hand})
+                    raise InputError(f"{wrong} Twice; weigh what hangs there, and start again after it.")
+            entry = {"program": choice.name, "kind": choice.kind, "seconds": choice.seconds}
+            write_json(file, entry | {"pause_s": self._bench.pause_s, "hand": choice.hand})
         return json.loads(file.read_text())
 
     def _driven(self, folder: Path, choice: Choice) -> str:
@@ -229,8 +230,8 @@ class Rounds:
     def _keep_paths(self, file: Path, everything: Recording, rows: slice) -> None:
         """What the best model foresaw of the newest rows, and what was measured, as a table."""
         seen, measured, names = paths(self._contenders[0].twin, everything, rows)
-        told = ["time_s", *everything.pressure_columns]
-        table = everything.samples.iloc[rows][told].reset_index(drop=True)
+        entry = ["time_s", *everything.pressure_columns]
+        table = everything.samples.iloc[rows][entry].reset_index(drop=True)
         for i, name in enumerate(names):
             table[f"{name} foreseen"], table[f"{name} measured"] = seen[:, i], measured[:, i]
         with whole(file) as part:
@@ -245,7 +246,7 @@ class Rounds:
         errors = [error_of(c.twin, everything, rows) for c in contenders]
 
         def lacking(effect: str) -> float:
-            """The least error without the effect's kind of physics, of it dropped or of another contender."""
+            """The least error without the effect's kind of physics, of it dropped or of another candidate."""
             dropped = error_of(best.without(effect), everything, rows, favour=True)
             others = [
                 error
@@ -260,18 +261,18 @@ class Rounds:
             "without": {e: lacking(e) for e in terms},
         }
 
-    def _judged(self, told: dict, found: Diagnosis, foreseen: dict) -> Round:
+    def _judged(self, entry: dict, found: Diagnosis, foreseen: dict) -> Round:
         noise, needed_by, sure = found.study.noise.needed(found.study.recording.folder), {}, set()
         if self.done:
             needed_by = {family(e): k for e, k in self.done[-1].needed_by.items()}
             sure = {family(e) for e in self.done[-1].confirmed_by}
-            error, another = foreseen["predicted_error"], told["kind"] not in {r.kind for r in self.done}
+            error, another = foreseen["predicted_error"], entry["kind"] not in {r.kind for r in self.done}
             if another and error <= CONFIRMS * noise:
                 needed = [e for e, worse in foreseen["without"].items() if worse > NEEDED * error]
                 needed_by = {family(e): len(self.done) for e in needed} | needed_by
         r = Round(
             number=len(self.done),
-            **told,
+            **entry,
             unit=found.study.unit,
             noise=noise,
             **foreseen,
@@ -303,8 +304,8 @@ class LearnConfig:
 
     Attributes:
         twin: folder of the finger's or arm's twin, which is not changed.
-        out: folder of programs, recordings and the learnt twin; a call with a folder that holds rounds goes
-            on after them.
+        out: folder of programs, recordings and the learnt twin; a call with a folder that holds rounds
+            continues after them.
         bench: `standin`, the finger or the arm that stands in for a real one, or `measure`, your bench.
         measure: YAML file with the options of `pneutac measure` for your bench, without `program` and `out`.
         hands: what a person may be asked to change: `none`, or `flip` (turn the base over), `payload` (hang a
@@ -313,7 +314,7 @@ class LearnConfig:
         warm_c: to which the finger can be warmed.
         budget_min: minutes of programs, together.
         program_s: length of a program of the common kinds.
-        seed: seed of the choice of what is held out, and of the stand-in's noise.
+        seed: seed of the data split and of the stand-in's noise.
         jobs: number of threads of the search; 0 for all cores.
     """
 
@@ -336,7 +337,7 @@ class LearnConfig:
 
 
 def command(cfg: LearnConfig, terminal: Terminal) -> None:
-    """Asks the bench, program by program, until it is known what a twin lacks."""
+    """Chooses and measures tests automatically until what a twin lacks is identified."""
     from lerobot_robot_pneutac.hardware.parts import HardwareFault  # LeRobot, which the library does not need
 
     twin = Twin.load(cfg.twin)
@@ -348,12 +349,12 @@ def command(cfg: LearnConfig, terminal: Terminal) -> None:
         try:
             terminal.console.input(f"[yellow]{sentence}[/] Then press Enter: ")
         except EOFError as e:
-            raise InputError(f"{sentence} Nobody answers; give --hands=none, or a terminal.") from e
+            raise InputError(f"{sentence} There is no answer; give --hands=none, or a terminal.") from e
 
     hands = Hands.of(named(cfg.hands), usual, cfg.payload_g, cfg.warm_c, ask)
 
     def tell(r: Round) -> None:
-        foreseen = "" if r.predicted_error is None else f", foreseen to {r.predicted_error:.3g}"
+        foreseen = "" if r.predicted_error is None else f", predicted to {r.predicted_error:.3g}"
         terminal.console.print(
             f"round {r.number}, {r.program} ({r.seconds:.0f} s){foreseen}: {r.error:.3g} {r.unit} (noise "
             f"{r.noise:.3g}) with {', '.join(r.selected) or 'nothing'}, {r.verdict}",
@@ -367,5 +368,5 @@ def command(cfg: LearnConfig, terminal: Terminal) -> None:
                 jobs=cfg.jobs, hands=hands, progress=progress, on_round=tell,
             )  # fmt: skip
     except HardwareFault as e:
-        raise InputError(f"{e} Finished rounds are kept; the same command goes on after them.") from e
+        raise InputError(f"{e} Finished rounds are stored; the same command continues after them.") from e
     terminal.finish(result, cfg.out)

@@ -36,7 +36,7 @@ class Round:
         verdict: now.
         selected: effects found now, the most important first.
         sentence: what was found.
-        probabilities: each contender's beside the others, its terms joined by ` + `.
+        probabilities: each candidate's among the others, its terms joined by ` + `.
         hand: what a hand had changed for it, see `hands.HANDS`; empty for nothing.
         needed_by: effect to the number of the round whose recording was predicted with it, and not without.
         confirmed_by: those of them found while the form sufficed and noise alone was left: else a law may
@@ -110,7 +110,6 @@ class Learning(Result):
 
     @property
     def last(self) -> Round:
-        """The newest round."""
         return self.rounds[-1]
 
     @property
@@ -131,23 +130,25 @@ class Learning(Result):
         r = self.last
         minutes = f"{self.bench_s / 60:.1f} minutes on the bench in {len(self.rounds)} programs"
         if not r.selected:
-            what = "nothing is missing" if self.confirmed else "nothing was found for sure"
+            what = "nothing is missing" if self.confirmed else "nothing significant was found"
         else:
             names = [called(e) for e in r.selected]
             what = f"the {self.twin.device} shows " + (
                 names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
             )
         foreseen = (
-            f" The last program was foreseen to {r.predicted_error:.3g} {r.unit} before it was used "
+            f" The last program was predicted to {r.predicted_error:.3g} {r.unit} before it was used "
             f"({r.predicted_error / r.noise:.2g} times the noise)."
             if r.predicted_error is not None
             else ""
         )
         sure = [called(e) for e in r.selected if e in r.confirmed_by]
         loose = [called(e) for e in r.unconfirmed]
-        told = f" Confirmed, by a program of another kind that needed it: {', '.join(sure)}." if sure else ""
-        told += f" Not confirmed: {', '.join(loose)}." if loose else ""
-        return f"After {minutes}: {what}.{foreseen}{told} It ended because {self.ended}."
+        status = (
+            f" Confirmed, by a program of another kind that needed it: {', '.join(sure)}." if sure else ""
+        )
+        status += f" Not confirmed: {', '.join(loose)}." if loose else ""
+        return f"After {minutes}: {what}.{foreseen}{status} It ended because {self.ended}."
 
     def rows(self) -> list[dict]:
         return [
@@ -167,9 +168,8 @@ class Learning(Result):
         ]
 
     def remarks(self) -> list[str]:
-        """Where things lie."""
         return [
-            "right: share of foreign devices with such a finding that had the physics named first",
+            "right: share of test devices with a similar finding whose first-listed physics was right",
             "* confirmed: a recording of another kind was predicted with it before it was used",
             f"twin: {self.folder / 'twin'}, a version for each round",
         ]

@@ -37,7 +37,7 @@ class TrialNote:
         program: its label.
         planned: samples of the program.
         taken: samples for which the cameras were quick enough.
-        seen: those of them in which the tip was seen, which are kept.
+        seen: those of them in which the tip was seen, which are stored.
     """
 
     number: int
@@ -133,7 +133,7 @@ class BenchDriver:
         self._config, self._pressure, self._cameras, self._tracker = config, pressure, cameras, tracker
         self._rows: list[dict] = []
         self._starts: dict[str, dict] = {}
-        self._vented_s: float | None = None  # clock at the end of the trial before, if it was kept
+        self._vented_s: float | None = None  # clock at the end of the trial before, if it was stored
 
     def images(self, number: int) -> Path:
         """Folder of a trial's images."""
@@ -143,7 +143,7 @@ class BenchDriver:
         """Drives one trial at its own pace; a camera that is slower than it costs samples.
 
         Returns:
-            Samples taken, and those of them in which the tip was seen, which are kept.
+            Samples taken, and those of them in which the tip was seen, which are stored.
         """
         folder = self.images(number)
         folder.mkdir(parents=True)
@@ -218,7 +218,7 @@ class BenchDriver:
         samples = pd.DataFrame(self._rows)
         device = device_with(self._config.chambers)
         new = Recording(self._config.out, meta, samples, device).write(self._config.out / "new")
-        # a trial in the table is kept, and recording.json names none that is not in it
+        # a trial in the table is final, and recording.json names none that is not in it
         names = ["recording.json", "samples.csv"]
         for name in names[::-1] if (self._config.out / "samples.csv").exists() else names:
             (new / name).replace(self._config.out / name)
@@ -245,7 +245,7 @@ def _image(camera: Camera, name: str) -> np.ndarray:
         raise HardwareFault(f"The camera '{name}' gives no picture: {str(e).rstrip('.')}.") from e
 
 
-MOST_UNSEEN = 0.2  # share of a trial's images without the tip marker above which it is told
+MOST_UNSEEN = 0.2  # share of a trial's images without the tip marker above which it is reported
 MOST_MISSED = 0.1  # share of a trial's samples for which the cameras were too slow, likewise
 
 
@@ -285,4 +285,4 @@ def command(config: MeasureConfig, terminal: Terminal) -> None:
         if kept:
             terminal.say(f"{config.out}: {kept} of {trials} trials")
         elif trials:
-            terminal.say("No trial was finished; nothing is kept.")
+            terminal.say("No trial was finished; nothing was written.")

@@ -1,4 +1,4 @@
-"""Over which pressures a recording tells what a device does."""
+"""The range of pressures over which a recording measures a device."""
 
 import math
 

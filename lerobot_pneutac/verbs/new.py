@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # meshes are slow to import, and most twins have none
 
 SAME_LENGTH = 0.02  # share of the length within which a mesh and a recording are of one device
 USUAL_LENGTH_MM = 110.0
-USUAL_RANGE_KPA = 50.0  # scales a body's first guess where no recording tells its pressures
+USUAL_RANGE_KPA = 50.0  # scales a body's first guess where no recording has its pressures
 
 
 def new_twin(
@@ -65,7 +65,7 @@ def new_twin(
         top_kpa = max(map(abs, measured_range(recording) or (0.0,)))
     pipeline = Pipeline.of(twin)
     twin = pipeline.update(twin, pipeline.theta(twin, top_kpa or USUAL_RANGE_KPA))
-    if device == "finger":  # no recording tells it, and the world needs it
+    if device == "finger":  # no recording has it, and the world needs it
         twin.parameters["joint_damping_nms_per_rad"] = Value(PAPER_FINGER["joint_damping_nms_per_rad"])
         # K = E I / h of the paper's section, with segments of another length h.
         paper = Twin.builtin()
@@ -151,15 +151,15 @@ class NewConfig(TableOptions):
 
     Attributes:
         twin: folder to write; it must not hold a twin yet.
-        device: `finger`, `arm` or `gel`; where left out, the recording's own, else a finger.
+        device: `finger`, `arm` or `gel`; if omitted, the recording's own, else a finger.
         recording: bench recording whose recording.json gives the geometry, or tables as `pneutac convert`
             reads them.
         mesh: STL, OBJ or PLY of the soft body of a finger or an arm.
         mesh_unit: unit of the mesh's coordinates, `mm` or `m`.
-        mesh_axis: axis along which the mesh lies, base first: `x`, `y` or `z`; where left out, its longest
+        mesh_axis: axis along which the mesh lies, base first: `x`, `y` or `z`; if omitted, its longest
             side. Axes are renamed in cyclic order: along z it bends towards the file's y, along y towards x,
             along x towards z.
-        length_mm: length of the straight device, where no mesh, recording or the paper's finger tells it.
+        length_mm: length of the straight device, if no mesh, recording or the paper's finger gives it.
     """
 
     twin: Path
@@ -195,7 +195,7 @@ def command(config: NewConfig, terminal: Terminal) -> None:
         and recording.meta.get("source")
         and not (recording.length_mm or config.length_mm)
     ):
-        raise InputError(f"Give --length_mm: nothing in {config.recording} tells how long the device is.")
+        raise InputError(f"Give --length_mm: {config.recording} does not state the length of the device.")
     device = config.device or (recording.device if recording else "finger")
     body = None
     if config.mesh is not None:

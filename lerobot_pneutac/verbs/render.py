@@ -70,7 +70,7 @@ def make_film(twin: Twin, config: RenderConfig) -> Film:
 
 
 def draw_film(film: Film, out: Path, progress: Progress = no_progress) -> RenderedFilm:
-    """Draws frames; what is finished is kept where it is interrupted."""
+    """Draws frames; if interrupted, what is finished is shown."""
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     pictures: list[np.ndarray] = []
@@ -116,7 +116,7 @@ GEL_REMEDY = "press less deep with --depth_mm, or give a larger indenter with --
 def command(config: RenderConfig, terminal: Terminal) -> None:
     """Draws a finger, arm or gel of material points under load, as pictures and a film.
 
-    What is finished is kept and shown where it is interrupted.
+    If interrupted, it shows what is finished.
     """
     twin = Twin.load(config.twin)
     config = filled(config, twin)

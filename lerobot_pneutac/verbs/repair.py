@@ -1,4 +1,4 @@
-"""Makes a dataset whole whose recording was killed, with all finished episodes."""
+"""Recovers all finished episodes of a dataset whose recording was interrupted."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +14,9 @@ class RepairConfig:
 
     Attributes:
         dataset: folder of the dataset; nothing else may be writing there.
-        like: folder of a whole dataset of the same robot and frame rate, wanted only where info.json is torn.
-        drop: leave out episodes whose videos are missing; their numbers move to the folder left_out.
+        like: folder of an intact dataset of the same robot and frame rate, needed only if info.json is
+            damaged.
+        drop: leave out episodes whose videos are missing; their files move to the folder left_out.
     """
 
     dataset: Path
@@ -24,14 +25,14 @@ class RepairConfig:
 
 
 def command(config: RepairConfig, terminal: Terminal) -> None:
-    """Makes a dataset whole whose recording was killed, with all finished episodes."""
+    """Recovers all finished episodes of a dataset whose recording was interrupted."""
     from pneutac_datasets.demonstrations.repair.dataset import repair_dataset
 
     repaired = repair_dataset(config.dataset, config.like, config.drop)
     for remark in repaired.remarks:
         terminal.console.print(escape(remark), highlight=False)
     terminal.console.print(
-        f"\n[bold]{escape(str(config.dataset))} is whole: {repaired.episodes} episodes,"
+        f"\n[bold]{escape(str(config.dataset))} is complete: {repaired.episodes} episodes,"
         f" {repaired.recovered} of them recovered.[/]",
         highlight=False,
     )

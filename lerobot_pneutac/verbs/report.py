@@ -30,7 +30,7 @@ class TwinReport(Result):
 
     @property
     def sentence(self) -> str:
-        """What it has and how far it was off when it was last judged."""
+        """What it has, and its error when it was last tested."""
         twin = self.twin
         effects = ", ".join(twin.effects) or "no effects"
         judged = [e for e in twin.history if e.get("heldout") is not None]
@@ -40,10 +40,10 @@ class TwinReport(Result):
             f", with {effects}, in version {len(twin.history) - 1}" if twin.history else f", with {effects}"
         )
         if not judged:
-            return f"{said}; it was never judged on data that it had not seen."
+            return f"{said}; it was never tested on data that it had not seen."
         last = judged[-1]
         error = f"{last['heldout']:.3g} {last.get('unit') or ''}".strip()
-        return f"{said}; where it was not fitted it was {error} off when last judged."
+        return f"{said}; where it was not fitted it was {error} off when last tested."
 
     def rows(self) -> list[dict]:
         names = ("version", "change", "train", "heldout", "unit", "recording")
@@ -81,7 +81,6 @@ def report(twin: Twin) -> TwinReport:
 
 
 def _page(r: TwinReport) -> Report:
-    """The report of a `TwinReport`."""
     from lerobot_pneutac.reports.compare import history  # plotly
 
     page = Report(r.title)

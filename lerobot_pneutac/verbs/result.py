@@ -57,7 +57,7 @@ class Result:
         return []
 
     def remarks(self) -> list[str]:
-        """What a reader should know beside the table, one sentence each."""
+        """What a reader should know besides the table, one sentence each."""
         return []
 
     def to_dict(self) -> dict:
@@ -70,7 +70,6 @@ class Result:
         return {key: attrgetter(attribute)(self) for key, attribute in pairs}
 
     def page(self) -> Report:
-        """The report, not yet written."""
         page = Report(self.title)
         if self.sentence:
             page.lead(self.sentence)
@@ -78,7 +77,7 @@ class Result:
         return page
 
     def pictures(self) -> dict[str, np.ndarray]:
-        """Pictures that lie beside the report, file name to uint8 (H, W, 3)."""
+        """Pictures next to the report, file name to uint8 (H, W, 3)."""
         return {}
 
     def report(self, out: str | Path, command: str = "") -> Path:
@@ -127,10 +126,10 @@ def about(twin: Twin | None, recording: str | Path = "") -> str:
 
 
 def _going_on(next_command: str, command: str) -> str:
-    """A next command on the same demonstrations, with what was told of them: what stood there, and where."""
-    told = [a for a in shlex.split(command) if a.startswith(("--task=", "--station="))]
+    """A next command on the same demonstrations, with their options: task and station."""
+    given = [a for a in shlex.split(command) if a.startswith(("--task=", "--station="))]
     same = "--recording=" in command and next_command.startswith("pneutac")
-    return f"{next_command} {shlex.join(told)}" if told and same else next_command
+    return f"{next_command} {shlex.join(given)}" if given and same else next_command
 
 
 def command_on(verb: str, twin: Twin, recording: str | Path, *options: str) -> str:

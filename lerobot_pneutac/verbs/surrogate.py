@@ -106,9 +106,10 @@ class TrainedNetworks(Result):
         return [dict(zip(HEADER, row, strict=True)) for row in self.errors]
 
     def remarks(self) -> list[str]:
-        """How they become finer."""
         trained = any(found["source"] == "trained" for found in self.networks.values())
-        return [f"For finer ones repeat with {REFINED}; contacts that were collected are kept."] * trained
+        return [
+            f"For finer ones repeat with {REFINED}; contacts that were collected are used again."
+        ] * trained
 
     @property
     def next_command(self) -> str:

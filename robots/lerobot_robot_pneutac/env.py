@@ -51,12 +51,12 @@ class PneutacTaskConfig(EnvConfig):
 
     Attributes:
         task: `switch`, `egg`, `card`, `fruit`, `cable`, `button`, or your own.
-        fps: control rate, Hz; where left out, the station's, and there is no other.
-        episode_length: control steps after which a trial counts as failed; where left out, those of 20 s.
-        cameras: scene cameras beside the tactile image, such as [front,wrist].
+        fps: control rate, Hz; if omitted, the station's, and there is no other.
+        episode_length: control steps after which a trial counts as failed; if omitted, those of 20 s.
+        cameras: scene cameras besides the tactile image, such as [front,wrist].
         observation_height: rows of their pictures, px.
         observation_width: columns of their pictures, px.
-        randomise_look: light, colours and texture of the scene are drawn anew in every episode.
+        randomise_look: light, colours and texture of the scene are newly drawn in every episode.
         tactile_points: touch as data too, `observation.tactile.points`: displacement and force on a grid.
     """
 
@@ -121,8 +121,8 @@ class PneutacTaskConfig(EnvConfig):
         self.fps = self.fps or station.control_hz
         refuse_if(
             self.fps != station.control_hz,
-            f"--env.fps is {self.fps}; the simulated robot is controlled at {station.control_hz} Hz, as"
-            " control_hz of its station says.",
+            f"--env.fps is {self.fps}; the simulated robot is controlled at {station.control_hz} Hz, the "
+            f"control_hz of its station.",
         )
         self.episode_length = self.episode_length or station.steps(TRIAL_S)
 
@@ -199,7 +199,7 @@ class PneutacHubConfig(PneutacTaskConfig, HubEnvConfig):
         hub_path: such as `you/pneutac-switch` or `you/pneutac-switch@revision`; or a folder with an `env.py`,
             which moves to `folder`.
         folder: the repo before it is uploaded; its `env.py` is executed.
-        task: one task of the repo's; all of them where it is left out.
+        task: one task of the repo's; all of them if omitted.
     """
 
     task: str | None = None

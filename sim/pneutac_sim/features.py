@@ -18,7 +18,7 @@ CHAMBERS = {"finger": 1, "arm": 3}  # device to how many
 CONTROL_HZ = 15  # the paper's; a `Station` may have another
 RATES_HZ = (5, 60)  # lowest and highest: hardware stops 0.25 s after a command, images come at 60 Hz at most
 TRIAL_S = 20  # after which a trial has failed
-DEMONSTRATION_S = 14  # of an episode of lerobot-record, where it is not told; a search of all lanes takes 15
+DEMONSTRATION_S = 14  # of an episode of lerobot-record, by default; a search of all lanes takes 15
 TASK_NAMES = ("switch", "egg", "card")
 TASK_GROUP = "pneutac.tasks"  # entry points by which other packages bring tasks of their own
 FIDELITIES = ("surrogate", "mpm", "probe")  # how finger and gel of a world deform
@@ -28,7 +28,7 @@ IMAGE_NAME = "tactile"
 POINTS_KEY = "tactile.points"  # touch as data; LeRobot puts `observation.` before it
 POINTS_SHAPE = (16, 12, 6)  # its rows, columns and values of a point; a millimetre apart on a DIGIT
 POINTS_SIZE = 1152  # in observations and datasets they are one vector: LeRobot 0.6 merges nothing else
-CAMERA_SHAPE = (240, 320)  # height and width of a scene camera's picture, where they are not told, px
+CAMERA_SHAPE = (240, 320)  # height and width of a scene camera's picture, by default, px
 
 PANDA_JOINTS = 7
 _AFTER_JOINTS = ("ee_x.pos", "ee_y.pos", "ee_z.pos", "contact_area.pos", "contact_pixels.pos")

@@ -90,7 +90,7 @@ _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
 def inside(folder: Path, file: Path) -> bool:
     """Whether a file's content lies in `folder`, symbolic links followed.
 
-    A snapshot in the Hub's cache holds links to the `blobs` beside it, which count as inside.
+    A snapshot in the Hub's cache holds links to the `blobs` next to it, which count as inside.
     """
     real, target = folder.resolve(), file.resolve()
     caches = [p.parent / "blobs" for p in real.parents if p.name == "snapshots"]

@@ -10,7 +10,7 @@ from pneutac_sim.files import refuse_pointer
 
 FORMATS = (".stl", ".obj", ".ply")
 MOST_BYTES = 200 * 2**20
-MOST_FACES = 200_000  # finer than particles can tell, and a twin has to travel
+MOST_FACES = 200_000  # finer than particles resolve, and a twin should stay small
 
 
 def load_mesh(file: Path) -> trimesh.Trimesh:
@@ -29,11 +29,11 @@ def load_mesh(file: Path) -> trimesh.Trimesh:
     try:
         mesh = trimesh.load_mesh(file, process=False, skip_materials=True)  # no other file is opened
     except Exception as e:
-        raise InputError(f"{file} cannot be read as a mesh ({e}); export it anew as STL, OBJ or PLY.") from e
+        raise InputError(f"{file} cannot be read as a mesh ({e}); export it again as STL, OBJ or PLY.") from e
     if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
         raise InputError(f"{file} is empty: it holds no triangles.")
     if not np.isfinite(mesh.vertices).all():
-        raise InputError(f"{file} has vertices that are not finite numbers; export it anew.")
+        raise InputError(f"{file} has vertices that are not finite numbers; export it again.")
     if len(mesh.faces) > MOST_FACES:
         raise InputError(f"{file} has {len(mesh.faces)} triangles; simplify it to at most {MOST_FACES}.")
     return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)

@@ -49,7 +49,7 @@ def faster_than(pace: Pace, fps: float) -> bool:
 
 
 def read_pace(meta: Path) -> dict[int, Pace]:
-    """Episode to pace, from a dataset's folder `meta`; empty where nothing was kept.
+    """Episode to pace, from a dataset's folder `meta`; empty where nothing was stored.
 
     Raises:
         InputError: the file is damaged.
@@ -74,19 +74,19 @@ def pace_notes(meta: Path, fps: float) -> list[str]:
         notes.append(
             f"The loop fell short of {fps:g} Hz in {which(slow)}, so their motions are stored as faster than"
             " they were: free the computer (fewer or smaller cameras, video encoding afterwards) and record"
-            " them anew."
+            " them again."
         )
     fast = {k: p for k, p in paces.items() if faster_than(p, fps)}
     if real := {k: p for k, p in fast.items() if not p.simulated}:
         notes.append(
             f"The loop ran faster than {fps:g} Hz in {which(real)}, so their motions are stored as slower"
-            " than they were: record them anew without --interpolation_multiplier, and with --fps and"
+            " than they were: record them again without --interpolation_multiplier, and with --fps and"
             f" --dataset.fps of {fps:g}."
         )
     if simulated := {k: p for k, p in fast.items() if p.simulated}:
         notes.append(
             f"The loop ran faster than {fps:g} Hz in {which(simulated)} of a simulated robot, which moves on"
-            f" by 1/{fps:g} s a frame: the policy acted less often than at {fps:g} Hz. Record them anew"
+            f" by 1/{fps:g} s a frame: the policy acted less often than at {fps:g} Hz. Record them again"
             " without --interpolation_multiplier."
         )
     return notes

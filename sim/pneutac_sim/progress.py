@@ -1,4 +1,4 @@
-"""How long work tells how far it has come."""
+"""Progress of long work."""
 
 from collections.abc import Callable
 
@@ -6,4 +6,4 @@ Progress = Callable[[str, int, int], None]  # a few words, what is done and of h
 
 
 def no_progress(text: str, done: int, total: int) -> None:
-    """Tells nobody."""
+    """Reports nothing."""

@@ -60,7 +60,7 @@ class Twin:
         pressure_range_kpa: lowest and highest pressure that it was measured over, 0 among them; robots,
             environments, planner and policies go no farther. A twin that does not say is the paper's.
         gel: parameters of the gel and its optics (numbers and lists), empty where there is no gel.
-        arrays: named float32 or uint8 arrays kept as safetensors, such as `rest_image` (H, W, 3).
+        arrays: named float32 or uint8 arrays stored as safetensors, such as `rest_image` (H, W, 3).
         history: one entry a version: `version`, `change`, `recording`, `train`, `heldout`, `unit`; of a
             gel whose effects nobody chose also `effects`: `standard`.
         networks: files of those of `NETWORKS` that were trained for it (`pneutac surrogate`).
@@ -211,7 +211,7 @@ class Twin:
 
     @classmethod
     def faults(cls, path: str | Path) -> list[str]:
-        """One sentence for each fault that keeps a twin's folder from being read; `load` tells the first."""
+        """One sentence for each fault that keeps a twin's folder from being read; `load` raises the first."""
         file = Path(path) / "twin.yaml"
         try:
             d = read_yaml(file)

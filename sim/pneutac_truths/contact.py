@@ -5,7 +5,7 @@ import numpy as np
 from pneutac_truths.rod import BEND_Z, COLUMNS, SOFT, TIP_FORCE, Rod
 
 
-def against_wall(rod: Rod, told: np.ndarray, bend_rad: float, wall: dict) -> np.ndarray:
+def against_wall(rod: Rod, inputs: np.ndarray, bend_rad: float, wall: dict) -> np.ndarray:
     """Marker (n, 3) of a rod that meets a wall across the plain device's path.
 
     The wall pushes back in proportion to how deep the tip is in it. Where it can let go, the tip passes once
@@ -13,10 +13,10 @@ def against_wall(rod: Rod, told: np.ndarray, bend_rad: float, wall: dict) -> np.
     """
     at, ahead, compliance, way = place(rod, bend_rad, wall)
     k = wall["stiffness"] / compliance
-    free = rod.solve(told)[0]
+    free = rod.solve(inputs)[0]
     depth = (free - at) @ ahead
     push = k * np.clip(depth, 0, None) / (1 + wall["stiffness"])
-    pushed, held = told.copy(), free
+    pushed, held = inputs.copy(), free
     touching = depth > 0
     for _ in range(12):
         pushed[:, TIP_FORCE] = -push[:, None] * ahead

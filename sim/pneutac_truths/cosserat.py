@@ -115,7 +115,7 @@ def move(w: World) -> np.ndarray:
         ArithmeticError: the motion did not stay finite.
     """
     line = w.body.rod
-    told = w.told(np.arange(len(w.time_s)))
+    inputs = w.told(np.arange(len(w.time_s)))
     length = 1e-3 * line.length_mm
     outside = _outside(w, line)
     share = w.dynamics.get("tip_share", 0.1)
@@ -126,12 +126,12 @@ def move(w: World) -> np.ndarray:
     outside.body = body
     at_voronoi, at_element = _fields(line)
     out, k = np.empty((int((w.plan.trial >= 0).sum()), 3)), 0
-    last = np.full(told.shape[1], np.nan)
+    last = np.full(inputs.shape[1], np.nan)
     for a, b in zip(w.plan.starts, w.plan.ends, strict=True):
         for i in range(max(0, a - seconds(SETTLE_S)), b):
-            if not np.array_equal(told[i], last):
-                _tell(body, told[i], at_voronoi, at_element)
-                last = told[i]
+            if not np.array_equal(inputs[i], last):
+                _tell(body, inputs[i], at_voronoi, at_element)
+                last = inputs[i]
             outside.now_s = w.time_s[i]
             body.advance()
             if i >= a:

@@ -58,10 +58,10 @@ def pose(w: World, rows: np.ndarray) -> np.ndarray:
     """
     if w.dynamics:
         w = _swinging(w)
-    told = w.told(rows)
+    inputs = w.told(rows)
     if w.contact is not None:
-        return against_wall(w.body.rod, told, float(w.body.bend_rad[0]), w.contact)
-    return w.body.rod.solve(told)[0]
+        return against_wall(w.body.rod, inputs, float(w.body.bend_rad[0]), w.contact)
+    return w.body.rod.solve(inputs)[0]
 
 
 def _swinging(w: World) -> World:

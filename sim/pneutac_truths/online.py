@@ -1,4 +1,4 @@
-"""A rod that is driven step by step: the same air, creep and hysteresis as in a recording, kept as state."""
+"""A rod that is driven step by step: the same air, creep and hysteresis as in a recording, as state."""
 
 import numpy as np
 
@@ -95,8 +95,8 @@ class OnlineRod:
 
     def tip_mm(self, force: np.ndarray | None = None) -> np.ndarray:
         """Marker (3,) in equilibrium under a force (3,) on it over bending stiffness, 1/mm^2."""
-        told = np.zeros((1, COLUMNS))
-        told[0, SOFT], told[0, BEND_Z], told[0, SET_Z] = 1.0, self.drive_rad, self.memory_rad
+        inputs = np.zeros((1, COLUMNS))
+        inputs[0, SOFT], inputs[0, BEND_Z], inputs[0, SET_Z] = 1.0, self.drive_rad, self.memory_rad
         if force is not None:
-            told[0, TIP_FORCE] = force
-        return self._rod.solve(told)[0][0]
+            inputs[0, TIP_FORCE] = force
+        return self._rod.solve(inputs)[0][0]

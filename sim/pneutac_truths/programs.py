@@ -51,7 +51,7 @@ def plan(rng: np.random.Generator, chambers: int, minutes: float, quiet: bool = 
 
     Args:
         rng: decides all.
-        chambers: commanded apart.
+        chambers: commanded separately.
         minutes: sum of the trials' durations; at 10 there are 10 to 16 trials of 20 to 60 s.
         quiet: leaves out the fastest programs (for slow solvers).
     """
@@ -90,7 +90,7 @@ def given(programs: list[tuple[str, np.ndarray, np.ndarray]], pause_s: float) ->
 
 
 def _on_grid(sent_s: np.ndarray) -> np.ndarray:
-    """When commands really come: at the next instant of the fine grid, which the log then tells."""
+    """When commands really come: at the next instant of the fine grid, which the log then has."""
     return np.ceil(sent_s / DT_S - 1e-9) * DT_S
 
 

@@ -17,7 +17,7 @@ TWIST_COMPLIANCE = (
     1.3  # bending over twisting stiffness of a round, incompressible rod is 1.5, of a chambered one less
 )
 
-# Columns of what the rod is told per solve.
+# Columns of the rod's inputs per solve.
 BEND_Z, BEND_Y, SET_Z, SET_Y, TWIST, STRETCH, SOFT = range(7)
 WEIGHT = slice(7, 10)  # of the rod, 1/mm^2 per mm of length
 BASE_TURN = slice(13, 16)  # rotation vector of the mount, rad
@@ -174,7 +174,7 @@ def _step(J, miss, m0):
 
 @njit(cache=True)
 def _solve_one(m0, J, u, shapes, stretched, h, tip_mm, axial, tip, tangent):
-    """Newton on the base moment; J is kept from row to row and renewed when it no longer serves."""
+    """Newton on the base moment; J is reused from row to row and renewed when it no longer serves."""
     loaded = False
     for i in range(7, 13):
         loaded = loaded or u[i] != 0.0 or u[i + 6] != 0.0

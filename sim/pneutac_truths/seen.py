@@ -8,7 +8,7 @@ from pneutac_truths.world import Body, World
 
 TIP = ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
 CURVATURES = ["curvature_x_1_per_m", "curvature_y_1_per_m"]
-UNSEEN = {"stretch", "camera_warm_up"}  # no curvature tells them, so such a device is logged by its marker
+UNSEEN = {"stretch", "camera_warm_up"}  # no curvature shows them, so such a device is logged by its marker
 
 
 def logged(body: Body, names) -> tuple[list[str], float]:

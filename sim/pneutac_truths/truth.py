@@ -118,8 +118,8 @@ def generate(
         gauge: whether the pressure is measured; None draws it.
         minutes: of recording; None takes the usual time of the device.
         tell_noise: whether recording.json states the noise.
-        tell_pauses: whether recording.json tells how long the device rested before each trial.
-        tell_sent: whether the log tells when each command was sent; otherwise it is drawn.
+        tell_pauses: whether recording.json states how long the device rested before each trial.
+        tell_sent: whether the log has when each command was sent; otherwise it is drawn.
         plan: what is commanded, see `programs.given`; None draws it.
         lab: whether a third of the trials are in a room that is `WARMER_C` warmer, as the log shows (the
             device heeds it only where one of its effects does), and the base is turned in its plane alone.
@@ -201,7 +201,7 @@ def _commands(w: World, rng: np.random.Generator, tell_sent: bool) -> pd.DataFra
 
 
 def _conditions(w: World, samples: pd.DataFrame, rng: np.random.Generator, lab: bool) -> None:
-    """Columns of weight, payload and temperature; a thermometer is at times logged where it tells nothing."""
+    """Columns of weight, payload and temperature; a thermometer is at times logged where it is irrelevant."""
     rows = w.plan.rows
     trial = w.plan.trial[rows]
     if w.gravity is not None:
@@ -219,7 +219,7 @@ def _conditions(w: World, samples: pd.DataFrame, rng: np.random.Generator, lab: 
 
 
 def write(truth: Truth, folder: str | Path) -> Path:
-    """Writes recording.json, samples.csv and, beside them, truth.json; returns the folder.
+    """Writes recording.json, samples.csv and, next to them, truth.json; returns the folder.
 
     Raises:
         FileExistsError: something is in the folder.

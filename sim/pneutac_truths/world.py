@@ -27,7 +27,7 @@ class Body:
         mass_g: of the flexible part.
         noise_mm: standard deviation of the marker per axis.
         gauge_noise_kpa: of a pressure gauge.
-        curvatures: an arm that is told in curvatures instead of a marker.
+        curvatures: an arm that is measured by curvatures instead of a marker.
         period_s: of the lowest mode where the body moves.
         damping: ratio of that mode.
     """
@@ -165,7 +165,7 @@ class World:
         return stream(self.seed, name, self.day)
 
     def told(self, rows: np.ndarray) -> np.ndarray:
-        """What the rod is told (k, COLUMNS) in these rows of the fine grid."""
+        """Inputs of the rod (k, COLUMNS) in these rows of the fine grid."""
         u = np.zeros((len(rows), COLUMNS))
         way = self.body.direction_rad
         u[:, BEND_Z] = self.drive[rows] @ np.cos(way)

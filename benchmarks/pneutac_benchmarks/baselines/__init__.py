@@ -1,4 +1,4 @@
-"""Other people's renderers, written anew, to be measured against: of tactile images and of a body's looks.
+"""Other people's renderers, rewritten, to be measured against: of tactile images and of a body's looks.
 
 A tactile one is a class with a classmethod `fit(pair)` and `image(press)`, so that the gel of
 `pneutac_sim.gel` and these are compared on equal terms: one rest image, one indentation image and what

@@ -161,4 +161,4 @@ def _images(meta: LeRobotDatasetMetadata) -> Iterator[np.ndarray]:
                         yield frame.to_ndarray(format="rgb24")
                         place = next(wanted, None)
         except (OSError, ValueError) as error:
-            raise InputError(f"'{path}' cannot be decoded ({error}); record the dataset anew.") from error
+            raise InputError(f"'{path}' cannot be decoded ({error}); record the dataset again.") from error

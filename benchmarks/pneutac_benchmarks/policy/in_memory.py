@@ -1,6 +1,6 @@
 """Training of `pneutac_bc` from memory: each frame is decoded once, pooled, and kept.
 
-lerobot-train decodes a frame anew for every sample, 5 ms each on a CPU core: 43 minutes of 8,000 updates of
+lerobot-train decodes a frame again for every sample, 5 ms each on a CPU core: 43 minutes of 8,000 updates of
 64, which take four here, and the benchmark trains 84 policies. Loss, optimiser and checkpoints are the same;
 `lerobot-eval`'s own code tries them.
 """

@@ -159,11 +159,13 @@ def page(outcomes: list[Outcome], share: float) -> str:
     harmed = sum(bool(o.broken) for o in outcomes)
     rows = [(o.attack, f"{o.tried:,}", f"{len(o.broken):,}", o.measured) for o in outcomes]
     lines = [
-        "# Attacks\n",
-        f"Of {len(outcomes)} kinds of attack {harmed or 'none'} did harm.\n",
+        "# Robustness tests\n",
+        f"**Claim.** Of {len(outcomes)} kinds of attack {harmed or 'none'} did harm.\n",
+        "**Command.**\n",
         f"    pneutac benchmark robustness{'' if share == 1 else f' --share={share:g}'}\n",
         "Harm is a traceback, a message of 400 characters or more, a loss, or a limit that was passed. The",
         "same attacks run at a small size with every test, at full size in `make nightly`.\n",
         *markdown(("attack", "tried", "did harm", "measured"), rows),
+        "\n**Limitations.** Mutations are random; hardware is simulated.",
     ]
     return "\n".join(lines) + "\n"

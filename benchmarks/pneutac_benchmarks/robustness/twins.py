@@ -99,7 +99,7 @@ def _other_than_old_or_new(folder: Path) -> str:
 
 
 def save_many(folder: Path, name: str, number: int) -> None:
-    """Saves so many versions, each on what is there; begins anew where another process was faster."""
+    """Saves so many versions, each on what is there; starts again where another process was faster."""
     kept = 0
     while kept < number:
         try:

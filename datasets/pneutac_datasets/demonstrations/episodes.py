@@ -108,7 +108,7 @@ class Episode:
         return self.images.shape[1] * self.images.shape[2]
 
     def contact(self) -> tuple[int, int] | None:
-        """First and last frame in contact, specks of noise apart, or None."""
+        """First and last frame in contact, without isolated noise pixels, or None."""
         frames = np.flatnonzero(without_specks(self.state[:, self.places.area]))
         return (int(frames[0]), int(frames[-1])) if len(frames) else None
 
@@ -151,7 +151,7 @@ def further_features(meta: LeRobotDatasetMetadata) -> dict:
 
 
 def _before_encoding(feature: dict) -> dict:
-    """A feature without the encoder's own entries, which are written anew with the first video."""
+    """A feature without the encoder's own entries, which are rewritten with the first video."""
     info = feature.get("info") or {}
     return {**feature, "info": {k: v for k, v in info.items() if not k.startswith("video.")}}
 

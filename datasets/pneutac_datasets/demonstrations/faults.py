@@ -35,7 +35,10 @@ ROUNDING_KPA = 0.01  # share of the range by which a command may be beyond it
 ROBOT = "pneutac"
 MOST_SPEED_M_S = 0.45  # of the flange between two frames, four times the fastest that is commanded
 LEAST_KPA = 0.5  # travel of a command of pressure that a gauge must show
-WINDOW_S, MOVES_MM = 0.5, 3.0  # over which motion and command are compared, and the least motion that tells
+WINDOW_S, MOVES_MM = (
+    0.5,
+    3.0,
+)  # over which motion and command are compared, and the least motion that is compared
 SLIGHT = 0.1  # ratio of motion and command below which one of the two is missing
 LEAST_FOLLOWING = 0.5  # correlation of motion and command; the stand-in's, which lags, is above 0.95
 MOST_FACTOR, NOTED_FACTOR = 3.0, 1.5  # of motion and command: more is refused, or noted
@@ -51,7 +54,7 @@ def demonstration_faults(
     Args:
         folder: root of the LeRobotDataset.
         twin: on which they are to be augmented.
-        station: in which they were recorded; left out, the paper's.
+        station: in which they were recorded; if omitted, the paper's.
         any_rate: whether their rate may differ from the station's.
     """
     folder = Path(folder)
@@ -207,7 +210,10 @@ def _of_motion(
         if max(went_mm, asked_mm) < MOVES_MM:
             continue
         begin = f"{folder}: action '{name}' and observation.state 'ee_{axis}.pos' do not fit:"
-        how = f"in {WINDOW_S:g} s the flange moves by {went_mm:.3g} mm and the command says {asked_mm:.3g} mm"
+        how = (
+            f"in {WINDOW_S:g} s the flange moves by {went_mm:.3g} mm and the command asks for "
+            f"{asked_mm:.3g} mm"
+        )
         if min(went_mm, asked_mm) < SLIGHT * max(went_mm, asked_mm):
             faults.append(f"{begin} {how}; record velocities in m/s and places in m, of the same axes.")
             continue
@@ -224,7 +230,7 @@ def _of_motion(
         elif not 1 / NOTED_FACTOR < factor < NOTED_FACTOR:
             rate = "faster" if factor < 1 else "slower"
             notes.append(
-                f"{begin} the flange moves {factor:.2g} times as far as the command says. Was the loop {rate}"
+                f"{begin} the flange moves {factor:.2g} times as far as commanded. Was the loop {rate}"
                 f" than the dataset's {info['fps']:g} fps, or was the arm held back?"
             )
     return faults, notes

@@ -88,7 +88,7 @@ def refuse_version(file: Path, info: dict) -> None:
     elif found and int(found[1]) < VERSION:
         remedy = "convert it with the LeRobot that recorded it, first to v2.1 and then to v3.0"
     elif found:
-        remedy = "it was recorded with a newer LeRobot; install that one, or record anew"
+        remedy = "it was recorded with a newer LeRobot; install that one, or record again"
     else:
         remedy = "restore the file"
     raise InputError(f"{file}: codebase_version is {shown(version)}, and v3.0 is read here; {remedy}.")
@@ -254,7 +254,7 @@ def _rows(folder: Path, info: dict, repair: str) -> dict[str, np.ndarray]:
         if set(schema.names) != set(wanted):
             missing, more = sorted(set(wanted) - set(schema.names)), sorted(set(schema.names) - set(wanted))
             what = f"lacks the column '{missing[0]}'" if missing else f"has a column '{more[0]}'"
-            raise InputError(f"{file} {what}, other than info.json says; restore one of the two.")
+            raise InputError(f"{file} {what}, unlike info.json; restore one of the two.")
         numbers = [key for key, f in wanted.items() if f["dtype"] not in ("image", "string")]
         table = _read_parquet(file, "restore it", numbers)
         for key in numbers:
@@ -391,7 +391,7 @@ def _look_at_video(film: Film, file: Path, times_s: np.ndarray, number: int, rep
         )
     raise InputError(
         f"{file} has no frame at {times_s[lacks][0]:.4f} s, where meta/episodes (from_timestamp) puts one of"
-        f" episode {number}; run {repair}, which counts the times anew."
+        f" episode {number}; run {repair}, which counts the times again."
     )
 
 
@@ -399,7 +399,7 @@ def _refuse_size(what: str, size: tuple[int, int], shape: list[int]) -> None:
     """Raises InputError where an image has another height or width than `info.json` says."""
     given = shape[1:] if len(shape) == 3 and shape[0] in (1, 3) and shape[2] not in (1, 3) else shape[:2]
     if list(size) != list(given):
-        raise InputError(f"{what} are {size[0]} x {size[1]} and info.json says {given[0]} x {given[1]}.")
+        raise InputError(f"{what} are {size[0]} x {size[1]} but info.json states {given[0]} x {given[1]}.")
 
 
 def _look_at_images(folder: Path, key: str, shape: list[int], which: set[int]) -> None:

@@ -35,7 +35,7 @@ from pneutac_sim.features import (
 )
 from pneutac_sim.progress import Progress, no_progress
 
-# How far each variation goes; small against what tells one phase of a demonstration from the next.
+# How far each variation goes; small against the differences between phases of a demonstration.
 SPEED = (0.85, 1.2)  # local speed of time
 MIX_SHARE, MIX_WEIGHT = 0.5, (0.1, 0.4)  # share of mixed demonstrations, weight of the partner
 START_M = 0.003  # standard deviation of the displaced start

@@ -92,7 +92,7 @@ def _means(image: np.ndarray) -> np.ndarray:
 
 
 def previous_actions(episode: Episode) -> np.ndarray:
-    """What the robot had been told the frame before (T, 3 + C), float32; at first to hold still."""
+    """Action of the frame before (T, 3 + C), float32; at first that of standing still."""
     hold = np.append(np.zeros(3), episode.state[0, episode.places.pressure])
     return np.vstack([hold, episode.action[:-1]]).astype(np.float32)
 

@@ -32,7 +32,7 @@ def record_episodes(
     use_videos: bool,
     progress: Progress = no_progress,
 ) -> Path:
-    """Records demonstrations of a scripted teleoperator; a failed one is recorded anew, as a person would.
+    """Records demonstrations of a scripted teleoperator; a failed one is recorded again, as a person would.
 
     An episode ends when the task is done, as if the person pressed the key for the next one.
 

@@ -1,4 +1,4 @@
-"""Generated bench recordings, to try the product without a bench; what is hidden in them is stored apart.
+"""Generated bench recordings, to try the product without a bench; the answers are stored separately.
 
 python -m pneutac_datasets.generate --effect=creep --seed=7 --out=outputs/bench
 python -m pneutac_datasets.generate --device=gel --effect=shadow --out=outputs/gel

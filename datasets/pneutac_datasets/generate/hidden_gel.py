@@ -1,4 +1,4 @@
-"""Generated gel recordings that hide an optics effect, to try a diagnosis on: the truth is stored apart."""
+"""Generated gel recordings with a hidden optics effect, the answer is stored elsewhere."""
 
 from pathlib import Path
 
@@ -36,7 +36,7 @@ def write_hidden_gel(folder: str | Path, hidden: list[str], seed: int = 0, image
     """Writes a rest image and indentations by three balls, made by the built-in gel with more effects.
 
     Args:
-        folder: where the recording goes; what is hidden goes to `truth/<name>.json` beside the folder.
+        folder: where the recording goes; what is hidden goes to `truth/<name>.json` next to the folder.
         hidden: effects to switch on.
         seed: decides places, depths, sizes of the effects and noise.
         images: indentations, the first of role `calibration`.

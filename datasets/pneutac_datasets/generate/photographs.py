@@ -4,7 +4,7 @@
     camera, (image, mask) = read_camera(recording, "front"), read_photograph(recording, 0, "front")
 
 The body is brought to rest by full material points at each pressure, its surface mesh follows them, and
-MuJoCo photographs it from all sides. What the twin has to find lies in `truth/<name>.json` beside the folder.
+MuJoCo photographs it from all sides. What the twin has to find is in `truth/<name>.json` next to the folder.
 An effect is hidden in it so, here with two photographs a pressure, 2 s and 60 s after the step:
 
     creeping = Disturbances(effects={"creep": {"weight_4s": 0.06, "weight_40s": 0.08}})
@@ -41,7 +41,7 @@ MARKER_NOISE_MM = 0.3
 
 @dataclass(frozen=True)
 class Disturbances:
-    """What can be wrong with a session, none of it told in `recording.json`.
+    """What can be wrong with a session, none of it stated in `recording.json`.
 
     Attributes:
         effects: effect of the body to its parameters; those left out do nothing.

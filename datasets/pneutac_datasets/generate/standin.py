@@ -128,7 +128,7 @@ def write_trials(
     """
     for name, command in trials:
         if command.min() < 0 or command.max() > MAX_PRESSURE_KPA:
-            raise InputError(f"'{name}' leaves 0 to {MAX_PRESSURE_KPA:g} kPa, which the stand-in bears.")
+            raise InputError(f"'{name}' leaves 0 to {MAX_PRESSURE_KPA:g} kPa, the range of the stand-in.")
     made = [ProgramTrial(name, command) for name, command in trials]
     known = {c: v for c, v in conditions.items() if c in (*HANGING, "payload_g")}
     return _write(folder, made, hz, np.random.default_rng([seed, 5]), known)

@@ -1,11 +1,11 @@
-"""Where the answer to a generated recording lies: beside its folder, never in it."""
+"""Where the answer to a generated recording is: next to its folder, never in it."""
 
 import json
 from pathlib import Path
 
 
 def truth_file(recording: str | Path) -> Path:
-    """`truth/NAME.json` beside the folder `NAME` of a recording."""
+    """`truth/NAME.json` next to the folder `NAME` of a recording."""
     recording = Path(recording)
     return recording.parent / "truth" / f"{recording.name}.json"
 

@@ -62,7 +62,7 @@ class TruthBench:
         """
         for name, _, p in trials:
             if p.min() < 0 or p.max() > self._top_kpa:
-                raise InputError(f"'{name}' leaves 0 to {self._top_kpa:g} kPa, which the stand-in bears.")
+                raise InputError(f"'{name}' leaves 0 to {self._top_kpa:g} kPa, the range of the stand-in.")
         programs = [(name, t, np.round(p / self._top_kpa, 5)) for name, t, p in trials]
         return self._recorded(programs, out, 1 + 1000 * self._noise)
 
@@ -72,8 +72,8 @@ class TruthBench:
         return name, table["time_s"].to_numpy(float), np.round(commands / self._top_kpa, 5)
 
     def _recorded(self, programs: list, out: Path, day: int, tell_pauses: bool = True) -> Recording:
-        told = {"tell_sent": True, "tell_pauses": tell_pauses, "plan": given(programs, RESTED_S)}
-        truth = generate(self._device, self._effects, self._seed, day, **told)
+        options = {"tell_sent": True, "tell_pauses": tell_pauses, "plan": given(programs, RESTED_S)}
+        truth = generate(self._device, self._effects, self._seed, day, **options)
         write(truth, out)
         r = Recording.load(out)
         r.samples = r.samples.drop(columns=[c for c in DRAWN if r.has(c)])

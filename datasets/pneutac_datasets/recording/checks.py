@@ -61,7 +61,8 @@ def _looked(recording: Recording) -> tuple[Recording, list[Finding]]:
         found += look(recording)
     if not measured:
         text = (
-            "There is no measured pressure, so a slow valve and a creeping body look alike; log pressure_kpa."
+            "There is no measured pressure, so a slow valve and a creeping body cannot be distinguished; "
+            "log pressure_kpa."
         )
         found.append(Finding("no_measured_pressure", text, tuple(recording.pressure_columns)))
     return recording, found

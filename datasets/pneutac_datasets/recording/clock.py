@@ -107,7 +107,7 @@ def _length(samples: pd.DataFrame) -> float:
 
 
 def _in_milliseconds(samples: pd.DataFrame) -> bool:
-    """Whether a clock with steps of 5 to 1000 counts milliseconds for sure.
+    """Whether a clock with steps of 5 to 1000 certainly counts milliseconds.
 
     Its stamps are whole numbers, make more than a day, and the commanded pressure follows ramps. A recording
     that is truly so slow holds its pressures (creep) or jumps between them from row to row (fatigue).

@@ -39,7 +39,7 @@ class _Collected(list):
     """Sentences of the faults so far."""
 
     def __call__(self, call: Callable, *args):
-        """What a call returns; None, and its sentence kept, where it refuses."""
+        """What a call returns; None, with its sentence stored, where it refuses."""
         try:
             return call(*args)
         except InputError as e:

@@ -49,5 +49,5 @@ KINDS = {
     "misplaced_tip": "the tip's path is that of another unit, frame or length; `off_path` in lengths",
     "other_way_round": "the finger bends to the negative side at positive pressure",
     "drift": "the output moves over the session at equal pressures, each column by its number",
-    "no_measured_pressure": "air and body cannot be told apart",
+    "no_measured_pressure": "air and body cannot be distinguished",
 }

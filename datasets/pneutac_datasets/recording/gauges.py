@@ -152,7 +152,7 @@ def repeated(recording: Recording) -> list[Finding]:
         how = f"each value {usual} times" if exact else f"its values, about {each:.1f} times each,"
         text = (
             f"Column '{name}' repeats {how} while rows go on: it is read less often than they are written, "
-            "so its readings are late by up to that much, and neighbouring rows tell nothing of its noise."
+            "so its readings are late by up to that much, and neighbouring rows do not show its noise."
         )
         found.append(Finding("repeated", text, (name,), numbers={"rows_each": each}))
     return found

@@ -18,7 +18,7 @@ from pneutac_sim.gel.pair import RestDifference, cell_px, cells, check_pair, sat
 from pneutac_sim.gel.photograph import PressPhotograph
 from pneutac_sim.gel.probe import THICKNESS_MM
 
-MIRROR_SAMPLES = 4  # photographs from which a mirrored axis can be told
+MIRROR_SAMPLES = 4  # photographs from which a mirrored axis can be detected
 AGREE_MM = 0.5  # by which a contact's place in pixels and in millimetres may differ
 MOST_HELD_S = 1e5  # a day
 MOST_N = 100.0  # on a gel of a fingertip
@@ -43,7 +43,7 @@ LIKE = 0.8  # correlation of shown and stated places; four real and generated se
 FARTHER, WIDTHS = 1.25, (0.6, 2.4)
 REST_SAMPLES, REST_GAIN = 5, 0.05
 BLACK_LEVEL, WHITE_LEVEL = 8, 247  # an image below or above all over shows nothing
-ASSUMED_RADIUS_MM = 3.0  # of a ball that the recording does not tell: the scale of the light takes it up
+ASSUMED_RADIUS_MM = 3.0  # of a ball that the recording does not state: the scale of the light absorbs it
 
 
 @dataclass
@@ -61,8 +61,8 @@ class GelSample:
         y_px: row of the contact centre.
         radius_px: contact radius.
         sd: what is uncertain of the press, see `PressPhotograph`.
-        force_n: on the indenter, along the gel's view; None where the row does not tell.
-        earlier: presses with the same rest image that were over before, where `hold_s` tells them.
+        force_n: on the indenter, along the gel's view; None if the row has none.
+        earlier: presses with the same rest image that were over before, from `hold_s`.
     """
 
     name: str
@@ -228,7 +228,7 @@ def _image(recording: Recording, value, what: str, like: np.ndarray | None = Non
     dark, bright = np.percentile(image, (1, 99))
     if bright < BLACK_LEVEL or dark > WHITE_LEVEL:
         colour = "black" if bright < BLACK_LEVEL else "white"
-        raise InputError(f"{what} is {colour} all over; take it anew with the light on and not too bright.")
+        raise InputError(f"{what} is {colour} all over; take it again with the light on and not too bright.")
     return image
 
 
@@ -242,7 +242,7 @@ def _clock(samples: pd.DataFrame) -> np.ndarray:
 
 
 def _tell_earlier(recording: Recording, samples: list[GelSample]) -> None:
-    """Fills in what came before each photograph, by `time_s` and `hold_s`; a new rest image begins anew."""
+    """Fills in what came before each photograph, by `time_s` and `hold_s`; a new rest image starts again."""
     if not recording.has("hold_s"):
         return
     where, held = recording.folder, recording.samples["hold_s"].to_numpy(float)

@@ -50,7 +50,7 @@ def read_image(source: str | Path | bytes, name: str = "", plain: bool = False) 
             with Image.open(io.BytesIO(data), formats=FORMATS) as image:
                 _check(image, name, plain)
                 if image.format == "JPEG" and data.count(b"\xff\xda") > MOST_SCANS:
-                    raise InputError(f"{name} has more than {MOST_SCANS} scans; save it anew.")
+                    raise InputError(f"{name} has more than {MOST_SCANS} scans; save it again.")
                 return np.array(image.convert("RGB"))
     except InputError:
         raise

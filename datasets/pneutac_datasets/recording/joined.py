@@ -10,7 +10,7 @@ from pneutac_sim.errors import InputError
 
 
 def joined(recordings: Sequence[Recording], pauses_s: Sequence[float | None]) -> Recording:
-    """All trials of all recordings in their order, numbered anew.
+    """All trials of all recordings in their order, renumbered.
 
     Args:
         recordings: of one device, with the same columns.
@@ -29,10 +29,10 @@ def joined(recordings: Sequence[Recording], pauses_s: Sequence[float | None]) ->
         if set(r.samples) != columns:
             other = ", ".join(sorted(set(r.samples) ^ columns))
             raise InputError(f"{r.folder} and {first.folder} differ in {other}; record the same columns.")
-        told = r.meta.get("trials") or {}
+        stated = r.meta.get("trials") or {}
         names = {old: count + i for i, old in enumerate(r.trials())}
         tables.append(r.samples.assign(trial=r.samples["trial"].map(names)))
-        trials |= {str(new): told[str(old)] for old, new in names.items() if str(old) in told}
+        trials |= {str(new): stated[str(old)] for old, new in names.items() if str(old) in stated}
         if pause_s is not None and count:
             trials[str(count)] = {"start": "continues", "pause_s": round(pause_s, 3)}
         count += len(names)

@@ -137,7 +137,7 @@ def _answer(u: np.ndarray, y: np.ndarray) -> np.ndarray:
 def late_command(recording: Recording) -> list[Finding]:
     """Whether the device moves before its command does.
 
-    Before steps out of a rest the pose will do; where the command never rests, the measured pressure tells,
+    Before steps out of a rest the pose will do; where the command never rests, the measured pressure decides,
     if it knows of the next row's command what nothing before it knew.
     """
     found = []
@@ -188,7 +188,7 @@ def _foreseen(recording: Recording, name: str, gauge: str) -> int:
     """How many rows ahead of an ever changing command its measured pressure is."""
     late = 0
     for ahead in (1, 2, 3):
-        told, n = 0.0, 0
+        agree, n = 0.0, 0
         for rows in recording.trials().values():
             u, p = (np.diff(recording.column(c)[rows].astype(float)) for c in (name, gauge))
             if len(u) < 200 or (np.abs(np.diff(u)) > 1e-4 * max(np.ptp(u), 1e-9)).mean() < 0.5:
@@ -198,7 +198,7 @@ def _foreseen(recording: Recording, name: str, gauge: str) -> int:
             known = np.stack([*known, *(p[LAGS - k : m - k] for k in range(1, LAGS))], -1)
             left = _left(p[LAGS:m, None], known)
             share, sign = _same_row(left, known, u[LAGS + ahead : m + ahead, None])
-            told, n = told + share * len(left) * (sign > 0), n + len(left)
-        if n and told / n > ANSWERED:
+            agree, n = agree + share * len(left) * (sign > 0), n + len(left)
+        if n and agree / n > ANSWERED:
             late = ahead
     return late

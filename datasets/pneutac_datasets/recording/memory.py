@@ -13,7 +13,7 @@ from pneutac_datasets.recording.recording import Recording
 
 TIMES_S = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 STARTS = ("held", "vented", "carried")
-WEIGHTS = (-0.5, 2.0)  # of a history beside the pressure itself; creep beyond twice its start is unheard of
+WEIGHTS = (-0.5, 2.0)  # of a history besides the pressure itself; creep beyond twice its start is unheard of
 RIDGE, DAMPING = 1e-5, 1e-4
 
 
@@ -33,7 +33,7 @@ def static_columns(u: np.ndarray) -> np.ndarray:
 def regress(design: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Coefficients (m, k) by ridge regression on standardised columns; the first column is a constant."""
     mean, scale = design[:, 1:].mean(0), design[:, 1:].std(0)
-    scale = np.where(scale > 1e-9, scale, np.inf)  # a column that stands tells nothing
+    scale = np.where(scale > 1e-9, scale, np.inf)  # a constant column has no information
     z = (design[:, 1:] - mean) / scale
     slope = np.linalg.solve(z.T @ z + RIDGE * len(z) * np.eye(z.shape[1]), z.T @ (y - y.mean(0)))
     slope /= scale[:, None]

@@ -11,7 +11,7 @@ from pneutac_datasets.recording.recording import Recording
 
 LEFT = 0.5  # of the error, which a motion may leave
 PIECES, FINE = 8, 64  # of a trial: for the bootstrap, and to deal into two folds
-ASTRAY = 3.0  # times the error of a static map that a motion may lie from the one which that map tells
+ASTRAY = 3.0  # times the error of a static map that a motion may lie from that of the map
 MOST_ROWS = 2000  # to fit memory by
 DRAWS, SURE = 400, 0.01
 AGAINST = 0.25  # of the first mount's slope: the least by which one that is turned round moves the other way
@@ -64,8 +64,8 @@ class Case:
         session: trials that were perhaps mounted otherwise.
 
     Attributes:
-        error: distance from a map of the first mount, as measured and moved, on rows that did not tell the
-            motion; after `sure`.
+        error: distance from a map of the first mount, as measured and moved, on rows that were not used to
+            fit the motion; after `sure`.
     """
 
     def __init__(self, bench: Bench, alike: list[int], session: list[int]):
@@ -85,7 +85,7 @@ class Case:
         self.error = (np.nan, np.nan)
 
     def sure(self) -> bool:
-        """Whether a motion surely takes most of the error, early and late, beside all memory too.
+        """Whether a motion significantly removes most of the error, early and late, memory included.
 
         No memory turns the way round in which pressure bends a device.
         """
@@ -114,7 +114,7 @@ class Case:
         )
 
     def motions(self) -> tuple[Motion, Motion]:
-        """Motions onto the first mount: by the static map, and by one with memory where that surely holds."""
+        """Motions onto the first mount: by the static map, and one with memory where that is significant."""
         everything, goal = np.ones(len(self._y), bool), self._goal()
         static = self._fit_motion(self._y, goal, self._here)
         y = np.where(self._here[:, None], static(self._y), self._y)
@@ -127,7 +127,7 @@ class Case:
         return static, motion if near and self._falls(error, left, everything) else static
 
     def halves(self, motion: Motion) -> bool:
-        """Whether a motion at least halves the distance from the first mount, surely."""
+        """Whether a motion significantly halves the distance from the first mount, or more."""
         if not self._enough:
             return False
         goal = self._goal()
@@ -164,7 +164,7 @@ class Case:
     def _by_halves(self) -> tuple[np.ndarray, np.ndarray]:
         """Squared distance (n,) from the map of the other trials, as measured and moved.
 
-        The early halves of the trials are moved as their late halves tell, and the other way round: what
+        The early halves of the trials are moved by the fit to their late halves, and vice versa: what
         fades within a trial is not the mount.
         """
         goal = self._goal()
@@ -179,8 +179,9 @@ class Case:
     def _beside_memory(self) -> tuple[np.ndarray, np.ndarray]:
         """Squared distance (n,) from a map of both mounts with memory, as measured and moved.
 
-        A point of space that leaves its path was not moved by pressure; so beside memory a zero and a gain of
-        the pressure that are the session's own may explain it. One coordinate cannot tell them from a mount.
+        A point of space that leaves its path was not moved by pressure; so besides memory a zero and a gain
+        of the pressure that are the session's own may explain it. One coordinate cannot separate them from a
+        mount.
         """
         before, after = np.empty(len(self._y)), np.empty(len(self._y))
         for told in (self._odd, ~self._odd):
@@ -201,7 +202,7 @@ class Case:
         return np.concatenate([past, [here, here * p]])
 
     def _learn(self, past: np.ndarray, told: np.ndarray, moves: bool) -> tuple[np.ndarray, Motion]:
-        """Squared distance (n,) from a map with memory that some rows told, and the motion that it allows."""
+        """Squared distance (n,) from a map with memory fitted to some rows, and the motion that it allows."""
         memory = Memory(self._bench.p[self._rows_of], past)
         motion = Motion.fit(self._y, self._y, False)
         if moves:
@@ -215,7 +216,7 @@ class Case:
         return ((y - goal) ** 2).sum(1), motion
 
     def _falls(self, before: np.ndarray, after: np.ndarray, rows: np.ndarray) -> bool:
-        """Whether the error at least halves and surely falls: paired bootstrap over the pieces of trials."""
+        """Whether the error at least halves, significantly: paired bootstrap over the pieces of trials."""
         here = self._here
         weight = np.where(here, 1 / here.sum(), 1 / (~here).sum())  # one mount counts as much as the other
         at = np.unique(self._piece[rows], return_inverse=True)[1]

@@ -2,9 +2,9 @@
 
 Where, under equal conditions, the same pressure brings the device elsewhere from one trial on, the device was
 perhaps turned and shifted between trials, which says nothing about its physics; perhaps it remembers (creep,
-softening), which does. So data are moved only where one rigid motion of a session surely removes most of the
-error, over whole trials, and where the history of the pressure cannot explain it as well. Every verb that
-weighs a twin against a recording looks at it through `on_one_mount`.
+softening), which does. So data are moved only where one rigid motion of a session significantly removes most
+of the error, over whole trials, and where the history of the pressure cannot explain it as well. Every verb
+that weighs a twin against a recording looks at it through `on_one_mount`.
 """
 
 import numpy as np
@@ -18,12 +18,12 @@ from pneutac_sim.twin import Twin
 
 FAR = 0.05  # of the device's length: the least distance that is looked into
 TURNED_DEG = 45.0
-SWEEP = 0.3  # of the whole pressure range that a trial must cover to tell its rest and direction
+SWEEP = 0.3  # of the whole pressure range that a trial must cover to fit its rest and direction
 CONDITIONS = {"gravity_x": 0.1, "gravity_y": 0.1, "gravity_z": 0.1, "temperature_c": 2.0, "payload_g": 0.1}
 
 
 def on_one_mount(recording: Recording, twin: Twin, train: np.ndarray) -> tuple[Recording, list[str]]:
-    """The recording as if all sessions had been mounted alike, and a sentence for each that was not.
+    """The recording moved onto one mount, and a sentence for each session that was mounted differently.
 
     Args:
         recording: cleaned; one of a single mount is returned as it is.
@@ -36,7 +36,7 @@ def on_one_mount(recording: Recording, twin: Twin, train: np.ndarray) -> tuple[R
 def align_mounts(
     recording: Recording, length_mm: float, train: np.ndarray | None = None
 ) -> tuple[Recording, list[str]]:
-    """Moves trials that were surely mounted differently onto the mount of the first one.
+    """Moves trials with a significantly different mount onto the mount of the first one.
 
     Of tip coordinates the motion turns and shifts; angles, curvatures and a single coordinate are shifted.
 
@@ -136,7 +136,7 @@ def _against(a: np.ndarray, b: np.ndarray) -> bool:
 
 
 def _runs(sweeps: dict[int, np.ndarray], order: list[int], apart: list[int], far: float) -> list[list[int]]:
-    """Trials that are apart from the first one, in runs whose trials are like each other."""
+    """Trials that differ from the first one, in runs whose trials are similar."""
     runs: list[list[int]] = []
     for before, trial in zip([None, *order], order, strict=False):
         if trial in apart:
@@ -152,10 +152,10 @@ def _sentence(case: Case, motion: Motion, alike: list[int], moved: list[int], un
     how = f"turned by {motion.angle_deg:.0f} degrees and shifted" if turns else "shifted"
     far, (before, after) = case.reach(motion), case.error
     return (
-        f"The device was mounted differently in {_trials(moved)}: pressures bring it {far:.3g} {unit} from "
-        f"where they bring it in {_trials(alike)}, early and late in a trial, and no memory explains it. "
-        f"Data of {_trials(moved)} are {how} onto the first mount, which takes the distance from "
-        f"{before:.3g} to {after:.3g} {unit} on rows that did not tell the motion."
+        f"The device was mounted differently in {_trials(moved)}: at equal pressures it is {far:.3g} {unit} "
+        f"away from {_trials(alike)}, early and late in a trial, and no memory effect explains that. "
+        f"Data of {_trials(moved)} are {how} onto the first mount. On rows that were not used to fit the "
+        f"motion this reduces the distance from {before:.3g} to {after:.3g} {unit}."
     )
 
 

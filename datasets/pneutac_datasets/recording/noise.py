@@ -1,4 +1,4 @@
-"""How well a measurement repeats: the error below which no model can be told from the truth.
+"""How well a measurement repeats: the error below which no model can be distinguished from the true one.
 
 Three sources, in this order: repeats of a program, what `recording.json` declares, and local contrasts.
 

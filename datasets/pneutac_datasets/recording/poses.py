@@ -48,7 +48,7 @@ def unwrap(recording: Recording) -> tuple[Recording, list[Finding]]:
         text = f"Column '{name}' jumps by a whole turn {times}; " + (
             "it moves smoothly otherwise, so the turns are taken off."
             if certain
-            else "it also moves quickly elsewhere, so it is kept: unwrap it yourself."
+            else "it also moves quickly elsewhere, so it was not changed: unwrap it yourself."
         )
         found.append(Finding("wrapped_angle", text, (name,), np.array(jumps), {"unwrapped": float(certain)}))
         if certain:
@@ -207,7 +207,7 @@ def drift(recording: Recording) -> list[Finding]:
     how = " and ".join(f"'{c}' by {x:+.3g} {unit}" for c, x in moved.items())
     text = (
         f"At equal pressures the output drifts steadily over the session, {how}: the tracker, the mount or a "
-        "gauge drifts, or the device softens or warms. Repeat the first program at the end to tell."
+        "gauge drifts, or the device softens or warms. Repeat the first program at the end to find out which."
     )
     return [Finding("drift", text, tuple(moved), numbers=moved)]
 
@@ -234,7 +234,7 @@ def _session_s(recording: Recording) -> np.ndarray:
 
 
 def _trend(design: np.ndarray, y: np.ndarray, done: np.ndarray, block: np.ndarray) -> tuple[float, bool]:
-    """Move of y (n, 1) over the session beside a static map, and whether it is steady over blocks."""
+    """Move of y (n, 1) over the session besides a static map, and whether it is steady over blocks."""
     share = (done - done.min()) / max(np.ptp(done), 1e-9)
     left = y - design @ regress(design, y)
     clock = share[:, None] - design @ regress(design, share[:, None])

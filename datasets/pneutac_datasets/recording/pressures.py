@@ -112,7 +112,7 @@ def _judged(recording: Recording, measured: str, command: str) -> tuple[Recordin
         return left_out(
             "gauge_stuck",
             f"Column '{measured}' stands at {pair.p[0]:.4g} in every row while '{command}' moves: the gauge "
-            f"tells nothing; {ALONE}.",
+            f"carries no information; {ALONE}.",
             at=float(pair.p[0]),
         )
     flat = _ends(pair)
@@ -305,7 +305,7 @@ def _end(pair: _Pair, sign: int) -> _End | None:
 
 
 def _device_goes_on(recording: Recording, pair: _Pair, beyond: np.ndarray) -> bool | None:
-    """Whether the device moves on with the command where its gauge stays; None where nothing tells."""
+    """Whether the device moves on with the command where its gauge stays; None if unknown."""
     columns = headline(recording)[0]
     if not columns or min(beyond.sum(), (~beyond).sum()) < LEAST_ROWS:
         return None
@@ -331,7 +331,7 @@ def _clipped(
     text = (
         f"Column '{measured}' stays at {level:.4g} kPa while '{command}' goes on from {end.begin:.4g} to "
         f"{end.far:.4g} kPa, and the {recording.device} stays too: the supply ends there. Commands beyond "
-        f"count as {level:.4g} kPa; no program should ask for more."
+        f"count as {level:.4g} kPa; no program should command more."
     )
     clipped = replace(
         recording,

@@ -97,7 +97,7 @@ def read_table(folder: Path, meta: dict) -> tuple[pd.DataFrame, Path]:
 
 
 def read_csv(file: Path) -> pd.DataFrame:
-    """A table of text whose names tell the units; raises InputError where it is none or too large."""
+    """A table of text whose names have the units; raises InputError where it is none or too large."""
     return _named_table(read_text(file))
 
 
@@ -157,7 +157,7 @@ def _read_lerobot(folder: Path) -> pd.DataFrame:
     source: dict[str, str] = {}
     for name, feature in features.items():
         if name not in raw.columns:
-            continue  # videos are files apart, not columns
+            continue  # videos are separate files, not columns
         names = feature.get("names") if isinstance(feature, dict) else None
         names = list(names.values())[0] if isinstance(names, dict) and names else names
         first = raw[name].iloc[0] if len(raw) else None

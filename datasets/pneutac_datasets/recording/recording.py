@@ -72,12 +72,12 @@ class Recording:
 
     @property
     def length_mm(self) -> float | None:
-        """Length of the straight device, None where the recording does not tell."""
+        """Length of the straight device, None if the recording does not state it."""
         return float(self.meta["length_mm"]) if self.meta.get("length_mm") is not None else None
 
     @property
     def spine_joint_positions_mm(self) -> list[float] | None:
-        """Arc lengths of the spine joints, None where the recording does not tell."""
+        """Arc lengths of the spine joints, None if the recording does not state it."""
         joints = self.meta.get("spine_joint_positions_mm")
         return [float(x) for x in joints] if joints is not None else None
 
@@ -122,7 +122,7 @@ class Recording:
         return starts(self.meta, list(self.trials()))
 
     def image(self, value, plain: bool = False) -> np.ndarray:
-        """Reads an image named in a column (relative path, or bytes kept in Parquet).
+        """Reads an image named in a column (relative path, or bytes stored in Parquet).
 
         Args:
             value: the column's entry.

@@ -20,7 +20,7 @@ LABELS = r"program|image(_\w+)?|mask(_\w+)?|role|indenter|indenter_file|outline_
 
 
 def device_of(meta: dict, samples: pd.DataFrame, folder: Path) -> str:
-    """The recording's device; a LeRobotDataset without recording.json tells it by its columns."""
+    """The recording's device; that of a LeRobotDataset without recording.json follows from its columns."""
     device = meta.get("device")
     if device is None and meta.get("lerobot"):
         device = "gel" if "indenter" in samples else "arm" if "pressure_cmd_1_kpa" in samples else "finger"
@@ -117,7 +117,7 @@ def check_samples(
 
 
 _HOW = {
-    "trial": "number the runs in it, a new number wherever the recording was started anew",
+    "trial": "number the runs in it, a new number wherever the recording was started again",
     "time_s": "add the time of each row since the start of its trial, in seconds",
     "image": "add the file name of each row's picture, relative to the folder",
     "indenter": "add what was pressed into the gel in each row, such as sphere",
@@ -168,7 +168,7 @@ def missing_columns(samples: pd.DataFrame, device: str, file: Path) -> dict[str,
         needed += ", or curvature_x_1_per_m" if device == "arm" else ""
         if not [c for c in samples if re.fullmatch(r"image(_\w+)?", c)]:
             missing["tip_z_mm"] = (
-                f"{file}: no column tells what the {device} did{_near('tip_x_mm', samples)}; add {needed}."
+                f"{file}: no column has the motion of the {device}{_near('tip_x_mm', samples)}; add {needed}."
             )
     return missing
 
@@ -285,5 +285,5 @@ def _check_poverty(samples: pd.DataFrame, file: Path, warnings: list[str]) -> No
         )
     if len(samples) < 50 and not any(c.startswith("image") for c in samples):  # six photographs are enough
         warnings.append(
-            f"{file} has only {plural(len(samples), 'row')}, too few to tell effects apart; record longer."
+            f"{file} has only {plural(len(samples), 'row')}, too few to distinguish effects; record longer."
         )

@@ -1,4 +1,4 @@
-"""How each trial began, where `recording.json` tells it: memory (creep, hysteresis) depends on it."""
+"""How each trial began, if `recording.json` states it: memory (creep, hysteresis) depends on it."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,12 +26,14 @@ class TrialStart:
 
 def check_starts(meta: dict, file: Path) -> None:
     """Raises InputError where field `trials` of `recording.json` is not as documented."""
-    told = meta.get("trials")
-    if told is None:
+    stated = meta.get("trials")
+    if stated is None:
         return
-    if not isinstance(told, dict):
-        raise InputError(f"{file}: field 'trials' is {shown(told)}; name trials by number, as in {EXAMPLE}.")
-    for number, how in told.items():
+    if not isinstance(stated, dict):
+        raise InputError(
+            f"{file}: field 'trials' is {shown(stated)}; name trials by number, as in {EXAMPLE}."
+        )
+    for number, how in stated.items():
         where = f"{file}: field 'trials' of trial {shown(number)}"
         if not isinstance(how, dict) or "start" not in how or set(how) - {"start", "pause_s"}:
             raise InputError(f"{where} is {shown(how)}; give 'start' and perhaps 'pause_s', as in {EXAMPLE}.")
@@ -51,15 +53,15 @@ def check_starts(meta: dict, file: Path) -> None:
 
 def check_numbers(meta: dict, trials: list[int], file: Path) -> None:
     """Raises InputError where field `trials` does not fit the trials (in order) of the table."""
-    told = meta.get("trials") or {}
+    stated = meta.get("trials") or {}
     names = [str(t) for t in trials]
-    for number in told:
+    for number in stated:
         if number not in names:
             raise InputError(
                 f"{file}: field 'trials' names trial {shown(number)}, which is not in the table; its trials "
                 f"are {listed(trials)}."
             )
-    if told.get(names[0], {}).get("start") == "continues":
+    if stated.get(names[0], {}).get("start") == "continues":
         raise InputError(
             f"{file}: field 'trials' lets trial {names[0]} continue, but it is the first of the table; write "
             "'rested' or 'unknown'."
@@ -67,9 +69,9 @@ def check_numbers(meta: dict, trials: list[int], file: Path) -> None:
 
 
 def starts(meta: dict, trials: list[int]) -> dict[int, TrialStart]:
-    """How each of these trials began; `unknown` where it is not told."""
-    told = meta.get("trials") or {}
-    return {t: TrialStart(**told.get(str(t), {})) for t in trials}
+    """How each of these trials began; `unknown` where it is not stated."""
+    stated = meta.get("trials") or {}
+    return {t: TrialStart(**stated.get(str(t), {})) for t in trials}
 
 
 def meta_of_kept(meta: dict, before: list[int], kept: list[int]) -> dict:
@@ -78,10 +80,10 @@ def meta_of_kept(meta: dict, before: list[int], kept: list[int]) -> dict:
         return meta
     previous = dict(zip(before[1:], before, strict=False))
     now = dict(zip(kept[1:], kept, strict=False))
-    told = {}
+    stated = {}
     for trial in kept:
         how = meta["trials"].get(str(trial))
         if how is not None:
             torn = how["start"] == "continues" and now.get(trial) != previous.get(trial)
-            told[str(trial)] = {"start": "unknown"} if torn else how
-    return meta | {"trials": told}
+            stated[str(trial)] = {"start": "unknown"} if torn else how
+    return meta | {"trials": stated}

@@ -44,7 +44,8 @@ def jumps(recording: Recording) -> list[Finding]:
     if bad.mean() > 0.05:
         text = (
             f"The tracker seems to jump in {bad.mean():.0%} of the rows (first in "
-            f"{where(recording, at[0])}); so many may be the device itself, so they are kept: see a video."
+            f"{where(recording, at[0])}); so many may be the device itself, so they were not removed: see a "
+            f"video."
         )
         found.append(Finding("jumps", text, tuple(columns), at, {"kept": 1}))
     elif bad.any():
@@ -57,8 +58,8 @@ def jumps(recording: Recording) -> list[Finding]:
     if slips:
         text = (
             f"The marker shifts suddenly {plural(len(slips), 'time')} without a change of pressure that "
-            f"explains it and stays there (first in {where(recording, slips[0])}); these rows are kept: a "
-            "slipped marker or the device itself."
+            f"explains it and stays there (first in {where(recording, slips[0])}); these rows were not "
+            f"changed: a slipped marker or the device itself."
         )
         found.append(Finding("shift", text, tuple(columns), np.array(slips)))
     return found
@@ -126,7 +127,7 @@ def _pulse(p: np.ndarray, i: int, end: int) -> bool:
 
 
 def _lonely(y: np.ndarray, i: int, end: int) -> bool:
-    """Whether rows i..end-1 stand apart from calm neighbours on both sides."""
+    """Whether rows i..end-1 differ from calm neighbours on both sides."""
     around = np.r_[y[max(0, i - 4) : i], y[end : end + 4]]
     calm = np.linalg.norm(around - np.median(around, axis=0), axis=1).max()
     return bool(np.linalg.norm(y[i:end] - np.median(around, axis=0), axis=1).min() > 4 * max(calm, 1e-12))
@@ -156,7 +157,7 @@ def frozen(recording: Recording) -> list[Finding]:
         for a, b in zip(edges[::2], edges[1::2], strict=True):
             if b - a >= 8 and t[b - 1] - t[a] >= 0.5 and np.ptp(p[a:b], axis=0).max() > 0.05 * p_span:
                 bad[rows.start + a : rows.start + b] = True
-    # a recording without any noise repeats numbers everywhere, which tells nothing about the tracker
+    # a recording without any noise repeats numbers everywhere, which says nothing about the tracker
     if repeated - bad.sum() > 0.2 * len(recording) or not bad.any():
         return []
     at = np.flatnonzero(bad)

@@ -14,7 +14,7 @@ from pneutac_sim.errors import InputError
 # from the base than the device is long; the factor of three leaves room for a rough length_mm.
 MAX_PRESSURE_KPA = 2000.0
 LONGEST_TIP, SHORTEST_TIP = 3.0, 0.02  # of length_mm
-SAME_LENGTH = 0.12  # of length_mm, within which the resting tip in another unit tells that unit
+SAME_LENGTH = 0.12  # of length_mm, within which the resting tip in another unit identifies that unit
 RATIO = 30.0  # between measured and commanded pressure
 
 

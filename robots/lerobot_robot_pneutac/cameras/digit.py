@@ -49,7 +49,7 @@ class DigitConfig(CameraConfig):
         rotation: clockwise, 0, 90, 180 or 270 degrees, of a sensor that is mounted otherwise.
         crop: shares cut off at top, bottom, left and right of the turned image.
         mirror: whether left and right are exchanged.
-        width: columns of the image, to which it is scaled; follows from the resolution where it is left out.
+        width: columns of the image, to which it is scaled; follows from the resolution if omitted.
         height: rows of the image; likewise.
     """
 
@@ -206,7 +206,7 @@ class Digit(OpenCVCamera):
         if len(same) > 1:
             raise InputError(
                 f"{len(same)} DIGITs have the serial '{self.options.serial}', at {' and '.join(same)}; unplug"
-                " all but the one that is meant, since nothing tells them apart."
+                " all but the one that is meant, since they cannot be distinguished."
             )
         found = {d.serial: d for d in devices}
         device = found.get(self.options.serial)
@@ -227,7 +227,7 @@ class Digit(OpenCVCamera):
             raise HardwareFault(f"{self} does not take LED brightness {self.options.led}; plug it in afresh.")
         actual = self.videocapture.get(cv2.CAP_PROP_ZOOM)
         if actual != value:
-            logger.warning("%s was told LED setting %d and reports %d.", self, value, actual)
+            logger.warning("%s was set to LED setting %d and reports %d.", self, value, actual)
         self._new_image_s = time.perf_counter()
 
     def _read_from_hardware(self) -> np.ndarray:
@@ -245,7 +245,7 @@ class Digit(OpenCVCamera):
 
     def _postprocess_image(self, image: np.ndarray) -> np.ndarray:
         result = super()._postprocess_image(image)
-        # Without light there is no noise to tell images apart.
+        # Without light there is no noise to distinguish images.
         if not any(self.options.led) or self._raw is None or not np.array_equal(image, self._raw):
             self._new_image_s = time.perf_counter()
         self._raw = image

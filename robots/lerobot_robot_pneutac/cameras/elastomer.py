@@ -124,7 +124,7 @@ class ElastomerConfig(CameraConfig):
         rotation: clockwise, 0, 90, 180 or 270 degrees.
         crop: shares cut off at top, bottom, left and right of the turned picture, such as [0, 0, 0.1, 0.1].
         mirror: whether left and right are exchanged.
-        width: columns of the image; where it is left out, as it comes.
+        width: columns of the image; if omitted, as it comes.
         height: rows of the image.
     """
 

@@ -19,10 +19,10 @@ BALL_RADIUS_M = 0.004
 @CameraConfig.register_subclass("pneutac_scene")
 @dataclass(kw_only=True)
 class PneutacSceneConfig(CameraConfig):
-    """A camera beside the simulated robot, which draws what it sees; its name says where it stands.
+    """A camera next to the simulated robot, which draws what it sees; its name chooses its place.
 
     Attributes:
-        fps: where left out, the rate at which the world moves on; there is no other.
+        fps: if omitted, the rate at which the world moves on; there is no other.
         width: columns of the picture, px.
         height: rows of the picture, px.
     """

@@ -75,8 +75,8 @@ class Tactile:
     def _checked(self, image: np.ndarray) -> np.ndarray:
         if image.shape != self.shape or image.dtype != np.uint8:
             raise HardwareFault(
-                f"The tactile camera gives {image.dtype} frames of shape {image.shape}; the robot was told"
-                f" uint8 {self.shape} by --robot.digit.height and --robot.digit.width."
+                f"The tactile camera gives {image.dtype} frames of shape {image.shape}; the robot expects "
+                f"uint8 {self.shape} by --robot.digit.height and --robot.digit.width."
             )
         return image
 
@@ -177,7 +177,7 @@ def compare_rest_images(rest: np.ndarray, gel: GelModel, camera: str) -> None:
     found = RestDifference.of(*(cells(i, scale) for i in (rest, gel.rest_image)), scale)
     if abs(found.gain - 1) > OTHER_LIGHT:
         logger.warning(
-            "%s is %.0f %% %s than when its twin was calibrated; check its light, or calibrate anew.",
+            "%s is %.0f %% %s than when its twin was calibrated; check its light, or calibrate again.",
             *(camera, 100 * abs(1 / found.gain - 1), "darker" if found.gain > 1 else "brighter"),
         )
     if not found.shows:
@@ -187,8 +187,8 @@ def compare_rest_images(rest: np.ndarray, gel: GelModel, camera: str) -> None:
         f" twin's does not, {found.levels:.0f} levels strong"
     )
     if found.levels > TOUCH_LEVELS:
-        raise HardwareFault(f"{what}: let nothing touch the gel, or calibrate the twin anew, and try again.")
-    logger.warning("%s: an imprint that is left? Wait until it has faded, or calibrate the twin anew.", what)
+        raise HardwareFault(f"{what}: let nothing touch the gel, or calibrate the twin again, and try again.")
+    logger.warning("%s: an imprint that is left? Wait until it has faded, or calibrate the twin again.", what)
 
 
 def _blocks(image: np.ndarray) -> np.ndarray:

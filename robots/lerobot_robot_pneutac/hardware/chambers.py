@@ -18,7 +18,7 @@ class Chambers:
 
     Args:
         controllers: see above.
-        alike: whether one that has another highest set-point than the first is a fault.
+        alike: whether another highest set-point than the first one's is a fault.
     """
 
     def __init__(self, controllers: Sequence[PressureController], alike: bool = True):

@@ -24,11 +24,11 @@ class Limits:
         low_m: corner (x, y, z) of the box that the flange stays in, base frame.
         high_m: the opposite corner.
         force_n: external force at the flange above which everything stops.
-        pressure_kpa: highest set-point; where left out, what the twin was measured up to.
-        vacuum_kpa: lowest set-point, 0 or below; where left out, what the twin was measured down to.
+        pressure_kpa: highest set-point; if omitted, what the twin was measured up to.
+        vacuum_kpa: lowest set-point, 0 or below; if omitted, what the twin was measured down to.
         pressure_rate_kpa_s: fastest change of the set-point.
         overpressure_kpa: measured pressure above which everything stops, with vacuum also where it is as far
-            below zero; where left out, 1.15 times the farthest set-point.
+            below zero; if omitted, 1.15 times the farthest set-point.
         beyond_twin: whether set-points may lie beyond what the twin was measured over.
         action_kpa: lowest and highest pressure of an action; beyond them one is refused, within them it is
             held to the set-points above. Not an option.

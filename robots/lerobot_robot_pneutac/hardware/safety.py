@@ -40,10 +40,10 @@ logger = logging.getLogger(__name__)
 class Guard:
     """Stands between whoever sends actions and the parts.
 
-    Two threads run beside the control loop. The watchdog stops the arm when no action was carried out for
+    Two threads run next to the control loop. The watchdog stops the arm when no action was carried out for
     `COMMAND_S`, holds the pressure, and vents the chamber after `VENT_S`; the next action starts both again.
     The monitor reads force and pressure all the time. A broken limit or a part that fails is a fault: arm
-    stopped, chamber vented, and every later call raises it until the robot is connected anew.
+    stopped, chamber vented, and every later call raises it until the robot is connected again.
 
     Of the arm `state` and `stop`, of the controller all but connecting is called from these threads too.
 
@@ -172,7 +172,7 @@ class Guard:
         if not self._warned and beyond.any():
             self._warned = True
             logger.warning(
-                "A set-point of %.4g kPa is held to the limits, %g to %g kPa; later ones are not logged.",
+                "A set-point of %.4g kPa is clipped to the limits, %g to %g kPa; later ones are not logged.",
                 wanted_kpa[beyond][0],
                 low,
                 high,

@@ -52,7 +52,7 @@ class Exchange(Protocol):
     fault: str | None
 
     def restart(self) -> None:
-        """The port was opened anew: forget what was under way, and never send an old command again."""
+        """The port was opened again: forget what was under way, and never send an old command again."""
 
     def transmit(self, now_s: float, command: Command) -> bytes:
         """What to send now."""

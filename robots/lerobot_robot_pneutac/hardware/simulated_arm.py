@@ -74,7 +74,7 @@ class SimulatedArm:
             return
         before = self._joints
         if moved_s > 0:
-            # From where it is, not from where it was told to be: beyond its reach it stays behind.
+            # From where it is, not from where it was commanded to be: beyond its reach it stays behind.
             position = self._ik.pose(self._joints)[1]
             self._joints = self._ik.solve(position + self._velocity * moved_s)
         self._rates = (self._joints - before) / elapsed_s

@@ -43,7 +43,7 @@ class PneutacBCConfig(PreTrainedConfig):
     Attributes:
         use_tactile: false leaves out the tactile image and both contact scalars.
         control_hz: rate of the data and of the robot, which turns velocities into displacements per step;
-            where left out, the first dataset's.
+            if omitted, the first dataset's.
         previous_action_dropout: share of training samples in which the previous action is hidden (replaced by
             holding still), lest the policy copies its last action instead of looking.
         previous_action_in_data: whether the dataset itself holds the previous action, as
@@ -161,7 +161,7 @@ class PneutacBCConfig(PreTrainedConfig):
             raise InputError(
                 f"{where}: the tactile images are {shape[2]} x {shape[1]} px and this policy takes"
                 f" {self.image_shape[2]} x {self.image_shape[1]}; give the camera that width and height, or"
-                " train anew with --policy.type=pneutac_bc."
+                " train again with --policy.type=pneutac_bc."
             )
 
     def check_dataset(self, meta) -> None:

@@ -1,7 +1,7 @@
 """The policy `pneutac_bc`: |tactile - rest| through a convolutional encoder, with the state into an MLP.
 
 The paper's policy network and loss (Sec. "Policy training"): a 64-D embedding of the tactile difference
-beside a 24-D observation {q, q', x, s/N, log(1+s), p, a_(t-1)}, two hidden layers of 256, 4-D action.
+with a 24-D observation {q, q', x, s/N, log(1+s), p, a_(t-1)}, two hidden layers of 256, 4-D action.
 """
 
 from pathlib import Path
@@ -97,14 +97,14 @@ class PneutacBCPolicy(PreTrainedPolicy):
         if other:
             raise InputError(
                 f"'{model_file}' does not hold the weights of this policy (differs in {', '.join(other)});"
-                " its use_tactile was another, or another version trained it: train anew."
+                " its use_tactile was another, or another version trained it: train again."
             )
         now = [len(model.state_dict()[k]) for k in SCALES]
         if sizes != now:
             raise InputError(
                 f"'{model_file}' was trained on {sizes[0]} numbers of state and {sizes[1]} of action, and"
                 f" here are {now[0]} and {now[1]}: an arm of other joints, or other chambers. Give those of"
-                " its demonstrations (--env.twin, --env.station), or train anew."
+                " its demonstrations (--env.twin, --env.station), or train again."
             )
         model = super()._load_as_safetensor(model, model_file, map_location, strict)
         if model._dataset_scaling is not None:

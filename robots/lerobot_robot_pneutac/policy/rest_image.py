@@ -56,7 +56,7 @@ def _first_images(meta, episodes: list[int]) -> list[Tensor]:
     except (OSError, ValueError, RuntimeError) as error:  # what PIL and PyAV raise
         raise InputError(
             f"Dataset '{meta.repo_id}': no rest image, for the first '{TACTILE}' of an episode cannot be read"
-            f" ({type(error).__name__}: {error}); delete that episode or record it anew."
+            f" ({type(error).__name__}: {error}); delete that episode or record it again."
         ) from error
 
 
@@ -105,5 +105,5 @@ def check_same_sensor(known: Tensor, found: Tensor, repo_id: str) -> None:
     raise InputError(
         f"Dataset '{repo_id}': its tactile rest image is not of the sensor that --policy.path was trained on"
         f" (correlation {like:.2f}, at least {SAME_SENSOR:g} needed); {seems}: record with the camera as in"
-        " the first training, or train anew with --policy.type=pneutac_bc."
+        " the first training, or train again with --policy.type=pneutac_bc."
     )

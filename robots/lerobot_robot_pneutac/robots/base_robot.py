@@ -15,7 +15,7 @@ BEND_NAMES = (*VELOCITY_NAMES, "bend.pos")  # rad, in place of the pressure
 class BaseRobot(Robot):
     """A robot with the finger; its features are those of every other, and it needs no calibration.
 
-    The rest image of a real gel is taken anew on every connect; a twin is calibrated by `pneutac calibrate`.
+    The rest image of a real gel is taken again on every connect; a twin is calibrated by `pneutac calibrate`.
     """
 
     name = "pneutac"

@@ -71,7 +71,7 @@ class PressureConfig:
             raise InputError("port and ports are both given; give port for one chamber, ports for several.")
         if self.ports and self.chambers not in (1, len(self.ports)):
             raise InputError(f"ports has {len(self.ports)} for chambers={self.chambers}; give one for each.")
-        if len(self.ports) > 1 and all(len(port) == 1 for port in self.ports):  # a text, taken apart
+        if len(self.ports) > 1 and all(len(port) == 1 for port in self.ports):  # a text, split
             raise InputError(
                 f"ports is '{''.join(self.ports)}'; write a list in brackets, such as"
                 " '[/dev/ttyACM0,/dev/ttyACM1,/dev/ttyACM2]'."

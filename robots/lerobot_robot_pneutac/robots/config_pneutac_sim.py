@@ -51,7 +51,7 @@ class PneutacSimConfig(RobotConfig):
         cameras: scene cameras, such as {front: {type: pneutac_scene, width: 320, height: 240}}.
         tactile_points: the observation has touch as data too, `tactile.points`: displacement and force on a
             grid. lerobot-record 0.6 has no place for it and leaves it out; `record_episodes` writes it.
-        randomise_look: light, colours and texture of the scene are drawn anew in every episode.
+        randomise_look: light, colours and texture of the scene are newly drawn in every episode.
     """
 
     task: str = "switch"

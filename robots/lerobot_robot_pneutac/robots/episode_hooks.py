@@ -115,7 +115,7 @@ class EpisodeHooks:
             robot.announced(begins)
 
     def _write_json(self, data: dict, fpath: Path) -> None:
-        """In place of LeRobot's, which empties the old file and writes it anew after every episode.
+        """In place of LeRobot's, which empties the old file and writes it again after every episode.
 
         A kill meanwhile loses the features' names and the frame rate, which nothing else has. `pneutac
         repair` finds all the rest.

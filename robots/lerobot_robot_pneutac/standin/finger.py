@@ -3,7 +3,7 @@
 What bends it, and when, is `pneutac_truths.online.OnlineRod`. Here are its sizes, and its body in MuJoCo: the
 rod cut into `PARTS` lengths h, each a hinge in the plane of the bend and one across it, of stiffness EI / h,
 whose rest angles are those of the unloaded rod. Weight, inertia and contact act on that body, in the world
-and on the bench alike.
+and on the bench.
 """
 
 import mujoco

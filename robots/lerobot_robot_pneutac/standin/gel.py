@@ -137,7 +137,7 @@ class CameraNoise:
         """For images of a shape (H, W, 3), `dt_s` apart, whose colours are brighter by these factors."""
         self._brightness, self._keep = np.array(brightness), np.exp(-dt_s / DRIFT_S)
         self._shape, self._size = shape, int(np.prod(shape))
-        # Drawing noise anew takes longer than a whole control step; stretches of a longer one are as good.
+        # Drawing new noise takes longer than a whole control step; stretches of a longer one are as good.
         noise = NOISE_LEVELS * np.random.default_rng(0).standard_normal(3 * self._size, np.float32)
         self._pool = noise.round().astype(np.int8)
         self.begin(np.random.default_rng(0))

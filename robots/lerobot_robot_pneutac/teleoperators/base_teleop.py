@@ -106,7 +106,7 @@ class PneutacScriptedConfig(TeleoperatorConfig):
 
     Attributes:
         episode_steps: ticks of a demonstration where no episodes are announced, as in `lerobot-teleoperate`;
-            where left out, those of 14 s.
+            if omitted, those of 14 s.
         seed: decides the variation between demonstrations.
         drag_mm: how far it drags the finger sideways along what it holds, before it lets go; in `button`
             alone.

@@ -29,7 +29,7 @@ BEND_S = 3.0  # from the smallest bend to the largest at full deflection
 MAX_TICK_S = 0.2  # a slow tick changes the pressure by no more than this
 # After `safety.VENT_S` without actions the robot is vented: no sudden return to the old pressure.
 PAUSE_S = 0.9
-# Key to direction (x, y, z) and pressure change. Kept free for lerobot-record: n, r, q, the arrows and Esc.
+# Key to direction (x, y, z) and pressure change. Reserved for lerobot-record: n, r, q, the arrows and Esc.
 KEYS = {
     "w": (1, 0, 0, 0),
     "s": (-1, 0, 0, 0),

@@ -11,7 +11,7 @@ in place, with n samples at once (a whole recording) or one (a control step of t
   rested at that input for ever, so that `exp(-dt / tau)` is zero and a lag has caught up by itself.
 - `theta` (p,): the effect's parameters in the order of `BodyEffect.parameters`.
 - `conditions` (n, k): the columns named in `BodyEffect.columns`.
-- `state`: a float array of `BodyEffect.state_size(channels)` numbers, all zero for a new device. It is kept
+- `state`: a float array of `BodyEffect.state_size(channels)` numbers, all zero for a new device. It stays
   from call to call and from trial to trial, so what the material remembers (its largest strain, its cycles)
   lives on; what a rest wipes out, wipe out where `dt` is infinite.
 """
@@ -64,7 +64,7 @@ class BodyEffect(Effect):
             the true one, so it acts where the measured pressure is the input too.
         codes: numbers before the parameters in `theta`, by which a `run` that several effects share knows
             which one it is.
-        apart: whether it acts on each channel as if there were no other, so that further signals may be run
+        apart: whether it acts on each channel independently of the others, so that further signals may be run
             as further channels.
         linear: parameter in which what it adds to its signal is linear; empty where there is none.
     """

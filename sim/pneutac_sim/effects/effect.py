@@ -27,12 +27,12 @@ class Parameter:
         upper: largest value.
         neutral: value at which the effect (or this part of it) does nothing; may lie outside the bounds.
         log: True where the parameter is positive and its magnitude is what matters.
-        fixed: True for a constant that a user may set and that data cannot tell from another parameter.
+        fixed: True for a constant that a user may set and that data do not separate from another parameter.
         range_power: default and bounds are in units of (largest pressure in kPa) ** range_power.
         step: share of the range between bounds by which a fit moves it to see what it does; larger where the
             answer comes in jumps.
         jump: share of that range within which a fit also tries values, where the error comes in jumps that no
-            derivative tells of; 0 for none.
+            derivative shows; 0 for none.
     """
 
     name: str
@@ -75,7 +75,7 @@ class Effect:
         stage: one of `STAGES`.
         parameters: what calibration may fit.
         summary: one sentence for a newcomer, with `{device}` and `{parameter}` placeholders.
-        experiment: what to record to see the effect apart from its rivals.
+        experiment: what to record to distinguish the effect from its alternatives.
         equation: in LaTeX, for the catalogue of effects; an arrow leads from a signal to what becomes of it.
         cause: the summary as a noun phrase, for a list of causes; the name where it is empty.
         derive: parameter values to further values that `summary` and `cause` show.

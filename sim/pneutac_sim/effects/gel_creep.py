@@ -4,7 +4,7 @@ Boltzmann's superposition with a Prony series: a surface u that was held for T l
 u sum_i a_i (1 - exp(-T / tau_i)) exp(-s / tau_i). A layer whose shear modulus relaxes keeps its shape while
 an indenter holds it, and once free it goes back through scaled copies of that shape (Christensen, Theory of
 Viscoelasticity (1982) ch. 2), so this is all of its creep that a camera sees at stated depths. Times a
-factor of five apart leave shares as the only parameters.
+with factors of five between them leave shares as the only parameters.
 """
 
 import math

@@ -489,7 +489,7 @@ _HOLD = (
     "Step to half and to full pressure, hold three time constants each, vent as long: the bend goes on and "
     "then stops"
 )
-# What to record to see a law apart from its neighbours; `diagnosis.law_programs` makes a program of each.
+# What to record to distinguish a law from its neighbours; `diagnosis.law_programs` makes a program of each.
 EXPERIMENTS = {
     "stairs": "Go up and down in ten equal stairs: what depends on the pressure alone is the same on both "
     "ways.",

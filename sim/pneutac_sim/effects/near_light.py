@@ -12,7 +12,7 @@ from numba import njit
 from pneutac_sim.effects.sensor_effect import SensorEffect, each_channel
 
 LX, LY, PX, PY = 0, 1, 3, 4  # of a channel's row of coefficients, see `gel.optics`
-MAKE_SD_MM = 2.0  # how alike sensors of one make are
+MAKE_SD_MM = 2.0  # how similar sensors of one model are
 
 
 @njit(cache=True, error_model="numpy")

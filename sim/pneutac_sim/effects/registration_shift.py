@@ -1,4 +1,4 @@
-"""Registration shift: the contacts lie beside where the recording says.
+"""Registration shift: the contacts are displaced from where the recording states.
 
 The true place is s R(turn) x + shift, with x the stated one, all from the window's centre.
 """
@@ -35,8 +35,8 @@ EFFECT = SensorEffect(
     steps=lambda reach_mm: (STEP_MM, STEP_MM, STEP_MM / reach_mm, STEP_MM / reach_mm),
     equation=r"x \to s\,R(\phi)\,x + t",
     cause="shifted contact positions",
-    summary="The contacts of your {device} lie {shift_x_mm:+.2f} mm (x) and {shift_y_mm:+.2f} mm (y) beside "
-    "where the recording says, turned by {turn_rad:+.3f} rad and {scale:.3f} times as far from the centre.",
+    summary="The contacts of your {device} lie {shift_x_mm:+.2f} mm (x) and {shift_y_mm:+.2f} mm (y) from "
+    "where the recording states, turned by {turn_rad:+.3f} rad and {scale:.3f} times as far from the centre.",
     experiment="Press a small ball at the four corners and in the middle, and measure where the images show "
     "it.",
 )

@@ -7,7 +7,7 @@ import numpy as np
 
 from pneutac_sim.effects.sensor_effect import SensorEffect, each_channel
 
-MAKE_SD = 0.05  # how alike sensors of one make are
+MAKE_SD = 0.05  # how similar sensors of one model are
 
 
 def weight(log_rest: np.ndarray, v: dict[str, float]) -> np.ndarray:

@@ -6,9 +6,9 @@ A photograph is made as follows; an effect has one hook or more of these and lea
     u      -> compiled light, bent by (coefficients) -> (light) -> s, a colour channel at a time
     image  =  (rest + (weight) s) (gain)
 
-One pair of images cannot tell everything about the light, so a fit holds each parameter to a prior around its
-default as far as the images leave it free. A parameter whose name has `red`, `green` or `blue` in it belongs
-to that channel; the others are one number for the sensor.
+One pair of images does not identify everything about the light, so a fit holds each parameter to a prior
+around its default as far as the images leave it free. A parameter whose name has `red`, `green` or `blue` in
+it belongs to that channel; the others are one number for the sensor.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -62,7 +62,7 @@ class SensorEffect(Effect):
     Attributes:
         prior_sd: standard deviation of the prior of each parameter around its default.
         standard: belongs to every sensor, so that it is fitted to one whose light nobody has looked at yet.
-        of_session: tells how the photographs were taken rather than what the sensor is, so that one pair of
+        of_session: belongs to how the photographs were taken rather than to the sensor, so that one pair of
             images cannot show it.
         lend: (make, channel number) -> name without the channel to (mean, standard deviation), what sensors
             of one make share; see `gel.layout.Layout`.

@@ -53,7 +53,7 @@ def cast(u, hx, hy, c):
                 if (ex > 0) != (dj > 0) or (ey > 0) != (di > 0):
                     continue
                 px, py = abs(ex) / hx, abs(ey) / hy  # cells that the ray crosses on the way to the light
-                if px >= py:  # it leaves through the column beside
+                if px >= py:  # it leaves through the neighbouring column
                     if not 0 <= j + dj < m:
                         continue
                     near = S[i, j + dj]

@@ -1,4 +1,4 @@
-"""What a least-squares fit knows about its parameters, when neighbouring residuals are alike.
+"""What a least-squares fit knows about its parameters, when neighbouring residuals are correlated.
 
 Residuals of a model that is a little wrong are strongly correlated in time, so n samples are worth only
 n (1 - rho) / (1 + rho) independent ones (first-order autoregression; Bayley and Hammersley, J. R. Stat. Soc.

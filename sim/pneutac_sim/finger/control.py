@@ -1,11 +1,11 @@
-"""The pipeline backwards: the pressure that bends a finger as it is told, with all its effects compensated.
+"""The inverse pipeline: the pressure for a wanted bend, with all effects compensated.
 
 Hysteresis, creep and air are inverted together by looking ahead on the twin: of `STEPS` commands those are
 taken with which its bend comes nearest to the target, changes of the command costing a little, and the first
 one is sent (a receding horizon; Gauss and Newton's method, whose derivative is the response to a step of
 all commands). Where the bend is measured, a slow offset on the model's is learnt (as offset-free predictive
 control has it, Pannocchia and Rawlings, AIChE Journal 49, 2003), and what comes faster than any effect of
-the twin is told apart as a load.
+the twin is detected as a load.
 """
 
 import math
@@ -23,7 +23,9 @@ SMOOTH = 0.15  # weight of a change of the command, bent by the gain, against th
 ROUNDS = 2
 PROBE_KPA = 0.3  # by which the commands are raised to see what it does
 OFFSET_S = 1.0  # time constant with which a measured offset is believed
-USUAL_S = 10.0  # the same of how far a reading usually is from it; as much again before a load can be told
+USUAL_S = (
+    10.0  # the same of how far a reading usually is from it; as much again before a load can be detected
+)
 LOAD_STEPS = 3  # readings in a row, on one side, ...
 LOAD_USUAL = 4.0  # ... that are so many times as far from model and offset as usual are a load, ...
 LATE_S = 0.06  # ... unless the bend is moving and is merely so much early or late
@@ -42,13 +44,13 @@ def bend_angle(markers: np.ndarray, by: str = "tip") -> np.ndarray:
 
 
 def bend_is_by(twin: Twin) -> str:
-    """Which bend (`bend_angle`) a twin was calibrated to tell: `angle`, or `tip` where tips were measured."""
+    """Which bend (`bend_angle`) a twin was calibrated to: `angle`, or `tip` where tips were measured."""
     units = [entry["unit"] for entry in twin.history if entry.get("unit") in ("mm", "rad", "1/m")]
     return "angle" if units and units[-1] != "mm" else "tip"
 
 
 class BendController:
-    """Commands pressure so that a free finger bends as told, one control step at a time.
+    """Commands pressure so that a free finger has the wanted bend, one control step at a time.
 
     Args:
         twin: a finger of one chamber.
@@ -156,9 +158,9 @@ class BendController:
             raise InputError(f"The measured bend is {bend_rad}; it must be a finite number of radians.")
         self.residual_rad = r = bend_rad - self.predicted_rad
         self._seen += 1
-        told = self._seen * self._dt_s > USUAL_S
+        enough = self._seen * self._dt_s > USUAL_S
         usual = LOAD_USUAL * math.sqrt(self._usual_rad2) + LATE_S * abs(self._rate_rad_s)
-        if told and abs(r) > usual:
+        if enough and abs(r) > usual:
             side = 1 if r > 0 else -1
             self._streak = self._streak + side if self._streak * side > 0 else side
         else:

@@ -1,7 +1,7 @@
 """Fits a twin to a recording: bounded nonlinear least squares over all parameters, from several starts.
 
 A first round on a thinned recording looks for the right valley, the second polishes on every sample. Whatever
-the recording cannot tell apart stays as it is and is named.
+the recording does not separate stays as it is and is named.
 """
 
 import time
@@ -22,8 +22,8 @@ from pneutac_sim.twin import Twin
 
 _EDGE = 1e-3  # of a parameter's whole range: nearer to its bound it counts as at it
 _COARSE = 1200  # samples in the first round
-_COARSE_STEPS = 8  # enough to tell the valleys apart
-_DEPENDENT = "the recording cannot tell it from the other parameters"
+_COARSE_STEPS = 8  # enough to separate the valleys
+_DEPENDENT = "the recording cannot separate it from the other parameters"
 _PROFILE = ("gain_alpha", "gain_beta")
 BY_IMAGES = "calibrated by images"  # how a twin's history calls it
 
@@ -44,7 +44,7 @@ class PipelineFit:
         confidence: spread and correlations in scaled units, effective number of samples.
         ci95: parameter name to its interval, for all in `free`.
         at_bound: parameter name to `lower` or `upper`, where it stopped at a bound that is no neutral point.
-        not_identified: parameters that the recording cannot tell, and why.
+        not_identified: parameters that the recording does not identify, and why.
         evaluations: simulations made, most of them of a thinned recording or of a part of the chain.
         seconds: wall time.
     """
@@ -88,7 +88,7 @@ def fit(
         train: (n,) samples to fit; None for all.
         only: fit these and hold the rest: names of parameters, or of effects for all of theirs. None for all;
             but where photographs of the whole body gave how the bend is spread over the joints, a
-            recording of the tip alone, which hardly tells it, does not change that.
+            recording of the tip alone, which hardly identifies it, does not change that.
         starts: how many starting points the first round tries.
         seed: decides the random ones among them.
         body: of a finger, with which its modulus and the joints' stiffness are fitted too.
@@ -114,7 +114,7 @@ def fit(
     residual = data.measured - pipeline.outputs(pipeline.run(data.inputs, theta), data.columns)
     edge = (v < _EDGE) | (v > 1 - _EDGE)
     known = confidence(final.jacobian(v), residual[mask] * data.scale, data.adjacent[mask], edge)
-    for j, half in level.items():  # where there is no slope from which to tell its spread
+    for j, half in level.items():  # where there is no slope from which to compute its spread
         known.sd[j] = max(half / Z95, known.sd[j] if np.isfinite(known.sd[j]) else 0.0)
     ci95 = _intervals(pipeline, bounds, final.free, v, known.sd)
     unknown = dict.fromkeys((pipeline.names[i] for i in free if i not in final.free), _DEPENDENT)
@@ -151,7 +151,7 @@ def _search(
     """Finds the best valley on some samples and follows it on all that train (indices).
 
     Returns:
-        All problems that were simulated, the last with those of the `free` that the samples can tell; and
+        All problems that were simulated, the last with those of the `free` that the samples identify; and
         its solution.
     """
     thin = data.thin(train[:: max(1, len(train) // _COARSE)])

@@ -263,19 +263,19 @@ def _pauses(trials: np.ndarray, default: float, known: Mapping[str, Mapping]) ->
     """(trials,) seconds at zero pressure before each; infinite: rested; NaN: held at its first pressure."""
     out = np.full(len(trials), float(default))
     for i, trial in enumerate(trials):
-        told = known.get(str(trial), {})
-        if told.get("start") == "rested":
+        stated = known.get(str(trial), {})
+        if stated.get("start") == "rested":
             out[i] = math.inf
-        elif told.get("start") == "continues":
-            out[i] = float(told.get("pause_s", 0.0))
+        elif stated.get("start") == "continues":
+            out[i] = float(stated.get("pause_s", 0.0))
     return out
 
 
 def _starts_vented(pressure: np.ndarray, first: np.ndarray, samples: Mapping, device: str) -> bool:
     """Whether trials start at rest although their first pressure is not zero.
 
-    Trials that begin with a constant pressure tell: if they start from rest, their first poses agree and only
-    their later poses follow the pressure.
+    Trials that begin with a constant pressure show it: if they start from rest, their first poses agree and
+    only their later poses follow the pressure.
     """
     poses = observations(samples, device)
     if not poses:

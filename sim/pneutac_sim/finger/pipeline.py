@@ -77,8 +77,8 @@ class Pipeline:
         effects: names, in any order; they act in the library's order.
         measured: True where the input will be the measured pressure.
         columns: condition columns that the input has; None for all. Effects without theirs are left out.
-        body: the soft body round a finger's spine, so that its modulus can be told from the joints' whole
-            stiffness by loaded poses; None where springs of the whole stiffness will do.
+        body: the soft body round a finger's spine, so that its modulus can be separated from the joints'
+            total stiffness by loaded poses; None where springs of the whole stiffness will do.
 
     Attributes:
         names: (P,) parameter names, base parameters first, then `effect.parameter`.

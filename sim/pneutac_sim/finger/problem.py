@@ -299,7 +299,7 @@ class Problem:
 
 
 def past_jumps(residual: Callable[[np.ndarray], np.ndarray], jumps: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """The best v nearby along each parameter that moves the error in jumps, of which derivatives do not tell.
+    """The best v nearby along each parameter that moves the error in jumps, which derivatives do not show.
 
     Args:
         residual: of v.

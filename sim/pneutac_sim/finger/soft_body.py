@@ -48,7 +48,7 @@ class SoftBody:
         """
         powers = _terms(q.shape[1])
         if q.size < len(powers):
-            raise InputError(f"{len(q)} poses tell too little of a body with {len(powers)} terms; use more.")
+            raise InputError(f"{len(q)} poses are too few for a body with {len(powers)} terms; use more.")
         # f = -dU/dq
         design = -_derivative(powers, q).transpose(0, 2, 1).reshape(-1, len(powers))
         weights = np.linalg.lstsq(design, torque.ravel(), rcond=None)[0]
@@ -136,7 +136,7 @@ def _resist(q, powers, weights, f, B):
 def share_of_controller(whole: float, body: np.ndarray, levers: np.ndarray) -> float:
     """K_c in N m/rad, what is left of a finger's whole stiffness without its soft body; 0 where nothing is.
 
-    Loaded poses tell the whole: with the moments w of a force across the straight finger's tip it yields as
+    Loaded poses give the total: with the moments w of a force across the straight finger's tip it yields as
     joints of stiffness K would, w^T (K_c + B)^-1 w = w^T w / K.
 
     Args:

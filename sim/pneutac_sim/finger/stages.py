@@ -40,7 +40,6 @@ class Geometry:
 
     @property
     def n_joints(self) -> int:
-        """N."""
         return len(self.joint_positions_mm)
 
     @property
@@ -238,7 +237,7 @@ class LoadLink:
     """Static equilibrium with the loads on the body: those of effects, and a force measured at the tip.
 
     Joints are springs of one stiffness; with a `body` of material points they are the chamber's controller
-    and the body's own torque beside it.
+    and the body's own torque.
     """
 
     geometry: Geometry

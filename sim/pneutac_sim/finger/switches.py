@@ -5,11 +5,11 @@ import math
 import numpy as np
 
 STEP_SHARE = 0.02  # of the range: a smaller change from sample to sample is no step
-_UNSEEN = 3  # commands between two samples that are looked for, beside the logged one
+_UNSEEN = 3  # commands between two samples that are searched for, besides the logged one
 
 
 def steps(pressure: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Rows before which a pressure (n, chambers) steps: it changes much there and little beside.
+    """Rows before which a pressure (n, chambers) steps: it changes much there and little nearby.
 
     Args:
         pressure: commanded.
@@ -25,7 +25,7 @@ def switches(samples, time: np.ndarray, pressure: np.ndarray, first: np.ndarray,
     """Where the command switches between samples: arguments of `Inputs._with_switches`.
 
     Args:
-        samples: with `time_sent_s` where the log tells it.
+        samples: with `time_sent_s` if the log has it.
         time: (n,) of the samples.
         pressure: (n, chambers) commanded.
         first: (n,) True where a trial begins.
@@ -42,7 +42,7 @@ def switches(samples, time: np.ndarray, pressure: np.ndarray, first: np.ndarray,
 
 
 def _sent(sent, time, pressure, first, steps):
-    """Switches where the log tells when each command was sent.
+    """Switches, from when the log says each command was sent.
 
     In a ramp a computer that is faster than the log sends commands that no row has; they lie between their
     neighbours, in time and height.
@@ -77,9 +77,10 @@ def _sent(sent, time, pressure, first, steps):
 
 
 def _tick(sent: np.ndarray, time: np.ndarray, ramp: np.ndarray) -> float:
-    """Seconds from command to command: of a loop that logs each one, or of a computer beside the log.
+    """Seconds from command to command: of a loop that logs each one, or of a separate computer.
 
-    Beside the log a sample finds the last command at any age up to that; in a loop all are of one age.
+    With a separate computer a sample finds the last command at any age up to that; in a loop all are of one
+    age.
     """
     if not ramp.any():
         return 1.0  # no ramp, so none unseen

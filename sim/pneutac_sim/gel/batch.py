@@ -42,7 +42,7 @@ class CastShadows:
         ex, ey = towards
         di, dj = np.where(ey > 0, 1, -1), np.where(ex > 0, 1, -1)
         px, py = np.abs(ex) / hx, np.abs(ey) / hy
-        wide = px >= py  # it leaves through the column beside
+        wide = px >= py  # it leaves through the neighbouring column
         near_i, near_j = np.where(wide, i, i + di), np.where(wide, j + dj, j)
         leaves = (near_i < 0) | (near_i >= ROWS) | (near_j < 0) | (near_j >= COLS)
 

@@ -14,7 +14,7 @@ from pneutac_sim.least_squares import minimise
 
 DIFFERENCE = 1e-2  # of a prior's deviation, by which an unknown is moved to see what the light does
 
-# Unknowns of a channel beside those of effects: default, prior's deviation, bounds. The light is so many
+# Unknowns of a channel besides those of effects: default, prior's deviation, bounds. The light is so many
 # levels per unit slope and comes from a direction.
 STRENGTH, DEPTH_LIGHT = (120.0, 120.0, 0.0, 2000.0), (0.0, 6.0, -60.0, 60.0)
 
@@ -181,7 +181,7 @@ class Channel:
         return out
 
     def without(self, i: int, surfaces: Sequence[np.ndarray]) -> "Channel":
-        """This channel fitted anew without photograph i, to the surfaces of all of them."""
+        """This channel re-fitted without photograph i, to the surfaces of all of them."""
         out = copy.copy(self)
         out._parts = self._parts[:i] + self._parts[i + 1 :]
         out.solve([*surfaces[:i], *surfaces[i + 1 :]])

@@ -1,6 +1,6 @@
 """Indenters of any form: a flat punch with a polygon for its outline, or triangles from a file.
 
-Of either only the lower side matters: its height h(x, y) over its lowest point, infinite beside it. Frame: x
+Of either only the lower side matters: its height h(x, y) over its lowest point, infinite outside it. Frame: x
 and y as the gel's, z away from the sensor, the origin at the contact's centre in x and y.
 """
 
@@ -74,7 +74,7 @@ class Outline:
         return self.reach_mm
 
     def height_mm(self, x_mm: np.ndarray, y_mm: np.ndarray) -> np.ndarray:
-        """0 inside the outline, infinite beside it; same shape as the places."""
+        """0 inside the outline, infinite outside it; same shape as the places."""
         corners = np.asarray(self.corners_mm)
         inside = np.zeros(np.shape(x_mm), bool)
         for (ax, ay), (bx, by) in zip(corners, np.roll(corners, -1, 0), strict=True):
@@ -146,7 +146,7 @@ class Figure:
         return float(radii[max(int(np.searchsorted(heights, depth_mm)) - 1, 0)])
 
     def height_mm(self, x_mm: np.ndarray, y_mm: np.ndarray) -> np.ndarray:
-        """Of its lower side, infinite beside it; same shape as the places."""
+        """Of its lower side, infinite outside it; same shape as the places."""
         x, y = np.ascontiguousarray(x_mm, float).ravel(), np.ascontiguousarray(y_mm, float).ravel()
         out = np.full(len(x), np.inf)
         _lowest(self.triangles_mm, x, y, out)

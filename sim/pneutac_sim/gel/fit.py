@@ -1,7 +1,7 @@
 """Calibrates a gel: light, effects and mechanics, from one rest and one indentation image or more.
 
 Given the surface, each channel is a least-squares problem of its own with up to twelve unknowns, tied to the
-priors of its effects where the images cannot tell. Around that, a search finds how far the surface
+priors of its effects where the images do not identify them. Around that, a search finds how far the surface
 recovers around a contact and how much of an imprint shows. All of it works on the probe grid, to which the
 photographs are averaged: the light varies no faster, and noise drops out.
 """
@@ -28,7 +28,7 @@ SHARES = (0.0, 0.25, 0.5)  # of a make's field: two DIGITs have half of what is 
 
 
 def lend(make: Layout, problem: Problem, fit: GelFit) -> None:
-    """Adds to a fit the share of its make's field that explains its presses best, with the light anew.
+    """Adds to a fit the share of its make's field that explains its presses best, with the light again.
 
     The field is in proportion to the light's strength. What it explains is taken out of what the problem's
     photographs show.
@@ -63,9 +63,9 @@ def lend(make: Layout, problem: Problem, fit: GelFit) -> None:
 
 
 def learn_beside(problem: Problem, fit: GelFit) -> None:
-    """Adds to a fit the residual field of its presses, as far as fields of all but one bear out on that one.
+    """Adds to a fit the residual field of its presses, weighted by leave-one-out prediction.
 
-    The light is fitted anew without the one, since it would know it too well.
+    The light is re-fitted without the one, since it would know it too well.
 
     Args:
         problem: of the fit's photographs, without what its make explains.
@@ -86,7 +86,7 @@ def learn_beside(problem: Problem, fit: GelFit) -> None:
 # One photograph shows noise and compression, but not how far the light drifts until the next.
 MIN_THRESHOLD_LEVELS = 6.0
 SHADOW = "shadow"
-FIELD_PRESSES = 5  # from which on what the model leaves over is learnt; three tell too little of one another
+FIELD_PRESSES = 5  # from which on the residual is learnt; three predict one another too poorly
 CONTACT_ROUNDS = 4  # of light and contacts in turn, where an effect changes these or presses are uncertain
 
 
@@ -128,7 +128,7 @@ def fit_presses(
 ) -> GelFit:
     """Fits a gel to one press or several, whose lights are the same and whose drifts are each one's own.
 
-    A make that is recognised lends what the model leaves over of its other sensors; from five presses on
+    A recognised sensor model has a prior from the residuals of its other sensors; from five presses on
     what it leaves over of these is learnt too, see `learn_beside`.
 
     Args:
@@ -140,7 +140,7 @@ def fit_presses(
         makes: sensors whose lights are known.
         pressed: gives the surfaces, such as `mpm.pressed.PressedGel.between`; None for the closed form. The
             gel's decay is then that of the closed form nearest to them.
-        known: values of effects that stay where the presses cannot tell them, see `fit_photographs`.
+        known: values of effects that stay where the presses do not identify them, see `fit_photographs`.
 
     Raises:
         InputError: a pair is no rest and indentation image, see `check_pair`.
@@ -182,10 +182,10 @@ def fit_photographs(
     quick: bool = False,
     pressed: Pressed | None = None,
 ) -> GelFit:
-    """Fits light, mechanics and these effects anew.
+    """Fits light, mechanics and these effects again.
 
     Args:
-        gel: gives size, scale and thickness, and the values of effects of which the photographs tell
+        gel: gives size, scale and thickness, and the values of effects of which the photographs show
             nothing since no press came before.
         photographs: checked pairs of images; what is uncertain of their presses is found with the light.
         effects: of the sensor, to fit.

@@ -165,7 +165,7 @@ class GelForce:
 
 
 def rim(size_mm: float, thickness_mm: float, at_mm: np.ndarray) -> np.ndarray:
-    """Share of the force that is left at a way `at_mm` (n,) from one of two sides `size_mm` apart, (n,)."""
+    """Share of the force left at a distance `at_mm` (n,) from one of two sides `size_mm` apart, (n,)."""
     fades = RIM_SHARE * thickness_mm
     return (1 - RIM * np.exp(-at_mm / fades)) * (1 - RIM * np.exp((at_mm - size_mm) / fades))
 

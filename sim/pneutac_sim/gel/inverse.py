@@ -31,7 +31,7 @@ from pneutac_sim.twin import Twin
 MU, LAMBDA = 10.0, 3.0  # levels/mm, levels mm
 STEPS = 3
 AROUND_MM = 1.4  # round what has changed, where the surface still sags
-QUIET_SHARE = 0.1  # of the image, from which on a drift of its light can be told
+QUIET_SHARE = 0.1  # of the image, from which on a drift of its light can be measured
 EDGE = 0.4  # of a contact's deepest point: the surface there is where it leaves the object, on balls
 SHALLOWEST_MM = 0.08  # of a contact
 # Over E / t: of ten presses of balls, punches, an edge and a cone into 2.5 mm of material points, 2.1 to 3.0.
@@ -40,7 +40,7 @@ BED = 2.55
 
 @dataclass(frozen=True)
 class Touch:
-    """What an image tells, on the probe grid (80, 59).
+    """What is read from an image, on the probe grid (80, 59).
 
     Attributes:
         surface_mm: displacement into the gel, float64.
@@ -137,7 +137,7 @@ class TouchReader:
         if quiet.mean() < QUIET_SHARE:
             return difference
         some = quiet.copy()
-        some[::2] = False  # half of the rows tell as much
+        some[::2] = False  # half of the rows suffice
         out = np.empty_like(difference)
         for k in range(3):
             basis = np.concatenate([rest[..., k : k + 1], self._smooth], -1)

@@ -47,7 +47,7 @@ class Memory:
         self._late, self._held, self._at_s = np.zeros((len(share), ROWS, COLS)), np.zeros((ROWS, COLS)), 0.0
 
     def left_mm(self, at_s: float) -> np.ndarray | None:
-        """Displacement (80, 59) that is left now, or None; a clock that goes back begins anew."""
+        """Displacement (80, 59) that is left now, or None; a clock that goes back starts again."""
         if at_s < self._at_s:
             self._late[:], self._held = 0.0, np.zeros((ROWS, COLS))
         self._late += -np.expm1(-max(at_s - self._at_s, 0.0) / self._time_s) * (self._held - self._late)

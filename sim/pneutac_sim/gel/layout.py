@@ -1,8 +1,8 @@
 """Where the lights of known sensors stand, and which way round a sensor's images are.
 
-One indentation tells from where the light comes at that place, not how far away it stands nor how it spreads.
-Sensors of one make share both, so a sensor that is recognised lends the rest from its make. Its rest image
-tells the make, whatever was pressed; where it does not, the directions of the light do.
+One indentation shows from where the light comes at that place, not how far away it stands nor how it spreads.
+Sensors of one make share both, so a sensor that is recognised takes the rest from the prior of its model. Its
+rest image identifies the sensor model, whatever was pressed; otherwise the directions of the light do.
 """
 
 import base64
@@ -22,7 +22,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.files import read_yaml, write_text
 from pneutac_sim.gel.residual import FEATURES, Leftover, ResidualField, learn, mean
 
-# Of a field that is lent: a finer or stronger one holds more that is the sensor's own.
+# Of a prior field: a finer or stronger one holds more that is the sensor's own.
 CELLS, STRENGTH_LEVELS = 48, 8.0
 
 
@@ -68,7 +68,7 @@ class Unit:
 
 FORMAT = "pneutac-prior-1"
 KEPT = (12, 16)  # columns and rows of a rest image in a prior's file
-MAKE_SD_RAD = 0.05  # how alike the directions of lights are on sensors of one make
+MAKE_SD_RAD = 0.05  # spread of the directions of lights between sensors of one model
 
 # Largest angle between the measured and the make's direction of any light.
 MATCH_DEG = 25.0
@@ -89,9 +89,9 @@ class Layout:
         exponents: of the rest colour, see the effect `rest_colour`.
         proportions: width of the images over their height.
         rest: what such a sensor shows without contact, (16, 12, 3) levels; None where unknown.
-        distances_sd_mm: how alike the lights' distances are.
-        directions_sd_rad: how alike their directions are.
-        exponents_sd: how alike the exponents are.
+        distances_sd_mm: spread of the lights' distances between sensors.
+        directions_sd_rad: spread of their directions.
+        exponents_sd: spread of the exponents.
         units: sensors of the make whose residual field is known, seen as the lights are.
     """
 
@@ -131,17 +131,17 @@ class Layout:
             )
         except (KeyError, TypeError, ValueError, AttributeError) as e:
             raise InputError(
-                f"{file} is no prior of a sensor ({type(e).__name__}: {e}); delete it, or save it anew with "
+                f"{file} is no prior of a sensor ({type(e).__name__}: {e}); delete it, or save it again with "
                 "`pneutac calibrate --save_prior=NAME`."
             ) from e
         spread = (*out.distances_sd_mm, *out.directions_sd_rad, *out.exponents_sd, out.proportions)
         numbers = [*np.ravel(out.positions_mm), *out.exponents, *spread]
         if not np.isfinite(numbers).all() or min(spread) <= 0 or not np.isfinite(rest).all():
-            raise InputError(f"{file} holds numbers that no prior has; delete it, or save it anew.")
+            raise InputError(f"{file} holds numbers that no prior has; delete it, or save it again.")
         return out
 
     def write(self, file: Path, source: str) -> None:
-        """As YAML, whole or not at all; `source` tells where it is from. It must know its rest image."""
+        """As YAML, whole or not at all; `source` names its origin. It must know its rest image."""
         assert self.rest is not None
         content = {"format": FORMAT, "name": self.name, "source": source, "proportions": self.proportions}
         for k, channel in enumerate(CHANNELS):

@@ -50,7 +50,7 @@ def save(
 ) -> Path:
     """Keeps a calibrated sensor's lights as a prior for others of its make; an earlier one is replaced.
 
-    Each number is kept with the deviation that its calibration left, and never less than that between
+    Each number is stored with the deviation that its calibration left, and never less than that between
     sensors of one make.
 
     Args:
@@ -58,7 +58,7 @@ def save(
         gel: as calibrated.
         channels: of that fit, red, green and blue.
         source: where it is from.
-        leftovers: what its light left over of each press, from which the field that it lends is learnt.
+        leftovers: what its light left over of each press, from which its prior field is learnt.
 
     Returns:
         Its file.

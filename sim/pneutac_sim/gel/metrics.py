@@ -1,6 +1,6 @@
 """How well a rendered tactile image agrees with a photograph, in 8-bit levels.
 
-Whole-frame scores flatter everyone, since most of a tactile image is the rest image. What tells models apart
+Whole-frame scores flatter everyone, since most of a tactile image is the rest image. What separates models
 is the contact region, a disc of twice the contact radius, and the correlation of what the contact changes
 there. Whole frames are correlated channel by channel and averaged, since correlating the channels together
 would reward the mere order of their mean levels; differences to the rest image have no such level, and their

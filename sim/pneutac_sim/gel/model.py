@@ -42,8 +42,8 @@ class GelModel:
             surface, up to 1; the skin over a gel bridges the edge of a contact.
         effects: of the sensor, name to parameters; without any this is the paper's linear model.
         threshold_levels: difference to the rest image above which a pixel counts as contact.
-        lent: what other sensors of the make show beside the model, as much as was taken of it, or None.
-        residual: what several presses showed beside that, or None.
+        lent: prior residual field from other sensors of the model, scaled as it was taken, or None.
+        residual: field learnt from several presses besides that, or None.
     """
 
     rest_image: np.ndarray
@@ -205,7 +205,7 @@ class GelModel:
         if twin is None or not twin.gel:
             return cls.builtin()
         if "rest_image" not in twin.arrays:
-            raise InputError("The twin's gel has no array 'rest_image'; calibrate the gel anew.")
+            raise InputError("The twin's gel has no array 'rest_image'; calibrate the gel again.")
         for name in twin.effects:
             if twin.device == "gel" and get_effect(name).stage not in SENSOR_STAGES:
                 raise InputError(

@@ -74,7 +74,7 @@ def check_pair(rest: np.ndarray, indentation: np.ndarray, press: Press, px_per_m
         if saturated(image, mask):
             raise InputError(
                 f"most of the {what} is saturated in a channel ({SATURATED_LEVEL} levels and more); "
-                "lower the camera's exposure or gain and take the photographs anew."
+                "lower the camera's exposure or gain and take the photographs again."
             )
     difference = _blurred(indentation, rest, px_per_mm)
     there, elsewhere = _contrast(difference, press, px_per_mm)

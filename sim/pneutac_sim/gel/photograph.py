@@ -2,7 +2,7 @@
 
 Light and exposure drift between a rest image and the photographs of a session. One pair of images shows how
 far, away from its contact, but not whether that is the session's or its own: half of it is expected of the
-session's other photographs, which is right where both are alike, and n / (n + 1) of the mean of n pairs.
+session's other photographs, which is right where both are equal, and n / (n + 1) of the mean of n pairs.
 So is a part of each pixel's own difference away from a contact, which is the rest image's noise.
 """
 
@@ -26,7 +26,7 @@ from pneutac_sim.gel.surface import surface
 Pressed = Callable[[Press, float], np.ndarray]
 
 SUBCELLS = 3  # along each side of a cell, over which a bench indenter's depth is averaged
-NEAR_RADII = 3.0  # pixels within so many contact radii tell about the gel, those beyond about the session
+NEAR_RADII = 3.0  # pixels within so many contact radii belong to the gel, those beyond to the session
 
 
 @dataclass
@@ -39,7 +39,8 @@ class PressPhotograph:
         rest: the image without contact of the same session, uint8 (H, W, 3).
         clock: when in the session, from 0 to 1.
         sd: attributes of the press to the standard deviation with which they are stated; all others hold.
-        earlier: presses since the rest image that were over before; empty where the recording does not tell.
+        earlier: presses since the rest image that were over before; empty if the recording does not state
+            them.
     """
 
     press: Press
@@ -176,7 +177,7 @@ def gains(gel: GelModel, clock: float) -> np.ndarray:
 
 
 def drift_known(gel: GelModel) -> bool:
-    """Whether an effect of the gel tells how the light changes over a session."""
+    """Whether an effect of the gel describes how the light changes over a session."""
     return any(effect.gain is not None for effect, _ in gel.acting)
 
 

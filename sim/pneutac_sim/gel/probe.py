@@ -143,7 +143,7 @@ def _roots(a, b, c):
 
 @njit(inline="always")
 def _slab(o, d, h):
-    """Interval of t with |o + d t| <= h; `d` is kept off zero by the caller."""
+    """Interval of t with |o + d t| <= h; `d` must not be zero (see the caller)."""
     t1, t2 = (-h - o) / d, (h - o) / d
     return min(t1, t2), max(t1, t2)
 
@@ -225,7 +225,7 @@ def _sweep(span):
         j1 = min(cols, int(math.ceil((c[0] + ex + width / 2) / sx)) + 1)
         i0 = max(0, int(math.floor((c[1] - ey + height / 2) / sy)))
         i1 = min(rows, int(math.ceil((c[1] + ey + height / 2) / sy)) + 1)
-        # the gel's z axis in the shape's frame, kept off zero so that no slab divides by it
+        # the gel's z axis in the shape's frame, never zero so that no slab divides by it
         dx, dy, dz = _nonzero(R[2, 0]), _nonzero(R[2, 1]), _nonzero(R[2, 2])
         ax, ay, az = R[0, 0] * sx, R[0, 1] * sx, R[0, 2] * sx
         x0 = 0.5 * sx - width / 2 - c[0]

@@ -35,10 +35,10 @@ DECAY_RANGE_MM = (0.3, 4.0)  # from a skin-thin layer to nearly Hertz' half-spac
 DEPTH_SCALE_RANGE = (0.5, 1.0)
 DEPTH_SCALE_SD = 0.2  # of the logarithm: stated depths are mostly estimates
 
-# A make's light is kept even at several times the cost: what a single pair says against it is mostly the
+# A sensor model's light is used even at several times the cost: the misfit of a single pair is mostly the
 # model's own error, and on two real DIGITs keeping it predicts other images better.
 TRUST_IN_MAKE = 3.0
-TRUST_IN_REST = 10.0  # the same where the rest image tells the make
+TRUST_IN_REST = 10.0  # the same where the rest image identifies the sensor model
 
 
 @dataclass
@@ -52,11 +52,12 @@ class GelFit:
         make: the sensor's make, where its light was recognised.
         orientation: which way round its images are against the make's.
         likeness: correlation of the rest image with the likest make's; None where no make was looked for.
-        by_rest: whether the rest image told the make; else the directions of the light did, less surely.
+        by_rest: whether the rest image identified the sensor model; else the less certain directions of the
+            light did.
         channels: as solved, red, green and blue.
         presses: where the photographs' presses were found to be, within what is uncertain of them.
         leftovers: what the light alone leaves over of each, where there are enough to learn from.
-        lent: the share of the make's residual field that was taken.
+        lent: the share of the prior residual field that was taken.
         refined: whether its light was refined through splats, see `splat.refine`; None where nobody tried.
     """
 

@@ -29,7 +29,7 @@ BLUR_MM = 1.0
 INDEPENDENT, ERROR_LEVELS = 100, 5.0
 REACH_MM = 1.5  # R
 MOVED_MM = 0.05  # A: a surface that moves less has less of the field
-CENTRES, STRENGTH_LEVELS = 128, 16.0  # of a sensor's own field; how far it is believed, its presses tell
+CENTRES, STRENGTH_LEVELS = 128, 16.0  # of a sensor's own field; its weight comes from its presses
 LEAST_WEIGHT = 0.1  # where w is less, the field fades with it, since a pixel's w may be far from its cell's
 FEATURES, SHADOW, PLACE = 7, 4, slice(5, 7)  # of z; the shadow's height, x and y among them
 LEAST_MM = 3e-3  # a surface that moves less has nothing of the field
@@ -61,7 +61,7 @@ class ResidualField:
         if shapes != ((3, n, FEATURES), (3, n)) or not finite:
             raise InputError(
                 f"The gel's residual field must be finite numbers of shapes (3, n, {FEATURES}) and (3, n); "
-                f"got {shapes[0]} and {shapes[1]}; calibrate the gel anew."
+                f"got {shapes[0]} and {shapes[1]}; calibrate the gel again."
             )
 
     def at(self, k: int, z: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Fits what a session of photographs adds: its drift of light, and contacts beside their stated place."""
+"""Fits what a session of photographs adds: its drift of light, and contacts away from their stated place."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,7 +15,7 @@ from pneutac_sim.gel.photograph import PressPhotograph, Residues, press_depth, r
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.gel.residual import ERROR_LEVELS, INDEPENDENT
 
-FAR_ENOUGH = 0.1  # share of a photograph that must lie away from its contact to tell of its light
+FAR_ENOUGH = 0.1  # share of a photograph that must lie away from its contact to measure its light
 # By which a press is moved to see what changes: about half a cell, since an indenter with a sharp edge covers
 # whole cells alone.
 MOVED_MM, DEEPER_MM = 0.1, 0.02

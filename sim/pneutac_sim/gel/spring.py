@@ -23,7 +23,7 @@ from pneutac_sim.gel.probe import NO_TRIANGLES, probe_grid
 CELLS = 80  # that carry pressure, about
 FINE = 3  # depths a cell along each edge
 ASPECTS = 4, 2, 1  # of a cell
-MOST = 96  # cells along an edge: a few points far apart would ask for finer ones
+MOST = 96  # cells along an edge: a few distant points would need finer ones
 LOOK = (40, 30)  # rows and columns of the first look, which finds where and how large the contact is
 REACH_MM = 8.0  # how far before the face an object is seen
 LEAST_MM, DEEPEST_MM, FURTHER = 0.3, 2.0, 1.25  # depths at which a spring is fitted, and the second's ratio
@@ -144,7 +144,7 @@ def _box(touched, cell_x, cell_y):
 
 @functools.cache
 def _near(aspect: int, count: int = MOST + 1) -> np.ndarray:
-    """Mean of 1 / r over a cell `aspect` long and 1 wide, from the middles of cells beside it (Love 1929)."""
+    """Mean of 1 / r over a cell `aspect` long and 1 wide, from the middles of its neighbours (Love 1929)."""
     x, y = np.indices((count, count)) * np.array([aspect, 1.0])[:, None, None]
     w, h = aspect / 2, 0.5
 

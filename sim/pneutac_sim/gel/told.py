@@ -1,4 +1,4 @@
-"""What a gel's presses told of its light: parameters that no press shows, and the press to add.
+"""What a gel's presses identify of its light: parameters that none shows, and the press to add.
 
 A fit minimises |r(x)|^2 with the priors of x among the residuals r, so that about its solution x has the
 covariance S = (J^T J)^-1, J = dr/dx, and a predicted light with derivatives g the variance g^T S g. Another
@@ -27,7 +27,7 @@ ACROSS, DOWN = ("left", "middle", "right"), ("upper", "middle", "lower")
 
 @dataclass(frozen=True)
 class Told:
-    """What presses told.
+    """What presses identify.
 
     Attributes:
         untold: parameters, `effect.name (colour)`, that stay where their priors are.
@@ -47,7 +47,7 @@ class Told:
 
 
 def told(gel: GelModel, channels: Sequence[Channel], photographs: Sequence[PressPhotograph]) -> Told:
-    """What the presses told of a gel's light.
+    """What the presses identify of a gel's light.
 
     Args:
         gel: as fitted.

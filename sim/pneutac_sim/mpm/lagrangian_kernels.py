@@ -9,7 +9,7 @@ than a quadrature point, and only nodes i have a state: displacement u_i and vel
     m_i v_i' = f_i + m_i g
 
 A cell writes the forces on its 27 nodes into slots of its own; a node then adds up the slots that are its:
-no two threads write to one place, so sums have one order and a result is the same whatever ran beside it.
+no two threads write to one place, so sums have one order and a result is the same whatever else ran.
 """
 
 from pneutac_sim.mpm.rest_grid import SLOPE, WEIGHT

@@ -4,7 +4,7 @@ from pneutac_sim.gel.material import MATERIAL
 from pneutac_sim.twin import PAPER_FINGER, Twin
 
 WIDTH_MM = {"finger": 20.0, "arm": 40.0}
-# What a twin's parameters are where it does not tell. Moduli of the finger: the paper's calibrated ones;
+# A twin's parameters where it has none. Moduli of the finger: the paper's calibrated ones;
 # density: Agilus30's data sheet; the gel's are in `gel.force`.
 DEFAULTS = {
     "youngs_modulus_mpa": PAPER_FINGER["youngs_modulus_mpa"],

@@ -45,7 +45,7 @@ class PressedGel:
         return self._surfaces(press, np.array([share]))[0]
 
     def between(self, press: Press, share: float) -> np.ndarray:
-        """The same for a share from 0.5 to 1, interpolated between six that are kept for each press."""
+        """The same for a share from 0.5 to 1, interpolated between six that are stored for each press."""
         found = [kept for seen, kept in self._seen if seen is press]
         if not found:
             found = [self._surfaces(press, SHARES)]

@@ -76,7 +76,7 @@ def lattice_inside(triangles: np.ndarray, origin: np.ndarray, counts: np.ndarray
     Returns:
         (nx, ny, nz) bool.
     """
-    # Lines a little beside the lattice's own meet no vertex or edge of a mesh with round numbers.
+    # Lines slightly off the lattice's own meet no vertex or edge of a mesh with round numbers.
     start = origin + 0.5 * h + np.array([1.7e-5, 2.3e-5, 0.0]) * h
     crossings = np.zeros((counts[0], counts[1], counts[2] + 1), np.int32)
     _cross((triangles - start) / h, crossings)

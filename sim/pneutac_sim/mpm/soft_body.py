@@ -18,7 +18,7 @@ TOLERANCE = 1e-3  # of unbalanced forces
 def measure(
     twin: Twin, pressures_kpa: tuple[float, float], particles: int = 4000, device: str = "auto"
 ) -> SoftBody:
-    """Holds the finger bent by pressures from least to largest, each joint a little beside, and fits.
+    """Holds the finger bent by pressures from least to largest, each joint slightly perturbed, and fits.
 
     Args:
         twin: of a finger; its modulus does not count, for torques are proportional to it.

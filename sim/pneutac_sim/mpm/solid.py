@@ -98,7 +98,7 @@ class Links:
 
     @classmethod
     def of(cls, body: Body, joints_m) -> "Links":
-        """Each particle, a cube of its spacing, goes with the link that it lies beside.
+        """Each particle, a cube of its spacing, goes with its nearest link.
 
         Args:
             body: straight, along x.

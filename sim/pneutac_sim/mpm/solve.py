@@ -71,7 +71,7 @@ def solve_equilibrium(
         tolerance: of the unbalanced forces over those from outside.
         max_substeps: after so many the search is given up.
         warm: go on from the present state (a neighbouring pressure, say) instead of from rest.
-        progress: is told how many of a hundred parts of the way the unbalanced forces have fallen, on a
+        progress: called with the percentage by which the unbalanced forces have fallen, on a
             logarithmic scale, since they die away exponentially.
 
     Raises:

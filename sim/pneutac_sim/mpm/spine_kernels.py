@@ -2,7 +2,7 @@
 
 The nodes of a link move with it as one rigid lump, so the joint feels just what the body does to these nodes
 (virtual work): no coupling spring, no step size in the stiffness, action and reaction to rounding. Momentum
-is kept a link and projected onto the joints at the new pose (Gauss' principle), which has the terms of
+is computed per link and projected onto the joints at the new pose (Gauss' principle), which has the terms of
 Coriolis in it; the controller's spring and damper are taken implicitly:
 
     (M + dt (D + dt K)) q'_new = J^T (p + dt w) + dt K (q_cmd - q),   q <- q + dt q'_new

@@ -1,4 +1,4 @@
-"""A user's mesh of a finger or an arm: read, repaired, placed and kept in the twin.
+"""A user's mesh of a finger or an arm: read, repaired, placed and stored in the twin.
 
 body = read_mesh("finger.stl")   # mm, x along the device from its base, neutral axis at y = z = 0
 store_mesh(twin, body.mesh)      # travels with the twin's arrays
@@ -90,7 +90,7 @@ def stored_mesh(twin: Twin) -> trimesh.Trimesh | None:
     if not shaped or not np.isfinite(vertices).all() or faces.min() < 0 or faces.max() >= len(vertices):
         raise InputError(
             f"The twin's arrays '{VERTICES}' (V, 3) and '{FACES}' (F, 3) hold no mesh; restore them, or make "
-            "the twin anew with `pneutac new --mesh=FILE`."
+            "the twin again with `pneutac new --mesh=FILE`."
         )
     return trimesh.Trimesh(1e-3 * vertices.astype(float), faces, process=False)
 
@@ -184,8 +184,8 @@ def _place(mesh: trimesh.Trimesh, file, axis: str | None, notes: list[str]) -> n
         order = np.argsort(-extents)
         if extents[order[1]] > 0.95 * extents[order[0]]:
             raise InputError(
-                f"{file} is about as long along {AXES[order[0]]} as along {AXES[order[1]]}; tell which is "
-                "its length by the axis x, y or z."
+                f"{file} is about as long along {AXES[order[0]]} as along {AXES[order[1]]}; name the axis "
+                f"of its length: x, y or z."
             )
         axis = AXES[order[0]]
     turn = AXES.index(axis)

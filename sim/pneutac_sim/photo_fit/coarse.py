@@ -4,7 +4,7 @@ The surface is carried along by the links and drawn, and its coverage is compare
 blurred: widely first, so that silhouettes that do not overlap attract each other, then less. Bounded least
 squares do the rest, since the difference is smooth in the joint angles. What the links leave out is then
 taken from material points at rest at the parameters found, and the last fit repeated. Last come Gauss-Newton
-steps with derivatives from material points: those of the links are too wrong to tell one joint from another.
+steps with derivatives from material points: those of the links are too wrong to separate the joints.
 """
 
 from dataclasses import dataclass, replace
@@ -34,7 +34,7 @@ MOVE = 0.25  # the same by material points, which come to rest within a toleranc
 
 @dataclass(frozen=True)
 class Coarse:
-    """What silhouettes tell.
+    """What silhouettes determine.
 
     Attributes:
         x: (P,) coordinates; the material's are those of the twin.

@@ -1,4 +1,4 @@
-"""How well photographs tell each parameter."""
+"""How well photographs identify each parameter."""
 
 from dataclasses import dataclass
 
@@ -35,7 +35,8 @@ def confidence(objective: Objective, x: np.ndarray) -> Posterior:
     Linearised: residual r is blurred coverage less mask, J its derivative by central differences through all
     of material points and renderer. Pixels of a block err together, so information is Godambe's
     H M^-1 H with H = J^T J, M = sum over blocks of (J_b^T r_b)(J_b^T r_b)^T. What is wrong with the body's
-    shape is so in all photographs: n of them tell no more about it than one, and M counts n times. So is what
+    shape is so in all photographs: n of them have no more information on it than one, and M counts n times.
+        So is what
     the lattice leaves open, by which the outline in a block is shifted along either axis: it adds to M. The
     uniform prior between the bounds adds the inverse of its variance.
 

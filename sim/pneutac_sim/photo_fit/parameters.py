@@ -69,7 +69,7 @@ class BodyParameters:
 
 
 def body_parameters(twin: Twin, pressure_range_kpa: float) -> BodyParameters:
-    """The drive parameters that data can tell, and the material's two.
+    """The drive parameters that data identify, and the material's two.
 
     The first step is 15 % of each gain: of the overall gain by its own size, of the profile's parameters and
     the rest pressure by what changes a joint by about as much.

@@ -16,7 +16,7 @@ from pneutac_sim.photo_fit.parameters import BodyParameters
 
 POPULATION = 7
 EVALUATIONS = 84
-FINEST = 30.0  # by which the first steps are shorter along what silhouettes tell best
+FINEST = 30.0  # by which the first steps are shorter along what silhouettes determine best
 OUTSIDE = 1.0  # objective that a candidate pays for each first step beyond a bound, squared
 
 
@@ -26,7 +26,7 @@ class SearchRecord:
 
     Attributes:
         file: of all candidates and their objectives, written after each generation; None for nowhere.
-        key: what the objective depends on; a file of another key is begun anew.
+        key: what the objective depends on; a file of another key is restarted.
     """
 
     file: Path | None = None
@@ -69,7 +69,7 @@ def search(
     Args:
         objective: (K, P) coordinates to (K,).
         parameters: bounds and first steps.
-        start: where to begin, and what silhouettes tell about it.
+        start: where to begin, and what silhouettes determine about it.
         evaluations: rounded up to whole generations.
         seed: decides all candidates.
         record: where to keep them.
@@ -112,8 +112,8 @@ def search(
 def first_axes(parameters: BodyParameters, hessian: np.ndarray) -> np.ndarray:
     """(P, P) square root A of the first covariance A A^T.
 
-    No parameter's standard deviation exceeds its first step; along what silhouettes tell best, where the warm
-    start is already near, it is `FINEST` times less.
+    No parameter's standard deviation exceeds its first step; along what silhouettes determine best, where the
+    warm start is already near, it is `FINEST` times less.
 
     Args:
         parameters: first steps.
@@ -150,7 +150,7 @@ def _read(file: Path | None, key: str) -> list[dict]:
         rows = kept["evaluations"] if kept["key"] == key else []
         return [{"x": np.array(r["x"], float), "objective": float(r["objective"])} for r in rows]
     except (ValueError, KeyError, TypeError) as e:
-        raise InputError(f"{file} is no record of a search ({e!r}); delete it to begin anew.") from e
+        raise InputError(f"{file} is no record of a search ({e!r}); delete it to start again.") from e
 
 
 def _write(file: Path | None, key: str, tried: list, values: list) -> None:

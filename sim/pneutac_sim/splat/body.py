@@ -63,7 +63,7 @@ def fit_body_looks(
     looks = blank_looks(body, detail)
     now = carried(looks, body, positions, gradients)
     inside = mask.astype(np.float32)
-    # On the body's own mean colour a Gaussian across its outline is told apart by coverage, not by darkness.
+    # On the body's own mean colour a Gaussian across its outline is identified by coverage, not by darkness.
     behind = image[mask].mean(0) / 255
     target = np.where(mask[..., None], image / 255, behind)
     start = np.where(_there(now, inside, camera) > 0.5, now.opacities, OUTSIDE)
@@ -112,7 +112,7 @@ def looks_into_twin(twin: Twin, looks: Gaussians) -> None:
 
 
 def looks_from_twin(twin: Twin) -> Gaussians:
-    """Looks that `looks_into_twin` kept; raises InputError where the twin has none."""
+    """Looks that `looks_into_twin` stored; raises InputError where the twin has none."""
     if missing := [a for a in ARRAYS if a not in twin.arrays]:
         raise InputError(
             f"The twin has no looks (array '{missing[0]}' is missing); calibrate it with photographs first."

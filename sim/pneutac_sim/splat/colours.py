@@ -97,7 +97,7 @@ def fit_looks(
     """Colours and opacities that render best as a picture: `solve_colours`, then Adam on both.
 
     Args:
-        splats: Gaussians as the picture's camera sees them; opacities to start from are kept within 0.01 to
+        splats: Gaussians as the picture's camera sees them; opacities to start from are clipped to 0.01 to
             0.99.
         target: the picture, (H, W, 3), 0 to 1.
         background: (3,).

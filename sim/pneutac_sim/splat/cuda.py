@@ -117,7 +117,7 @@ def rasterise_tensors(means, covariances, colours, opacities, camera: Camera, ba
 def _project(means, covariances, opacities, camera: Camera, view):
     """`kernels.project` in torch: pixels (n, 2), conics (n, 3), depth (n,), radii (n, 2), 0 where unseen.
 
-    gsplat's own projection beside these kernels knows no lens.
+    gsplat's own projection knows no lens.
     """
     import torch
 

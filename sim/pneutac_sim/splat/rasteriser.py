@@ -333,7 +333,7 @@ class Splats:
             background: (3,).
             grad_image: gradient by the image, (H, W, 3).
             grad_alpha: gradient by the coverage, (H, W); none where None.
-            rendering: what `render` gave for these colours and background; rendered anew where None.
+            rendering: what `render` gave for these colours and background; rendered again where None.
 
         Returns:
             Gradients by colours (n, 3) and by opacities (n,), float32. Geometry, and which Gaussians a pixel

@@ -34,7 +34,7 @@ ROUNDS = 3  # of Gauss-Newton; the second changes the cost by a thousandth
 
 
 class Viewed:
-    """A photograph of a press beside the Gaussians under that press.
+    """A photograph of a press, and the Gaussians under that press.
 
     Args:
         sensor: of the photograph's rest image.
@@ -42,7 +42,7 @@ class Viewed:
         photograph: of the press.
 
     Attributes:
-        near: pixels that tell of the contact, (H, W) bool.
+        near: pixels near the contact, (H, W) bool.
     """
 
     def __init__(self, sensor: SplatSensor, displacement_mm: np.ndarray, photograph: PressPhotograph):
@@ -111,10 +111,10 @@ def refine_light(
 
 
 def refine_fit(fit: GelFit, photographs: Sequence[PressPhotograph], pressed: Pressed | None = None) -> None:
-    """Refines a fit's light, in place, if that surely brings held-back parts nearer.
+    """Refines a fit's light, in place, if that significantly lowers the error of held-out parts.
 
-    Parts are the photographs, or the quarters about the contact of a single one. Each is held back in turn,
-    the light fitted anew to the others and refined there. What is refined is kept where the mean fall of the
+    Parts are the photographs, or the quarters about the contact of a single one. Each is held out in turn,
+    the light re-fitted to the others and refined there. The refinement is taken where the mean fall of the
     squared error in the parts is more than its standard error.
 
     Args:
@@ -149,7 +149,7 @@ def refine_fit(fit: GelFit, photographs: Sequence[PressPhotograph], pressed: Pre
 
 
 def _parts(photographs: Sequence[PressPhotograph], px_per_mm: float) -> Iterator[list[np.ndarray]]:
-    """Pixels of each photograph that are held back together."""
+    """Pixels of each photograph that are held out together."""
     shapes = [p.rest.shape[:2] for p in photographs]
     if len(photographs) > 1:
         for i in range(len(photographs)):

@@ -7,7 +7,7 @@ from pneutac_sim.errors import InputError
 
 SHADOW = 0.5  # how much of a mere change of brightness counts: shadows on the backdrop are that
 NOISE = 10  # median deviations of unchanged pixels that a change must exceed
-SURE = 2  # a change this many times over the threshold is the body's for sure
+SURE = 2  # a change this many times over the threshold is certainly the body's
 ALIKE = 0.12  # distance of shares of red, green and blue up to which a pixel is of a given colour
 ITERATIONS = 4  # of GrabCut
 LEAST = 1e-3  # of the picture that a body fills
@@ -68,7 +68,7 @@ def segment(image: np.ndarray, background: np.ndarray | None = None, colour=None
 
 
 def _largest(mask: np.ndarray) -> np.ndarray:
-    """The largest connected piece of a mask after specks and gaps are gone, with its holes filled."""
+    """The largest connected piece of a mask without isolated pixels and gaps, with its holes filled."""
     clean = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, _disc(1))
     clean = cv2.morphologyEx(clean, cv2.MORPH_CLOSE, _disc(1))
     outlines, _ = cv2.findContours(clean, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)

@@ -21,7 +21,7 @@ from pneutac_sim.twin import Twin
 
 BATCH = 256
 LEARNING_RATE = 1e-3
-# Noise on inputs. Joints move together, so data tell nothing of f_r in other directions; noise makes it flat
+# Noise on inputs. Joints move together, so data do not determine f_r in other directions; noise makes it flat
 # there, where a steep one would shake the skeleton.
 NOISE_RAD, NOISE_RAD_S, NOISE_KPA = 0.002, 0.3, 0.1
 EPOCHS, PATIENCE = 1000, 100
@@ -64,7 +64,7 @@ def train_action(
 ) -> ActionNetwork:
     """Fits f_r to the torques of inverse dynamics by mean squared error (Adam, learning rate 1e-3).
 
-    The weights that do best on the trajectories of early stopping are kept.
+    The weights with the lowest error on the trajectories of early stopping are stored.
 
     Args:
         twin: of a finger.

@@ -34,7 +34,7 @@ class Plan:
     """What is collected.
 
     Attributes:
-        trajectories: the last sixth is kept for the evaluation, the sixth before it for early stopping.
+        trajectories: the last sixth is for the evaluation, the sixth before it for early stopping.
         duration_s: of each; 24 of 1 s give 8,000 state-torque pairs to train on.
         particles: of the finger, about.
         damping_per_s: of the body's momentum. A neo-Hookean solid has no losses and would ring on for ever
@@ -165,7 +165,7 @@ def read_motions(out_dir: str | Path, twin: Twin) -> tuple[Plan, list[Motion]]:
         raise InputError(f"{first}: 'plan' is malformed ({e}); delete the file and collect it again.") from e
     if label["fingerprint"] != fingerprint(twin) or label["drive"] != _drive(twin):
         raise InputError(
-            f"The trajectories in '{out_dir}' are of another twin; collect anew with `pneutac surrogate`."
+            f"The trajectories in '{out_dir}' are of another twin; collect again with `pneutac surrogate`."
         )
     motions = []
     for i in range(plan.trajectories):

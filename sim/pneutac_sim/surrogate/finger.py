@@ -30,7 +30,7 @@ def network_of(twin: Twin, network: ActionNetwork) -> ActionNetwork | None:
 
     Args:
         twin: of a finger.
-        network: trained for its body, of any modulus. A file of an earlier version does not tell its modulus
+        network: trained for its body, of any modulus. A file of an earlier version does not state its modulus
             and is good for that of its training alone.
     """
     if network.fingerprint != fingerprint(twin, network.modulus_mpa):
@@ -64,7 +64,7 @@ class SurrogateFinger:
         if own is None:
             raise InputError(
                 "The action network was trained for another body, or for this one before its shape or "
-                "material changed; train it anew with `pneutac surrogate`."
+                "material changed; train it again with `pneutac surrogate`."
             )
         self.network = own
         rest = programs.joint_targets(twin, 0.0)

@@ -11,7 +11,7 @@ from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.user_mesh import FACES, VERTICES
 from pneutac_sim.twin import Twin
 
-MODEL = 1  # raised where the material points themselves change, so that networks are trained anew
+MODEL = 1  # raised where the material points themselves change, so that networks are trained again
 BODY = (
     "youngs_modulus_mpa",
     "poissons_ratio",
@@ -26,7 +26,7 @@ GEL = ("gel_poissons_ratio", "gel_density_kg_m3")
 def fingerprint(twin: Twin, modulus_mpa: float | None = None) -> str:
     """SHA-256 of what the action network of a finger depends on: its geometry, mesh and material.
 
-    The body knows only how it is bent. Drive, effects and history decide how far, and `in_range` tells where
+    The body knows only how it is bent. Drive, effects and history decide how far, and `in_range` shows where
     that is farther than in training.
 
     Args:

@@ -27,7 +27,7 @@ from pneutac_sim.mpm.solve import MpmDiverged, solve_equilibrium
 from pneutac_sim.surrogate.fingerprint import gel_fingerprint
 from pneutac_sim.twin import Twin
 
-# Contacts of the gel: an indenter, anywhere and tilted, for the probe grid and for MPM alike.
+# Contacts of the gel: an indenter, anywhere and tilted, for both the probe grid and MPM.
 #
 # A contact is a `Press` turned about its tip. Both descriptions of it are made here: the shapes of the probe
 # grid, of which the environment's objects are made, and the loads of the material points.
@@ -164,7 +164,7 @@ def collect_gel(
     device: str = "auto",
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Collected:
-    """Presses indenters into the gel of a twin; contacts that the folder holds already are kept.
+    """Presses indenters into the gel of a twin; contacts that the folder holds already are reused.
 
     Args:
         twin: a gel's, or a finger's.
@@ -288,7 +288,7 @@ def _read(file: Path) -> Pairs:
         pairs = None
     if pairs is None or not _sound(pairs):
         raise InputError(
-            f"'{file}' is damaged; delete it and run `pneutac surrogate` again, which collects it anew."
+            f"'{file}' is damaged; delete it and run `pneutac surrogate` again, which collects it again."
         )
     return pairs
 

@@ -1,6 +1,6 @@
-"""Errors of the perception network against full material points, beside what it stands in for.
+"""Errors of the perception network against full material points, and those of its baselines.
 
-The same table tells what the network is worth: the probe grid itself, and the analytic `gel.surface`.
+The same table has its baselines: the probe grid itself, and the analytic `gel.surface`.
 """
 
 from collections.abc import Sequence

@@ -62,21 +62,21 @@ class UNet(nn.Module):
 
 
 HELDOUT = ("cylinder", "cone")  # a flat and a pointed indenter
-CHECK_EVERY = 6  # of the contacts of trained indenters one in so many tells when to stop
+CHECK_EVERY = 6  # of the contacts of trained indenters one in so many is for early stopping
 LEAST = 5  # contacts
 RATE = 1e-3
 BATCH = 32
 EPOCHS, PATIENCE = 400, 60
 EPOCHS_ON = 40  # from another gel's network: its face is near already
-AVERAGE = 0.995  # of the weights over steps: what is checked and kept; at first over fewer
+AVERAGE = 0.995  # of the weights over steps: checked and stored; at first over fewer
 
 
 def split(
     contacts: Sequence[Pairs], heldout: Sequence[str] = HELDOUT
 ) -> tuple[list[Pairs], list[Pairs], list[Pairs]]:
-    """Contacts to train on, those that tell when to stop, and those of indenters that are never trained on.
+    """Contacts to train on, those for early stopping, and those of indenters that are never trained on.
 
-    Contacts beside the window, in which nothing touches, are in neither of the first two.
+    Contacts outside the window, in which nothing touches, are in neither of the first two.
 
     Raises:
         InputError: an indenter is unknown, or too few contacts are left to train on.
@@ -109,7 +109,7 @@ def train_gel(
 
     Args:
         folder: of `collect_gel`.
-        fingerprint: of the gel, kept with the weights.
+        fingerprint: of the gel, stored with the weights.
         heldout: indenters that are not trained on.
         seed: of weights and batches.
         epochs: at most.

@@ -157,7 +157,7 @@ class ActionNetwork:
         layers: float32 `w1` (2 N + 1, 128), `b1`, `w2` (128, 128), `b2`, `w3` (128, N), `b3`, with softsign
             between them.
         slope: (2 N + 1, N) N m by normalised inputs: the straight part of the torque, which is most of an
-            elastic body's, beside the layers. Layers alone smear it over joints that mostly move together.
+            elastic body's, besides the layers. Layers alone smear it over joints that mostly move together.
         mean, scale: (2 N + 1,) that normalise inputs.
         torque_mean, torque_scale: (N,) that undo the normalisation of outputs, N m.
         low, high: (2 N + 1,) box of the inputs seen in training.
@@ -182,7 +182,6 @@ class ActionNetwork:
 
     @property
     def joints(self) -> int:
-        """N."""
         return len(self.torque_mean)
 
     def torque(self, q: np.ndarray, q_vel: np.ndarray, pressure_kpa: np.ndarray) -> np.ndarray:
@@ -317,7 +316,7 @@ class ActionNetwork:
             raise InputError(f"{file} is corrupted ({e}); train it again with `pneutac surrogate`.") from e
         if label.get("format") != FORMAT or "fingerprint" not in label:
             raise InputError(
-                f"{file} is no action network of the format '{FORMAT}'; train it anew with "
+                f"{file} is no action network of the format '{FORMAT}'; train it again with "
                 "`pneutac surrogate`."
             )
         n = arrays["inertia"].size if "inertia" in arrays else 0
@@ -336,7 +335,7 @@ class ActionNetwork:
 
 
 def _modulus(label: dict[str, str], file: Path) -> float | None:
-    """Young's modulus in MPa of the label; None where it tells none."""
+    """Young's modulus in MPa of the label; None if it has none."""
     if "modulus_mpa" not in label:
         return None
     try:

@@ -5,7 +5,7 @@ A three-level UNet (paper, Sec. "Action and Perception Networks") learns what th
     f_m(d) = d + g(d) - g(0),
 
 so that where nothing touches within the network's sight the surface rests exactly. Biases and the zeros that
-pad the window tell g where the gel ends. The first level works on blocks of 2 x 2 cells, as four channels,
+pad the window show g where the gel ends. The first level works on blocks of 2 x 2 cells, as four channels,
 which costs a quarter and loses nothing.
 """
 
@@ -36,7 +36,7 @@ class GelSurrogate:
         deepest_mm: largest probe grid value that it was trained with.
         largest_share: largest share of the window in contact that it was trained with.
         heldout: indenters that it was not trained with.
-        errors: what `evaluate_gel` found, kept with the weights.
+        errors: what `evaluate_gel` found, stored with the weights.
 
     Raises:
         ValueError: the weights are not those of such a network, or not finite.

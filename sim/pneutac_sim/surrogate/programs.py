@@ -86,7 +86,7 @@ def load(twin: Twin, q_cmd: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Deflections (T, N) in rad by a force on the tip that wanders in the plane, and of each joint by itself.
 
     The largest force bends the joint at the base by `LOAD_RAD`, the others by less as its lever is shorter.
-    Without the second part joints would always move together, and data would tell nothing of how the body
+    Without the second part joints would always move together, and data would not show how the body
     resists where one bends alone: its derivative would be smeared over neighbours.
 
     Args:

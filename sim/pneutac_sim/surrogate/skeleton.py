@@ -4,7 +4,7 @@
 
 K and D are those of the controller of the material points' spine, q_target the joint targets, d the rate at
 which a surrounding medium takes momentum (see `mpm.solve.simulate`), and c the forces of Coriolis and
-centrifuge. Each particle goes with the link that it lies beside, so M is the inertia of the whole body
+centrifuge. Each particle goes with its nearest link, so M is the inertia of the whole body
 wherever it follows its spine; f_r is then what the soft body does to the joints: the torque of its
 elasticity, and where it lags behind.
 

@@ -1,7 +1,7 @@
 """The first swing of a finger once a load is let go: of material points, and of the world's skeleton.
 
 The chamber of stiffness K_c holds the spine where pressure alone would, a force bends it, and at zero time
-the force is gone. A damped cosine tells frequency and damping of what follows.
+the force is gone. A damped cosine fits frequency and damping of what follows.
 """
 
 from dataclasses import dataclass

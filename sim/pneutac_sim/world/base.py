@@ -195,7 +195,6 @@ class BaseWorld(ABC):
         return self.view.picture(self.data, self.touch.image, width, height)
 
     def close(self) -> None:
-        """Frees the renderer."""
         self.view.close()
 
 

@@ -1,4 +1,4 @@
-"""Where cameras stand in a world's scene, as a lab has them beside its robot."""
+"""Where cameras stand in a world's scene, as a lab has them around its robot."""
 
 import numpy as np
 
@@ -16,7 +16,7 @@ LARGEST = (960, 1280)  # what the scene's offscreen buffer takes
 
 
 def fixed() -> str:
-    """MJCF of the cameras that stand beside the robot."""
+    """MJCF of the cameras around the robot."""
     return "".join(_mjcf(name) for name in SCENE_CAMERAS if name != "wrist")
 
 

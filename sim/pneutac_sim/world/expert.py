@@ -36,7 +36,7 @@ Wish = tuple[np.ndarray, float]  # velocity (3,) m/s and pressure kPa
 
 @dataclass
 class Habits:
-    """How one person acts in one episode, drawn anew each time.
+    """How one person acts in one episode, newly drawn each time.
 
     Attributes:
         speed: factor on all speeds.
@@ -262,7 +262,7 @@ def _push(world: World, habits: Habits, pressure: float) -> Wish:
 
 
 EDGE_M = EggTask().edge_m
-# Lanes are less apart than gel and tab are wide; the wall is touched below the lid's edge.
+# Lanes are closer than gel and tab are wide; the wall is touched below the lid's edge.
 EGG_LANES = Lanes(height_m=EDGE_M - 0.02, rise_m=0.030, middles_m=EggTask.starts_m, back_m=0.425)
 # A wall meets a corner of the gel, which yields to little: it is pressed by force.
 SLIDES_N, PRESS_N = 0.35, 0.5  # on the wall: from which it goes up; while it begins to

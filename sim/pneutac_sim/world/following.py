@@ -73,7 +73,7 @@ class Follower:
 
         Args:
             before: (N,) angles where the path is, of balls (N, 2), rad.
-            rate: of the path there, shaped alike, rad/s.
+            rate: of the path there, same shape, rad/s.
             after: angles at the end of the control step, rad.
             K: (N, N) stiffness of the joints, N m/rad.
             D: (N, N) their damping, N m s/rad.

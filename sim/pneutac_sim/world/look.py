@@ -1,4 +1,4 @@
-"""Pictures of a world from the cameras beside its robot, and looks of its scene drawn at random."""
+"""Pictures of a world from the cameras around its robot, and looks of its scene drawn at random."""
 
 from collections.abc import Mapping
 
@@ -17,12 +17,12 @@ GRAIN = (2, 24)  # spots along the edge of the table's texture
 
 
 class SceneCameras:
-    """Pictures of a world from the cameras beside its robot.
+    """Pictures of a world from the cameras around its robot.
 
     Args:
         world: a `World`, or another with `model`, `data` and `view`.
         sizes: name of each camera, of `SCENE_CAMERAS`, to height and width of its picture in px.
-        randomise_look: light, colours and the table's texture are drawn anew in every episode.
+        randomise_look: light, colours and the table's texture are newly drawn in every episode.
 
     Raises:
         InputError: there is no such camera, no such size, or no OpenGL.

@@ -76,7 +76,7 @@ class MpmFinger:
         """
         wanted = np.stack([q, q_free]).astype(float)
         held, f = self._hold(wanted)
-        at = f + (wanted - held) @ self._J  # the servo holds a little beside
+        at = f + (wanted - held) @ self._J  # the servo holds slightly off
         return at[0] - at[1], self._J
 
     def _hold(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

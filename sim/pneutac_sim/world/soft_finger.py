@@ -2,7 +2,7 @@
 
 The skeleton is `M q'' + D q' + K q = tau_s` with one hinge a spine joint; a positive angle bends towards the
 finger's +z. Where several chambers bend it to two sides each joint is a ball, see `spine`. M is that of the
-material points, each going with the link that it lies beside, and of the DIGIT; D is the chamber's, from the
+material points, each going with its nearest link, and of the DIGIT; D is the chamber's, from the
 twin. K is set by `Springs`: joints and, between each two hinges, tendons have its entries. The world drives
 each hinge with a motor, each ball with three.
 

@@ -32,8 +32,8 @@ class Station:
 
     Attributes:
         arm: `panda`, `ur5`, `so101`, or an arm's own description.
-        base_m: where the arm's base stands (x, y, z), so that the table is at -z in the arm's own frame; left
-            out, the origin, and for `so101` where it reaches the tasks.
+        base_m: where the arm's base stands (x, y, z), so that the table is at -z in the arm's own frame; if
+            omitted, the origin, and for `so101` where it reaches the tasks.
         workspace_low_m: corner (x, y, z) of the box to which the flange is held with a finger of 110 mm on a
             mount of 20 mm; with what is longer its floor is as much higher.
         workspace_high_m: the opposite corner.
@@ -139,7 +139,7 @@ class Station:
             raise InputError(f"{file}: {e}") from e
 
     def save(self, folder: str | Path) -> None:
-        """Writes `station.yaml` into a folder, and a copy of the arm's own file beside it."""
+        """Writes `station.yaml` into a folder, and a copy of the arm's own file."""
         content = {name: value for name, value in dataclasses.asdict(self).items() if value is not None}
         if isinstance(self.arm, ArmFile):
             file = Path(folder) / f"arm{Path(self.arm.urdf).suffix}"

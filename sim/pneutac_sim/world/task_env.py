@@ -58,7 +58,7 @@ class TaskEnv(gymnasium.Env):
             render_width: pixels of `render()`.
             render_height: pixels of `render()`.
             cameras: scene cameras to height and width of their pictures, such as {"front": (240, 320)}.
-            randomise_look: draws light, colours and texture of the scene anew in every episode.
+            randomise_look: draws light, colours and texture of the scene again in every episode.
             points: puts touch as data, `tactile.points` of `world.points`, into the observation.
 
         Raises:
@@ -112,7 +112,6 @@ class TaskEnv(gymnasium.Env):
         return self.world.render(*self._render_size) if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
-        """Frees the renderer."""
         self.world.close()
 
     def _observation(self, o: Observation) -> dict:

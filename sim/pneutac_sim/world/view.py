@@ -120,7 +120,7 @@ class Renderer:
         self._mjr.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR.value
 
     def upload_texture(self, name: str) -> None:
-        """Takes a texture of the model anew."""
+        """Takes a texture of the model again."""
         self._context.make_current()
         mujoco.mjr_uploadTexture(self._model, self._mjr, self._model.texture(name).id)
 

@@ -51,7 +51,7 @@ def temperature_drift(w: World, size: float) -> None:
     size=(0.02, 0.8),
 )
 def temperature_lag(w: World, minutes: float, size: float) -> None:
-    """`size`: compliance gained over 10 K; the log tells the air's temperature."""
+    """`size`: compliance gained over 10 K; the log has the air's temperature."""
     w.temperature_c = room_temperature(w, "temperature")
     softer(w, 1 + size * (lag(w.temperature_c[:, None], 60 * minutes)[:, 0] - 22) / 10)
 

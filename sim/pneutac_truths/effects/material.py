@@ -18,7 +18,7 @@ def share_of(w: World) -> np.ndarray:
 
 
 def softer(w: World, by: np.ndarray) -> None:
-    """More compliant by the factor `by` (n,) against air and load alike."""
+    """More compliant by the factor `by` (n,) against both air and load."""
     w.drive = w.drive * by[:, None]
     w.softer = w.softer * by
 

@@ -93,7 +93,7 @@ def worn_membrane(s: Session, lost: float, radius_mm: float) -> None:
     specks=(15, 40), largest_mm=(0.15, 0.3),
 )  # fmt: skip
 def dust(s: Session, specks: float, largest_mm: float) -> None:
-    """Each speck falls at some time."""
+    """Each dust particle falls at some time."""
     n = int(specks)
     place = s.rng.uniform(-0.4, 0.4, (n, 2)) * s.sensor.window_mm
     all_ = np.column_stack([place, s.rng.uniform(0.3, 1.0, n) * largest_mm])

@@ -16,7 +16,7 @@ from pneutac_truths.gel.solid import Face, Rubber, press
 
 PRESSES = 13
 EVERY_S = 30.0
-NOISE_LEVELS = 1.0  # of the chip, beside the noise of the rays
+NOISE_LEVELS = 1.0  # of the chip, besides the noise of the rays
 BLUR_PX = 0.7  # the lens is not sharper
 KINDS = ("sphere", "sphere", "cylinder", "sphere", "cube", "edge", "sphere", "cone")  # in turn
 

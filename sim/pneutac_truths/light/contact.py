@@ -58,7 +58,7 @@ class HalfSpace:
             way = np.where(held, miss + carry * size / before * way, 0.0)
             answer = self.displaced(way)
             bears = float(answer[held] @ way[held])
-            if not bears > 0:  # a step too far let go everywhere: begin anew, without the last contact
+            if not bears > 0:  # a step too far let go everywhere: start again, without the last contact
                 p, carry = np.where(inside, 1e-3, 0.0), 0.0
                 u = self.displaced(p)
                 continue

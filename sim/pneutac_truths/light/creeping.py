@@ -59,7 +59,7 @@ def write_creeping(
         share: see `Memory`.
         seed: of places, depths, memory and noise.
         presses: how many; the first is to calibrate by.
-        held: whether samples.csv tells how long each press was held.
+        held: whether samples.csv states how long each press lasted.
 
     Raises:
         FileExistsError: the folder exists.

@@ -279,7 +279,7 @@ def test_a_world_is_moved_by_keys_and_an_episode_replayed(browser, tmp_path):
         expect(seen.page.get_by_text("Bend ").first).to_be_visible(timeout=60_000)
         seen.open("World")
         world._player.value, world._task.value = "by hand", "switch"
-        seen.button("Begin anew").click()
+        seen.button("Begin again").click()
         expect(seen.page.get_by_text(" s of the task").first).to_be_visible(timeout=60_000)
         seen.page.keyboard.press("l")
         seen.page.keyboard.down("i")

@@ -164,7 +164,7 @@ def test_an_object_that_gives_way_does_not_make_a_small_touch_a_large_error(twin
 def test_what_touch_alone_told_is_not_told_apart_from_the_contact():
     study = object.__new__(DemonstrationStudy)
     told = study.alike([LATE, "power_law_memory(p)", "creep", "hysteresis"])
-    assert told.startswith("Touch does not tell creep and hysteresis apart from another friction of the gel,")
+    assert told.startswith("Touch cannot distinguish creep and hysteresis from another friction of the gel,")
     assert "weight of the object" in told
     assert study.alike([LATE, "valve_slew"]) == study.alike([]) == ""
 

@@ -227,9 +227,8 @@ def test_the_sentence_says_what_was_found_and_the_report_is_written(commands, tm
     assert result["trials"] == 40 and result["success_ci95"] == pytest.approx([76.95, 96.04], abs=0.01)
     page = (out / "report.html").read_text()
     sentence = (
-        "The finger moves as with creep and valve_lag, which its twin lacked; with this the held-out tip "
-        "error fell from 2.50 to 0.83 mm. Beside the noise of 0.50 mm, 0.67 mm are not explained. Trained on "
-        "demonstrations of the corrected twin, the policy "
+        "The twin lacked creep and valve_lag; with this the held-out tip error fell from 2.50 to 0.83 mm "
+        "(noise 0.50 mm, unexplained 0.67 mm). Trained on demonstrations of the corrected twin, the policy "
         "flipped the switch in 36 of 40 starts that it had not seen (90 %, 95 % interval 77 to 96)."
     )
     assert sentence in page

@@ -109,9 +109,9 @@ def test_what_does_not_go_with_demonstrations_is_refused(two):
     with pytest.raises(InputError, match="is of a finger and the twin of an arm"):
         compare(Twin(device="arm", length_mm=200.0), two)
     wrong = add(Twin.builtin(), two, "base_tilt")
-    assert not wrong.accepted and "Demonstrations do not tell of 'base_tilt'" in wrong.reason
+    assert not wrong.accepted and "Demonstrations cannot show 'base_tilt'" in wrong.reason
     alone = add(Twin.builtin(), two, "compliance")
-    assert not alone.accepted and "is told by a diagnosis alone; give its folder with --from" in alone.reason
+    assert not alone.accepted and "is found by a diagnosis only; give its folder with --from" in alone.reason
     assert "2 demonstrations are too few" in add(Twin.builtin(), two, "late_commands").reason
 
 

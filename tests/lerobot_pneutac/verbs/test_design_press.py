@@ -59,7 +59,7 @@ def test_models_that_predict_the_same_are_told_apart_by_none(recording, models, 
     twin = models[1].twin.save(tmp_path / "twin")
     common = [f"--twin={twin}", f"--recording={recording.folder}"]
     run_verb("design", [*common, f"--diagnosis={tmp_path / 'same'}"])
-    assert "No press of these indenters would tell" in " ".join(capsys.readouterr().out.split())
+    assert "No press of these indenters would distinguish" in " ".join(capsys.readouterr().out.split())
 
     save_contenders(tmp_path / "apart", models)
     run_verb("design", [*common, f"--diagnosis={tmp_path / 'apart'}", f"--out={tmp_path / 'out'}"])
@@ -85,7 +85,7 @@ def test_two_presses_are_asked_for_where_creep_is_in_question(recording, models,
     assert (
         proposed.assumed
         and proposed.seen
-        and "To tell whether it creeps, hold the sphere" in proposed.sentence
+        and "To find whether it creeps, hold the sphere" in proposed.sentence
     )
     assert (proposed.hold_s, proposed.wait_s) == (60.0, 3.0)
     assert proposed.first.depth_mm > proposed.press.depth_mm

@@ -91,8 +91,8 @@ def test_too_few_images_are_no_verdict_and_the_sentence_says_how_many_it_takes(t
     recording = once(write_hidden_gel, tmp_path / "recording", ["shadow"], images=5)
     found = run("diagnose", tmp_path / "d", linear_twin(tmp_path / "twin", recording), recording)
     assert found["verdict"] == "ambiguous"
-    assert "it has 5 images" in found["sentence"] and f"it takes {NEEDED}" in found["sentence"]
-    assert "can be judged by" in " ".join(capsys.readouterr().out.split())
+    assert "it has 5 images" in found["sentence"] and f"{NEEDED} are needed" in found["sentence"]
+    assert "usable for the test" in " ".join(capsys.readouterr().out.split())
 
 
 def test_to_what_cannot_be_diagnosed_nothing_is_added(tmp_path):
@@ -189,7 +189,7 @@ def test_a_recording_of_one_pair_cannot_be_judged(tmp_path):
     recording = once(write_hidden_gel, tmp_path / "recording", [], images=2)
     recording.keep(np.array([True, False])).write(recording.folder)
     twin = linear_twin(tmp_path / "twin", recording)
-    with pytest.raises(InputError, match="nothing can be judged"):
+    with pytest.raises(InputError, match="no error can be computed"):
         run_verb("diagnose", [f"--twin={twin}", f"--recording={recording.folder}"])
 
 

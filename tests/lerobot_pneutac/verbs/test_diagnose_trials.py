@@ -57,7 +57,7 @@ def test_six_effects_at_once_make_no_marker_slip(tmp_path):
 @pytest.mark.nightly
 def test_a_mount_that_is_knocked_is_told_with_its_moment_and_only_one_side_is_judged(tmp_path):
     d = found("mount_knock", tmp_path, 19)
-    (told,) = [f for f in d.study.findings if "changed for good" in f]
+    (told,) = [f for f in d.study.findings if "changed permanently" in f]
     truth = generate("rod", ["mount_knock"], 19)
     away = np.linalg.norm(truth.pose - truth.true_pose, axis=1)
     kept = int(told.partition("is of the ")[2].split()[0])

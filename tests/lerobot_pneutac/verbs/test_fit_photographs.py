@@ -232,7 +232,10 @@ def test_the_only_camera_needs_no_name_in_the_columns(drawn, tmp_path):
 def test_an_interrupted_search_says_what_is_kept(drawn, tmp_path, monkeypatch):
     cfg = config(tmp_path, drawn, out=tmp_path / "out")
     before = (cfg.twin / "twin.yaml").read_bytes()
-    for generations, said in ((0, "Stopped before the first"), (2, "Stopped after 14 evaluations, kept in")):
+    for generations, said in (
+        (0, "Stopped before the first"),
+        (2, "Stopped after 14 evaluations, stored in"),
+    ):
 
         def stopped(*options, generations=generations):
             search = options[3]

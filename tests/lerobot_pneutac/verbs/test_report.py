@@ -30,7 +30,7 @@ def test_the_page_tells_history_effects_and_numbers_and_needs_nothing_else(folde
 
 def test_one_that_was_never_judged_and_options_that_do_not_go_together(tmp_path):
     Twin(device="gel").save(tmp_path / "gel")
-    assert "never judged" in report(Twin.load(tmp_path / "gel")).sentence
+    assert "never tested" in report(Twin.load(tmp_path / "gel")).sentence
     with pytest.raises(InputError, match="must end in .rrd"):
         run_verb("report", [str(tmp_path / "gel"), "--rrd=x.txt"])
     with pytest.raises(InputError, match="goes with --rrd"):

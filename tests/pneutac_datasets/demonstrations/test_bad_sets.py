@@ -182,7 +182,7 @@ BAD = {
     "joints in degrees": (numbers(STATE, times(57.3, range(14))), "as degrees do; record radians"),
     "velocities in mm/s": (numbers(ACTION, times(1000, range(3))), "do not fit: in 0.5 s the flange moves"),
     "velocities reversed": (numbers(ACTION, times(-1, [0])), "'dx.vel' .* moves against the command"),
-    "no velocities": (numbers(ACTION, times(0, range(3))), "the command says 0 mm"),
+    "no velocities": (numbers(ACTION, times(0, range(3))), "the command asks for 0 mm"),
     "axes swapped": (numbers(ACTION, lambda a: a[:, [2, 1, 0, 3]]), "do not fit"),
     "places in mm": (numbers(STATE, times(1000, range(EE.start, EE.stop))), "do not fit"),
 }  # fmt: skip
@@ -261,7 +261,7 @@ def test_joints_that_do_not_belong_to_the_flange_are_noted(tmp_path):
 def test_a_loop_of_another_rate_is_noted(tmp_path):
     """Frames of a loop at 30 Hz that the dataset counts as 15 a second."""
     half_as_far = notes_of(copied(tmp_path), numbers(ACTION, times(2.0, range(3))))
-    assert "the flange moves 0.5 times as far as the command says. Was the loop faster" in half_as_far
+    assert "the flange moves 0.5 times as far as commanded. Was the loop faster" in half_as_far
 
 
 @pytest.mark.parametrize(

@@ -285,7 +285,7 @@ P = "pressure_cmd_kpa"
         ),
         (renamed("p soll [foo]", P), "the unit 'foo' of 'p soll .*unknown"),
         (renamed("p_ist [kPa]", P), "'p_ist .*is a measured pressure and none is the commanded one"),
-        (lambda t: t.drop(columns=["tip_x_mm", "tip_z_mm"]), "no column says how the finger bent"),
+        (lambda t: t.drop(columns=["tip_x_mm", "tip_z_mm"]), "no column has the motion of the finger"),
         (
             lambda t: t.drop(columns="temperature_c").assign(**{"Temp A": 20.0, "Temp B": 21.0}),
             "'Temp A' and 'Temp B' could each be temperature_c",

@@ -170,7 +170,7 @@ def test_a_sensor_of_another_size_keeps_it(make_robot, monkeypatch):
     small = touched[::2, ::2].copy()
     monkeypatch.setattr(robot.cameras["tactile"], "read_latest", lambda max_age_ms: small)
     with pytest.raises(
-        HardwareFault, match=r"of shape \(240, 320, 3\); the robot was told uint8 \(480, 640, 3\)"
+        HardwareFault, match=r"of shape \(240, 320, 3\); the robot expects uint8 \(480, 640, 3\)"
     ):
         robot.get_observation()
 

@@ -131,5 +131,5 @@ def test_as_much_of_it_is_taken_as_presses_bear_out_that_it_was_not_learnt_from(
 def test_a_field_of_other_shapes_is_refused():
     with pytest.raises(InputError, match=r"residual field must be finite numbers of shapes \(3, n, 7\)"):
         ResidualField(np.zeros((3, 4, 6)), np.zeros((3, 4)))
-    with pytest.raises(InputError, match="calibrate the gel anew"):
+    with pytest.raises(InputError, match="calibrate the gel again"):
         ResidualField(np.full((3, 4, FEATURES), np.nan), np.zeros((3, 4)))

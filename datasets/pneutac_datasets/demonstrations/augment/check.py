@@ -51,7 +51,7 @@ def check(work: Work, setup: AugmentSetup, number: int, progress: Progress) -> N
         work: holds the demonstrations.
         setup: by which they were made.
         number: of demonstrations.
-        progress: is told the minutes that are left, and how many steps of how many are done.
+        progress: called with the minutes that are left, and how many steps of how many are done.
     """
     missing = [k for k in range(number) if not work.check_file(k).exists()]
     attempts = {k: work.load_episode(k)[0] for k in missing}

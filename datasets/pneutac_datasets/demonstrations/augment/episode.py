@@ -94,7 +94,7 @@ class Attempt:
 
     Attributes:
         state: (T, 2 N + 5 + C), action: (T, 3 + C), images: uint8 (T, H, W, 3) as recorded.
-        reason: why it is not kept, or None.
+        reason: why it was rejected, or None.
         cost: mean of the plans' costs.
         area_rmse: root mean square error of the contact area from its onset on.
         start: seed and variation of the world at the start.
@@ -152,7 +152,7 @@ class Generator:
             scenes: of the planner, one for each reference.
 
         Returns:
-            the attempt that is kept, and its provenance with every rejection's reason.
+            the accepted attempt, and its provenance with every rejection's reason.
 
         Raises:
             InputError: none of `attempts` variants did the task.

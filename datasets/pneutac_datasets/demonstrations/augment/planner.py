@@ -23,14 +23,14 @@ MEMORY = 0.7  # correlation of the jitter over 1/15 s: hands do not shake so fas
 
 @dataclass(frozen=True)
 class PlannerConfig:
-    """Options of the planner; control steps are of 1/15 s, and at another rate as many as last as long.
+    """Options of the planner; control steps are of 1/15 s, at another rate their number is scaled.
 
     Attributes:
         horizon: number of control steps that a plan looks ahead, H.
         samples: number of action sequences that an iteration tries.
         elites: number of the best sequences, which make the next mean and spread.
         iterations: number of iterations of CEM at a replanning.
-        replan: number of control steps after which it plans anew.
+        replan: number of control steps after which it plans again.
         area_weight: weight of the squared error of the contact area, w.
         position_weight: weight of the squared error of the flange position, lambda, 1/m2.
         smoothness_weight: weight of the squared change of the action, mu.

@@ -15,7 +15,7 @@ FIRM = 0.15  # of a contact's largest area; what is smaller, and comes last, onl
 VENTED = 0.5  # of the highest pressure commanded in a contact; who commands less lets go
 REST_FRAMES, LEAST_PIXELS = 8, 50  # images that make the one at rest; an imprint's smallest size
 LOSS = 8  # frames without touch that still belong to a contact
-LEAST_SEEN = 30  # frames from which a reaction is told
+LEAST_SEEN = 30  # frames from which a reaction is estimated
 STARTLED = 3  # first frames of a contact, in which a hand has not answered yet
 ANSWERS = 0.5  # share of a velocity's variance that the imprint's middle must explain to be what it answers
 

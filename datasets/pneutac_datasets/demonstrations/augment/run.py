@@ -252,7 +252,7 @@ def _mix(part: Path, repo_id: str, meta: LeRobotDatasetMetadata, share: float) -
     alone = part.with_name(part.name + ".new")
     shutil.rmtree(alone, ignore_errors=True)
     os.replace(part, alone)
-    with quiet_encoders(), redirect_stderr(StringIO()):  # bars of its own beside ours
+    with quiet_encoders(), redirect_stderr(StringIO()):  # its own progress bars besides ours
         aggregate_datasets(
             [repo_id, *[meta.repo_id] * copies], repo_id, [alone, *[Path(meta.root)] * copies], part
         )

@@ -1,10 +1,10 @@
-"""Where the object stood in a demonstration: it is not recorded, but the touch tells.
+"""Where the object stood in a demonstration: not recorded, found from the touch.
 
 Scenes are drawn from the task. In each the object is moved along the gel's view to where the gel, on the
 recorded way, feels it at the recorded onset, or nearer, as the finger gives way before its gel feels it. If
 the gel does not meet it there, it did shortly before: what is pressed softly is not seen at once.
 There the demonstration is replayed. About those scenes in which it does the task, with contact areas near the
-recorded ones, it is tried anew a few millimetres beside; the scene in the middle of the most that work is
+recorded ones, it is tried again a few millimetres away; the scene in the middle of the most that work is
 taken: a demonstration that succeeded hardly did so by a millimetre.
 """
 
@@ -79,7 +79,7 @@ def follow(action: np.ndarray, flange_m: np.ndarray, goal_m: np.ndarray, dt_s: f
 
 
 def command_latency(world: VariedWorld, gantry: Gantry, references: list[Reference]) -> int:
-    """Control steps by which commands acted too late in demonstrations, as their free ways tell.
+    """Control steps by which commands acted too late in demonstrations, from their motion in free air.
 
     Args:
         world: any state; it is reset.

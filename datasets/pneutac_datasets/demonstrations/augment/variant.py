@@ -11,7 +11,7 @@ from pneutac_sim.world.conditions import Conditions, draw
 # Standard deviations.
 FRICTION = 0.15  # of the factor on the gel's friction
 PEAK_KPA = 0.5  # of the peak pressure of a finger of 0 to 15 kPa; of another in proportion to its range
-BEND_GAIN = 0.04  # of the factor on pressure to bend, where the twin does not know how sure its own is
+BEND_GAIN = 0.04  # of the factor on pressure to bend, where the twin has no interval of its own
 ASIDE_M = 0.005  # of the object's place along y, at most: the way there stays, and a gel is 16 mm wide
 LATE = 1  # control steps by which touch is shown too late, at most
 
@@ -24,12 +24,12 @@ class Variant:
         source: index of the reference.
         shift_m: (3,) displacement of the object and, from the touch on, of the reference trajectory; its
             height stays, as objects stand on the table. Until the touch the trajectory stays: nothing else
-            tells where the object is.
+            shows where the object is.
         friction: factor on the gel's friction.
         peak_kpa: added to the peak pressure, and in proportion below it.
         bend_gain: factor on pressure to bend.
         late_commands: control steps by which commands act too late, as they did in the demonstrations.
-        late_touch: control steps by which touch is shown too late, which no recording tells.
+        late_touch: control steps by which touch is shown too late, which is not recorded.
         conditions: of the world.
     """
 

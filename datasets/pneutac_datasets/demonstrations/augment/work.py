@@ -23,7 +23,7 @@ class Work:
     """The folder.
 
     Args:
-        folder: beside the output.
+        folder: next to the output.
     """
 
     def __init__(self, folder: Path):

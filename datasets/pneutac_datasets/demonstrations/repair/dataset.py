@@ -2,7 +2,7 @@
 
 LeRobot 0.6 writes an episode's numbers (and images that are no video) as one row group of a Parquet file that
 it ends only when the recording ends, then its videos, and keeps up to ten episodes' metadata in memory. After
-a kill, numbers and videos are therefore there, and what says where they lie is not. It is made anew here.
+a kill, numbers and videos are therefore there, and what says where they lie is not. It is made again here.
 
 Everything is made in a folder of its own and takes its place at the end: a refusal changes nothing. What is
 taken out of the dataset moves to its folder `left_out`.
@@ -76,14 +76,14 @@ def repair_dataset(root: str | Path, like: str | Path | None = None, drop: bool 
         places, lacking = place_videos(root, info, known, found, remarks)
         before = len(known)
         if lacking and known:
-            anew, none = place_videos(root, info, [], found, [])
+            again, none = place_videos(root, info, [], found, [])
             if not none:
-                known, places, lacking = [], anew, {}
-                remarks.append("meta/episodes did not fit the videos; all episodes are described anew.")
+                known, places, lacking = [], again, {}
+                remarks.append("meta/episodes did not fit the videos; all episodes are described again.")
         if lacking:
             _refuse_lacking(root, found, lacking, before, drop, remarks)
             if min(lacking) < before:
-                known = []  # what follows is numbered and described anew
+                known = []  # what follows is numbered and described again
             found, places = _without(work, found, places, set(lacking))
         tell_of_videos(root, info, places)
         meta = begin_metadata(work, root, info, known, remarks)
@@ -151,7 +151,7 @@ def _known_episodes(root: Path, remarks: list[str]) -> list[dict]:
         if is_whole(file):
             rows += pq.read_table(file).to_pylist()
         else:
-            remarks.append(f"{file.relative_to(root)} had no end; its episodes are described anew.")
+            remarks.append(f"{file.relative_to(root)} had no end; its episodes are described again.")
     rows.sort(key=lambda r: r["episode_index"])
     if [r["episode_index"] for r in rows] != list(range(len(rows))):
         raise InputError(f"{root}/meta/episodes does not count its episodes from 0; restore it.")

@@ -50,7 +50,7 @@ def _tasks(root: Path, known: list[dict], remarks: list[str]) -> pd.DataFrame:
         return pd.read_parquet(file)
     names = list(dict.fromkeys(task for row in known for task in row["tasks"]))
     if file.exists():
-        remarks.append("tasks.parquet was torn; a task that no whole episode tells is named `task N`.")
+        remarks.append("tasks.parquet was torn; a task that no complete episode names is called `task N`.")
     return pd.DataFrame({"task_index": range(len(names))}, index=pd.Index(names, name="task", dtype=object))
 
 
@@ -60,7 +60,7 @@ def _stats(row: dict) -> dict:
 
 
 def describe(meta: LeRobotDatasetMetadata, root: Path, info: DatasetInfo, rows: Rows, video: dict) -> None:
-    """Describes one episode anew, with its statistics, as LeRobot does when it is saved."""
+    """Describes one episode again, with its statistics, as LeRobot does when it is saved."""
     table = rows.table()
     numbers = np.unique(table["task_index"])
     names = [] if meta.tasks is None else list(meta.tasks.index)

@@ -1,8 +1,8 @@
-"""Parquet files whose writer was killed: complete row groups are read again by a footer made anew.
+"""Parquet files whose writer was killed: complete row groups are read again by a footer made again.
 
-A Parquet file tells at its end where its columns lie. LeRobot keeps one file open for many episodes, one row
+A Parquet file lists at its end where its columns lie. LeRobot keeps one file open for many episodes, one row
 group each, and so writes that end when the recording ends. Each column is a row of pages, however, and each
-page begins with a header that tells its length, so that a file without an end can be walked from its start.
+page begins with a header with its length, so that a file without an end can be walked from its start.
 Numbers of fields are those of the format's `parquet.thrift`; the encoding is Thrift's compact protocol.
 """
 
@@ -161,7 +161,7 @@ def _read_struct(data: io.BytesIO) -> dict:
 
 
 def _read(data: io.BytesIO, kind: int):
-    if kind in (BOOL_TRUE, BOOL_FALSE, BYTE):  # as elements of lists; as fields the type tells true or false
+    if kind in (BOOL_TRUE, BOOL_FALSE, BYTE):  # as elements of lists; as fields the type is true or false
         return _byte(data)
     if kind in (I16, I32, I64):
         return _read_number(data)

@@ -59,23 +59,23 @@ class Dragging:
         return self.turn_deg_per_mm + far < SLIPS * known.turn_deg_per_mm
 
     def less(self, known: Self) -> bool:
-        """Whether imprints surely turn less than they did."""
+        """Whether imprints turn significantly less than before."""
         far = SURE * float(np.hypot(self.error, known.error))
         return self.turn_deg_per_mm + far < known.turn_deg_per_mm
 
     def sentence(self, known: Self | None) -> str:
-        """What it tells of the gel's friction."""
+        """The finding about the gel's friction, a sentence."""
         told = (
             f"Dragged sideways, imprints turned by {self.turn_deg_per_mm:.2g} ({self.error:.1g}) degrees a mm"
         )
         if known is None:
-            return f"{told}; `pneutac calibrate` keeps that, to tell whether the gel's friction changes."
+            return f"{told}; `pneutac calibrate` stores that, to detect a change of the gel's friction."
         was = f"{known.turn_deg_per_mm:.2g} ({known.error:.1g}) before"
         if self.slips(known):
-            return f"{told}, {was}: the gel has less friction than it had and slips."
+            return f"{told}, {was}: the gel has less friction than before and slips."
         if self.less(known):
-            return f"{told}, {was}: the gel sticks less than it did; by how much is not told."
-        return f"{told}, {was}: no less friction of the gel shows."
+            return f"{told}, {was}: the gel sticks less than before; by how much is not identifiable."
+        return f"{told}, {was}: no loss of friction is significant."
 
     def kept(self, task: str) -> dict:
         """As a twin's history keeps it."""

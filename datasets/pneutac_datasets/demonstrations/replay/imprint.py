@@ -1,4 +1,4 @@
-"""What images tell beside the contact area: how strong an imprint is, and how the light has drifted."""
+"""What images show besides the contact area: the strength of an imprint, and the drift of the light."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from pneutac_sim.gel.contact import THRESHOLD_LEVELS
 REST_FRAMES, GAP = 12, 1  # frames before the first touch that show the gel at rest, but for the last ones
 DRIFT_LEVELS, SHAPE_LEVELS = 2.0, 2.0  # of a rest image: less is noise, rounding and slow wander of a camera
 FAINT_LEVELS = 5.0  # what noise changes
-APART = 4  # pixels of which the brightness is told
+APART = 4  # pixels whose brightness is measured
 LEAST_SHOWN = 0.02  # levels over the image, below which an imprint has no direction
 
 
@@ -25,7 +25,7 @@ def rest_image(episode: Episode) -> np.ndarray:
 
 
 def areas(images: np.ndarray, rest: np.ndarray) -> np.ndarray:
-    """Contact areas (T,) of images uint8 (T, H, W, 3) against a rest image, without the specks of noise."""
+    """Contact areas (T,) of images uint8 (T, H, W, 3) against a rest image, without isolated noise pixels."""
     out = np.empty(len(images))
     for t, image in enumerate(images):
         change = cv2.blur(cv2.absdiff(image, rest), (3, 3)).sum(2, dtype=np.float32) / 3
@@ -36,14 +36,14 @@ def areas(images: np.ndarray, rest: np.ndarray) -> np.ndarray:
 def strengths(images: np.ndarray, rest: np.ndarray, gain: np.ndarray | float = 1.0) -> np.ndarray:
     """How strong the imprints are (T,), levels: the mean change beyond `FAINT_LEVELS` over each image.
 
-    Contact area counts pixels beside a threshold; this weighs them by what they change. The light drifts
+    Contact area counts pixels above a threshold; this weighs them by their change. The light drifts
     while a finger presses, by about as much as an imprint grows: each colour of a frame is first brought to
     the brightness of the rest image, by the median of their ratio, as most of the gel is not touched.
 
     Args:
         images: uint8 (T, H, W, 3).
         rest: uint8 (H, W, 3).
-        gain: by which each colour (3,) is brighter in the light by which imprints are to be told.
+        gain: by which each colour (3,) is brighter than the light in which imprints are measured.
     """
     return np.array([change.mean() for change in _changes(images, rest, gain)])
 

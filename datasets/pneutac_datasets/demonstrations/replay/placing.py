@@ -1,4 +1,4 @@
-"""Where an episode's objects stood: they are not recorded, but the first touch tells.
+"""Where an episode's objects stood: not recorded, found from the first touch.
 
 Starts are drawn from the task. In each the objects are moved to where the gel, on the recorded way, feels
 them at the recorded onset, with the imprint's middle where the images show it.
@@ -33,7 +33,7 @@ def find_place(world: ReplayWorld, episode: Episode) -> Place:
     """
     contact = episode.contact()
     if contact is None:
-        raise InputError("The episode never touches anything, so nothing tells where its objects stood.")
+        raise InputError("The episode never touches anything, so the position of its objects is unknown.")
     onset = contact[0]
     free = world.replay(episode)
     middle = imprint_centres_mm(episode.images, without_specks(episode.state[:, AREA]), world.sensor)
@@ -46,7 +46,7 @@ def find_place(world: ReplayWorld, episode: Episode) -> Place:
         world.variation = Variation(tuple(episode.state[0, -6:-3]), (0.0, 0.0, 0.0))
         world.reset(start)
         shift = np.zeros(3)
-        for _ in range(2):  # once to the gel, then beside it
+        for _ in range(2):  # once to the gel, then away from it
             far = _touching(world, gel, shift, z)
             if far is None:
                 break

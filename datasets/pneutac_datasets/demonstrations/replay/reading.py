@@ -106,11 +106,11 @@ def load_demonstrations(
 
     Args:
         name: its folder, or its name on the Hub.
-        task: in front of the robot; left out, the one that the dataset's instruction names.
-        twin: whose sensor and range of pressures they have; left out, the built-in one.
+        task: in front of the robot; if omitted, the one that the dataset's instruction names.
+        twin: whose sensor and range of pressures they have; if omitted, the built-in one.
         only: numbers of the episodes that are read; left out, all.
-        station: file `station.yaml` of where they were recorded; left out, the one that the robot left in the
-            dataset's `meta`, or the paper's.
+        station: file `station.yaml` of where they were recorded; if omitted, the one that the robot left in
+            the dataset's `meta`, or the paper's.
 
     Raises:
         InputError: it is no dataset of this robot, has no such episode, or they cannot serve as measurements.
@@ -143,7 +143,7 @@ def load_demonstrations(
     with readable(folder):
         episodes = [load_episode(dataset, i).resampled(CONTROL_HZ) for i in numbers]
     for e in episodes:
-        e.state[:, EE] += where.base_m  # demonstrations tell places in the arm's frame
+        e.state[:, EE] += where.base_m  # demonstrations have positions in the arm's frame
     task = task or task_of(episodes[0].task, folder)
     return checked(Demonstrations(Path(name), task, episodes, warnings=notes, station=where))
 
@@ -163,7 +163,8 @@ def checked(given: Demonstrations) -> Demonstrations:
     if untouched:
         raise InputError(
             f"{given.folder}: episode {untouched[0]} never touches anything (contact_area.pos is 0 "
-            "throughout), so it tells nothing of the finger; leave it out with lerobot-edit-dataset."
+            "throughout), so it contains no information on the finger; leave it out with "
+            "lerobot-edit-dataset."
         )
     for i, e in enumerate(given.episodes):
         if reason := unmeasurable(e.state, e.action, CONTROL_HZ):
@@ -187,11 +188,11 @@ def _touch_anew(given: Demonstrations) -> Demonstrations:
         state = e.state.copy()
         state[:, AREA] = areas(e.images, e.images[:BEGIN].mean(0).round().astype(np.uint8))
         episodes[i] = replace(e, state=state)
-    told = (
+    note = (
         f"{given.folder}: {len(begun)} of {len(episodes)} episodes begin with contact_area.pos above 0, "
-        "as where the gel's light has drifted; their contact is counted anew against their own first frames."
+        "as where the gel's light has drifted; their contact is counted again against their own first frames."
     )
-    return replace(given, episodes=episodes, warnings=[*given.warnings, told])
+    return replace(given, episodes=episodes, warnings=[*given.warnings, note])
 
 
 def _refuse(folder: Path, twin: Twin, station: Station) -> None:

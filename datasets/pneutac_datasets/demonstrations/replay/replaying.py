@@ -70,7 +70,7 @@ class ReplayWorld(VariedWorld):
     Its own command latency is left out: the path is the measured one, and `delayed` delays the pressure.
 
     Attributes:
-        more_rad: bend beside that of the pressure, shared by the joints.
+        more_rad: bend in addition to that of the pressure, shared by the joints.
     """
 
     more_rad = 0.0
@@ -95,7 +95,7 @@ class ReplayWorld(VariedWorld):
 
         Args:
             episode: as recorded.
-            place: of its objects; left out, they are out of the way.
+            place: of its objects; if omitted, they are out of the way.
             more_rad: see the class.
             keep: whether to keep the tactile images.
         """

@@ -1,4 +1,4 @@
-"""Makes a bench recording with hidden effects, and keeps the answer apart from it."""
+"""Makes a bench recording with hidden effects, and stores the answer separately."""
 
 import zlib
 from pathlib import Path
@@ -44,7 +44,7 @@ def generate(
     hz: float = 20.0,
     measured_pressure: bool = True,
 ) -> dict:
-    """Writes a recording into folder `out`, and the truth into `truth/<name of out>.json` beside it.
+    """Writes a recording into folder `out`, and the answer into `truth/<name of out>.json` next to it.
 
     Args:
         effects: one name, several, or `none`; see `effect_names` and `disturbance_names`.

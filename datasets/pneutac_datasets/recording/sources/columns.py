@@ -275,7 +275,7 @@ def _kind(base: str, unit: str) -> tuple[str, str]:
     return "", ""
 
 
-# Kind to the kinds whose words may stand beside it.
+# Kind to the kinds whose words may occur with it.
 ALLOWED = {
     "sent": {"time", "command"},
     "joint": {"angle", "measured"},
@@ -374,7 +374,9 @@ def understand(
         and not log
         and not any(re.match(r"(tip_[xz]|bend_|q_|curvature_|image)", c) for c in have)
     ):
-        questions.append(("no column says how the finger bent", "NAME: tip_x_mm [mm], NAME: tip_z_mm [mm]"))
+        questions.append(
+            ("no column has the motion of the finger", "NAME: tip_x_mm [mm], NAME: tip_z_mm [mm]")
+        )
     if questions:
         raise InputError(_asked(file, questions, frame))
     return found
@@ -384,11 +386,11 @@ def _asked(file: str, questions: list[tuple[str, str]], frame: pd.DataFrame) -> 
     said = "; ".join(dict.fromkeys(q for q, _ in questions))
     answer = ", ".join(dict.fromkeys(a for _, a in questions))
     has = f" It has {listed(map(shown, frame))}." if any("NAME" in a for _, a in questions) else ""
-    return f"{file}: {said}.{has} Say it as `pneutac convert {file} --columns='{answer}'`."
+    return f"{file}: {said}.{has} Give it as `pneutac convert {file} --columns='{answer}'`."
 
 
 def _of_time(frame: pd.DataFrame, named: dict[str, Named], columns: dict[str, Column]) -> dict[str, Named]:
-    """The names, with one clock: `T` beside a time is a temperature; frames and dates count without one."""
+    """The names, with one clock: `T` next to a time is a temperature; frames and dates count without one."""
     has_time = any(c.column == "time_s" for c in columns.values())
     kinds = {n.kind for n in named.values()}
     for kind in ("time", "T", "date", "frame"):
@@ -416,7 +418,7 @@ def _targets(named: dict[str, Named], taken: set[str]) -> dict[str, str]:
         if kind == "pressure":
             kind = "measured" if "command" in roles else "command"
         if kind == "tip" and name in bare and len(tips - bare) >= 2:
-            continue  # `x` beside `tip x` is something else
+            continue  # `x` next to `tip x` is something else
         chamber = f"{v.index}_" if v.index else ""
         target = {
             "command": f"pressure_cmd_{chamber}kpa",
@@ -477,7 +479,7 @@ def _with_given_unit(column: Column, text: str, file: str) -> Column:
     ):
         raise InputError(
             f"{file}: the unit {shown(text)} of {shown(column.name)} is unknown for {column.column}, which"
-            f" takes {EXAMPLES.get(dimension, 'm/s^2 or none')}; say it as `pneutac convert {file}"
+            f" takes {EXAMPLES.get(dimension, 'm/s^2 or none')}; give it as `pneutac convert {file}"
             f" --columns='{column.name}: {column.column} [UNIT]'`."
         )
     if unit is None and unit_named(text, "voltage") is not None:

@@ -8,7 +8,7 @@ from pneutac_datasets.recording.sources.tracks import Track
 from pneutac_sim.errors import InputError
 
 REST_SHARE = 0.05  # of the samples: those of the least pressure, at which the tip rests
-LEAST_MOVE_MM = 2.0  # that the tip must move to tell the bending plane
+LEAST_MOVE_MM = 2.0  # that the tip must move to find the bending plane
 AXES = {
     f"{sign}{a}": s * np.eye(3)[i] for i, a in enumerate("xyz") for sign, s in (("", 1), ("+", 1), ("-", -1))
 }
@@ -85,7 +85,9 @@ def of_motion(base_mm: np.ndarray, tip_mm: np.ndarray, pressure_kpa: np.ndarray)
     away = tip - rest
     across = away - np.outer(away @ x, x)
     if np.linalg.norm(across, axis=1).max() < LEAST_MOVE_MM:
-        raise InputError(f"The tip moves less than {LEAST_MOVE_MM:g} mm, which tells no bending direction.")
+        raise InputError(
+            f"The tip moves less than {LEAST_MOVE_MM:g} mm, too little to find the bending direction."
+        )
     z = np.linalg.svd(across, full_matrices=False)[2][0]
     z = (z - (z @ x) * x) / np.linalg.norm(z - (z @ x) * x)
     # Positive pressure bends towards +z.

@@ -76,7 +76,7 @@ def read_vicon(file: Path) -> Source:
 def _vicon_section(file: Path, rows: list[list[str]], at: int, source: Source) -> None:
     """Adds the markers or bodies of one section."""
     if len(rows) < at + 6:
-        raise InputError(f"{file} ends within the section '{rows[at][0].strip()}'; export it anew.")
+        raise InputError(f"{file} ends within the section '{rows[at][0].strip()}'; export it again.")
     try:
         rate = float(rows[at + 1][0])
     except (ValueError, IndexError):
@@ -127,7 +127,7 @@ def _rows(file: Path) -> list[list[str]]:
         with file.open(encoding="utf-8-sig", newline="") as f:
             rows = list(csv.reader(f))
     except (UnicodeError, csv.Error) as e:
-        raise InputError(f"{file} is no CSV text ({e}); export it anew.") from e
+        raise InputError(f"{file} is no CSV text ({e}); export it again.") from e
     if not rows or len(rows) > MAX_ROWS:
         raise InputError(f"{file} has {len(rows)} lines; export one to {MAX_ROWS} of them.")
     return rows

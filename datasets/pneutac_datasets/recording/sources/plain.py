@@ -1,4 +1,4 @@
-"""One plain table or several, of a lab's own names and units, as a bench recording that lies beside them."""
+"""One plain table or several, of a lab's own names and units, as a bench recording next to them."""
 
 import glob
 import hashlib
@@ -22,7 +22,7 @@ from pneutac_datasets.recording.wording import SourceFile, listed, plural, shown
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import read_yaml, write_text
 
-ENDING = ".recording"  # of the folder beside the files
+ENDING = ".recording"  # of the folder next to the files
 MAPPING = "mapping.yaml"  # there, what the columns are
 TEXT = (".csv", ".txt", ".tsv", ".tab", ".dat", ".log", ".asc", ".prn")
 FILES = (*TEXT, ".mat", ".parquet")
@@ -154,7 +154,7 @@ def _pieces(file: Path) -> list[str]:
 
 
 def folder_of(files: Sequence[Path]) -> Path:
-    """Where the recording of these files is kept: beside the first, by the names of the first and last."""
+    """Where the recording of these files is stored: next to the first, by the names of the first and last."""
     first, last = files[0], files[-1]
     return first.with_name((first.stem if len(files) == 1 else f"{first.stem}_to_{last.stem}") + ENDING)
 
@@ -394,7 +394,7 @@ def _trials(
     if length < 5 or np.ptp(first) > 1.0 + 0.05 * (time.max() - time.min()):
         return of_file.copy(), []  # shuffled: the rules name the row
     number = np.cumsum(np.isin(np.arange(n), starts)) - 1
-    return number, [f"A new run begins wherever the clock starts anew: {len(starts)} runs."]
+    return number, [f"A new run begins wherever the clock starts again: {len(starts)} runs."]
 
 
 def _restarts(time_s: pd.Series, of_file: np.ndarray) -> np.ndarray:
@@ -527,11 +527,11 @@ def _axes_notes(recording: Recording, source: str, given: Given) -> list[str]:
         way = given.base_z[1:] if given.base_z.startswith("-") else f"-{given.base_z}"
     else:
         return []
-    return [f"Pressure bends the finger along {way}, and z is to be that way: convert with --base_z={way}."]
+    return [f"Pressure bends the finger along {way}, but z must point that way: convert with --base_z={way}."]
 
 
 def _date(frame: pd.DataFrame, columns: Sequence[Column]) -> str:
-    """Day of the measurement, where the clock tells it without doubt."""
+    """Day of the measurement, if the clock is unambiguous."""
     clock = next((c for c in columns if c.column == "time_s"), None)
     if clock is None or not len(frame):
         return ""

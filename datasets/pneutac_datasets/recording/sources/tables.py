@@ -23,7 +23,7 @@ def mat_table(file: Path, time: str = "") -> TextTable:
 
     Args:
         file: of MATLAB's version 7 or earlier.
-        time: name of the variable that holds the times; where left out, the one whose name says so.
+        time: name of the variable that holds the times; if omitted, the one whose name says so.
 
     Raises:
         InputError: the file is none of these, or has no such variable.
@@ -37,7 +37,7 @@ def mat_table(file: Path, time: str = "") -> TextTable:
         raise InputError(f"{file} is of version 7.3; save it with MATLAB's option '-v7'.") from e
     except Exception as e:  # what SciPy's reader raises on damaged bytes has no common class
         reason = cut(" ".join(str(e).split()) or type(e).__name__)
-        raise InputError(f"{file} is no .mat file, or is damaged ({reason}); save it anew.") from e
+        raise InputError(f"{file} is no .mat file, or is damaged ({reason}); save it again.") from e
     flat: dict[str, np.ndarray] = {}
     for name, value in content.items():
         if not name.startswith("__"):

@@ -72,7 +72,7 @@ def resampled(time_s: np.ndarray, values: np.ndarray, at_s: np.ndarray, column: 
     Raises:
         InputError: the times go back.
     """
-    if np.array_equal(time_s, at_s):  # a clock may start anew with each trial
+    if np.array_equal(time_s, at_s):  # a clock may start again with each trial
         return values
     if (np.diff(time_s) < 0).any():
         raise InputError(f"The times of '{column}' go back; give a log with one clock that rises throughout.")

@@ -20,7 +20,7 @@ class SwitchTask(Task):
     The hinge's torque is `-k q (q^2 / well^2 - 1)`, whose peak between well and ridge is
     `2 k well / (3 sqrt 3)`; k follows from `ridge_torque_nm`.
 
-    The lever has some play sideways: pushed beside its middle it gives way and the finger slips off. The
+    The lever has some play sideways: pushed off its middle it gives way and the finger slips off. The
     random start is that of the bar, about which the console is turned.
 
     Attributes:

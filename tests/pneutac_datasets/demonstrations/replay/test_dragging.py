@@ -51,12 +51,12 @@ def test_a_gel_that_slips_turns_less_than_one_that_sticks():
     sticks, slips = (Dragging.of([dragged(t, s) for t in (0.5, 0.6, 0.7)]) for s in (np.inf, 1.0))
     assert sticks.turn_deg_per_mm == pytest.approx(0.6, rel=0.2)
     assert slips.slips(sticks) and not sticks.slips(sticks) and not sticks.slips(slips)
-    assert "less friction than it had" in slips.sentence(sticks)
-    assert "no less friction" in sticks.sentence(sticks)
+    assert "less friction than before" in slips.sentence(sticks)
+    assert "no loss of friction" in sticks.sentence(sticks)
     fewer = Dragging(0.4, 0.03, 8)
     assert fewer.less(Dragging(0.5, 0.03, 8)) and not fewer.less(Dragging(0.45, 0.03, 8))
-    assert "sticks less than it did" in fewer.sentence(Dragging(0.5, 0.03, 8))
-    assert "`pneutac calibrate` keeps that" in sticks.sentence(None)
+    assert "sticks less than before" in fewer.sentence(Dragging(0.5, 0.03, 8))
+    assert "`pneutac calibrate` stores that" in sticks.sentence(None)
 
 
 def test_it_is_told_of_drags_alone_and_kept_by_task():
