@@ -304,14 +304,14 @@ class BodySearch:
 
         Returns:
             Whether at least half of the fall of the error stays there, and the error over the noise; None
-            where no later row has a condition that occurred before.
+            where that is unknown or no later row has a condition that occurred before.
         """
         fold = out_of_time(self.condition, int(T.FORWARD_ROWS * len(self.rows)))
         rows, noise_mse = fold == 0, self.study.noise.floor**2
         if not rows.any():
             return True, None
         after = float(done.model.model.cv_squared(fold)[rows].mean())
-        later = float(np.sqrt(after / noise_mse))
+        later = float(np.sqrt(after / noise_mse)) if noise_mse > 0 else None
         fall = done.found.base.value - done.model.value
         if not done.terms or fall <= T.WORTH_OF_NOISE * noise_mse:
             return True, later  # the air was found before any term, and with it the base errs no more
