@@ -170,7 +170,7 @@ def dragged_rows(files: dict[int, Path]) -> list[tuple[str, ...]]:
     rows = []
     for n, t in told.items():
         if n not in read:
-            rows.append((t["case"], "", "not told", "no"))
+            rows.append((t["case"], "", "not identified", "no"))
             continue
         less = n >= 0 and read[n].less(read[-1])
         right = n < 0 or less == list(DRAGGED.values())[n][1]

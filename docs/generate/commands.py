@@ -40,6 +40,9 @@ def page() -> str:
         "options from a file. `pneutac VERB --help` prints the same as this page.",
         "",
     ]
+    lines += ["| command | does |", "|---|---|"]
+    lines += [f"| [`pneutac {verb}`](#pneutac-{verb}) | {text} |" for verb, text in VERBS.items()]
+    lines.append("")
     for verb, text in VERBS.items():
         lines += [f"## pneutac {verb}", "", text[:1].upper() + text[1:] + ".", ""]
         found = options_class(verb)

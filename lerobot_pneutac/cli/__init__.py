@@ -84,8 +84,8 @@ def _dispatch(argv: list[str]) -> None:
         return
     if verb not in VERBS:
         near = difflib.get_close_matches(verb, VERBS, n=1)
-        hint = f"is '{near[0]}' meant?" if near else f"the verbs are {', '.join(VERBS)}."
-        sys.exit(f"pneutac: '{verb}' is not a verb; {hint}")
+        hint = f"did you mean '{near[0]}'?" if near else f"the commands are {', '.join(VERBS)}."
+        sys.exit(f"pneutac: There is no command '{verb}'; {hint}")
     sys.argv = [f"pneutac {verb}", *argv[1:]]  # the usage lines name the program so
     try:
         run_verb(verb, argv[1:])

@@ -15,6 +15,7 @@ from lerobot_pneutac.verbs.calibration import Calibration
 from lerobot_pneutac.verbs.measured_range import measured_range
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations, is_dataset, load_demonstrations
 from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.wording import an
 from pneutac_sim.errors import InputError, check_choice, check_least, option
 from pneutac_sim.files import check_writable
 from pneutac_sim.progress import Progress, no_progress
@@ -262,8 +263,8 @@ def twin_for(folder: Path, recording: Recording | Demonstrations) -> Twin:
         twin = Twin.load(folder)
         if twin.device != recording.device and (twin.device, recording.device) != ("finger", "gel"):
             raise InputError(
-                f"{recording.folder} is a recording of a '{recording.device}' but the twin at '{folder}' is "
-                f"of a '{twin.device}'; give a twin of that device."
+                f"{recording.folder} is a recording of {an(recording.device)}, but the twin at '{folder}' is "
+                f"of {an(twin.device)}; give a twin of that device."
             )
         return twin
     if recording.device != "gel":

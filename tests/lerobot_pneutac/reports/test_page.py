@@ -41,5 +41,5 @@ def test_unknown_verb_lists_the_verbs():
         capture_output=True,
         text=True,
     )
-    assert run.returncode == 1 and "not a verb" in run.stderr and "calibrate" in run.stderr
+    assert run.returncode == 1 and "no command 'fly'" in run.stderr and "calibrate" in run.stderr
     assert "Traceback" not in run.stderr
