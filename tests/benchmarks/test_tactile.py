@@ -21,7 +21,7 @@ from pneutac_sim.gel.metrics import rmse
 
 pytestmark = pytest.mark.slow
 
-FAST = "rest,pasted,linear,model"
+FAST = "rest,pasted,model"
 
 
 @pytest.fixture(scope="module")

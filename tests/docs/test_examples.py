@@ -9,7 +9,7 @@ from doc_blocks import ROOT
 
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 # Half a minute and more each; the front page and a tutorial do the same by commands.
-LONG = {"augment", "environment", "find_missing_effect", "mpm_finger", "splat_gel"}
+LONG = {"augment", "calibrate_digit", "environment", "find_missing_effect", "mpm_finger", "splat_gel"}
 
 
 def test_there_are_eight():

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 from doc_blocks import blocks, run_block, run_page
 
-SLOW = pytest.mark.slow
 NIGHTLY = pytest.mark.nightly
 
 pytestmark = pytest.mark.timeout(1200)  # two busy cores; a page takes one or two minutes on idle ones
@@ -16,12 +15,12 @@ pytestmark = pytest.mark.timeout(1200)  # two busy cores; a page takes one or tw
 @pytest.mark.parametrize(
     "page",
     [
-        pytest.param("docs/tutorials/your_csv.md", marks=SLOW),
-        # The same verbs, in Python, are in the README.
+        # The same verbs are in the README, and in the tests of tables and networks.
+        pytest.param("docs/tutorials/your_csv.md", marks=NIGHTLY),
         pytest.param("docs/tutorials/missing_effect.md", marks=NIGHTLY),
         pytest.param("docs/how_to/read_a_diagnosis.md", marks=NIGHTLY),
         pytest.param("docs/tutorials/digit_from_two_images.md", marks=NIGHTLY),
-        pytest.param("docs/how_to/networks.md", marks=SLOW),
+        pytest.param("docs/how_to/networks.md", marks=NIGHTLY),
         # The same loop, without augmentation and stand-in, is in test_plugin_loop.
         pytest.param("docs/tutorials/train_on_the_switch.md", marks=[NIGHTLY, pytest.mark.timeout(2400)]),
         pytest.param("docs/tutorials/own_finger.md", marks=NIGHTLY),

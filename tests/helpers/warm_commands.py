@@ -14,7 +14,6 @@ PRELOADED = [
     "lerobot.scripts.lerobot_rollout",
     "lerobot.scripts.lerobot_replay",
     "lerobot.scripts.lerobot_edit_dataset",
-    "lerobot.scripts.lerobot_dataset_viz",
     "lerobot_robot_pneutac",
     "pneutac_sim.world.world",
 ]

@@ -2,6 +2,7 @@
 
 import json
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -22,6 +23,7 @@ from pneutac_sim.twin import Twin, Value
 
 pytestmark = pytest.mark.slow
 
+GOLDEN = Path(__file__).parents[2] / "golden"
 SAMPLES = 25
 
 
@@ -45,6 +47,7 @@ def bench(tmp_path_factory):
     return root
 
 
+@pytest.mark.nightly  # every day: one golden result
 def test_an_effect_acts_in_the_full_simulation(bench, tmp_path):
     error = {}
     for twin in ("without", "with"):
@@ -108,15 +111,15 @@ def test_samples_are_spread(tmp_path):
     assert len(np.unique(np.diff(at))) > 10  # no period
 
 
-def test_what_cannot_be_simulated_is_told(bench, tmp_path):
-    recording = f"--recording={bench / 'creep'}"
+def test_what_cannot_be_simulated_is_told(tmp_path):
+    recording = f"--recording={GOLDEN / 'recordings/finger_creep'}"
     for options, said in (
         (["--fidelity=exact"], "it must be one of pipeline, mpm"),
         (["--samples=50"], "together with fidelity=mpm"),
         (["--fidelity=mpm", "--samples=1"], "2 or more"),
     ):
         with pytest.raises(InputError, match=said):
-            run_verb("compare", [f"--twin={bench / 'with'}", recording, *options])
+            run_verb("compare", [f"--twin={GOLDEN / 'twins/finger'}", recording, *options])
     gel = Twin("gel", 16.0)
     GelModel.builtin().into_twin(gel)
     gel.save(tmp_path / "gel")
