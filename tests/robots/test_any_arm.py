@@ -1,7 +1,6 @@
 """A robot whose arm has six joints, from a user's own URDF: recorded, learnt, rolled out."""
 
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from lerobot.policies import make_policy
 from lerobot.utils.constants import ACTION, OBS_STATE
 
 from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment
-from lerobot_pneutac.verbs.check import check_path
 from lerobot_robot_pneutac.env import PneutacEnvConfig
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
@@ -23,9 +21,8 @@ from lerobot_robot_pneutac.teleoperators.base_teleop import PneutacScriptedConfi
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
 from pneutac_datasets.demonstrations.naive import augment_naive
 from pneutac_datasets.demonstrations.record import record_episodes
-from pneutac_datasets.demonstrations.replay.reading import load_demonstrations
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import EE, state_names
+from pneutac_sim.features import state_names
 from pneutac_sim.world.arms import ARMS
 
 SIX = len(state_names(6))
@@ -102,22 +99,6 @@ def test_its_demonstrations_are_augmented(station, demos, tmp_path):
     paper.write_text("format: pneutac-station/1\n")
     with pytest.raises(InputError, match="has 6 joints, and that of the station 7; give the station.yaml"):
         augment(AugmentConfig(**options, station=paper))
-
-
-def test_its_demonstrations_tell_their_station(station, demos, tmp_path):
-    """What its file and its URDF were may be gone, or on another computer."""
-    moved = shutil.copytree(demos.root, tmp_path / "moved")
-    given = load_demonstrations(moved, "card", only=[0])
-    assert given.station.joints == 6 and given.station.base_m == (0.0, 0.0, 0.05)
-    assert Path(given.station.arm.urdf).parent == moved / "meta" and given.station.make_arm().joints == 6
-    told = load_demonstrations(moved, "card", only=[0], station=station)
-    np.testing.assert_array_equal(given.episodes[0].state, told.episodes[0].state)
-    height_m = float(demos[0][OBS_STATE][EE][2])  # in the arm's frame
-    assert given.episodes[0].state[0, EE][2] == pytest.approx(height_m + 0.05, abs=1e-5)
-    assert check_path(moved).faults == []
-    (moved / "meta" / "station.yaml").unlink()
-    with pytest.raises(InputError, match="has 6 joints, and that of the station 7; give the station.yaml"):
-        load_demonstrations(moved, "card", only=[0])
 
 
 def test_a_bad_station_is_refused_before_any_work(tmp_path):

@@ -13,7 +13,6 @@ from lerobot_robot_pneutac.standin.world import StandinWorld
 from pneutac_sim.features import PIXELS
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.world import World
 
 
 def test_environment_gives_what_the_config_promises():
@@ -139,31 +138,6 @@ def test_an_effect_without_its_condition_is_refused_before_any_environment_is_ma
     )
     with pytest.raises(DecodingError, match="temperature_c: .3, 2.; give a finite number, or a range"):
         PneutacEnvConfig(twin=tmp_path, conditions={"temperature_c": [3, 2]})
-
-
-@pytest.mark.slow
-def test_fidelity_reaches_the_world(monkeypatch):
-    asked = []
-
-    def world(task, twin, touch, fidelity, *args, **more):
-        asked.append(fidelity)
-        return World(task, twin, touch, "probe", *args, **more)  # material points take their time
-
-    monkeypatch.setattr("pneutac_sim.world.env.World", world)
-    assert PneutacEnvConfig(fidelity="mpm").gym_kwargs["fidelity"] == "mpm"
-    with pytest.raises(DecodingError, match="surrogate, mpm, probe"):
-        PneutacEnvConfig(fidelity="fem")
-    make_env(PneutacEnvConfig(fidelity="mpm"), n_envs=1)["pneutac"][0].close()
-    assert asked == ["mpm"]
-
-
-def test_render_reaches_the_world(monkeypatch):
-    monkeypatch.setattr("pneutac_sim.world.view.gl_context", lambda model: 1 / 0)
-    with pytest.raises(DecodingError, match=r"--env.render: .*needs OpenGL.*or choose render=mesh"):
-        PneutacEnvConfig(render="splats")
-    with pytest.raises(DecodingError, match="'oil'; it must be one of mesh, splats"):
-        PneutacEnvConfig(render="oil")
-    assert PneutacEnvConfig().gym_kwargs["render"] == "mesh"
 
 
 def test_the_standin_is_an_environment_of_its_own():

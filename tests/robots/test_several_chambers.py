@@ -24,11 +24,8 @@ from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
 from lerobot_robot_pneutac.teleoperators.velocity_teleop import VelocityTeleop
 from pneutac_datasets.demonstrations.augment.planner import CemPlanner, PlannerConfig
 from pneutac_datasets.demonstrations.augment.run import read_references
-from pneutac_datasets.demonstrations.episodes import load_episode
 from pneutac_datasets.demonstrations.faults import demonstration_faults
-from pneutac_datasets.demonstrations.naive import vary
 from pneutac_datasets.demonstrations.record import record_episodes
-from pneutac_datasets.demonstrations.replay.reading import load_demonstrations
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import action_names, state_names
 from pneutac_sim.gel.sensor import TactileSensor
@@ -117,17 +114,6 @@ def test_a_policy_is_sized_by_the_demonstrations(demonstrations, tmp_path):
     assert action.shape == (1, 6) and (action <= policy._action_high).all()
     policy.save_pretrained(tmp_path)
     assert "`pressure_3.pos` | kPa" in (tmp_path / "README.md").read_text()
-
-
-def test_naive_augmentation_varies_all_pressures_alike(demonstrations):
-    data = LeRobotDataset("local/arm", root=demonstrations, return_uint8=True)
-    episode = load_episode(data, 0)
-    new = vary(episode, None, np.zeros((3, 7)), np.random.default_rng(3), (0.0, 50.0))
-    for pressures in (new.action[:, 3:], new.state[:, episode.places.pressure]):
-        ratio = pressures[:, 2].max() / pressures[:, 0].max()
-        assert ratio == pytest.approx(episode.action[:, 5].max() / episode.action[:, 3].max(), rel=0.01)
-        assert pressures.max() != pytest.approx(episode.action[:, 3:].max(), rel=1e-3)
-    assert new.state.shape[1] == 22 and new.action.shape[1] == 6
 
 
 def test_a_plan_follows_the_demonstrated_touch(demonstrations, folder):
@@ -221,13 +207,6 @@ def test_what_does_not_work_is_refused_before_any_work(folder):
         InputError, match="Fidelity 'mpm' is for fingers of one chamber; this twin's arm has 3"
     ):
         AugmentConfig(**given, twin=folder, fidelity="probe", check_mpm=1)
-
-
-def test_demonstrations_of_several_chambers_are_no_measurements_yet(demonstrations, folder):
-    with pytest.raises(
-        InputError, match="of fingers of one chamber alone, and this body has several; compare it"
-    ):
-        load_demonstrations(demonstrations, "button", Twin.load(folder))
 
 
 @pytest.mark.nightly

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from pneutac_truths import EFFECTS
 from pneutac_truths.effects import air, load, material
 from pneutac_truths.programs import DT_S, Plan
 from pneutac_truths.world import Body, World
@@ -122,11 +121,3 @@ def test_mullins_softens_below_the_greatest_bend_and_recovers_at_rest():
 def test_play_in_the_mount_is_crossed_only_after_a_turn():
     turn = load._play(np.r_[np.linspace(0, 1, 100), np.linspace(1, 0, 100)], 0.2)
     assert turn[:100].max() == 1.0 and turn[110] > 0.4 and turn[-1] == 0.0
-
-
-def test_every_effect_names_its_source_and_a_size():
-    for effect in EFFECTS.values():
-        assert effect.summary.endswith(".") and "(" in effect.source, effect.name
-        assert 0 < effect.ranges["size"][0] < effect.ranges["size"][1]
-        faults = effect.stage in ("marker", "gauge") or effect.name == "stand_shakes"
-        assert effect.physics != faults, effect.name

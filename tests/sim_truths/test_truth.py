@@ -3,13 +3,12 @@
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pneutac_datasets.recording.recording import Recording
-from pneutac_truths import EFFECTS, PAIRS, generate, make, write
+from pneutac_truths import EFFECTS, generate, make, write
 from pneutac_truths.__main__ import main
 from pneutac_truths.world import World
 
@@ -82,28 +81,11 @@ def test_a_recording_of_ten_minutes_has_trials_pauses_and_repeats_as_a_lab_makes
     assert (p.command[p.trial < 0] == 0).all()
 
 
-def test_noise_and_pauses_are_told_as_asked():
-    told = generate("rod", ["plain"], 1, gauge=True, **SHORT).meta
-    assert set(told["noise"]) == {"pressure_kpa", "tip_x_mm", "tip_y_mm", "tip_z_mm"}
-    assert "trials" not in told
-    assert "noise" not in generate("rod", ["plain"], 1, tell_noise=False, **SHORT).meta
-    assert "pressure_kpa" not in generate("rod", ["plain"], 1, gauge=False, **SHORT).samples
-
-
 def test_a_device_has_six_effects_that_are_physics():
     truth = generate("rod", ["device"], 5, **SHORT)
     assert len(truth.effects) == 6
     assert all(EFFECTS[name].physics for name in truth.effects)
     assert generate("rod", ["device"], 5, day=2, **SHORT).effects == truth.effects
-
-
-def test_the_page_tells_every_effect_and_pair_with_its_source():
-    page = (Path(__file__).parents[2] / "docs" / "concepts" / "truths.md").read_text(encoding="utf-8")
-    for e in EFFECTS.values():
-        row = [f"`{e.name}`", e.summary, "yes" if e.physics else "no", ", ".join(e.devices), e.source]
-        assert f"| {' | '.join(row)} |" in page, e.name
-    for name, pair in PAIRS.items():
-        assert f"| `{name}` | {', '.join(f'`{x}`' for x in pair)} |" in page, name
 
 
 @pytest.mark.parametrize(
@@ -127,13 +109,6 @@ def test_the_command_writes_a_new_folder_and_refuses_an_old_one(tmp_path, capsys
     with pytest.raises(SystemExit):
         main(arguments)
     assert "exists; name a new folder" in capsys.readouterr().err
-
-
-def test_an_empty_folder_is_as_good_as_a_new_one(tmp_path):
-    truth = generate("rod", ["plain"], 1, minutes=1)
-    assert (write(truth, tmp_path) / "truth.json").is_file()
-    with pytest.raises(FileExistsError, match="is not empty"):
-        write(truth, tmp_path)
 
 
 def test_importing_needs_no_pyelastica_and_nothing_of_the_product():

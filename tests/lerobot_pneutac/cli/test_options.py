@@ -53,17 +53,6 @@ def test_a_list_needs_no_brackets(argv):
     assert parse_options(Options, argv) == Options(("b", "c"), (3,), (4, 5))
 
 
-def test_a_group_is_given_by_its_options():
-    with pytest.raises(InputError, match="--planner=fast names none of its options; give --planner.horizon"):
-        parse_options(Options, ["--planner=fast"])
-    assert parse_options(Options, ["--planner={horizon: 3}"]).planner.horizon == 3
-
-
-def test_texts_keep_their_commas():
-    found = parse_options(Options, ["--out=p,q", "--program=steps,ramps"])
-    assert (found.out, found.program) == (Path("p,q"), "steps,ramps")
-
-
 def test_a_bad_number_in_a_list_is_one_sentence():
     with pytest.raises(InputError, match="seeds"):
         parse_options(Options, ["--seeds=x"])

@@ -6,18 +6,6 @@ from rich.console import Console
 
 from lerobot_pneutac.cli import terminal as module
 from lerobot_pneutac.cli.terminal import progress_bar
-from lerobot_pneutac.diagnosis.steps import Steps
-
-
-def test_steps_count_work_that_grows():
-    heard = []
-    steps = Steps(lambda *step: heard.append(step))
-    steps.expect("first", 2)
-    steps.done()
-    steps.expect("second", 3)
-    steps.done()
-    assert heard == [("first", 0, 2), ("first", 1, 2), ("second", 1, 5), ("second", 2, 5)]
-    Steps().done()
 
 
 def test_without_a_terminal_there_is_a_line_at_once_and_every_ten_seconds(monkeypatch):

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lerobot_pneutac.diagnosis.programs import menu, sent_s
+from lerobot_pneutac.diagnosis.programs import menu
 from lerobot_pneutac.measuring.programs import program_chambers, read_program
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
@@ -37,19 +37,6 @@ def test_a_table_s_command_is_sent_when_it_says_and_read_at_the_next_sample(tmp_
     (trial,) = read_program(str(file), 10.0, 10.0)
     np.testing.assert_allclose(trial.pressure_kpa[:, 0], [0, 0, 0, 8, 8, 8])
     np.testing.assert_allclose(trial.sent_s, [0, 0.1, 0.2, 0.23, 0.4, 0.5])
-
-
-def test_steps_lead_their_samples_evenly_spread_and_nothing_else_does():
-    t = np.arange(401) / 20
-    p = 8.0 * (t // 1 % 2) + np.where(t > 17, t - 17, 0)
-    sent = sent_s(t, p)
-    at = np.flatnonzero(np.abs(np.diff(p, prepend=0)) > 4)
-    leads = np.sort((t - sent)[at]) * 20
-    assert len(at) == 20 and (np.delete(t - sent, at) == 0).all()
-    assert np.diff(leads, prepend=0, append=1).max() < 2.7 / len(
-        at
-    )  # of equal parts 1, of random ones 3 and more
-    assert (np.diff(sent) > 0).all()
 
 
 def test_a_table_says_what_a_hand_is_to_change(tmp_path):

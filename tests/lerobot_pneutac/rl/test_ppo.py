@@ -16,8 +16,6 @@ from lerobot_pneutac.rl.options import StudentRef
 from lerobot_pneutac.rl.ppo import Compute, PpoSettings, actor_of, make_ppo, make_worlds, train_ppo
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.station import Station
-from pneutac_sim.world.world import World
 
 pytestmark = pytest.mark.slow
 
@@ -236,20 +234,3 @@ def test_a_student_of_another_task_or_of_a_failing_actor_is_refused(tmp_path, mo
     monkeypatch.setattr(ppo_student, "EPISODE_S", 2 / 15)
     with pytest.raises(InputError, match="succeeded in 0 of 20 trials"):
         record("egg")
-
-
-def test_another_arm_is_learnt_and_records_as_its_robot(tmp_path):
-    """A few steps; the actor is refused with any other arm."""
-    from lerobot_pneutac.rl import student as ppo_student
-
-    station = Station(arm="so101")
-    card = train_ppo("switch", None, 1, 60, tmp_path / "actor", TWO, SMALL, station=station)
-    assert card["options"]["station"]["arm"] == "so101"
-    actor = Actor.load(tmp_path / "actor")
-    assert actor.joints == 5
-    world = World("switch", None, "image", "probe", station=station)
-    episode = ppo_student.roll_out(actor, world, np.random.default_rng(0), 0.0)
-    assert episode.state.shape[1] == 16
-    wanted = StudentRef("local/student", tmp_path / "demos", 1, "probe")
-    with pytest.raises(InputError, match=r"an arm of 5 joints, and the station's has 7; give its station"):
-        ppo_student.record_student(tmp_path / "actor", "switch", None, 3, wanted)

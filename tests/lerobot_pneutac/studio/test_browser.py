@@ -250,27 +250,6 @@ def test_what_the_demo_leaves_is_opened_by_its_last_line_and_mended(browser, tmp
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("size", [(1280, 720), (1024, 768), (768, 1024)])
-def test_on_a_tablet_nothing_is_cut_off(browser, tmp_path, size):
-    studio = opened(Twin.builtin().save(tmp_path / "finger"))
-    try:
-        seen = Page(browser, studio.address, *size)
-        expect(seen.page.get_by_text("Bend ").first).to_be_visible(timeout=60_000)
-        seen.tidy()
-        for tab in ("World", "Device"):
-            seen.open(tab)
-            seen.page.wait_for_timeout(500)
-            wide = seen.page.evaluate("document.documentElement.scrollWidth")
-            shown = [v.bounding_box() for v in seen.page.get_by_role("tabpanel").all() if v.is_visible()]
-            assert wide <= size[0] and all(0 <= v["x"] and v["x"] + v["width"] <= size[0] + 1 for v in shown)
-        seen.page.get_by_role("tab", name="Device").press("ArrowRight")  # by the keyboard alone
-        assert seen.page.get_by_role("tab", name="World").get_attribute("aria-selected") == "true"
-        seen.page.close()
-    finally:
-        studio.close()
-
-
-@pytest.mark.nightly
 def test_a_world_is_moved_by_keys_and_an_episode_replayed(browser, tmp_path):
     studio = Studio(port=0)
     studio.show(Session(Twin.builtin().save(tmp_path / "finger"), None, "", GOLDEN / "demos"))
@@ -324,25 +303,3 @@ def test_a_server_that_was_killed_is_found_again(browser, tmp_path):
         expect(seen.page.get_by_text("pressure 12.0 kPa").first).to_be_visible()
     finally:
         server.kill()
-
-
-@pytest.mark.nightly
-def test_a_gel_is_pressed_and_its_recording_shown(browser, tmp_path):
-    recording = shutil.copytree(GOLDEN / "gel_presses", tmp_path / "presses")
-    studio = opened(twin_of(recording, tmp_path / "gel"), recording)
-    try:
-        seen = Page(browser, studio.address)
-        contact = seen.page.get_by_text("Contact ").first
-        expect(contact).to_be_visible()
-        area = lambda: float(re.search(r"Contact ([0-9.]+)", contact.inner_text())[1])  # noqa: E731
-        small, touch = area(), studio.pages["Touch"]
-        touch._depth.value = 1.2
-        expect(seen.page.get_by_text("deepest 1.20 mm").first).to_be_visible()
-        assert area() > 1.2 * small
-        seen.picture("gel", 256)
-        seen.page.get_by_role("tab", name="Measurement").click()
-        expect(seen.page.get_by_text("Off by ").first).to_be_visible(timeout=60_000)
-        seen.page.get_by_role("button", name="The worst image").click()
-        assert not seen.errors and not seen.foreign
-    finally:
-        studio.close()

@@ -2,9 +2,7 @@
 
 import numpy as np
 
-from lerobot_pneutac.studio.live import LiveBody, Shape, Skin, links
-from pneutac_sim.effects.registry import get_effect
-from pneutac_sim.finger import PressurePipeline
+from lerobot_pneutac.studio.live import LiveBody, Shape, links
 from pneutac_sim.finger.kinematics import forward_kinematics_spatial
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 
@@ -22,17 +20,6 @@ def test_links_end_where_the_kinematics_says():
     )
 
 
-def test_it_goes_on_as_the_pipeline_does():
-    twin = Twin.builtin()
-    twin.effects["valve_lag"] = get_effect("valve_lag").start(15.0)
-    body, same = LiveBody(twin, {}), PressurePipeline(twin)
-    for _ in range(5):
-        shape = body.step(np.array([10.0]), np.zeros(3), 0.03)
-        markers = same.place(same.step(10.0, 0.03), 0.03)
-    np.testing.assert_array_equal(shape.markers, markers)
-    assert 0 < shape.bend_deg < LiveBody(FINGER, {}).step(np.array([10.0]), np.zeros(3), 0.03).bend_deg
-
-
 def test_a_poke_bends_towards_where_it_pushes_as_springs_do():
     stiff = FINGER.copy()
     stiff.parameters["joint_stiffness_nm_per_rad"] = Value(100 * PAPER_FINGER["joint_stiffness_nm_per_rad"])
@@ -42,14 +29,3 @@ def test_a_poke_bends_towards_where_it_pushes_as_springs_do():
     levers = free.markers[0] - free.places_mm[1:, 0]
     moved = 0.1 * (1e-3 * levers**2).sum() / stiff.parameter("joint_stiffness_nm_per_rad")
     np.testing.assert_allclose(poked.markers[2] - free.markers[2], moved, rtol=0.03)
-
-
-def test_the_skin_rests_where_it_is_made_and_its_tip_goes_with_the_last_link():
-    skin = Skin.of(FINGER)
-    straight = Shape(*links(np.zeros(4), AT), np.zeros(5))
-    np.testing.assert_allclose(skin.carried_mm(straight, AT), skin.vertices_mm, atol=1e-9)
-    bent = Shape(*links(np.full(4, 0.3), AT), np.zeros(5))
-    end = skin.vertices_mm[:, 0] > FINGER.length_mm - 1
-    local = skin.vertices_mm[end] - [AT[-1], 0, 0]
-    there = local @ bent.turns[-1].T + bent.places_mm[-1]
-    np.testing.assert_allclose(skin.carried_mm(bent, AT)[end], there, atol=1e-6)

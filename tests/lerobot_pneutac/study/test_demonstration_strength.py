@@ -1,7 +1,5 @@
 """How strong imprints are, against those that a twin was fitted to."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -39,11 +37,3 @@ def test_a_corrected_twin_is_not_corrected_again():
 def test_few_episodes_that_differ_much_tell_nothing():
     wide = Strength.of(0.7**TYPICAL * np.array([0.2, 0.8, 3.0]), 1.1, Twin.builtin())
     assert wide.apart(strength()) == 0
-
-
-def test_a_history_keeps_it_by_task():
-    kept = strength()
-    history = {"imprint": kept.kept("button", np.array([90.0, 80.0, 70.0]))}
-    assert Strength.known(history, "button") == replace(kept, light=(90.0, 80.0, 70.0))
-    assert Strength.known(history, "switch") is None
-    assert Strength.known({}, "button") is None

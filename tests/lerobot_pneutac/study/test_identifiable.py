@@ -2,7 +2,7 @@
 
 import pytest
 
-from lerobot_pneutac.study.base import not_identifiable, unidentified
+from lerobot_pneutac.study.base import not_identifiable
 from pneutac_sim.effects.effect import Parameter
 
 GAIN = Parameter("gain_rad_per_kpa", "rad/kPa", 0.15, -2.0, 2.0, range_power=-1)
@@ -30,7 +30,3 @@ TILT = Parameter("pitch_rad", "rad", 0.0, -0.5, 0.5)
 )
 def test_an_interval_that_says_nothing_is_known(spec, value, ci95, nothing):
     assert not_identifiable(value, ci95, spec, 48.0) is nothing
-
-
-def test_the_note_says_what_to_record():
-    assert unidentified("Hang two masses.") == "not identifiable from this recording: hang two masses"

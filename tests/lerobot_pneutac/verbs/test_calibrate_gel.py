@@ -1,7 +1,6 @@
 import json
 import os
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +8,7 @@ import pytest
 from PIL import Image
 
 from lerobot_pneutac.cli import run_verb
-from lerobot_pneutac.study.pasted import shift
-from lerobot_pneutac.verbs.calibrate import calibrate
-from lerobot_pneutac.verbs.fit_gel import MPM, OURS, REST, render, scores_of, wanted
+from lerobot_pneutac.verbs.fit_gel import render, scores_of, wanted
 from pneutac_datasets.generate.gel import HEIGHT, WIDTH, write_gel_recording
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
@@ -23,8 +20,6 @@ from pneutac_sim.gel.metrics import ImageScores, score
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import Predictor
 from pneutac_sim.gel.sensor import TactileSensor
-from pneutac_sim.gel.surface import surface
-from pneutac_sim.mpm import pressed
 from pneutac_sim.twin import Twin
 
 pytestmark = pytest.mark.slow
@@ -117,16 +112,6 @@ def test_effects_asked_for_are_fitted_and_kept_at_the_next_calibration(generated
     assert set(read.effects) == {"photometric_nonlinearity", "rest_colour"} and len(read.history) == 4
 
 
-def test_the_optics_that_new_writes_are_no_findings(generated, twin, tmp_path):
-    run_verb("new", [f"--twin={tmp_path / 'twin'}", f"--recording={generated}"])
-    run(tmp_path / "twin", generated)
-    begun, alone = Twin.load(tmp_path / "twin"), Twin.load(twin)
-    assert set(begun.effects) == set(alone.effects) == ONE_PRESS
-    for name, values in alone.effects.items():
-        for key, value in values.items():
-            assert begun.effects[name][key].value == pytest.approx(value.value, rel=1e-6, abs=1e-9)
-
-
 def test_a_new_twin_gets_every_effect_that_one_press_of_an_unknown_sensor_tells(twin):
     assert set(Twin.load(twin).effects) == ONE_PRESS
     assert wanted(None, Twin.builtin()) is None, "a finger without a gel has no light yet"
@@ -148,25 +133,6 @@ def test_lights_are_kept_and_recognised_by_the_next_calibration(generated, tmp_p
             run(tmp_path / "three", generated, f"--save_prior={name}")
 
 
-def test_without_a_recording_the_output_says_that_the_images_are_generated(tmp_path, capsys, monkeypatch):
-    monkeypatch.delenv("PNEUTAC_DATA", raising=False)
-    run_verb("calibrate", [f"--twin={tmp_path / 'twin'}", f"--out={tmp_path / 'out'}", "--effects=none"])
-    said = capsys.readouterr().out
-    assert "GENERATED images, not photographs" in said and "real tactile" not in said
-    assert Twin.load(tmp_path / "twin").history[-1]["recording"] == "generated images (seed 0)"
-    with pytest.raises(InputError, match="Give --recording=DIR: which measurement"):
-        run_verb("calibrate", [f"--twin={tmp_path / 'twin'}"])
-    page = (tmp_path / "out" / "report.html").read_text()
-    assert "from two photographs" not in page and "Above real" not in page
-    assert f"--out={tmp_path / 'out'}" in page and "/generated" not in page
-
-
-def test_same_recording_same_twin(generated, twin, tmp_path):
-    run(tmp_path, generated)
-    a, b = Twin.load(twin), Twin.load(tmp_path)
-    assert a.gel == b.gel and a.effects == b.effects
-
-
 def test_larger_images_keep_their_size_and_are_made_smaller_where_asked(recording, tmp_path):
     """Photographs at twice the resolution give the same light."""
     run(tmp_path / "small", recording, "--effects=rest_colour")
@@ -186,12 +152,6 @@ def test_larger_images_keep_their_size_and_are_made_smaller_where_asked(recordin
         np.testing.assert_allclose(gel.light, small.light, atol=4)
     with pytest.raises(InputError, match="cannot become 320 x 240 without distortion"):
         run(tmp_path / "turned", recording, f"--image_size=[{HEIGHT},{WIDTH}]")
-
-
-def test_shift_moves_and_fills_with_zeros():
-    image = np.arange(12).reshape(3, 4, 1)
-    assert shift(image, 1, -1)[..., 0].tolist() == [[0, 4, 5, 6], [0, 8, 9, 10], [0, 0, 0, 0]]
-    np.testing.assert_array_equal(shift(image, 0, 0), image)
 
 
 def swap(folder):
@@ -242,39 +202,6 @@ def test_a_twin_of_another_device_and_a_folder_of_other_things_are_refused(gener
     (tmp_path / "full" / "thesis.txt").write_text("do not touch")
     with pytest.raises(InputError, match="something else"):
         run(tmp_path / "full", generated)
-
-
-class FakePoints:
-    """Surfaces of a closed form of decay 0.6 mm where material points would be solved for."""
-
-    def __init__(self, gel, twin):
-        self._cell = gel.window_mm[0] / 59, gel.window_mm[1] / 80
-        self._window = gel.window_mm
-
-    def surface(self, press, share):
-        return surface(replace(press, depth_mm=share * press.depth_mm).depths(self._window), self._cell, 0.6)
-
-    between = surface
-
-
-def test_a_light_through_material_points_is_scored_beside_the_closed_form(generated, monkeypatch):
-    monkeypatch.setattr(pressed, "PressedGel", FakePoints)
-    recording = Recording.load(generated)
-    found = calibrate(Twin("gel", 16.0), recording, effects="none", through="mpm")
-    ours, points, rest = (found.mean(k).contact_rmse for k in (OURS, MPM, REST))
-    assert found.gel.decay_mm == pytest.approx(0.6, abs=0.02) and found.change.endswith("material points")
-    assert ours < 0.7 * rest and points == pytest.approx(ours, rel=0.01)
-    assert "material points (Poisson's ratio 0.46, assumed)" in " ".join(found.remarks())
-    assert "the splat renderer" in " ".join(found.remarks())
-    assert found.to_dict()["refined"] is found.fit.refined is not None
-    twin = found.twin
-    twin.effects = {"registration_shift": get_effect("registration_shift").start(1.0)}
-    twin.history = [{"unit": "levels"}]
-    with pytest.raises(InputError, match="'registration_shift' moves the presses"):
-        calibrate(twin, recording, through="mpm")
-    body = replace(recording, device="finger")
-    with pytest.raises(InputError, match="through=mpm simulates presses into a gel.*of a 'finger'; omit it"):
-        calibrate(Twin.builtin(), body, through="mpm")
 
 
 def test_bad_options_get_one_sentence(generated, tmp_path):

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arms import arm_twin
 from demonstration_sets import write_demonstrations
 from sensors import wide_twin
 
@@ -63,13 +62,6 @@ def test_a_twin_says_what_the_world_will_ask_for(tmp_path):
     file.write_text(file.read_text().replace("  payload:", "  paylod:"))
     assert "paylod" in check_path(tmp_path / "twin").faults[0]
     assert "payload" in check_path(tmp_path / "twin").faults[0].replace("paylod", "")
-
-
-def test_a_stiffness_that_is_assumed_is_told(tmp_path):
-    twin = arm_twin()
-    assert "0.458, assumed and not measured" in check_path(twin.save(tmp_path / "assumed")).notes[0]
-    twin.parameters["joint_stiffness_nm_per_rad"] = Value(0.7)
-    assert not check_path(twin.save(tmp_path / "told")).notes
 
 
 def test_all_faults_of_a_twin_are_told_at_once(tmp_path):

@@ -48,14 +48,6 @@ def test_the_program_goes_from_the_report_to_the_bench_and_back(twin, tmp_path, 
     assert found["expected_error_rad"] < 0.02 < found["error_rad"]  # nobody calibrated this twin
 
 
-def test_each_shape_begins_where_the_finger_rests_and_stays_in_reach(twin):
-    for shape in ("steps", "sine", "loops"):
-        result = control(twin, shape)
-        low, high = result.reach_rad
-        assert result.target_rad[0] == pytest.approx(low) and result.target_rad.max() < high
-        assert len(result.target_rad) == len(result.pressure_kpa) == len(result.time_s)
-
-
 @pytest.mark.parametrize(
     ("table", "sentence"),
     [

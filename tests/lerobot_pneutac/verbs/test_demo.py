@@ -9,7 +9,7 @@ from rich.console import Console
 
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.reports import demo as pages
-from lerobot_pneutac.verbs.demo import Demo, DemoConfig, DemoResult
+from lerobot_pneutac.verbs.demo import Demo, DemoConfig
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin, Value
@@ -117,16 +117,6 @@ def test_the_stages_run_in_order_and_hand_on_what_they_found(commands, tmp_path)
     assert json.loads((tmp_path / "d" / "state.json").read_text()) == result.state
 
 
-def test_the_options_reach_the_commands(commands, tmp_path):
-    demo(tmp_path / "d", minutes=2.0, augmented=7, steps=500, batch_size=4, trials=6, seed=3)[0].run()
-    line = dict(zip(commands.verbs(), commands.lines, strict=True))
-    assert "--minutes=2.0 --seed=3" in line["pneutac_datasets.generate"]
-    assert "--episodes=7 --seed=3" in line["pneutac augment"]
-    assert f"--twin={tmp_path / 'd' / 'twin'}" in line["pneutac augment"]
-    assert "--steps=500 --batch_size=4 --seed=3" in line["lerobot-train"]
-    assert "--eval.n_episodes=6" in line["lerobot-eval"] and "--seed=5003" in line["lerobot-eval"]
-
-
 @pytest.mark.parametrize(
     ("stop", "finished", "first"),
     [
@@ -195,28 +185,6 @@ def test_a_failed_command_shows_the_end_of_its_log(tmp_path):
     assert told[0].startswith("$ python -c ")
 
 
-def test_matching_lines_of_a_command_are_progress(tmp_path):
-    seen = []
-    run = Demo(DemoConfig(tmp_path / "d"), lambda text: None, lambda *args: seen.append(args))
-    run._commands = []
-    printed = run._command("python", "-c", "print('loss:2\\nother\\nloss:1')", total=2, pattern="loss:")
-    assert printed == "loss:2\nother\nloss:1\n"
-    assert seen == [("python", 1, 2), ("python", 1, 2), ("python", 2, 2)]
-
-
-@pytest.mark.parametrize(
-    ("successes", "trials", "low", "high"), [(36, 40, 76.9, 96.0), (40, 40, 91.2, 100.0), (0, 10, 0.0, 27.8)]
-)
-def test_the_interval_is_wilsons(successes, trials, low, high, tmp_path):
-    """Wilson's centre and half width, by hand."""
-    result = DemoResult(tmp_path, {"evaluate": {"successes": successes, "trials": trials}})
-    p, z = successes / trials, 1.959964
-    middle = (p + z**2 / (2 * trials)) / (1 + z**2 / trials)
-    half = z / (1 + z**2 / trials) * np.sqrt(p * (1 - p) / trials + z**2 / (4 * trials**2))
-    assert result.success_ci95 == pytest.approx((100 * (middle - half), 100 * (middle + half)), abs=1e-6)
-    assert result.success_ci95 == pytest.approx((low, high), abs=0.05)
-
-
 def test_the_sentence_says_what_was_found_and_the_report_is_written(commands, tmp_path, monkeypatch):
     monkeypatch.setattr(
         "lerobot_pneutac.cli.terminal.Console", lambda **options: Console(width=500, **options)
@@ -235,12 +203,3 @@ def test_the_sentence_says_what_was_found_and_the_report_is_written(commands, tm
     for text in ("The error of the twin", "Learning curve", "lerobot-eval", "Two are missing."):
         assert text in page
     assert result["selected"] == SELECTED
-
-
-def test_the_command_ends_with_what_to_try_next(commands, tmp_path, capsys):
-    run_verb("demo", [f"--out={tmp_path / 'd'}"])
-    printed = capsys.readouterr().out
-    after = printed.split("Try next:\n")[1].strip().splitlines()
-    assert [line.split()[0] for line in after] == ["pneutac", "pneutac", "python", "pneutac"]
-    assert "--twin=" in after[0] and "report.html" in printed
-    assert after[-1].strip().startswith(f"pneutac studio --twin={tmp_path / 'd'}/before")

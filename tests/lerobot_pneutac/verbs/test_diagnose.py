@@ -8,7 +8,6 @@ from generated import twin_of
 
 from lerobot_pneutac import add
 from lerobot_pneutac.cli import run_verb
-from lerobot_pneutac.reports.sentences import percent
 from lerobot_pneutac.verbs.diagnose import diagnose
 from pneutac_sim.effects.laws import family, is_law, law
 from pneutac_sim.errors import InputError
@@ -144,8 +143,3 @@ def test_wrong_device_and_missing_options_are_one_sentence(bench, tmp_path):
         run_verb("diagnose", [f"--twin={twin}", f"--recording={recording.folder}"])
     with pytest.raises(InputError, match="Give --twin=PATH"):
         run_verb("diagnose", [f"--recording={recording.folder}"])
-
-
-def test_percentages_have_no_minus_zero_and_no_empty_interval():
-    assert percent(-0.001, (-0.004, 0.3)) == "0 % [0 to 30]"
-    assert percent(0.999, (0.998, 1.0)) == "100 %"

@@ -9,7 +9,7 @@ import pytest
 
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.effect_file import effect_source, file_name
-from lerobot_pneutac.verbs.effects import list_effects, plain_equation, show_effect, tips
+from lerobot_pneutac.verbs.effects import list_effects, show_effect, tips
 from pneutac_sim.effects.body_effect import BodyEffect
 from pneutac_sim.effects.laws import law_names
 from pneutac_sim.effects.registry import all_effects, body_effects, get_effect
@@ -81,26 +81,6 @@ def test_an_exported_law_holds_what_it_runs_alone():
     text = effect_source("lag(p)")
     assert 'lag_p = "lag_p:EFFECT"' in text and "pneutac.effects" in text and "TIMES_S" not in text
     assert set(re.findall(r"def (\w+)", text)) == {"_weights", "_lag", "lag", "pressure", "run_drive"}
-
-
-def test_names_of_files_are_distinct():
-    names = [file_name(n) for n in (*law_names(), *all_effects())]
-    assert len(set(names)) == len(names) and all(n.isidentifier() for n in names)
-    assert not set(names) & set(all_effects())
-
-
-def test_an_exported_effect_has_a_name_of_its_own(load):
-    own, creep = load("creep"), get_effect("creep")
-    x, dt, _ = bench(creep)
-    assert own.name == "my_creep"
-    np.testing.assert_allclose(own.apply(x, dt), creep.apply(x, dt), rtol=1e-12)
-
-
-def test_equations_need_no_latex():
-    for row in list_effects():
-        assert row["equation"] and not set(row["equation"]) & set("\\{}"), row
-    assert plain_equation(r"\tau\,\dot p = p_{cmd} - p") == "tau dp/dt = p_cmd - p"
-    assert plain_equation(r"p \to \frac{p + a}{1 + b}") == "p -> (p + a)/(1 + b)"
 
 
 @pytest.mark.parametrize("name", ["lag(p^2)", "hysteresis", "shadow"])

@@ -126,16 +126,6 @@ def test_a_finger_is_calibrated_and_told(calibrated):
     assert (out / "best.png").is_file()
 
 
-@pytest.mark.nightly
-def test_markers_are_never_fitted(drawn, calibrated, tmp_path):
-    moved = altered(drawn, tmp_path / "moved", **{f"tip_{a}_mm": 0.0 for a in "xyz"})
-    cfg = config(tmp_path, moved)
-    result = calibrate(cfg, tmp_path, Console(quiet=True))
-    assert result["parameters"] == calibrated[1]["parameters"]
-    assert result["tip_error_mm"]["heldout"] > 50
-    assert not (cfg.twin / "evaluations.json").exists()
-
-
 def test_without_markers_photographs_are_fitted(drawn, tmp_path, monkeypatch):
     without = altered(drawn, tmp_path / "without", **{f"tip_{a}_mm": None for a in "xyz"})
     monkeypatch.setattr("lerobot_pneutac.verbs.fit_photographs.calibrate_photographs", lambda *a: "images")
@@ -259,16 +249,3 @@ def test_a_search_goes_on_only_with_the_same_photographs(drawn):
     for other in (replace(first, image=255 - first.image), replace(first, mask=~first.mask)):
         assert search_key(drawn, twin, [other, *others], 1000) != key
     assert search_key(drawn, twin, session.photographs, 2000) != key
-
-
-@pytest.mark.nightly  # every day: `test_a_finger_is_calibrated_and_told`, on what the renderer drew
-def test_a_hidden_finger_is_found(tmp_path):
-    from pneutac_datasets.generate.photographs import write_photographs
-
-    recording = once(
-        write_photographs, tmp_path / "hidden", seed=5, pressures_kpa=[0, 3, 5, 6, 9, 10, 12, 15]
-    )
-    cfg = config(tmp_path, recording, train_kpa="0,3,6,9,12,15", evaluations=21, particles=2000)
-    result = calibrate(cfg, tmp_path, Console(quiet=True))
-    assert result["tip_error_mm"]["heldout"] < 0.015 * 110
-    assert result["iou"]["heldout"] > 0.96

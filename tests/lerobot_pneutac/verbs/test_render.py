@@ -91,16 +91,6 @@ def test_what_is_finished_is_kept_when_interrupted(tmp_path):
     assert (tmp_path / "finger_1.png").is_file() and (tmp_path / "film.mp4").is_file()
 
 
-def test_nearer_balls_hide_farther_ones():
-    image = particle_picture.blank(40, 40)
-    view = (np.array([1.0, 0, 0]), np.array([0, 1.0, 0]))  # seen from +z
-    points = np.array([[0, 0, 1.0], [0, 0, -1.0]])
-    red_near = np.array([[200.0, 0, 0], [0, 0, 200.0]])
-    particle_picture.draw_particles(image, points, red_near, 0.5, view, 20.0, (20.0, 20.0))
-    r, _, b = image[20, 20].astype(int)
-    assert r > 100 > b
-
-
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -211,15 +201,6 @@ def test_conditions_that_effects_ask_for_are_taken_and_others_named(tmp_path):
         filled(RenderConfig(folder, conditions={"temperatur": 30.0}), twin)
 
 
-def test_every_device_has_defaults_that_it_takes(tmp_path):
-    for device in ("finger", "arm", "gel"):
-        twin = Twin(device)
-        config = filled(RenderConfig(tmp_path), twin)
-        assert (config.pressure_kpa is None) == (device == "gel") == (config.indenter is not None)
-        if device == "arm":
-            assert np.reshape(config.pressure_kpa, (-1, 3)).any(0).all()
-
-
 @pytest.mark.parametrize(
     ("device", "said"),
     [
@@ -250,12 +231,3 @@ def test_too_deep_a_press_is_refused(tmp_path):
     folder = Twin("gel", 16.0).save(tmp_path / "gel")
     with pytest.raises(InputError, match="2.5 mm thick"):
         run_verb("render", [f"--twin={folder}", "--depth_mm=2.4"])
-
-
-def test_poses_that_are_not_given_reach_as_far_as_the_twin_was_measured(tmp_path):
-    twin = Twin.builtin()
-    assert filled(RenderConfig(tmp_path), twin).pressure_kpa == [0.0, 5.0, 10.0, 15.0]
-    twin.pressure_range_kpa = (-60.0, 15.0)
-    assert filled(RenderConfig(tmp_path), twin).pressure_kpa == [0.0, -20.0, -40.0, -60.0]
-    arm = filled(RenderConfig(tmp_path), Twin("arm", pressure_range_kpa=(0.0, 30.0))).pressure_kpa
-    assert arm == [0, 0, 0, 20, 0, 0, 0, 20, 0, 0, 0, 20]

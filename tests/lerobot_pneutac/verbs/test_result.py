@@ -4,13 +4,11 @@ import json
 import shlex
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from lerobot_pneutac import add, calibrate, compare
 from lerobot_pneutac.verbs.new import new_twin
 from lerobot_pneutac.verbs.result import Result
-from lerobot_pneutac.verbs.surrogate import train_networks
 from pneutac_datasets.generate.hidden_gel import write_hidden_gel
 from pneutac_sim.twin import Twin
 
@@ -61,29 +59,6 @@ def test_results_of_a_gel_are_plain(gel, verb):
     assert found and all_plain(found) and json.loads(json.dumps(found, allow_nan=False)) == found
 
 
-def test_results_of_networks_are_plain(tmp_path):
-    found = train_networks(Twin.builtin(), Twin.builtin().save(tmp_path / "twin"))
-    assert all_plain(found.to_dict()) and found.to_dict()["twin"] == str(tmp_path / "twin")
-
-
-def test_whatever_a_verb_finds_becomes_plain():
-    class Found(Result):
-        def content(self):
-            return {
-                1: np.float64(0.5),
-                "a": (np.int64(2), [np.arange(2)]),
-                "b": Path("x"),
-                "c": np.bool_(True),
-            }
-
-    class More(Found):
-        def content(self):
-            return super().content() | {"d": np.float32(0.25)}
-
-    plain = {"1": 0.5, "a": [2, [[0, 1]]], "b": "x", "c": True, "d": 0.25}
-    assert More().to_dict() == plain and all_plain(More().to_dict())
-
-
 def test_what_has_no_place_in_json_is_refused():
     class Found(Result):
         def content(self):
@@ -123,7 +98,3 @@ def test_the_next_command_is_told_of_demonstrations_what_the_first_was(tmp_path)
     page = Found().report(tmp_path, first).read_text()
     assert "--recording=d --task=button &#39;--station=my lab.yaml&#39;</pre>" in page
     assert "<pre>pneutac add --twin=t --recording=d</pre>" in Found().report(tmp_path).read_text()
-
-
-def test_a_twin_in_no_folder_is_named_by_its_device(gel, tmp_path):
-    assert "Twin: gel, as it was made." in gel["new"].report(tmp_path).read_text()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lerobot_pneutac.cli import run_verb
-from lerobot_pneutac.verbs.surrogate import CARD, DATA, Collection
+from lerobot_pneutac.verbs.surrogate import CARD, DATA
 from pneutac_sim.errors import InputError
 from pneutac_sim.surrogate import collect
 from pneutac_sim.twin import Twin, Value
@@ -75,16 +75,6 @@ def test_an_effect_that_is_added_is_seen_in_the_world_with_the_networks_of_the_b
     wanted = bend_rad(twin, "probe") - bend_rad(None, "probe")
     assert abs(wanted) > 0.05
     assert change == pytest.approx(wanted, rel=0.1)
-
-
-def test_the_time_that_it_takes_is_told_beforehand(capsys, trained):
-    assert Collection().minutes(Twin.builtin()) == 0
-    finger, both = Collection().minutes(other_body()), Collection().minutes(other_body(), fresh=True)
-    assert 1 < finger < both < 15 < Collection(24, 1.0, 100).minutes(other_body(), fresh=True)
-    train(trained[0])
-    said = " ".join(capsys.readouterr().out.split())
-    assert said.startswith("Full simulations and training: about 1 min on two cores")
-    assert "For finer ones repeat with --trajectories=24 --seconds=1 --contacts=100" in said
 
 
 def test_an_interrupted_run_goes_on_with_what_it_has(trained):

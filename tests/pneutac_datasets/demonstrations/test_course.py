@@ -75,28 +75,6 @@ def test_a_contact_ends_when_the_touch_is_gone(reference):
     assert go(held, True, 3)[-1] is None  # but not for ever: it is not let go while it is felt
 
 
-def test_a_brush_after_a_firm_touch_is_no_touch(reference):
-    course = Course(reference, 0.0, NOTHING)
-    go(course, 0.0, FIRST)
-    go(course, 0.1, END - FIRST - 2, reference.flange_m[FIRST])
-    assert go(course, 0.01, 3)[-1] >= END and not course.in_contact
-    felt = Course(reference, 0.0, NOTHING)
-    go(felt, 0.0, FIRST)
-    go(felt, 0.1, END - FIRST - 2, reference.flange_m[FIRST])
-    assert go(felt, 0.04, 3)[-1] < END and felt.in_contact  # less than it was, and a touch
-
-
-def test_a_demonstration_that_ends_in_contact_is_not_over_when_the_touch_flickers(reference):
-    reference.area[END:] = 0.1
-    course = Course(reference, 0.0, NOTHING)
-    go(course, False, FIRST)
-    go(course, True, LENGTH - FIRST - 8, reference.flange_m[FIRST])
-    frames = go(course, False, 8 + LATE_RELEASE - 1)
-    assert None not in frames and course.in_contact
-    assert course.offset_m[0] > 5e-3  # the path goes on
-    assert go(course, False, 3)[-1] is None
-
-
 def test_touch_is_asked_for_until_the_demonstration_let_go(reference):
     """Asked for beyond that, a plan would cling to what gives way at last, and press what lies behind it."""
     reference.area[END - 2 : END] = 0.2, 0.3
@@ -110,27 +88,6 @@ def test_touch_is_asked_for_until_the_demonstration_let_go(reference):
     go(lasting, False, FIRST)
     go(lasting, True, 1, reference.flange_m[FIRST])
     np.testing.assert_array_equal(lasting.area_goal(np.arange(LENGTH - 1, LENGTH + 2)), [0.1] * 3)
-
-
-def test_a_short_bump_need_not_come_and_is_no_contact(reference):
-    reference.area[20:22] = 0.05
-    assert len(reference.contacts) == 2
-    course = Course(reference, 0.0, NOTHING)
-    assert None not in go(course, False, FIRST)
-    bumped = Course(reference, 0.0, NOTHING)
-    go(bumped, False, 15)
-    assert go(bumped, True, 1) == [FIRST]
-
-
-def test_a_contact_ends_where_the_air_is_let_out():
-    """What the finger brushes on its way back, however firmly, is no part of it."""
-    area, action = np.zeros(LENGTH), np.zeros((LENGTH, 4))
-    area[FIRST : END - 5], area[END - 2 : END] = 0.3, 0.2
-    action[FIRST:END, 3] = np.linspace(3, 12, END - FIRST)
-    r = Reference(0, np.zeros((LENGTH, 3)), area, action, "push")
-    assert r.contacts == [(FIRST, END)]
-    action[END - 4 :, 3] = 0.0
-    assert r.contacts == [(FIRST, END - 4)]
 
 
 def test_a_touch_elsewhere_is_answered_as_demonstrations_answer_it(reference):

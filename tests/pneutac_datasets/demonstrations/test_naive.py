@@ -122,31 +122,6 @@ def test_varied_demonstrations_stay_within_bounds_and_consistent(seed):
     np.testing.assert_allclose(turned, e.state[1:, 1] - e.state[0, 1], atol=0.003)
 
 
-def test_displacement_fades_before_contact(monkeypatch):
-    for name, nothing in (("SPEED", (1.0, 1.0)), ("PRESSURE_GAIN", 0.0), ("CONTRAST", (1.0, 1.0))):
-        monkeypatch.setattr(naive, name, nothing)
-    monkeypatch.setattr(naive, "BRIGHTNESS", 0.0)
-    e = demonstration()
-    v = vary(e, None, SLOPE, np.random.default_rng(1))
-    assert np.linalg.norm(v.state[0, EE] - e.state[0, EE]) > 0.001
-    np.testing.assert_allclose(v.state[20:], e.state[20:], atol=1e-6)
-    np.testing.assert_allclose(v.action[20:], e.action[20:], atol=1e-6)
-    np.testing.assert_array_equal(v.images, e.images)
-
-
-def test_mixing_aligns_the_contacts():
-    a, b = demonstration(0.03, 40, (20, 30)), demonstration(0.05, 60, (10, 50))
-    b.images[10:50, 100:200, 80:160] = 180
-    m = naive._mix(a, b, 0.25)
-    touched = m.state[:, AREA] > 1e-6
-    assert touched[20:30].all()
-    assert not touched[:19].any()
-    assert not touched[31:].any()
-    np.testing.assert_allclose(m.state[20:30, AREA], 0.1)
-    assert (m.images[25, 150, 120] == 150).all()
-    assert (m.images[5] == 100).all()
-
-
 def test_appearance_changes_contact_and_brightness_but_not_the_order(source):
     e = demonstration()
     v = naive._change_appearance(e.images, np.random.default_rng(3)).astype(float)

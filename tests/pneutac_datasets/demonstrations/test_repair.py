@@ -226,13 +226,6 @@ def test_the_episode_that_was_being_written_is_left_out_with_its_pictures(tmp_pa
     assert not list((root / "images").glob("*/episode-*"))
 
 
-def test_what_a_robot_left_in_meta_stays(torn):
-    for name in ("station.yaml", "achieved_rate.json"):
-        (torn / "meta" / name).write_text("{}\n")
-    repair_dataset(torn)
-    assert all((torn / "meta" / n).read_text() == "{}\n" for n in ("station.yaml", "achieved_rate.json"))
-
-
 def test_times_that_do_not_fit_the_videos_are_counted_anew(whole, tmp_path):
     root = tmp_path / "demo"
     shutil.copytree(whole, root)

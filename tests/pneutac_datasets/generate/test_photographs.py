@@ -6,13 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
-from pneutac_datasets.generate.photo_plan import joints_of, session
 from pneutac_datasets.generate.photographs import (
     CAMERAS,
     MARKER_NOISE_MM,
     Disturbances,
     bent_meshes,
-    default_pressures,
     hidden_twin,
     write_photographs,
 )
@@ -21,7 +19,6 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.kinematics import forward_kinematics
 from pneutac_sim.mpm import devices
-from pneutac_sim.twin import Value
 
 pytestmark = pytest.mark.slow
 
@@ -37,13 +34,6 @@ def iou(a, b):
 def finger(tmp_path_factory):
     folder = tmp_path_factory.mktemp("photographs") / "finger"
     return write_photographs(folder, seed=4, pressures_kpa=PRESSURES, particles=FEW)
-
-
-@pytest.fixture(scope="module")
-def arm(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("photographs") / "arm"
-    pressures = [[0.0, 0.0, 0.0], [0.0, 12.0, 0.0]]
-    return write_photographs(folder, seed=5, device="arm", pressures_kpa=pressures, particles=FEW)
 
 
 def test_recording_is_a_bench_recording(finger):
@@ -70,15 +60,6 @@ def test_masks_are_where_the_told_cameras_project_the_body(finger):
             assert iou(mask, drawn > 0) > 0.96
             places = [np.argwhere(m).mean(0) for m in (mask, drawn > 0)]
             np.testing.assert_allclose(*places, atol=0.3)
-
-
-def test_front_and_back_see_it_bend_to_opposite_sides(finger):
-    def lowest(row, name):
-        ys, xs = np.nonzero(read_photograph(finger, row, name)[1])
-        return xs[ys > ys.max() - 5].mean()
-
-    assert lowest(2, "front") > lowest(0, "front") + 50
-    assert lowest(2, "back") < lowest(0, "back") - 50
 
 
 def test_markers_are_those_of_the_spine(finger):
@@ -115,24 +96,6 @@ def test_a_seed_decides_everything(finger, tmp_path):
     assert np.abs(image.astype(int) - before[0]).mean() < 3  # the noise of another place in the sequence
 
 
-def test_printed_body_has_a_texture_and_a_label(finger):
-    image, mask = read_photograph(finger, 0, "front")
-    inside = image[mask].astype(float)
-    assert inside.std(0).max() > 15
-    assert (inside.min(1) > 150).sum() > 100  # the paper of the label
-    quiet = image[~cv2.dilate(mask.astype(np.uint8), np.ones((41, 41))).astype(bool)].astype(float)
-    assert quiet.std() < 60
-
-
-def test_arm_has_a_side_camera_that_sees_it_bend_out_of_plane(arm):
-    assert CAMERAS["arm"] == ("front", "back", "side")
-    masks = [read_photograph(arm, row, "side")[1] for row in (0, 1)]
-    low = [np.argwhere(m)[-300:, 1].mean() for m in masks]
-    assert abs(low[1] - low[0]) > 40
-    assert default_pressures("arm").shape == (16, 3)
-    assert ((default_pressures("arm") > 0).sum(1) <= 1).all()
-
-
 def test_disturbances_act_and_stay_secret(finger, tmp_path):
     wrong = Disturbances(tilt_deg=3, camera_deg=2, camera_mm=3, mask_px=1)
     bad = write_photographs(
@@ -150,32 +113,6 @@ def test_disturbances_act_and_stay_secret(finger, tmp_path):
     assert turn == pytest.approx(2, abs=1e-6)
     eyes = [-t[:3, :3].T @ t[:3, 3] for t in (told, true)]
     assert np.linalg.norm(eyes[0] - eyes[1]) == pytest.approx(3e-3)
-
-
-def with_effect(name, **values):
-    twin = hidden_twin(4, "finger")
-    twin.effects[name] = {k: Value(v) for k, v in values.items()}
-    return twin
-
-
-def test_pressures_of_one_trial_rise_evenly_and_then_stay():
-    table = session(np.array([0.0, 12.0, 6.0]), "finger", (2.0, 60.0), {"gravity_x": [1.0, 0.5, 0.8]})
-    assert table["time_s"].tolist() == [2, 60, 62, 120, 122, 180]
-    assert table["pressure_cmd_kpa"].tolist() == [0, 0, 12, 12, 6, 6]
-    assert table["gravity_x"].tolist() == [1, 1, 0.5, 0.5, 0.8, 0.8]
-    assert table["trial"].nunique() == 1
-
-
-def test_creep_shows_between_two_photographs_of_a_pressure():
-    twin = with_effect("creep", weight_0_4s=0, weight_1_3s=0, weight_4s=0.1, weight_13s=0, weight_40s=0,
-                       weight_130s=0)  # fmt: skip
-    still = devices.joint_targets(hidden_twin(4, "finger"), [0.0, 12.0])
-    early, late = joints_of(twin, session(np.array([0.0, 12.0]), "finger", (2.0, 60.0), {}))[2:]
-    # late part of a ramp of 2 s: s = 1 - tau / T (1 - exp(-T / tau)) of the step
-    left = 1 - 4 / 2 * (1 - np.exp(-2 / 4))
-    share = (1 + 0.1 * left) / 1.1
-    np.testing.assert_allclose(early - still[0], share * (still[1] - still[0]), rtol=1e-6)
-    np.testing.assert_allclose(late, still[1], rtol=1e-5)
 
 
 def test_an_effect_is_hidden_in_the_body(finger, tmp_path):

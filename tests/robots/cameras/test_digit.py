@@ -1,13 +1,10 @@
 import time
 
 import cv2
-import draccus
 import numpy as np
 import pytest
 from awake import awake_s, undisturbed
 from draccus.utils import DecodingError
-from lerobot.cameras import CameraConfig
-from lerobot.cameras.utils import make_cameras_from_configs
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
 from lerobot_robot_pneutac.cameras import digit as digit_camera
@@ -66,14 +63,6 @@ def test_refused_settings_and_old_firmware_are_said(sensor, connected):
 def test_bad_options_are_one_sentence(options, text):
     with pytest.raises(DecodingError, match=text):
         DigitConfig(serial="D2", **options)
-
-
-def test_lerobot_makes_it_from_a_command_line_option(sensor):
-    options = {"type": "digit", "serial": "D2", "led": [15, 0, 15], "fps": 60}
-    cameras = make_cameras_from_configs({"tactile": draccus.decode(CameraConfig, options)})
-    assert type(cameras["tactile"]).__name__ == "Digit"
-    assert (cameras["tactile"].height, cameras["tactile"].width, 3) == IMAGE_SHAPE
-    assert cameras["tactile"].fps == 60
 
 
 def test_image_is_upright_rgb_as_the_simulated_one(sensor, connected):

@@ -28,12 +28,6 @@ def test_it_turns_clockwise_as_opencv_then_cuts_then_mirrors():
         assert np.array_equal(Framing(degrees).apply(PICTURE), cv2.rotate(PICTURE, code))
 
 
-def test_scaling_keeps_the_mean_light():
-    image = Framing(size=(240, 320)).apply(PICTURE)
-    assert image.shape == (240, 320, 3)
-    assert abs(image.mean() - PICTURE.mean()) < 0.2
-
-
 @pytest.fixture
 def streaming(monkeypatch):
     """`cv2.VideoCapture` as a webcam that streams PICTURE, in BGR, in the size that it is told."""

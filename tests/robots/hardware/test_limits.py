@@ -20,11 +20,6 @@ def test_the_defaults_are_those_of_the_manual():
     assert (STOPPING_S, EXCESS) == (0.15, 0.2)
 
 
-def test_they_are_given_by_name_only():
-    with pytest.raises(TypeError):
-        Limits(0.05)
-
-
 def test_no_velocity_carries_the_flange_out_of_its_box_even_as_the_last_command():
     limits, rng = Limits(), np.random.default_rng(0)
     low, high = np.array(limits.low_m), np.array(limits.high_m)
@@ -160,10 +155,3 @@ def test_beyond_the_twin_asks_for_a_flag():
     assert Limits(pressure_kpa=20.0, beyond_twin=True).of_twin((0.0, 15.0)).action_kpa == (0.0, 20.0)
     lowered = Limits(pressure_kpa=3.0).of_twin((0.0, 15.0))  # a caution: actions beyond are held, not refused
     assert (lowered.pressure_kpa, lowered.action_kpa) == (3.0, (0.0, 15.0))
-
-
-def test_limits_just_inside_are_taken():
-    assert (
-        Limits(speed_m_s=0.1, pressure_kpa=0.5, overpressure_kpa=0.6, low_m=(-0.5, -0.4, -0.1)).force_n
-        == 20.0
-    )

@@ -1,6 +1,5 @@
 """`PandaArm`: against a stand-in of franky everywhere, against franky itself where it is installed."""
 
-import inspect
 import sys
 import time
 import types
@@ -10,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from lerobot_robot_pneutac.hardware.limits import Limits
-from lerobot_robot_pneutac.hardware.panda import RECOVERIES, PandaArm, active
+from lerobot_robot_pneutac.hardware.panda import RECOVERIES, PandaArm
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault
 from lerobot_robot_pneutac.hardware.safety import Guard
 from lerobot_robot_pneutac.hardware.simulated_arm import SimulatedArm
@@ -255,38 +254,6 @@ def test_what_hinders_connecting_is_said(franky, monkeypatch):
 @pytest.fixture(scope="module")
 def real():
     return pytest.importorskip("franky", reason="franky is not installed: pip install franky-control")
-
-
-def test_the_stand_in_offers_nothing_that_franky_lacks(real):
-    assert issubclass(real.ControlException, Exception)
-    assert real.RealtimeConfig.Enforce != real.RealtimeConfig.Ignore
-    assert real.ControllerMode.JointImpedance
-    for name in ("state", "has_errors", "is_in_control", "translation_velocity_limit"):
-        assert isinstance(inspect.getattr_static(real.Robot, name), property), name
-    for name in ("move", "poll_motion", "join_motion", "recover_from_errors", "set_collision_behavior"):
-        assert callable(getattr(real.Robot, name)), name
-    for word in ("relative_dynamics_factor", "controller_mode", "realtime_config"):
-        assert word in real.Robot.__init__.__doc__
-    assert "asynchronous" in real.Robot.move.__doc__ and "timeout" in real.Robot.join_motion.__doc__
-    for name in ("q", "dq", "O_T_EE", "F_T_EE", "O_F_ext_hat_K", "current_errors", "time"):
-        assert hasattr(real.RobotState, name), name
-    assert hasattr(real.Duration, "to_sec") and callable(real.DoubleDynamicsLimit.set)
-    assert active(real.Errors()) == [] and hasattr(real.Errors, "cartesian_reflex")
-
-
-def test_frankys_motions_are_built_as_panda_builds_them(real):
-    go = real.CartesianVelocityWaypoint(
-        real.RobotVelocity(real.Twist(np.array([0.05, 0, 0]), np.zeros(3))),
-        hold_target_duration=real.Duration(250),
-    )
-    motion = real.CartesianVelocityWaypointMotion(
-        [go, real.CartesianVelocityWaypoint(real.RobotVelocity(real.Twist()))]
-    )
-    np.testing.assert_allclose(motion.waypoints[0].target.end_effector_twist.linear, [0.05, 0, 0])
-    assert motion.waypoints[0].hold_target_duration.to_sec() == 0.25
-    np.testing.assert_allclose(motion.waypoints[1].target.end_effector_twist.linear, 0)
-    assert real.RelativeDynamicsFactor(1.0, 0.1, 0.1).jerk == 0.1
-    assert isinstance(real.CartesianVelocityStopMotion(), real.BaseCartesianVelocityMotion)
 
 
 def test_an_address_without_a_robot_is_one_sentence(real):

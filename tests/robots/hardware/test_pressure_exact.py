@@ -84,29 +84,6 @@ def test_a_status_comes_every_10_ms(start):
     assert sum(counts) == len(at) == 6 and set(np.diff(at)) == {10}
 
 
-def scrambled(x):
-    for shift, factor in ((16, 0x85EBCA6B), (13, 0xC2B2AE35)):
-        x = (x ^ x >> shift) * factor % 2**32
-    return x ^ x >> 16 | 1
-
-
-@pytest.mark.parametrize("seed", [1, 2, 4])
-def test_every_byte_of_a_reply(start, seed):
-    rig = start("--seed", seed, session=None)
-    rig.run(5)
-    rig.send(wire.hello(9, True, 0))
-    rig.run(1)
-    reply = struct.pack("<BIIHHI", 2, 15000, 50000, 80, 10, scrambled(seed))
-    assert rig.frames[-1] == Frame(Type.HELLO_REPLY, 0, 0, reply)
-    now_ms = rig.now_ms
-    rig.send(wire.hello(9, True, scrambled(seed)))
-    rig.frames.clear()
-    sent = rig.run(1)
-    reply = reply[:-4] + struct.pack("<I", scrambled(scrambled(seed) + now_ms))
-    assert rig.frames == [Frame(Type.HELLO_REPLY, 9, 0, reply)]
-    assert sent == wire.encode(rig.frames[0])
-
-
 def test_frames_of_another_size_or_type_do_nothing(start):
     rig = start()
     rig.send(wire.heartbeat(7, 5) + wire.set_point(7, 5, 5000))
@@ -117,58 +94,6 @@ def test_frames_of_another_size_or_type_do_nothing(start):
     status = rig.status
     assert (status.beat, status.command, status.applied, status.repeated, status.bad) == (5, 5, 1, 0, 0)
     assert status.target_pa == 5000 and Flag.VENTED not in status.flags
-
-
-@pytest.mark.parametrize("size", [1, 5, 7])
-def test_a_hello_of_another_size_is_answered_and_opens_nothing(start, size):
-    rig = start()
-    rig.send(wire.set_point(7, 1, 5000))
-    hello = struct.pack("<BBI", wire.VERSION, 1, rig.reply.nonce) + b"\0"
-    rig.frames.clear()
-    rig.send(wire.encode(Frame(Type.HELLO, 8, 0, hello[:size])))
-    rig.see(*range(20))
-    assert [wire.read_hello_reply(f) is not None for f in rig.frames] == [True, False, False]
-    assert rig.status.applied == 1 and rig.frames[-1].session == 7
-
-
-def test_an_empty_hello_and_one_of_session_0_are_not_answered(start):
-    rig = start()
-    rig.frames.clear()
-    rig.send(
-        wire.encode(Frame(Type.HELLO, 8, 0)) + wire.hello(0, True, rig.reply.nonce if rig.replies else 0)
-    )
-    rig.see(*range(20))
-    assert not rig.replies
-
-
-def test_the_longest_payload_is_sound_and_a_longer_one_is_not(start):
-    rig = start()
-    for fill in (0, 1, 255):
-        rig.send(wire.encode(Frame(5, 7, 1, bytes([fill] * 32))))
-    rig.send(bytes([0, *[1] * 48, 0]))  # as long as a frame may be: 48 zeros of no sound frame
-    rig.see(*range(20))
-    assert rig.status.bad == 1
-    flipped = bytearray(wire.heartbeat(7, 0x1234))
-    flipped[-3] ^= 4  # of the checksum
-    rig.send(bytes(flipped))
-    rig.see(*range(20))
-    assert (rig.status.bad, rig.status.beat) == (2, 0)
-    rig.send(wire.encode(Frame(5, 7, 1, bytes([1] * 33))))
-    rig.send(wire.encode(Frame(5, 7, 1, bytes([1] * 50))) + wire.heartbeat(7, 9))
-    rig.see(*range(20))
-    assert (rig.status.bad, rig.status.beat) == (4, 9)
-
-
-def test_a_frame_too_short_for_its_header_is_broken(start):
-    rig = start()
-    for size in range(7):
-        plain = bytes(range(1, size + 1))
-        crc = struct.pack("<H", wire.crc16(plain[: max(size - 2, 0)]))
-        data = (plain[: max(size - 2, 0)] + crc)[:size]
-        rig.send(b"\0" + b"".join(bytes([len(p) + 1]) + p for p in data.split(b"\0")) + b"\0")
-    rig.see(*range(20))
-    assert rig.status.bad == 7
-    assert rig.status.repeated == 0
 
 
 # ---------------------------------------------------------------- sessions
@@ -183,15 +108,6 @@ def test_before_the_first_session_nothing_counts_and_no_heartbeat_is_missed(star
     rig.open()
     rig.run(20)
     assert rig.status.flags == Flag.VENTED
-
-
-def test_session_1_is_one_like_any_other(start):
-    rig = start(session=1)
-    rig.send(wire.set_point(1, 1, 5000))
-    rig.run(20)
-    assert rig.status.applied == 1
-    rig.run(70)
-    assert Flag.HEARTBEAT_LOST in rig.status.flags
 
 
 @pytest.mark.parametrize(("steps", "faulty"), [(59, False), (60, True)])

@@ -47,13 +47,3 @@ def test_a_host_that_babbles_at_1_mb_a_second_delays_no_step_beyond_5_ms(rig):
     assert next(step[0] for step in rig.trace if step[0] > began_ms and step[4] == 1) - began_ms < 100
     assert rig.trace[-1][1] < 100
     assert Flag.HEARTBEAT_LOST in rig.status.flags
-
-
-def test_every_power_on_has_another_nonce(program):
-    nonces = []
-    for count in (0, 1, 2):
-        rig = SimulatedTime(program, count)
-        rig.open()
-        nonces.append(rig.reply.nonce)
-        rig.close()
-    assert len(set(nonces)) == 3

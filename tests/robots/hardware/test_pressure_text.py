@@ -13,7 +13,6 @@ from pathlib import Path
 import pytest
 from pressure_rig import connected, raised_by, raises_old, reaches, until
 
-from lerobot_robot_pneutac.hardware.pressure_check import check_pressure_controller
 from lerobot_robot_pneutac.hardware.serial_pressure import Command
 from lerobot_robot_pneutac.hardware.text_serial import TextExchange, TextSerial
 
@@ -50,10 +49,6 @@ def text_rig():
     rig = TextRig()
     yield rig
     rig.close()
-
-
-def test_text_passes_the_check_of_every_controller(text_rig):
-    check_pressure_controller(TextSerial(text_rig.port, max_kpa=15), 5.0)
 
 
 def test_a_text_rig_is_vented_on_leaving_and_its_silence_noticed(text_rig):

@@ -3,7 +3,7 @@
 import pytest
 from simulated_clock import simulate_clock
 
-from lerobot_robot_pneutac.hardware.parts import TURNS, wait
+from lerobot_robot_pneutac.hardware.parts import wait
 
 
 @pytest.fixture
@@ -24,15 +24,6 @@ def test_it_is_asked_until_the_limit(clock, after, found):
 def test_a_stall_of_the_computer_counts_as_two_ticks(clock):
     clock.stalls_s = {1: 5.0}
     assert not wait(lambda: False, 0.5, 0.1) and clock.sleeps == 4
-
-
-def test_threads_that_listen_have_their_turns(clock):
-    assert not wait(lambda: False, 0.1, 0.1) and clock.sleeps == TURNS
-    assert wait(lambda: clock.sleeps == 2 * TURNS, 0.0)
-
-
-def test_another_pause_is_counted_by_the_clock(clock):
-    assert not wait(lambda: False, 0.6, 0.1, pause=lambda s: clock.sleep(1.5 * s)) and clock.sleeps == 4
 
 
 def test_what_is_raised_ends_it(clock):

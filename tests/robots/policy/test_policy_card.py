@@ -5,7 +5,6 @@ from dataclasses import fields
 import numpy as np
 import pytest
 from huggingface_hub import ModelCard
-from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.configs.default import DatasetConfig, EvalConfig
 from lerobot.configs.eval import EvalPipelineConfig
 from lerobot.configs.train import TrainPipelineConfig
@@ -16,7 +15,6 @@ from lerobot.utils.constants import ACTION, OBS_STATE
 
 from lerobot_robot_pneutac.env import PneutacEnvConfig
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
-from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.features import ACTION_NAMES, IMAGE_SHAPE, STATE_NAMES
@@ -74,21 +72,6 @@ def test_a_policy_without_touch_says_so(demonstrations, tmp_path):
     assert "Steps" not in text
 
 
-def test_nothing_is_claimed_of_data_that_is_not_known(tmp_path):
-    inputs = {
-        OBS_STATE: PolicyFeature(FeatureType.STATE, (20,)),
-        TACTILE: PolicyFeature(FeatureType.VISUAL, (3, 320, 240)),
-    }
-    outputs = {ACTION: PolicyFeature(FeatureType.ACTION, (4,))}
-    policy = PneutacBCPolicy(PneutacBCConfig(device="cpu", input_features=inputs, output_features=outputs))
-    policy.save_pretrained(tmp_path)
-    card = ModelCard.load(tmp_path / "README.md")
-    assert "Data: not known" in card.text
-    assert card.data.datasets is None
-    assert card.data.license == "apache-2.0"
-    assert "Rest image" not in card.text and "nan" not in card.text.lower()
-
-
 def test_the_hub_gets_the_same_card_with_the_whole_training(demonstrations):
     policy = make_policy(PneutacBCConfig(device="cpu"), demonstrations)
     train = TrainPipelineConfig(dataset=DatasetConfig("local/demos"), steps=777, batch_size=12)
@@ -98,14 +81,6 @@ def test_the_hub_gets_the_same_card_with_the_whole_training(demonstrations):
     )
     assert "Steps: 777\n- Batch size: 12" in card.text
     assert "## Rest image" in card.text
-
-
-def test_only_weights_that_others_can_find_are_named(demonstrations, tmp_path):
-    policy = make_policy(PneutacBCConfig(device="cpu"), demonstrations)
-    policy.config.pretrained_path = tmp_path
-    assert str(tmp_path) not in policy.generate_model_card().text
-    policy.config.pretrained_path = "somebody/press"
-    assert "Fine-tuned from: `somebody/press`" in policy.generate_model_card().text
 
 
 def test_the_cards_commands_name_options_that_exist(demonstrations):

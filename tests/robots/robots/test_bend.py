@@ -16,7 +16,6 @@ from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac import Pneutac
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_NAMES
 from pneutac_sim.twin import Twin, Value
 
 
@@ -59,12 +58,6 @@ def test_the_finger_bends_as_commanded_in_spite_of_lag_and_creep(robot):
                 seen.append(bend_of(robot.world))
             assert np.abs(np.array(seen[30:]) - target).max() < 0.02 * (high - low)
         robot.reset()
-
-
-def test_a_pressure_may_be_commanded_too_and_the_model_follows(robot):
-    for _ in range(45):
-        robot.send_action(dict(zip(ACTION_NAMES, (0, 0, 0, 9.0), strict=True)))
-    assert robot._bend._control.predicted_rad == pytest.approx(bend_of(robot.world), abs=0.02)
 
 
 def test_a_bend_out_of_reach_goes_as_far_as_it_can_and_is_told_once(robot, caplog):

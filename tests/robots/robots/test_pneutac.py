@@ -150,31 +150,6 @@ def test_an_arm_of_five_joints_runs_dry_within_its_stations_box(tmp_path, make_r
     assert own.limits.low_m == (0.3, -0.1, 0.2)
 
 
-def test_more_cameras_come_after_what_policies_know(make_robot):
-    robot = make_robot(cameras={"front": DigitGeneratedConfig(fps=15)})
-    assert list(robot.observation_features)[-2:] == ["tactile", "front"]
-    observation = robot.get_observation()
-    assert list(observation) == list(robot.observation_features)
-    assert observation["front"].shape == robot.observation_features["front"] == (320, 240, 3)
-
-
-def test_a_sensor_of_another_size_keeps_it(make_robot, monkeypatch):
-    robot = make_robot(digit=DigitGeneratedConfig(width=640, height=480))
-    assert robot.observation_features["tactile"] == (480, 640, 3)
-    rest = robot.get_observation()["tactile"]
-    assert rest.shape == (480, 640, 3)
-    touched = rest.copy()
-    touched[100:140, 60:90] ^= 128
-    monkeypatch.setattr(robot.cameras["tactile"], "read_latest", lambda max_age_ms: touched)
-    assert robot.get_observation()["contact_area.pos"] == pytest.approx((40 * 30 - 4) / (640 * 480))
-    small = touched[::2, ::2].copy()
-    monkeypatch.setattr(robot.cameras["tactile"], "read_latest", lambda max_age_ms: small)
-    with pytest.raises(
-        HardwareFault, match=r"of shape \(240, 320, 3\); the robot expects uint8 \(480, 640, 3\)"
-    ):
-        robot.get_observation()
-
-
 def test_a_tactile_camera_without_a_size_is_refused(tmp_path):
     with pytest.raises(DecodingError, match="digit.width and height are missing; give the size.*'opencv'"):
         config(tmp_path, digit=OpenCVCameraConfig(index_or_path=0))

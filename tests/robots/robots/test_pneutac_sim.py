@@ -2,7 +2,6 @@ import logging
 import re
 import subprocess
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,8 +20,6 @@ from lerobot_robot_pneutac.standin.world import StandinWorld
 from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_NAMES, CONTROL_HZ, STATE_NAMES
-from pneutac_sim.gel.contact import contact_area, quieted
-from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.touch import Touch
@@ -193,26 +190,6 @@ def test_the_standin_acts_late_and_has_no_twin(make_robot, tmp_path):
         PneutacSimConfig(standin=True, fidelity="mpm")
 
 
-def test_the_standin_takes_a_twins_contact_threshold_and_nothing_else(make_robot, tmp_path):
-    twin = Twin.builtin()
-    replace(GelModel.builtin(), threshold_levels=5.0).into_twin(twin)
-    twin.save(tmp_path / "twin")
-    plain = make_robot(standin=True, seed=3).world
-    told = make_robot(standin=True, seed=3, twin=tmp_path / "twin").world
-    teacher = ScriptedExpert(told, np.random.default_rng(3))
-    for _ in range(240):
-        action = teacher.action()
-        for world in (plain, told):
-            world.step(action)
-        assert np.array_equal(plain.touch.image, told.touch.image)
-        if told.touch.pixels > 500:
-            break
-    for world, levels in ((plain, 12.0), (told, 5.0)):
-        images = map(quieted, (world.touch.image, world.touch.rest_image))
-        assert world.touch.pixels == contact_area(*images, levels).pixels
-    assert plain.touch.pixels < told.touch.pixels
-
-
 def test_conditions_reach_the_robots_world_and_its_session_goes_on(make_robot, tmp_path):
     twin = Twin.builtin()
     for name in ("thermal", "p exp(-t)"):
@@ -287,15 +264,3 @@ def test_a_touch_is_drawn_while_connecting(touch, standin, monkeypatch, make_rob
     monkeypatch.setattr(touch, "prepare", lambda self: drawn.append(prepare(self)))
     make_robot(task="button", standin=standin)
     assert len(drawn) == 1
-
-
-def test_an_episode_that_nobody_announced_ends_with_its_outcome(make_robot, caplog):
-    """As of lerobot-replay, which sends actions and disconnects."""
-    caplog.set_level(logging.INFO)
-    robot = make_robot()
-    for _ in range(3):
-        robot.get_observation()
-        robot.send_action(dict.fromkeys(robot.action_features, 0.0))
-    assert "the task" not in caplog.text
-    robot.disconnect()
-    assert "Episode 1: touch in 0 of 3 frames, the task not done." in caplog.text

@@ -55,21 +55,6 @@ def cost(p, batch):
     )
 
 
-def test_cost_is_the_papers_sum():
-    c = PlannerConfig(area_weight=2.0, position_weight=50.0, smoothness_weight=0.01)
-    area, goal = np.array([0.1, 0.2, 0.3]), np.array([0.1, 0.1, 0.1])
-    x, x_goal = np.zeros((3, 3)), np.array([[0.01, 0, 0], [0, 0.02, 0], [0, 0, 0]])
-    actions = np.tile(ACTION_HIGH * 0.5, (3, 1)).astype(float)
-    actions[2, 3] = 0.0
-    expected = 2.0 * (0.01 + 0.04) + 50 * (1e-4 + 4e-4) + 0.01 * (4 * 0.25 + 0.25)
-    assert demonstration_cost(area, goal, x, x_goal, actions, STILL, c) == pytest.approx(expected)
-    assert demonstration_cost(goal, goal, x_goal, x_goal, actions * 0, STILL, c) == 0.0
-    begun = demonstration_cost(goal, goal, x_goal, x_goal, actions * 0, ACTION_HIGH, c)
-    assert begun == pytest.approx(0.01 * 4), "the first step counts from the last action"
-    unasked = demonstration_cost(area, np.full(3, np.nan), x, x_goal, actions, STILL, c)
-    assert unasked == pytest.approx(expected - 2.0 * (0.01 + 0.04)), "no touch is asked for"
-
-
 def test_the_defaults_are_those_that_the_results_were_measured_with():
     config = PlannerConfig()
     assert astuple(config) == (10, 10, 3, 2, 5, 1.0, 50.0, 0.01, 0.006, 0.6)
@@ -133,28 +118,6 @@ def test_nothing_beyond_the_limits_is_tried():
     assert (batches(p, 50)[0, 0] == ACTION_HIGH).all()
 
 
-def test_each_iteration_looks_around_the_best_of_all_that_were_tried():
-    size = 3000
-    p = planner(samples=size, elites=40, iterations=3)
-    p.plan(WARM, STILL, *NOWHERE)
-    seen = batches(p, size)
-    for k in (1, 2):
-        earlier = np.concatenate(seen[:k])
-        best = earlier[np.argsort(cost(p, earlier), kind="stable")[:40]]
-        spread = np.maximum(best.std(0), 0.1 * JITTER)
-        np.testing.assert_allclose((seen[k].mean(0) - best.mean(0)) / JITTER, 0, atol=0.08)
-        np.testing.assert_allclose(seen[k].std(0), spread, rtol=0.08)
-
-
-def test_where_the_best_agree_a_tenth_of_the_spread_is_left():
-    p = planner(samples=2000, elites=2, iterations=2)
-    position, area = Written().rollouts(WARM[None])
-    p.plan(WARM, WARM[0], area[0], position[0])  # the warm start, tried twice, is what is wanted
-    second = batches(p, 2000)[1]
-    np.testing.assert_allclose((second.mean(0) - WARM) / JITTER, 0, atol=0.02)
-    np.testing.assert_allclose(second.std(0), np.tile(0.1 * JITTER, (H, 1)), rtol=0.06)
-
-
 def test_the_plan_is_the_best_that_was_tried():
     p = planner(seed=3)
     assert p.cost == 0
@@ -164,21 +127,6 @@ def test_the_plan_is_the_best_that_was_tried():
     assert p.cost == pytest.approx(costs.min()) and costs.min() < costs[0]
     np.testing.assert_array_equal(plan, tried[np.argmin(costs)])
     assert len(tried) == 20
-
-
-def test_the_next_plan_tries_the_warm_start_and_what_is_left_of_the_last():
-    p = planner(samples=4, elites=2)
-    last = p.plan(WARM, STILL, *NOWHERE)
-    warm = 0.5 * WARM
-    p._gantry.tried.clear()
-    p.plan(warm, last[1], *NOWHERE)
-    first = batches(p, 4)[0]
-    np.testing.assert_array_equal(first[0], warm)
-    np.testing.assert_array_equal(first[1], [*last[2:], *warm[-2:]])
-    left = p._rest
-    p._gantry.tried.clear()
-    p.plan(warm[:3], STILL, NOWHERE[0][:3], NOWHERE[1][:3])  # near a demonstration's end
-    np.testing.assert_array_equal(batches(p, 4)[0, 1], left[:3])
 
 
 def test_the_seed_decides_the_plan():
