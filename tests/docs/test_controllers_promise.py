@@ -9,8 +9,8 @@ from pressure_rig import build
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory):
-    return states.transitions(build(tmp_path_factory.mktemp("firmware")))
+def found():
+    return states.transitions(build())
 
 
 def test_table_and_picture_are_the_firmwares_own(found):

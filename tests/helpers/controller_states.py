@@ -3,8 +3,8 @@
 python tests/helpers/controller_states.py writes table and picture of the controller's promise anew.
 """
 
+import os
 import tempfile
-from pathlib import Path
 
 from pressure_rig import FIRMWARE, SimulatedTime, build
 
@@ -149,7 +149,8 @@ def svg(found) -> str:
 
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
-        found = transitions(build(Path(folder)))
+        os.environ["PNEUTAC_TEST_RECORDINGS"] = folder
+        found = transitions(build())
     before, rest = PAGE.read_text().split(BEGIN)
     PAGE.write_text(before + BEGIN + "\n" + table(found) + "\n" + END + rest.split(END)[1])
     PICTURE.write_text(svg(found))

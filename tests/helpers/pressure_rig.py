@@ -1,13 +1,16 @@
 """The firmware's own core, built here, on a simulated chamber: in simulated time or on a pseudo-terminal."""
 
+import os
 import shutil
 import subprocess
 import time
+import zlib
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from awake import awake_s, until
+from filelock import FileLock
 
 from lerobot_robot_pneutac.hardware import pressure_protocol as wire
 from lerobot_robot_pneutac.hardware.parts import HardwareFault
@@ -16,15 +19,16 @@ from lerobot_robot_pneutac.hardware.serial_pressure import Command
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 
 
-def build(folder, name="pressure_sim", *options):
-    """A program of the firmware's Makefile; skips where there is no compiler."""
+def build(name="pressure_sim", *options):
+    """A program of the firmware's Makefile, built once in a run; skips where there is no compiler."""
     compiler = shutil.which("g++") or shutil.which("clang++")
     if compiler is None or shutil.which("make") is None:
         pytest.skip("building the firmware's simulator needs make and a C++ compiler")
-    program = folder / name
+    folder = Path(os.environ["PNEUTAC_TEST_RECORDINGS"]) / f"firmware_{zlib.crc32(repr(options).encode()):x}"
     make = ["make", "-s", "-C", FIRMWARE, f"BUILD={folder}", f"CXX={compiler}", *options]
-    subprocess.run([*make, str(program)], check=True)
-    return program
+    with FileLock(f"{folder}.lock"):
+        subprocess.run([*make, str(folder / name)], check=True)
+    return folder / name
 
 
 class SimulatedTime:

@@ -295,7 +295,7 @@ class FirmwareBench:
 
 @pytest.mark.nightly
 def test_the_loop_runs_on_the_pressure_controllers_own_firmware(tmp_path):
-    bench = FirmwareBench(build(tmp_path))
+    bench = FirmwareBench(build())
     learnt = learn(Twin(length_mm=110.0), bench, tmp_path / "out", budget_s=30.0, program_s=6.0)
     last = learnt.last
     assert len(learnt.rounds) >= 2 and last.predicted_error < 0.5 * last.bare_error

@@ -4,7 +4,7 @@ from contextlib import ExitStack
 
 import numpy as np
 import pytest
-from pressure_rig import build, terminal, until
+from pressure_rig import terminal, until
 
 from lerobot_robot_pneutac.hardware.chambers import Chambers
 from lerobot_robot_pneutac.hardware.parts import HardwareFault
@@ -14,11 +14,6 @@ from lerobot_robot_pneutac.robots.config_pneutac import PressureConfig
 from pneutac_sim.errors import InputError
 
 TARGETS = np.array([3.0, 8.0, 5.0])
-
-
-@pytest.fixture(scope="module")
-def program(tmp_path_factory):
-    return build(tmp_path_factory.mktemp("firmware"))
 
 
 def follows(chambers, kpa, within=0.3):

@@ -1,33 +1,19 @@
 """The firmware to the number: every byte of its answers, every threshold, and its control law once more."""
 
 import struct
+from functools import partial
 
 import numpy as np
 import pytest
-from pressure_rig import SimulatedTime, build
 
 from lerobot_robot_pneutac.hardware import pressure_protocol as wire
 from lerobot_robot_pneutac.hardware.pressure_protocol import Flag, Frame, Type
 
 
-@pytest.fixture(scope="module")
-def program(tmp_path_factory):
-    return build(tmp_path_factory.mktemp("firmware"))
-
-
 @pytest.fixture
-def start(program):
-    rigs = []
-
-    def make(*options, session=7):
-        rigs.append(SimulatedTime(program, "--seed", 1, "--noise-pa", 0, *options))
-        if session:
-            rigs[-1].open(session)
-        return rigs[-1]
-
-    yield make
-    for rig in rigs:
-        rig.close()
+def start(start):
+    """Of one power-on, and without noise."""
+    return partial(start, "--seed", 1, "--noise-pa", 0)
 
 
 def see(rig, readings_pa):

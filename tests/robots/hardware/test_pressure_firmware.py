@@ -4,29 +4,10 @@ import shutil
 import subprocess
 
 import pytest
-from pressure_rig import FIRMWARE, SimulatedTime, build
+from pressure_rig import FIRMWARE
 
 from lerobot_robot_pneutac.hardware import pressure_protocol as wire
 from lerobot_robot_pneutac.hardware.pressure_protocol import Flag
-
-
-@pytest.fixture(scope="module")
-def program(tmp_path_factory):
-    return build(tmp_path_factory.mktemp("firmware"))
-
-
-@pytest.fixture
-def start(program):
-    rigs = []
-
-    def make(*options):
-        rigs.append(SimulatedTime(program, *options))
-        rigs[-1].open()
-        return rigs[-1]
-
-    yield make
-    for rig in rigs:
-        rig.close()
 
 
 def at_8_kpa(rig, ms=1000):

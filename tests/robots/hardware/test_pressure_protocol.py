@@ -4,7 +4,7 @@ import random
 from pathlib import Path
 
 import pytest
-from pressure_rig import SimulatedTime, build, converse
+from pressure_rig import SimulatedTime, converse
 
 from lerobot_robot_pneutac.hardware import pressure_protocol as wire
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S
@@ -13,11 +13,6 @@ from lerobot_robot_pneutac.hardware.pressure_protocol import Flag, Frame, FrameR
 from lerobot_robot_pneutac.hardware.serial_pressure import STALE_S, Command
 
 NOTHING = Command(None, 0)
-
-
-@pytest.fixture(scope="module")
-def program(tmp_path_factory):
-    return build(tmp_path_factory.mktemp("firmware"))
 
 
 @pytest.fixture

@@ -13,13 +13,12 @@ FLAGS = "-O1 -Wall -Wextra -Werror -fsanitize=address,undefined,float-cast-overf
 EXTREMES = (2**31 - 1, -(2**31), 0, 16501, -1500, 28114)
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
+@pytest.fixture(scope="module", autouse=True)
+def sanitizers():
     compiler = shutil.which("g++") or shutil.which("clang++")
     probe = [compiler, "-fsanitize=address,undefined", "-x", "c++", "-", "-o", "/dev/null"]
     if compiler and subprocess.run(probe, input=b"int main() {}", capture_output=True).returncode:
         pytest.skip("the compiler has no sanitizers")
-    return tmp_path_factory.mktemp("sanitized")
 
 
 def damaged(rng) -> bytes:
@@ -37,8 +36,8 @@ def damaged(rng) -> bytes:
 
 
 @pytest.mark.parametrize("rounds", [300, pytest.param(30000, marks=pytest.mark.nightly)])
-def test_no_bytes_and_no_readings_break_the_core(folder, rounds):
-    rng, rig = random.Random(0), SimulatedTime(build(folder, "pressure_sim", f"CXXFLAGS={FLAGS}"))
+def test_no_bytes_and_no_readings_break_the_core(rounds):
+    rng, rig = random.Random(0), SimulatedTime(build("pressure_sim", f"CXXFLAGS={FLAGS}"))
     told = 0
     for k in range(rounds):
         if k % 10 == 0:
@@ -55,8 +54,8 @@ def test_no_bytes_and_no_readings_break_the_core(folder, rounds):
     assert rig.exit_code == 0
 
 
-def test_the_sketch_under_babble(folder):
-    rig = SimulatedTime(build(folder, "sketch_sim", f"CXXFLAGS={FLAGS}"))
+def test_the_sketch_under_babble():
+    rig = SimulatedTime(build("sketch_sim", f"CXXFLAGS={FLAGS}"))
     rig.open()
     rig.send_line("babble 1000")
     rig.run(300)

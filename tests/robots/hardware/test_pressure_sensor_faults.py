@@ -4,16 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from pressure_rig import SimulatedTime, build
+from pressure_rig import SimulatedTime
 
 from lerobot_robot_pneutac.hardware.pressure_protocol import Flag
 
 LIMIT_PA = 16500
-
-
-@pytest.fixture(scope="module")
-def program(tmp_path_factory):
-    return build(tmp_path_factory.mktemp("firmware"))
 
 
 def random_fault(rng) -> list:

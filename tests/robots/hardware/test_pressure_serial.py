@@ -8,17 +8,12 @@ import tty
 
 import pytest
 from awake import awake_s, hold_up_us, undisturbed
-from pressure_rig import build, connected, raised_by, raises_old, reaches, terminal, until
+from pressure_rig import connected, raised_by, raises_old, reaches, terminal, until
 
 from lerobot_robot_pneutac.hardware.parts import HardwareFault
 from lerobot_robot_pneutac.hardware.pneutac_serial import PneutacSerial
 from lerobot_robot_pneutac.hardware.pressure_check import check_pressure_controller
 from pneutac_sim.errors import InputError
-
-
-@pytest.fixture(scope="module")
-def program(tmp_path_factory):
-    return build(tmp_path_factory.mktemp("firmware"))
 
 
 def test_the_driver_passes_the_check_of_every_controller(program, tmp_path):

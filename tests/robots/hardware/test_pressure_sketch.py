@@ -8,8 +8,8 @@ from lerobot_robot_pneutac.hardware.pressure_protocol import Flag
 
 
 @pytest.fixture(scope="module")
-def program(tmp_path_factory):
-    return build(tmp_path_factory.mktemp("sketch"), "sketch_sim")
+def program():
+    return build("sketch_sim")
 
 
 @pytest.fixture

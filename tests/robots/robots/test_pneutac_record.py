@@ -227,7 +227,7 @@ def test_episodes_are_kept_the_arm_stops_and_the_chamber_is_vented(tmp_path):
 
 
 def test_a_controller_that_is_unplugged_ends_the_recording_and_keeps_the_episodes(tmp_path):
-    program = build(tmp_path)
+    program = build()
     with terminal(program, tmp_path / "rig") as rig, recording(tmp_path, tmp_path / "rig") as record:
         record.until_moving_after_an_episode()
         ended = Moment()

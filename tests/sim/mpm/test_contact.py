@@ -18,6 +18,9 @@ pytestmark = pytest.mark.slow
 SPACING = 0.3e-3
 
 
+SHAPES = ("sphere", "cylinder", "cube", "cone", "edge")
+
+
 def slab(counts, nu=0.3, **values):
     n = np.asarray(counts)
     origin = (-n[0] * SPACING / 2, -n[1] * SPACING / 2, -n[2] * SPACING)  # the upper face lies at z = 0
@@ -155,16 +158,19 @@ def test_friction_is_at_most_coulombs():
     assert along[0.0] < 0.5 * along[0.2]
 
 
-@pytest.mark.parametrize("shape", ["sphere", "cylinder", "cube", "cone", "edge"])
-def test_no_indenter_penetrates(shape):
-    solver = slab((20, 20, 10), nu=0.45)
-    depth = 0.5e-3
-    e = solve_equilibrium(solver, press(depth, 1.5e-3, shape))
-    assert 0 < e.penetration_m[0] <= SPACING / 10
-    assert e.contact_force[0, 2] < -1e-3
-    sunk = -(e.positions[0] - solver.body.positions)[:, 2].min()
-    # A point of a cone is finer than the particles, which sink less.
-    assert (0.3 if shape == "cone" else 0.5) * depth < sunk < depth + SPACING / 10
+def test_no_indenter_penetrates():
+    """All shapes at once, each into a slab of its own."""
+    solver, depth = slab((20, 20, 10), nu=0.45, batch=len(SHAPES)), 0.5e-3
+    one = [press(depth, 1.5e-3, shape) for shape in SHAPES]
+    sizes, positions = (np.stack([getattr(p, k) for p in one]) for k in ("size_m", "position_m"))
+    loads = Loads(indenter=list(SHAPES), size_m=sizes, position_m=positions, friction=0.5)
+    e = solve_equilibrium(solver, loads)
+    for k, shape in enumerate(SHAPES):
+        assert 0 < e.penetration_m[k] <= SPACING / 10, shape
+        assert e.contact_force[k, 2] < -1e-3, shape
+        sunk = -(e.positions[k] - solver.body.positions)[:, 2].min()
+        # A point of a cone is finer than the particles, which sink less.
+        assert (0.3 if shape == "cone" else 0.5) * depth < sunk < depth + SPACING / 10, shape
 
 
 def test_a_mesh_indents_as_the_shape_that_it_is():
