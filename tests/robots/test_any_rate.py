@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from draccus.utils import DecodingError
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata, io_utils
 from lerobot.policies import make_policy
 from lerobot.utils.constants import OBS_STATE
@@ -15,8 +14,6 @@ from lerobot.utils.constants import OBS_STATE
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment
 from lerobot_pneutac.verbs.check import check_path
-from lerobot_robot_pneutac.cameras.simulated import PneutacSceneConfig
-from lerobot_robot_pneutac.env import PneutacEnvConfig, PneutacStandinConfig
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PneutacBCConfig
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
@@ -91,18 +88,6 @@ def test_demonstrations_of_15_hz_are_refused_in_a_station_of_30(station):
     (said,) = check_path(GOLDEN, station=Station.load(station)).faults
     assert "15 fps, but the station's control rate is 30 Hz" in said and "\n" not in said
     assert check_path(GOLDEN).faults == []
-
-
-def test_configs_take_the_stations_rate_and_no_other(station):
-    for config in (
-        PneutacEnvConfig(fidelity="probe", station=station),
-        PneutacStandinConfig(station=station),
-    ):
-        assert (config.fps, config.episode_length) == (30, 600)
-    with pytest.raises(DecodingError, match="--env.fps is 15; .* controlled at 30 Hz"):
-        PneutacEnvConfig(fidelity="probe", station=station, fps=15)
-    with pytest.raises(DecodingError, match="cameras of type pneutac_scene at 30 fps"):
-        PneutacSimConfig(fidelity="probe", station=station, cameras={"front": PneutacSceneConfig(fps=15)})
 
 
 def test_a_dataset_of_another_rate_than_the_robots_is_refused_before_it_is_begun(tmp_path, monkeypatch):

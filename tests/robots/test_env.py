@@ -11,7 +11,6 @@ from lerobot_robot_pneutac.env import PneutacEnvConfig, PneutacStandinConfig
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.standin.world import StandinWorld
 from pneutac_sim.features import PIXELS
-from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin
 
 
@@ -42,17 +41,6 @@ def test_the_tactile_image_has_the_size_of_the_twins_sensor(tmp_path):
         high = env.single_observation_space["agent_pos"].high[PIXELS]
         assert high == pytest.approx(np.log1p(480 * 640))
         env.close()
-
-
-@pytest.mark.parametrize("kind", [PneutacEnvConfig, PneutacStandinConfig])
-def test_the_state_is_that_of_the_stations_arm(tmp_path, kind):
-    (tmp_path / "station.yaml").write_text("format: pneutac-station/1\narm: ur5\n")
-    config = kind(station=tmp_path / "station.yaml")
-    env = make_env(config, n_envs=1)[config.type][0]
-    observation, _ = env.reset(seed=[1])
-    assert observation["agent_pos"].shape[1:] == config.features["agent_pos"].shape == (18,)
-    assert env.single_observation_space.contains({k: _first(v) for k, v in observation.items()})
-    env.close()
 
 
 def _first(x):
@@ -155,13 +143,3 @@ def test_the_standin_is_an_environment_of_its_own():
     env.close()
     with pytest.raises(DecodingError, match="'juggle'; it must be one of"):
         PneutacStandinConfig(task="juggle")
-
-
-def test_the_standin_reads_contact_as_the_twin_of_its_sensor_does(tmp_path):
-    twin = Twin.builtin()
-    replace(GelModel.builtin(), threshold_levels=7.0).into_twin(twin)
-    twin.save(tmp_path / "twin")
-    assert PneutacStandinConfig(twin=tmp_path / "twin").gym_kwargs["contact_threshold"] == 7.0
-    assert "contact_threshold" not in PneutacStandinConfig().gym_kwargs
-    with pytest.raises(DecodingError, match="holds no twin.yaml"):
-        PneutacStandinConfig(twin=tmp_path)

@@ -10,9 +10,9 @@ import pytest
 from lerobot_pneutac import InputError, Twin, design_motion, load_demonstrations
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.study import demonstration_motions as motions
-from lerobot_pneutac.study.demonstration_motions import COMPLIANCE, CREEP, FRICTION, Misses, motion_choices
+from lerobot_pneutac.study.demonstration_motions import COMPLIANCE, FRICTION, Misses
 from lerobot_robot_pneutac.standin.world import Physics, StandinWorld
-from pneutac_datasets.demonstrations.motions import PRESS, SEARCH_KPA, Felt, carried_out, sideways
+from pneutac_datasets.demonstrations.motions import PRESS, Felt, carried_out, sideways
 
 DEMOS = Path(__file__).parents[2] / "golden" / "recordings" / "demos"
 
@@ -32,17 +32,6 @@ def test_a_level_tells_only_where_one_is_known_and_more_episodes_tell_shapes_bet
     shapes = [m.shaped(felt(flat), felt(late)) for m in (few, many)]
     turns = [m.turned(felt(flat, 0.7), felt(flat, 0.3)) for m in (few, many)]
     assert shapes[1] == pytest.approx(2 * shapes[0]) and turns[1] == pytest.approx(2 * turns[0])
-
-
-def test_friction_shows_in_a_drag_alone_and_better_in_a_light_one(monkeypatch):
-    monkeypatch.setattr(motions, "MOTIONS", (PRESS,))
-    monkeypatch.setattr(motions, "PLACES", (3,))
-    press, far, light = motion_choices(
-        Twin.builtin(), Misses.of(12, True), drags=((20.0, 9.0), (20.0, SEARCH_KPA))
-    )
-    assert press.sure[FRICTION] == 0 and light.sure[FRICTION] > max(far.sure[FRICTION], 3.0)
-    assert press.sure[COMPLIANCE] > 2.0, "its level"
-    assert press.sure[CREEP] > 1.0, "its shape"
 
 
 def test_the_stand_in_shows_what_the_twin_foresees():

@@ -3,14 +3,13 @@
 import json
 from dataclasses import replace
 
-import numpy as np
 import pandas as pd
 import pytest
 from generated import once
 
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.diagnosis.result import Candidate
-from lerobot_pneutac.study.gel_press import held_choice, press_choices
+from lerobot_pneutac.study.gel_press import held_choice
 from lerobot_pneutac.verbs.found import save_contenders
 from pneutac_datasets.generate.gel import write_gel_recording
 from pneutac_datasets.recording.gel import GelRecording
@@ -41,17 +40,6 @@ def models(recording):
         replace(gel, effects={"shadow": shadow}).into_twin(twin)
         made.append(Candidate(twin, terms, probability))
     return made
-
-
-def test_where_shadows_are_longest_they_are_told_best(recording, models):
-    """At one place the deeper press, whose shadow is longer and darker, tells more."""
-    ranked = press_choices(GelRecording.load(recording), models)
-    nats = np.array([c.rivals for c in ranked])
-    assert (np.diff(nats) <= 0).all() and 0 < nats[0] < np.log(2)
-    best = ranked[0].press
-    at = [c for c in ranked if (c.press.x_mm, c.press.y_mm) == (best.x_mm, best.y_mm)]
-    deep = [c.press.depth_mm for c in at]
-    assert deep == sorted(deep, reverse=True) and at[-1].rivals < 0.7 * nats[0]
 
 
 def test_models_that_predict_the_same_are_told_apart_by_none(recording, models, tmp_path, capsys):

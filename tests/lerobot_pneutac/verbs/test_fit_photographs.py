@@ -139,16 +139,6 @@ def test_without_markers_photographs_are_fitted(drawn, tmp_path, monkeypatch):
         assert verb.calibrate(Twin("finger", 110.0), recording, by=by) == used
 
 
-def test_levels_and_holds(drawn, tmp_path):
-    session = photo_study(drawn, LEVELS)
-    assert session.train.tolist() == [True, False, True, True]
-    assert [p.state for p in session.of(session.train)] == [0, 1, 2]
-    assert session.rest.state == 0 and session.fitted == 1
-    held = altered(drawn, tmp_path / "held", trial=0, time_s=np.arange(4.0), pressure_cmd_kpa=[0, 0, 7, 14])
-    session = photo_study(held, LEVELS)
-    assert [p.name.rpartition(" ")[2] for p in session.photographs] == ["2", "3", "4"]
-
-
 def test_bad_recordings_are_told_in_a_sentence(drawn, tmp_path):
     shape = (240, 240)
 

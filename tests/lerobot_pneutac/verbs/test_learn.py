@@ -15,7 +15,7 @@ from lerobot_pneutac import design, learn
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.diagnosis.design import Limits, choices
 from lerobot_pneutac.diagnosis.experiment import predict
-from lerobot_pneutac.diagnosis.hands import Hands, instructions
+from lerobot_pneutac.diagnosis.hands import Hands
 from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.verbs.benches import StandinBench, make_bench, save_program
 from lerobot_pneutac.verbs.foreseen import not_as_asked
@@ -393,16 +393,6 @@ def test_what_hangs_there_is_seen_in_how_the_finger_moves(tmp_path, hung, asked,
     given = (joined(recordings, [None, None]), rows, usual, usual | asked, 0.5)
     assert not_as_asked(bench.device, *given) == sentence
     assert not_as_asked(Twin.builtin(), *given) == ""  # which has not seen such a change
-
-
-def test_a_person_is_told_what_to_change_and_what_to_put_back():
-    hands = Hands.of(("flip", "payload", "warm"), UPRIGHT | {"temperature_c": 22.0}, 20.0, 30.0)
-    assert instructions(hands.usual, hands.changes["warm"]) == ["Bring the finger to 30 °C."]
-    assert instructions(hands.changes["warm"], hands.changes["payload"]) == [
-        "Hang 20 g at the tip.",
-        "Bring the finger to 22 °C.",
-    ]
-    assert instructions(hands.usual, hands.usual) == []
 
 
 @pytest.mark.parametrize(

@@ -46,18 +46,6 @@ def test_the_range_measured_is_that_of_the_commands_with_zero_rounded_outwards(c
     assert new_twin("finger", recording).pressure_range_kpa == (found or (0.0, 15.0))
 
 
-def test_joints_are_as_stiff_as_their_segments_are_short():
-    samples = {"trial": [0, 0], "time_s": [0, 1], "pressure_cmd_kpa": [0.0, 60.0], "tip_x_mm": [80.0, 79.0]}
-    known = {"length_mm": 80.0, "spine_joint_positions_mm": [10.0, 30.0, 50.0, 60.0, 70.0, 78.0]}
-    stiff = "joint_stiffness_nm_per_rad"
-    short = new_twin("finger", Recording(Path("bench"), known, pd.DataFrame(samples), "finger"))
-    paper = new_twin(
-        "finger", Recording(Path("bench"), {"length_mm": 110.0}, pd.DataFrame(samples), "finger")
-    )
-    assert paper.parameter(stiff) == pytest.approx(Twin.builtin().parameter(stiff))
-    assert short.parameter(stiff) == pytest.approx(Twin.builtin().parameter(stiff) * (110 / 4) / (80 / 6))
-
-
 @pytest.mark.parametrize(("device", "files"), [("finger", 2), ("arm", 1), ("gel", 1)])
 def test_geometry_is_written_in_millimetres(tmp_path, device, files):
     run_verb("new", [f"--twin={tmp_path / 'twin'}", f"--device={device}"])
@@ -79,11 +67,6 @@ def test_written_geometry_comes_back_as_the_same_body(tmp_path, device):
     assert b.device == device and b.length_mm == a.length_mm
     assert b.spine_joint_positions_mm == pytest.approx(a.spine_joint_positions_mm)
     assert stored_mesh(b).volume == pytest.approx(body_mesh(a).volume, rel=1e-4)
-
-
-def test_only_what_was_measured_is_called_so(tmp_path, capsys):
-    run_verb("new", [f"--twin={tmp_path / 'twin'}"])
-    assert "was measured" not in capsys.readouterr().out
 
 
 def test_a_mesh_travels_with_its_twin_and_bends(tmp_path, capsule, capsys):

@@ -8,7 +8,7 @@ from pneutac_datasets.demonstrations.augment import episode as augment_episode
 from pneutac_datasets.demonstrations.augment.episode import AugmentSetup, Generator, Variant
 from pneutac_datasets.demonstrations.augment.planner import CemPlanner, PlannerConfig, demonstration_cost
 from pneutac_datasets.demonstrations.augment.reference import Reference, onset_sigma_m
-from pneutac_datasets.demonstrations.augment.scene import command_latency, follow
+from pneutac_datasets.demonstrations.augment.scene import command_latency
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH
 from pneutac_sim.gel.sensor import centre_mm
@@ -179,13 +179,6 @@ def test_variation_moves_the_object_and_scales_the_bend():
             world.step([0, 0, 0, 8.0])
         bends.append(np.sum(world.spine_rad - rest))
     assert bends[1] / bends[0] == pytest.approx(1.2, rel=0.05)
-
-
-def test_following_leads_back_to_the_path():
-    actions = np.zeros((60, 4))
-    led = follow(actions, np.array([0.01, 0.0, 0.0]), np.zeros(3), 1 / 15)
-    assert led[:, 0].sum() / 15 == pytest.approx(-0.01, rel=0.02)
-    assert not led[:, 1:].any()
 
 
 def test_the_touch_tells_where_the_object_stood(switch):

@@ -2,12 +2,8 @@ import numpy as np
 import pytest
 from lerobot.datasets import (
     LeRobotDataset,
-    aggregate_pipeline_dataset_features,
-    create_initial_features,
 )
-from lerobot.processor import make_default_processors
-from lerobot.utils.constants import ACTION, DEFAULT_FEATURES, OBS_IMAGES, OBS_STATE
-from lerobot.utils.feature_utils import combine_feature_dicts
+from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
 
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
@@ -57,28 +53,6 @@ def test_records_successful_demonstrations_frame_by_frame(devices, tmp_path):
     assert (first - most).abs().max() > 20
     rest = [i for i in range(len(area)) if area[i] == 0][-1]
     assert (first - dataset[rest][f"{OBS_IMAGES}.tactile"] * 255).abs().mean() < 3
-
-
-@pytest.mark.slow
-def test_features_are_those_of_lerobot_record(devices, tmp_path):
-    robot, teleop = devices(steps=3)
-    action, _, observation = make_default_processors()
-    expected = combine_feature_dicts(
-        aggregate_pipeline_dataset_features(
-            action, create_initial_features(action=robot.action_features), use_videos=False
-        ),
-        aggregate_pipeline_dataset_features(
-            observation,
-            create_initial_features(observation=robot.observation_features),
-            use_videos=False,
-        ),
-    )
-    with pytest.raises(InputError, match="scripted demonstrations failed and 0 succeeded"):
-        record_episodes(robot, teleop, "local/x", tmp_path / "x", 1, "flip", False)
-    robot, teleop = devices()
-    root = record_episodes(robot, teleop, "local/y", tmp_path / "y", 1, "flip", False)
-    found = LeRobotDataset("local/y", root, video_backend="pyav").meta.features
-    assert {k: f for k, f in found.items() if k not in DEFAULT_FEATURES} == expected
 
 
 @pytest.mark.slow

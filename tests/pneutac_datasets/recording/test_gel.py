@@ -13,7 +13,6 @@ from pneutac_datasets.generate.hidden_gel import write_hidden_gel
 from pneutac_datasets.recording.gel import ASSUMED_RADIUS_MM, GelRecording, _clock
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.probe import THICKNESS_MM
 
 COLOURS = {"rest.png": 60, "later.png": 90, "a.png": 100, "b.png": 110, "c.png": 120}
 META = {"device": "gel", "rest_image": "rest.png", "samples": "samples.csv", "px_per_mm": 20.0}
@@ -108,11 +107,6 @@ def test_a_row_may_have_a_rest_image_of_its_own(write):
     assert photograph.rest is data.samples[1].rest and (photograph.image == 110).all()
 
 
-def test_naming_the_recordings_own_rest_image_is_the_same_session(write):
-    data = write({"rest_image": ["rest.png", "", "later.png"]})
-    assert data.samples[0].rest is data.samples[1].rest is data.rest
-
-
 @pytest.mark.parametrize(
     "spoil, says",
     [
@@ -148,12 +142,6 @@ def test_the_clock_goes_by_time_else_by_trial_else_by_row(columns, expected, wri
     assert clocks(write(columns)) == pytest.approx(expected)
 
 
-def test_a_single_photograph_is_at_the_start(write, tmp_path):
-    write()
-    recording = Recording.load(tmp_path).keep([True, False, False])
-    assert clocks(GelRecording.load(recording)) == [0]
-
-
 # ---------------------------------------------------------------- what pressed where
 
 
@@ -173,11 +161,6 @@ def test_depth_and_radius_are_read_from_the_contacts_radius_where_they_are_empty
     press = data.samples[0].press
     assert press.size_mm == ASSUMED_RADIUS_MM and press.depth_mm == pytest.approx(1 / ASSUMED_RADIUS_MM)
     assert sum("is assumed" in w for w in data.warnings) == 1
-
-
-def test_the_gels_thickness_is_its_stated_size(write):
-    assert write().thickness_mm == THICKNESS_MM
-    assert write(fields={"gel_size_mm": [12, 16, 4.0]}).thickness_mm == 4.0
 
 
 def test_the_calibration_is_the_row_that_says_so(write):

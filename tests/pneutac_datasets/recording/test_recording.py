@@ -241,41 +241,6 @@ def test_bad_metadata_names_the_field(tmp_path, text, message):
 
 
 LONG = "x" * 5000
-LONG_META = {
-    "device": {"device": LONG},
-    "length_mm": {"length_mm": LONG},
-    "a length of many digits": {"length_mm": 10**4000},
-    "samples": {"samples": LONG + ".csv"},
-    "samples of another kind": {"samples": ["samples.csv"] * 500},
-    "joints": {"spine_joint_positions_mm": [LONG] * 500},
-    "noise": {"noise": [0.1] * 5000},
-    "noise of one column": {"noise": {"tip_x_mm": LONG}},
-    "noise of no column": {"noise": {LONG: 0.1}},
-    "trials": {"trials": [LONG]},
-    "a trial's name": {"trials": {LONG: {"start": "rested"}}},
-    "a trial's start": {"trials": {"1": {"start": LONG}}},
-    "a trial's fields": {"trials": {"1": {"start": "rested"} | {f"{LONG}{i}": 1 for i in range(9)}}},
-    "a trial's pause": {"trials": {"1": {"start": "continues", "pause_s": LONG}}},
-    "many trials, one unknown": {"trials": {"1234": {"start": "rested"}}},
-}
-LONG_TABLES = {
-    "a text": lambda s: break_("pressure_cmd_kpa", 7, LONG)(s),
-    "a trial": lambda s: break_("trial", 7, LONG)(s),
-    "a unit": lambda s: s.rename(columns={"pressure_cmd_kpa": f"pressure_cmd_{LONG}"}),
-    "a condition": lambda s: s.assign(**{f"{LONG}_c": "warm"}),
-    "a column twice": lambda s: s.assign(a=0, b=0).rename(columns={"a": LONG, "b": LONG}),
-    "many trials, one unknown": lambda s: s.assign(trial=np.arange(len(s))),
-}
-
-
-@pytest.mark.parametrize("case", sorted({*LONG_META, *LONG_TABLES}))
-def test_no_message_is_long(tmp_path, monkeypatch, case):
-    monkeypatch.chdir(tmp_path)
-    write(Path("r"), LONG_TABLES.get(case, lambda s: s)(table()))
-    Path("r/recording.json").write_text(json.dumps(META | LONG_META.get(case, {})))
-    with pytest.raises(InputError) as e:
-        Recording.load("r")
-    assert 20 < len(str(e.value)) <= 400 and str(e.value).endswith(".")
 
 
 @pytest.mark.parametrize(
@@ -374,11 +339,6 @@ def test_numbers_that_lerobot_keeps_as_vectors_of_one_entry_are_read(tmp_path):
     np.testing.assert_allclose(Recording.load(tmp_path).column("tip_z_mm"), t["tip_z_mm"])
 
 
-def test_stated_noise_of_every_tip_column_is_accepted(tmp_path):
-    noise = {"tip_x_mm": 0.2, "tip_y_mm": 0.2, "tip_z_mm": 1}
-    assert Recording.load(write(tmp_path / "r", noise=noise)).meta["noise"] == noise
-
-
 def test_starts_and_times_sent_survive_a_round_trip_and_the_loss_of_trials(tmp_path):
     told = {"0": {"start": "rested"}, "2": {"start": "continues", "pause_s": 12}, "3": {"start": "continues"}}
     held = table().assign(pressure_cmd_kpa=lambda s: np.repeat(s.pressure_cmd_kpa[::10], 10).to_numpy())
@@ -397,11 +357,6 @@ def test_starts_and_times_sent_survive_a_round_trip_and_the_loss_of_trials(tmp_p
     assert thinned.starts == r.starts and len(Recording.load(thinned.write(tmp_path / "thin"))) == len(
         thinned
     )
-
-
-def test_a_command_that_is_sent_after_the_rows_measurement_is_accepted(tmp_path):
-    r = Recording.load(write(tmp_path / "r", table().assign(time_sent_s=lambda s: s.time_s + 0.02)))
-    assert r.warnings == [] and not (r.column("time_sent_s") < r.column("time_s")).any()
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from scipy.io import savemat
 from pneutac_datasets.demonstrations.info import is_demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.sources import plain
-from pneutac_datasets.recording.sources.columns import parse_columns, read_name
+from pneutac_datasets.recording.sources.columns import parse_columns
 from pneutac_datasets.recording.sources.plain import Given
 from pneutac_datasets.recording.text_table import read_text
 from pneutac_sim.errors import InputError
@@ -321,14 +321,6 @@ def test_answers_are_taken_and_repeated_by_the_mapping(tmp_path):
     assert not plain.is_current(tmp_path / "lab.recording", [tmp_path / "lab.csv"])
 
 
-def test_columns_are_given_in_any_quotes():
-    want = {"p [bar]": "pressure_cmd_kpa", "x, tip": "tip_x_mm [m]", "a:b": "-"}
-    assert parse_columns("""{"p [bar]": pressure_cmd_kpa, 'x, tip': tip_x_mm [m], a:b: -}""") == want
-    assert parse_columns("p [bar]: pressure_cmd_kpa") == {"p [bar]": "pressure_cmd_kpa"}
-    with pytest.raises(InputError, match="names no column of the recording"):
-        parse_columns("p [bar]")
-
-
 def test_several_files_are_trials_in_the_order_of_their_numbers(tmp_path):
     for run, rows in TRUTH.groupby("trial"):
         rows.drop(columns="trial").to_csv(tmp_path / f"run_{9 + run}.csv", index=False)
@@ -428,19 +420,6 @@ def test_faults_name_the_table_its_line_and_its_column(tmp_path):
     (fault,) = understood(tmp_path / "lab.csv").faults
     assert "lab.csv: column 'p_soll [bar]', row 8 (line 11 of the file) is 'hoch'" in fault
     assert "samples.csv" not in fault
-
-
-def test_headers_say_what_they_are():
-    kinds = {
-        "Druck (soll) [bar]": "command", "p_soll": "command", "pSoll": "command", "SetPressure": "command",
-        "pressure_command": "command", "Istdruck": "measured", "p_meas_kPa": "measured",
-        "Sensor [mbar]": "measured",
-        "Druck Tank [bar]": "", "Tip.X": "tip", "Fingerspitze_z": "tip", "pos_y": "tip", "gx": "gravity",
-        "Schwerkraft z": "gravity", "Fx [N]": "force", "T [°C]": "temperature", "Raumtemperatur": "",
-        "T_C": "temperature", "Gewicht [g]": "payload", "t_ms": "time", "Zeit / s": "time", "Run #": "trial",
-        "Winkel [°]": "angle", "acc_x": "", "Base x": "base", "Kommentar": "",
-    }  # fmt: skip
-    assert {name: read_name(name).kind for name in kinds} == kinds
 
 
 @pytest.mark.parametrize(

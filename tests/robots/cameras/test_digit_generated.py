@@ -9,10 +9,8 @@ from lerobot.utils.errors import DeviceNotConnectedError
 from lerobot_robot_pneutac.cameras import simulated
 from lerobot_robot_pneutac.cameras.simulated import DigitGeneratedConfig
 from lerobot_robot_pneutac.cameras.tactile import capture_rest_image
-from lerobot_robot_pneutac.hardware.parts import HardwareFault
 from pneutac_sim.features import IMAGE_SHAPE
 from pneutac_sim.gel.builtin import rest_image
-from pneutac_sim.gel.contact import contact_area
 
 REST = rest_image(IMAGE_SHAPE)
 
@@ -46,15 +44,6 @@ def test_at_rest_it_shows_the_gels_rest_image(clock):
     camera.disconnect()
     with pytest.raises(DeviceNotConnectedError):
         camera.read()
-
-
-def test_the_ball_comes_and_goes_once_a_period(clock):
-    camera = generated(fps=30, press_period_s=1.0)
-    areas = [contact_area(camera.read(), REST).area for _ in range(31)]
-    assert areas[0] == areas[30] == 0.0
-    assert np.argmax(areas) == pytest.approx(15, abs=1) and max(areas) > 0.01
-    with pytest.raises(HardwareFault, match="was refused"):
-        capture_rest_image(camera, frames=24)
 
 
 def test_frames_come_at_the_cameras_pace(clock):

@@ -72,17 +72,6 @@ def test_a_policy_without_touch_says_so(demonstrations, tmp_path):
     assert "Steps" not in text
 
 
-def test_the_hub_gets_the_same_card_with_the_whole_training(demonstrations):
-    policy = make_policy(PneutacBCConfig(device="cpu"), demonstrations)
-    train = TrainPipelineConfig(dataset=DatasetConfig("local/demos"), steps=777, batch_size=12)
-    # As LeRobot's push_model_to_hub calls it.
-    card = policy.generate_model_card(
-        "local/demos", "pneutac_bc", None, None, cfg=train, dataset_meta=demonstrations
-    )
-    assert "Steps: 777\n- Batch size: 12" in card.text
-    assert "## Rest image" in card.text
-
-
 def test_the_cards_commands_name_options_that_exist(demonstrations):
     policy = make_policy(PneutacBCConfig(device="cpu"), demonstrations)
     block = re.search(r"```bash\n(.*?)```", policy.generate_model_card().text, re.S).group(1)

@@ -29,22 +29,6 @@ def test_a_press_is_told_beside_the_rest_of_the_observation(step):
     assert all(nothing[name] == 0 for name in NAMES), "no NaN goes on"
 
 
-def test_it_feeds_the_contact_area_where_asked(step):
-    ball = Press("sphere", 3.0, 1.5, -2.0, 0.8)
-    seen = {
-        "tactile": TactileSensor().image(ball.depths()),
-        "contact_area.pos": 0.5,
-        "contact_pixels.pos": 1.0,
-    }
-    assert step.observation(seen)["contact_area.pos"] == 0.5
-    fed = TouchProcessorStep(**step.get_config() | {"contact_area": True}).observation(seen)
-    touching = np.pi * 3.0 * 0.8 / (12 * 16)  # Hertz: a^2 = R d
-    assert fed["contact_area.pos"] == pytest.approx(touching, rel=0.2)
-    changed = TactileSensor().contact(seen["tactile"]).area
-    assert changed > 2 * touching, "the gel sags around the ball, which is no contact"
-    assert fed["contact_pixels.pos"] == pytest.approx(np.log1p(fed["contact_area.pos"] * 320 * 240))
-
-
 def test_lerobot_finds_it_by_name_and_builds_it_from_its_own_config(step):
     made = ProcessorStepRegistry.get("pneutac_touch")(**step.get_config())
     assert made.twin == step.twin

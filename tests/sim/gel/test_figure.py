@@ -7,10 +7,7 @@ import trimesh
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.figure import Figure, Outline
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.figure import centre_m, distances_m, half_edge_m
-from pneutac_sim.mpm.solve import solve_equilibrium
-from pneutac_sim.twin import Twin
 from pneutac_sim.world.mpm_gel import signed_distance
 
 SQUARE = Outline(((-2, -2), (2, -2), (2, 2), (-2, 2)))
@@ -44,16 +41,6 @@ def test_a_mesh_of_a_ball_is_a_ball():
         "where it meets the plane"
     )
     assert mesh.size_mm == pytest.approx(3.0, rel=1e-3)
-
-
-def test_a_hexagon_is_turned_with_yaw_and_keeps_its_area():
-    a = np.arange(6) * np.pi / 3
-    hexagon = Outline(tuple(zip(3 * np.cos(a), 3 * np.sin(a), strict=True)))
-    depths = [Press("outline", 0, 0, 0, 0.7, yaw, hexagon).depths() for yaw in (0, np.pi / 3, np.pi / 2)]
-    cell = 12 / 59 * 16 / 80
-    assert all((d > 0).sum() * cell == pytest.approx(3 * np.sqrt(3) / 2 * 9, rel=0.02) for d in depths)
-    np.testing.assert_array_equal(depths[0], depths[1])
-    assert (depths[0] != depths[2]).any() and set(np.unique(depths[0])) == {np.float32(0), np.float32(0.7)}
 
 
 @pytest.mark.parametrize(
@@ -95,12 +82,3 @@ def test_the_distances_for_material_points_are_those_of_a_box(mesh):
     points = np.stack(np.meshgrid(line, line, line, indexing="ij"), -1).reshape(-1, 3) + centre_m(box)
     known = signed_distance(6, np.array([2e-3, 2e-3, 20e-3]), points - [0, 0, 20e-3])
     assert np.abs(table.ravel() - known).max() < (1e-4 if mesh else 1e-9)
-
-
-def test_material_points_feel_an_outline_as_they_feel_a_cube():
-    twin, force = Twin.builtin(), []
-    for press in (Press("cube", 4.0, 1, -1, 0.6, 0.4), Press("outline", 0, 1, -1, 0.6, 0.4, SQUARE)):
-        table = None if press.figure is None else distances_m(press.figure)
-        solver = devices.gel(twin, device="cpu", counts=(30, 40, 6), table=table)
-        force.append(np.linalg.norm(solve_equilibrium(solver, devices.press_loads(press)).contact_force[0]))
-    assert force[0] == pytest.approx(force[1], rel=0.06) and force[0] > 1.0

@@ -12,7 +12,6 @@ from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.layout import DIGIT, Orientation
 from pneutac_sim.gel.metrics import rmse
 from pneutac_sim.gel.photograph import Predictor, PressPhotograph
-from pneutac_sim.gel.surface import surface
 
 BALL = Press("sphere", 3.0, 0.6, -1.0, 0.9)
 ELSEWHERE = [Press("sphere", 3.0, -2.5, 3.5, 0.6), Press("sphere", 3.0, 2.5, -4.0, 1.1)]
@@ -31,26 +30,6 @@ def test_the_linear_model_is_recovered(linear, photograph):
     assert fit.gel.depth_scale == pytest.approx(1.0, abs=0.03)
     np.testing.assert_allclose(fit.gel.light, linear.light, atol=4)
     np.testing.assert_allclose(fit.gel.depth_light, linear.depth_light, atol=2)
-
-
-def test_given_surfaces_take_the_place_of_the_closed_form(linear, photograph):
-    """Those of another decay than the search would begin with: light and decay follow them."""
-    asked = []
-
-    def pressed(press, share):
-        asked.append(share)
-        gel = replace(linear, depth_scale=share)
-        return surface(gel.imprint(press.depths()), (12 / 59, 16 / 80), 1.1)
-
-    pair = PressPhotograph(BALL, photograph(linear, BALL, noise=2), linear.rest_image)
-    fit = fit_presses([pair], 20.0, (), pressed=pressed)
-    assert fit.gel.decay_mm == pytest.approx(1.1, abs=0.02) and min(asked) < 0.95
-    assert fit.gel.depth_scale == pytest.approx(1.0, abs=0.03)
-    np.testing.assert_allclose(fit.gel.light, linear.light, atol=4)
-    other = fit_presses([pair], 20.0, (), pressed=lambda press, share: 0.5 * pressed(press, share)).gel
-    np.testing.assert_allclose(other.light, 2 * fit.gel.light, rtol=0.1)
-    drawn = [Predictor(fit.gel, (), p).image(BALL, linear.rest_image) for p in (pressed, None)]
-    assert rmse(*drawn) < 0.5
 
 
 def test_a_drift_of_the_light_does_not_mislead_the_fit(linear, photograph):

@@ -14,7 +14,6 @@ from pneutac_sim.gel.layout import (
     DIGIT,
     LIKE,
     MATCH_DEG,
-    Layout,
     Orientation,
     orientations,
     recognise,
@@ -79,13 +78,6 @@ def test_other_directions_are_of_no_digit():
     rng = np.random.default_rng(0)
     found = [recognise(rng.normal(size=(3, 2)), 0, 0, SIZE) for _ in range(400)]
     assert np.mean([f is not None for f in found]) < 0.1
-
-
-def test_another_make_is_known_by_its_own_lights():
-    make = Layout("other", ((0.0, -20.0), (17.0, 10.0), (-17.0, 10.0)), (1.0, 1.0, 1.0), 1.0)
-    light = light_of(make, 1.0, 1.0)
-    assert recognise(light, 1.0, 1.0, (100, 100), make) == Orientation()
-    assert recognise(light, 1.0, 1.0, (100, 100)) is None
 
 
 def noisy(image, rng):

@@ -58,13 +58,6 @@ def test_far_light_is_the_slope_towards_it():
     np.testing.assert_allclose(s, 30 * 0.1 + 40 * 0.2 + 5 * u, atol=1e-3)
 
 
-def test_slopes_are_central_differences_on_cells_of_any_shape():
-    x, y = grid(9, 7, (0.2, 0.3))
-    dx, dy = optics.gradient(0.5 * x - 0.1 * y, (0.2, 0.3))
-    np.testing.assert_allclose(dx, 0.5)
-    np.testing.assert_allclose(dy, -0.1)
-
-
 @pytest.mark.parametrize("direct", [np.inf, 50.0])
 @pytest.mark.parametrize("place", [FAR, (1.5, -0.4)])
 def test_all_terms_together_are_the_equations_on_cells_of_any_shape(place, direct):
@@ -218,24 +211,6 @@ def test_shadows_of_a_near_light_point_away_from_it(place):
     assert r[shade & beam].max() == pytest.approx(end, abs=CELL[0])
 
 
-def test_a_shadow_takes_its_level_and_the_slopes_light():
-    """Deep in the shadow everything that the light adds is gone, whatever the slope; depth light stays."""
-    x, _ = grid()
-    u = pillar(2.0) + np.where(x > 1.0, 0.1 * (x - 1.0), 0).astype(np.float32)
-    s = optics.channel(u, CELL, coefficients((60.0, 0.0), 4.0, shadow=30.0, elevation=0.3, edge=0.1))
-    inside = (40, slice(37, 44))
-    np.testing.assert_allclose(s[inside], -30 + 4 * u[inside], atol=1e-3)
-
-
-def test_the_shadows_edge_is_as_soft_as_it_says():
-    x, _ = grid()
-    u = np.where(np.abs(x) < 0.5, 1.0, 0.0).astype(np.float32)  # a wall across the window
-    for edge, cells in ((0.02, (0, 2)), (0.4, (5, 12))):
-        s = optics.channel(u, CELL, coefficients((1e-6, 0.0), shadow=50.0, elevation=0.25, edge=edge))[40]
-        between = ((s < -0.5) & (s > -49.5) & (x[40] > 1.0)).sum()
-        assert cells[0] <= between <= cells[1]
-
-
 # ---------------------------------------------------------------- colour at rest, whole images
 
 
@@ -260,16 +235,6 @@ def between_cells(grid, height, width):
         *((np.arange(n) + 0.5) * m / n - 0.5 for n, m in ((height, rows), (width, cols))), indexing="ij"
     )
     return map_coordinates(grid.astype(float), at, order=1, mode="nearest")
-
-
-@pytest.mark.parametrize(("height", "width"), [(30, 44), (31, 17), (5, 3)])
-def test_pixels_lie_between_cells(height, width):
-    cells = np.random.default_rng(0).normal(size=(7, 5, 2)).astype(np.float32)
-    pixels = optics.upsample(cells, height, width)
-    assert pixels.dtype == np.float32
-    for k in range(2):
-        np.testing.assert_allclose(pixels[..., k], between_cells(cells[..., k], height, width), atol=1e-5)
-        np.testing.assert_allclose(optics.upsample(cells[..., k], height, width), pixels[..., k], atol=1e-6)
 
 
 def small_renderer(height, width):

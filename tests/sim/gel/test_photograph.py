@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pneutac_sim.errors import InputError
 from pneutac_sim.gel.indenter import INDENTERS, Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import (
@@ -65,20 +64,6 @@ def test_the_sessions_light_is_read_away_from_the_contact_and_filled_in_under_it
     np.testing.assert_allclose(drift, np.broadcast_to([10, -6, 4], drift.shape), atol=1.5)
 
 
-def test_nothing_is_told_where_the_contact_fills_the_image(linear, photograph):
-    press = Press("sphere", 20.0, 0, 0, 1.5)
-    pair = PressPhotograph(press, lit(photograph(linear, press), [20, 20, 20]), linear.rest_image)
-    assert not session_light(pair, 20.0).any()
-
-
-def test_half_of_a_pairs_drift_is_expected_of_the_session_and_none_of_another(linear, drifted):
-    steady, predictor = Predictor(linear), Predictor(linear, [drifted])
-    session = predictor.image(OTHER, drifted.rest).astype(float) - steady.image(OTHER, drifted.rest)
-    np.testing.assert_allclose(session.mean((0, 1)), [5, -3, 2], atol=0.3)
-    other = drifted.rest.copy()
-    np.testing.assert_array_equal(predictor.image(OTHER, other), steady.image(OTHER, other))
-
-
 @pytest.mark.parametrize(("n", "noise"), [(1, 3.0), (5, 3.0), (1, 1.0), (1, 0.3)])
 def test_photographs_take_out_of_predictions_what_noise_the_rest_image_has(linear, n, noise):
     rng, true = np.random.default_rng(0), linear.rest_image.astype(float).clip(20, 230)
@@ -110,12 +95,3 @@ def test_each_photograph_is_predicted_on_its_own_rest_image(linear):
     far = ~PressPhotograph(OTHER, first, first).near(20.0)
     for rest in (first, second, first):
         np.testing.assert_allclose(predictor.image(OTHER, rest)[far], rest[far].astype(float), atol=3)
-
-
-def test_resizing_keeps_the_physics(photograph):
-    gel = GelModel.builtin().resized(640, 480)
-    assert gel.window_mm == pytest.approx((12, 16)) and gel.px_per_mm == 40
-    large = photograph(gel, BALL).reshape(320, 2, 240, 2, 3).mean((1, 3))
-    assert np.abs(large - photograph(GelModel.builtin(), BALL)).max() < 3
-    with pytest.raises(InputError, match="crop"):
-        gel.resized(320, 320)

@@ -32,12 +32,6 @@ def test_rest_without_contact(sensor):
     assert sensor.contact(image) == (0, 0.0, 0.0)
 
 
-def test_contact_readout_is_what_the_policy_reads(sensor):
-    c = sensor.contact(sensor.image(press(sensor)))
-    assert c.area == c.pixels / (320 * 240)
-    assert c.log_pixels == pytest.approx(np.log(1 + c.pixels))
-
-
 @pytest.mark.parametrize("effects", [(), ("rest_colour",), standard_effects()])
 def test_fast_path_equals_the_image_exactly(effects):
     rng = np.random.default_rng(0)
@@ -90,23 +84,6 @@ def test_image_is_the_photometric_formula(sensor):
     # the rim of the grid uses one-sided differences in both
     assert np.abs(image - expected).max() <= 0.51
     assert np.abs(image - m.rest_image).max() > 20
-
-
-def test_the_imprint_is_where_the_object_is(sensor):
-    image = sensor.image(press(sensor, x_mm=-2.0, y_mm=4.0)).astype(float)
-    weight = np.square(image - sensor.rest_image).sum(-1)
-    y, x = np.indices(weight.shape) + 0.5
-    assert (weight * x).sum() / weight.sum() == pytest.approx(120 - 2 * 20, abs=5)
-    assert (weight * y).sum() / weight.sum() == pytest.approx(160 + 4 * 20, abs=5)
-
-
-def test_another_surface_takes_the_place_of_the_analytic_one(sensor):
-    depth = press(sensor)
-    bare = TactileSensor(surface=lambda d: d)
-    np.testing.assert_array_equal(bare.displacement(depth), depth)
-    assert bare.contact_from_depth(depth) == bare.contact(bare.image(depth))
-    assert bare.contact_from_depth(depth).pixels < sensor.contact_from_depth(depth).pixels
-    assert not bare.displacement(np.zeros_like(depth)).any()
 
 
 def test_a_gel_survives_the_twins_file(tmp_path):

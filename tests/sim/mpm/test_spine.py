@@ -170,20 +170,6 @@ def test_the_coupling_does_not_depend_on_the_step():
     assert np.abs(ends[0][1] - ends[1][1]).max() < 0.02 * SPACING
 
 
-def test_a_cap_turns_the_whole_end_with_the_last_link():
-    """The end face is then the link's, however thin the spine; without a cap it lags behind."""
-    q = np.array([[0.2, 0.2, 0.4]])
-    gap = {}
-    for cap in (0.0, 0.1 * LENGTH):
-        solver = arm(RUBBER, cap_m=cap)
-        rest = solve_equilibrium(solver, Loads(q_cmd=q))
-        end = solver.grid.nodes[:, 0] >= LENGTH - 1e-9
-        pose = solver.spine.poses(rest.q)[0, -1]
-        carried = solver.grid.nodes[end] @ pose[:, :3].T + pose[:, 3]
-        gap[cap] = np.abs(solver.nodes()[0, end] - carried).max()
-    assert gap[0.1 * LENGTH] < 1e-6 < 1e-4 < gap[0.0]
-
-
 def test_a_spine_outside_the_body_is_refused():
     with pytest.raises(InputError, match="Body 'arm': the spine's link after joint 1 .* outside the body"):
         body = Body.box("arm", COUNTS, SPACING, RUBBER, clamp="x-")

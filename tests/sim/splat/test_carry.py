@@ -1,7 +1,6 @@
 """Points that follow particles: affine deformations exactly, bending to second order of the spacing."""
 
 import numpy as np
-import pytest
 
 from pneutac_sim.splat.carry import carry
 
@@ -45,12 +44,3 @@ def test_bending_converges_with_the_spacing():
         errors.append(np.linalg.norm(moved - bend(points), axis=1).max())
     assert errors[0] < 1e-4
     assert errors[1] < 0.35 * errors[0]
-
-
-def test_several_states_at_once_are_as_one_by_one():
-    rest = lattice(0.002)
-    states = np.stack([bend(rest), bend(rest, 0.05)])
-    gradients = np.stack([gradient(rest), gradient(rest, 0.05)])
-    both = carry(rest[:20] + 0.0007, rest, states, gradients)
-    for k in range(2):
-        assert both[k] == pytest.approx(carry(rest[:20] + 0.0007, rest, states[k], gradients[k]), abs=1e-15)

@@ -62,27 +62,6 @@ def test_contact_agrees_with_the_image_plane_renderer(sensor, pixelwise, x, y, d
     assert rmse(sensor.image(u), by_pixel) < min(2, 0.2 * rmse(by_pixel, sensor.model.rest_image))
 
 
-def test_a_pressed_surface_comes_nearer_and_is_seen_larger():
-    y, x = np.mgrid[:320, :240] + 0.5
-    spots = np.exp(-((x - 190) ** 2 + (y - 90) ** 2) / (2 * 12.0**2))
-    model = GelModel.builtin()
-    model.rest_image = np.uint8(40 + 150 * np.repeat(spots[..., None], 3, 2))
-    moved = SplatSensor(model).render(REST + 1.0, np.zeros((320, 240, 3)))[..., 1] - 40.0
-    centre = np.sum(moved * x) / moved.sum(), np.sum(moved * y) / moved.sum()
-    larger = CAMERA_MM / (CAMERA_MM - 1)
-    assert centre[0] - 190 == pytest.approx((190 - 120) * (larger - 1), abs=1)
-    assert centre[1] - 90 == pytest.approx((90 - 160) * (larger - 1), abs=1)
-
-
-def test_light_is_taken_where_it_falls(sensor):
-    light = np.zeros((320, 240, 3), np.float32)
-    light[:, 120:, 0] = 20
-    added = sensor.render(REST, light).astype(float) - sensor.model.rest_image
-    assert np.abs(added[20:-20, 140:-20, 0] - 20).mean() < 1.5
-    assert np.abs(added[:, :100, 0]).max() <= 1
-    assert np.abs(added[..., 1:]).max() <= 1
-
-
 def test_bad_input_is_refused(sensor):
     with pytest.raises(InputError, match="layers"):
         SplatSensor(sensor.model, layers=1)

@@ -11,7 +11,7 @@ from pneutac_sim.surrogate.collect import Plan, collect_action, read_motions
 from pneutac_sim.surrogate.finger import SurrogateFinger, network_of
 from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
 from pneutac_sim.surrogate.network import MARGIN, ActionNetwork
-from pneutac_sim.surrogate.programs import bending_pressure, bending_range, joint_targets
+from pneutac_sim.surrogate.programs import joint_targets
 from pneutac_sim.twin import Twin, Value
 
 
@@ -157,17 +157,6 @@ def test_another_modulus_scales_the_torque_of_the_body(network, tmp_path):
     odd.write_bytes((tmp_path / "b.safetensors").read_bytes().replace(repr(1.3 * own).encode(), b"0" * 6, 1))
     with pytest.raises(InputError, match="'modulus_mpa' is '0"):
         ActionNetwork.load(odd)
-
-
-def test_bending_pressure_is_what_effects_leave_of_the_command():
-    twin = Twin.builtin()
-    p = np.array([0.0, 4.0, 15.0])
-    np.testing.assert_allclose(bending_pressure(twin, joint_targets(twin, p)), p, atol=1e-9)
-    assert bending_range(twin) == pytest.approx((0.0, 15.0), abs=1e-9)
-    twin.effects["creep"] = {}
-    assert bending_range(twin) == pytest.approx((0.0, 15.0), abs=1e-3)  # the gain is that of the relaxed body
-    twin.effects["gain_saturation"] = {"saturation_pressure_kpa": Value(10.0)}
-    assert bending_range(twin)[1] == pytest.approx(10 * np.tanh(1.5), abs=1e-3)
 
 
 def test_too_few_or_missing_trajectories(tmp_path):

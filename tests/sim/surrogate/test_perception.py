@@ -185,21 +185,6 @@ def test_nothing_touching_moves_nothing(builtin):
     assert not builtin.out_of_range(nothing)
 
 
-def test_a_batch_is_each_grid_by_itself(builtin):
-    depth = np.stack([grid(indenter) for indenter in INDENTERS])
-    single = np.stack([builtin.displacement(d) for d in depth])
-    moved = builtin.displacement(depth)
-    assert moved.dtype == single.dtype == np.float32
-    # Sums of a batch are rounded elsewhere: a nanometre at most. What rests does so exactly.
-    np.testing.assert_allclose(moved, single, rtol=0, atol=1e-6)
-    mixed = np.concatenate([depth[:1] * 0, depth, depth[:1] * 0, depth])
-    expected = np.concatenate([single[:1] * 0, single, single[:1] * 0, single])
-    for n in range(1, len(mixed) + 1):  # what is left over after the last full batch counts too
-        moved = builtin.displacement(mixed[:n])
-        np.testing.assert_allclose(moved, expected[:n], rtol=0, atol=1e-6)
-        assert not moved[~mixed[:n].any((1, 2))].any()
-
-
 def test_what_is_compiled_is_the_network_that_was_trained():
     """Also where contacts reach over the window's rim, whose missing column is filled with zeros."""
     torch.manual_seed(3)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lerobot_robot_pneutac.standin.world import StandinWorld
-from pneutac_sim.world.expert import Habits, ScriptedExpert
+from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.world import World
 
 
@@ -46,11 +46,3 @@ def test_the_expert_drags_the_finger_to_both_sides_before_it_lets_go(kind):
     assert world.success
     ways = np.array(ways) - ways[0]
     assert ways.max() > 4 and ways.min() < -4
-
-
-def test_the_expert_that_drags_nothing_lets_go_where_seconds_add_up_to_a_little_less():
-    world = World("button", touch="none")
-    world.reset(2)
-    world.task.pressed, world.task._held_s = 1, world.task.hold_s - 1e-12  # as thirtieths of a second do
-    velocity, kpa = world.task.expert(world, Habits.draw(np.random.default_rng(0)), 12.0)
-    assert kpa == 0 and not velocity.any()

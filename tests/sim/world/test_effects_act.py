@@ -79,46 +79,6 @@ EFFECT = BodyEffect(
 """
 
 
-FOREIGN_GEL = """
-import numpy as np
-
-from pneutac_sim.effects import Parameter, SensorEffect
-
-
-def soften(u, cell_mm, values):
-    return u * (1 + values["share"] * np.tanh(u))
-
-
-EFFECT = SensorEffect(
-    name="worn_skin",
-    stage="gel",
-    parameters=(Parameter("share", "", 0.2, -0.5, 0.5),),
-    prior_sd=(0.2,),
-    surface=soften,
-    summary="The skin of your {device} is worn: it gives way by {share:.2g} more.",
-    experiment="Press at a place that is seldom touched.",
-)
-"""
-FOREIGN_LIGHT = """
-from pneutac_sim.effects import Parameter, SensorEffect
-
-
-def fade(s, u, cell_mm, v):
-    return s * (1 - v["share"] * u / (1 + u))
-
-
-EFFECT = SensorEffect(
-    name="deep_fade",
-    stage="light",
-    parameters=(Parameter("share", "", 0.3, 0.0, 0.9),),
-    prior_sd=(0.2,),
-    light=fade,
-    summary="Deep places of your {device} are darker by {share:.2g}.",
-    experiment="Press one ball to several depths.",
-)
-"""
-
-
 def with_effect(*names: str) -> Twin:
     twin = Twin.builtin()
     for name in names:
@@ -186,13 +146,6 @@ def test_the_plain_finger_moves_in_the_world_as_on_the_bench():
 @pytest.mark.parametrize("name", [*body_effects(), *LAWS])
 def test_an_effect_acts_in_the_world_as_on_the_bench(name):
     check(with_effect(name), name, CONDITIONS)
-
-
-def test_effects_act_together():
-    names = ["valve_lag", "hysteresis", "payload", "thermal", "creep", "elongation", "base_tilt"]
-    twin = with_effect(*names, "camera_misalignment", "tip_y += x z")
-    read, _ = sweep(World("switch", twin, touch="none", conditions=CONDITIONS))
-    assert apart_mm(read, bench(twin, CONDITIONS)) < 0.003 * twin.length_mm
 
 
 @pytest.fixture
@@ -329,11 +282,6 @@ def test_a_gel_that_creeps_shows_a_contact_that_is_over():
     world.data.time = 0.0
     world.touch.sense(world.data)
     assert (world.touch.image == world.touch.sensor.rest_image).all()
-
-
-@pytest.mark.parametrize("name, source", [("worn_skin", FOREIGN_GEL), ("deep_fade", FOREIGN_LIGHT)])
-def test_an_effect_of_the_gel_of_another_package_acts_in_the_worlds_image(installed, name, source):
-    check_image(installed(name, source))
 
 
 def check_image(name: str, shows: bool = True) -> tuple[World, int]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, CONTROL_HZ, TASK_NAMES
-from pneutac_sim.world.expert import VENTED_KPA, Habits, ScriptedExpert
+from pneutac_sim.world.expert import VENTED_KPA, ScriptedExpert
 from pneutac_sim.world.world import World
 
 pytestmark = pytest.mark.slow
@@ -131,17 +131,6 @@ def test_search_keeps_its_lanes_though_the_hand_is_carried_aside(worlds, task, w
     lanes = np.array(lanes)
     assert np.sum(lanes > 0) >= 2
     assert np.all(lanes[lanes > 0] < wide_m)  # what gel and object cover together
-
-
-def test_same_rng_same_demonstration_and_people_differ(worlds):
-    world = worlds["switch"]
-    a, b, c = episode(world, 5, 5), episode(world, 5, 5), episode(world, 5, 6)
-    assert np.array_equal(a, b)
-    assert len(a) != len(c) or not np.allclose(a, c, atol=1e-3)
-    habits = [Habits.draw(np.random.default_rng(s)) for s in range(50)]
-    speeds, heights = ([getattr(h, name) for h in habits] for name in ("speed", "offset_m"))
-    assert max(speeds) / min(speeds) > 1.25
-    assert min(heights) < 0 < max(heights)
 
 
 @pytest.mark.parametrize("task", TASK_NAMES)

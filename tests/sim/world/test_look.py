@@ -37,20 +37,6 @@ def test_pictures_are_in_the_observation_and_the_episode_is_the_same():
     plain.close(), seen.close()
 
 
-def test_wrist_goes_with_the_flange_and_the_others_stay(world):
-    world.reset(1)
-    cameras, model, data = SceneCameras(world, SMALL), world.model, world.data
-    cameras.pictures()
-    before = {n: data.cam_xpos[model.camera(n).id].copy() for n in SMALL}
-    flange = world.flange_m
-    for _ in range(10):
-        world.step([0.0, 0.1, 0.05, 0.0])
-    cameras.pictures()
-    moved = {n: data.cam_xpos[model.camera(n).id] - before[n] for n in SMALL}
-    np.testing.assert_allclose(moved.pop("wrist"), world.flange_m - flange, atol=1e-3)
-    assert not np.any(list(moved.values()))
-
-
 def test_the_seed_decides_the_look_and_every_episode_has_another(world):
     cameras = SceneCameras(world, {"front": (48, 64)}, randomise_look=True)
 

@@ -5,7 +5,6 @@ import pytest
 
 from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.station import Station
-from pneutac_sim.world.tasks.base import lately
 from pneutac_sim.world.varied import Variation, VariedWorld
 
 HELD_S = 0.2  # of each command: whole control steps at all of these rates
@@ -48,12 +47,3 @@ def test_the_gantry_looks_ahead_at_the_rate_of_its_world():
     for action in actions:
         world.step(action)
     np.testing.assert_allclose(planned[0, -1], world.flange_m, atol=2e-4)
-
-
-def test_a_bump_is_as_short_at_every_rate():
-    for control_hz, steps in ((10, 1), (15, 1), (30, 2), (60, 4)):
-        forces = (0.0, 0.0)
-        for _ in range(steps):
-            forces = lately(forces, 9.0, 1 / control_hz)
-            assert min(forces) == 0.0
-        assert min(lately(forces, 9.0, 1 / control_hz)) == 9.0

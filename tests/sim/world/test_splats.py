@@ -49,19 +49,6 @@ def test_both_ways_show_the_same_touch(worlds, away):
     assert 0 < np.sqrt(np.mean((images[1] - images[0]) ** 2)) < 2 < contrast
 
 
-def test_splats_are_where_the_links_are(worlds):
-    world = worlds[0]
-    finger = SplatFinger(world.model, world.twin)
-    straight = blank_looks(bending_body(world.twin), 2).means.astype(float)
-    now = finger.at(world.data).means
-    tip = world.data.site("tip")
-    end = straight[:, 0] > 1e-3 * world.twin.length_mm - 2e-3
-    R = tip.xmat.reshape(3, 3)
-    there = tip.xpos + (straight[end] - [1e-3 * world.twin.length_mm, 0, 0]) @ R.T
-    np.testing.assert_allclose(now[end], there, atol=3e-4)
-    assert np.linalg.norm(now[end] - (straight[end] @ np.eye(3) + now[0] - straight[0]), axis=1).min() > 5e-3
-
-
 def test_a_twin_with_looks_is_drawn_in_them(worlds):
     twin = Twin.builtin()
     looks = blank_looks(bending_body(twin))

@@ -116,13 +116,6 @@ def test_switch_flips_when_pushed_with_a_pressurised_finger_only(in_the_middle):
     assert not touched.success and touched.task.lever_rad < 0
 
 
-def test_switch_pushed_beside_its_middle_is_missed(in_the_middle):
-    push = [(12, [0.02, 0, 0.02, 12]), (20, [0.04, 0, 0.02, 12])]
-    beside = (6, [0, 0.05, 0, 3])  # 20 mm
-    world = in_the_middle("switch", [beside, *REACH, *push, *RETREAT])
-    assert not world.success and world.task.lever_rad < 0
-
-
 OVER_AND_DOWN = [(8, [0, 0, 0.08, 0]), (16, [0.1, 0, 0, 0]), (80, [0, 0, -0.1, 0])]
 
 
@@ -142,21 +135,6 @@ def test_carton_opens_when_the_tab_is_hooked_and_lifted(in_the_middle):
     assert world.success and world.failure is None and world.task.lid_rad > np.radians(60)
     beside = in_the_middle("egg", [(9, [0, 0.05, 0, 3]), *below, *hook, *lift])  # 30 mm
     assert not beside.success
-
-
-def test_latch_holds_a_light_pull(worlds):
-    world = worlds["egg"]
-    task = world.task
-    world.reset(0)
-    dof = world.model.joint("lid").dofadr[0]
-    weight = 0.026 * 9.81 * task.reach_m / 2
-    spring = task.spring_nm_per_rad * task.spring_rest_rad
-    for pull, opens in ((0.5, False), (1.5, True)):
-        world.data.qfrc_applied[dof] = weight - spring + pull * task.latch_n * task.reach_m
-        for _ in range(10):
-            world.step([0, 0, 0, 0])
-        assert (task.lid_rad > 0.2) == opens
-    world.data.qfrc_applied[dof] = 0
 
 
 @pytest.mark.parametrize("start_rad, opens", [(0.0, False), (0.1, True)])

@@ -8,12 +8,8 @@ import pytest
 import trimesh
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.figure import Outline
-from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.world.touch import Touch
-
-CORNERS = ((-3.0, -1.5), (2.5, -2.0), (3.0, 2.0), (0.0, 3.2))
 
 
 def touched(geom, assets="", at="0 0 0", euler="0 0 0", gel=None):
@@ -43,14 +39,6 @@ def test_a_shape_given_as_a_mesh_shows_the_same(plain, mesh, turned, tmp_path):
     wanted = touched(plain, at="0.001 -0.002 0.0025", euler=turned)
     found = touched("type='mesh' mesh='shape' pos='-.005 .003 -.04'", assets, "0.001 -0.002 0.0025", turned)
     assert apart(found.image, wanted.image) <= 1
-
-
-def test_a_punch_of_corners_in_a_task_shows_what_render_does():
-    vertex = " ".join(f"{1e-3 * x} {1e-3 * y} {z}" for z in (0, 0.01) for x, y in CORNERS)
-    asset = f"<mesh name='punch' vertex='{vertex}'/>"
-    found = touched("type='mesh' mesh='punch'", asset, "0.001 0.002 -0.0006")
-    press = Press("outline", 0, 1.0, 2.0, 0.6, figure=Outline(CORNERS))
-    assert apart(found.image, TactileSensor().image(press.depths())) <= 1
 
 
 def test_a_hollow_mesh_is_felt_with_its_hollow(tmp_path):

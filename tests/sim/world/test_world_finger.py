@@ -5,11 +5,10 @@ import numpy as np
 import pytest
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger.kinematics import forward_kinematics, joint_command
+from pneutac_sim.finger.kinematics import joint_command
 from pneutac_sim.gel.force import GelForce
 from pneutac_sim.gel.probe import probe_grid
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
-from pneutac_sim.world import soft_finger
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.tasks.base import contact_force
 from pneutac_sim.world.world import World
@@ -43,21 +42,6 @@ def test_equilibrium_is_the_commanded_bend(world, pressure_kpa):
     np.testing.assert_allclose(world.spine_rad, q_cmd, atol=1e-4)
     # total bend 4 G (p + p0), unit mean of the profile
     assert world.spine_rad.sum() == pytest.approx(4 * 0.01114 * (pressure_kpa + 10.7), abs=4e-4)
-
-
-def test_finger_hangs_down_and_bends_towards_world_x(world):
-    world.reset(0)
-    hold(world, 6.0)
-    twin = world.twin
-    s = np.array(twin.spine_joint_positions_mm)
-    (x, z), bend = forward_kinematics(world.spine_rad, s, twin.length_mm)
-    base = world.data.body("finger").xpos
-    tip = base + 1e-3 * np.array([z, 0, -x])  # finger x is world -z, finger z is world x
-    along = np.array([np.sin(bend), 0, -np.cos(bend)])
-    normal = np.array([np.cos(bend), 0, np.sin(bend)])
-    expected = tip + soft_finger.GEL_ALONG_M * along + soft_finger.GEL_ABOVE_M * normal
-    np.testing.assert_allclose(world.gel_m, expected, atol=2e-4)
-    np.testing.assert_allclose(world.data.site("gel").xmat.reshape(3, 3)[:, 2], normal, atol=2e-3)
 
 
 def test_payload_at_the_tip_balances_the_springs(world):
