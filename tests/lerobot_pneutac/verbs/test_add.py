@@ -126,7 +126,7 @@ def test_of_two_effects_the_one_that_adds_nothing_is_named(pair):
     assert worth["creep"] > 10 * abs(worth["leak"])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly  # every day: the golden results of an arm
 def test_a_diagnosis_and_its_addition_report_the_same_errors_of_the_same_blocks(pair, tmp_path):
     recording = Recording.load(pair[1])
     twin = Twin("finger", recording.length_mm, recording.spine_joint_positions_mm)

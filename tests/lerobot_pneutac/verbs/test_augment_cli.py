@@ -78,12 +78,12 @@ def table(root) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.fixture(scope="module")
 def made(recorded, tmp_path_factory):
-    """Three demonstrations, two of which are checked, by formulas in place of material points."""
+    """Two demonstrations, one of which is checked, by formulas in place of material points."""
     folder = tmp_path_factory.mktemp("made")
-    checks = ["--check_mpm=2", f"--out={folder / 'report'}"]
+    checks = ["--check_mpm=1", f"--out={folder / 'report'}"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(check, "checking_world", lambda setup, real=check.checking_world: real(setup, "probe"))
-        run_verb("augment", options(recorded, folder / "more", "--episodes=3", "--seed=5", *checks))
+        run_verb("augment", options(recorded, folder / "more", "--episodes=2", "--seed=5", *checks))
     return folder
 
 
@@ -120,14 +120,14 @@ def test_output_has_the_sources_features_and_merges(recorded, made, tmp_path):
     old = LeRobotDatasetMetadata("local/demos", recorded)
     new = LeRobotDatasetMetadata("local/more", made / "more")
     assert (new.features, new.fps, new.robot_type) == (old.features, old.fps, old.robot_type)
-    assert new.total_episodes == 3
+    assert new.total_episodes == 2
     assert new.stats[OBS_STATE]["mean"].shape == (20,)
     merged = merge_datasets(
         [LeRobotDataset("local/demos", recorded), LeRobotDataset("local/more", made / "more")],
         output_repo_id="local/merged",
         output_dir=tmp_path / "merged",
     )
-    assert merged.num_episodes == 5
+    assert merged.num_episodes == 4
     frame = merged[merged.num_frames - 1]
     assert frame["task"] == "flip the switch"
     assert frame[TACTILE].shape == (3, 320, 240)
@@ -159,7 +159,7 @@ def test_scene_cameras_see_what_is_made(recorded, made):
 
 def test_provenance_and_report_tell_what_was_done(made):
     lines = [json.loads(x) for x in (made / "more" / "meta" / "provenance.jsonl").read_text().splitlines()]
-    assert [x["episode"] for x in lines] == [0, 1, 2]
+    assert [x["episode"] for x in lines] == [0, 1]
     for x in lines:
         assert x["seed"] == 5
         assert x["source_episode"] in (0, 1)
@@ -167,8 +167,8 @@ def test_provenance_and_report_tell_what_was_done(made):
         assert x["shift_m"][2] == 0
         assert all(r["reason"] for r in x["rejected"])
     result = json.loads((made / "report" / "result.json").read_text())
-    assert result["kept"] == 3
-    assert result["attempts"] == 3 + sum(result["rejected"].values())
+    assert result["kept"] == 2
+    assert result["attempts"] == 2 + sum(result["rejected"].values())
     assert "Contact area" in (made / "report" / "report.html").read_text()
     assert not (made / "more.work").exists()
 
@@ -192,7 +192,7 @@ from pneutac_datasets.demonstrations.augment.episode import AugmentSetup
 AugmentSetup.__init__ = partialmethod(AugmentSetup.__init__, candidates={FEW})
 run_verb("augment", sys.argv[1:])
 """
-    return [sys.executable, "-c", code, *options(recorded, out, "--episodes=3", "--seed=5")]
+    return [sys.executable, "-c", code, *options(recorded, out, "--episodes=2", "--seed=5")]
 
 
 @pytest.mark.nightly
@@ -208,8 +208,8 @@ def test_killed_and_resumed_equals_uninterrupted(recorded, made, tmp_path):
     assert not out.exists()
     assert list(work.glob("episode_*.npz"))
     with pytest.raises(InputError, match="another seed; delete that folder"):
-        run_verb("augment", options(recorded, out, "--episodes=3", "--seed=6"))
-    run_verb("augment", options(recorded, out, "--episodes=3", "--seed=5"))
+        run_verb("augment", options(recorded, out, "--episodes=2", "--seed=6"))
+    run_verb("augment", options(recorded, out, "--episodes=2", "--seed=5"))
     for one, two in zip(table(made / "more"), table(out), strict=True):
         np.testing.assert_array_equal(one, two)
     name = "meta/provenance.jsonl"
@@ -257,7 +257,7 @@ def test_bad_input_is_named(recorded, made, tmp_path):
 def test_what_is_carried_out_once_more_by_the_same_physics_agrees_wholly(made):
     """So start, object, and actions are those of the demonstration."""
     checks = json.loads((made / "report" / "result.json").read_text())["checks"]
-    assert [c["episode"] for c in checks] == [0, 1]
+    assert [c["episode"] for c in checks] == [0]
     for c in checks:
         assert c["success"]
         assert c["touched"][0] == c["touched"][1] > 3
@@ -267,6 +267,7 @@ def test_what_is_carried_out_once_more_by_the_same_physics_agrees_wholly(made):
     assert "Carried out once more by material points" in (made / "report" / "report.html").read_text()
 
 
+@pytest.mark.nightly
 def test_what_differs_is_measured_and_what_was_checked_is_not_checked_again(tmp_path):
     world = VariedWorld("switch", touch="image", fidelity="probe")
     world.variation = Variation(bend_gain=0.97)

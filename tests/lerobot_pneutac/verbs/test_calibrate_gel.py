@@ -246,6 +246,7 @@ def test_all_rows_of_role_calibration_count(generated, twin, tmp_path, capsys):
     assert then.effects == alone.effects and then.gel == alone.gel, "an earlier single press binds nothing"
 
 
+@pytest.mark.nightly  # every day: the errors of `test_real_sensors`
 def test_five_presses_of_a_real_sensor_predict_better_than_one():
     if "PNEUTAC_DATA" not in os.environ:
         pytest.skip("PNEUTAC_DATA is unset: there are no real photographs to calibrate to")
