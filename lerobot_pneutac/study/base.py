@@ -243,12 +243,13 @@ class EffectStudy(Study, ABC):
         worst = self.test.value(before.squared) if worst is None else worst
         squared = after.squared if left is None else left
         rest = self.test.value(squared)
+        low, high = self._interval(squared)
         known, signals, parts = self.noise.value is not None, self.signals(), self.parts
         return Evidence(
             poor=bool(self.too_little()),
             before=float(np.sqrt(worst)) / floor if known else None,
             after=float(np.sqrt(rest)) / floor if known else None,
-            interval=tuple(float(x) / floor for x in self._interval(squared)) if known else None,
+            interval=(low / floor, high / floor) if known else None,
             selected=selected,
             removed=float(np.clip(self.removed(worst, rest, floor), -1, 1)) if selected else 0.0,
             at_bound=[n for n in self.at_bound(after, selected) if n.rpartition(".")[0] in selected],
@@ -308,10 +309,11 @@ class EffectStudy(Study, ABC):
 
     def interval(self, model: FittedModel) -> list[float]:
         """95 % interval of the held-out error."""
-        return self._interval(model.squared)
+        return list(self._interval(model.squared))
 
-    def _interval(self, squared: np.ndarray) -> list[float]:
-        return [float(np.sqrt(q)) for q in np.quantile(self.test.mse(squared), [0.025, 0.975])]
+    def _interval(self, squared: np.ndarray) -> tuple[float, float]:
+        low, high = np.sqrt(np.quantile(self.test.mse(squared), [0.025, 0.975]))
+        return float(low), float(high)
 
     def reduction(self, before: FittedModel, after: FittedModel) -> tuple[float, tuple[float, float]]:
         """Share of the avoidable error of the test part that went, and its 95 % interval."""
