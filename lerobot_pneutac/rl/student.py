@@ -1,5 +1,6 @@
 """Demonstrations of a trained actor, for a student that has a camera instead of a probe grid."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -74,40 +75,60 @@ def record_student(
         InputError: the actor is missing, damaged or another task's, a number is out of range, the dataset's
             folder exists, or the actor succeeds too rarely.
     """
-    actor = Actor.load(actor_dir)
-    if actor.card.get("task", task) != task:
-        raise InputError(f"The actor in '{actor_dir}' was trained on '{actor.card['task']}', not '{task}'.")
     check_least(1, episodes=student.episodes)
     if not 0 <= student.noise <= 1:
         raise InputError(f"noise is {student.noise}; it must be from 0 to 1.")
     world = World(task, twin, "image", student.fidelity, conditions, station=station)
-    if actor.joints != world.arm.joints:
-        raise InputError(
-            f"The actor in '{actor_dir}' was trained with an arm of {actor.joints} joints, and the station's"
-            f" has {world.arm.joints}; give its station by --station=."
-        )
+    _loaded(actor_dir, world)
     dataset = _new_dataset(student, world)
     if station:
         station.save(Path(student.root) / "meta")
-    rng = np.random.default_rng(seed)
     kept = trials = 0
     with quiet_encoders():
         try:
-            while kept < student.episodes:
-                if trials >= PATIENCE * max(kept + 1, 2):
-                    raise InputError(
-                        f"The actor in '{actor_dir}' succeeded in {kept} of {trials} trials with fidelity"
-                        f" '{student.fidelity}'; train it for longer, or lower the noise."
-                    )
-                episode = roll_out(actor, world, rng, student.noise)
+            for episode in rolled_out(actor_dir, world, seed, student):
                 trials += 1
-                if world.success:
+                if episode is not None:
                     save_episode(dataset, episode)
                     kept += 1
                 progress("recording demonstrations", kept, student.episodes)
         finally:
             dataset.finalize()
     return RecordedStudent(Path(student.root), kept, trials)
+
+
+def rolled_out(
+    actor_dir: str | Path, world: World, seed: int, student: StudentRef
+) -> Iterator[Episode | None]:
+    """Yields the actor's trials, None for a failed one, until as many as are wanted have succeeded.
+
+    Raises:
+        InputError: the actor is missing, damaged, another task's or arm's, or succeeds too rarely.
+    """
+    actor, rng = _loaded(actor_dir, world), np.random.default_rng(seed)
+    kept = trials = 0
+    while kept < student.episodes:
+        if trials >= PATIENCE * max(kept + 1, 2):
+            raise InputError(
+                f"The actor in '{actor_dir}' succeeded in {kept} of {trials} trials with fidelity"
+                f" '{student.fidelity}'; train it for longer, or lower the noise."
+            )
+        episode = roll_out(actor, world, rng, student.noise)
+        trials, kept = trials + 1, kept + bool(world.success)
+        yield episode if world.success else None
+
+
+def _loaded(actor_dir: str | Path, world: World) -> Actor:
+    """The actor; raises InputError where it is missing, damaged, another task's or another arm's."""
+    actor, task = Actor.load(actor_dir), world.task.name
+    if actor.card.get("task", task) != task:
+        raise InputError(f"The actor in '{actor_dir}' was trained on '{actor.card['task']}', not '{task}'.")
+    if actor.joints != world.arm.joints:
+        raise InputError(
+            f"The actor in '{actor_dir}' was trained with an arm of {actor.joints} joints, and the station's"
+            f" has {world.arm.joints}; give its station by --station=."
+        )
+    return actor
 
 
 def _new_dataset(student: StudentRef, world: World) -> LeRobotDataset:

@@ -16,6 +16,7 @@ from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.features import FIDELITIES, task_names
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
+from pneutac_sim.world.base import MOST_WIDE
 from pneutac_sim.world.checks import check_bends, check_world
 from pneutac_sim.world.station import Station, station_file
 
@@ -63,6 +64,8 @@ class AugmentConfig:
         planner: horizon, samples and weights of the planner.
         start_range: half widths in m along x, y and z of the starts of `library` and `expert` around recorded
             starts; if omitted, the standard deviation of the recorded starts, 0.004 at least.
+        start_width: how much wider than the task's own the objects stand, 0 to 2, as
+            --robot.start_width of the recording.
         real_share: share of the frames that are to be recorded ones; as many copies of the demonstrations
             are added, so that `lerobot-train` mixes them. If omitted, 0.25 with `library` and `expert`
             and 0 with the others.
@@ -85,6 +88,7 @@ class AugmentConfig:
     station: Path | None = None
     planner: PlannerConfig = field(default_factory=PlannerConfig)
     start_range: tuple[float, float, float] | None = None
+    start_width: float = 0.0
     real_share: float | None = None
     attempts: int = 30
     check_mpm: int = 0
@@ -102,6 +106,10 @@ class AugmentConfig:
                 raise InputError(f"start_range is of library and expert, not of {self.method}; leave it out.")
             if not all(0 <= x <= MOST_START_M for x in self.start_range):
                 raise InputError(f"start_range must be three numbers of 0 to {MOST_START_M} m.")
+        if not 0 <= self.start_width <= MOST_WIDE:
+            raise InputError(f"start_width is {self.start_width:g}; it must be from 0 to {MOST_WIDE:g}.")
+        if self.start_width and not anywhere:
+            raise InputError(f"start_width is of library and expert, not of {self.method}; leave it out.")
         if anywhere and self.planner != PlannerConfig():
             raise InputError(f"planner has options that {self.method} does not use; give method=planner.")
         if self.real_share is None:
@@ -263,6 +271,7 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
             config.seed,
             config.method,
             start_range_m,
+            config.start_width,
             attempts=config.attempts,
             conditions=config.conditions,
             station=file,

@@ -21,6 +21,7 @@ from lerobot_robot_pneutac.options import (
     check_gl,
     check_networks,
     check_range,
+    check_start_width,
     check_station,
     check_twin_folder,
     refuse_if,
@@ -53,6 +54,7 @@ class PneutacTaskConfig(EnvConfig):
         task: `switch`, `egg`, `card`, `fruit`, `cable`, `button`, or your own.
         fps: control rate, Hz; if omitted, the station's, and there is no other.
         episode_length: control steps after which a trial counts as failed; if omitted, those of 20 s.
+        start_width: how much wider than the task's own random starts of hand and objects are, 0 to 2.
         cameras: scene cameras besides the tactile image, such as [front,wrist].
         observation_height: rows of their pictures, px.
         observation_width: columns of their pictures, px.
@@ -63,6 +65,7 @@ class PneutacTaskConfig(EnvConfig):
     task: str | None = "switch"
     fps: int = 0
     episode_length: int | None = None
+    start_width: float = 0.0
     cameras: list[str] = field(default_factory=list)
     observation_height: int = CAMERA_SHAPE[0]
     observation_width: int = CAMERA_SHAPE[1]
@@ -90,6 +93,7 @@ class PneutacTaskConfig(EnvConfig):
             self.episode_length is not None and self.episode_length < 1,
             f"--env.episode_length is {self.episode_length}; it must be at least 1 step.",
         )
+        check_start_width("env.start_width", self.start_width)
         check_cameras("env.cameras", self._sizes)
         if self.tactile_points:
             self.features[POINTS_KEY] = PolicyFeature(FeatureType.STATE, (POINTS_SIZE,))
@@ -104,7 +108,8 @@ class PneutacTaskConfig(EnvConfig):
         look = {"cameras": self._sizes} if self.cameras else {}
         look |= {"randomise_look": True} if self.randomise_look else {}
         points = {"points": True} if self.tactile_points else {}
-        return {"max_episode_steps": self.episode_length} | look | points
+        wide = {"start_width": self.start_width} if self.start_width else {}
+        return {"max_episode_steps": self.episode_length} | look | points | wide
 
     def _set_tactile(self, twin: Path | None) -> None:
         """Sets the size of the tactile image to that of the twin's sensor."""

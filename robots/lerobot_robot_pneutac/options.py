@@ -9,6 +9,7 @@ from draccus.utils import DecodingError
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin, checked_range
+from pneutac_sim.world.base import MOST_WIDE
 
 if TYPE_CHECKING:
     from pneutac_sim.gel.model import GelModel
@@ -108,6 +109,11 @@ def standin_sensor(twin: Path | None) -> dict:
     gel = gel_of(twin)
     shape = tuple(gel.rest_image.shape)
     return {"contact_threshold": gel.threshold_levels, "image_shape": shape, "window_mm": gel.window_mm}
+
+
+def check_start_width(option: str, width: float) -> None:
+    """Refuses a width of random starts beyond what the arm is safe with."""
+    refuse_if(not 0 <= width <= MOST_WIDE, f"--{option} is {width:g}; it must be from 0 to {MOST_WIDE:g}.")
 
 
 def check_range(option: str, pressure_range_kpa: tuple[float, float] | None) -> None:

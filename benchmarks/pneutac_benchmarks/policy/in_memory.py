@@ -1,12 +1,12 @@
-"""Training of `pneutac_bc` from memory: each frame is decoded once, pooled, and kept.
+"""Training of `pneutac_bc` from memory, where each frame lies pooled.
 
 lerobot-train decodes a frame again for every sample, 5 ms each on a CPU core: 43 minutes of 8,000 updates of
-64, which take four here, and the benchmark trains 84 policies. Loss, optimiser and checkpoints are the same;
-`lerobot-eval`'s own code tries them.
+64, which take four here, and the benchmark trains hundreds of policies. Loss, optimiser and checkpoints are
+the same.
 """
 
 import copy
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +17,9 @@ from lerobot.policies import make_pre_post_processors
 from lerobot.utils.constants import ACTION, OBS_STATE
 
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
+from lerobot_robot_pneutac.policy.model_card import Demonstrations
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
+from lerobot_robot_pneutac.policy.scaling import Scaling
 from pneutac_benchmarks.policy.frames import Frames
 from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.features import ACTION_NAMES, IMAGE_SHAPE, STATE_NAMES
@@ -43,8 +45,10 @@ class Training:
     lr: float
 
 
-def new_policy(use_tactile: bool, lr: float, seed: int, device: str) -> PneutacBCPolicy:
-    """A policy with random weights and no rest image yet."""
+def new_policy(
+    use_tactile: bool, lr: float, seed: int, device: str, scaling: Scaling | None = None
+) -> PneutacBCPolicy:
+    """A policy with random weights and no rest image yet, scaled by data or else by the paper's ranges."""
     inputs = {OBS_STATE: PolicyFeature(FeatureType.STATE, (len(STATE_NAMES),))}
     if use_tactile:
         inputs[TACTILE] = PolicyFeature(FeatureType.VISUAL, (IMAGE_SHAPE[2], *IMAGE_SHAPE[:2]))
@@ -57,7 +61,10 @@ def new_policy(use_tactile: bool, lr: float, seed: int, device: str) -> PneutacB
         output_features={ACTION: PolicyFeature(FeatureType.ACTION, (len(ACTION_NAMES),))},
     )
     torch.manual_seed(seed)
-    return PneutacBCPolicy(config).to(device)
+    policy = PneutacBCPolicy(config)
+    for name, value in ({} if scaling is None else scaling.tensors()).items():
+        policy.get_buffer(name).copy_(value)
+    return policy.to(device)
 
 
 def held_out_episodes(episodes: int, share: float, seed: int) -> list[int]:
@@ -78,7 +85,8 @@ def train(
     updates: int,
     batch: int,
     seed: int,
-    held_out: list[int] = (),
+    held_out: Sequence[int] = (),
+    copies: Sequence[int] = (),
     rows: int = 40,
     progress: Callable[[int, float], None] = lambda update, loss: None,
 ) -> Training:
@@ -94,6 +102,8 @@ def train(
         batch: samples of each.
         seed: decides order and noise.
         held_out: episodes that are not trained on.
+        copies: of each episode, how often it is there, as in a dataset that `augment` has mixed; where left
+            out, once.
         rows: rows of the curve, about.
         progress: is called with update and loss at every row.
 
@@ -106,10 +116,13 @@ def train(
     if away.all():
         raise InputError("All episodes are held out; leave at least one to train on.")
     device = next(policy.parameters()).device
-    policy.learn_from(frames.demonstrations, None if frames.rest is None else frames.rest.to(device))
+    policy.learn_from(_card(frames), frames.rest.to(device))
     data = _Data(frames, policy, device)
     torch.manual_seed(seed)
-    order = _batches(np.flatnonzero(~away), batch, np.random.default_rng(seed))
+    times = np.where(
+        away, 0, np.ones(len(frames), int) if not len(copies) else np.take(copies, frames.episode)
+    )
+    order = _batches(np.repeat(np.arange(len(frames)), times), batch, np.random.default_rng(seed))
     curve, best = [], (np.inf, updates, None)
     for update, loss in _optimise(policy, data, order, updates, max(updates // rows, 1)):
         row = {"update": update, "loss": loss}
@@ -161,18 +174,28 @@ class _Data:
     def __init__(self, frames: Frames, policy: PneutacBCPolicy, device: torch.device):
         arrays = (frames.state, frames.previous, frames.first, frames.action)
         self._arrays = [torch.from_numpy(a).to(device) for a in arrays]
-        self._difference = None
+        self._device, self._difference = device, None
         if policy.encoder is not None:
-            if frames.difference is None:
-                raise InputError(f"'{frames.demonstrations.name}' was read without its tactile images.")
-            self._difference = torch.from_numpy(frames.difference).to(device)
-        self._device = device
+            self._difference = torch.cat([self._seen(policy, some) for some in _parts(frames.images)])
+
+    def _seen(self, policy: PneutacBCPolicy, images: np.ndarray) -> torch.Tensor:
+        some = torch.from_numpy(images).to(self._device).permute(0, 3, 1, 2).float() / 255
+        return policy.encoder.difference(some).half()
 
     def at(self, rows: np.ndarray) -> tuple[torch.Tensor | None, ...]:
         """Arguments of `PneutacBCPolicy.loss`."""
         rows = torch.from_numpy(rows).to(self._device)
         difference = None if self._difference is None else self._difference[rows].float()
         return *(a[rows] for a in self._arrays), difference
+
+
+def _parts(images: np.ndarray) -> list[np.ndarray]:
+    return [images[k : k + VALIDATION_BATCH] for k in range(0, len(images), VALIDATION_BATCH)]
+
+
+def _card(frames: Frames) -> Demonstrations:
+    """What a model card says of the data."""
+    return Demonstrations(("benchmark",), frames.episodes, len(frames), ())
 
 
 def _batches(rows: np.ndarray, batch: int, rng: np.random.Generator) -> Iterator[np.ndarray]:

@@ -6,6 +6,7 @@ benchmark that was stopped goes on with the same command.
 """
 
 import importlib.util
+import math
 import os
 import time
 from dataclasses import dataclass
@@ -14,9 +15,18 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from pneutac_benchmarks.policy.plan import CONDITIONS, MAX_SEED, MAX_TRIALS, plan
+from pneutac_benchmarks.policy.plan import (
+    ALIASES,
+    CONDITIONS,
+    MAX_SEED,
+    MAX_TRIALS,
+    OTHER_TASK,
+    PERSON,
+    plan,
+)
 from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.features import FIDELITIES, TASK_NAMES, task_names
+from pneutac_sim.world.base import MOST_WIDE
 
 _FAST = {
     "tasks": ("switch",),
@@ -38,10 +48,15 @@ class BenchmarkPolicyConfig:
     Attributes:
         tasks: names of tasks.
         conditions: names of conditions; see the table.
-        seeds: seeds, each with demonstrations, networks and trials of its own.
+        seeds: seeds, each with a set of demonstrations, networks and trials of its own.
         trials: number of trials of each policy, from the same starts for all policies of a seed.
-        demonstrations: number of demonstrations on the stand-in.
+        demonstrations: number of demonstrations of a set, all of them successes on the stand-in.
+        person: how late, uneven and imprecise the demonstrator is, 0 (as scripted) to 1; where left out, what
+            was chosen for each task.
+        start_width: how much wider than the task's own the starts of demonstrations and trials are, 0 to 2;
+            likewise.
         augmented: number of demonstrations made from these, or by the actor of PPO.
+        real_share: share of the frames that are real ones where both are trained on at once.
         pretrain_updates: gradient steps before fine-tuning.
         finetune_updates: gradient steps of fine-tuning; conditions without pre-training make all on their
             data.
@@ -53,6 +68,8 @@ class BenchmarkPolicyConfig:
         ppo_steps: control steps of reinforcement learning.
         device: device of the training, `cpu` or `cuda`; where left out, cuda if there is one.
         jobs: number of processes; where left out, one a core.
+        minutes: after so long no unit of work is begun, and the tables are of what is done; the same command
+            goes on. Where left out, all is done.
         twin: folder of the twin for augmentation and reinforcement learning; where left out, the built-in
             one.
         fidelity: way in which finger and gel deform there: `surrogate`, by networks that fit the twin, `mpm`,
@@ -65,19 +82,23 @@ class BenchmarkPolicyConfig:
 
     tasks: tuple[str, ...] = TASK_NAMES
     conditions: tuple[str, ...] = tuple(CONDITIONS)
-    seeds: tuple[int, ...] = (0, 1, 2)
-    trials: int = 10
+    seeds: tuple[int, ...] = (0, 1, 2, 3, 4, 5, 6, 7)
+    trials: int = 50
     demonstrations: int = 10
+    person: float | None = None
+    start_width: float | None = None
     augmented: int = 100
+    real_share: float = 0.25
     pretrain_updates: int = 6000
     finetune_updates: int = 2000
     batch: int = 64
-    lr: float = 3e-4
-    finetune_lr: float = 3e-5
+    lr: float = 1e-3
+    finetune_lr: float = 1e-4
     select: str = "last"
     ppo_steps: int = 400_000
     device: str | None = None
     jobs: int | None = None
+    minutes: float | None = None
     twin: Path | None = None
     fidelity: str = "surrogate"
     twin_before: Path | None = None
@@ -89,6 +110,7 @@ class BenchmarkPolicyConfig:
         if self.fast:
             vars(self).update(_FAST)
         self.jobs = self.jobs if self.jobs is not None else len(os.sched_getaffinity(0))
+        self.conditions = tuple(ALIASES.get(name, name) for name in self.conditions)
         self._check_lists()
         for name in ("augmented", "pretrain_updates", "finetune_updates", "batch", "ppo_steps", "jobs"):
             check_least(1, **{name: getattr(self, name)})
@@ -98,9 +120,25 @@ class BenchmarkPolicyConfig:
         for name in ("lr", "finetune_lr"):
             if not 0 < getattr(self, name) < 1:
                 raise InputError(f"{name} is {getattr(self, name)}; it must be between 0 and 1.")
+        for name, most in (("person", 1), ("start_width", MOST_WIDE)):
+            value = getattr(self, name)
+            if value is not None and not 0 <= value <= most:
+                raise InputError(f"{name} is {value:g}; it must be from 0 to {most:g}.")
+        if not 0 < self.real_share < 1:
+            raise InputError(f"real_share is {self.real_share:g}; it must be between 0 and 1.")
+        if self.minutes is not None and not self.minutes > 0:
+            raise InputError(f"minutes is {self.minutes:g}; it must be above 0.")
         check_choice("select", self.select, ("last", "held_out"))
         self._check_twins()
         self._check_device()
+
+    def of_task(self, task: str) -> tuple[float, float]:
+        """Strength of the person and width of the starts."""
+        person, width = PERSON.get(task, OTHER_TASK)
+        return (
+            person if self.person is None else self.person,
+            width if self.start_width is None else self.start_width,
+        )
 
     def _check_lists(self) -> None:
         for option, known in (("tasks", task_names()), ("conditions", tuple(CONDITIONS))):
@@ -145,8 +183,15 @@ def benchmark_policy(cfg: BenchmarkPolicyConfig) -> None:
 
     console = Console()
     units, start = plan(cfg), time.monotonic()
-    before = sum(finished(cfg.out, unit) is not None for unit in units)
-    console.print(f"{len(units)} units of work in {cfg.out}, {before} of them done before.", highlight=False)
+    left = [unit for unit in units if finished(cfg.out, unit) is None]
+    core_s = sum(unit.core_s for unit in left)
+    console.print(
+        f"{len(units)} units of work in {cfg.out}, {len(units) - len(left)} of them done before; the others"
+        f" take about {core_s / 3600:.1f} core hours, {core_s / cfg.jobs / 60:.0f} minutes in {cfg.jobs}"
+        " processes.",
+        highlight=False,
+    )
+    until = math.inf if cfg.minutes is None else start + 60 * cfg.minutes
     columns = (TextColumn("{task.description:.60}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as bar:
         row = bar.add_task("starting", total=1.0)
@@ -155,6 +200,7 @@ def benchmark_policy(cfg: BenchmarkPolicyConfig) -> None:
             units,
             cfg.jobs,
             lambda share, words: bar.update(row, completed=share, description=words),
+            until,
         )
     for name, why in failed.items():
         console.print(f"[yellow]not done:[/] {name}: {why}", highlight=False)

@@ -1,25 +1,25 @@
 """The policy benchmark's conditions, and the units of work that they come to."""
 
+import math
 from dataclasses import asdict, dataclass, field
 
 from pneutac_sim.features import TASK_NAMES
 
-# kind -> rough seconds on one core, for the order of the work and the time left
-COST_S = {
-    "ppo": 1200,
-    "augment": 600,
-    "record": 40,
-    "student": 200,
-    "naive": 100,
-    "frames": 30,
-    "train": 240,
-    "evaluate": 60,
-}
 # Starts of a unit's trials or training derive from seed, task and purpose, so that no two share one.
 PURPOSES = ("real", "more", "augmented", "naive", "ppo", "student", "network")
 # The trials' starts follow one another from here, above all others; options are chosen by 2**30 on.
 TEST_START = 5 * 2**28
 MAX_TRIALS, MAX_SEED = 1000, 10**5
+CHUNK = 10  # trials of a unit
+PIECE = 25  # demonstrations that one unit makes
+SETS = 8  # seeds that follow one another and, where more than twenty are asked for, share demonstrations
+# Strength of the modelled person and width of the starts by task, chosen before anything was augmented.
+PERSON = {"switch": (1.0, 0.25), "egg": (1.0, 1.0), "card": (0.5, 0.5)}
+OTHER_TASK = (1.0, 0.0)
+# Core seconds, by kind: of each demonstration, try or trial; of the others once.
+COST_S = {"record": 6.5, "library": 2.5, "expert": 1.5, "planner": 30.0, "naive": 8.0, "student": 2.0}
+ONCE_S = {"scenes": 70.0, "ppo": 1200.0, "train": 240.0, "evaluate": 3.2}
+TRAIN_GPU_S = 30.0  # of a core, where a GPU trains
 
 
 @dataclass(frozen=True)
@@ -28,42 +28,45 @@ class Condition:
 
     Attributes:
         words: for tables.
-        pretrain: name of the frames to train on first; None for no pre-training.
-        final: name of the frames to train on then.
+        made: kind of the demonstrations that are made; None for real ones alone.
+        real: real ones, in tens.
+        then: whether it is trained on what is made first, and then on the real ones, as in the paper; else on
+            both at once, the real ones by `real_share`.
         use_tactile: whether the policy feels.
     """
 
     words: str
-    pretrain: str | None
-    final: str
+    made: str | None = None
+    real: float = 1.0
+    then: bool = False
     use_tactile: bool = True
 
 
 CONDITIONS = {
-    "sim_real": Condition("augmented on the twin, then real", "augmented", "real"),
-    "mixed": Condition("augmented on the twin, and real counted twice, at once", None, "mixed"),
-    "real": Condition("real", None, "real"),
-    "n_aug": Condition("augmented without a simulator, then real", "naive", "real"),
-    "real_20": Condition("twice as many real", None, "real_20"),
-    "no_tac": Condition("as sim_real, without touch", "augmented", "real", use_tactile=False),
-    "ppo": Condition("of an actor trained by PPO on the twin, then real", "student", "real"),
+    "real": Condition("ten real ones"),
+    "real_20": Condition("twenty real ones", real=2),
+    "real_100": Condition("a hundred real ones", real=10),
+    "library": Condition("ten real ones and the library's", "library"),
+    "expert": Condition("ten real ones and the scripted expert's on the twin", "expert"),
+    "planner": Condition("ten real ones and planned ones", "planner"),
+    "sim_real": Condition("planned ones, then ten real ones", "planner", then=True),
+    "n_aug": Condition("ten varied without a simulator, then ten real ones", "naive", then=True),
+    "no_tac": Condition("as library, without touch", "library", use_tactile=False),
+    "ppo": Condition("an actor's, trained by PPO on the twin, then ten real ones", "student", then=True),
+    "real_1": Condition("one real one", real=0.1),
+    "real_3": Condition("three real ones", real=0.3),
+    "real_5": Condition("five real ones", real=0.5),
+    "real_50": Condition("fifty real ones", real=5),
 }
+ALIASES = {"mixed": "planner"}  # old name to new, for one more version
 # What correcting the twin changes: `twin_before` against `twin`.
 COMPARED = {
-    "sim_only_before": Condition("augmented alone, twin before", None, "augmented_before"),
-    "sim_only": Condition("augmented alone, twin after", None, "augmented"),
-    "sim_real_before": Condition("augmented, then real, twin before", "augmented_before", "real"),
-    "sim_real": Condition("augmented, then real, twin after", "augmented", "real"),
-}
-# frames -> the units whose datasets they are read from
-FRAMES = {
-    "real": ("real",),
-    "real_20": ("real", "more"),
-    "augmented": ("augmented",),
-    "mixed": ("real", "real", "augmented"),
-    "naive": ("naive",),
-    "student": ("student",),
-    "augmented_before": ("augmented_before",),
+    "sim_only_before": Condition("the library's alone, twin before", "library_before", real=0),
+    "sim_only": Condition("the library's alone, twin after", "library", real=0),
+    "library_before": Condition("ten real ones and the library's, twin before", "library_before"),
+    "library": CONDITIONS["library"],
+    "expert_before": Condition("ten real ones and the expert's, twin before", "expert_before"),
+    "expert": CONDITIONS["expert"],
 }
 
 
@@ -83,6 +86,19 @@ class Unit:
     options: dict = field(default_factory=dict)
     needs: tuple[str, ...] = ()
 
+    @property
+    def core_s(self) -> float:
+        """Roughly, for the order of the work and the time left."""
+        o = self.options
+        if self.kind == "train":
+            return TRAIN_GPU_S if o["device"] == "cuda" else ONCE_S["train"]
+        if self.kind == "scenes":
+            return ONCE_S["scenes"] * o["episodes"]
+        if self.kind == "evaluate":
+            return ONCE_S["evaluate"] * o["trials"]
+        kind = o["method"] if self.kind == "augment" else self.kind
+        return COST_S[kind] * o["episodes"] if kind in COST_S else ONCE_S[kind]
+
 
 def derived_seed(seed: int, task: str, purpose: str) -> int:
     """The seed of one purpose; below `TEST_START`."""
@@ -96,30 +112,41 @@ def conditions(cfg) -> dict[str, Condition]:
 
 
 def plan(cfg) -> list[Unit]:
-    """All units of a benchmark; those that others need come first.
+    """All units of a benchmark, in the order of the conditions; those that others need come first.
+
+    The first trials of every condition come before the further ones of any, so that a benchmark that is cut
+    short has some of each.
 
     Args:
         cfg: BenchmarkPolicyConfig.
     """
     units: dict[str, Unit] = {}
-    for task in cfg.tasks:
+    for name, condition in conditions(cfg).items():
         for seed in cfg.seeds:
-            for name, condition in conditions(cfg).items():
+            for task in cfg.tasks:
                 for unit in _of_condition(cfg, task, seed, name, condition):
                     units.setdefault(unit.name, unit)
-    return list(units.values())
+    return sorted(units.values(), key=lambda u: u.kind == "evaluate" and u.options["further"])
+
+
+def recordings(seed: int, sets: int) -> list[tuple[int, str]]:
+    """Seed and purpose of so many recordings of a set each: two of its own, then those of its neighbours."""
+    group, place = seed // SETS * SETS, 2 * (seed % SETS)
+    at = [(place + k) % (2 * SETS) for k in range(sets)]
+    return [(group + k // 2, PURPOSES[k % 2]) for k in at]
 
 
 def _of_condition(cfg, task: str, seed: int, name: str, condition: Condition) -> list[Unit]:
     at = f"{task}/{seed}"
-    units, read = [], [f for f in (condition.pretrain, condition.final) if f]
-    for frames in read:
-        for source in FRAMES[frames]:
-            units += _of_dataset(cfg, task, seed, source)
-        sources = tuple(f"{at}/{s}" for s in FRAMES[frames])
-        units.append(Unit(f"{at}/{frames}_frames", "frames", {}, sources))
-    finetune = {
+    wanted = max(round(condition.real * cfg.demonstrations), 1) if condition.real else 0
+    real = [_recording(cfg, task, *of) for of in recordings(seed, math.ceil(wanted / cfg.demonstrations))]
+    made = _made(cfg, task, seed, condition.made) if condition.made else []
+    options = {
         "use_tactile": condition.use_tactile,
+        "real": len(real),  # of its needs, the last ones
+        "episodes": wanted,
+        "then": condition.then,
+        "real_share": cfg.real_share,
         "pretrain_updates": cfg.pretrain_updates,
         "finetune_updates": cfg.finetune_updates,
         "batch": cfg.batch,
@@ -129,38 +156,55 @@ def _of_condition(cfg, task: str, seed: int, name: str, condition: Condition) ->
         "device": cfg.device,
         "seed": derived_seed(seed, task, "network"),
     }
-    needs = tuple(f"{at}/{f}_frames" for f in read)
-    units.append(Unit(f"{at}/{name}_policy", "train", finetune, needs))
-    trials = {"task": task, "twin": _text(cfg.twin), "trials": cfg.trials}
-    trials["start"] = TEST_START + seed * MAX_TRIALS
-    units.append(Unit(f"{at}/{name}_trials", "evaluate", trials, (f"{at}/{name}_policy",)))
-    return units
+    sources = tuple(u.name for u in [*made, *real] if u.kind not in ("scenes", "ppo"))
+    if condition.made and condition.made not in ("student",) and not real:
+        real = [_recording(cfg, task, seed, "real")]  # what is made is made of them
+    policy = Unit(f"{at}/{name}_policy", "train", options, sources)
+    where = {"task": task, "twin": _text(cfg.twin), "start_width": cfg.of_task(task)[1]}
+    trials = []
+    for k in range(0, cfg.trials, CHUNK):
+        numbers = {"start": TEST_START + seed * MAX_TRIALS + k, "trials": min(CHUNK, cfg.trials - k)}
+        numbers["further"] = k >= 2 * CHUNK
+        trials.append(Unit(f"{at}/{name}_trials_{k:03d}", "evaluate", where | numbers, (policy.name,)))
+    return [*real, *made, policy, *trials]
 
 
-def _of_dataset(cfg, task: str, seed: int, source: str) -> list[Unit]:
-    at = f"{task}/{seed}"
-    made = {"task": task, "episodes": cfg.augmented, "fidelity": cfg.fidelity}
-    real = {"task": task, "twin": _text(cfg.twin), "episodes": cfg.demonstrations}
+def _recording(cfg, task: str, seed: int, purpose: str) -> Unit:
+    person, width = cfg.of_task(task)
+    options = {"task": task, "twin": _text(cfg.twin), "episodes": cfg.demonstrations}
+    options |= {"person": person, "start_width": width, "seed": derived_seed(seed, task, purpose)}
+    return Unit(f"{task}/{seed}/{purpose}", "record", options)
 
-    def seeded(options: dict, purpose: str) -> dict:
-        return options | {"seed": derived_seed(seed, task, purpose)}
 
-    first = Unit(f"{at}/real", "record", seeded(real, "real"))
-    if source == "real":
-        return [first]
-    if source == "more":
-        return [Unit(f"{at}/more", "record", seeded(real, "more"))]
+def _made(cfg, task: str, seed: int, source: str) -> list[Unit]:
+    """Units that make demonstrations; all but scenes and actors hold some."""
+    at, real, needs = f"{task}/{seed}", _recording(cfg, task, seed, "real"), (f"{task}/{seed}/real",)
+    before = source.endswith("_before")
+    method, twin = source.removesuffix("_before"), cfg.twin_before if before else cfg.twin
+    options = {"task": task, "twin": _text(twin)}
     if source == "naive":
-        options = {"task": task, "episodes": cfg.augmented}
-        return [first, Unit(f"{at}/naive", "naive", seeded(options, "naive"), (first.name,))]
+        seeded = {"seed": derived_seed(seed, task, "naive"), "episodes": cfg.augmented}
+        return [Unit(f"{at}/naive", "naive", {"recording": real.options} | seeded, needs)]
     if source == "student":
-        options = {"task": task, "twin": _text(cfg.twin), "steps": cfg.ppo_steps, "tries": cfg.trials}
-        actor = Unit(f"{at}/ppo_actor", "ppo", seeded(options, "ppo"))
-        options = seeded(made | {"twin": _text(cfg.twin)}, "student")
-        return [actor, Unit(f"{at}/student", "student", options, (actor.name,))]
-    twin = {"augmented": cfg.twin, "augmented_before": cfg.twin_before}[source]
-    options = seeded(made | {"twin": _text(twin)}, "augmented")
-    return [first, Unit(f"{at}/{source}", "augment", options, (first.name,))]
+        seeded = {"seed": derived_seed(seed, task, "ppo"), "steps": cfg.ppo_steps, "tries": cfg.trials}
+        actor = Unit(f"{at}/ppo_actor", "ppo", options | seeded)
+        seeded = {"seed": derived_seed(seed, task, "student"), "episodes": cfg.augmented}
+        return [actor, Unit(f"{at}/student", "student", options | seeded | _fidelity(cfg), (actor.name,))]
+    options |= _fidelity(cfg) | {"method": method, "seed": derived_seed(seed, task, "augmented")}
+    options |= {"start_width": cfg.of_task(task)[1]}
+    scenes = []
+    if method == "planner":
+        scenes = [Unit(f"{at}/scenes", "scenes", options | {"episodes": cfg.demonstrations}, needs)]
+        needs = (*needs, scenes[0].name)
+    pieces = []
+    for k in range(0, cfg.augmented, PIECE):
+        numbers = {"first": k, "episodes": min(PIECE, cfg.augmented - k)}
+        pieces.append(Unit(f"{at}/{source}_{k:03d}", "augment", options | numbers, needs))
+    return [*scenes, *pieces]
+
+
+def _fidelity(cfg) -> dict:
+    return {"fidelity": cfg.fidelity}
 
 
 def _text(path) -> str | None:

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import math
 import multiprocessing
 import os
 import time
@@ -11,12 +12,15 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
-from pneutac_benchmarks.policy.plan import COST_S, Unit, as_dict
+import torch
+
+from pneutac_benchmarks.policy.plan import Unit, as_dict
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import write_json
 from pneutac_sim.worker import process_pool
 
 RESULT, LOG = "unit.json", "log.txt"
+GPU_TRAININGS = 6  # side by side on each
 # Each process computes on one thread, and none asks the Hub for datasets that lie here.
 _ENVIRONMENT = {"OMP_NUM_THREADS": "1", "HF_HUB_OFFLINE": "1"}
 
@@ -41,15 +45,20 @@ def finished(out: Path, unit: Unit) -> dict | None:
 
 
 def run_units(
-    out: Path, units: list[Unit], jobs: int, progress: Callable[[float, str], None]
+    out: Path,
+    units: list[Unit],
+    jobs: int,
+    progress: Callable[[float, str], None],
+    until: float = math.inf,
 ) -> tuple[dict[str, dict], dict[str, str], list[str]]:
     """Carries out what is not finished, in the order of what needs what.
 
     Args:
         out: the benchmark's folder.
-        units: those that others need first.
+        units: those that others need first, and those that count most.
         jobs: processes.
         progress: is told the share that is done and a few words.
+        until: `time.monotonic()` after which no unit is begun; the units that were not are in neither result.
 
     Returns:
         unit name to what is in its `unit.json`; unit name to a sentence for those that could not be done; and
@@ -58,12 +67,13 @@ def run_units(
     done = {u.name: found for u in units if (found := finished(out, u)) is not None}
     failed: dict[str, str] = {}
     faults: list[str] = []
-    waiting = {u.name: u for u in sorted(units, key=lambda u: -COST_S[u.kind]) if u.name not in done}
+    waiting = {u.name: u for u in units if u.name not in done}
+    gpus = torch.cuda.device_count()
     running: dict[Future, Unit] = {}
-    total = sum(COST_S[u.kind] for u in units)
+    total = sum(u.core_s for u in units)
 
     def show(words: str) -> None:
-        over = sum(COST_S[u.kind] for u in units if u.name in done or u.name in failed)
+        over = sum(u.core_s for u in units if u.name in done or u.name in failed)
         progress(over / total, words)
 
     with _environment(), _pool(jobs) as pool:
@@ -71,13 +81,15 @@ def run_units(
             for unit in [u for u in waiting.values() if set(u.needs) & failed.keys()]:
                 missing = next(n for n in unit.needs if n in failed)
                 failed[waiting.pop(unit.name).name] = f"needs {missing}"
-            ready = [u for u in waiting.values() if set(u.needs) <= done.keys()]
-            for unit in ready[: jobs - len(running)]:
-                del waiting[unit.name]
-                # One augmentation alone may use all processes' cores; those that are left share them.
-                left = sum(u.kind == "augment" and u.name not in done for u in units)
-                workers = max(jobs // max(left, 1), 1)
-                running[pool.submit(run_unit, out, unit, workers)] = unit
+            if time.monotonic() > until:
+                waiting.clear()
+            for unit in [u for u in waiting.values() if set(u.needs) <= done.keys()]:
+                training = sum(_on_gpu(u) for u in running.values())
+                if len(running) == jobs:
+                    break
+                if not _on_gpu(unit) or training < GPU_TRAININGS * gpus:
+                    del waiting[unit.name]
+                    running[pool.submit(run_unit, out, unit)] = unit
             show(", ".join(sorted(u.name for u in running.values())))
             if not running:
                 continue
@@ -103,17 +115,21 @@ def run_units(
     return done, failed, faults
 
 
-def run_unit(out: Path, unit: Unit, workers: int) -> dict:
-    """Carries out one unit; all that this process prints goes to the unit's log. Returns its `unit.json`."""
-    from pneutac_benchmarks.policy.units import KINDS
+def _on_gpu(unit: Unit) -> bool:
+    return unit.options.get("device") == "cuda"
 
+
+def run_unit(out: Path, unit: Unit) -> dict:
+    """Carries out one unit; all that this process prints goes to the unit's log. Returns its `unit.json`."""
     folder = out / unit.name
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / LOG).open("a") as log:
         for stream in (1, 2):  # also what libraries in C print
             os.dup2(log.fileno(), stream)
+    from pneutac_benchmarks.policy.units import KINDS
+
     start = time.monotonic()
-    result = KINDS[unit.kind](folder, unit.options, [out / need for need in unit.needs], workers)
+    result = KINDS[unit.kind](folder, unit.options, [out / need for need in unit.needs])
     found = {"unit": as_dict(unit), "seconds": time.monotonic() - start, "result": result}
     write_json(folder / RESULT, found)
     return found

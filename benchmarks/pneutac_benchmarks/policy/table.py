@@ -1,16 +1,42 @@
 """Tables, learning curves and the report of the policy benchmark."""
 
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from scipy.stats import binomtest
 
 from lerobot_pneutac.reports.page import Report, write_result
 from pneutac_benchmarks.policy.plan import COMPARED, CONDITIONS, Condition, conditions
-from pneutac_benchmarks.tables import markdown, mean_sem, shown, terminal
+from pneutac_benchmarks.tables import markdown, mean_sem, terminal
 
 PACKAGES = ("lerobot", "lerobot_robot_pneutac", "torch", "mujoco", "stable-baselines3")
+RESAMPLED = 4000
+BASE = "real"
+
+Trials = dict[int, dict[int, dict]]  # seed to start to trial
+
+
+def trials_of(cfg, done: dict[str, dict], name: str, task: str) -> Trials:
+    """All trials of a condition in a task that are there."""
+    found: Trials = {}
+    for seed in cfg.seeds:
+        at = f"{task}/{seed}/{name}_trials_"
+        for unit, what in done.items():
+            if unit.startswith(at):
+                found.setdefault(seed, {}).update({t["start"]: t for t in what["result"]["trials"]})
+    return found
+
+
+def _rate(trials: Trials) -> dict | None:
+    """Success in percent with Wilson's 95 % interval."""
+    all_of_them = [t["success"] for starts in trials.values() for t in starts.values()]
+    if not all_of_them:
+        return None
+    k, n = sum(all_of_them), len(all_of_them)
+    low, high = binomtest(k, n).proportion_ci(method="wilson")
+    return {"mean": 100 * k / n, "low": 100 * low, "high": 100 * high, "trials": n, "seeds": len(trials)}
 
 
 def success(cfg, done: dict[str, dict], name: str) -> dict[str, dict | None]:
@@ -22,47 +48,146 @@ def success(cfg, done: dict[str, dict], name: str) -> dict[str, dict | None]:
         name: of the condition.
 
     Returns:
-        task, and `overall`, to `mean` and `sem` in percent and `seeds`, their number; None where there is no
-        number. `overall` is over the seeds for which all tasks have one.
+        task to `mean`, `low` and `high` in percent, the numbers of `trials` and `seeds`, and `sem` over the
+        seeds; None where there is no number. `overall` is the mean of the tasks, with `trials` of all.
     """
-
-    def of(task: str, seed: int) -> float | None:
-        unit = done.get(f"{task}/{seed}/{name}_trials")
-        return unit and unit["result"]["success_percent"]
-
-    values = {task: [of(task, seed) for seed in cfg.seeds] for task in cfg.tasks}
-    whole = [v for v in zip(*values.values(), strict=True) if None not in v]
-    values["overall"] = [float(np.mean(v)) for v in whole]
-    out = {}
-    for task, found in values.items():
-        found = [x for x in found if x is not None]
-        mean, sem = mean_sem(found)
-        out[task] = {"mean": mean, "sem": sem, "seeds": len(found)} if found else None
+    out: dict[str, dict | None] = {}
+    for task in cfg.tasks:
+        found = trials_of(cfg, done, name, task)
+        out[task] = _rate(found)
+        if out[task]:
+            by_seed = [100 * np.mean([t["success"] for t in starts.values()]) for starts in found.values()]
+            out[task]["sem"] = mean_sem(by_seed)[1]
+    cells = list(out.values())
+    out["overall"] = None
+    if cells and all(cells):
+        mean, n = float(np.mean([c["mean"] for c in cells])), sum(c["trials"] for c in cells)
+        out["overall"] = {"mean": mean, "trials": n, "seeds": min(c["seeds"] for c in cells)}
     return out
 
 
-def rows(cfg, done: dict[str, dict], chosen: dict[str, Condition]) -> list[dict]:
+def difference(cfg, done: dict[str, dict], name: str, base: str) -> dict[str, dict] | None:
+    """Success of a condition less that of another, over the starts that both were tried from, in points.
+
+    The 95 % interval resamples sets of demonstrations and, in each, starts.
+
+    Returns:
+        task, and `overall`, the mean of the tasks, to `mean`, `low`, `high` and `pairs`; None where a task
+        has no pair.
+    """
+    rng, drawn, out = np.random.default_rng(0), [], {}
+    for task in cfg.tasks:
+        a, b = (trials_of(cfg, done, which, task) for which in (name, base))
+        sets = []
+        for seed in sorted(a.keys() & b.keys()):
+            common = sorted(a[seed].keys() & b[seed].keys())
+            points = [float(a[seed][s]["success"]) - float(b[seed][s]["success"]) for s in common]
+            sets += [100 * np.array(points)] if points else []
+        if not sets:
+            return None
+        means = np.array([_again(sets, rng) for _ in range(RESAMPLED)])
+        drawn.append(means)
+        out[task] = _interval(float(np.mean([x.mean() for x in sets])), means) | {
+            "pairs": sum(map(len, sets))
+        }
+    every = _interval(float(np.mean([out[t]["mean"] for t in cfg.tasks])), np.mean(drawn, 0))
+    return out | {"overall": every | {"pairs": sum(out[t]["pairs"] for t in cfg.tasks)}}
+
+
+def _again(sets: list[np.ndarray], rng: np.random.Generator) -> float:
+    chosen = rng.integers(len(sets), size=len(sets))
+    return float(np.mean([rng.choice(sets[k], len(sets[k])).mean() for k in chosen]))
+
+
+def _interval(mean: float, drawn: np.ndarray) -> dict[str, float]:
+    low, high = np.percentile(drawn, [2.5, 97.5])
+    return {"mean": mean, "low": float(low), "high": float(high)}
+
+
+def worth(found: dict[str, dict], name: str, demonstrations: int) -> float | None:
+    """Real demonstrations with which a policy does as well in the mean of the tasks as a condition's.
+
+    Between the numbers that were measured it goes by their logarithms; None beyond them.
+    """
+    curve = [
+        (CONDITIONS[n].real * demonstrations, cells["overall"]["mean"])
+        for n, cells in found.items()
+        if n in CONDITIONS and CONDITIONS[n].made is None and cells["overall"]
+    ]
+    mean = found[name]["overall"] and found[name]["overall"]["mean"]
+    numbers, means = np.array(sorted(curve)).T if len(curve) > 1 else (np.empty(0), np.empty(0))
+    means = np.maximum.accumulate(means)
+    if mean is None or not len(means) or not means[0] <= mean <= means[-1]:
+        return None
+    return float(np.exp(np.interp(mean, means, np.log(numbers))))
+
+
+def rows(cfg, done: dict[str, dict], chosen: dict[str, Condition], base: str = BASE) -> list[dict]:
     """A row a condition, as text."""
+    found = {name: success(cfg, done, name) for name in conditions(cfg)}
     out = []
     for name, condition in chosen.items():
-        cells = success(cfg, done, name)
         row = {"condition": name, "trained on": condition.words}
-        out.append(row | {task: _cell(cell, len(cfg.seeds)) for task, cell in cells.items()})
+        row |= {task: _cell(found[name][task]) for task in cfg.tasks}
+        overall = found[name]["overall"]
+        row["mean"] = f"{overall['mean']:.1f}" if overall else "-"
+        less = difference(cfg, done, name, base) if name != base else None
+        row[f"minus {base}, by task"] = "; ".join(_points(less[t]) for t in cfg.tasks) if less else "-"
+        row[f"minus {base}, mean"] = _points(less["overall"], 1) if less else "-"
+        number = worth(found, name, cfg.demonstrations)
+        row["worth so many real ones"] = "-" if number is None else f"{number:.0f}"
+        out.append(row)
     return out
+
+
+def reasons(cfg, done: dict[str, dict], chosen: dict[str, Condition]) -> list[dict]:
+    """A row a condition, task and reason for which trials failed, as text."""
+    out = []
+    for name in chosen:
+        for task in cfg.tasks:
+            trials = [t for s in trials_of(cfg, done, name, task).values() for t in s.values()]
+            why = [t["reason"] for t in trials if not t["success"]]
+            counts = {reason: why.count(reason) for reason in sorted(set(why))}
+            text = "; ".join(f"{n} {reason}" for reason, n in counts.items()) or "none"
+            if trials:
+                out.append(
+                    {"condition": name, "task": task, "failed": f"{len(why)} of {len(trials)}", "why": text}
+                )
+    return out
+
+
+def curve(cfg, done: dict[str, dict]) -> list[dict]:
+    """Success against the number of real demonstrations, as text."""
+    names = sorted(
+        (n for n in cfg.conditions if CONDITIONS[n].made is None), key=lambda n: CONDITIONS[n].real
+    )
+    out = []
+    for name in names:
+        cells = success(cfg, done, name)
+        row = {"real demonstrations": f"{max(CONDITIONS[name].real * cfg.demonstrations, 1):.0f}"}
+        row |= {task: _cell(cells[task]) for task in cfg.tasks}
+        out.append(row | {"mean": f"{cells['overall']['mean']:.1f}" if cells["overall"] else "-"})
+    return out if len(out) > 1 else []
 
 
 def write(cfg, done: dict[str, dict], failed: dict[str, str], wall_s: float, console: Console) -> Path:
     """Prints the tables; writes `result.json`, `table.md` and the report, whose path it returns."""
     chosen = conditions(cfg)
-    parts = {
-        "Success on the stand-in, %": {name: CONDITIONS[name] for name in cfg.conditions},
-        "Before and after the twin was corrected, %": COMPARED if cfg.twin_before else {},
+    asked = {name: CONDITIONS[name] for name in cfg.conditions}
+    compared = COMPARED if cfg.twin_before else {}
+    tables = {
+        "Success on the stand-in, %": rows(cfg, done, asked) if asked else [],
+        "Before and after the twin was corrected, %": rows(cfg, done, compared) if compared else [],
+        "Success and the number of real demonstrations, %": curve(cfg, done),
+        "Why trials failed": reasons(cfg, done, chosen),
     }
-    tables = {title: rows(cfg, done, part) for title, part in parts.items() if part}
+    tables = {title: table for title, table in tables.items() if table}
+    people = ", ".join("{} {:g} at width {:g}".format(task, *cfg.of_task(task)) for task in cfg.tasks)
     note = (
-        f"Mean and standard error over {len(cfg.seeds)} seeds, {cfg.trials} trials each;"
-        f" {cfg.demonstrations} demonstrations on the stand-in, {cfg.augmented} augmented,"
-        f" {cfg.pretrain_updates} + {cfg.finetune_updates} updates of {cfg.batch} samples for each."
+        f"{len(cfg.seeds)} sets of {cfg.demonstrations} demonstrations (person: {people}), {cfg.trials}"
+        f" trials each, from the same starts for all conditions of a set; in brackets Wilson's 95 % interval"
+        " and the number of trials; differences with 95 % intervals by resampling sets and starts;"
+        f" {cfg.augmented} made, {cfg.pretrain_updates + cfg.finetune_updates} updates of {cfg.batch}."
     )
     text = []
     for title, table in tables.items():
@@ -75,9 +200,10 @@ def write(cfg, done: dict[str, dict], failed: dict[str, str], wall_s: float, con
     write_result(
         cfg.out,
         {
-            "versions": {name: version(name) for name in PACKAGES},
+            "versions": {name: _version(name) for name in PACKAGES},
             "options": dict(vars(cfg)),
             "success": found,
+            "differences": {name: difference(cfg, done, name, BASE) for name in chosen if name != BASE},
             "failures": failed,
             "wall_s": wall_s,
             "units": done,
@@ -88,7 +214,8 @@ def write(cfg, done: dict[str, dict], failed: dict[str, str], wall_s: float, con
     for title, table in tables.items():
         report.heading(title)
         report.table(table)
-        report.figure(_bars(cfg, parts[title], found), title)
+        if title.startswith(("Success on", "Before")):
+            report.figure(_bars(cfg, asked if title.startswith("Success") else compared, found), title)
     if failed:
         report.heading("What could not be done")
         report.table([{"unit": name, "why": why} for name, why in failed.items()])
@@ -96,29 +223,41 @@ def write(cfg, done: dict[str, dict], failed: dict[str, str], wall_s: float, con
     for task in cfg.tasks:
         report.figure(_curves(cfg, done, task, chosen), f"{task}: loss on the last data")
     report.heading("Seconds")
-    report.table(_seconds(done))
+    report.table(seconds(done))
     return report.write(cfg.out)
 
 
-def _cell(cell: dict | None, seeds: int) -> str:
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def _cell(cell: dict | None) -> str:
     if cell is None:
         return "-"
-    text = shown((cell["mean"], cell["sem"]), 0)
-    return text if cell["seeds"] == seeds else f"{text} ({cell['seeds']} of {seeds} seeds)"
+    return f"{cell['mean']:.0f} ({cell['low']:.0f}-{cell['high']:.0f}, {cell['trials']})"
+
+
+def _points(cell: dict, digits: int = 0) -> str:
+    return f"{cell['mean']:+.{digits}f} ({cell['low']:+.{digits}f} to {cell['high']:+.{digits}f})"
 
 
 def _bars(cfg, part: dict[str, Condition], found: dict[str, dict]):
-    """Success with its standard error: a group a task, a bar a condition."""
+    """Success with its interval: a group a task, a bar a condition."""
     import plotly.graph_objects as go
 
     figure = go.Figure()
     groups = [*cfg.tasks, "overall"]
     for name, condition in part.items():
-        cells = [found[name][group] for group in groups]
+        cells = [found[name][group] or {} for group in groups]
+        up = [c.get("high", c.get("mean", 0.0)) - c.get("mean", 0.0) for c in cells]
+        down = [c.get("mean", 0.0) - c.get("low", c.get("mean", 0.0)) for c in cells]
         figure.add_bar(
             x=groups,
-            y=[cell and cell["mean"] for cell in cells],
-            error_y={"array": [cell and cell["sem"] for cell in cells], "thickness": 1},
+            y=[cell.get("mean") for cell in cells],
+            error_y={"array": up, "arrayminus": down, "symmetric": False, "thickness": 1},
             name=condition.words,
         )
     figure.update_layout(yaxis_title="success on the stand-in, %", yaxis_range=[0, 100])
@@ -136,11 +275,11 @@ def _curves(cfg, done: dict[str, dict], task: str, chosen: dict[str, Condition])
             unit = done.get(f"{task}/{seed}/{name}_policy")
             if unit is None:
                 continue
-            curve = unit["result"]["training"]["curve"]
+            loss = unit["result"]["training"]["curve"]
             before = cfg.pretrain_updates if "pretraining" in unit["result"] else 0
             figure.add_scatter(
-                x=[before + row["update"] for row in curve],
-                y=[row.get("held_out", row["loss"]) for row in curve],
+                x=[before + row["update"] for row in loss],
+                y=[row.get("held_out", row["loss"]) for row in loss],
                 name=name,
                 legendgroup=name,
                 showlegend=seed == cfg.seeds[0],
@@ -150,11 +289,15 @@ def _curves(cfg, done: dict[str, dict], task: str, chosen: dict[str, Condition])
     return figure
 
 
-def _seconds(done: dict[str, dict]) -> list[dict]:
+def seconds(done: dict[str, dict]) -> list[dict]:
     """A row a kind of unit."""
     kinds: dict[str, list[float]] = {}
     for found in done.values():
-        kinds.setdefault(found["unit"]["kind"], []).append(found["seconds"])
+        options = found["unit"].get("options", {})
+        kind = found["unit"]["kind"]
+        kinds.setdefault(f"{kind} {options['method']}" if "method" in options else kind, []).append(
+            found["seconds"]
+        )
     return [
         {"unit": kind, "number": len(s), "seconds each": sum(s) / len(s), "seconds in all": sum(s)}
         for kind, s in kinds.items()

@@ -1,90 +1,149 @@
 """What each unit of the policy benchmark does; every function writes below its folder and returns numbers."""
 
+import json
 import os
 import shutil
 from dataclasses import asdict
+from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
 import torch
 
-from pneutac_sim.features import CONTROL_HZ, TRIAL_S
+from pneutac_benchmarks.policy.frames import Frames
+from pneutac_datasets.demonstrations.augment.episode import AugmentSetup, Generator
+from pneutac_datasets.demonstrations.augment.library import start_spread_m
+from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
+from pneutac_datasets.demonstrations.augment.scene import Scene
+from pneutac_datasets.demonstrations.episodes import Episode
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import CONTROL_HZ, TRIAL_S, Places
+from pneutac_sim.gel.contact import SPECKS
+from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin
+from pneutac_sim.world.station import Station
+from pneutac_sim.world.world import World
 
 HELD_OUT = 0.1  # share of the final data set's episodes, where the weights are chosen by them
 ATTEMPTS = 60  # variants tried for one demonstration
-FRAMES_FILE = "frames.npz"
+FRAMES_FILE, SCENES_FILE = "frames.npz", "scenes.json"
 PPO_ENVS = 8
+STEPS = TRIAL_S * CONTROL_HZ
+STARTS_EACH = 500  # starts that a recording may try
+LET_GO_S = 1.0  # without touch at the end of a trial, that is, the touch was lost
 
 
-def repo_id(folder: Path) -> str:
-    """Name of the dataset in a unit's folder `task/seed/what`."""
-    return "local/" + "_".join(folder.parts[-3:])
+def record(folder: Path, options: dict, needs: list[Path]) -> dict:
+    """Demonstrations of a modelled person on the stand-in."""
+    episodes, tried, of_tries = _recorded(options)
+    Frames.of(episodes, _sensor(options["twin"])).save(folder / FRAMES_FILE)
+    return {"episodes": len(episodes), "frames": sum(map(len, episodes)), "tried": tried, "tries": of_tries}
 
 
-def record(folder: Path, options: dict, needs: list[Path], workers: int) -> dict:
-    """Scripted demonstrations on the stand-in."""
-    from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
-    from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
-    from lerobot_robot_pneutac.teleoperators.base_teleop import PneutacScriptedConfig
-    from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
-    from pneutac_datasets.demonstrations.record import record_episodes
+def _recorded(options: dict) -> tuple[list[Episode], int, list[str]]:
+    """The first successful ones, how many were tried, and why the others failed."""
+    from pneutac_sim.world.person import demonstrator
 
-    task, seed, root = options["task"], options["seed"], folder / "dataset"
-    shutil.rmtree(root, ignore_errors=True)
-    twin = _folder(options)
-    robot = PneutacSim(
-        PneutacSimConfig(id="standin", task=task, seed=seed, standin=True, twin=twin, calibration_dir=folder)
+    world = _standin(options["task"], options["twin"], options["start_width"])
+    episodes, reasons = [], []
+    for k in range(STARTS_EACH):
+        start = options["seed"] * STARTS_EACH + k
+        observation = world.reset(start)
+        person = demonstrator(world, np.random.default_rng([start, 1]), options["person"])
+        states, actions, images = [], [], []
+        while len(states) < STEPS and not (world.success or world.failure):
+            states.append(observation.state)
+            actions.append(person.action())
+            images.append(observation.tactile)
+            observation = world.step(actions[-1])
+        area = np.array(states)[:, Places.of(1).area]
+        if world.success and not world.failure and (area >= SPECKS).any() and not area[0] >= SPECKS:
+            made = np.array(states), np.array(actions), np.array(images)
+            episodes.append(Episode(*made, world.task.description, CONTROL_HZ))
+        else:
+            reasons.append(_why(world, area))
+        if len(episodes) == options["episodes"]:
+            return episodes, k + 1, reasons
+    raise InputError(
+        f"{len(episodes)} of {STARTS_EACH} demonstrations of '{options['task']}' succeeded; give a lower"
+        " --person or --start_width."
     )
-    teleop = PneutacScripted(
-        PneutacScriptedConfig(
-            id="scripted", seed=seed, episode_steps=TRIAL_S * CONTROL_HZ, calibration_dir=folder
-        )
-    )
-    robot.connect()
-    try:
-        words = robot.world.task.description
-        record_episodes(robot, teleop, repo_id(folder), root, options["episodes"], words, True)
-    finally:
-        robot.disconnect()
-    return {"dataset": str(root), "episodes": options["episodes"], "tried": len(robot.successes)}
 
 
-def augment(folder: Path, options: dict, needs: list[Path], workers: int) -> dict:
-    """New demonstrations, planned on the twin and guided by touch."""
-    return _augment("tactile", folder, options, needs, workers)
+def _why(world, area: np.ndarray) -> str:
+    """Why a trial has failed: by its task, or by how its time ran out."""
+    if world.failure:
+        return world.failure
+    if world.success:
+        return "done without touch, or in touch from the beginning"
+    touched = np.flatnonzero(area >= SPECKS)
+    if not len(touched):
+        return "time-out, never touched"
+    lost = len(area) - 1 - touched[-1] > LET_GO_S * CONTROL_HZ
+    return "time-out, touch lost" if lost else "time-out, in touch"
 
 
-def naive(folder: Path, options: dict, needs: list[Path], workers: int) -> dict:
-    """New demonstrations, varied without a simulator."""
-    return _augment("naive", folder, options, needs, workers)
+def scenes(folder: Path, options: dict, needs: list[Path]) -> dict:
+    """Where the objects stood, for the planner."""
+    generator = _generator(options, needs[0])
+    found = [asdict(generator.scene(k)) for k in range(options["episodes"])]
+    (folder / SCENES_FILE).write_text(json.dumps(found))
+    return {"scenes": found}
 
 
-def _augment(method: str, folder: Path, options: dict, needs: list[Path], workers: int) -> dict:
-    from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef
-    from lerobot_pneutac.verbs.augment import augment as augment_dataset
+def augment(folder: Path, options: dict, needs: list[Path]) -> dict:
+    """New demonstrations, carried out on the twin."""
+    generator, places = _generator(options, needs[0]), []
+    if len(needs) > 1:
+        found = json.loads((needs[1] / SCENES_FILE).read_text())
+        places = [Scene(**d | {"shift_m": tuple(d["shift_m"])}) for d in found]
+    made, rejected = [], []
+    words = generator.world.task.description
+    for k in range(options["first"], options["first"] + options["episodes"]):
+        attempt, provenance = generator.episode(k, places)
+        made.append(Episode(attempt.state, attempt.action, attempt.images, words, CONTROL_HZ))
+        rejected += [r["reason"] for r in provenance["rejected"]]
+    Frames.of(made).save(folder / FRAMES_FILE)
+    counts = {reason: rejected.count(reason) for reason in sorted(set(rejected))}
+    return {"episodes": len(made), "frames": sum(map(len, made)), "rejected": counts}
 
-    root = folder / "dataset"
-    if root.exists() and not root.with_name("dataset.work").exists():
-        shutil.rmtree(root)  # whole, but stopped before its numbers were kept
-    cfg = AugmentConfig(
-        dataset=DatasetRef(repo_id(needs[0]), needs[0] / "dataset"),
-        output=DatasetRef(repo_id(folder), root),
-        method=method,
-        workers=workers,
+
+def _generator(options: dict, recording: Path) -> Generator:
+    references = Frames.load(recording / FRAMES_FILE).references(np.array(Station().base_m))
+    setup = AugmentSetup(
+        references,
+        options["task"],
+        _path(options["twin"]),
+        options["fidelity"],
+        PlannerConfig(),
+        options["seed"],
+        options["method"],
+        start_spread_m(references),
+        options["start_width"] if options["method"] != "planner" else 0.0,
         attempts=ATTEMPTS,
-        **options,
     )
-    summary = augment_dataset(cfg).summary
-    return {"dataset": str(root)} | {k: summary[k] for k in ("kept", "attempts", "rejected", "wall_s")}
+    return Generator(setup)
 
 
-def ppo(folder: Path, options: dict, needs: list[Path], workers: int) -> dict:
+def naive(folder: Path, options: dict, needs: list[Path]) -> dict:
+    """New demonstrations, varied without a simulator."""
+    from pneutac_datasets.demonstrations.naive import varied
+
+    recorded, _, _ = _recorded(options["recording"])  # once more, for whole images
+    states, actions = (np.concatenate([getattr(e, name) for e in recorded]) for name in ("state", "action"))
+    load, n = recorded.__getitem__, len(recorded)
+    made = list(varied(load, n, states, actions, options["episodes"], options["seed"]))
+    Frames.of(made).save(folder / FRAMES_FILE)
+    return {"episodes": len(made), "frames": sum(map(len, made))}
+
+
+def ppo(folder: Path, options: dict, needs: list[Path]) -> dict:
     """An actor, trained on the twin by formulas; goes on where it was stopped."""
     from lerobot_pneutac.rl.ppo import Compute, train_ppo
 
     card = train_ppo(
         options["task"],
-        _twin(options),
+        _twin(options["twin"]),
         options["seed"],
         options["steps"],
         folder / "actor",
@@ -93,32 +152,22 @@ def ppo(folder: Path, options: dict, needs: list[Path], workers: int) -> dict:
     return {"actor": str(folder / "actor")} | {k: card[k] for k in ("steps", "steps_per_s", "test")}
 
 
-def student(folder: Path, options: dict, needs: list[Path], workers: int) -> dict:
+def student(folder: Path, options: dict, needs: list[Path]) -> dict:
     """Successful demonstrations of that actor."""
     from lerobot_pneutac.rl.options import StudentRef
-    from lerobot_pneutac.rl.student import record_student
+    from lerobot_pneutac.rl.student import rolled_out
 
-    root = folder / "dataset"
-    shutil.rmtree(root, ignore_errors=True)
     o = options
-    wanted = StudentRef(repo_id(folder), root, o["episodes"], o["fidelity"], video=True)
-    done = record_student(needs[0] / "actor", o["task"], _twin(o), o["seed"], wanted)
-    return {"dataset": str(root), "episodes": done.episodes, "trials": done.trials}
+    world = World(o["task"], _twin(o["twin"]), "image", o["fidelity"])
+    wanted = StudentRef(episodes=o["episodes"], fidelity=o["fidelity"])
+    tried = list(rolled_out(needs[0] / "actor", world, o["seed"], wanted))
+    made = [episode for episode in tried if episode is not None]
+    Frames.of(made).save(folder / FRAMES_FILE)
+    return {"episodes": len(made), "frames": sum(map(len, made)), "trials": len(tried)}
 
 
-def frames(folder: Path, options: dict, needs: list[Path], workers: int) -> dict:
-    """Datasets as arrays, for `train`."""
-    from pneutac_benchmarks.policy.frames import read_frames
-
-    read = read_frames(*((need / "dataset", repo_id(need)) for need in needs))
-    folder.mkdir(parents=True, exist_ok=True)
-    read.save(folder / FRAMES_FILE)
-    return {"episodes": read.demonstrations.episodes, "frames": read.demonstrations.frames}
-
-
-def train(folder: Path, options: dict, needs: list[Path], workers: int) -> dict:
-    """A policy; with two needs it is trained on the first and then on the second."""
-    from pneutac_benchmarks.policy.frames import Frames
+def train(folder: Path, options: dict, needs: list[Path]) -> dict:
+    """A policy of what was made and of what is real: at once, or one after the other."""
     from pneutac_benchmarks.policy.in_memory import held_out_episodes, new_policy, save
     from pneutac_benchmarks.policy.in_memory import train as learn
 
@@ -126,64 +175,85 @@ def train(folder: Path, options: dict, needs: list[Path], workers: int) -> dict:
     if o["device"] == "cuda":
         torch.cuda.set_device(os.getpid() % torch.cuda.device_count())  # units side by side share all GPUs
     shutil.rmtree(folder / "checkpoints", ignore_errors=True)
-    policy = new_policy(o["use_tactile"], o["lr"], seed, o["device"])
-    loaded = [Frames.load(need / FRAMES_FILE, o["use_tactile"]) for need in needs]
-    result, updates = {}, o["pretrain_updates"] + o["finetune_updates"]
-    if len(needs) == 2:
-        first = learn(policy, loaded[0], o["pretrain_updates"], o["batch"], seed)
-        result["pretraining"] = asdict(first)
+    parts = [Frames.load(need / FRAMES_FILE) for need in needs]
+    real = Frames.joined(parts[len(parts) - o["real"] :]).first_episodes(o["episodes"]) if o["real"] else None
+    made = Frames.joined(parts[: len(parts) - o["real"]]) if len(parts) > o["real"] else None
+    every = Frames.joined([x for x in (made, real) if x is not None])
+    policy = new_policy(o["use_tactile"], o["lr"], seed, o["device"], every.scaling)
+    result, updates, copies, last = {}, o["pretrain_updates"] + o["finetune_updates"], (), every
+    if made and real and o["then"]:
+        result["pretraining"] = asdict(learn(policy, made, o["pretrain_updates"], o["batch"], seed))
         policy.config.optimizer_lr = o["finetune_lr"]
-        updates = o["finetune_updates"]
-    away = []
-    if o["select"] == "held_out":
-        away = held_out_episodes(loaded[-1].demonstrations.episodes, HELD_OUT, seed)
-    last = learn(policy, loaded[-1], updates, o["batch"], seed + 1, away)
-    path = save(policy, last, folder)
-    return result | {"training": asdict(last), "held_out_episodes": away, "checkpoint": str(path)}
+        updates, last = o["finetune_updates"], real
+    elif made and real:
+        times = round(o["real_share"] / (1 - o["real_share"]) * len(made) / len(real))
+        copies = [1] * made.episodes + [max(times, 1)] * real.episodes
+    away = held_out_episodes(last.episodes, HELD_OUT, seed) if o["select"] == "held_out" else []
+    done = learn(policy, last, updates, o["batch"], seed + 1, away, copies)
+    path = save(policy, done, folder)
+    return result | {"training": asdict(done), "held_out_episodes": away, "checkpoint": str(path)}
 
 
-def evaluate(folder: Path, options: dict, needs: list[Path], workers: int) -> dict:
-    """Trials on the stand-in by LeRobot's own evaluation, on the CPU and without videos."""
+def evaluate(folder: Path, options: dict, needs: list[Path]) -> dict:
+    """Trials on the stand-in, on the CPU: start, whether the task was done, after how many steps, why not."""
+    (path,) = (needs[0] / "checkpoints").glob("*/pretrained_model")
+    policy = _policy(path)
+    world = _standin(options["task"], options["twin"], options["start_width"])
+    trials = []
+    for start in range(options["start"], options["start"] + options["trials"]):
+        observation, areas = world.reset(start), []
+        policy.reset()
+        while len(areas) < STEPS and not (world.success or world.failure):
+            observation = world.step(_action(policy, observation))
+            areas.append(observation.state[Places.of(1).area])
+        done = bool(world.success and not world.failure)
+        why = "" if done else _why(world, np.array(areas))
+        trials.append({"start": start, "success": done, "steps": len(areas), "reason": why})
+    return {"success_percent": 100 * float(np.mean([t["success"] for t in trials])), "trials": trials}
+
+
+def _action(policy, observation) -> np.ndarray:
+    from lerobot.utils.constants import OBS_STATE
+
+    from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE
+
+    image = torch.from_numpy(observation.tactile).permute(2, 0, 1)[None].float() / 255
+    seen = {OBS_STATE: torch.from_numpy(observation.state)[None], TACTILE: image}
+    return policy.select_action(seen)[0].numpy()
+
+
+@lru_cache(maxsize=1)
+def _policy(path: Path):
     from lerobot.configs import PreTrainedConfig
-    from lerobot.envs.factory import make_env, make_env_pre_post_processors
-    from lerobot.policies import make_pre_post_processors
-    from lerobot.scripts.lerobot_eval import eval_policy
 
-    from lerobot_robot_pneutac.env import PneutacStandinConfig
     from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
 
-    (path,) = (needs[0] / "checkpoints").glob("*/pretrained_model")
     config = PreTrainedConfig.from_pretrained(path)
     config.device = "cpu"
-    policy = PneutacBCPolicy.from_pretrained(path, config=config)
-    on_cpu = {"device_processor": {"device": "cpu"}}
-    before, after = make_pre_post_processors(policy.config, str(path), preprocessor_overrides=on_cpu)
-    world = PneutacStandinConfig(task=options["task"], twin=_folder(options))
-    env_before, env_after = make_env_pre_post_processors(env_cfg=world, policy_cfg=policy.config)
-    env = make_env(world, n_envs=1)[world.type][0]
-    try:
-        info = eval_policy(
-            env,
-            policy,
-            env_before,
-            env_after,
-            before,
-            after,
-            n_episodes=options["trials"],
-            start_seed=options["start"],
-        )
-    finally:
-        env.close()
-    trials = [{"start": t["seed"], "success": bool(t["success"])} for t in info["per_episode"]]
-    return {"success_percent": info["aggregated"]["pc_success"], "trials": trials}
+    return PneutacBCPolicy.from_pretrained(path, config=config)
 
 
-def _folder(options: dict) -> Path | None:
-    return Path(options["twin"]) if options["twin"] else None
+@lru_cache(maxsize=3)
+def _standin(task: str, twin: str | None, start_width: float):
+    from lerobot_robot_pneutac.options import standin_sensor
+    from lerobot_robot_pneutac.standin.world import StandinWorld
+
+    world = StandinWorld(task, **standin_sensor(_path(twin)))
+    world.widen_starts(start_width)
+    return world
 
 
-def _twin(options: dict) -> Twin | None:
-    return Twin.load(options["twin"]) if options["twin"] else None
+@lru_cache(maxsize=2)
+def _sensor(twin: str | None) -> TactileSensor:
+    return TactileSensor(_twin(twin) or Twin.builtin())
 
 
-KINDS = {f.__name__: f for f in (record, augment, naive, ppo, student, frames, train, evaluate)}
+def _path(twin: str | None) -> Path | None:
+    return Path(twin) if twin else None
+
+
+def _twin(twin: str | None) -> Twin | None:
+    return Twin.load(twin) if twin else None
+
+
+KINDS = {f.__name__: f for f in (record, scenes, augment, naive, ppo, student, train, evaluate)}

@@ -6,13 +6,14 @@ scales the velocities, a displaced approach moves joints and commands too, and c
 contact area. Nothing knows whether the altered demonstration would have done the task.
 """
 
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
-from lerobot.utils.constants import OBS_STATE
+from lerobot.utils.constants import ACTION, OBS_STATE
 
 from pneutac_datasets.demonstrations.episodes import (
     TACTILE,
@@ -83,24 +84,43 @@ def augment_naive(
         with readable(dataset_root):
             return load_episode(source, index)
 
-    slope = _joint_slope(source, load(0))
+    table = source.hf_dataset.with_format("numpy")
+    states, actions = (np.stack(table[key][:]) for key in (OBS_STATE, ACTION))
     longest = int(np.ceil(max(meta.episodes["length"]) / SPEED[0])) + 1
     use_videos = features[TACTILE]["dtype"] == "video"
     out = create_dataset(out_repo_id, out_root, meta.fps, features, meta.robot_type, use_videos, longest)
-    n = meta.total_episodes
-    # A dataset does not say what its finger bears: no farther than the paper's, or than was demonstrated.
-    low, high = (meta.stats["action"][k][PRESSURES] for k in ("min", "max"))
-    range_kpa = min(float(low.min()), PAPER_RANGE_KPA[0]), max(float(high.max()), PAPER_RANGE_KPA[1])
     with quiet_encoders():
         try:
-            for k in range(episodes):
+            for k, new in enumerate(varied(load, meta.total_episodes, states, actions, episodes, seed)):
                 progress("varying demonstrations", k, episodes)
-                rng = np.random.default_rng([seed, k])
-                partner = load(int(rng.integers(n))) if rng.random() < MIX_SHARE else None
-                save_episode(out, vary(load(k % n), partner, slope, rng, range_kpa))
+                save_episode(out, new)
         finally:
             out.finalize()
     return Path(out_root)
+
+
+def varied(
+    load: Callable[[int], Episode], n: int, states: np.ndarray, actions: np.ndarray, episodes: int, seed: int
+) -> Iterator[Episode]:
+    """Yields so many varied demonstrations of `n` recorded ones, which take turns.
+
+    Args:
+        load: gives a recorded one by its number.
+        n: their number.
+        states: of all their frames.
+        actions: likewise.
+        episodes: number of varied ones.
+        seed: decides every variation.
+    """
+    slope = _joint_slope(states, load(0))
+    # A recording does not say what its finger bears: no farther than the paper's, or than was demonstrated.
+    pressures = actions[:, PRESSURES]
+    low_kpa = min(float(pressures.min()), PAPER_RANGE_KPA[0])
+    high_kpa = max(float(pressures.max()), PAPER_RANGE_KPA[1])
+    for k in range(episodes):
+        rng = np.random.default_rng([seed, k])
+        partner = load(int(rng.integers(n))) if rng.random() < MIX_SHARE else None
+        yield vary(load(k % n), partner, slope, rng, (low_kpa, high_kpa))
 
 
 def vary(
@@ -203,12 +223,11 @@ def _change_appearance(images: np.ndarray, rng: np.random.Generator) -> np.ndarr
     )
 
 
-def _joint_slope(dataset: LeRobotDataset, like: Episode) -> np.ndarray:
-    """Least-squares change of the joint angles with the flange position over a dataset, (3, N) rad/m.
+def _joint_slope(states: np.ndarray, like: Episode) -> np.ndarray:
+    """Least-squares change of the joint angles with the flange position over all states, (3, N) rad/m.
 
     With the orientation held this is the arm's inverse Jacobian where the demonstrations are; directions in
     which they hardly move stay out (singular values under 1 %).
     """
-    state = np.stack(dataset.hf_dataset.with_format("numpy")[OBS_STATE][:])
-    state = state - state.mean(0)
+    state = states - states.mean(0)
     return np.linalg.lstsq(state[:, like.places.ee], state[:, like.angles], rcond=0.01)[0]

@@ -15,6 +15,7 @@ from lerobot_robot_pneutac.options import (
     check_finger,
     check_networks,
     check_range,
+    check_start_width,
     check_station,
     check_twin_folder,
     refuse_if,
@@ -46,6 +47,8 @@ class PneutacSimConfig(RobotConfig):
         spread: number of random starts that the demonstrations are to stand for: each episode begins at that
             one of them which leaves the others nearest to a start that was done, as a person would spread a
             few demonstrations; 0 takes random starts as they come.
+        start_width: how much wider than the task's own random starts of hand and objects are: 0 the task's
+            own, 1 wide, 2 at most.
         bend: actions command the finger's bend, `bend.pos` in rad, in place of the pressure; the twin finds
             the pressure for it. On the stand-in it takes the twin that was calibrated to it.
         cameras: scene cameras, such as {front: {type: pneutac_scene, width: 320, height: 240}}.
@@ -64,6 +67,7 @@ class PneutacSimConfig(RobotConfig):
     station: Path | None = None
     standin: bool = False
     spread: int = 0
+    start_width: float = 0.0
     bend: bool = False
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
     randomise_look: bool = False
@@ -100,6 +104,7 @@ class PneutacSimConfig(RobotConfig):
             self.bend and self.standin and self.twin is None,
             "--robot.bend=true on the stand-in needs --robot.twin, the twin that was calibrated to it.",
         )
+        check_start_width("robot.start_width", self.start_width)
         check_station("robot.station", self.station)
         self._where = station_of(self.station)
         for name, camera in self.cameras.items():

@@ -25,6 +25,7 @@ from pneutac_sim.twin import Twin
 from pneutac_sim.world.look import SceneCameras
 from pneutac_sim.world.points import tactile_points
 from pneutac_sim.world.scene import OBJECT_GROUP
+from pneutac_sim.world.tasks.base import WIDER_M
 
 # A pose command this near to one of the task's starts brings the arm home; their jitter is less.
 HOME_RADIUS_M = 0.010
@@ -127,6 +128,7 @@ class PneutacSim(BaseRobot):
         self._hooks.connect()
         logger.info("Building the world; on a new machine this takes a minute, once.")
         self.world = _world(self.config)
+        self.world.widen_starts(self.config.start_width)
         self.world.touch.prepare()
         self._scene = SceneCameras(self.world, self.config.sizes, self.config.randomise_look)
         self._spread = self._starts()
@@ -238,7 +240,8 @@ class PneutacSim(BaseRobot):
         task, base_m = self.world.task, self.world.arm.base_m  # poses are in the arm's frame
         away = pose[:3] - (self.world.home_m - base_m)
         away[1] -= np.clip(away[1], min(task.starts_m), max(task.starts_m))
-        if np.linalg.norm(away) < HOME_RADIUS_M:  # of the line on which all starts lie
+        jitter_m = np.linalg.norm(self.config.start_width * WIDER_M)
+        if np.linalg.norm(away) < HOME_RADIUS_M + jitter_m:  # of the line on which all starts lie
             if self._moved:
                 self.reset()
             return

@@ -108,12 +108,14 @@ class PneutacScriptedConfig(TeleoperatorConfig):
         episode_steps: ticks of a demonstration where no episodes are announced, as in `lerobot-teleoperate`;
             if omitted, those of 14 s.
         seed: decides the variation between demonstrations.
+        person: how late, uneven and imprecise it acts: 0 as scripted, 1 as a modelled person at a joystick.
         drag_mm: how far it drags the finger sideways along what it holds, before it lets go; in `button`
             alone.
     """
 
     episode_steps: int | None = None
     seed: int = 0
+    person: float = 0.0
     drag_mm: float = 0.0
 
     def __post_init__(self):
@@ -121,6 +123,7 @@ class PneutacScriptedConfig(TeleoperatorConfig):
             self.episode_steps is not None and self.episode_steps < 1,
             f"--teleop.episode_steps is {self.episode_steps}; it must be at least 1.",
         )
+        refuse_if(not 0 <= self.person <= 1, f"--teleop.person is {self.person:g}; it must be from 0 to 1.")
         refuse_if(
             not 0 <= self.drag_mm <= MOST_MM,
             f"--teleop.drag_mm is {self.drag_mm:g}; it must be between 0 and {MOST_MM:g}.",

@@ -67,7 +67,7 @@ class PneutacScripted(BaseTeleop):
         if robot.recording is False:  # waiting is with the pressure off and the arm at rest
             return dict.fromkeys(action_names(robot.chambers), 0.0)
         if self._scene != (scene := (robot, robot.scenes)):
-            from pneutac_sim.world.expert import ScriptedExpert
+            from pneutac_sim.world.person import demonstrator
 
             if robot.config.bend:
                 raise InputError("pneutac_scripted gives pressures; leave --robot.bend out.")
@@ -78,7 +78,8 @@ class PneutacScripted(BaseTeleop):
                         "--teleop.drag_mm out, or record the task 'button'."
                     )
                 robot.world.task.drag_m = 1e-3 * self.config.drag_mm
-            self._expert, self._scene, self._tick = ScriptedExpert(robot.world, self._rng), scene, 0
+            self._expert = demonstrator(robot.world, self._rng, self.config.person)
+            self._scene, self._tick = scene, 0
         self._tick += 1
         limits = action_limits(robot.world.pressure_range_kpa, robot.chambers)
         values = np.clip(self._expert.action(), *limits).tolist()

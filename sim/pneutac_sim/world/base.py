@@ -15,10 +15,11 @@ from pneutac_sim.features import PRESSURES, action_limits
 from pneutac_sim.world import scene
 from pneutac_sim.world.station import MISSING_M, Station
 from pneutac_sim.world.tasks import make_task
-from pneutac_sim.world.tasks.base import HOME_JITTER_M
+from pneutac_sim.world.tasks.base import HOME_JITTER_M, WIDER_M
 from pneutac_sim.world.view import View
 
 START_SOLVES = 20  # calls of the inverse kinematics, after which it has converged to the start
+MOST_WIDE = 2.0  # width of starts beyond which the arm may meet the objects
 CONTACT_N = 0.02  # a smaller force on the gel is no contact
 
 
@@ -50,6 +51,7 @@ class BaseWorld(ABC):
         clipped: number of commands that were clipped to limits since the reset.
         command: last action after clipping (3 + C,), which acts as late as the station says.
         target_m: where the flange is sent (3,), metres in the station's frame.
+        start_width: how much wider than the task's own random starts are, see `widen_starts`.
         out_of_range: number of steps since the reset outside what networks were trained with.
         model, data: MuJoCo's, for planners, experts and tests.
         view: draws the scene, for `render` and scene cameras.
@@ -58,6 +60,7 @@ class BaseWorld(ABC):
     chambers: int
     pressure_range_kpa: tuple[float, float]
     view: View
+    start_width = 0.0
 
     def __init__(self, task: str, station: Station | None, length_mm: float):
         """Builds the model.
@@ -108,7 +111,7 @@ class BaseWorld(ABC):
         """
         mujoco.mj_resetData(self.model, self.data)
         self.task.reset(self.model, self.data, self._rng)
-        self.target_m = self.home_m + self._rng.uniform(-1, 1, 3) * HOME_JITTER_M
+        self.target_m = self.home_m + self._rng.uniform(-1, 1, 3) * self._start_half_m
         self.target_m[1] += self._rng.choice(self.task.starts_m)
         self._ik.reset()
         for _ in range(START_SOLVES):
@@ -159,6 +162,22 @@ class BaseWorld(ABC):
     def _late_commands(self) -> int:
         """Control steps by which commands act late."""
         return self.station.late_commands
+
+    def widen_starts(self, width: float) -> None:
+        """Makes the starts of hand and objects wider from the next reset on: 0 is the task's own, 1 wide.
+
+        Raises:
+            InputError: the width is out of range.
+        """
+        if not 0 <= width <= MOST_WIDE:
+            raise InputError(f"start_width is {width:g}; it must be from 0 to {MOST_WIDE:g}.")
+        self.task.widen(width - self.start_width)
+        self.start_width = width
+
+    @property
+    def _start_half_m(self) -> np.ndarray:
+        """Half widths (3,) of the flange's random start."""
+        return HOME_JITTER_M + self.start_width * WIDER_M
 
     @property
     def home_m(self) -> np.ndarray:

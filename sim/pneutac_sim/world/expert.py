@@ -155,7 +155,7 @@ class ScriptedExpert:
         self._habits = Habits.draw(rng)
         if not tremor:
             self._habits = replace(self._habits, tremor=0.0)
-        self._velocity = np.zeros(3)
+        self._velocity, self._follows = np.zeros(3), 1.0  # share of a wish that the hand follows at once
         self._pressure = self._habits.low_kpa
         self._expert = _expert_of(world)
         self._limits = action_limits(world.pressure_range_kpa, world.chambers)
@@ -163,18 +163,25 @@ class ScriptedExpert:
 
     def action(self) -> np.ndarray:
         """Next action (3 + C,) float32 as `features.action_names`, within its limits; rests when done."""
-        wish, pressure = np.zeros(3), self._pressure
-        if not self._world.success:
-            wish, pressure = self._expert(self._world, self._habits, self._pressure)
-        change = wish - self._velocity
+        wish, pressure = self._wish()
+        change = self._follows * (wish - self._velocity)
         limit = ACCELERATION * self._world.dt_s
         self._velocity += change * min(1.0, limit / max(np.linalg.norm(change), 1e-9))
         # Only inflating takes care: the valve vents, and fills to the pressure of the search, at once.
         ramp = max(self._pressure + self._habits.ramp_kpa_s * self._world.dt_s, self._habits.low_kpa)
         self._pressure = min(pressure, ramp)
-        noise = self._rng.normal(0, self._habits.tremor, 3) if np.any(wish) else 0.0
-        action = np.append(self._velocity + noise, self._pressures(self._pressure))
+        action = np.append(self._velocity + self._trembling(wish), self._pressures(self._pressure))
         return np.clip(action, *self._limits).astype(np.float32)
+
+    def _wish(self) -> Wish:
+        """What it wants to do now."""
+        if self._world.success:
+            return np.zeros(3), self._pressure
+        return self._expert(self._world, self._habits, self._pressure)
+
+    def _trembling(self, wish: np.ndarray) -> np.ndarray:
+        """Velocity (3,) that the hand adds to what it wants."""
+        return self._rng.normal(0, self._habits.tremor, 3) if np.any(wish) else np.zeros(3)
 
 
 def _expert_of(world: World) -> Callable[..., Wish]:

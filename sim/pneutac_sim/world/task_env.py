@@ -48,6 +48,7 @@ class TaskEnv(gymnasium.Env):
         cameras: Mapping[str, tuple[int, int]] = MappingProxyType({}),
         randomise_look: bool = False,
         points: bool = False,
+        start_width: float = 0.0,
     ):
         """An environment of a world.
 
@@ -60,11 +61,13 @@ class TaskEnv(gymnasium.Env):
             cameras: scene cameras to height and width of their pictures, such as {"front": (240, 320)}.
             randomise_look: draws light, colours and texture of the scene again in every episode.
             points: puts touch as data, `tactile.points` of `world.points`, into the observation.
+            start_width: see `BaseWorld.widen_starts`.
 
         Raises:
             InputError: as `SceneCameras`, or points without touch.
         """
         self.world, self._begun = world, False
+        world.widen_starts(start_width)
         self.metadata = self.metadata | {"render_fps": world.station.control_hz}
         self.task, self.task_description = world.task.name, world.task.description
         self.render_mode = render_mode

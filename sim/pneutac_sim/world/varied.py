@@ -7,7 +7,7 @@ from typing import override
 import numpy as np
 
 from pneutac_sim.world.tasks import Task
-from pneutac_sim.world.tasks.base import contact_force
+from pneutac_sim.world.tasks.base import HOME_JITTER_M, contact_force
 from pneutac_sim.world.world import World
 
 
@@ -57,6 +57,11 @@ class VariedWorld(World):
     def home_m(self):
         start_m = self.variation.start_m
         return super().home_m if start_m is None else np.array(start_m)
+
+    @property
+    @override
+    def _start_half_m(self):
+        return super()._start_half_m if self.variation.start_m is None else np.full(3, HOME_JITTER_M)
 
     @property
     @override
@@ -122,6 +127,10 @@ class _Staged(Task):
                 at = model.jnt_qposadr[joint]
                 data.qpos[at : at + 3] += self.variation.shift_m
         model.geom_friction[self._pad, 0] = self._grip * self.variation.friction
+
+    @override
+    def widen(self, width):
+        self.inner.widen(width)
 
     @override
     def update(self, model, data, dt):

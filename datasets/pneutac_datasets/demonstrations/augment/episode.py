@@ -60,6 +60,7 @@ class AugmentSetup:
         method: `library` (a controller made of the demonstrations, see `library`), `expert` (the task's
             scripted controller) or `planner` (each plan is guided by one demonstration).
         start_range_m: half widths (3,) by which starts lie about the recorded ones; not of the planner.
+        start_width: how much wider than the task's own random starts the objects stand; not of the planner.
         attempts: variants tried for one demonstration.
         candidates: scenes drawn to find where the object stood.
         conditions: of the world, see `World`; every demonstration draws from a range.
@@ -76,6 +77,7 @@ class AugmentSetup:
     seed: int
     method: str = "planner"
     start_range_m: tuple[float, float, float] = (START_M, START_M, START_M)
+    start_width: float = 0.0
     attempts: int = 30
     candidates: int = 48
     conditions: Conditions = field(default_factory=dict)
@@ -128,6 +130,7 @@ class Generator:
         s = self.setup
         twin = Twin.load(s.twin) if s.twin else None
         self.world = VariedWorld(s.task, twin, self.touch, s.fidelity, s.conditions, station=s.where)
+        self.world.widen_starts(s.start_width)
         self._scene = SceneCameras(self.world, s.cameras)
         self.gantry = Gantry(self.world)
         self.late_commands = command_latency(self.world, self.gantry, s.references)

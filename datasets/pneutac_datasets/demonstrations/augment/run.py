@@ -327,6 +327,7 @@ def _run(meta: LeRobotDatasetMetadata, setup: AugmentSetup) -> dict:
         "method": setup.method,
         **({"planner": asdict(setup.planner)} if setup.method == "planner" else {}),
         **({} if setup.method == "planner" else {"start_range_m": setup.start_range_m}),
+        **({"start_width": setup.start_width} if setup.start_width else {}),
         "seed": setup.seed,
         "attempts": setup.attempts,
         "files": 2,  # version of the work folder's files

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import mujoco
 import numpy as np
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 BUMP_S = 1 / 15  # a force that lasts no longer is no press
 HOME_JITTER_M = 0.004  # half width of the random start of the flange about a task's home
+WIDER_M = np.array([0.012, 0.014, 0.010])  # by how much wider along x, y and z a start of width 1 is
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,7 @@ class Task:
         description: the instruction in plain words, as stored with demonstrations.
         home_m: flange position (3,) at the start of an episode, metres.
         starts_m: displacements from there along y, one of which a random start has.
+        wider: attributes of the random start to how much larger they are in starts of width 1.
         goal: what `pneutac ppo` learns by, with an object whose outermost body has the task's name; None
             where it cannot be learnt so.
     """
@@ -54,6 +56,12 @@ class Task:
     home_m: tuple[float, float, float]
     starts_m: tuple[float, ...] = (0.0,)
     goal: Goal | None = None
+    wider: ClassVar[dict[str, float]] = {}
+
+    def widen(self, width: float) -> None:
+        """Makes the random start wider, see `wider`."""
+        for name, more in self.wider.items():
+            setattr(self, name, getattr(self, name) + width * more)
 
     def assets(self) -> str:
         """MJCF assets that the objects name, such as meshes; a file's path there is absolute."""

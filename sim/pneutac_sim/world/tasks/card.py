@@ -33,6 +33,7 @@ class CardTask(Task):
     name = "card"
     description = "Pull the front card out of the deck."
     home_m = (0.385, 0.0, 0.315)
+    wider = {"spread_x_m": 0.012, "spread_y_m": 0.008}
 
     cards: int = 10
     friction: tuple[float, float] = (0.2, 0.4)

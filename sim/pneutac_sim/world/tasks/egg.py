@@ -37,6 +37,7 @@ class EggTask(Task):
     description = "Open the egg carton."
     home_m = (0.410, 0.0, 0.265)
     starts_m = (-0.015, 0.0, 0.015)
+    wider = {"spread_yaw_rad": np.radians(8)}
 
     latch_n: float = 1.0
     spring_nm_per_rad: float = 0.012

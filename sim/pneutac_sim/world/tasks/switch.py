@@ -37,6 +37,7 @@ class SwitchTask(Task):
     description = "Flip the toggle switch."
     home_m = (0.40, 0.0, 0.255)
     starts_m = (-0.020, 0.0, 0.020)
+    wider = {"spread_yaw_rad": np.radians(8)}
 
     ridge_torque_nm: float = 0.058
     well_rad: float = 0.4
