@@ -1,17 +1,22 @@
 import numpy as np
 import pytest
 import torch
-from lerobot.datasets import LeRobotDataset
 from lerobot.policies import make_pre_post_processors
 from lerobot.utils.constants import ACTION, OBS_STATE
-from torch.utils.data import default_collate
 
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
-from pneutac_benchmarks.policy.frames import Frames, read_frames
-from pneutac_benchmarks.policy.in_memory import held_out_episodes, new_policy, save, train
-from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
-from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, ACTION_NAMES, CONTROL_HZ, IMAGE_SHAPE, STATE_NAMES
+from pneutac_benchmarks.policy.frames import Frames
+from pneutac_benchmarks.policy.in_memory import (
+    _card,
+    _Data,
+    held_out_episodes,
+    new_policy,
+    save,
+    train,
+)
+from pneutac_datasets.demonstrations.episodes import Episode
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, CONTROL_HZ, IMAGE_SHAPE, STATE_NAMES
 
 pytestmark = pytest.mark.slow
 
@@ -26,69 +31,41 @@ def _one_thread():
     torch.set_num_threads(threads)
 
 
-def write(root, lengths=LENGTHS, seed=0, level=100, video=True):
-    """Episodes that begin untouched; then a bright spot wanders, and the action follows it."""
-    rng = np.random.default_rng(seed)
-    features = {
-        OBS_STATE: {"dtype": "float32", "shape": (len(STATE_NAMES),), "names": list(STATE_NAMES)},
-        ACTION: {"dtype": "float32", "shape": (len(ACTION_NAMES),), "names": list(ACTION_NAMES)},
-        TACTILE: {
-            "dtype": "video" if video else "image",
-            "shape": IMAGE_SHAPE,
-            "names": ["height", "width", "channels"],
-        },
-    }
-    repo_id = f"local/{root.name}"
-    dataset = create_dataset(repo_id, root, CONTROL_HZ, features, "pneutac", video, max(lengths))
-    with quiet_encoders():
-        for length in lengths:
-            for i in range(length):
-                image = np.full(IMAGE_SHAPE, level, np.uint8)
-                row, column = rng.integers(40, 200, 2)
-                if i:
-                    image[row : row + 40, column : column + 40] += 60
-                shares = np.array([row, column, i, 0]) / (240, 240, 10, 1)
-                action = ACTION_LOW + shares * (np.array(ACTION_HIGH) - ACTION_LOW)
-                dataset.add_frame(
-                    {
-                        OBS_STATE: 0.1 * rng.standard_normal(len(STATE_NAMES)).astype(np.float32),
-                        ACTION: action.astype(np.float32),
-                        TACTILE: image,
-                        "task": "follow",
-                    }
-                )
-            dataset.save_episode()
-        dataset.finalize()
-    return root, repo_id
+def episodes(lengths=LENGTHS, seed=0):
+    """They begin untouched; then a bright spot wanders, and the action follows it."""
+    rng, made = np.random.default_rng(seed), []
+    for length in lengths:
+        images = np.full((length, *IMAGE_SHAPE), 100, np.uint8)
+        places = rng.integers(40, 200, (length, 2))
+        for image, (row, column) in zip(images[1:], places[1:], strict=True):
+            image[row : row + 40, column : column + 40] += 60
+        shares = np.column_stack([places / 240, np.arange(length) / 10, np.zeros(length)])
+        action = ACTION_LOW + shares * (np.array(ACTION_HIGH) - ACTION_LOW)
+        state = 0.1 * rng.standard_normal((length, len(STATE_NAMES)))
+        made.append(
+            Episode(state.astype(np.float32), action.astype(np.float32), images, "follow", CONTROL_HZ)
+        )
+    return made
 
 
 @pytest.fixture(scope="module")
-def data(tmp_path_factory):
-    return write(tmp_path_factory.mktemp("data") / "follow")
-
-
-@pytest.fixture(scope="module")
-def frames(data):
-    return read_frames(data)
-
-
-def samples(data, rows):
-    """The batch that lerobot-train would make of these frames."""
-    root, repo_id = data
-    deltas = {ACTION: [-1 / CONTROL_HZ, 0.0]}
-    dataset = LeRobotDataset(repo_id, root, delta_timestamps=deltas, video_backend="pyav")
-    batch = default_collate([dataset[i] for i in rows])
-    if batch[TACTILE].dtype == torch.uint8:
-        batch[TACTILE] = batch[TACTILE].float() / 255
-    return batch
+def frames():
+    return Frames.of(episodes())
 
 
 @pytest.mark.parametrize("use_tactile", [True, False])
-def test_loss_and_gradients_are_those_of_forward(data, frames, use_tactile, monkeypatch):
+def test_loss_and_gradients_are_those_of_forward(frames, use_tactile, monkeypatch):
     policy = new_policy(use_tactile, 3e-4, 0, "cpu").train()
-    policy.learn_from(frames.demonstrations, frames.rest)
-    rows = [0, 3, 5, 11, 12, 15]  # both sides of the episodes' borders
-    batch = samples(data, rows)
+    policy.learn_from(_card(frames), frames.rest)
+    data = _Data(frames, policy, torch.device("cpu"))
+    rows = np.array([0, 3, 5, 11, 12, 15])  # both sides of the episodes' borders
+    whole = np.concatenate([e.images for e in episodes()])[rows]
+    batch = {  # what lerobot-train would make of these frames
+        OBS_STATE: torch.from_numpy(frames.state[rows]),
+        TACTILE: torch.from_numpy(whole).permute(0, 3, 1, 2).float() / 255,
+        ACTION: torch.from_numpy(np.stack([frames.previous[rows], frames.action[rows]], 1)),
+        f"{ACTION}_is_pad": torch.from_numpy(np.stack([frames.first[rows], np.zeros(6, bool)], 1)),
+    }
 
     def run(loss_of):
         torch.manual_seed(4)  # the same noise and hidden actions
@@ -97,18 +74,53 @@ def test_loss_and_gradients_are_those_of_forward(data, frames, use_tactile, monk
         loss.backward()
         return loss.item(), terms, [p.grad.clone() for p in policy.parameters()]
 
-    arrays = [frames.state, frames.previous, frames.first, frames.action]
-    arrays = [torch.from_numpy(a[rows]) for a in arrays]
-    difference = torch.from_numpy(frames.difference[rows]).float() if use_tactile else None
-    if use_tactile:  # the images are kept in half precision
+    *arrays, difference = data.at(rows)
+    if use_tactile:  # the images are kept as 8-bit means
         exact = policy.encoder.difference(batch[TACTILE])
-        assert torch.allclose(difference, exact, rtol=2**-11, atol=2**-24)
+        assert (difference - exact).abs().max() <= 0.6 / 32
         monkeypatch.setattr(policy, "_difference", lambda batch: difference)
     loss, terms, gradients = run(lambda: policy(batch))
     loss_m, terms_m, gradients_m = run(lambda: policy.loss(*arrays, difference))
     assert loss_m == pytest.approx(loss, rel=1e-5) and terms_m == pytest.approx(terms, rel=1e-5)
     for a, b in zip(gradients, gradients_m, strict=True):
         assert a.abs().max() > 0 and torch.allclose(a, b, rtol=1e-3, atol=1e-4 * a.abs().max().item())
+
+
+def test_joined_frames_number_their_episodes_on_and_know_previous_actions(frames, tmp_path):
+    other = Frames.of(episodes((3, 2), seed=1))
+    joined = Frames.joined([frames, other])
+    assert joined.episodes == 5 and np.bincount(joined.episode).tolist() == [5, 7, 4, 3, 2]
+    starts = np.flatnonzero(joined.first)
+    assert starts.tolist() == [0, 5, 12, 16, 19]
+    inside = np.setdiff1d(np.arange(len(joined)), starts)
+    assert np.array_equal(joined.previous[inside], joined.action[inside - 1])
+    assert np.array_equal(joined.previous[starts], joined.action[starts])
+    two = joined.first_episodes(2)
+    assert (two.episodes, len(two)) == (2, 12) and np.array_equal(two.images, joined.images[:12])
+    joined.save(tmp_path / "frames.npz")
+    again = Frames.load(tmp_path / "frames.npz")
+    assert all(np.array_equal(v, getattr(again, k), equal_nan=True) for k, v in vars(joined).items())
+    assert again.rest.shape == (3, 320, 240) and torch.allclose(again.rest, torch.tensor(100 / 255))
+
+
+def test_copies_weight_the_episodes_that_are_trained_on(frames):
+    drawn = []
+
+    class Counted(_Data):
+        def at(self, rows):
+            drawn.extend(frames.episode[rows])
+            return super().at(rows)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("pneutac_benchmarks.policy.in_memory._Data", Counted)
+        train(new_policy(True, 1e-3, 0, "cpu"), frames, 20, 9, 1, copies=[1, 1, 6], rows=1)
+    assert np.bincount(drawn).tolist() == [25, 35, 120]  # 5 and 7 frames, and 6 times 4
+
+
+def test_policy_is_scaled_by_the_data(frames):
+    policy = new_policy(True, 1e-3, 0, "cpu", frames.scaling)
+    middle = (frames.state[:, 14].min() + frames.state[:, 14].max()) / 2
+    assert policy.get_buffer("_state_centre")[14].item() == pytest.approx(middle, abs=1e-6)
 
 
 def test_training_learns_keeps_the_best_and_loads_again(frames, tmp_path):

@@ -13,9 +13,18 @@ from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.cli.options import parse_options
 from pneutac_benchmarks.policy import run as benchmark_policy_run
 from pneutac_benchmarks.policy.main import BenchmarkPolicyConfig
-from pneutac_benchmarks.policy.plan import CONDITIONS, TEST_START, Unit, derived_seed, plan
+from pneutac_benchmarks.policy.plan import (
+    CONDITIONS,
+    PERSON,
+    TEST_START,
+    Unit,
+    derived_seed,
+    plan,
+    recordings,
+)
 from pneutac_benchmarks.policy.run import LOG, RESULT, _pool, finished, run_units
-from pneutac_benchmarks.policy.table import rows, success
+from pneutac_benchmarks.policy.table import curve, difference, reasons, rows, success, worth
+from pneutac_benchmarks.policy.units import STARTS_EACH, _why
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import TASK_NAMES
 from pneutac_sim.twin import Twin
@@ -35,9 +44,10 @@ def test_plan_has_each_policy_and_shares_what_they_share():
     units = plan(config())
     names = [u.name for u in units]
     assert len(set(names)) == len(names)
-    cells = 3 * 3  # tasks and seeds
-    counts = {"record": 2, "augment": 1, "naive": 1, "ppo": 1, "student": 1, "train": 7, "evaluate": 7}
+    cells = 3 * 8  # tasks and seeds
+    counts = {"record": 2, "augment": 12, "scenes": 1, "naive": 1, "ppo": 1, "student": 1, "train": 14}
     assert {k: len(by_kind(units, k)) for k in counts} == {k: cells * n for k, n in counts.items()}
+    assert len(by_kind(units, "evaluate")) == cells * 14 * 5  # 50 trials in tens
     for i, unit in enumerate(units):  # what is needed comes first
         assert set(unit.needs) <= set(names[:i])
 
@@ -49,18 +59,45 @@ def test_all_policies_of_a_seed_have_the_same_updates_network_and_trials():
         options = [u.options for u in by_kind(mine, "train")]
         assert len({(o["pretrain_updates"], o["finetune_updates"], o["seed"], o["lr"]) for o in options}) == 1
         assert [o["use_tactile"] for o in options].count(False) == 1
-        assert len({json.dumps(u.options) for u in by_kind(mine, "evaluate")}) == 1
+        assert len({json.dumps(u.options) for u in by_kind(mine, "evaluate")}) == 5
+
+
+def test_real_demonstrations_are_a_sets_own_first_and_then_its_neighbours():
+    assert recordings(3, 1) == [(3, "real")]
+    assert recordings(3, 2) == [(3, "real"), (3, "more")]
+    assert recordings(8, 2) == [(8, "real"), (8, "more")]
+    hundred = recordings(15, 10)
+    assert hundred[:3] == [(15, "real"), (15, "more"), (8, "real")] and len(set(hundred)) == 10
+    units = {u.name: u for u in plan(config("--tasks=[egg]", "--seeds=[3]", "--conditions=[real_3,real_50]"))}
+    few, fifty = (units[f"egg/3/{name}_policy"] for name in ("real_3", "real_50"))
+    assert (few.needs, few.options["episodes"]) == (("egg/3/real",), 3)
+    assert len(fifty.needs) == fifty.options["real"] == 5 and fifty.options["episodes"] == 50
+
+
+def test_the_first_trials_of_every_condition_come_before_further_ones():
+    units = by_kind(plan(config("--seeds=[0,1]", "--conditions=[real,real_20]")), "evaluate")
+    further = [u.options["further"] for u in units]
+    assert further == sorted(further) and further.count(False) == 2 * 2 * 2 * 3
 
 
 def test_no_two_purposes_share_a_seed_and_trials_start_elsewhere():
-    units = plan(config("--seeds=[0,1,2,99999]", "--trials=1000"))
-    seeds = [u.options["seed"] for u in units if u.kind not in ("train", "frames", "evaluate")]
-    assert len(set(seeds)) == len(seeds) and max(seeds) < TEST_START
+    units = plan(config("--seeds=[0,1,2,99999]", "--trials=1000", "--conditions=[real,n_aug,ppo]"))
+    seeds = [u.options["seed"] for u in units if u.kind not in ("train", "evaluate")]
+    assert len(set(seeds)) == len(seeds) and max(seeds) * STARTS_EACH + STARTS_EACH < TEST_START
     starts = {(u.options["task"], u.options["start"]) for u in by_kind(units, "evaluate")}
-    assert len(starts) == 3 * 4
+    assert len(starts) == 3 * 4 * 100
     ordered = sorted({s for _, s in starts})
-    assert ordered[0] >= TEST_START and min(np.diff(ordered)) >= 1000
+    assert ordered[0] >= TEST_START and min(np.diff(ordered)) >= 10
     assert derived_seed(0, "switch", "real") != derived_seed(0, "switch", "more")
+
+
+def test_person_and_width_are_of_the_task_or_of_the_option():
+    def recorded(*argv):
+        units = by_kind(plan(config("--conditions=[real]", "--seeds=[0]", *argv)), "record")
+        return {u.options["task"]: (u.options["person"], u.options["start_width"]) for u in units}
+
+    assert recorded() == PERSON
+    assert set(recorded("--person=0", "--start_width=0").values()) == {(0.0, 0.0)}
 
 
 def test_compared_twins_differ_in_the_twin_alone(tmp_path):
@@ -73,28 +110,90 @@ def test_compared_twins_differ_in_the_twin_alone(tmp_path):
             "--conditions=[]",
             "--tasks=[egg]",
             "--seeds=[4]",
+            "--augmented=25",
         )
     )
-    before, after = by_kind(units, "augment")
-    assert (Path(before.options["twin"]).name, Path(after.options["twin"]).name) == ("a", "b")
-    assert before.options | {"twin": ""} == after.options | {"twin": ""}
+    made = {u.name.split("/")[2]: u for u in by_kind(units, "augment")}
+    before, after = made["library_before_000"].options, made["library_000"].options
+    assert (Path(before["twin"]).name, Path(after["twin"]).name) == ("a", "b")
+    assert before | {"twin": ""} == after | {"twin": ""}
     needs = {u.name.split("/")[2]: u.needs for u in by_kind(units, "train")}
-    assert needs["sim_only_before_policy"] == ("egg/4/augmented_before_frames",)
-    assert needs["sim_real_policy"] == ("egg/4/augmented_frames", "egg/4/real_frames")
+    assert needs["sim_only_before_policy"] == ("egg/4/library_before_000",)
+    assert needs["library_policy"] == ("egg/4/library_000", "egg/4/real")
 
 
-def test_table_has_mean_and_standard_error_over_seeds():
-    cfg = config("--tasks=[switch,egg]", "--seeds=[0,1]", "--conditions=[real,ppo]")
-    percent = {("switch", 0): 40.0, ("switch", 1): 60.0, ("egg", 0): 100.0, ("egg", 1): 80.0}
-    done = {f"{t}/{s}/real_trials": {"result": {"success_percent": p}} for (t, s), p in percent.items()}
-    done["egg/1/ppo_trials"] = {"result": {"success_percent": 30.0}}
-    found = success(cfg, done, "real")
-    assert found["switch"] == {"mean": 50.0, "sem": pytest.approx(10.0), "seeds": 2}
-    assert found["overall"] == {"mean": 70.0, "sem": pytest.approx(0.0), "seeds": 2}  # 70 for both seeds
-    chosen = {k: CONDITIONS[k] for k in cfg.conditions}
-    real, ppo = rows(cfg, done, chosen)
-    assert (real["switch"], real["egg"], real["overall"]) == ("50 ± 10", "90 ± 10", "70 ± 0")
-    assert (ppo["switch"], ppo["egg"], ppo["overall"]) == ("-", "30 (1 of 2 seeds)", "-")
+def trials(task, seed, name, successes, why="time-out, touch lost"):
+    found = [
+        {"start": 10 * seed + k, "success": bool(s), "steps": 9, "reason": "" if s else why}
+        for k, s in enumerate(successes)
+    ]
+    unit = {"unit": {"kind": "evaluate"}, "seconds": 1.0, "result": {"trials": found}}
+    return {f"{task}/{seed}/{name}_trials_000": unit}
+
+
+def test_table_has_intervals_paired_differences_reasons_and_what_it_is_worth():
+    cfg = config("--tasks=[switch,egg]", "--seeds=[0,1]", "--conditions=[real,real_20,library,ppo]")
+    done = {}
+    for task in cfg.tasks:
+        for seed in cfg.seeds:
+            done |= trials(task, seed, "real", [1, 0, 0, 0])
+            done |= trials(task, seed, "real_20", [1, 1, 1, 0])
+            done |= trials(task, seed, "library", [1, 1, 0, 0], "pressed too hard")
+    found = success(cfg, done, "library")
+    assert found["egg"]["mean"] == 50 and found["egg"]["trials"] == 8 and found["egg"]["seeds"] == 2
+    assert found["egg"]["low"] == pytest.approx(21.5, abs=0.1)  # Wilson, 4 of 8
+    assert success(cfg, done, "ppo")["overall"] is None
+    less = difference(cfg, done, "library", "real")
+    assert less["overall"]["mean"] == 25 and less["overall"]["pairs"] == 16
+    assert 0 <= less["egg"]["low"] < 25 < less["egg"]["high"] <= 75
+    assert difference(cfg, done, "ppo", "real") is None
+    all_of_them = {name: success(cfg, done, name) for name in cfg.conditions}
+    assert worth(all_of_them, "library", 10) == pytest.approx(10 * 2**0.5)
+    assert worth(all_of_them, "real_20", 10) == pytest.approx(20)
+    assert worth(all_of_them, "ppo", 10) is None
+    table = {row["condition"]: row for row in rows(cfg, done, {k: CONDITIONS[k] for k in cfg.conditions})}
+    assert table["library"]["egg"] == "50 (22-78, 8)" and table["library"]["mean"] == "50.0"
+    assert table["library"]["minus real, mean"].startswith("+25.0 (")
+    assert (table["library"]["worth so many real ones"], table["ppo"]["egg"]) == ("14", "-")
+    why = {(r["condition"], r["task"]): (r["failed"], r["why"]) for r in reasons(cfg, done, CONDITIONS)}
+    assert why["library", "egg"] == ("4 of 8", "4 pressed too hard")
+    assert ("ppo", "egg") not in why
+    assert [row["real demonstrations"] for row in curve(cfg, done)] == ["10", "20"]
+
+
+def test_a_difference_is_over_starts_that_both_were_tried_from():
+    cfg = config("--tasks=[egg]", "--seeds=[0,1]", "--conditions=[real,library]")
+    done = trials("egg", 0, "real", [0, 0, 1, 1]) | trials("egg", 0, "library", [1, 1])
+    done |= trials("egg", 1, "real", [1])
+    assert difference(cfg, done, "library", "real")["overall"] == {
+        "mean": 100.0,
+        "low": 100.0,
+        "high": 100.0,
+        "pairs": 2,
+    }
+
+
+class World:
+    failure, success = None, False
+
+
+@pytest.mark.parametrize(
+    ("touched", "failure", "why"),
+    [
+        ([], None, "time-out, never touched"),
+        ([40], None, "time-out, touch lost"),
+        ([40, 295], None, "time-out, in touch"),
+        ([40], "pressed the wall", "pressed the wall"),
+    ],
+)
+def test_a_failed_trial_has_its_reason(touched, failure, why):
+    world, area = World(), np.zeros(300)
+    area[touched], world.failure = 0.1, failure
+    assert _why(world, area) == why
+
+
+def test_old_name_of_a_condition_is_taken():
+    assert config("--conditions=[mixed]").conditions == ("planner",)
 
 
 @pytest.mark.parametrize(
@@ -106,6 +205,10 @@ def test_table_has_mean_and_standard_error_over_seeds():
         ("--seeds=[1,1]", "different numbers"),
         ("--seeds=[-1]", "different numbers"),
         ("--demonstrations=1", "2 or more"),
+        ("--person=1.5", "^person is 1.5"),
+        ("--start_width=-1", "^start_width is -1"),
+        ("--real_share=1", "^real_share is 1"),
+        ("--minutes=0", "^minutes is 0"),
         ("--select=best", "it must be one of last, held_out"),
         ("--trials=0", "^trials is 0"),
         ("--jobs=0", "^jobs is 0"),
@@ -136,15 +239,21 @@ def test_units_of_other_options_are_refused(tmp_path):
 
 @pytest.mark.nightly
 def test_a_unit_that_fails_costs_none_but_those_that_need_it(tmp_path):
-    broken = Unit("switch/0/student", "student", {}, ())
-    needing = Unit("switch/0/student_frames", "frames", {}, (broken.name,))
-    sound = Unit("switch/0/real", "record", {"task": "switch", "twin": None, "episodes": 1, "seed": 3})
+    broken = Unit("switch/0/student", "student", {"episodes": 1}, ())
+    needing = Unit("switch/0/student_policy", "train", {"device": "cpu"}, (broken.name,))
+    options = {"task": "switch", "twin": None, "episodes": 1, "seed": 3, "person": 0.0, "start_width": 0.0}
+    sound = Unit("switch/0/real", "record", options)
     done, failed, faults = run_units(tmp_path, [broken, needing, sound], 1, lambda share, words: None)
     assert set(done) == {sound.name}
     assert faults == [broken.name]  # and none that needs it
-    assert "KeyError" in failed[broken.name] and "log.txt" in failed[broken.name]
+    assert "IndexError" in failed[broken.name] and "log.txt" in failed[broken.name]
     assert failed[needing.name] == f"needs {broken.name}"
     assert "Traceback" in (tmp_path / broken.name / LOG).read_text()
+
+
+def test_after_its_time_no_unit_is_begun(tmp_path):
+    unit = Unit("switch/0/student", "student", {"episodes": 1})
+    assert run_units(tmp_path, [unit], 1, lambda share, words: None, time.monotonic() - 1) == ({}, {}, [])
 
 
 def test_an_interrupt_ends_at_once_what_runs():
@@ -160,10 +269,9 @@ def test_an_interrupt_ends_at_once_what_runs():
 
 
 def test_a_fault_writes_the_table_and_ends_the_command_with_an_error(tmp_path, monkeypatch):
-    def faulty(out, units, jobs, progress):
-        trials = {"success_percent": 100.0, "trials": [{"start": TEST_START, "success": True}]}
-        unit = {"unit": {"kind": "evaluate"}, "seconds": 1.0, "result": trials}
-        return {"switch/0/real_trials": unit}, {"switch/0/x": "OSError: full"}, ["switch/0/x"]
+    def faulty(out, units, jobs, progress, until):
+        done = trials("switch", 0, "real", [1])
+        return done, {"switch/0/x": "OSError: full"}, ["switch/0/x"]
 
     monkeypatch.setattr(benchmark_policy_run, "run_units", faulty)
     argv = ["--conditions=[real]", "--tasks=[switch]", "--seeds=[0]", "--device=cpu", f"--out={tmp_path}"]
@@ -177,7 +285,7 @@ COMMAND = "from lerobot_pneutac.cli.__main__ import main; main()"
 
 @pytest.mark.nightly
 @pytest.mark.timeout(1200)  # two busy cores
-def test_a_killed_benchmark_goes_on_to_all_six_conditions(tmp_path):
+def test_a_killed_benchmark_goes_on_to_all_conditions(tmp_path):
     argv = ["--fast=true", "--select=held_out", "--device=cpu", "--jobs=1", f"--out={tmp_path}"]
     with subprocess.Popen(
         [sys.executable, "-c", COMMAND, "benchmark", "policy", *argv], stdout=subprocess.DEVNULL
@@ -192,25 +300,27 @@ def test_a_killed_benchmark_goes_on_to_all_six_conditions(tmp_path):
     assert first.read_text() == kept  # not recorded again
     result = json.loads((tmp_path / "result.json").read_text())
     assert set(result["success"]) == set(CONDITIONS)
+    few = {"real_1", "real_3", "real_5"}  # of one demonstration none can be held out
     for name, cell in result["success"].items():
-        if name == "ppo":  # so little training never succeeds
+        if name in few | {"ppo"}:  # so little training never succeeds
             assert cell["switch"] is None
             continue
-        (trial,) = result["units"][f"switch/0/{name}_trials"]["result"]["trials"]
+        (trial,) = result["units"][f"switch/0/{name}_trials_000"]["result"]["trials"]
         assert trial["start"] == TEST_START
         assert cell["switch"]["mean"] == 100.0 * trial["success"]
-    lacking = {f"switch/0/{name}" for name in ("student", "student_frames", "ppo_policy", "ppo_trials")}
-    assert set(result["failures"]) == lacking
+    lacking = {"student", "ppo_policy", "ppo_trials_000"}
+    lacking |= {f"{name}_{what}" for name in few for what in ("policy", "trials_000")}
+    assert set(result["failures"]) == {f"switch/0/{name}" for name in lacking}
     assert "succeeded in 0 of" in result["failures"]["switch/0/student"]
-    assert result["units"]["switch/0/real_20_frames"]["result"]["episodes"] == 4
+    assert result["units"]["switch/0/real_20_policy"]["unit"]["options"]["episodes"] == 4
     trained = result["units"]["switch/0/n_aug_policy"]["result"]
     assert trained["pretraining"]["curve"][-1]["update"] == 30
     assert trained["training"]["curve"][-1]["update"] == 10
     assert len(trained["held_out_episodes"]) == 1
     assert (Path(trained["checkpoint"]) / "model.safetensors").is_file()
-    assert (trained["pretraining"]["lr"], trained["training"]["lr"]) == (3e-4, 3e-5)
+    assert (trained["pretraining"]["lr"], trained["training"]["lr"]) == (1e-3, 1e-4)
     alone = result["units"]["switch/0/real_policy"]["result"]
-    assert alone["training"]["lr"] == 3e-4
+    assert alone["training"]["lr"] == 1e-3
     assert "pretraining" not in alone and alone["training"]["curve"][-1]["update"] == 40
     assert "| n_aug |" in (tmp_path / "table.md").read_text()
     assert "Learning curves" in (tmp_path / "report.html").read_text()

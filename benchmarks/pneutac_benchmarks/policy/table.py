@@ -30,13 +30,14 @@ def trials_of(cfg, done: dict[str, dict], name: str, task: str) -> Trials:
 
 
 def _rate(trials: Trials) -> dict | None:
-    """Success in percent with Wilson's 95 % interval."""
-    all_of_them = [t["success"] for starts in trials.values() for t in starts.values()]
-    if not all_of_them:
+    """Mean success of the sets in percent, with Wilson's 95 % interval for as many trials."""
+    if not trials:
         return None
-    k, n = sum(all_of_them), len(all_of_them)
-    low, high = binomtest(k, n).proportion_ci(method="wilson")
-    return {"mean": 100 * k / n, "low": 100 * low, "high": 100 * high, "trials": n, "seeds": len(trials)}
+    sets = [100 * float(np.mean([t["success"] for t in starts.values()])) for starts in trials.values()]
+    n, mean = sum(map(len, trials.values())), float(np.mean(sets))
+    low, high = binomtest(round(mean / 100 * n), n).proportion_ci(method="wilson")
+    found = {"mean": mean, "low": 100 * low, "high": 100 * high, "sem": mean_sem(sets)[1]}
+    return found | {"trials": n, "seeds": len(trials)}
 
 
 def success(cfg, done: dict[str, dict], name: str) -> dict[str, dict | None]:
@@ -51,13 +52,7 @@ def success(cfg, done: dict[str, dict], name: str) -> dict[str, dict | None]:
         task to `mean`, `low` and `high` in percent, the numbers of `trials` and `seeds`, and `sem` over the
         seeds; None where there is no number. `overall` is the mean of the tasks, with `trials` of all.
     """
-    out: dict[str, dict | None] = {}
-    for task in cfg.tasks:
-        found = trials_of(cfg, done, name, task)
-        out[task] = _rate(found)
-        if out[task]:
-            by_seed = [100 * np.mean([t["success"] for t in starts.values()]) for starts in found.values()]
-            out[task]["sem"] = mean_sem(by_seed)[1]
+    out = {task: _rate(trials_of(cfg, done, name, task)) for task in cfg.tasks}
     cells = list(out.values())
     out["overall"] = None
     if cells and all(cells):
