@@ -14,6 +14,7 @@ TABLES = {
     "surrogate": "pneutac_benchmarks.surrogate.main",
     "augment": "pneutac_benchmarks.augment",
     "policy": "pneutac_benchmarks.policy.main",
+    "diagnosis_speed": "pneutac_benchmarks.speed.diagnosis",
     "speed": "pneutac_benchmarks.speed.main",
     "experiments": "pneutac_benchmarks.experiments",
     "demonstrations": "pneutac_benchmarks.demonstrations",
@@ -31,7 +32,7 @@ def command(argv: list[str], terminal) -> None:
         raise InputError(f"There is no benchmark '{name}'; give one of {', '.join(TABLES)}.")
     sys.argv[0] = f"pneutac benchmark {name}"
     module = importlib.import_module(TABLES[name])
-    config_class = getattr(module, f"Benchmark{name.capitalize()}Config")
+    config_class = getattr(module, f"Benchmark{name.title().replace('_', '')}Config")
     try:
         getattr(module, f"benchmark_{name}")(parse_options(config_class, argv[1:]))
     except InputError as e:

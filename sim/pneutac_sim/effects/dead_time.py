@@ -5,7 +5,8 @@ import math
 from pneutac_sim.effects.body_effect import BodyEffect, kernel
 from pneutac_sim.effects.effect import Parameter
 
-# Samples kept: 1.5 s, the longest delay, at 1.3 kHz. Older ones are forgotten, which shortens the delay.
+# Samples that are stored, a power of two: 1.5 s, the longest delay, at 1.3 kHz. Older ones are
+# forgotten, which shortens the delay.
 _KEPT = 2048
 
 
@@ -21,20 +22,20 @@ def run(x, dt, theta, conditions, state):
             clock, tail, head = 0.0, 0, 0
         else:
             clock += dt[t]
-        slot = 3 + (head % _KEPT) * width
+        slot = 3 + (head & (_KEPT - 1)) * width
         state[slot] = clock
-        state[slot + 1 : slot + width] = x[t]
+        for c in range(channels):
+            state[slot + 1 + c] = x[t, c]
         head += 1
         tail = max(tail, head - _KEPT)
         wanted = clock - delay
-        while tail + 1 < head and state[3 + ((tail + 1) % _KEPT) * width] <= wanted:
-            tail += 1
-        a = 3 + (tail % _KEPT) * width
-        share = 0.0
-        b = a
-        if tail + 1 < head and wanted > state[a]:
-            b = 3 + ((tail + 1) % _KEPT) * width
-            share = (wanted - state[a]) / (state[b] - state[a])
+        a = b = 3 + (tail & (_KEPT - 1)) * width
+        while tail + 1 < head:
+            b = 3 + ((tail + 1) & (_KEPT - 1)) * width
+            if state[b] > wanted:
+                break
+            tail, a = tail + 1, b
+        share = (wanted - state[a]) / (state[b] - state[a]) if wanted > state[a] and b != a else 0.0
         for c in range(channels):
             x[t, c] = state[a + 1 + c] + share * (state[b + 1 + c] - state[a + 1 + c])
     state[0], state[1], state[2] = clock, tail, head

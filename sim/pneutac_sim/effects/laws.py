@@ -76,7 +76,7 @@ OF_RATE = (rate, speed, work)  # they hold since the sample before, where others
 
 
 @kernel
-def _weights(h):
+def lag_weights(h):
     """Weights of the state and of the input before, after h time constants."""
     keep = math.exp(-h)
     return keep, 0.0 if math.isinf(h) else (1.0 - keep) / h - keep if h > 1e-6 else 0.5 * h
@@ -102,7 +102,7 @@ def _lag(s, f, late, dt, tau):
                 h = dt[t] / tau[t % rows, i]
                 if h != known:  # most samples follow each other after the same time
                     known = h
-                    keep, old = _weights(h)
+                    keep, old = lag_weights(h)
             s[2, i] = keep * s[2, i] + old * f[t + late, i] + (1.0 - keep - old) * f[t + 1, i]
             out[t, i] = s[2, i]
     return out
@@ -120,7 +120,7 @@ def _spectrum(s, f, dt, exponent):
             out[t, i] = 0.0
         for j in range(len(TIMES_S)):
             if dt[t] != known:
-                keeps[j], olds[j] = _weights(dt[t] / TIMES_S[j])
+                keeps[j], olds[j] = lag_weights(dt[t] / TIMES_S[j])
             keep, old, w = keeps[j], olds[j], weight[j]
             for i in range(out.shape[1]):
                 y = keep * s[2 + j, i] + old * f[t, i] + (1.0 - keep - old) * f[t + 1, i]
@@ -139,7 +139,7 @@ def _fill_vent(s, f, dt, times):
         if dt[t] != known:
             known = dt[t]
             for j in range(2):
-                keeps[j], olds[j] = _weights(known / times[j])
+                keeps[j], olds[j] = lag_weights(known / times[j])
         for i in range(out.shape[1]):
             way = 0 if f[t + 1, i] > s[2, i] else 1
             keep, old = keeps[way], olds[way]
@@ -410,9 +410,8 @@ def run_drive(x, dt, theta, conditions, state, *, input, memory, late, gain, min
     if fresh:
         dt = dt.copy()
         dt[0] = math.inf
-    f = np.empty((len(x) + 1, x.shape[1]))
-    f[1:] = input(x, dt, s[1], c, P)
-    f[0] = f[1] if fresh else s[-1]
+    now = input(x, dt, s[1], c, P)
+    f = np.concatenate((now[:1] if fresh else s[-1:], now))
     s[0], s[1], s[-1] = 1.0, x[-1], f[-1]
     g = memory(f, dt, k, s, P, x, c, late)
     if minus:

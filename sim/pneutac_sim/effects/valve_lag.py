@@ -3,10 +3,9 @@
 The command is taken as a straight line between samples, for which the step is exact.
 """
 
-import math
-
 from pneutac_sim.effects.body_effect import BodyEffect, kernel
 from pneutac_sim.effects.effect import Parameter
+from pneutac_sim.effects.laws import lag_weights
 
 
 @kernel
@@ -14,17 +13,16 @@ def run(x, dt, theta, conditions, state):
     """State = per channel the pressure and the command before."""
     n, channels = x.shape
     p, before = state[:channels], state[channels:]
+    known, keep_fill, old_fill, keep_vent, old_vent = -1.0, 0.0, 0.0, 0.0, 0.0
     for t in range(n):
+        if dt[t] != known:
+            known = dt[t]
+            keep_fill, old_fill = lag_weights(known / theta[0])
+            keep_vent, old_vent = lag_weights(known / theta[1])
         for c in range(channels):
             command = x[t, c]
-            tau = theta[0] if command > p[c] else theta[1]
-            h = dt[t] / tau
-            keep = math.exp(-h)
-            old = (1.0 - keep) / h - keep if h > 1e-6 else 0.5 * h  # weight of the command before
-            if math.isinf(h):
-                p[c] = command
-            else:
-                p[c] = keep * p[c] + old * before[c] + (1.0 - keep - old) * command
+            keep, old = (keep_fill, old_fill) if command > p[c] else (keep_vent, old_vent)
+            p[c] = keep * p[c] + old * before[c] + (1.0 - keep - old) * command
             before[c] = command
             x[t, c] = p[c]
 

@@ -161,12 +161,13 @@ class PressurePipeline:
         return self._run(self._to_read, np.asarray(markers, dtype=float), dt_s)
 
     def _run(self, links, x: np.ndarray, dt_s: float, of_base: bool = False) -> np.ndarray:
-        chambers = self._model.geometry.chambers
-        x = np.broadcast_to(x, (1, chambers if links is self._to_joints else x.size))
+        size = self._model.geometry.chambers if links is self._to_joints else x.size
+        x = x.reshape(1, -1) if x.size == size else np.full((1, size), x)
         return self._run_rows(links, x, dt_s, of_base)[0]
 
     def _run_rows(self, links, x: np.ndarray, dt_s: float, of_base: bool = False) -> np.ndarray:
         n = len(x)
+        steady = np.full(n, dt_s)
 
         def conditions(names):
             rows = np.empty((n, len(names)))
@@ -177,14 +178,13 @@ class PressurePipeline:
         for i, link in links:
             if i == self._model.reads_pressure:
                 self.pressure_kpa = x[-1].copy()
-            if i == self._model.drive:
+            if i == self._model.drive and self._model.asks_pressure:
                 self._given[BENDING_PRESSURE] = x.mean(axis=1)
-            key = -i if of_base else i
+            key, dt = -i if of_base else i, steady
             if key not in self._states:
                 self._states[key] = np.zeros(link.state_size(x.shape[1]))
-            begins = key not in self._began  # it has rested here for ever
-            self._began.add(key)
-            dt = np.full(n, dt_s)
-            dt[0] = math.inf if begins else dt_s
+            if key not in self._began:  # it has rested here for ever
+                self._began.add(key)
+                dt = np.concatenate([[math.inf], steady[1:]])
             x = link(x, dt, self._theta, conditions, self._states[key])
         return x

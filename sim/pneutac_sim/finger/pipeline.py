@@ -88,6 +88,7 @@ class Pipeline:
         reads_pressure: index of the link that the sensed pressure enters.
         reads_joints: index of the link that the joint angles enter.
         observes: index of the link that the tip's true place enters.
+        asks_pressure: whether an effect needs the pressure that bends the body.
         thins_at: index of the link from which on nothing is remembered, so that samples alone matter.
     """
 
@@ -101,7 +102,7 @@ class Pipeline:
     ):
         self.geometry = geometry
         self.effects = in_order(of_body(effects))
-        self._asks_pressure = any(BENDING_PRESSURE in e.columns for e in self.effects)
+        self.asks_pressure = any(BENDING_PRESSURE in e.columns for e in self.effects)
         self.specs: list[Parameter] = list(base_parameters(geometry, body is not None))
         self.names: list[str] = [p.name for p in self.specs]
         stiffness = self.names.index("joint_stiffness_nm_per_rad")
@@ -253,7 +254,7 @@ class Pipeline:
 
     def computed(self, signals: list[np.ndarray], inputs: Inputs, at_samples: bool) -> dict[str, np.ndarray]:
         """Condition columns (m,) or (n,) that follow from the signals: the bending pressure, where asked."""
-        if not self._asks_pressure:
+        if not self.asks_pressure:
             return {}
         pressure = signals[self.drive]
         return {BENDING_PRESSURE: (pressure[inputs.rows] if at_samples else pressure).mean(axis=1)}

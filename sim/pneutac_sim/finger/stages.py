@@ -6,7 +6,7 @@ Effects sit between them. Every link reads its parameters from one vector `theta
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -113,6 +113,10 @@ class EffectLink:
     effect: BodyEffect
     indices: tuple[int, ...]
 
+    @cached_property
+    def _index(self) -> np.ndarray:
+        return np.array(self.indices, int)
+
     @property
     def remembers(self) -> bool:
         """Whether what it does depends on what was before."""
@@ -124,7 +128,9 @@ class EffectLink:
     def __call__(self, x, dt, theta, conditions: Conditions, state) -> np.ndarray:
         """Returns the changed signal (m, channels); `state` is updated."""
         out = np.array(x)
-        values = np.array([*self.effect.codes, *theta[list(self.indices)]])
+        values = theta[self._index]
+        if self.effect.codes:
+            values = np.array([*self.effect.codes, *values])
         self.effect.run(out, dt, values, conditions(self.effect.columns), state)
         return out
 
