@@ -13,6 +13,7 @@ from rich.progress import track
 from mpm_validation import chart
 from pneutac_benchmarks.coupled_press import TOUCHES_KPA, coupled_press
 from pneutac_benchmarks.loaded_motion import compare
+from pneutac_benchmarks.swing import Swing, released
 from pneutac_sim.effects import get_effect
 from pneutac_sim.finger import Inputs, Pipeline
 from pneutac_sim.gel.force import GelForce
@@ -24,7 +25,6 @@ from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import solve_equilibrium
 from pneutac_sim.surrogate.networks import Networks
 from pneutac_sim.surrogate.programs import KINDS, joint_targets
-from pneutac_sim.surrogate.swing import Swing, released
 from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.soft_finger import GEL_FRICTION, sensor
 from pneutac_sim.world.station import Station

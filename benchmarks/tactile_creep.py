@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from lerobot_pneutac import Recording, Twin, add, calibrate
+from pneutac_benchmarks.tactile.creeping import write_creeping
 from pneutac_sim.errors import InputError
-from pneutac_truths.light.creeping import write_creeping
 
 EFFECT = "gel_creep"
 

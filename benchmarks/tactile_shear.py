@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from pneutac_truths.gel.drag import drag
+from pneutac_benchmarks.tactile.drag import drag
 from pneutac_truths.gel.punches import Punch
 from pneutac_truths.gel.scene import Look, Sensor, grid, shine
 from pneutac_truths.gel.session import device

@@ -5,7 +5,7 @@ from pneutac_truths.gel import solid
 from pneutac_truths.gel.punches import KINDS, Punch, polygon_distance
 
 pytest.importorskip("skfem", reason="needs scikit-fem (the dev extra)")
-from pneutac_truths.gel.drag import drag
+from pneutac_benchmarks.tactile.drag import drag
 from pneutac_truths.gel.solid import Rubber, press
 
 TRIANGLE = ((-1.5, -1.0), (1.5, -1.0), (0.0, 1.6))

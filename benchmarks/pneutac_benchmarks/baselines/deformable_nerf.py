@@ -8,12 +8,12 @@ import torch
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
+from pneutac_benchmarks.baselines.particle_splat import draw_disks
 from pneutac_sim.mpm.body import Body
 from pneutac_sim.splat.body import check_photograph
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.carry import carry
 from pneutac_sim.splat.rasteriser import Rendering
-from pneutac_sim.splat.zbuffer import draw_disks
 
 SAMPLES = 32  # of a ray between the nearest and the farthest particle
 REACH = 1.0  # over the particles' spacing: beyond it from every particle there is nothing

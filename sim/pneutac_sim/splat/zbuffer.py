@@ -1,4 +1,4 @@
-"""Draws triangles and disks, the nearest on top, without lights or blending."""
+"""Draws triangles, the nearest on top, without lights or blending."""
 
 import cv2
 import numpy as np
@@ -22,9 +22,9 @@ def draw_triangles(camera: Camera, vertices: np.ndarray, faces: np.ndarray, colo
     """
     pixels, depth = camera.project(vertices)
     seen = faces[(depth[faces] > 0).all(1)]
-    image, nearest = _canvas(camera)
+    image, nearest = canvas_of(camera)
     _triangles(FINE * pixels, 1 / depth, seen, np.asarray(colours, float), image, nearest)
-    return _picture(camera, image, nearest)
+    return picture_of(camera, image, nearest)
 
 
 def cover(camera: Camera, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -43,31 +43,14 @@ def cover(camera: Camera, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray
     return cv2.resize(canvas, size, interpolation=cv2.INTER_AREA).astype(np.float32) / 255
 
 
-def draw_disks(camera: Camera, centres: np.ndarray, radius_m: float, colours: np.ndarray) -> Rendering:
-    """Disks of one radius in space that face the camera, on black.
-
-    Args:
-        camera: from where.
-        centres: (P, 3) m.
-        radius_m: of each.
-        colours: (P, 3), 0 to 1.
-    """
-    pixels, depth = camera.project(centres)
-    seen = depth > 0
-    radius = FINE * radius_m * camera.intrinsics[0, 0] / np.where(seen, depth, 1)
-    image, nearest = _canvas(camera)
-    _disks(
-        FINE * pixels[seen], 1 / depth[seen], radius[seen], np.asarray(colours, float)[seen], image, nearest
-    )
-    return _picture(camera, image, nearest)
-
-
-def _canvas(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+def canvas_of(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Black picture and nothing near, both `FINE` times as fine as the camera's."""
     size = FINE * camera.height, FINE * camera.width
     return np.zeros((*size, 3), np.float32), np.zeros(size)
 
 
-def _picture(camera: Camera, image: np.ndarray, nearest: np.ndarray) -> Rendering:
+def picture_of(camera: Camera, image: np.ndarray, nearest: np.ndarray) -> Rendering:
+    """What was drawn on a canvas, at the camera's size."""
     size = camera.width, camera.height
     return Rendering(
         cv2.resize(image, size, interpolation=cv2.INTER_AREA),
@@ -125,16 +108,3 @@ def _triangles(pixels, nearness, faces, colours, image, nearest):
                         image[i, j, k] = (
                             wa * colours[a, k] + wb * colours[b, k] + wc * colours[c, k]
                         ) / total
-
-
-@njit(cache=True)
-def _disks(pixels, nearness, radius, colours, image, nearest):
-    height, width = nearest.shape
-    for p in range(len(pixels)):
-        x, y = pixels[p]
-        r = radius[p]
-        for i in range(max(0, int(y - r)), min(height - 1, int(y + r)) + 1):
-            for j in range(max(0, int(x - r)), min(width - 1, int(x + r)) + 1):
-                if (j + 0.5 - x) ** 2 + (i + 0.5 - y) ** 2 <= r * r and nearness[p] > nearest[i, j]:
-                    nearest[i, j] = nearness[p]
-                    image[i, j] = colours[p]

@@ -7,6 +7,7 @@ import pytest
 
 from lerobot_pneutac import Recording, Twin, diagnose
 from lerobot_pneutac.study.gel import noise
+from pneutac_benchmarks.tactile.creeping import Memory, write_creeping
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_sim.effects import get_effect
 from pneutac_sim.effects.gel_creep import share_left
@@ -14,7 +15,6 @@ from pneutac_sim.gel.fit import fit_photographs
 from pneutac_sim.gel.metrics import rmse
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import Predictor
-from pneutac_truths.light.creeping import Memory, write_creeping
 
 
 def errors(folder):
