@@ -102,6 +102,7 @@ def truth_answer(effects, selected, verdict="missing_effect", ratio=1.1, kind="e
         "physics": [p for p in parts if EFFECTS[p].physics], "verdict": verdict, "selected": selected,
         "floor": floor, "constant": 20.0, "before": before, "after": ratio * floor, "ratio": ratio,
         "removed": rules.removed(before, 20.0, ratio * floor, floor), "seconds": 30.0,
+        "explained": "fully" if ratio <= 1.2 else "no", "causes": [],
     }  # fmt: skip
 
 

@@ -38,6 +38,8 @@ ALL_FITTED = "all twelve photographs are fitted and not six; each is judged by a
 WORDS = "sentences may be written anew"
 CHANGED: dict[str, dict[str, str]] = {
     "report": {"sentence": WORDS},
+    "arm_diagnose": {"sentence": WORDS},
+    "finger_diagnose": {"sentence": WORDS},
     "effects_creep": {"sentence": WORDS, "experiment": WORDS},
     "effects_lag": {"sentence": WORDS, "experiment": WORDS},
     "gel_add": {
