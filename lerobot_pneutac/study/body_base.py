@@ -115,7 +115,7 @@ def features(study: "BodyBase") -> np.ndarray:
     ):
         effect = law(name)
         x = np.array(u)
-        theta = np.array([*effect.codes, *(values[p.name] for p in effect.parameters)])
+        theta = np.array([values[p.name] for p in effect.parameters])
         effect.run(x, dt, theta, np.zeros((len(x), 0)), np.zeros(effect.state_size(x.shape[1])))
         columns.append(x - u)
     columns = [c[data.inputs.rows] for c in columns]

@@ -216,7 +216,7 @@ class BodySpace(Space):
         theta = [values.get(p.name, p.limits(self.range_kpa)[0]) for p in effect.parameters]
         state = np.zeros(effect.state_size(out.shape[1]))
         conditions = data.inputs.conditions(effect.columns)
-        effect.run(out, data.inputs.dt_s, np.array([*effect.codes, *theta]), conditions, state)
+        effect.run(out, data.inputs.dt_s, np.array(theta), conditions, state)
         return out
 
     # ---------------------------------------------------------------- fitting

@@ -62,8 +62,6 @@ class BodyEffect(Effect):
         state_size: number of channels to number of state values.
         of_gauge: of the pneumatics: an error of the pressure gauge. It lies between the measured pressure and
             the true one, so it acts where the measured pressure is the input too.
-        codes: numbers before the parameters in `theta`, by which a `run` that several effects share knows
-            which one it is.
         apart: whether it acts on each channel independently of the others, so that further signals may be run
             as further channels.
         linear: parameter in which what it adds to its signal is linear; empty where there is none.
@@ -76,7 +74,6 @@ class BodyEffect(Effect):
     signal: str = ""
     state_size: Callable[[int], int] = remembers_nothing
     of_gauge: bool = False
-    codes: tuple[float, ...] = ()
     apart: bool = False
     linear: str = ""
 
@@ -127,8 +124,7 @@ class BodyEffect(Effect):
             state = np.zeros(self.state_size(out.shape[1]))
             dt[0] = math.inf
         start = self.start(float(np.abs(out).max()) or 1.0)
-        parameters = [(values or {}).get(p.name, start[p.name].value) for p in self.parameters]
-        theta = np.array([*self.codes, *parameters])
+        theta = np.array([(values or {}).get(p.name, start[p.name].value) for p in self.parameters])
         k = np.zeros((len(out), 0)) if conditions is None else np.asarray(conditions, dtype=float)
         self.run(out, dt, theta, np.ascontiguousarray(k.reshape(len(out), -1)), state)
         return out.reshape(np.shape(x))

@@ -129,8 +129,6 @@ class EffectLink:
         """Returns the changed signal (m, channels); `state` is updated."""
         out = np.array(x)
         values = theta[self._index]
-        if self.effect.codes:
-            values = np.array([*self.effect.codes, *values])
         self.effect.run(out, dt, values, conditions(self.effect.columns), state)
         return out
 

@@ -349,7 +349,7 @@ def test_two_calls_with_the_state_equal_one(name):
 def test_no_law_reads_beyond_its_own_constants(name):
     effect, x, c, values = case(name)
     out, dt = np.array(x), np.full(len(x), DT)
-    theta = np.array([*effect.codes, *values.values(), *np.full(8, np.nan)])
+    theta = np.array([*values.values(), *np.full(8, np.nan)])
     effect.run(out, dt, theta, np.ascontiguousarray(c), np.zeros(effect.state_size(3)))
     assert np.isfinite(out).all()
 
