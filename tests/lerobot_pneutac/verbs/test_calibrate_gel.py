@@ -196,7 +196,7 @@ def test_bad_recordings_get_one_sentence_and_leave_no_twin(spoil, says, recordin
 
 def test_a_twin_of_another_device_and_a_folder_of_other_things_are_refused(generated, tmp_path):
     Twin(device="arm").save(tmp_path / "arm")
-    with pytest.raises(InputError, match="'arm'"):
+    with pytest.raises(InputError, match="is of an arm"):
         run(tmp_path / "arm", generated)
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "thesis.txt").write_text("do not touch")
