@@ -9,7 +9,6 @@ from draccus.utils import DecodingError
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin, checked_range
-from pneutac_sim.world.base import MOST_WIDE
 
 if TYPE_CHECKING:
     from pneutac_sim.gel.model import GelModel
@@ -113,6 +112,8 @@ def standin_sensor(twin: Path | None) -> dict:
 
 def check_start_width(option: str, width: float) -> None:
     """Refuses a width of random starts beyond what the arm is safe with."""
+    from pneutac_sim.world.base import MOST_WIDE
+
     refuse_if(not 0 <= width <= MOST_WIDE, f"--{option} is {width:g}; it must be from 0 to {MOST_WIDE:g}.")
 
 

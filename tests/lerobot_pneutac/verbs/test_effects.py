@@ -80,7 +80,7 @@ def test_every_exported_law_does_what_the_law_does(name, load):
 def test_an_exported_law_holds_what_it_runs_alone():
     text = effect_source("lag(p)")
     assert 'lag_p = "lag_p:EFFECT"' in text and "pneutac.effects" in text and "TIMES_S" not in text
-    assert set(re.findall(r"def (\w+)", text)) == {"_weights", "_lag", "lag", "pressure", "run_drive"}
+    assert set(re.findall(r"def (\w+)", text)) == {"lag_weights", "_lag", "lag", "pressure", "run_drive"}
 
 
 @pytest.mark.parametrize("name", ["lag(p^2)", "hysteresis", "shadow"])

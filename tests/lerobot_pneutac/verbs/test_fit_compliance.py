@@ -73,7 +73,7 @@ def test_the_tip_alone_tells_the_whole_and_says_so(body, measured_once):
     found = fit_compliance(Twin.builtin(), r, everything(r))
     assert found.twin.parameter(WHOLE) == pytest.approx(whole(body), rel=0.01)
     assert found.twin.parameter(MODULUS) == Twin.builtin().parameter(MODULUS)
-    assert found.parameters[MODULUS]["note"].startswith("held") and "q_1_rad" in found.remark
+    assert found.parameters[MODULUS]["note"].startswith("fixed") and "q_1_rad" in found.remark
 
 
 @pytest.mark.slow

@@ -353,7 +353,7 @@ def test_the_stand_in_answers_a_program_of_three_chambers(tmp_path):
     assert 0 < compare_library(new_twin("arm", r), r).heldout < 100
     with pytest.raises(InputError, match=r"in chamber 1; min_kpa and max_kpa allow 0 to 15"):
         run_verb("measure", [*options[:2], f"--out={tmp_path / 's'}"])
-    with pytest.raises(InputError, match="'steps' leaves 0 to 65.2 kPa, which the stand-in bears"):
+    with pytest.raises(InputError, match="'steps' leaves 0 to 65.2 kPa, the range of the stand-in"):
         run_verb(
             "measure", ["--bench=standin", "--program=steps", "--max_kpa=70,20,20", f"--out={tmp_path / 's'}"]
         )

@@ -155,11 +155,11 @@ def test_a_set_point_that_the_limits_hold_back_is_logged_once(parts, caplog):
     for kpa in (12.0, -6.0, 13.0):
         guard.act(np.array([0.0, 0.0, 0.0, kpa]))
     assert [r.getMessage() for r in caplog.records] == [
-        "A set-point of 12 kPa is held to the limits, -5 to 10 kPa; later ones are not logged."
+        "A set-point of 12 kPa is clipped to the limits, -5 to 10 kPa; later ones are not logged."
     ]
     below = Guard(parts, parts, Limits(vacuum_kpa=-5.0))
     below.act(np.array([0.0, 0.0, 0.0, -6.0]))
-    assert caplog.records[-1].getMessage().startswith("A set-point of -6 kPa is held")
+    assert caplog.records[-1].getMessage().startswith("A set-point of -6 kPa is clipped")
 
 
 @pytest.mark.parametrize("good_between", [0, 1, 3])
