@@ -22,10 +22,10 @@ def test_recordings_and_causes_are_counted():
             "ratio": ratio, "explained": explained, "effects": effects, "truth": [effects], "causes": [cause]
         }  # fmt: skip
 
-    told = io.StringIO()
+    printed = io.StringIO()
     answers = [answer(1.1, "fully"), answer(1.2, "mostly"), answer(1.6, "fully", "marker_slip")]
-    show(answers, Console(file=told, width=200))
-    text = told.getvalue()
+    show(answers, Console(file=printed, width=200))
+    text = printed.getvalue()
     assert "1 of 2" in text  # of two recordings that end explained, and of two that were called so
     assert "1 of 1" in text  # without the marker that slipped between the days
     assert "2 of 3" in text and "3 causes; Brier score 0.277" in text

@@ -23,7 +23,7 @@ from pneutac_benchmarks.tables import terminal
 ENDS = 1.3
 EDGES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 RIDGE = 1.7  # of the weights, on features of unit variance
-BETWEEN = (  # what changes between the days, so that no diagnosis of one of them can foretell the other
+BETWEEN = (  # what changes between the days, so that no diagnosis of one of them can predict the other
     "marker_slip", "mount_knock", "mount_turned", "camera_warm_up", "slip_and_swelling", "stand_shakes",
     "tracker_freezes", "gauge_drifting",
 )  # fmt: skip
@@ -64,18 +64,22 @@ def show(answers: Sequence[dict], console: Console) -> None:
     every = causes(answers)
     if not every:
         return
-    told, right = (np.array([c[k] for c in every], float) for k in ("probability", "right"))
+    reported, right = (np.array([c[k] for c in every], float) for k in ("probability", "right"))
     rows = []
     for low, high in zip(EDGES[:-1], EDGES[1:], strict=True):
-        i = (told >= low) & ((told < high) | (high == 1.0))
+        i = (reported >= low) & ((reported < high) | (high == 1.0))
         if i.any():
             rows.append(
-                (f"{low:.1f} to {high:.1f}", f"{told[i].mean():.2f}", *_share(int(right[i].sum()), i.sum()))
+                (
+                    f"{low:.1f} to {high:.1f}",
+                    f"{reported[i].mean():.2f}",
+                    *_share(int(right[i].sum()), i.sum()),
+                )
             )
     console.print(terminal("Mechanism", ("probability reported", "mean", "right", "95 %"), rows))
     base = right.mean()
     console.print(
-        f"{len(every)} causes; Brier score {((told - right) ** 2).mean():.3f}; of the base rate {base:.2f} "
+        f"{len(every)} causes; Brier score {((reported - right) ** 2).mean():.3f}; of the base rate {base:.2f} "
         f"alone {base * (1 - base):.3f}"
     )
 
