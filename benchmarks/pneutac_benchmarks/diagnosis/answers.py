@@ -77,10 +77,10 @@ def show(answers: Sequence[dict], console: Console) -> None:
                 )
             )
     console.print(terminal("Mechanism", ("probability reported", "mean", "right", "95 %"), rows))
-    base = right.mean()
+    base, brier = right.mean(), ((reported - right) ** 2).mean()
     console.print(
-        f"{len(every)} causes; Brier score {((reported - right) ** 2).mean():.3f}; of the base rate {base:.2f} "
-        f"alone {base * (1 - base):.3f}"
+        f"{len(every)} causes; Brier score {brier:.3f}; of the base rate {base:.2f} alone "
+        f"{base * (1 - base):.3f}"
     )
 
 
