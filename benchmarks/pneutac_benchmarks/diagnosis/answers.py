@@ -4,7 +4,8 @@ python -m pneutac_benchmarks.diagnosis.answers FOLDER ...          # scores of `
 python -m pneutac_benchmarks.diagnosis.answers --fit FOLDER ...    # new weights of `diagnosis.verdict`
 
 A recording ends explained where another day's error is at most `ENDS` times the noise. A cause is right where
-one of its terms is among the names that `rules.COUNTS` lists for the device. Rules of before any result.
+one of its terms is among the names that `rules.COUNTS` lists for the device, written before any result.
+`BETWEEN` was listed after seed 300 had been seen, on which limits and weights of the answers were chosen.
 """
 
 import argparse
@@ -23,7 +24,7 @@ from pneutac_benchmarks.tables import terminal
 ENDS = 1.3
 EDGES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 RIDGE = 1.7  # of the weights, on features of unit variance
-BETWEEN = (  # what changes between the days, so that no diagnosis of one of them can predict the other
+BETWEEN = (  # what changes between the days, so that a diagnosis of one cannot predict the other
     "marker_slip", "mount_knock", "mount_turned", "camera_warm_up", "slip_and_swelling", "stand_shakes",
     "tracker_freezes", "gauge_drifting",
 )  # fmt: skip
