@@ -7,6 +7,7 @@ text of `--help`; a `command(argv, terminal)` reads its arguments by itself.
 import difflib
 import importlib
 import importlib.metadata
+import importlib.util
 import inspect
 import os
 import sys
@@ -44,6 +45,10 @@ MODULES = {
     "report": "lerobot_pneutac.studio.report",
     "studio": "lerobot_pneutac.studio.command",
 }
+# What only the distribution `lerobot_robot_pneutac` installs, and the commands that do nothing without it.
+PLUGIN = "lerobot_robot_pneutac"
+PLUGIN_PACKAGES = {PLUGIN, *"av datasets lerobot pyarrow quadrants rerun serial taichi torch".split()}
+PLUGIN_VERBS = ("measure", "surrogate", "augment", "ppo", "repair")
 
 
 def main() -> None:
@@ -75,28 +80,48 @@ def _dispatch(argv: list[str]) -> None:
 
     verb = argv[0] if argv else "help"
     if verb in ("help", "-h", "--help"):
-        rows = (f"  {name:10s} {text}" for name, text in VERBS.items())
-        print("usage: pneutac VERB [--option=value ...]\n", *rows, sep="\n")
+        print("usage: pneutac VERB [--option=value ...]\n", *_rows(), sep="\n")
         print("\n`pneutac VERB --help` lists its options, `pneutac --version` the version.")
         return
     if verb == "--version":
-        print(f"pneutac {importlib.metadata.version('lerobot_robot_pneutac')}")
+        print(f"pneutac {importlib.metadata.version('pneutac')}")
         return
     if verb not in VERBS:
         near = difflib.get_close_matches(verb, VERBS, n=1)
         hint = f"did you mean '{near[0]}'?" if near else f"the commands are {', '.join(VERBS)}."
         sys.exit(f"pneutac: There is no command '{verb}'; {hint}")
+    if verb in _missing():
+        sys.exit(f"pneutac {verb}: This needs LeRobot's half of PneuTac; pip install {PLUGIN}.")
     sys.argv = [f"pneutac {verb}", *argv[1:]]  # the usage lines name the program so
     try:
         run_verb(verb, argv[1:])
     except InputError as e:
         known = options_class(verb)
         sys.exit(f"pneutac {verb}: {name_option(str(e), known) if known else e}")
+    except ModuleNotFoundError as e:
+        package = (e.name or "").partition(".")[0]
+        if package not in PLUGIN_PACKAGES:
+            raise
+        sys.exit(f"pneutac {verb}: For this the package {package} is missing; pip install {PLUGIN}.")
     except BrokenPipeError:
         raise
     except OSError as e:  # a folder that cannot be read or written, a full disk, a Hub out of reach
         what = f"{e.filename}: {e.strerror}" if e.filename and e.strerror else " ".join(str(e).split())
         sys.exit(f"pneutac {verb}: {printable(what)}.")
+
+
+def _missing() -> tuple[str, ...]:
+    """The commands that are not installed."""
+    return () if importlib.util.find_spec(PLUGIN) else PLUGIN_VERBS
+
+
+def _rows() -> list[str]:
+    """The commands with what they do; last those that are not installed."""
+    missing, rows = _missing(), {name: f"  {name:10s} {text}" for name, text in VERBS.items()}
+    found = [row for name, row in rows.items() if name not in missing]
+    return (
+        found + ([f"\nAfter `pip install {PLUGIN}` also:\n"] if missing else []) + [rows[n] for n in missing]
+    )
 
 
 def run_verb(verb: str, argv: list[str]) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from lerobot_pneutac.reports.colours import AFTER, BEFORE
+from lerobot_pneutac.reports.colours import AFTER, BEFORE, MEASURED
 from lerobot_pneutac.reports.page import Report
 
 TITLES = {
@@ -43,11 +43,55 @@ def demo_page(result) -> Report:
     page.figure(_losses(state["train"]), "Training loss of lerobot-train")
     page.heading("Try next")
     page.code("\n".join(result.next_commands))
+    return _with_commands(page, state)
+
+
+def quick_page(result, before, after) -> Report:
+    """The report of a finished quick demo, not yet written, with the `BodyComparison`s of another day."""
+    state = result.state
+    page = Report(result.title)
+    page.lead(result.sentence)
+    page.figure(
+        _another_day(before, after),
+        "The tip on another day, which neither calibration nor diagnosis saw. The measurements are of a"
+        " simulated rod with friction of many small elements; the twin's effects have other equations.",
+        420,
+    )
+    page.figure(_errors(state), "Error of the tip on that day, before and after.")
+    page.text(state["diagnose"]["sentence"])
+    page.heading("Try next")
+    page.code("\n".join(result.next_commands))
+    return _with_commands(page, state)
+
+
+def _with_commands(page: Report, state: dict) -> Report:
+    """The page, with what was run at its end."""
     page.heading("What was run")
     for name, title in TITLES.items():
-        page.text(f"**{title}**, {state[name]['seconds']:.0f} s")
-        page.code("\n".join(state[name]["commands"]))
+        if name in state:
+            page.text(f"**{title}**, {state[name]['seconds']:.0f} s")
+            page.code("\n".join(state[name]["commands"]))
     return page
+
+
+def _another_day(before, after):
+    """Where the tip moves most in the longest trial: measured, and by both twins."""
+    import plotly.graph_objects as go
+
+    rows = max(before.recording.trials().values(), key=lambda r: r.stop - r.start)
+    column = int(np.ptp(before.measured[rows, : before.counted], axis=0).argmax())
+    lines = {
+        "measured": (before.measured, MEASURED),
+        "before": (before.model, BEFORE),
+        "after": (after.model, AFTER),
+    }
+    figure = go.Figure()
+    for name, (y, colour) in lines.items():
+        time_s = before.recording.column("time_s")[rows]
+        figure.add_scatter(
+            x=time_s, y=y[rows, column].round(3), name=name, mode="lines", line={"color": colour}
+        )
+    return figure.update_layout(xaxis_title="time (s)", yaxis_title=before.columns[column])
 
 
 def _errors(state: dict):

@@ -5,6 +5,7 @@ found and added, and the error falls. The corrected twin then turns ten demonstr
 is trained with lerobot-train and tried with lerobot-eval on starts that it has not seen.
 """
 
+import importlib.util
 import json
 import os
 import re
@@ -20,9 +21,11 @@ from pathlib import Path
 from scipy.stats import binomtest
 
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.reports.demo import demo_page
+from lerobot_pneutac.reports.demo import demo_page, quick_page
 from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.verbs.compare import compare
 from lerobot_pneutac.verbs.result import Result
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.features import CONTROL_HZ, TRIAL_S
 from pneutac_sim.files import write_json
@@ -30,6 +33,14 @@ from pneutac_sim.progress import Progress
 from pneutac_sim.twin import Twin
 
 TASK, TASK_TEXT = "switch", "flip the switch"
+LEARNING = (
+    "demonstrations",
+    "augmented",
+    "steps",
+    "batch_size",
+    "trials",
+)  # options of the stages that it leaves out
+HIDDEN = "friction_maxwell"  # effect of the rod of the quick demo
 SPREAD = 60  # random starts over which the demonstrations are spread
 
 
@@ -38,7 +49,9 @@ class DemoConfig:
     """Options of `pneutac demo`.
 
     Attributes:
-        out: folder of everything that the demo writes.
+        quick: the bench alone, a minute or two and without LeRobot: a rod with a hidden effect is measured,
+            compared, diagnosed and corrected, and judged on another day.
+        out: folder of everything that the demo writes; default outputs/demo, or outputs/quick.
         minutes: length of the session in which the finger is measured.
         demonstrations: number of those recorded on the stand-in, one of them by lerobot-record itself.
         augmented: number of those planned on the corrected twin, guided by touch.
@@ -49,7 +62,8 @@ class DemoConfig:
         fresh: deletion of an earlier demo in `out`, before all else.
     """
 
-    out: Path = Path("outputs/demo")
+    quick: bool = False
+    out: Path | None = None
     minutes: float = 3.0
     demonstrations: int = 10
     augmented: int = 12
@@ -64,6 +78,61 @@ class DemoConfig:
         check_least(
             1, augmented=self.augmented, steps=self.steps, batch_size=self.batch_size, trials=self.trials
         )
+        if self.out is None:
+            self.out = Path("outputs/quick" if self.quick else "outputs/demo")
+        given = [n for n in LEARNING if self.quick and getattr(self, n) != type(self).__dict__[n]]
+        if given:
+            raise InputError(f"--quick=true records and trains nothing; leave out --{given[0]}.")
+
+
+@dataclass(frozen=True)
+class QuickResult(Result):
+    """What the quick demo came to.
+
+    Attributes:
+        out: its folder.
+        state: stage name to its numbers, seconds and commands.
+    """
+
+    out: Path
+    state: dict
+    title = "A twin learns what its finger lacked"
+
+    @property
+    def sentence(self) -> str:
+        """What was found, and how the error on another day changed."""
+        found, s = self.state["diagnose"]["selected"], self.state
+        return (
+            f"With {' and '.join(found)} added, the twin's tip error on another day went from "
+            f"{s['twin']['tip_error_mm']:.2f} to {s['add']['tip_error_mm']:.2f} mm "
+            f"(noise {s['add']['noise_mm']:.2f} mm)."
+        )
+
+    @property
+    def next_commands(self) -> list[str]:
+        """Commands to try next."""
+        return [
+            f"pneutac history --twin={self.out}/twin",
+            f"pneutac studio --twin={self.out}/before --recording={self.out}/monday",
+            "python -m pneutac_truths --list",
+        ]
+
+    def subject(self) -> tuple[Twin, Path]:
+        """The corrected twin, and what it was measured by."""
+        return Twin.load(self.out / "twin"), self.out / "monday"
+
+    def content(self) -> dict:
+        s = self.state
+        return {
+            "tip_error_mm": {"before": s["twin"]["tip_error_mm"], "after": s["add"]["tip_error_mm"]},
+            "noise_mm": s["add"]["noise_mm"],
+            "selected": s["diagnose"]["selected"],
+            "seconds": {name: stage["seconds"] for name, stage in s.items() if name != "options"},
+        }
+
+    def page(self) -> Report:
+        twins = Twin.load(self.out / "before"), Twin.load(self.out / "twin")
+        return quick_page(self, *(compare(twin, Recording.load(self.out / "friday")) for twin in twins))
 
 
 @dataclass(frozen=True)
@@ -96,7 +165,7 @@ class DemoResult(Result):
         left = max(after**2 - noise**2, 0.0) ** 0.5
         rate = f"{e['success_percent']:.0f} %, 95 % interval {lo:.0f} to {hi:.0f}"
         return (
-            f"The twin lacked {' and '.join(found)}; with this the held-out tip error fell from "
+            f"With {' and '.join(found)} added, the twin's held-out tip error went from "
             f"{before:.2f} to {after:.2f} mm (noise {noise:.2f} mm, unexplained {left:.2f} mm). "
             "Trained on demonstrations of the corrected twin, the policy flipped the switch in "
             f"{e['successes']} of {e['trials']} starts that it had not seen ({rate})."
@@ -156,17 +225,29 @@ class Demo:
         if cfg.fresh and self._file.exists():
             shutil.rmtree(cfg.out)
         cfg.out.mkdir(parents=True, exist_ok=True)
-        options = {k: v for k, v in vars(cfg).items() if k not in ("fresh", "out")}
+        options = {k: v for k, v in vars(cfg).items() if k not in ("fresh", "out", "quick")}
         self.state = json.loads(self._file.read_text()) if self._file.exists() else {}
         if self.state.setdefault("options", options) != options:
             raise InputError(f"{cfg.out} holds a demo with other options; give fresh=true.")
         self.twin = self._path("twin")
         self.finger, self.gel = self._path("bench/finger"), self._path("bench/gel")
+        if cfg.quick:
+            self.finger = self._path("monday")
 
-    def run(self) -> DemoResult:
+    def run(self) -> DemoResult | QuickResult:
         """All stages, except those that an earlier run finished."""
         cfg = self.cfg
-        stages = [
+        quick = [
+            (
+                "bench",
+                "Measure a finger on two days (an elastic rod with friction that the twin lacks)",
+                self._days,
+            ),
+            ("twin", "Make its twin, calibrate it, and compare it with the other day", self._calibrate),
+            ("diagnose", "Which physics is missing?", self._diagnose),
+            ("add", "Add it, and compare again", self._add),
+        ]
+        full = [
             ("bench", "Measure a finger on the bench (the stand-in for a real one)", self._bench),
             ("twin", "Make its twin, calibrate finger and gel, and compare", self._calibrate),
             ("diagnose", "Which physics is missing?", self._diagnose),
@@ -176,6 +257,7 @@ class Demo:
             ("train", "Train a policy with lerobot-train", self._train),
             ("evaluate", f"Try it with lerobot-eval, {cfg.trials} starts", self._evaluate),
         ]
+        stages = quick if cfg.quick else full
         for number, (name, title, stage) in enumerate(stages, 1):
             heading = f"{number}/{len(stages)}  {title}"
             if name in self.state:
@@ -186,9 +268,21 @@ class Demo:
             found = stage()
             self.state[name] = {**found, "seconds": time.monotonic() - start, "commands": self._commands}
             write_json(self._file, self.state)
-        return DemoResult(cfg.out, self.state)
+        return (QuickResult if cfg.quick else DemoResult)(cfg.out, self.state)
 
     # ------------------------------------------------------------ stages
+
+    def _days(self) -> dict:
+        for day, folder in enumerate((self.finger, self._path("friday")), 1):
+            shutil.rmtree(folder, ignore_errors=True)
+            options = [
+                f"--day={day}",
+                f"--minutes={self.cfg.minutes}",
+                f"--seed={self.cfg.seed}",
+                f"--out={folder}",
+            ]
+            self._command("python", "-m", "pneutac_truths", "--device=rod", f"--effect={HIDDEN}", *options)
+        return {}
 
     def _bench(self) -> dict:
         shutil.rmtree(self._path("bench"), ignore_errors=True)
@@ -200,7 +294,8 @@ class Demo:
         shutil.rmtree(self.twin, ignore_errors=True)
         self._command("pneutac", "new", f"--twin={self.twin}", f"--recording={self.finger}")
         self._verb("calibrate", self.finger, "calibration")
-        self._verb("calibrate", self.gel, "touch")
+        if not self.cfg.quick:
+            self._verb("calibrate", self.gel, "touch")
         return self._compare("compare")
 
     def _diagnose(self) -> dict:
@@ -317,8 +412,9 @@ class Demo:
         return json.loads((folder / "result.json").read_text())
 
     def _compare(self, out: str) -> dict:
-        result = self._verb("compare", self.finger, out)
-        return {"tip_error_mm": result["error"]["heldout"], "noise_mm": result["noise_floor"]}
+        other, part = (self._path("friday"), "all") if self.cfg.quick else (self.finger, "heldout")
+        result = self._verb("compare", other, out)
+        return {"tip_error_mm": result["error"][part], "noise_mm": result["noise_floor"]}
 
     def _merge(self, into: Path, *parts: Path) -> None:
         ids, roots = ([f(p) for p in parts] for f in (lambda p: f"local/{p.name}", str))
@@ -362,6 +458,11 @@ def command(cfg: DemoConfig, terminal: Terminal) -> None:
 
     A finger with hidden physics is measured; what was finished before is not repeated.
     """
+    if not cfg.quick and importlib.util.find_spec("lerobot_robot_pneutac") is None:
+        raise InputError(
+            "The whole demo needs LeRobot's half of PneuTac: `pip install lerobot_robot_pneutac`;"
+            " the bench's half is `pneutac demo --quick`."
+        )
     start = time.monotonic()
 
     def announce(text: str) -> None:

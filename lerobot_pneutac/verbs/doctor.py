@@ -101,7 +101,7 @@ def check_arm() -> Check:
     try:
         return ("Panda", OK, f"franky {importlib.metadata.version('franky-control')}", "")
     except importlib.metadata.PackageNotFoundError:
-        remedy = "needed only for a real arm: uv pip install -e '.[panda]' in PneuTac's folder"
+        remedy = "needed only for a real arm: uv pip install -e './robots[panda]' in PneuTac's folder"
         return ("Panda", NOTE, "franky is not installed", remedy)
 
 

@@ -29,9 +29,7 @@ def elastica():
     try:
         import elastica as ea
     except ImportError as e:
-        raise ImportError(
-            "Moving rods need PyElastica; install it with: pip install 'lerobot_robot_pneutac[dev]'."
-        ) from e
+        raise ImportError("Moving rods need PyElastica; install it with: pip install 'pneutac[dev]'.") from e
     return ea
 
 

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as parquet
 
 from pneutac_datasets.demonstrations.info import ACTION, OWN, STATE, column, dataset_faults, read_info
 from pneutac_sim.errors import shown
@@ -96,6 +95,8 @@ def motion_faults(folder: str | Path) -> list[str]:
 
 def _read_episodes(folder: Path, info: dict) -> dict[int, tuple[np.ndarray, np.ndarray]]:
     """State (T, S) and action (T, A) of each episode."""
+    import pyarrow.parquet as parquet
+
     parts: dict[str, list[np.ndarray]] = {"episode_index": [], STATE: [], ACTION: []}
     for file in sorted((folder / "data").glob("*/*.parquet")):
         table = parquet.read_table(file, columns=list(parts), partitioning=None)

@@ -7,15 +7,17 @@ that LeRobot opens, and says what is wrong in sentences.
 import json
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from pneutac_datasets.demonstrations.films import TOLERANCE_S, Film, film_of, frame_size
 from pneutac_datasets.recording.image_file import read_image
 from pneutac_sim.errors import InputError, shown
 from pneutac_sim.files import refuse_pointer
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 ROBOT = "pneutac"
 VERSION = 3  # of LeRobot's datasets
@@ -162,7 +164,10 @@ def _of_kind(info: dict, *kinds: str) -> list[str]:
     return [key for key, feature in info["features"].items() if feature["dtype"] in kinds]
 
 
-def _read_parquet(file: Path, remedy: str, columns: list[str] | None = None) -> pa.Table:
+def _read_parquet(file: Path, remedy: str, columns: list[str] | None = None) -> "pa.Table":
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     if not file.is_file():
         raise InputError(f"{file} is missing; {remedy}.")
     refuse_pointer(file)
@@ -235,6 +240,9 @@ def _statistics(folder: Path, info: dict, repair: str) -> None:
 
 def _rows(folder: Path, info: dict, repair: str) -> dict[str, np.ndarray]:
     """LeRobot's own columns of all rows."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     files = sorted((folder / "data").glob("*/*.parquet"))
     if not files:
         raise InputError(f"{folder / 'data'} holds no .parquet file; restore it.")
@@ -264,8 +272,10 @@ def _rows(folder: Path, info: dict, repair: str) -> dict[str, np.ndarray]:
     return {name: np.concatenate(values) for name, values in parts.items()}
 
 
-def column(file: Path, table: pa.Table, key: str, shape: list[int]) -> np.ndarray:
+def column(file: Path, table: "pa.Table", key: str, shape: list[int]) -> np.ndarray:
     """(n, ...) one column of a data file; raises InputError where it is not of numbers of that shape."""
+    import pyarrow as pa
+
     values = table[key]
     try:
         if values.null_count:
@@ -403,6 +413,8 @@ def _refuse_size(what: str, size: tuple[int, int], shape: list[int]) -> None:
 
 
 def _look_at_images(folder: Path, key: str, shape: list[int], which: set[int]) -> None:
+    import pyarrow.parquet as pq
+
     row = 0
     for file in sorted((folder / "data").glob("*/*.parquet")):
         for batch in pq.ParquetFile(file).iter_batches(batch_size=32, columns=[key]):

@@ -6,8 +6,6 @@ from collections.abc import Iterator, Sized
 from pathlib import Path
 
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from pneutac_datasets.recording.text_table import MAX_COLUMNS, MAX_ROWS, TextTable, read_text
 from pneutac_datasets.recording.units import unit_named
@@ -119,6 +117,9 @@ def _same(unit, ending: str) -> bool:
 
 def read_parquet(file: Path) -> pd.DataFrame:
     """A table of Parquet, bounded in rows and columns; raises InputError where it is damaged."""
+    import pyarrow as pa  # which recordings as CSV do without
+    import pyarrow.parquet as pq
+
     refuse_pointer(file)
     try:
         found = pq.ParquetFile(file).metadata

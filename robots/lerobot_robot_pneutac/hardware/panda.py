@@ -52,7 +52,7 @@ class PandaArm:
             import franky
         except ImportError as e:
             raise HardwareFault(
-                "The arm 'panda' needs franky: uv pip install -e '.[panda]' in PneuTac's folder."
+                "The arm 'panda' needs franky: uv pip install -e './robots[panda]' in PneuTac's folder."
             ) from e
         self._f = franky
         realtime = franky.RealtimeConfig.Enforce if self._realtime else franky.RealtimeConfig.Ignore

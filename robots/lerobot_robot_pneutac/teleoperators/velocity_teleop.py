@@ -201,7 +201,7 @@ class PneutacGamepad(VelocityTeleop):
             from pygame._sdl2 import controller
         except ImportError as error:
             raise DeviceNotConnectedError(
-                "pneutac_gamepad needs pygame; uv pip install -e '.[gamepad]' in PneuTac's folder."
+                "pneutac_gamepad needs pygame; uv pip install -e './robots[gamepad]' in PneuTac's folder."
             ) from error
         self._pygame, self._controller = pygame, controller
         controller.init()
@@ -247,7 +247,8 @@ class PneutacSpacemouse(VelocityTeleop):
         except (ImportError, OSError) as error:  # OSError: the system's libhidapi is missing
             raise DeviceNotConnectedError(
                 "pneutac_spacemouse needs pyspacemouse and the system's hidapi library; install them with"
-                " uv pip install -e '.[spacemouse]' in PneuTac's folder, and apt install libhidapi-hidraw0."
+                " uv pip install -e './robots[spacemouse]' in PneuTac's folder and"
+                " apt install libhidapi-hidraw0."
             ) from error
         self._lost_error = HIDException
         try:

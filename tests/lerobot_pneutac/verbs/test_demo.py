@@ -195,7 +195,7 @@ def test_the_sentence_says_what_was_found_and_the_report_is_written(commands, tm
     assert result["trials"] == 40 and result["success_ci95"] == pytest.approx([76.95, 96.04], abs=0.01)
     page = (out / "report.html").read_text()
     sentence = (
-        "The twin lacked creep and valve_lag; with this the held-out tip error fell from 2.50 to 0.83 mm "
+        "With creep and valve_lag added, the twin's held-out tip error went from 2.50 to 0.83 mm "
         "(noise 0.50 mm, unexplained 0.67 mm). Trained on demonstrations of the corrected twin, the policy "
         "flipped the switch in 36 of 40 starts that it had not seen (90 %, 95 % interval 77 to 96)."
     )
@@ -203,3 +203,9 @@ def test_the_sentence_says_what_was_found_and_the_report_is_written(commands, tm
     for text in ("The error of the twin", "Learning curve", "lerobot-eval", "Two are missing."):
         assert text in page
     assert result["selected"] == SELECTED
+
+
+def test_what_the_quick_demo_leaves_out_is_no_option_of_it():
+    assert DemoConfig(quick=True).out.name == "quick"
+    with pytest.raises(InputError, match="--quick=true records and trains nothing; leave out --trials"):
+        DemoConfig(quick=True, trials=8)
