@@ -49,9 +49,7 @@ class DemoConfig:
     """Options of `pneutac demo`.
 
     Attributes:
-        quick: the bench alone, a minute or two and without LeRobot: a rod with a hidden effect is measured,
-            compared, diagnosed and corrected, and judged on another day.
-        out: folder of everything that the demo writes; default outputs/demo, or outputs/quick.
+        out: folder of everything that the demo writes; of the quick one outputs/quick, where none is given.
         minutes: length of the session in which the finger is measured.
         demonstrations: number of those recorded on the stand-in, one of them by lerobot-record itself.
         augmented: number of those planned on the corrected twin, guided by touch.
@@ -60,10 +58,11 @@ class DemoConfig:
         trials: randomised starts on which the policy is tried.
         seed: seed of every random choice.
         fresh: deletion of an earlier demo in `out`, before all else.
+        quick: the bench alone, a minute or two and without LeRobot: a rod with a hidden effect is measured,
+            compared, diagnosed and corrected, and judged on another day.
     """
 
-    quick: bool = False
-    out: Path | None = None
+    out: Path = Path("outputs/demo")
     minutes: float = 3.0
     demonstrations: int = 10
     augmented: int = 12
@@ -72,14 +71,15 @@ class DemoConfig:
     trials: int = 40
     seed: int = 1
     fresh: bool = False
+    quick: bool = False
 
     def __post_init__(self):
         check_least(2, demonstrations=self.demonstrations)
         check_least(
             1, augmented=self.augmented, steps=self.steps, batch_size=self.batch_size, trials=self.trials
         )
-        if self.out is None:
-            self.out = Path("outputs/quick" if self.quick else "outputs/demo")
+        if self.quick and self.out == type(self).out:
+            self.out = Path("outputs/quick")
         given = [n for n in LEARNING if self.quick and getattr(self, n) != type(self).__dict__[n]]
         if given:
             raise InputError(f"--quick=true records and trains nothing; leave out --{given[0]}.")
