@@ -103,7 +103,7 @@ class QuickResult(Result):
         """What was found, and how the error on another day changed."""
         found, s = self.state["diagnose"]["selected"], self.state
         return (
-            f"With {' and '.join(found)} added, the twin's tip error on another day went from "
+            f"With {' and '.join(found)} added, the tip error on another day went from "
             f"{s['twin']['tip_error_mm']:.2f} to {s['add']['tip_error_mm']:.2f} mm "
             f"(noise {s['add']['noise_mm']:.2f} mm)."
         )
@@ -165,7 +165,7 @@ class DemoResult(Result):
         left = max(after**2 - noise**2, 0.0) ** 0.5
         rate = f"{e['success_percent']:.0f} %, 95 % interval {lo:.0f} to {hi:.0f}"
         return (
-            f"With {' and '.join(found)} added, the twin's held-out tip error went from "
+            f"With {' and '.join(found)} added, the held-out tip error went from "
             f"{before:.2f} to {after:.2f} mm (noise {noise:.2f} mm, unexplained {left:.2f} mm). "
             "Trained on demonstrations of the corrected twin, the policy flipped the switch in "
             f"{e['successes']} of {e['trials']} starts that it had not seen ({rate})."

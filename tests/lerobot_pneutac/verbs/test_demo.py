@@ -195,7 +195,7 @@ def test_the_sentence_says_what_was_found_and_the_report_is_written(commands, tm
     assert result["trials"] == 40 and result["success_ci95"] == pytest.approx([76.95, 96.04], abs=0.01)
     page = (out / "report.html").read_text()
     sentence = (
-        "With creep and valve_lag added, the twin's held-out tip error went from 2.50 to 0.83 mm "
+        "With creep and valve_lag added, the held-out tip error went from 2.50 to 0.83 mm "
         "(noise 0.50 mm, unexplained 0.67 mm). Trained on demonstrations of the corrected twin, the policy "
         "flipped the switch in 36 of 40 starts that it had not seen (90 %, 95 % interval 77 to 96)."
     )
