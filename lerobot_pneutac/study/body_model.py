@@ -1,5 +1,6 @@
 """Models of a body that a search fits: which effects, how the recording is read, and all their parameters."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -79,6 +80,13 @@ class TrialProblem:
     def residual(self, v: np.ndarray) -> np.ndarray:
         r = self._problem.residual(v[: len(self.free)])
         return r + self._columns @ (v[len(self.free) :] - 0.5)
+
+    def nearby(self, v: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        near, of_trials = (
+            self._problem.nearby(v[: len(self.free)]),
+            self._columns @ (v[len(self.free) :] - 0.5),
+        )
+        return lambda other: near(other[: len(self.free)]) + of_trials
 
     def jacobian(self, v: np.ndarray) -> np.ndarray:
         J = self._problem.jacobian(v[: len(self.free)])
@@ -371,7 +379,7 @@ class BodyFitter:
             for part in (steps // 2, steps - steps // 2):
                 weight = np.diag(np.mean(r**2) * T.CORRELATED / spread**2)
                 v = minimise(problem.residual, problem.jacobian, v, part, 1e-4, (centre, weight)).v
-                v = past_jumps(problem.residual, jumps, v) if part >= MANY else v
+                v = past_jumps(problem, jumps, v) if part >= MANY else v
                 r = problem.residual(v)
         J = problem.jacobian(v)
         weight = np.diag(np.mean(r**2) * T.CORRELATED / spread**2)

@@ -219,9 +219,8 @@ class BodySearch:
         for air in (model, *self.engine(space).other_actuations(model)[:2]):
             refined = self.score(space.refine_air(air.model))
             best = min(best, air, refined, key=lambda s: s.value)
-        better = best.model.structure == model.model.structure or self.bootstrap.significant_drop(
-            model.cv_squared, best.cv_squared
-        )
+        same = best.model.structure.effects == model.model.structure.effects
+        better = same or self.bootstrap.significant_drop(model.cv_squared, best.cv_squared)
         return best if better else model
 
     def _trials_differ(self, space: BodySpace, found: Found) -> tuple[float, ...]:

@@ -80,14 +80,21 @@ def find_slip(
     n, k = residual.shape
     begin = np.flatnonzero(np.r_[True, trial[1:] != trial[:-1]])
     piece = np.searchsorted(begin, np.arange(n), side="right") - 1
-    first, last = begin[piece], np.r_[begin[1:], n][piece] - 1
-    jump, move = np.zeros((n, k)), np.zeros((n, k))
-    for i in range(SLIP_ENDS, n - SLIP_ENDS):
-        before, after = slice(max(i - NEAR, first[i]), i), slice(i, min(i + NEAR, last[i] + 1))
-        if min(before.stop - before.start, after.stop - after.start) < LEAST_NEAR:
-            continue  # between trials a payload may change
-        jump[i] = residual[after].mean(axis=0) - residual[before].mean(axis=0)
-        move[i] = predicted[after].mean(axis=0) - predicted[before].mean(axis=0)
+    at = np.arange(n)
+    low, high = np.maximum(at - NEAR, begin[piece]), np.minimum(at + NEAR, np.r_[begin[1:], n][piece])
+    ok = (np.minimum(at - low, high - at) >= LEAST_NEAR) & (at >= SLIP_ENDS) & (at < n - SLIP_ENDS)
+
+    def change(x: np.ndarray) -> np.ndarray:
+        """(n, k) mean of the samples from each one on less that of those before; 0 where these are few.
+
+        Between trials a payload may change.
+        """
+        total = np.concatenate([np.zeros((1, k)), np.cumsum(x, axis=0)])
+        out, i, a, b = np.zeros((n, k)), at[ok], low[ok], high[ok]
+        out[ok] = (total[b] - total[i]) / (b - i)[:, None] - (total[i] - total[a]) / (i - a)[:, None]
+        return out
+
+    jump, move = change(residual), change(predicted)
     size = np.linalg.norm(jump, axis=1)
     size[np.linalg.norm(move, axis=1) > size] = 0.0
     best, gain = None, 0.0
@@ -97,8 +104,7 @@ def find_slip(
     for i in np.argsort(-size)[:200]:
         if size[i] < T.SLIP_OVER_NOISE * noise or size[i] < size[max(i - NEAR, 0) : i + NEAR].max():
             continue
-        begin_near, end_near = max(i - NEAR, first[i]), min(i + NEAR, last[i] + 1)
-        if not _sudden(residual[begin_near:end_near], i - begin_near):
+        if not _sudden(residual[low[i] : high[i]], i - low[i]):
             continue
         step = np.kron((rows >= i)[:, None], np.eye(k))
         step = step - Q @ (Q.T @ step)

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from functools import cache, partial
 
 import numpy as np
+from numba import njit
 
 from pneutac_sim.effects.body_effect import BodyEffect, kernel
 from pneutac_sim.effects.effect import Parameter
@@ -108,25 +109,33 @@ def _lag(s, f, late, dt, tau):
     return out
 
 
-@kernel
+@njit(cache=True, error_model="numpy", nogil=True, fastmath={"reassoc", "contract", "nsz"})
 def _spectrum(s, f, dt, exponent):
-    """Lags side by side, from row 2 of s, weighted by a power of their times."""
+    """Lags side by side, from row 2 of s, weighted by a power of their times; a vector of them at once."""
+    n = len(TIMES_S)
     out = np.empty((len(f) - 1, f.shape[1]))
     weight = TIMES_S**exponent
     weight /= weight.sum()
-    known, keeps, olds = -1.0, np.zeros(len(TIMES_S)), np.zeros(len(TIMES_S))
+    keep, old, new, y = np.zeros(n), np.zeros(n), np.zeros(n), np.empty((out.shape[1], n))
+    for i in range(out.shape[1]):
+        for j in range(n):
+            y[i, j] = s[2 + j, i]
+    known = -1.0
     for t in range(len(out)):
+        if dt[t] != known:
+            known = dt[t]
+            for j in range(n):
+                keep[j], old[j] = lag_weights(known / TIMES_S[j])
+                new[j] = 1.0 - keep[j] - old[j]
         for i in range(out.shape[1]):
-            out[t, i] = 0.0
-        for j in range(len(TIMES_S)):
-            if dt[t] != known:
-                keeps[j], olds[j] = lag_weights(dt[t] / TIMES_S[j])
-            keep, old, w = keeps[j], olds[j], weight[j]
-            for i in range(out.shape[1]):
-                y = keep * s[2 + j, i] + old * f[t, i] + (1.0 - keep - old) * f[t + 1, i]
-                s[2 + j, i] = y
-                out[t, i] += w * y
-        known = dt[t]
+            before, now, total = f[t, i], f[t + 1, i], 0.0
+            for j in range(n):
+                y[i, j] = keep[j] * y[i, j] + old[j] * before + new[j] * now
+                total += weight[j] * y[i, j]
+            out[t, i] = total
+    for i in range(out.shape[1]):
+        for j in range(n):
+            s[2 + j, i] = y[i, j]
     return out
 
 
@@ -149,8 +158,36 @@ def _fill_vent(s, f, dt, times):
 
 
 @kernel
+def _mode_weights(omega, zeta, h):
+    """What y and y' h seconds later are made of, where the input f goes in a straight line.
+
+    Returns:
+        Weights of y, y' and the input then for y, and the same for y'. The input before has what is left of
+        1 and 0.
+    """
+    if math.isinf(omega * h):
+        return 0.0, 0.0, 1.0, 0.0, 0.0, 0.0
+    decay = math.exp(-zeta * omega * h)
+    if zeta < 0.9999:
+        w = omega * math.sqrt(1.0 - zeta * zeta)
+        c, sn = decay * math.cos(w * h), decay * math.sin(w * h) / w
+    elif zeta > 1.0001:
+        w = omega * math.sqrt(zeta * zeta - 1.0)
+        slow, quick = math.exp((w - zeta * omega) * h), math.exp(-(w + zeta * omega) * h)
+        c, sn = 0.5 * (slow + quick), 0.5 * (slow - quick) / w
+    else:
+        c, sn = decay, decay * h
+    yy, yv, vy, vv = c + zeta * omega * sn, sn, -omega * omega * sn, c - zeta * omega * sn
+    x = omega * h
+    if x < 1e-4:  # the terms below would cancel
+        return yy, yv, x * x / 6.0 * (1.0 - 0.5 * zeta * x), vy, vv, 0.5 * omega * x * (1.0 - zeta * x / 1.5)
+    behind = 2.0 * zeta / x
+    return yy, yv, 1.0 - behind + behind * yy - yv / h, vy, vv, (1.0 - vv) / h + behind * vy
+
+
+@kernel
 def second_order(s, f, dt, omega, zeta):
-    """Exact steps of y'' + 2 zeta omega y' + omega^2 (y - f) = 0 with f held at the middle of each piece.
+    """Exact steps of y'' + 2 zeta omega y' + omega^2 (y - f) = 0 for f in straight lines.
 
     Args:
         s: rows 2 and 3 are y and y' (channels,), changed.
@@ -164,34 +201,16 @@ def second_order(s, f, dt, omega, zeta):
     """
     out = np.empty((len(f) - 1, f.shape[1]))
     y, v = s[2].copy(), s[3].copy()  # arrays of its own, which the compiler knows to be no part of f
-    slowest = omega * (zeta if zeta < 1.0 else zeta - math.sqrt(zeta * zeta - 1.0))
-    known, decay, c, sn, pieces = -1.0, 0.0, 0.0, 0.0, 1
+    known = -1.0
+    yy = yv = yf = vy = vv = vf = 0.0
     for t in range(len(out)):
-        if slowest * dt[t] > 30.0:
-            for i in range(out.shape[1]):
-                y[i], v[i], out[t, i] = f[t + 1, i], 0.0, f[t + 1, i]
-            continue
         if dt[t] != known:
             known = dt[t]
-            pieces = min(1 + int(omega * known / 0.4), 40)
-            h = known / pieces
-            decay = math.exp(-zeta * omega * h)
-            if zeta < 0.9999:
-                w = omega * math.sqrt(1.0 - zeta * zeta)
-                c, sn = math.cos(w * h), math.sin(w * h) / w
-            elif zeta > 1.0001:
-                w = omega * math.sqrt(zeta * zeta - 1.0)
-                c, sn = math.cosh(w * h), math.sinh(w * h) / w
-            else:
-                c, sn = 1.0, h
-        for piece in range(pieces):
-            share = (piece + 0.5) / pieces
-            for i in range(out.shape[1]):
-                goal = f[t, i] + (f[t + 1, i] - f[t, i]) * share
-                d, u = y[i] - goal, v[i]
-                y[i] = goal + decay * (d * (c + zeta * omega * sn) + u * sn)
-                v[i] = decay * (u * (c - zeta * omega * sn) - d * omega * omega * sn)
+            yy, yv, yf, vy, vv, vf = _mode_weights(omega, zeta, known)
         for i in range(out.shape[1]):
+            old, new, before = f[t, i], f[t + 1, i], y[i]
+            y[i] = yy * before + yv * v[i] + yf * new + (1.0 - yy - yf) * old
+            v[i] = vy * before + vv * v[i] + vf * new - (vy + vf) * old
             out[t, i] = y[i]
     s[2], s[3] = y, v
     return out

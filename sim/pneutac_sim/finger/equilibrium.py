@@ -12,7 +12,22 @@ import numpy as np
 from pneutac_sim.effects.body_effect import kernel
 
 _ITERATIONS = 60  # heavy loads on soft joints; light ones take two or three
-_TOLERANCE = 1e-6  # rad, of a step; what is left after it is a hundred times smaller
+_NODES, _WORTH = 48, 0.5  # of a curve of deflections; its nodes by rows up to which it is less work
+_TOLERANCE = 1e-5  # rad, of a step; what is left after it is of the order of its square
+
+
+@kernel
+def _substitute(L, b):
+    """Solves L L^T x = b into b; the diagonal of L holds inverses."""
+    n = len(b)
+    for i in range(n):
+        for m in range(i):
+            b[i] -= L[i, m] * b[m]
+        b[i] *= L[i, i]
+    for i in range(n - 1, -1, -1):
+        for m in range(i + 1, n):
+            b[i] -= L[m, i] * b[m]
+        b[i] *= L[i, i]
 
 
 @kernel
@@ -42,72 +57,53 @@ def _solve(A, b, stiffness, L):
         else:  # none helps a matrix that is not finite
             b[:] = np.nan
             return
-    for i in range(n):
-        for m in range(i):
-            b[i] -= L[i, m] * b[m]
-        b[i] *= L[i, i]
-    for i in range(n - 1, -1, -1):
-        for m in range(i + 1, n):
-            b[i] -= L[m, i] * b[m]
-        b[i] *= L[i, i]
+    _substitute(L, b)
 
 
 @kernel
-def planar(q, loads, stiffness, links, state):
-    """Turns free angles into loaded ones, in place.
+def _planar(free, deflection, load, links, at, levers, A):
+    """Places, levers and stiffness by geometry of one sample, bending in the xz plane.
 
     Args:
-        q: (n, N) free angles in, loaded angles out, rad.
-        loads: (n, 6) N: tip force x, y, z, then weight of the whole body x, y, z.
-        stiffness: K of each joint, N m / rad.
-        links: (N,) length of the link after each joint, m, then their share of the weight (N,).
-        state: (N,) deflection of the sample before, updated.
-
-    Angles or loads that are not finite make all angles from there on NaN.
+        free: (N,) angles without loads, rad.
+        deflection: (N,) by loads.
+        load: (6,) N: tip force x, y, z, then weight of the whole body x, y, z.
+        links: (2 N,) length of the link after each joint, m, then their share of the weight.
+        at: (N + 1, 3) m, becomes where joints and tip are.
+        levers: (6, N) m, becomes what each joint moves the tip by, then the middle of the weight beyond it.
+        A: (N, N) N m/rad, becomes minus the derivative of the torques by the angles, its lower triangle.
     """
-    n, joints = q.shape
-    x, z = np.empty(joints + 1), np.empty(joints + 1)  # of joint i; the last is the tip
-    torque, stretch = np.empty(joints), np.empty(joints)
-    A, chol, b = np.empty((joints, joints)), np.empty((joints, joints)), np.empty(joints)
-    for t in range(n):
-        fx, fz, wx, wz = loads[t, 0], loads[t, 2], loads[t, 3], loads[t, 5]
-        for _ in range(_ITERATIONS):
-            heading = 0.0
-            x[0], z[0] = 0.0, 0.0
-            for i in range(joints):
-                heading += q[t, i] + state[i]
-                x[i + 1] = x[i] + links[i] * math.cos(heading)
-                z[i + 1] = z[i] + links[i] * math.sin(heading)
-            for i in range(joints):  # torque about joint i, and its derivative: sum of -(lever . force)
-                torque[i] = (x[joints] - x[i]) * fz - (z[joints] - z[i]) * fx
-                stretch[i] = (x[joints] - x[i]) * fx + (z[joints] - z[i]) * fz
-                for m in range(i, joints):
-                    share = links[joints + m]
-                    rx, rz = 0.5 * (x[m] + x[m + 1]) - x[i], 0.5 * (z[m] + z[m + 1]) - z[i]
-                    torque[i] += share * (rx * wz - rz * wx)
-                    stretch[i] += share * (rx * wx + rz * wz)
-            for i in range(joints):
-                b[i] = torque[i] - stiffness * state[i]
-                for k in range(joints):
-                    A[i, k] = stretch[max(i, k)] + (stiffness if i == k else 0.0)
-            _solve(A, b, stiffness, chol)
-            if not math.isfinite(b[0]):
-                q[t:] = np.nan
-                return
-            largest = 0.0
-            for i in range(joints):
-                step = min(max(b[i], -0.5), 0.5)  # keeps a near-singular step from throwing the spine about
-                state[i] += step
-                largest = max(largest, abs(step))
-            if largest < _TOLERANCE:
-                break
-        for i in range(joints):
-            q[t, i] += state[i]
+    joints = len(free)
+    heading = 0.0
+    for i in range(joints):
+        heading += free[i] + deflection[i]
+        at[i + 1, 0] = at[i, 0] + links[i] * math.cos(heading)
+        at[i + 1, 2] = at[i, 2] + links[i] * math.sin(heading)
+    sx = sz = share = 0.0
+    for i in range(joints - 1, -1, -1):
+        part = links[joints + i]
+        share += part
+        sx += part * 0.5 * (at[i, 0] + at[i + 1, 0])
+        sz += part * 0.5 * (at[i, 2] + at[i + 1, 2])
+        levers[0, i], levers[2, i] = at[i, 2] - at[joints, 2], at[joints, 0] - at[i, 0]
+        levers[3, i], levers[5, i] = share * at[i, 2] - sz, sx - share * at[i, 0]
+        stretch = levers[2, i] * load[0] - levers[0, i] * load[2]
+        stretch += levers[5, i] * load[3] - levers[3, i] * load[5]
+        for k in range(i + 1):
+            A[i, k] = stretch
 
 
 @kernel
-def _joint(to_z, to_y, R, axes):
-    """Rotation of a joint with this bend, and its axes of to_z and to_y, in the frame of the link before."""
+def _joint(to_z, to_y, R, axes, curve):
+    """Rotation of a joint with this bend, in the frame of the link before.
+
+    Args:
+        to_z: bend, rad.
+        to_y: bend, rad.
+        R: (3, 3), becomes the rotation.
+        axes: (2, 3), becomes the axes of to_z and to_y.
+        curve: (3, 3), becomes how they turn, (d axis_j / dq_k + d axis_k / dq_j) / 2 for zz, zy and yy.
+    """
     angle2 = to_z * to_z + to_y * to_y
     angle = math.sqrt(angle2)
     if angle < 1e-4:
@@ -115,6 +111,11 @@ def _joint(to_z, to_y, R, axes):
     else:
         a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle2
         g = (1.0 - a) / angle2
+    if angle < 1e-2:
+        db, dg = -1.0 / 24.0 + angle2 / 360.0, -1.0 / 120.0 + angle2 / 2520.0  # by the square of the angle
+    else:
+        db = 0.5 * (a - 2.0 * b) / angle2
+        dg = (0.5 * (a - math.cos(angle)) / angle2 - g) / angle2
     R[0, 0], R[0, 1], R[0, 2] = 1.0 - b * angle2, -a * to_y, -a * to_z
     R[1, 0], R[1, 1], R[1, 2] = a * to_y, 1.0 - b * to_y * to_y, -b * to_y * to_z
     R[2, 0], R[2, 1], R[2, 2] = a * to_z, -b * to_y * to_z, 1.0 - b * to_z * to_z
@@ -127,101 +128,219 @@ def _joint(to_z, to_y, R, axes):
         axes[i, 0] = b * (wy * ez - wz * ey)
         axes[i, 1] = ey + g * (wy * dot - ey * angle2)
         axes[i, 2] = ez + g * (wz * dot - ez * angle2)
+    for row in range(3):
+        j, k = row // 2, (row + 1) // 2
+        qj, qk = (to_y if j else to_z), (to_y if k else to_z)
+        xj, xk = (-to_z if j else to_y), (-to_z if k else to_y)  # x of w (x) axis at no bend
+        both = 2.0 * dg * qj * qk + (g if j == k else 0.0)
+        own_j, own_k = -(dg * angle2 + 0.5 * g) * qk, -(dg * angle2 + 0.5 * g) * qj
+        curve[row, 0] = db * (qk * xj + qj * xk)
+        curve[row, 1] = -(both * to_z + (0.0 if j else own_j) + (0.0 if k else own_k))
+        curve[row, 2] = both * to_y + (own_j if j else 0.0) + (own_k if k else 0.0)
 
 
 @kernel
-def _places(free, deflection, links, at, axes):
-    """Writes where joints and tip are (joints + 1, 3), m, and the joints' axes (2 joints, 3), base frame."""
-    frame, turned, R, local = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((2, 3))
+def _places(free, deflection, links, at, axes, curves):
+    """Writes where joints and tip are, m, the joints' axes and how these turn, see `_joint`; base frame.
+
+    Args:
+        free: (2 N,) rad.
+        deflection: (2 N,) rad.
+        links: (N,) m, or more.
+        at: (N + 1, 3).
+        axes: (2 N, 3).
+        curves: (3 N, 3).
+    """
+    frame, turned, R = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    local, curve = np.empty((2, 3)), np.empty((3, 3))
     for r in range(3):
         for c in range(3):
             frame[r, c] = 1.0 if r == c else 0.0
     for i in range(len(at) - 1):
-        _joint(free[2 * i] + deflection[2 * i], free[2 * i + 1] + deflection[2 * i + 1], R, local)
+        _joint(free[2 * i] + deflection[2 * i], free[2 * i + 1] + deflection[2 * i + 1], R, local, curve)
         for r in range(3):
             f0, f1, f2 = frame[r, 0], frame[r, 1], frame[r, 2]
             for k in range(2):
                 axes[2 * i + k, r] = f0 * local[k, 0] + f1 * local[k, 1] + f2 * local[k, 2]
             for c in range(3):
+                curves[3 * i + c, r] = f0 * curve[c, 0] + f1 * curve[c, 1] + f2 * curve[c, 2]
                 turned[r, c] = f0 * R[0, c] + f1 * R[1, c] + f2 * R[2, c]
             at[i + 1, r] = at[i, r] + links[i] * turned[r, 0]
         frame, turned = turned, frame
 
 
 @kernel
-def tip_levers(q, links, out):
-    """Writes how the tip moves with each joint of a free spine.
+def _spatial(free, deflection, load, links, at, axes, curves, levers, A):
+    """As `_planar`, for two bending axes: angles are (to z, to y) of joint 1, then of joint 2, ...
 
-    Args:
-        q: (n, 2 N) joint angles, rad.
-        links: (N,) length of the link after each joint.
-        out: (n, 3 or more, 2 N): rows 0 to 2 become tip x, y, z per rad.
+    With D = sum of lever (x) force over the forces beyond a joint, turning it about the axis a changes their
+    moment by D a - tr(D) a.
     """
-    n, size = q.shape
-    joints = size // 2
-    at, axes, still = np.zeros((joints + 1, 3)), np.empty((size, 3)), np.zeros(size)
-    for t in range(n):
-        _places(q[t], still, links, at, axes)
-        for j in range(size):
-            i = j // 2
-            x, y, z = at[joints, 0] - at[i, 0], at[joints, 1] - at[i, 1], at[joints, 2] - at[i, 2]
-            out[t, 0, j] = axes[j, 1] * z - axes[j, 2] * y
-            out[t, 1, j] = axes[j, 2] * x - axes[j, 0] * z
-            out[t, 2, j] = axes[j, 0] * y - axes[j, 1] * x
+    joints = len(free) // 2
+    _places(free, deflection, links, at, axes, curves)
+    middle, D, change = np.zeros(3), np.empty((3, 3)), np.empty(3)
+    share = 0.0
+    for i in range(joints - 1, -1, -1):
+        part = links[joints + i]
+        share += part
+        for r in range(3):
+            middle[r] += part * 0.5 * (at[i, r] + at[i + 1, r])
+        for r in range(3):
+            tip, weight = at[joints, r] - at[i, r], middle[r] - share * at[i, r]
+            for c in range(3):
+                D[r, c] = tip * load[c] + weight * load[3 + c]
+        trace = D[0, 0] + D[1, 1] + D[2, 2]
+        for j in range(2 * i, 2 * i + 2):
+            for o in range(3):  # axis x lever
+                p, q = (o + 1) % 3, (o + 2) % 3
+                levers[o, j] = axes[j, p] * (at[joints, q] - at[i, q]) - axes[j, q] * (
+                    at[joints, p] - at[i, p]
+                )
+                levers[3 + o, j] = axes[j, p] * (middle[q] - share * at[i, q]) - axes[j, q] * (
+                    middle[p] - share * at[i, p]
+                )
+            for r in range(3):
+                change[r] = -trace * axes[j, r]
+                for c in range(3):
+                    change[r] += D[r, c] * axes[j, c]
+            for k in range(2 * i + 2):
+                A[j, k] = -(axes[k, 0] * change[0] + axes[k, 1] * change[1] + axes[k, 2] * change[2])
+        # The two bends of one joint have no order: the mean of either order, and how the axes turn.
+        A[2 * i + 1, 2 * i] = 0.5 * (A[2 * i + 1, 2 * i] + A[2 * i, 2 * i + 1])
+        mx, my, mz = D[1, 2] - D[2, 1], D[2, 0] - D[0, 2], D[0, 1] - D[1, 0]
+        for row in range(3):
+            c, j, k = 3 * i + row, 2 * i + (row + 1) // 2, 2 * i + row // 2
+            A[j, k] -= curves[c, 0] * mx + curves[c, 1] * my + curves[c, 2] * mz
 
 
 @kernel
-def spatial(q, loads, stiffness, links, state):
-    """As `planar`, for two bending axes: q and state hold (to z, to y) of joint 1, then of joint 2, ...
+def solve(q, loads, stiffness, links, state):
+    """Turns free angles into loaded ones, in place.
 
-    With D = sum of lever (x) force over the forces beyond a joint, turning it about the axis a changes their
-    moment by D a - tr(D) a, and the moment itself is the antisymmetric part of D.
+    Args:
+        q: (n, N) or, of two bending axes, (n, 2 N) free angles in, loaded angles out, rad.
+        loads: (n, 6) N: tip force x, y, z, then weight of the whole body x, y, z.
+        stiffness: K of each joint, N m / rad.
+        links: (2 N,) length of the link after each joint, m, then their share of the weight.
+        state: (N,) or (2 N,) deflection of the sample before, updated.
+
+    Angles or loads that are not finite make all angles from there on NaN.
     """
     n, size = q.shape
-    joints = size // 2
-    at = np.zeros((joints + 1, 3))
-    axes = np.empty((size, 3))
-    D, change = np.empty((3, 3)), np.empty(3)
-    point, force = np.empty((3, 3)), np.empty(3)  # sums of position (x) force, and of force
+    joints = len(links) // 2
+    at, axes, curves = np.zeros((joints + 1, 3)), np.empty((size, 3)), np.empty((3 * joints, 3))
+    levers = np.zeros((6, size))
     A, chol, b = np.empty((size, size)), np.empty((size, size)), np.empty(size)
     for t in range(n):
         for _ in range(_ITERATIONS):
-            _places(q[t], state, links, at, axes)
-            for r in range(3):
-                force[r] = loads[t, r]
-                for c in range(3):
-                    point[r, c] = at[joints, r] * loads[t, c]
-            for i in range(joints - 1, -1, -1):
-                share = links[joints + i]
-                for r in range(3):
-                    force[r] += share * loads[t, 3 + r]
-                    for c in range(3):
-                        point[r, c] += 0.5 * (at[i, r] + at[i + 1, r]) * share * loads[t, 3 + c]
-                for r in range(3):
-                    for c in range(3):
-                        D[r, c] = point[r, c] - at[i, r] * force[c]
-                trace = D[0, 0] + D[1, 1] + D[2, 2]
-                mx, my, mz = D[1, 2] - D[2, 1], D[2, 0] - D[0, 2], D[0, 1] - D[1, 0]
-                for j in range(2 * i, 2 * i + 2):
-                    ax, ay, az = axes[j, 0], axes[j, 1], axes[j, 2]
-                    b[j] = ax * mx + ay * my + az * mz - stiffness * state[j]
-                    for r in range(3):
-                        change[r] = D[r, 0] * ax + D[r, 1] * ay + D[r, 2] * az - trace * axes[j, r]
-                    for k in range(2 * i + 2):
-                        A[j, k] = -(axes[k, 0] * change[0] + axes[k, 1] * change[1] + axes[k, 2] * change[2])
-                    A[j, j] += stiffness
-                # The two bends of one joint have no order: the mean of either order.
-                A[2 * i + 1, 2 * i] = 0.5 * (A[2 * i + 1, 2 * i] + A[2 * i, 2 * i + 1])
+            if size == joints:
+                _planar(q[t], state, loads[t], links, at, levers, A)
+            else:
+                _spatial(q[t], state, loads[t], links, at, axes, curves, levers, A)
+            for i in range(size):
+                b[i] = -stiffness * state[i]
+                for m in range(6):
+                    b[i] += levers[m, i] * loads[t, m]
+                A[i, i] += stiffness
             _solve(A, b, stiffness, chol)
             if not math.isfinite(b[0]):
                 q[t:] = np.nan
                 return
             largest = 0.0
-            for j in range(size):
-                step = min(max(b[j], -0.5), 0.5)
-                state[j] += step
+            for i in range(size):
+                step = min(max(b[i], -0.5), 0.5)  # keeps a near-singular step from throwing the spine about
+                state[i] += step
                 largest = max(largest, abs(step))
             if largest < _TOLERANCE:
                 break
-        for j in range(size):
-            q[t, j] += state[j]
+        for i in range(size):
+            q[t, i] += state[i]
+
+
+def along_a_line(q: np.ndarray, loads: np.ndarray, stiffness: float, links: np.ndarray) -> np.ndarray | None:
+    """Loaded angles (n, N) of free ones (n, N) on one straight line, as one pressure bends a finger.
+
+    For each of few loads the deflection along the line is solved at `_NODES` places and read between them by
+    cubic interpolation, within 1e-7 rad. None where that is no less work than `solve`, or where
+    something is not finite.
+    """
+    new = np.flatnonzero(np.r_[True, (loads[1:] != loads[:-1]).any(axis=1)])
+    each, group = np.unique(loads[new], axis=0, return_inverse=True)
+    span = np.ptp(q, axis=0)
+    if len(each) * _NODES > _WORTH * len(q) or not span.max() > 0 or not np.isfinite(q).all():
+        return None
+    of = int(span.argmax())
+    low, high = q[q[:, of].argmin()], q[q[:, of].argmax()]
+    share = np.linspace(-1.5 / (_NODES - 4), 1 + 1.5 / (_NODES - 4), _NODES)
+    nodes = np.tile(low + share[:, None] * (high - low), (len(each), 1))
+    bent, state = nodes.copy(), np.zeros(q.shape[1])
+    solve(bent, np.repeat(each, _NODES, axis=0), stiffness, links, state)
+    deflection = (bent - nodes).reshape(len(each), _NODES, -1)
+    out, at = q.copy(), np.repeat(group.ravel(), np.diff(np.append(new, len(q))))
+    _add_between(out, of, at, nodes[0, of], nodes[1, of] - nodes[0, of], deflection)
+    return out
+
+
+@kernel
+def _add_between(q, of, group, low, step, deflection):
+    """Adds deflections (groups, nodes, N), cubic in column `of` of q, counted from low in steps."""
+    last = deflection.shape[1] - 3
+    for t in range(len(q)):
+        s = (q[t, of] - low) / step
+        i = min(max(int(s), 1), last)
+        a, table = s - i, deflection[group[t]]
+        before, here = -a * (a - 1) * (a - 2) / 6, (a + 1) * (a - 1) * (a - 2) / 2
+        after, beyond = -(a + 1) * a * (a - 2) / 2, (a + 1) * a * (a - 1) / 6
+        for j in range(q.shape[1]):
+            q[t, j] += (
+                before * table[i - 1, j]
+                + here * table[i, j]
+                + after * table[i + 1, j]
+                + beyond * table[i + 2, j]
+            )
+
+
+@kernel
+def sensitivities(q, free, loads, stiffness, links, by_markers, by_free, by_load, by_stiffness):
+    """How outputs change with free angles, loads and stiffness, by one factorisation a sample (adjoint).
+
+    The torques levers . load - K (q - free) are zero, so that of an output o, with A z = do/dq,
+    do/dfree = K z, do/dload = levers z and do/dK = -(q - free) z.
+
+    Args:
+        q: (n, size) loaded angles, rad.
+        free: (n, size) without loads.
+        loads: (n, 6) as in `solve`.
+        stiffness: as in `solve`.
+        links: as in `solve`.
+        by_markers: (n, D, 5) outputs by tip x, y, z, mm, and bend towards +z and +y, rad.
+        by_free: (n, D, size) becomes outputs by free angles.
+        by_load: (n, D, 6) by loads.
+        by_stiffness: (n, D) by stiffness.
+    """
+    n, size = q.shape
+    joints = len(links) // 2
+    at, axes, curves = np.zeros((joints + 1, 3)), np.empty((size, 3)), np.empty((3 * joints, 3))
+    levers = np.zeros((6, size))
+    A, chol, z, none = np.empty((size, size)), np.empty((size, size)), np.empty(size), np.zeros(size)
+    for t in range(n):
+        if size == joints:
+            _planar(q[t], none, loads[t], links, at, levers, A)
+        else:
+            _spatial(q[t], none, loads[t], links, at, axes, curves, levers, A)
+        for i in range(size):
+            A[i, i] += stiffness
+        for o in range(by_markers.shape[1]):
+            for i in range(size):
+                z[i] = by_markers[t, o, 3 + i % (size // joints)]
+                for m in range(3):
+                    z[i] += 1e3 * levers[m, i] * by_markers[t, o, m]
+            if o == 0:
+                _solve(A, z, stiffness, chol)
+            else:
+                _substitute(chol, z)
+            for i in range(size):
+                by_free[t, o, i] = stiffness * z[i]
+                by_stiffness[t, o] -= z[i] * (q[t, i] - free[t, i])
+                for m in range(6):
+                    by_load[t, o, m] += levers[m, i] * z[i]

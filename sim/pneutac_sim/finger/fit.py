@@ -168,7 +168,7 @@ def _search(
     best = min(range(len(found)), key=lambda i: found[i].cost)
     final = Problem(pipeline, whole.data, points[best], bounds, free)
     v = minimise(final.residual, final.jacobian, found[best].v).v
-    moved = past_jumps(final.residual, final.jumps, v)
+    moved = past_jumps(final, final.jumps, v)
     if not np.array_equal(moved, v):
         v = minimise(final.residual, final.jacobian, moved).v
     return [first, whole, *tried, final], v

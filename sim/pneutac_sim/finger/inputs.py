@@ -171,7 +171,7 @@ class Inputs:
             after: (k, chambers) and from then on.
         """
         whole = self.dt_s[at]
-        start = np.clip(np.clip(share, 0, 1) * whole, SWITCH_S, whole - 2 * SWITCH_S)
+        start = _switch_start(share, whole)
         apart = np.r_[True, (np.diff(at) > 0) | (np.diff(start) > 2 * SWITCH_S)][: len(at)]
         at, whole, start, before, after = (x[apart] for x in (at, whole, start, before, after))
         again = np.r_[False, np.diff(at) == 0][: len(at)]
@@ -183,6 +183,19 @@ class Inputs:
         return replace(self, dt_s=dt)._insert(
             np.repeat(at, 2), both.reshape(2 * len(at), self.pressure_kpa.shape[1]), steps.ravel()
         )
+
+    def switched_at(self, last: np.ndarray, share: float) -> "Inputs":
+        """The same inputs with the command's steps at another instant.
+
+        Args:
+            last: (k,) the rows before which the command steps; the two rows before each are the step.
+            share: of the time between two samples, at which it steps.
+        """
+        dt = self.dt_s.copy()
+        whole = dt[last - 2] + dt[last - 1] + dt[last]
+        dt[last - 2] = _switch_start(share, whole)
+        dt[last] = whole - dt[last - 2] - SWITCH_S
+        return replace(self, dt_s=dt)
 
     def _insert(self, before: np.ndarray, pressure_kpa: np.ndarray, dt_s: np.ndarray) -> "Inputs":
         """With further rows (k,) before these, in rising order, that are no samples."""
@@ -196,6 +209,11 @@ class Inputs:
             columns={k: np.insert(v, before, v[before]) for k, v in self.columns.items()},
             _cache={},
         )
+
+
+def _switch_start(share: float | np.ndarray, whole: np.ndarray) -> np.ndarray:
+    """Seconds from the sample before to the switch."""
+    return np.clip(np.clip(share, 0, 1) * whole, SWITCH_S, whole - 2 * SWITCH_S)
 
 
 def pressure_columns(device: str) -> tuple[list[str], list[str]]:

@@ -9,10 +9,12 @@ That also fits their noise, so models are not compared by these errors as they s
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from pneutac_sim.finger.data import BodyData
+from pneutac_sim.finger.inputs import pressure_columns
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.finger.switches import steps
 
@@ -26,7 +28,7 @@ _GRID = np.linspace(0, 1, 25)
 def step_rows(recording) -> np.ndarray:
     """Rows before which the command of a recording (with `.samples`) steps."""
     trial = np.asarray(recording.samples["trial"])
-    names = [c for c in recording.samples if c.startswith("pressure_cmd_")]
+    names = pressure_columns(recording.device)[0]
     command = np.stack([np.asarray(recording.samples[c], dtype=float) for c in names], axis=1)
     return steps(command, np.r_[True, trial[1:] != trial[:-1]])
 
@@ -51,8 +53,12 @@ class StepRows:
         self.rows = np.minimum(wanted, len(trial) - 1)
         end = np.r_[self.at[1:], len(trial)][: len(self.at)]
         self.own = (wanted < end[:, None]) & (trial[self.rows] == trial[self.at][:, None])
-        grid = _GRID[:1] if "time_sent_s" in recording.samples else _GRID
-        self._data = [read(float(share)).thin(self.rows.ravel()) for share in grid]
+        data = read(0.5)
+        last, near = data.inputs.rows[self.at], data.thin(self.rows.ravel())
+        self._data = [near]
+        if "time_sent_s" not in recording.samples:
+            moved = [near.inputs.switched_at(last, float(share)) for share in _GRID]
+            self._data = [replace(near, inputs=inputs) for inputs in moved]
 
     def residual(self, data: BodyData, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
         """(steps, 6, D) model - measured in these rows, in the unit of the error.

@@ -11,7 +11,6 @@ import numpy as np
 from numba import njit
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger.equilibrium import tip_levers
 
 
 def gain_profile(n_joints: int, alpha: float, beta: float) -> np.ndarray:
@@ -105,31 +104,6 @@ def forward_kinematics_spatial(
     links = _links(joint_positions, length)
     _chain(q.reshape(-1, len(links), 2), float(joint_positions[0]), links, tip.reshape(-1, 3))
     return tip, q.sum(axis=-2)
-
-
-def tip_derivatives(q: np.ndarray, joint_positions: np.ndarray, length: float, axes: int) -> np.ndarray:
-    """How tip and bend change with each joint: a joint turns all that lies beyond it about its axis.
-
-    Args:
-        q: (n, N axes) joint angles, rad.
-        joint_positions: (N,) arc length of each joint from the base.
-        length: arc length of the tip.
-        axes: 1 for a finger in the xz plane, 2 for an arm.
-
-    Returns:
-        (n, 5, N axes): of tip x, y, z per rad, and of the bends towards +z and towards +y.
-    """
-    links = _links(joint_positions, length)
-    out = np.zeros((len(q), 5, q.shape[1]))
-    if axes == 2:
-        tip_levers(np.ascontiguousarray(q), links, out)
-        out[:, 3, ::2], out[:, 4, 1::2] = 1.0, 1.0
-        return out
-    heading = np.cumsum(q, axis=1)
-    out[:, 0] = -np.cumsum((np.sin(heading) * links)[:, ::-1], axis=1)[:, ::-1]
-    out[:, 2] = np.cumsum((np.cos(heading) * links)[:, ::-1], axis=1)[:, ::-1]
-    out[:, 3] = 1.0
-    return out
 
 
 @njit(cache=True)

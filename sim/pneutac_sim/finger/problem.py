@@ -2,20 +2,22 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
 from pneutac_sim.finger.confidence import Z95
 from pneutac_sim.finger.data import BodyData
+from pneutac_sim.finger.equilibrium import sensitivities
 from pneutac_sim.finger.inputs import Inputs
-from pneutac_sim.finger.kinematics import tip_derivatives
-from pneutac_sim.finger.pipeline import Pipeline, Run
-from pneutac_sim.finger.stages import EffectLink, Markers
+from pneutac_sim.finger.pipeline import BENDING_PRESSURE, Pipeline, Run
+from pneutac_sim.finger.stages import EffectLink, LoadLink
 
-# How a pipeline's outputs change with its parameters: one-sided differences, taken link by link.
+# How a pipeline's outputs change with its parameters, to first order.
 #
 # Up to the drive the changed pressures of all parameters pass each effect side by side. Behind it nothing is
-# remembered as a rule, so a change of pressure or of joint angles is worth its derivative at each sample.
+# remembered as a rule, so that a change of pressure, of free joint angles or of loads is worth its derivative
+# at each sample, by one solution of the adjoint equilibrium for all parameters.
 
 
 _SMALL = 1e-4  # of the pressure's range, of the length, or rad: where a derivative is taken
@@ -42,31 +44,136 @@ def changes(
     """
     only_air = pipeline.until(columns) <= pipeline.drive
     end = pipeline.reads_pressure if only_air else pipeline.drive
-    link = [next((k for k, e in enumerate(pipeline.chain) if i in e.indices), None) for i in indices]
-    early = [j for j, k in enumerate(link) if k is not None and k < end]
+    of_link = {i: k for k, e in reversed(list(enumerate(pipeline.chain))) for i in e.indices}
+    link = np.array([of_link.get(int(i), -1) for i in indices], int)
+    early = np.flatnonzero((link >= 0) & (link < end))
     out = np.zeros((len(inputs.rows), len(columns), len(indices)))
-    if early:
-        moved = _pressures(pipeline, inputs, run, indices[early], values[early], end)
-        if only_air:
-            change = (moved - run.signals[end][:, None])[inputs.rows]
-            chambers = [_chamber(c) for c in columns]
-            out[:, :, early] = change[:, :, chambers].transpose(0, 2, 1)
-        else:
-            out[:, :, early] = _by_pressure(pipeline, inputs, run, columns, moved)
-    at = pipeline.outputs(run, columns)
-    late = [j for j, k in enumerate(link) if not only_air and k is not None and k >= end]
-    bare = pipeline.thins_at == end and isinstance(pipeline.chain[end + 1], Markers)
-    if bare and not any(c.startswith("q_") for c in columns):
-        of_drive = [j for j in late if link[j] == end]
-        out[:, :, of_drive] = _by_joints(
-            pipeline, inputs, run, columns, indices[of_drive], values[of_drive], at
-        )
-        late = [j for j in late if link[j] != end]
+    moved = _pressures(pipeline, inputs, run, indices[early], values[early], end)  # (m, 0, chambers) of none
+    if only_air:
+        change = (moved - run.signals[end][:, None])[inputs.rows]
+        out[:, :, early] = change[:, :, [_chamber(c) for c in columns]].transpose(0, 2, 1)
+        return out
+    at, late = pipeline.outputs(run, columns), np.flatnonzero(link >= end)
+    if AtRest.suits(pipeline, columns):
+        rest = AtRest(pipeline, inputs, run, columns, at)
+        out[:, :, early] = rest.by_pressures(moved)
+        own, late = late[link[late] <= pipeline.reads_joints], late[link[late] > pipeline.reads_joints]
+        out[:, :, own] = rest.by_parameters(indices[own], values[own])
+    elif len(early):
+        out[:, :, early] = _by_pressure(pipeline, inputs, run, columns, moved)
     for j in late:
-        theta = run.theta.copy()
-        theta[indices[j]] = values[j]
-        out[:, :, j] = pipeline.outputs(pipeline.run(inputs, theta, run), columns) - at
+        out[:, :, j] = (
+            pipeline.outputs(pipeline.run(inputs, _with(run, indices[j], values[j]), run), columns) - at
+        )
     return out
+
+
+def _with(run: Run, index: int, value: float) -> np.ndarray:
+    """(P,) the run's parameters with another value of one."""
+    theta = run.theta.copy()
+    theta[index] = value
+    return theta
+
+
+class AtRest:
+    """Derivatives of the outputs of a body that remembers nothing behind its drive.
+
+    Args:
+        pipeline: drive, loads where there are any, and markers directly behind.
+        inputs: that drive it.
+        run: where they are taken.
+        columns: (D,) outputs.
+        at: (n, D) their values.
+
+    Attributes:
+        by_free: (n, D, Q) by joint angles without loads, 1/rad.
+        by_load: (n, D, 6) by loads, 1/N, see `equilibrium.solve`.
+        by_stiffness: (n, D) by the joints' stiffness.
+    """
+
+    @staticmethod
+    def suits(pipeline: Pipeline, columns: Sequence[str]) -> bool:
+        """Whether a pipeline is made so, and the outputs are of its markers."""
+        between = pipeline.chain[pipeline.drive + 1 : pipeline.reads_joints]
+        return (
+            pipeline.thins_at == pipeline.drive
+            and all(isinstance(e, LoadLink) and e.body is None for e in between)
+            and not any(c.startswith("q_") for c in columns)
+        )
+
+    def __init__(self, pipeline: Pipeline, inputs: Inputs, run: Run, columns: Sequence[str], at: np.ndarray):
+        self._pipeline, self._inputs, self._run, self._columns, self._at = pipeline, inputs, run, columns, at
+        between, free = pipeline.chain[pipeline.drive + 1], run.signals[pipeline.drive + 1]
+        self._load = between if isinstance(between, LoadLink) else None
+        loads = np.zeros((len(free), 6)) if self._load is None else self._loads(run.theta)
+        stiffness = 1.0 if self._load is None else float(run.theta[self._load.stiffness])
+        self.by_free = np.empty((*at.shape, free.shape[1]))
+        self.by_load, self.by_stiffness = np.zeros((*at.shape, 6)), np.zeros(at.shape)
+        links, results = pipeline.geometry.links, (self.by_free, self.by_load, self.by_stiffness)
+        sensitivities(run.joints, free, loads, stiffness, links, self._by_markers(), *results)
+
+    def by_pressures(self, moved: np.ndarray) -> np.ndarray:
+        """(n, D, F) what outputs change by where other pressures (m, F, chambers) bend the body."""
+        change = (moved - self._run.signals[self._pipeline.drive][:, None])[self._inputs.rows]
+        return np.einsum("ndc,nfc->ndf", self.by_pressure, change)
+
+    @cached_property
+    def by_pressure(self) -> np.ndarray:
+        """(n, D, chambers) 1/kPa."""
+        p, run = self._pipeline, self._run
+        out = self.by_free @ p.chain[p.drive].line(run.theta)[0].T
+        if BENDING_PRESSURE in self._computed:
+            eps = _SMALL * self._inputs.pressure_range_kpa
+            other = {BENDING_PRESSURE: self._computed[BENDING_PRESSURE] + eps}
+            change = (self._seen(run.signals[p.reads_joints + 1], other) - self._at) / eps
+            out += change[:, :, None] / out.shape[2]
+        return out
+
+    def by_parameters(self, indices: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """(n, D, F) what outputs change by with parameters of the drive and of loads."""
+        p, run, out = self._pipeline, self._run, np.zeros((*self._at.shape, len(indices)))
+        of_drive = [j for j, i in enumerate(indices) if i in p.chain[p.drive].indices]
+        lines = [p.chain[p.drive].line(_with(run, indices[j], values[j])) for j in of_drive]
+        if lines:
+            gain, still = p.chain[p.drive].line(run.theta)
+            out[:, :, of_drive] = self.by_free @ np.stack([s - still for _, s in lines], axis=1)
+            for c, u in enumerate(run.signals[p.drive][self._inputs.rows].T):
+                by_gain = self.by_free @ np.stack([g[c] - gain[c] for g, _ in lines], axis=1)
+                out[:, :, of_drive] += u[:, None, None] * by_gain
+        for j, i in enumerate(indices):
+            if j in of_drive or self._load is None:
+                continue
+            if i == self._load.stiffness:
+                out[:, :, j] = self.by_stiffness * (values[j] - run.theta[i])
+                continue
+            change = self._loads(_with(run, i, values[j])) - self._loads(run.theta)
+            out[:, :, j] = np.einsum("ndk,nk->nd", self.by_load, change)
+        return out
+
+    @cached_property
+    def _computed(self) -> dict[str, np.ndarray]:
+        return self._pipeline.computed(self._run.signals, self._inputs, True)
+
+    def _loads(self, theta: np.ndarray) -> np.ndarray:
+        assert self._load is not None
+        return self._load.loads(self._inputs.sample_dt_s, theta, self._inputs.conditions_with({}, True))
+
+    def _by_markers(self) -> np.ndarray:
+        """(n, D, 5) by where the body's tip is."""
+        g, out = self._pipeline.geometry, np.zeros((*self._at.shape, 5))
+        markers = self._run.signals[self._pipeline.reads_joints + 1]
+        for m in (0, 2, 3) if g.axes == 1 else range(5):
+            other, eps = markers.copy(), _SMALL * (g.length_mm if m < 3 else 1.0)
+            other[:, m] += eps
+            out[:, :, m] = (self._seen(other, self._computed) - self._at) / eps
+        return out
+
+    def _seen(self, markers: np.ndarray, computed: dict[str, np.ndarray]) -> np.ndarray:
+        """(n, D) outputs at other markers (n, 5) of the body."""
+        conditions = self._inputs.conditions_with(computed, True)
+        for link in self._pipeline.chain[self._pipeline.reads_joints + 1 :]:
+            markers = link(markers, self._inputs.sample_dt_s, self._run.theta, conditions, np.zeros(0))
+        return self._pipeline.outputs(replace(self._run, markers=markers), self._columns)
 
 
 def _chamber(column: str) -> int:
@@ -119,47 +226,6 @@ def _by_pressure(
         other[:, c] += eps
         out = out + (outputs(other) / eps)[:, :, None] * change[:, None, :, c]
     return np.asarray(out)
-
-
-def _by_joints(
-    pipeline: Pipeline,
-    inputs: Inputs,
-    run: Run,
-    columns: Sequence[str],
-    indices: np.ndarray,
-    values: np.ndarray,
-    at: np.ndarray,
-) -> np.ndarray:
-    """(n, D, F) what outputs change by with parameters of the drive, where markers follow from its joints."""
-    g, drive = pipeline.geometry, pipeline.chain[pipeline.drive]
-    u, state = run.signals[pipeline.drive][inputs.rows], np.zeros(0)
-    conditions = inputs.conditions_with({}, True)
-    turned = []
-    for i, value in zip(indices, values, strict=True):
-        theta = run.theta.copy()
-        theta[i] = value
-        turned.append(drive(u, inputs.sample_dt_s, theta, conditions, state) - run.joints)
-    if not turned:
-        return np.zeros((*at.shape, 0))
-    by_joint = tip_derivatives(run.joints, np.array(g.joint_positions_mm), g.length_mm, g.axes)
-    markers = np.einsum("nmq,nqf->nmf", by_joint, np.stack(turned, axis=2))
-    out = np.zeros((*at.shape, len(indices)))
-    for m in range(5):
-        if by_joint[:, m].any():
-            eps = _SMALL * (g.length_mm if m < 3 else 1.0)
-            other = run.signals[pipeline.reads_joints + 1].copy()
-            other[:, m] += eps
-            seen = (pipeline.outputs(_seen(pipeline, inputs, run, other), columns) - at) / eps
-            out += seen[:, :, None] * markers[:, None, m]
-    return out
-
-
-def _seen(pipeline: Pipeline, inputs: Inputs, run: Run, markers: np.ndarray) -> Run:
-    """The run with other markers (n, 5) of the body, as effects of markers and the observation show them."""
-    conditions = inputs.conditions_with(pipeline.computed(run.signals, inputs, True), True)
-    for link in pipeline.chain[pipeline.reads_joints + 1 :]:
-        markers = link(markers, inputs.sample_dt_s, run.theta, conditions, np.zeros(0))
-    return replace(run, markers=markers)
 
 
 SHORTEST_ROWS = 0.25  # of a time that a recording can show, in its time between rows
@@ -260,6 +326,22 @@ class Problem:
         self._last = self._run(self.theta(v), self._last)
         return self._values(self._last) - self._measured
 
+    def nearby(self, v: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """`residual` for v of which only what comes before the drive differs, the body to first order."""
+        r, run, pipeline, data = self.residual(v), self.run, self.pipeline, self.data
+        if self._until <= pipeline.drive or not AtRest.suits(pipeline, data.columns):
+            return self.residual
+        at = pipeline.outputs(run, data.columns)
+        slope = AtRest(pipeline, data.inputs, run, data.columns, at).by_pressure * data.scale[:, None]
+        rows, u = data.inputs.rows, run.signals[pipeline.drive]
+
+        def residual(other: np.ndarray) -> np.ndarray:
+            moved = pipeline.run(data.inputs, self.theta(other), run, until=pipeline.drive)
+            change = (moved.signals[pipeline.drive] - u)[rows]
+            return r + (slope @ change[:, :, None]).ravel()
+
+        return residual
+
     def cost(self, theta: np.ndarray) -> float:
         """Sum of squares at all parameters (P,)."""
         r = self._values(self._run(theta, None)) - self._measured
@@ -298,25 +380,28 @@ class Problem:
         return (values * self.data.scale).ravel()
 
 
-def past_jumps(residual: Callable[[np.ndarray], np.ndarray], jumps: np.ndarray, v: np.ndarray) -> np.ndarray:
+def past_jumps(problem, jumps: np.ndarray, v: np.ndarray) -> np.ndarray:
     """The best v nearby along each parameter that moves the error in jumps, which derivatives do not show.
 
+    Of each width the best by `nearby` is tried in full.
+
     Args:
-        residual: of v.
+        problem: with `residual` and `nearby`, see `Problem`.
         jumps: (F,) of the first F parameters, see `Problem.jumps`.
         v: from where.
     """
-    jumpy = np.flatnonzero(jumps)
-    least = float(np.square(residual(v)).sum()) if len(jumpy) else 0.0
-    for j in jumpy:
+    where = np.flatnonzero(jumps)
+    if not len(where):
+        return v
+    squares = lambda r: float(np.square(r).sum())  # noqa: E731
+    least, near = squares(problem.residual(v)), problem.nearby(v)
+    for j in where:
         for width in jumps[j] / np.array([3, 12, 48, 192]):
-            middle = v[j]
-            for away in (-3, -2, -1, 1, 2, 3):
-                tried = v.copy()
-                tried[j] = np.clip(middle + away * width, 0.0, 1.0)
-                cost = float(np.square(residual(tried)).sum())
-                if cost < least:
-                    v, least = tried, cost
+            tried = np.repeat(v[None], 6, axis=0)
+            tried[:, j] = np.clip(v[j] + width * np.array([-3, -2, -1, 1, 2, 3]), 0.0, 1.0)
+            best = min(tried, key=lambda x, near=near: squares(near(x)))
+            if (now := squares(problem.residual(best))) < least:
+                v, least, near = best, now, problem.nearby(best)
     return v
 
 

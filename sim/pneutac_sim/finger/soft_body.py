@@ -168,7 +168,7 @@ def loaded(q_free, loads, links, controller: float, modulus: float, body: SoftBo
 
     Args:
         q_free: (n, N) without loads, rad.
-        loads: (n, 6) N: tip force x, y, z, then weight of the whole body x, y, z, as in `equilibrium.planar`.
+        loads: (n, 6) N: tip force x, y, z, then weight of the whole body x, y, z, as in `equilibrium.solve`.
         links: (2 N,) length of the link after each joint, m, then their share of the weight.
         controller: K_c, N m/rad.
         modulus: E, MPa.

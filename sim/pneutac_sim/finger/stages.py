@@ -52,6 +52,12 @@ class Geometry:
         """Independent pressures."""
         return CHAMBERS[self.device]
 
+    @cached_property
+    def links(self) -> np.ndarray:
+        """(2 N,) length of the link after each joint, m, then their share of the weight."""
+        lengths = 1e-3 * np.diff(np.append(self.joint_positions_mm, self.length_mm))
+        return np.concatenate([lengths, lengths / (1e-3 * self.length_mm)])
+
 
 def base_parameters(geometry: Geometry, of_stiffness: bool = False) -> tuple[Parameter, ...]:
     """Parameters that every twin of this device has.
@@ -165,7 +171,7 @@ class Drive:
 
     def __call__(self, x, dt, theta, conditions: Conditions, state) -> np.ndarray:
         """Returns joints (m, N axes)."""
-        gain, still = self._line(theta)
+        gain, still = self.line(theta)
         return x @ gain + still
 
     def rest(self, theta) -> np.ndarray:
@@ -173,7 +179,7 @@ class Drive:
         profile, _, rest = self._constants(theta)
         return self._still(theta, profile, rest)
 
-    def _line(self, theta) -> tuple[np.ndarray, np.ndarray]:
+    def line(self, theta) -> tuple[np.ndarray, np.ndarray]:
         """Joints by pressure (chambers, N axes), and joints at zero pressure (N axes,)."""
         profile, directions, rest = self._constants(theta)
         gain = theta[self.indices[0]] * profile[:, None] * directions[:, None, :]  # (chambers, N, axes)
@@ -196,7 +202,7 @@ class Drive:
 
     def held_at(self, theta) -> "HeldDrive":
         """The same where the parameters stay as they are."""
-        return HeldDrive(*self._line(theta))
+        return HeldDrive(*self.line(theta))
 
 
 @dataclass(frozen=True)
@@ -263,24 +269,29 @@ class LoadLink:
 
     def __call__(self, x, dt, theta, conditions: Conditions, state) -> np.ndarray:
         """Returns loaded joint angles (m, N axes)."""
-        loads = np.zeros((len(x), 6))
+        loads, links = self.loads(dt, theta, conditions), self.geometry.links
+        if self.body is not None:
+            whole, share = theta[self.stiffness : self.stiffness + 2]
+            levers = 1e-3 * (self.geometry.length_mm - np.array(self.geometry.joint_positions_mm))
+            modulus = share * whole / self.body.alone(levers)
+            controller = controller_stiffness(whole, modulus * self.body.resting, levers)
+            return loaded(x, loads, links, controller, modulus, self.body)
+        if self.geometry.chambers == 1:
+            out = equilibrium.along_a_line(x, loads, float(theta[self.stiffness]), links)
+            if out is not None:
+                return out
+        out = np.array(x)
+        equilibrium.solve(out, loads, theta[self.stiffness], links, state)
+        return out
+
+    def loads(self, dt, theta, conditions: Conditions) -> np.ndarray:
+        """Loads (m, 6) N, see `equilibrium.solve`."""
+        loads = np.zeros((len(dt), 6))
         if self.measured:
             loads[:, :3] = conditions(FORCES)
         for e in self.effects:
             loads = e(loads, dt, theta, conditions, np.zeros(e.state_size(6)))
-        length = 1e-3 * self.geometry.length_mm
-        joints = 1e-3 * np.array(self.geometry.joint_positions_mm)
-        links = np.diff(np.append(joints, length))
-        if self.body is not None:
-            whole, share = theta[self.stiffness : self.stiffness + 2]
-            levers = length - joints
-            modulus = share * whole / self.body.alone(levers)
-            controller = controller_stiffness(whole, modulus * self.body.resting, levers)
-            return loaded(x, loads, np.concatenate([links, links / length]), controller, modulus, self.body)
-        out = np.array(x)
-        solve = equilibrium.planar if self.geometry.axes == 1 else equilibrium.spatial
-        solve(out, loads, theta[self.stiffness], np.concatenate([links, links / length]), state)
-        return out
+        return loads
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,11 @@
-import numpy as np
+from types import SimpleNamespace
 
+import numpy as np
+import pytest
+
+from lerobot_pneutac.diagnosis.search import Scored
 from lerobot_pneutac.study.body_model import BodyFitter, BodyStructure, InputModel, rate
+from lerobot_pneutac.study.body_search import BodySearch
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.twin import Twin
 from pneutac_truths import generate, write
@@ -19,3 +24,19 @@ def test_a_trial_of_which_no_row_was_fitted_has_no_numbers_of_its_own(tmp_path):
     model = fitter.fit(BodyStructure((), InputModel(), 8, trials=(0.01, 0.02, 0.02, 0.01)), {}, 2)
     assert model.of_trials[:-1].any(axis=1).all() and np.abs(model.of_trials[-1]).max() < 1e-9
     assert np.isfinite(fitter.predict(model)).all()
+
+
+@pytest.mark.parametrize("effects, taken", [(("valve_lag",), True), (("orifice_flow",), False)])
+def test_a_better_fit_of_the_same_effects_needs_no_significance_and_other_effects_do(effects, taken):
+    def scored(effects: tuple[str, ...], share: float, value: float) -> Scored:
+        structure = BodyStructure(effects, InputModel(switch=(share,)))
+        return Scored(SimpleNamespace(structure=structure), np.full(4, value), value)
+
+    now, better = scored(("valve_lag",), 0.5, 2.0), scored(effects, 0.4, 1.0)
+    search = SimpleNamespace(
+        engine=lambda space: SimpleNamespace(other_actuations=lambda model: []),
+        score=lambda model: better,
+        bootstrap=SimpleNamespace(significant_drop=lambda before, after: False),
+    )
+    space = SimpleNamespace(refine_air=lambda model: model)
+    assert BodySearch._refined(search, space, now) is (better if taken else now)

@@ -108,6 +108,6 @@ def test_without_a_body_springs_bend_as_springs(body):
     free = np.array([[0.1, 0.2, 0.15, 0.3], [0.3, 0.2, 0.3, 0.1]])
     loads = np.array([[0.1, 0.0, 0.3, 0.2, 0.0, -0.4], [-0.3, 0.0, -0.3, 0.0, 0.0, 0.1]])
     bent = free.copy()
-    equilibrium.planar(bent, loads, 0.3, links, np.zeros(4))
+    equilibrium.solve(bent, loads, 0.3, links, np.zeros(4))
     nothing = SoftBody(body.powers, 0 * body.weights, body.rest, 0.0)
     np.testing.assert_allclose(loaded(free, loads, links, 0.3, 1.0, nothing), bent, atol=1e-6)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
-from scipy.signal import lfilter
+from scipy.signal import lfilter, lsim
 
 from pneutac_sim.effects import get_effect, in_order
 from pneutac_sim.effects.laws import REFERENCE_C, TABLE, TIMES_S, family, is_law, law, law_names, starts
@@ -162,10 +162,20 @@ def test_a_mode_answers_a_step_under_and_over_damped(zeta):
 def test_a_mode_follows_straight_lines_as_the_solved_equation_does(omega, zeta):
     p = polyline()
     t = DT * np.arange(len(p))
-    f = lambda s, y: (y[1], omega**2 * (np.interp(s, t, p) - y[0]) - 2 * zeta * omega * y[1])  # noqa: E731
-    exact = solve_ivp(f, (0, t[-1]), (p[0], 0.0), t_eval=t, max_step=DT / 4, rtol=1e-8).y[0]
+    A = np.array([[0.0, 1.0], [-(omega**2), -2 * zeta * omega]])
+    exact = lsim((A, [[0.0], [omega**2]], [[1.0, 0.0]], 0.0), p, t, [p[0], 0.0])[1]
     y = act("mode(p)", p, frequency_rad_per_s=omega, damping_ratio=zeta)
-    assert np.abs(y - exact).max() < 0.01 * P
+    np.testing.assert_allclose(y, exact, atol=1e-11 * P)
+
+
+def test_a_modes_step_of_any_length_is_exact():
+    """A straight line by one step, by a thousand, and by steps so short that weights are series."""
+    for omega, zeta in ((3.0, 0.2), (3.0, 1.0), (3.0, 3.0)):
+        constants = {"frequency_rad_per_s": omega, "damping_ratio": zeta}
+        ends = [
+            act("mode(p)", np.linspace(0, P, n + 1), 2.0 / n, **constants)[-1] for n in (1, 1000, 100_000)
+        ]
+        np.testing.assert_allclose(ends, ends[0], rtol=1e-10)
 
 
 # ---------------------------------------------------------------- loops

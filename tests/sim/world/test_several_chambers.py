@@ -9,7 +9,7 @@ from gymnasium.utils.env_checker import check_env
 from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import Places
-from pneutac_sim.finger.equilibrium import spatial
+from pneutac_sim.finger.equilibrium import solve
 from pneutac_sim.finger.online import PressurePipeline
 from pneutac_sim.twin import Value
 from pneutac_sim.world.env import PneutacEnv
@@ -105,7 +105,7 @@ def test_a_load_across_the_tip_bends_it_as_the_pipeline_says():
     world.reset(0)
     force, links = np.array([0.0, 0.15, 0.1]), np.append(np.full(5, 0.1 / 6), 0.1 / 12)
     q = np.zeros((1, 12))
-    spatial(q, np.array([[*force, 0, 0, 0]], float), 0.458, np.append(links, links / 0.1), np.zeros(12))
+    solve(q, np.array([[*force, 0, 0, 0]], float), 0.458, np.append(links, links / 0.1), np.zeros(12))
     tip, base = world.data.site("tip"), world.data.body("finger")
     for _ in range(120):
         moment, body = np.zeros(world.model.nv), world.model.body("sensor").id
