@@ -17,7 +17,7 @@ SETS = 8  # seeds that follow one another and, where more than twenty are asked 
 PERSON = {"switch": (1.0, 0.25), "egg": (1.0, 1.0), "card": (0.5, 0.5)}
 OTHER_TASK = (1.0, 0.0)
 # Core seconds, by kind: of each demonstration, try or trial; of the others once.
-COST_S = {"record": 6.5, "library": 2.5, "expert": 1.5, "planner": 30.0, "naive": 8.0, "student": 2.0}
+COST_S = {"record": 6.5, "library": 2.5, "expert": 1.5, "planner": 30.0, "naive": 0.2, "student": 2.0}
 ONCE_S = {"scenes": 70.0, "ppo": 1200.0, "train": 240.0, "evaluate": 3.2}
 TRAIN_GPU_S = 30.0  # of a core, where a GPU trains
 
@@ -178,13 +178,13 @@ def _recording(cfg, task: str, seed: int, purpose: str) -> Unit:
 
 def _made(cfg, task: str, seed: int, source: str) -> list[Unit]:
     """Units that make demonstrations; all but scenes and actors hold some."""
-    at, real, needs = f"{task}/{seed}", _recording(cfg, task, seed, "real"), (f"{task}/{seed}/real",)
+    at, needs = f"{task}/{seed}", (f"{task}/{seed}/real",)
     before = source.endswith("_before")
     method, twin = source.removesuffix("_before"), cfg.twin_before if before else cfg.twin
     options = {"task": task, "twin": _text(twin)}
     if source == "naive":
         seeded = {"seed": derived_seed(seed, task, "naive"), "episodes": cfg.augmented}
-        return [Unit(f"{at}/naive", "naive", {"recording": real.options} | seeded, needs)]
+        return [Unit(f"{at}/naive", "naive", seeded, needs)]
     if source == "student":
         seeded = {"seed": derived_seed(seed, task, "ppo"), "steps": cfg.ppo_steps, "tries": cfg.trials}
         actor = Unit(f"{at}/ppo_actor", "ppo", options | seeded)

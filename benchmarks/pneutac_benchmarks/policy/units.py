@@ -3,7 +3,7 @@
 import json
 import os
 import shutil
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -129,12 +129,19 @@ def naive(folder: Path, options: dict, needs: list[Path]) -> dict:
     """New demonstrations, varied without a simulator."""
     from pneutac_datasets.demonstrations.naive import varied
 
-    recorded, _, _ = _recorded(options["recording"])  # once more, for whole images
-    states, actions = (np.concatenate([getattr(e, name) for e in recorded]) for name in ("state", "action"))
-    load, n = recorded.__getitem__, len(recorded)
-    made = list(varied(load, n, states, actions, options["episodes"], options["seed"]))
-    Frames.of(made).save(folder / FRAMES_FILE)
-    return {"episodes": len(made), "frames": sum(map(len, made))}
+    real = Frames.load(needs[0] / FRAMES_FILE)
+
+    class Pooled(Episode):
+        pixels = int(real.shape[1] * real.shape[2])  # of the whole image
+
+    def load(k: int) -> Episode:
+        rows = real.episode == k
+        return Pooled(real.state[rows].astype(float), real.action[rows], real.images[rows], "", CONTROL_HZ)
+
+    seeded = options["episodes"], options["seed"]
+    made = Frames.of(list(varied(load, real.episodes, real.state, real.action, *seeded)))
+    replace(made, shape=real.shape).save(folder / FRAMES_FILE)
+    return {"episodes": made.episodes, "frames": len(made)}
 
 
 def ppo(folder: Path, options: dict, needs: list[Path]) -> dict:

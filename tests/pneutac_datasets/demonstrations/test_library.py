@@ -134,3 +134,7 @@ def test_the_bend_varies_as_far_as_the_twin_knows_its_own():
     assert bend_gain_sd(twin) == BEND_GAIN
     twin.parameters["gain_rad_per_kpa"] = Value(0.03, (0.03 - 0.0006 * Z95, 0.03 + 0.0006 * Z95))
     assert bend_gain_sd(twin) == pytest.approx(0.02)
+    twin.parameters["gain_rad_per_kpa"] = Value(
+        0.017, (-0.003, 0.037)
+    )  # the rest pressure can stand in for it
+    assert bend_gain_sd(twin) == BEND_GAIN

@@ -378,9 +378,29 @@ def test_the_task_is_done_from_starts_and_objects_that_nobody_showed(method):
     for attempt, provenance in made:
         assert attempt.reason is None and provenance["method"] == method
         assert (attempt.area > 0).any() and len(attempt.state) == len(attempt.action) == provenance["frames"]
-        assert ("path" in provenance) == (method == "library")
+        assert ("path" in provenance) == (method == "library") == (attempt.carried_out is None)
     starts = np.array([a.state[0, 14:17] for a, _ in made])
     shown = np.array([r.flange_m[0] for r in recorded])
     assert np.linalg.norm(starts[:, None] - shown, axis=2).min(1).max() > 0.003
     again = Generator(replace(generator.setup)).episode(1, [])[0]
     np.testing.assert_array_equal(again.action, made[1][0].action)
+
+
+def test_what_leads_the_expert_astray_is_carried_out_and_not_stored():
+    setup = AugmentSetup(demonstrations("switch", 2), "switch", None, "probe", PlannerConfig(), 1, "expert")
+    made, _ = Generator(setup, touch="area").episode(0, [])
+    astray = made.carried_out - made.action
+    free, kpa = made.area == 0, 15.0 * augment_episode.NOISE_SHARE
+    assert np.std(astray[free, 1]) == pytest.approx(augment_episode.NOISE_FREE_M_S, rel=0.5)
+    assert 0 < np.abs(astray[~free, :3]).max() < 5 * augment_episode.NOISE_TOUCH_M_S
+    assert 0 < np.std(astray[:, 3]) < 2 * kpa
+    # Labels are the expert's own, without noise: on the free way it keeps to few velocities.
+    assert np.median(np.abs(np.diff(made.action[free, 0]))) < 0.3 * np.median(
+        np.abs(np.diff(astray[free, 0]))
+    )
+    world = VariedWorld("switch", touch="area", fidelity="probe")
+    seed, world.variation = made.start
+    states = [world.reset(seed).state]
+    for action in made.carried_out[:-1]:
+        states.append(world.step(action).state)
+    assert np.array_equal(states, made.state)

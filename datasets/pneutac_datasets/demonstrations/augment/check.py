@@ -84,7 +84,8 @@ def agreement(world: VariedWorld, episode: int, attempt: Attempt, step=lambda: N
     world.variation = variation
     world.reset(seed)
     areas, errors, planned = [], [], attempt.area
-    for t, action in enumerate(attempt.action):
+    carried_out = attempt.action if attempt.carried_out is None else attempt.carried_out
+    for t, action in enumerate(carried_out):
         step()
         areas.append(world.touch.area)
         if areas[t] > 0 or planned[t] > 0:

@@ -43,6 +43,9 @@ START_M = 0.004  # standard deviation of the start; its height stays, by which m
 SHORTEST = 8  # control steps of the paper's rate; what is done sooner was done by where the object stood
 IN_THE_WAY = "the object stood where the hand starts"
 TRIES = 10  # variants of one reference before another one gets its turn
+# Noise that is carried out and not stored, so that labels show the way back (Laskey et al., DART, CoRL 2017).
+NOISE_FREE_M_S, NOISE_TOUCH_M_S, NOISE_SHARE = 0.010, 0.00075, 1 / 120  # the last: of the pressure range
+NOISE_KEPT = 0.8  # from one control step to the next
 LONGEST = 300  # control steps of the paper's rate for a demonstration without a reference, at most
 
 
@@ -101,6 +104,7 @@ class Attempt:
         area_rmse: root mean square error of the contact area from its onset on.
         start: seed and variation of the world at the start.
         more: (T, ...) of further features, such as scene cameras' pictures, by their names in the dataset.
+        carried_out: (T, 3 + C) the actions with the noise that was carried out; None where there was none.
     """
 
     state: np.ndarray
@@ -111,6 +115,7 @@ class Attempt:
     area_rmse: float
     start: tuple[int, Variation]
     more: dict[str, np.ndarray] = field(default_factory=dict)
+    carried_out: np.ndarray | None = None
 
     @property
     def area(self) -> np.ndarray:
@@ -233,7 +238,8 @@ class Generator:
         )
         self._path: list[tuple[int, int, int]] = []
         ways = self._follow(rng) if s.method == "library" else self._expert(rng)
-        attempt = self._carried_out(ways, int(rng.integers(2**31)))
+        noise = rng if s.method == "expert" else None
+        attempt = self._carried_out(ways, int(rng.integers(2**31)), noise=noise)
         pieces = [dict(zip(("frame", "source_episode", "source_frame"), p, strict=True)) for p in self._path]
         return attempt, {"path": pieces} if pieces else {}
 
@@ -263,6 +269,7 @@ class Generator:
         seed: int,
         demonstrated: np.ndarray | None = None,
         missed: bool = True,
+        noise: np.random.Generator | None = None,
     ) -> Attempt:
         """Carries actions out in the world, from a reset with a seed, until the task is done or they end.
 
@@ -271,6 +278,7 @@ class Generator:
             seed: of the task's own start.
             demonstrated: contact areas of the reference; None without one, where the time is limited.
             missed: whether the object must be touched.
+            noise: draws what is carried out besides each action and not stored; None for nothing.
         """
         observation = self.world.reset(seed)
         begun, frames = (seed, self.world.variation), self.setup.references[0].frames
@@ -278,6 +286,8 @@ class Generator:
             nothing = observation.state[None][:0], np.zeros((0, len(self.world.action_limits[0]))), None
             return Attempt(*nothing, IN_THE_WAY, 0.0, 1.0, begun)
         states, actions, images, areas, more, self._costs = [], [], [], [], [], []
+        carried_out: list[np.ndarray] = []
+        astray = np.zeros(len(self.world.action_limits[0]))
         while not (self.world.success or self.world.failure):
             action = next(ways, None)
             if action is None or demonstrated is None and len(actions) >= frames(LONGEST):
@@ -288,7 +298,11 @@ class Generator:
             actions.append(action.astype(np.float32))
             areas.append(self.world.touch.area)
             began = time.perf_counter()
-            observation = self.world.step(actions[-1])
+            if noise is not None:
+                astray = NOISE_KEPT * astray + np.sqrt(1 - NOISE_KEPT**2) * noise.standard_normal(len(astray))
+            done = np.clip(actions[-1] + self._noise_size() * astray, *self.world.action_limits)
+            carried_out.append(done.astype(np.float32))
+            observation = self.world.step(carried_out[-1])
             missed = missed and not self.world.touch.area > 0
             self.seconds["execution"] += time.perf_counter() - began
         reason = self.world.failure
@@ -307,7 +321,14 @@ class Generator:
             1.0 if demonstrated is None else _area_rmse(np.array(areas), demonstrated),
             begun,
             {key: np.array([each[key] for each in more]) for key in (more[0] if more else ())},
+            None if noise is None else np.array(carried_out),
         )
+
+    def _noise_size(self) -> np.ndarray:
+        """Standard deviations (3 + C,) of the noise that is carried out, now."""
+        velocity = NOISE_TOUCH_M_S if self.world.touch.area > 0 else NOISE_FREE_M_S
+        pressures = [NOISE_SHARE * float(np.ptp(self.world.pressure_range_kpa))] * self.world.chambers
+        return np.array([velocity] * len(VELOCITY_NAMES) + pressures)
 
     def _further(self) -> dict[str, np.ndarray]:
         """What the demonstrations have of `FURTHER`, now."""

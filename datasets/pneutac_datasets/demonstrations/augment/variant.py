@@ -11,7 +11,7 @@ from pneutac_sim.world.conditions import Conditions, draw
 # Standard deviations.
 FRICTION = 0.15  # of the factor on the gel's friction
 PEAK_KPA = 0.5  # of the peak pressure of a finger of 0 to 15 kPa; of another in proportion to its range
-BEND_GAIN = 0.04  # of the factor on pressure to bend, where the twin has no interval of its own
+BEND_GAIN = 0.04  # of the factor on pressure to bend, at most, and where the twin has no interval of its own
 ASIDE_M = 0.005  # of the object's place along y, at most: the way there stays, and a gel is 16 mm wide
 LATE = 1  # control steps by which touch is shown too late, at most
 
@@ -69,8 +69,12 @@ class Variant:
 
 
 def bend_gain_sd(twin: Twin | None) -> float:
-    """Standard deviation of the factor on pressure to bend: by the interval of the twin's own gain."""
+    """Standard deviation of the factor on pressure to bend: by the interval of the twin's own gain.
+
+    Where gain and rest pressure can stand in for each other that interval may even include zero, though they
+    fix the bend together; it is then no measure of how far the bend may be off.
+    """
     gain = twin.parameters.get("gain_rad_per_kpa") if twin else None
     if gain is None or gain.ci95 is None or not gain.value:
         return BEND_GAIN
-    return (gain.ci95[1] - gain.ci95[0]) / (2 * Z95 * abs(gain.value))
+    return min((gain.ci95[1] - gain.ci95[0]) / (2 * Z95 * abs(gain.value)), BEND_GAIN)

@@ -64,7 +64,8 @@ class Work:
             scores = provenance.get("cost", 0.0), provenance.get("area_rmse", 1.0)
             start = start_from_json(str(d["start"]))
             more = {key.removeprefix(MORE): d[key] for key in d.files if key.startswith(MORE)}
-            attempt = Attempt(d["state"], d["action"], images, None, *scores, start, more)
+            done = d["carried_out"] if "carried_out" in d.files else None
+            attempt = Attempt(d["state"], d["action"], images, None, *scores, start, more, done)
         return attempt, provenance, seconds
 
     def save_scene(self, source: int, scene: Scene) -> None:
@@ -81,6 +82,8 @@ class Work:
             "provenance": np.array(json.dumps(provenance)),
             "seconds": np.array(json.dumps(seconds)),
         }
+        if attempt.carried_out is not None:
+            arrays["carried_out"] = attempt.carried_out
         arrays |= {f"{MORE}{key}": values for key, values in attempt.more.items()}
         with whole(self.episode_file(index)) as part, part.open("wb") as f:
             np.savez_compressed(f, **arrays)
