@@ -11,12 +11,12 @@ import numpy as np
 import torch
 from torch.nn import functional as F
 
-from pneutac_sim.effects.near_light import LX, LY, PX, PY
 from pneutac_sim.effects.photometric_nonlinearity import ACROSS, ALONG, DEEP, DIRECT
 from pneutac_sim.effects.shadow import EDGE, LEVEL, SLOPE
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel import residual
 from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.optics import towards_light
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.gel.residual import ResidualField
 from pneutac_sim.gel.surface import over_relaxation, resolutions
@@ -230,11 +230,7 @@ class _Light:
 
     def __init__(self, coefficients, cell_mm, all_shadows, device):
         self._cell_mm = cell_mm
-        y, x = ((np.arange(n) + 0.5 - n / 2) * h for n, h in zip((ROWS, COLS), cell_mm[::-1], strict=True))
-        x, y = np.meshgrid(x, y)
-        towards = np.empty((2, 3, ROWS, COLS))
-        for k, c in enumerate(coefficients):
-            towards[0, k], towards[1, k] = (-c[LX], -c[LY]) if math.isnan(c[PX]) else (c[PX] - x, c[PY] - y)
+        towards = towards_light(coefficients, (ROWS, COLS), cell_mm)
         e = towards / np.maximum(np.hypot(*towards), 1e-9)
         columns = np.concatenate([coefficients, np.hypot(*coefficients[:, :2].T)[:, None]], 1)
         self._ex, self._ey = torch.tensor(e, dtype=torch.float32, device=device)

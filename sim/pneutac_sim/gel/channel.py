@@ -129,11 +129,8 @@ class Channel:
         """The row (12,) of `optics.light` and what acts after it, of unknowns x (F,)."""
         strength, direction, depth_light = x[:3]
         towards, of = np.array([np.cos(direction), np.sin(direction)]), self._of_effects(x)
-        row = np.array(optics.NEUTRAL)
-        row[:2], row[2] = -strength * towards, depth_light
-        for effect in self._effects:
-            if effect.coefficients is not None:
-                effect.coefficients(row, towards, of[effect.name])
+        acting = [(e, of[e.name]) for e in self._effects]
+        row = optics.row(-strength * towards, depth_light, towards, acting)
         further = [further_light(e, lambda k, e=e: of[e.name]) for e in self._effects if e.light]
         return row, further
 

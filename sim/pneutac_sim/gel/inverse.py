@@ -160,15 +160,10 @@ def _derivative(coefficients: np.ndarray, weight: np.ndarray, cell_mm) -> sparse
     """Of the weighted light by the surface at rest, (3 n, n) for n cells: w (L . grad + c_d)."""
     Gx = sparse.kron(sparse.eye(ROWS), _differences(COLS, cell_mm[0]))
     Gy = sparse.kron(_differences(ROWS, cell_mm[1]), sparse.eye(COLS))
-    y, x = np.meshgrid(
-        (np.arange(ROWS) + 0.5 - ROWS / 2) * cell_mm[1],
-        (np.arange(COLS) + 0.5 - COLS / 2) * cell_mm[0],
-        indexing="ij",
-    )
     out = []
-    for c, w in zip(coefficients, weight, strict=True):
-        far = np.isnan(c[3])
-        ex, ey = (-c[0] + 0 * x, -c[1] + 0 * y) if far else (c[3] - x, c[4] - y)
+    for c, w, ex, ey in zip(
+        coefficients, weight, *optics.towards_light(coefficients, (ROWS, COLS), cell_mm), strict=True
+    ):
         scale = -np.hypot(c[0], c[1]) * w / np.maximum(np.hypot(ex, ey), 1e-9)
         parts = (scale * ex, Gx), (scale * ey, Gy), (c[2] * w, sparse.eye(ROWS * COLS))
         out.append(sum(sparse.diags(factor.ravel()) @ G for factor, G in parts))

@@ -125,13 +125,17 @@ class GelModel:
     def coefficients(self) -> np.ndarray:
         """What `optics.light` takes, (3, 12)."""
         direction = -self.light / np.maximum(np.linalg.norm(self.light, axis=1), 1e-9)[:, None]
-        out = np.tile(optics.NEUTRAL, (3, 1))
-        out[:, :2], out[:, 2] = self.light, self.depth_light
-        for effect, values in self.acting:
-            if effect.coefficients is not None:
-                for k in range(3):
-                    effect.coefficients(out[k], direction[k], effect.channel_values(values, k))
-        return out
+        return np.stack(
+            [
+                optics.row(
+                    self.light[k],
+                    self.depth_light[k],
+                    direction[k],
+                    [(e, e.channel_values(v, k)) for e, v in self.acting],
+                )
+                for k in range(3)
+            ]
+        )
 
     @property
     def further(self) -> list[optics.Further]:

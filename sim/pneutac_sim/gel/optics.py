@@ -11,12 +11,12 @@ Numba's cache of this file does not see changes in the effects' files: delete `_
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from numba import njit
 
-from pneutac_sim.effects.near_light import towards
+from pneutac_sim.effects.near_light import LX, LY, PX, PY, towards
 from pneutac_sim.effects.photometric_nonlinearity import lambert
 from pneutac_sim.effects.shadow import LEVEL, cast, darkened
 from pneutac_sim.gel.contact import differing
@@ -84,6 +84,37 @@ def light(
     each = zip(coefficients, shadows, strict=True)
     out = np.stack([_channel(u, cell_mm, c, shadow, k, further) for k, (c, shadow) in enumerate(each)])
     return out if beside is None else out + beside(u, cell_mm, shadows)
+
+
+def row(light: np.ndarray, depth_light: float, direction: np.ndarray, acting: Iterable[tuple]) -> np.ndarray:
+    """Coefficients (12,) of one channel, see the top of this module.
+
+    Args:
+        light: L (2,), levels per unit slope.
+        depth_light: c_d, levels/mm.
+        direction: unit vector (2,) to the light.
+        acting: effects of the sensor with the channel's values.
+    """
+    out = np.array(NEUTRAL)
+    out[:2], out[2] = light, depth_light
+    for effect, values in acting:
+        if effect.coefficients is not None:
+            effect.coefficients(out, direction, values)
+    return out
+
+
+def towards_light(coefficients: np.ndarray, shape: tuple[int, int], cell_mm) -> np.ndarray:
+    """From each cell of a grid to the light of each channel, (2, channels, rows, columns): x and y, mm.
+
+    Where a light is far away only the direction counts.
+    """
+    y, x = np.meshgrid(
+        *((np.arange(n) + 0.5 - n / 2) * h for n, h in zip(shape, cell_mm[::-1], strict=True)), indexing="ij"
+    )
+    out = np.empty((2, len(coefficients), *shape))
+    for k, c in enumerate(coefficients):
+        out[0, k], out[1, k] = (-c[LX], -c[LY]) if math.isnan(c[PX]) else (c[PX] - x, c[PY] - y)
+    return out
 
 
 def channel(

@@ -15,7 +15,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.features import MAX_PRESSURE_KPA, action_limits
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.twin import PAPER_FINGER, Twin
-from pneutac_sim.world.tasks.base import Task
+from pneutac_sim.world.tasks.base import Habits, Task, Wish
 from pneutac_sim.world.tasks.card import CardTask
 from pneutac_sim.world.tasks.egg import EggTask
 from pneutac_sim.world.tasks.switch import SwitchTask
@@ -30,38 +30,6 @@ FAST_M_S = 0.095
 WRAP_M = 0.08  # how much farther up after the last lane
 KEEP_HZ = 3.0  # how fast it corrects its lane
 NEAR_M = 0.005  # heights that it distinguishes
-
-Wish = tuple[np.ndarray, float]  # velocity (3,) m/s and pressure kPa
-
-
-@dataclass
-class Habits:
-    """How one person acts in one episode, newly drawn each time.
-
-    Attributes:
-        speed: factor on all speeds.
-        offset_m: error of the height at which it searches, metres.
-        low_kpa, high_kpa: pressures of search and of manipulation.
-        ramp_kpa_s: how fast the pressure is turned up.
-        tremor: standard deviation of the velocity's noise, m/s.
-    """
-
-    speed: float
-    offset_m: float
-    low_kpa: float
-    high_kpa: float
-    ramp_kpa_s: float
-    tremor: float = 0.003
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator) -> "Habits":
-        return cls(
-            speed=rng.uniform(0.85, 1.15),
-            offset_m=rng.uniform(-1, 1) * 0.0015,
-            low_kpa=rng.uniform(2.75, 3.5),
-            high_kpa=rng.uniform(11.0, 13.0),
-            ramp_kpa_s=rng.uniform(8.0, 12.0),
-        )
 
 
 @dataclass(frozen=True)

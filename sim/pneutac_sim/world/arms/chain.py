@@ -54,7 +54,8 @@ class ChainIK:
 
     `dq = J_p+ e_p + (J_r N)+ (e_r - J_r J_p+ e_p)` with damped pseudo-inverses, the position's null space
     `N = I - J_p+ J_p`, position error e_p and rotation vector e_r to the held orientation (Siciliano and
-    Slotine, ICAR 1991). Joint limits are enforced by clipping.
+    Slotine, ICAR 1991). Joint limits are enforced by clipping. Position comes first, unlike in
+    `panda.CartesianIK`, as an arm of five joints cannot meet both.
 
     Attributes:
         q: the present joint targets (N,), rad; each `solve` starts from them.

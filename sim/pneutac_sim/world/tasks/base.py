@@ -5,18 +5,47 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
 
-if TYPE_CHECKING:
-    from pneutac_sim.world.expert import Habits, Wish
-    from pneutac_sim.world.world import World
-
 BUMP_S = 1 / 15  # a force that lasts no longer is no press
 HOME_JITTER_M = 0.004  # half width of the random start of the flange about a task's home
 WIDER_M = np.array([0.012, 0.014, 0.010])  # by how much wider along x, y and z a start of width 1 is
+
+
+Wish = tuple[np.ndarray, float]  # velocity (3,) m/s and pressure kPa
+
+
+@dataclass
+class Habits:
+    """How one person acts in one episode, newly drawn each time.
+
+    Attributes:
+        speed: factor on all speeds.
+        offset_m: error of the height at which it searches, metres.
+        low_kpa, high_kpa: pressures of search and of manipulation.
+        ramp_kpa_s: how fast the pressure is turned up.
+        tremor: standard deviation of the velocity's noise, m/s.
+    """
+
+    speed: float
+    offset_m: float
+    low_kpa: float
+    high_kpa: float
+    ramp_kpa_s: float
+    tremor: float = 0.003
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> Habits:
+        return cls(
+            speed=rng.uniform(0.85, 1.15),
+            offset_m=rng.uniform(-1, 1) * 0.0015,
+            low_kpa=rng.uniform(2.75, 3.5),
+            high_kpa=rng.uniform(11.0, 13.0),
+            ramp_kpa_s=rng.uniform(8.0, 12.0),
+        )
 
 
 @dataclass(frozen=True)
@@ -67,11 +96,11 @@ class Task:
         """MJCF assets that the objects name, such as meshes; a file's path there is absolute."""
         return ""
 
-    def expert(self, world: World, habits: Habits, pressure_kpa: float) -> Wish:
+    def expert(self, world: Any, habits: Habits, pressure_kpa: float) -> Wish:
         """What a scripted demonstrator does now; optional.
 
         Args:
-            world: as it is; a person would feel `press_mm` and `imprint_m`, and see `gel_m` and `flange_m`.
+            world: `World` as it is; a person feels `press_mm` and `imprint_m`, and sees `gel_m`, `flange_m`.
             habits: how this one person moves.
             pressure_kpa: commanded last; of the paper's finger, 0 to 15, whatever the range of the twin's.
 
