@@ -27,9 +27,8 @@ from pneutac_datasets.demonstrations.motions import (
 from pneutac_sim.effects import get_effect
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin, Value
-from pneutac_sim.world.sideways import SidewaysWorld
 from pneutac_sim.world.station import Station
-from pneutac_sim.world.varied import Variation
+from pneutac_sim.world.varied import SidewaysWorld, Variation
 
 PLAIN, CREEP, FRICTION = "as it is", "creep", "gel friction"
 MORE_CREEP, SOFTER, SLIPPERY = 2.5, 0.7, 0.5  # what is changed, by which factor

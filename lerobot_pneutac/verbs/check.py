@@ -27,8 +27,7 @@ from pneutac_sim.finger.online import COMPUTED
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 from pneutac_sim.world.checks import check_networks, check_world, out_of_reach
-from pneutac_sim.world.station import Station, station_file
-from pneutac_sim.world.station_faults import station_faults
+from pneutac_sim.world.station import Station, station_faults, station_file
 
 SHORT = 1000  # rows: a diagnosis refuses none that is longer
 MARKS = "twin.yaml", "recording.json", "meta/info.json"  # what is in a folder that can be looked at

@@ -55,7 +55,7 @@ class Places:
 
     @classmethod
     def of(cls, chambers: int) -> "Places":
-        """With a finger of so many chambers."""
+        """Indices in the state of a finger with this number of chambers."""
         return cls(slice(-5 - chambers, -2 - chambers), -2 - chambers, -1 - chambers, slice(-chambers, None))
 
 

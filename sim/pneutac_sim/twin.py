@@ -229,7 +229,6 @@ class Twin:
         return []
 
     def copy(self) -> "Twin":
-        """A deep copy."""
         return copy.deepcopy(self)
 
     def without(self, effect: str) -> "Twin":
@@ -361,7 +360,6 @@ def _effects(d, faults: list[str]) -> dict[str, dict[str, Value]]:
 
 
 def _history(d) -> list[dict]:
-    """Entries as `save_version` writes them."""
     if not isinstance(d, list) or not all(isinstance(e, dict) and "change" in e for e in d):
         raise InputError("field 'history' is malformed; each entry must hold 'version' and 'change'.")
     return d

@@ -57,7 +57,7 @@ class OnlineRod:
 
     @property
     def pressure_kpa(self) -> float:
-        """In the chamber."""
+        """Pressure in the chamber, kPa."""
         return self.air * self._top_kpa
 
     def step(self, command_kpa: float, dt_s: float) -> None:

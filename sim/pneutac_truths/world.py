@@ -161,7 +161,7 @@ class World:
         return self.plan.time_s
 
     def draws(self, name: str) -> np.random.Generator:
-        """Random numbers that are new each day."""
+        """Random numbers of a name, other ones each day."""
         return stream(self.seed, name, self.day)
 
     def told(self, rows: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ def truth_file(recording: str | Path) -> Path:
 
 
 def write_truth(recording: str | Path, truth: dict) -> None:
-    """Stores what is hidden in a recording."""
+    """Writes the hidden truth of a recording."""
     file = truth_file(recording)
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(json.dumps(truth, indent=1) + "\n")

@@ -85,7 +85,7 @@ def is_still(recording: Recording, rate: np.ndarray) -> np.ndarray:
 
 
 def _command(recording: Recording) -> np.ndarray:
-    """(n, chambers)."""
+    """Commanded pressures (n, chambers)."""
     return recording.samples[recording.pressure_columns].to_numpy(float)
 
 

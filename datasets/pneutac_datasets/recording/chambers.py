@@ -25,7 +25,7 @@ def command_columns(chambers: int) -> list[str]:
 
 
 def measured_columns(chambers: int) -> list[str]:
-    """Columns of the measured pressures, likewise."""
+    """Columns of the measured pressures, one a chamber."""
     return pressure_columns(device_with(chambers))[1]
 
 

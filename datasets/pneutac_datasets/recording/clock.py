@@ -101,7 +101,7 @@ def check_sent(samples: pd.DataFrame, file: Path) -> None:
 
 
 def _length(samples: pd.DataFrame) -> float:
-    """Time recorded in all trials, s."""
+    """Total recorded time, s."""
     time = samples.groupby("trial")["time_s"]
     return float((time.max() - time.min()).sum())
 

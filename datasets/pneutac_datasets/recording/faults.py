@@ -36,8 +36,6 @@ FIELDS = (
 
 
 class _Collected(list):
-    """Sentences of the faults so far."""
-
     def __call__(self, call: Callable, *args):
         """What a call returns; None, with its sentence stored, where it refuses."""
         try:

@@ -80,7 +80,7 @@ class GelSample:
 
     @property
     def photograph(self) -> PressPhotograph:
-        """What a fit needs of it."""
+        """The part of the sample that a fit needs."""
         return PressPhotograph(self.press, self.image, self.rest, self.clock, self.sd, self.earlier)
 
 
@@ -135,7 +135,7 @@ class GelRecording:
 
     @property
     def calibration(self) -> GelSample:
-        """The first sample to fit to."""
+        """The first press of the recording."""
         return self.presses[0]
 
 
@@ -323,7 +323,7 @@ def _rest_doubts(data: "GelRecording") -> list[str]:
 
 
 def _rest_doubt(rest: np.ndarray, samples: list[GelSample], px_per_mm: float) -> list[str]:
-    """Against the median of the presses."""
+    """As `_rest_doubts` of one rest image: its difference to the median of its presses."""
     stack = np.stack([cells(s.image, px_per_mm) for s in samples])
     y, x = np.indices(stack.shape[1:3])
     cell = cell_px(px_per_mm)

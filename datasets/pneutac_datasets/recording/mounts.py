@@ -113,7 +113,6 @@ def _begun(recording: Recording) -> dict[int, np.ndarray]:
 
 
 def _same(begun: dict[int, np.ndarray], a: int, b: int) -> bool:
-    """Whether two trials began under equal conditions."""
     return bool((np.abs(begun[a] - begun[b]) <= 1 + 1e-12).all())
 
 
@@ -131,7 +130,6 @@ def _apart(a: np.ndarray, b: np.ndarray, far: float) -> bool:
 
 
 def _against(a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether two trials bend in opposite ways."""
     return bool((a[1:] * b[1:]).sum() < 0)
 
 
@@ -147,7 +145,6 @@ def _runs(sweeps: dict[int, np.ndarray], order: list[int], apart: list[int], far
 
 
 def _sentence(case: Case, motion: Motion, alike: list[int], moved: list[int], unit: str) -> str:
-    """What was done and why."""
     turns = len(motion.shift) > 1 and unit == "mm"
     how = f"turned by {motion.angle_deg:.0f} degrees and shifted" if turns else "shifted"
     far, (before, after) = case.reach(motion), case.error

@@ -85,7 +85,6 @@ class Recording:
         return len(self.samples)
 
     def has(self, column: str) -> bool:
-        """Whether the samples have this column."""
         return column in self.samples.columns
 
     def column(self, name: str) -> np.ndarray:

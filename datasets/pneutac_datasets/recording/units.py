@@ -72,7 +72,7 @@ class Unit:
 
     @property
     def shift(self) -> float:
-        """What is added after the factor."""
+        """Offset that is added after the factor."""
         return SHIFTS.get(self.name, 0.0) if self.dimension == "temperature" else 0.0
 
     def __str__(self):

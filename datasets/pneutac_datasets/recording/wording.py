@@ -34,7 +34,7 @@ def row_name(row: int, file: Path) -> str:
 
 
 def cut(text: str, most: int = 120) -> str:
-    """A text that may be long."""
+    """A text, shortened where it is long."""
     return text if len(text) <= most else f"{text[: most - 4]} ..."
 
 

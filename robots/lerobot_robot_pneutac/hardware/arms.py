@@ -32,7 +32,7 @@ class ArmConfig(draccus.ChoiceRegistry, abc.ABC):
 
     @abc.abstractmethod
     def make(self) -> Arm:
-        """The arm, not connected."""
+        """Makes the arm; it is not connected."""
 
 
 @ArmConfig.register_subclass("panda")

@@ -104,7 +104,7 @@ class Chambers:
 
     @contextmanager
     def _vented_after(self) -> Iterator[None]:
-        """Whatever is raised vents all chambers first."""
+        """Vents all chambers before an exception goes on."""
         try:
             yield
         except BaseException:

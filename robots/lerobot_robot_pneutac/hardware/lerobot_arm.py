@@ -72,7 +72,7 @@ class LeRobotArm:
         self._velocity, self._until_s = np.array(velocity_m_s, float), time.monotonic() + COMMAND_S
 
     def stop(self) -> None:
-        """Rests where it is; the motors hold."""
+        """Holds the present position by its motors."""
         self._until_s = 0.0
 
     def disconnect(self) -> None:

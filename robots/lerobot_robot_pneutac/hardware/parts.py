@@ -33,10 +33,10 @@ class Arm(Protocol):
     """An arm whose flange is moved with its orientation held. Every method raises `HardwareFault`."""
 
     def connect(self) -> None:
-        """Gets ready to move; does not move."""
+        """Connects without moving."""
 
     def state(self) -> ArmState:
-        """The newest state."""
+        pass
 
     def move(self, velocity_m_s: np.ndarray) -> None:
         """Starts moving the flange with a velocity (3,) m/s in the base frame; returns at once.

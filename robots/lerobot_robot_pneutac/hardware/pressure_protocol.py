@@ -135,7 +135,7 @@ class FrameReader:
         self._rest = b""
 
     def feed(self, data: bytes) -> list[Frame]:
-        """The sound frames that these bytes complete."""
+        """The valid frames that these bytes complete."""
         *chunks, self._rest = (self._rest + data).split(b"\0")
         # A line that never sends a zero must not fill the memory; what is cut stays too long to be a frame.
         self._rest = self._rest[: _MAX_FRAME + 2]
@@ -163,7 +163,7 @@ def hello(session: int, clear_faults: bool, nonce: int) -> bytes:
 
 
 def set_point(session: int, sequence: int, target_pa: int) -> bytes:
-    """Asks for a pressure."""
+    """Frame that commands a pressure."""
     return encode(Frame(Type.SET_POINT, session, sequence, struct.pack("<i", target_pa)))
 
 
@@ -173,7 +173,7 @@ def vent(session: int, sequence: int) -> bytes:
 
 
 def heartbeat(session: int, sequence: int) -> bytes:
-    """Says that the host is alive."""
+    """Frame that shows that the host is running."""
     return encode(Frame(Type.HEARTBEAT, session, sequence))
 
 

@@ -225,8 +225,6 @@ class Guard:
 
 
 class _Failing:
-    """See `Guard.failing`."""
-
     def __init__(self, guard: Guard, doing: str):
         self._guard, self._doing = guard, doing
 

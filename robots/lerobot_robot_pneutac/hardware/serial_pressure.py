@@ -55,10 +55,10 @@ class Exchange(Protocol):
         """The port was opened again: forget what was under way, and never send an old command again."""
 
     def transmit(self, now_s: float, command: Command) -> bytes:
-        """What to send now."""
+        """The bytes to send now."""
 
     def receive(self, data: bytes, now_s: float) -> None:
-        """Takes what came."""
+        """Processes received bytes."""
 
 
 class SerialPressure:

@@ -35,7 +35,7 @@ class Demonstrations:
 
     @classmethod
     def of(cls, meta) -> "Demonstrations":
-        """Those of a LeRobotDatasetMetadata."""
+        """Reads them from a LeRobotDatasetMetadata."""
         return cls((meta.repo_id,), meta.total_episodes, meta.total_frames, tuple(map(str, meta.tasks.index)))
 
     @property

@@ -50,10 +50,10 @@ class BaseRobot(Robot):
         return True
 
     def calibrate(self) -> None:
-        """Nothing to do."""
+        pass
 
     def configure(self) -> None:
-        """Nothing to do."""
+        pass
 
     def announced(self, begins: bool) -> None:
         """LeRobot says that the recording of an episode begins, or has ended; here nothing depends on it."""

@@ -104,7 +104,6 @@ class EpisodeHooks:
         self._lerobot.ignore()
 
     def observed(self) -> None:
-        """The robot was observed now."""
         if self._times_s is not None:
             self._times_s.append(time.perf_counter())
 

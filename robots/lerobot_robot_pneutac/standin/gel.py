@@ -81,7 +81,7 @@ class GelTouch:
         self.begin(np.random.default_rng(0))
 
     def begin(self, rng: np.random.Generator) -> None:
-        """A new episode, whose noise `rng` draws."""
+        """Starts an episode, whose noise `rng` draws."""
         self._camera.begin(rng)
         self._waiting: deque[tuple] = deque()
         self.displacement_mm = np.zeros(self.gel.shape)

@@ -147,10 +147,10 @@ class BaseTeleop(Teleoperator):
         return True
 
     def calibrate(self) -> None:
-        """Nothing to do."""
+        pass
 
     def configure(self) -> None:
-        """Nothing to do."""
+        pass
 
     def send_feedback(self, feedback: dict[str, Any]) -> None:
-        """Nothing to feel."""
+        pass

@@ -89,7 +89,7 @@ class PneutacScripted(BaseTeleop):
         return result
 
     def steps(self, robot: PneutacSim) -> int:
-        """Ticks of a demonstration on a robot."""
+        """Number of control steps of a demonstration on a robot."""
         return self.config.episode_steps or DEMONSTRATION_S * robot.config.control_hz
 
     def disconnect(self) -> None:

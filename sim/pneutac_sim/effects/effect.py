@@ -62,7 +62,7 @@ class Parameter:
 
 
 def nothing_more(values: dict[str, float]) -> dict[str, float]:
-    """An effect's summary shows its parameters alone."""
+    """Nothing to add to an effect's parameters in its summary."""
     return {}
 
 

@@ -13,7 +13,7 @@ STEP_MM = 0.05  # by which presses are moved to see what the images do
 
 
 def moved(press, values: dict[str, float]):
-    """The press where it truly is."""
+    """The press, moved by the shift."""
     c, s = (values["scale"] * f(values["turn_rad"]) for f in (math.cos, math.sin))
     x = c * press.x_mm - s * press.y_mm + values["shift_x_mm"]
     y = s * press.x_mm + c * press.y_mm + values["shift_y_mm"]

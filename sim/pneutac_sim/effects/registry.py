@@ -82,12 +82,12 @@ def all_effects() -> dict[str, Effect]:
 
 
 def body_effects() -> dict[str, BodyEffect]:
-    """Those of a finger or an arm."""
+    """Effects of a finger or an arm."""
     return {n: e for n, e in all_effects().items() if isinstance(e, BodyEffect)}
 
 
 def sensor_effects() -> dict[str, SensorEffect]:
-    """Those of a touch sensor."""
+    """Effects of a touch sensor."""
     return {n: e for n, e in all_effects().items() if isinstance(e, SensorEffect)}
 
 
@@ -110,7 +110,7 @@ def of_body(names: Iterable[str]) -> list[str]:
 
 
 def of_sensor(names: Iterable[str]) -> list[str]:
-    """Those that act on a touch sensor."""
+    """The effects among these that act on a touch sensor."""
     known = sensor_effects()
     return [n for n in names if n in known]
 

@@ -181,7 +181,7 @@ def loaded(q_free, loads, links, controller: float, modulus: float, body: SoftBo
 
 @kernel
 def _rest(q, loads, links, controller, powers, weights):
-    """Free angles in, loaded ones out."""
+    """Unloaded joint angles to loaded ones."""
     n = q.shape[1]
     bend, free = np.zeros(n), np.empty(n)
     f, B, at_free = np.empty(n), np.empty((n, n)), np.empty(n)

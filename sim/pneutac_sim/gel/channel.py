@@ -118,7 +118,6 @@ class Channel:
         return self.light(self._x)[0]
 
     def _of_effects(self, x: np.ndarray) -> dict[str, dict[str, float]]:
-        """Effect to its values in this channel."""
         out: dict[str, dict[str, float]] = {e.name: {} for e in self._effects}
         for (effect, name), value in zip(self.prior, x, strict=True):
             if effect:

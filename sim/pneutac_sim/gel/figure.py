@@ -66,11 +66,11 @@ class Outline:
 
     @property
     def reach_mm(self) -> float:
-        """Of its farthest corner from the centre."""
+        """Distance from the centre to the farthest corner."""
         return float(np.linalg.norm(self.corners_mm, axis=1).max())
 
     def radius_mm(self, depth_mm: float) -> float:
-        """How far it touches from the centre."""
+        """Largest distance from the centre at which it touches."""
         return self.reach_mm
 
     def height_mm(self, x_mm: np.ndarray, y_mm: np.ndarray) -> np.ndarray:

@@ -61,7 +61,7 @@ class Memory:
 
 
 def branches_of(gel: GelModel) -> list[tuple[float, float]]:
-    """Of all the gel's effects."""
+    """Branches of all the gel's effects, in order."""
     return [b for effect, values in gel.acting if effect.late is not None for b in effect.late(values)]
 
 

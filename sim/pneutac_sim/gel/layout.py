@@ -229,7 +229,7 @@ class Orientation:
 
 
 def orientations() -> list[Orientation]:
-    """All there are, the make's own first."""
+    """All orientations, that of the sensor model first."""
     flips = itertools.product((False, True), repeat=2)
     return [Orientation(c, *f) for f in flips for c in itertools.permutations(range(3))]
 

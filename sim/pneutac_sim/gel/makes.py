@@ -22,7 +22,7 @@ LENDERS = ("near_light", "rest_colour")
 
 
 def own_folder() -> Path:
-    """Where one's own priors lie."""
+    """Folder of the user's own sensor priors."""
     given = os.environ.get("PNEUTAC_PRIORS")
     return Path(given) if given else Path.home() / ".local" / "share" / "pneutac" / "priors"
 

@@ -34,7 +34,6 @@ class ImageScores:
 
     @classmethod
     def mean(cls, scores: list["ImageScores"]) -> "ImageScores":
-        """Mean of each score over images."""
         return cls(*(float(np.mean([getattr(s, f.name) for s in scores])) for f in fields(cls)))
 
 

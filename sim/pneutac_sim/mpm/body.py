@@ -73,7 +73,7 @@ class Body:
 
     @property
     def volume_m3(self) -> float:
-        """Of all particles, m3."""
+        """Volume of all particles, m3."""
         return len(self.cells) * self.spacing_m**3
 
     @staticmethod

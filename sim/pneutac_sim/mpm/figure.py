@@ -9,7 +9,7 @@ BELOW = 0.4  # of half its edge lies below the figure's lowest point
 
 
 def half_edge_m(figure: AnyFigure) -> float:
-    """Of the cube round a figure's tip."""
+    """Half the edge of the cube around a figure's tip, m."""
     return 1.25e-3 * figure.reach_mm
 
 

@@ -106,7 +106,7 @@ GPU_LANES = 256
 
 @ti.func
 def cell(b, c, t, room, data: state, touching: ti.template(), soa: ti.template()):
-    """All of one cell by one thread."""
+    """All particles of one cell, by one thread."""
     for d in range(3):
         kern.strain(b, c, t, d, room, data, soa)
     for p in range(8):

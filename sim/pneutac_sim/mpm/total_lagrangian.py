@@ -77,7 +77,7 @@ class TotalLagrangian:
         self.load[:, state.SPRING] = 0.25 * (lam + 2 * mu) * self.grid.dx
 
     def reset(self) -> None:
-        """Every body at rest, straight, untouched."""
+        """Puts every body at rest, straight and untouched."""
         self.set_nodes(np.tile(self.grid.nodes, (self.batch, 1, 1)))
         self._set_q(np.zeros((self.batch, max(self.hinges, 1))))
         for name in ("anchor", "contact", "total"):
@@ -172,7 +172,7 @@ class TotalLagrangian:
         self.arrays["inertia"].from_numpy(state.flat(np.maximum(self.grid.volume, least)))
 
     def step(self, substeps: int) -> None:
-        """Goes on by a number of substeps."""
+        """Advances by a number of substeps."""
         if not self.soa and len(self.grid.cell_mask) >= LARGE and self.batch < 8:
             for i in range(substeps):
                 steps.across(self.taken + i, self.state, self.soa, self.touching)

@@ -37,5 +37,5 @@ class Carrier:
 
 
 def carry(points: np.ndarray, rest: np.ndarray, positions: np.ndarray, gradients: np.ndarray) -> np.ndarray:
-    """`Carrier` for once: (..., K, 3) m."""
+    """One use of `Carrier`: points (..., K, 3), m."""
     return Carrier(points, rest)(positions, gradients)

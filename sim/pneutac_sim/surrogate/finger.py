@@ -72,7 +72,7 @@ class SurrogateFinger:
         self.reset()
 
     def reset(self) -> None:
-        """Begins afresh; a network remembers nothing."""
+        """Does nothing: a network has no state."""
         self.in_range = True
 
     def torque(self, q_free: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -263,7 +263,6 @@ class ActionNetwork:
 
     @cached_property
     def _numbers(self):
-        """What the kernels take."""
         wide = MARGIN * (self.high - self.low)
         box = [a.astype(np.float64) for a in (self.low - wide, self.high + wide)]
         scales = [

@@ -88,7 +88,6 @@ class GelSurrogate:
 
     @cached_property
     def _rest(self) -> np.ndarray:
-        """g(0)."""
         rest = np.zeros((1, ROWS, COLS), np.float32)
         kern.added(*self._network, rest)
         return rest[0]
@@ -137,7 +136,6 @@ class GelSurrogate:
 
 
 def _channels(weights: Mapping[str, np.ndarray]) -> tuple[int, int, int]:
-    """Of the three levels."""
     return tuple(len(weights[f"down{level}.0.bias"]) for level in (1, 2, 3))
 
 

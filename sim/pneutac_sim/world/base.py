@@ -97,7 +97,7 @@ class BaseWorld(ABC):
 
     @abstractmethod
     def _finger_mjcf(self) -> scene.Finger:
-        """The finger that the flange carries."""
+        """MJCF of the finger that the flange carries."""
 
     @abstractmethod
     def _advance(self, joints: np.ndarray, drive) -> None:
@@ -201,7 +201,6 @@ class BaseWorld(ABC):
 
     @property
     def success(self) -> bool:
-        """Whether the task is done."""
         return self.task.success()
 
     @property

@@ -76,7 +76,6 @@ class Lanes:
         return np.array([-FAST_M_S, 0.0, 0.0]) + self.keep(world)
 
     def begins(self, world: World) -> bool:
-        """Whether it is where a lane begins."""
         return world.flange_m[0] < self.back_m and world.gel_m[2] < self.height_m + NEAR_M
 
     def keep(self, world: World) -> np.ndarray:
@@ -92,7 +91,7 @@ def go_ahead(world: World, habits: Habits, height_m: float, speed: float) -> np.
 
 
 def touching(world: World) -> bool:
-    """Whether the gel shows a touch."""
+    """Whether the press on the gel exceeds `TOUCH`."""
     return pressed(world) > TOUCH
 
 
@@ -142,7 +141,6 @@ class ScriptedExpert:
         return np.clip(action, *self._limits).astype(np.float32)
 
     def _wish(self) -> Wish:
-        """What it wants to do now."""
         if self._world.success:
             return np.zeros(3), self._pressure
         return self._expert(self._world, self._habits, self._pressure)

@@ -123,7 +123,6 @@ class Gantry(VariedWorld):
         self._store()
 
     def _store(self) -> None:
-        """Stores the state from which `rollout` starts."""
         self._state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
         mujoco.mj_getState(self.model, self.data, self._state, _STATE)
         self._poses = self._placing.poses

@@ -182,3 +182,43 @@ def check_corner(value, name: str) -> tuple[float, float, float]:
     if max(map(abs, (x, y, z))) > FARTHEST_M:
         raise InputError(f"{name} is {shown(value)}, which can only be millimetres; divide it by 1000.")
     return x, y, z
+
+
+CORNERS = ("workspace_low_m", "workspace_high_m", "home_m")  # each is judged by the others too
+
+
+def station_faults(file: str | Path) -> list[str]:
+    """One sentence for each fault of a `station.yaml`.
+
+    Raises:
+        InputError: it cannot be read at all.
+    """
+    file = Path(file)
+    content = read_yaml(file)
+    if not isinstance(content, dict):
+        return [f"{file}: field 'format' must be '{FORMAT}'."]
+    found, good = [], {}
+    if content.pop("format", None) != FORMAT:
+        found.append(f"{file}: field 'format' must be '{FORMAT}'.")
+    names = [f.name for f in dataclasses.fields(Station)]
+    for name, value in content.items():
+        try:
+            if name not in names:
+                raise InputError(unknown_field(name, names))
+            good[name] = _alone(name, value, file.parent)
+        except InputError as e:
+            found.append(f"{file}: {e}")
+    try:
+        Station(**good).make_arm()
+    except InputError as e:
+        found.append(f"{file}: {e}")
+    return found
+
+
+def _alone(name: str, value: Any, folder: Path) -> Any:
+    """A field as a station takes it; raises InputError where it is wrong whatever the others are."""
+    if name in CORNERS:
+        return None if value is None and name == "home_m" else check_corner(value, name)
+    value = read_arm(value, folder) if name == "arm" else value
+    Station(**{name: value})
+    return value

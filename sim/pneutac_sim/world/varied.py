@@ -1,4 +1,4 @@
-"""A world that is laid out on purpose: object moved, other start, other gain of the finger, latency."""
+"""Worlds laid out on purpose: object, start, gain or latency; and one whose finger bends sideways too."""
 
 from collections import deque
 from dataclasses import dataclass, field
@@ -6,6 +6,9 @@ from typing import override
 
 import numpy as np
 
+from pneutac_sim.errors import InputError
+from pneutac_sim.world.scene import Finger
+from pneutac_sim.world.soft_finger import mjcf
 from pneutac_sim.world.tasks import Task
 from pneutac_sim.world.tasks.base import HOME_JITTER_M, contact_force
 from pneutac_sim.world.world import World
@@ -19,8 +22,10 @@ class Variation:
         start_m: flange position (3,) at the start, metres; None for the task's own.
         shift_m: displacement (3,) of the task's objects, metres.
         bend_gain: factor on the bend that the pressure makes.
+        more_rad: bend in addition to that, shared by the joints.
         friction: factor on the friction of the gel.
         late_commands: control steps by which commands act later than the station says.
+        at_once: whether commands act without any latency in place of that.
         late_touch: control steps by which touch is shown too late.
         conditions: in place of those that the world draws.
     """
@@ -32,6 +37,8 @@ class Variation:
     late_commands: int = 0
     late_touch: int = 0
     conditions: dict[str, float] = field(default_factory=dict)
+    at_once: bool = False
+    more_rad: float = 0.0
 
 
 class VariedWorld(World):
@@ -66,7 +73,7 @@ class VariedWorld(World):
     @property
     @override
     def _late_commands(self):
-        return super()._late_commands + self.variation.late_commands
+        return 0 if self.variation.at_once else super()._late_commands + self.variation.late_commands
 
     @override
     def _draw_conditions(self):
@@ -92,7 +99,8 @@ class VariedWorld(World):
     def _bend(self, q_cmd: np.ndarray) -> np.ndarray:
         if self._rest_rad is None:  # at the reset, where the pressure is off
             self._rest_rad = q_cmd
-        return super()._bend(self._rest_rad + self.variation.bend_gain * (q_cmd - self._rest_rad))
+        bent = super()._bend(self._rest_rad + self.variation.bend_gain * (q_cmd - self._rest_rad))
+        return bent + self.variation.more_rad / len(q_cmd)
 
 
 class _Staged(Task):
@@ -143,3 +151,32 @@ class _Staged(Task):
     @override
     def failure(self):
         return self.inner.failure()
+
+
+class SidewaysWorld(VariedWorld):
+    """A world of a finger of one chamber whose joints are balls, as stiff across its plane as in it.
+
+    That stiffness is an assumption: a bench measures the bend in the plane alone. Pressure bends it in its
+    plane, as ever; only a load bends it across.
+
+    Raises:
+        InputError: the twin's body has several chambers, which any world bends to both sides.
+    """
+
+    @override
+    def _finger_mjcf(self) -> Finger:
+        if self.chambers > 1:
+            raise InputError(
+                f"The twin's {self.twin.device} has {self.chambers} chambers; a finger that a load bends"
+                " sideways is made of one chamber alone."
+            )
+        return mjcf(self.twin, self.station.mount_mm, axes=2)
+
+    @override
+    def _bend(self, q_cmd: np.ndarray) -> np.ndarray:
+        in_plane = super()._bend(q_cmd)
+        return np.stack([in_plane, np.zeros_like(in_plane)], axis=1)
+
+    @override
+    def _in_plane(self, q: np.ndarray) -> np.ndarray:
+        return q[:, 0]

@@ -33,7 +33,6 @@ class View:
 
     @property
     def uses_gl(self) -> bool:
-        """Whether the renderer has started."""
         return self._gl is not None
 
     def picture(self, data: mujoco.MjData, tactile: np.ndarray | None, width: int, height: int) -> np.ndarray:
@@ -120,7 +119,7 @@ class Renderer:
         self._mjr.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR.value
 
     def upload_texture(self, name: str) -> None:
-        """Takes a texture of the model again."""
+        """Uploads a texture of the model to the renderer again."""
         self._context.make_current()
         mujoco.mjr_uploadTexture(self._model, self._mjr, self._model.texture(name).id)
 

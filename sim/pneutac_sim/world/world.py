@@ -282,7 +282,7 @@ class World(BaseWorld):
 
     @property
     def pressures_kpa(self) -> np.ndarray:
-        """The same of each chamber (C,)."""
+        """Pressure in each chamber (C,), kPa."""
         return self._pipeline.pressure_kpa.copy()
 
     @property

@@ -50,7 +50,7 @@ EFFECTS: dict[str, Effect] = {}
 
 
 def effect(stage: str, summary: str, source: str, *, physics=True, devices=BODIES, **ranges):
-    """Enters the decorated function under its name."""
+    """Decorator that registers a function under its name."""
 
     def enter(act: Callable) -> Callable:
         name = act.__name__

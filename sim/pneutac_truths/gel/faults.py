@@ -47,7 +47,7 @@ class Fault:
     physics: bool = True
 
     def draw(self, rng: np.random.Generator) -> dict[str, float]:
-        """Parameters, evenly within their ranges."""
+        """Parameters, uniform within their ranges."""
         return {k: float(rng.uniform(*r)) for k, r in self.ranges.items()}
 
 
@@ -93,7 +93,7 @@ def worn_membrane(s: Session, lost: float, radius_mm: float) -> None:
     specks=(15, 40), largest_mm=(0.15, 0.3),
 )  # fmt: skip
 def dust(s: Session, specks: float, largest_mm: float) -> None:
-    """Each dust particle falls at some time."""
+    """Adds dust particles, each from a random time on."""
     n = int(specks)
     place = s.rng.uniform(-0.4, 0.4, (n, 2)) * s.sensor.window_mm
     all_ = np.column_stack([place, s.rng.uniform(0.3, 1.0, n) * largest_mm])
@@ -107,7 +107,7 @@ def dust(s: Session, specks: float, largest_mm: float) -> None:
     share=(0.55, 0.75), which=(0, 2.999), when=(0.2, 0.5),
 )  # fmt: skip
 def dim_led(s: Session, share: float, which: float, when: float) -> None:
-    """From `when`, a share of the session."""
+    """Dims an LED after the share `when` of the session."""
     s.power[s.time_s > when * s.time_s[-1], int(which)] *= share
 
 
@@ -117,7 +117,7 @@ def dim_led(s: Session, share: float, which: float, when: float) -> None:
     about_x_deg=(-1.5, 1.5), about_y_deg=(1.0, 2.0),
 )  # fmt: skip
 def tilted_camera(s: Session, about_x_deg: float, about_y_deg: float) -> None:
-    """Turns about the pinhole."""
+    """Turns the camera about its pinhole."""
     tilt = (np.radians(about_x_deg), np.radians(about_y_deg))
     _looks(s, tilt_rad=[tilt] * len(s.looks))
 
@@ -139,7 +139,7 @@ def heating_drift(s: Session, warmer_k: float, settles_s: float, red_per_k: floa
     times=(1.7, 2.3),
 )  # fmt: skip
 def saturation(s: Session, times: float) -> None:
-    """In the rest image too."""
+    """Multiplies the exposure, in the rest image too."""
     s.exposure *= times
 
 

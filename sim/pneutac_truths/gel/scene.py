@@ -52,7 +52,7 @@ class Sensor:
 
     @property
     def px_per_mm(self) -> float:
-        """In the middle of the picture."""
+        """Scale in the middle of the picture."""
         return self.image_px[0] / self.window_mm[0]
 
     def pixel(self, x_mm: float, y_mm: float) -> tuple[float, float]:
@@ -66,7 +66,7 @@ class Sensor:
 
     @property
     def focal_px(self) -> float:
-        """Of the pinhole, in pixels."""
+        """Focal length of the pinhole, px."""
         return self.px_per_mm * (self.camera_mm + self.block_mm / self.index)
 
 
@@ -87,7 +87,7 @@ class Look:
 
     @property
     def plain(self) -> bool:
-        """Neither worn nor dusty nor tilted."""
+        """Whether it is neither worn nor dusty nor tilted."""
         return not (self.coat.size or self.specks_mm.size or any(self.tilt_rad))
 
 
@@ -164,7 +164,6 @@ def _camera(mi, sensor: Sensor, look: Look, size: tuple[int, int], rays: int) ->
 
 
 def _block(mi, sensor: Sensor, look: Look, face: Path) -> dict:
-    """Face, walls, plate and dust."""
     a, b = (w / 2 + ROOM_MM for w in sensor.window_mm)
     low, half = -sensor.block_mm, sensor.block_mm / 2
     value = sensor.reflectance

@@ -167,7 +167,6 @@ def _turned(face: Face, row: dict, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _described(row: dict, i: int, sensor: Sensor, face: Face, time_s: float) -> dict:
-    """The press as a row of samples.csv."""
     px, py = sensor.pixel(row["x_mm"], row["y_mm"])
     at = np.array(np.nonzero(face.touching))
     radius = np.hypot(face.x_mm[at[0]], face.y_mm[at[1]]).max()

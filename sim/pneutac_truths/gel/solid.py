@@ -214,7 +214,7 @@ class Mesh:
         return inside, force
 
     def _stretched(self, u, grad):
-        """F (elements, points, 3, 3)."""
+        """Deformation gradients F (elements, points, 3, 3)."""
         return np.eye(3) + np.einsum("eai,eqaj->eqij", u[self.nodes], grad, optimize=True)
 
     def _energy(self, u, punch: Punch, depth_mm: float) -> float:
@@ -275,7 +275,7 @@ def _iso(F, mu: float):
 
 
 def _volume(F, kappa: float):
-    """As `_iso`, of the change of volume."""
+    """As `_iso`, for the volumetric part."""
     J = np.linalg.det(F)[..., None, None]
     G = np.linalg.inv(F).swapaxes(-1, -2)
     g = _flat(G)

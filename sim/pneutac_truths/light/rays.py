@@ -56,7 +56,7 @@ def light(z_mm: np.ndarray, xs_mm: np.ndarray, ys_mm: np.ndarray, lamps: Lamps) 
 
 @njit(cache=True)
 def _height(z, x, y, x0, y0, step_x, step_y):
-    """Bilinear, the rim going on outside."""
+    """Bilinear interpolation; the rim continues outside."""
     j = min(max((x - x0) / step_x, 0.0), z.shape[1] - 1.000001)
     i = min(max((y - y0) / step_y, 0.0), z.shape[0] - 1.000001)
     a, b = int(i), int(j)

@@ -7,8 +7,7 @@ from arms import arm_twin
 from pneutac_datasets.demonstrations.motions import PRESS, carried_out, sideways
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin, Value
-from pneutac_sim.world.sideways import SidewaysWorld
-from pneutac_sim.world.varied import Variation
+from pneutac_sim.world.varied import SidewaysWorld, Variation
 from pneutac_sim.world.world import World
 
 

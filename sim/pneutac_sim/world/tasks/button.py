@@ -76,7 +76,7 @@ class ButtonTask(Task):
 
     @property
     def held(self) -> bool:
-        """Whether this press has lasted."""
+        """Whether this press lasted long enough."""
         return self._held_s >= self.hold_s - 1e-9
 
     @override
