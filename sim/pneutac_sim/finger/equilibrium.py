@@ -170,9 +170,10 @@ def _places(free, deflection, links, at, axes, curves):
 
 
 @kernel
-def _spatial(free, deflection, load, links, at, axes, curves, levers, A):
+def _spatial(free, deflection, load, links, at, axes, curves, torque, A):
     """As `_planar`, for two bending axes: angles are (to z, to y) of joint 1, then of joint 2, ...
 
+    torque (2 N,) N m becomes what the forces do about each axis, in place of the levers.
     With D = sum of lever (x) force over the forces beyond a joint, turning it about the axis a changes their
     moment by D a - tr(D) a.
     """
@@ -191,14 +192,6 @@ def _spatial(free, deflection, load, links, at, axes, curves, levers, A):
                 D[r, c] = tip * load[c] + weight * load[3 + c]
         trace = D[0, 0] + D[1, 1] + D[2, 2]
         for j in range(2 * i, 2 * i + 2):
-            for o in range(3):  # axis x lever
-                p, q = (o + 1) % 3, (o + 2) % 3
-                levers[o, j] = axes[j, p] * (at[joints, q] - at[i, q]) - axes[j, q] * (
-                    at[joints, p] - at[i, p]
-                )
-                levers[3 + o, j] = axes[j, p] * (middle[q] - share * at[i, q]) - axes[j, q] * (
-                    middle[p] - share * at[i, p]
-                )
             for r in range(3):
                 change[r] = -trace * axes[j, r]
                 for c in range(3):
@@ -208,9 +201,30 @@ def _spatial(free, deflection, load, links, at, axes, curves, levers, A):
         # The two bends of one joint have no order: the mean of either order, and how the axes turn.
         A[2 * i + 1, 2 * i] = 0.5 * (A[2 * i + 1, 2 * i] + A[2 * i, 2 * i + 1])
         mx, my, mz = D[1, 2] - D[2, 1], D[2, 0] - D[0, 2], D[0, 1] - D[1, 0]
+        for j in range(2 * i, 2 * i + 2):
+            torque[j] = axes[j, 0] * mx + axes[j, 1] * my + axes[j, 2] * mz
         for row in range(3):
             c, j, k = 3 * i + row, 2 * i + (row + 1) // 2, 2 * i + row // 2
             A[j, k] -= curves[c, 0] * mx + curves[c, 1] * my + curves[c, 2] * mz
+
+
+@kernel
+def _spatial_levers(links, at, axes, levers):
+    """Levers as `_planar` writes them, axis x lever, of what `_places` wrote."""
+    joints = len(at) - 1
+    middle, share = np.zeros(3), 0.0
+    for i in range(joints - 1, -1, -1):
+        part = links[joints + i]
+        share += part
+        for r in range(3):
+            middle[r] += part * 0.5 * (at[i, r] + at[i + 1, r])
+        for j in range(2 * i, 2 * i + 2):
+            for o in range(3):
+                p, q = (o + 1) % 3, (o + 2) % 3
+                tip_p, tip_q = at[joints, p] - at[i, p], at[joints, q] - at[i, q]
+                weight_p, weight_q = middle[p] - share * at[i, p], middle[q] - share * at[i, q]
+                levers[o, j] = axes[j, p] * tip_q - axes[j, q] * tip_p
+                levers[3 + o, j] = axes[j, p] * weight_q - axes[j, q] * weight_p
 
 
 @kernel
@@ -236,11 +250,12 @@ def solve(q, loads, stiffness, links, state):
             if size == joints:
                 _planar(q[t], state, loads[t], links, at, levers, A)
             else:
-                _spatial(q[t], state, loads[t], links, at, axes, curves, levers, A)
+                _spatial(q[t], state, loads[t], links, at, axes, curves, b, A)
             for i in range(size):
-                b[i] = -stiffness * state[i]
-                for m in range(6):
-                    b[i] += levers[m, i] * loads[t, m]
+                if size == joints:
+                    b[i] = levers[0, i] * loads[t, 0] + levers[2, i] * loads[t, 2]
+                    b[i] += levers[3, i] * loads[t, 3] + levers[5, i] * loads[t, 5]
+                b[i] -= stiffness * state[i]
                 A[i, i] += stiffness
             _solve(A, b, stiffness, chol)
             if not math.isfinite(b[0]):
@@ -327,7 +342,8 @@ def sensitivities(q, free, loads, stiffness, links, by_markers, by_free, by_load
         if size == joints:
             _planar(q[t], none, loads[t], links, at, levers, A)
         else:
-            _spatial(q[t], none, loads[t], links, at, axes, curves, levers, A)
+            _spatial(q[t], none, loads[t], links, at, axes, curves, z, A)
+            _spatial_levers(links, at, axes, levers)
         for i in range(size):
             A[i, i] += stiffness
         for o in range(by_markers.shape[1]):
