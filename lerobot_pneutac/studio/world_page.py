@@ -59,14 +59,14 @@ class EpisodePanel:
         def work(_) -> None:
             from pneutac_datasets.demonstrations.replay.placing import find_place
             from pneutac_datasets.demonstrations.replay.reading import load_demonstrations
-            from pneutac_datasets.demonstrations.replay.replaying import ReplayWorld
+            from pneutac_datasets.demonstrations.replay.replaying import replay
+            from pneutac_sim.world.varied import VariedWorld
 
             try:
                 given = load_demonstrations(name, task, twin, only=[number])
                 episode = given.episodes[0]
-                seen = ReplayWorld(given.task, twin, "image", given.station)
-                place = find_place(ReplayWorld(given.task, twin, station=given.station), episode)
-                replayed = seen.replay(episode, place, keep=True)
+                world = VariedWorld(given.task, twin, "image", "probe", station=given.station)
+                replayed = replay(world, episode, find_place(world, episode), keep=True)
             except InputError as e:
                 self.readout.content = f"> {e}"
                 return

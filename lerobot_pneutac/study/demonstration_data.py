@@ -17,13 +17,14 @@ from lerobot_pneutac.diagnosis import thresholds as T
 from pneutac_datasets.demonstrations.replay.imprint import brightness, rest_image, strengths
 from pneutac_datasets.demonstrations.replay.placing import find_place
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
-from pneutac_datasets.demonstrations.replay.replaying import Place, ReplayWorld, late
+from pneutac_datasets.demonstrations.replay.replaying import Place, commanded, late, replay
 from pneutac_sim.features import CONTROL_HZ, EE, PRESSURE
 from pneutac_sim.finger.inputs import Inputs
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.conditions import USUAL
 from pneutac_sim.world.soft_finger import GEL_ALONG_M
+from pneutac_sim.world.varied import VariedWorld
 
 MORE_RAD = (-0.10, -0.04, 0.0, 0.04, 0.10, 0.18)  # bends besides the pressure's that are replayed
 LAGS_S = (0.1, 0.3, 1.0, 3.0)  # of the command
@@ -78,7 +79,7 @@ def episode_data(
     Raises:
         InputError: an episode's objects cannot be placed.
     """
-    world, out = ReplayWorld(given.task, twin, station=given.station), []
+    world, out = VariedWorld(given.task, twin, "probe", "probe", station=given.station), []
     for i, e in enumerate(given.episodes):
         progress("replaying demonstrations", i, len(given.episodes))
         place = find_place(world, e)
@@ -91,10 +92,10 @@ def episode_data(
                 e.action[:, 3],
                 e.state[:, PRESSURE],
                 e.state[:, EE],
-                world.commanded(e),
+                commanded(world, e.action, e.state[0, EE]),
                 strengths(e.images, rest, gain),
                 e.state[:, -3],
-                _steady(np.stack([world.replay(e, place, m).press_n for m in MORE_RAD], 1)),
+                _steady(np.stack([replay(world, e, place, m).press_n for m in MORE_RAD], 1)),
                 (frames >= first - BEFORE) & (frames <= last + AFTER),
             )
         )

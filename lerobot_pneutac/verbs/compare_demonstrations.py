@@ -14,12 +14,13 @@ from lerobot_pneutac.verbs.comparison import Comparison, rms_of
 from pneutac_datasets.demonstrations.episodes import Episode
 from pneutac_datasets.demonstrations.replay.imprint import LightDrift, light_drift
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
-from pneutac_datasets.demonstrations.replay.replaying import Replayed, ReplayWorld
+from pneutac_datasets.demonstrations.replay.replaying import Replayed, replay
 from pneutac_sim.features import AREA, CONTROL_HZ
 from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
+from pneutac_sim.world.varied import VariedWorld
 
 PHASES = ("free", "onset", "pressed", "release")
 NEAR = 4  # frames about the first and after the last touch that are its onset and release
@@ -242,9 +243,9 @@ def compare_demonstrations(
         InputError: an episode's objects cannot be placed.
     """
     study = DemonstrationStudy(twin, given, seed, (), progress)
-    world, f = ReplayWorld(given.task, twin, "image", given.station), study.fitter
+    world, f = VariedWorld(given.task, twin, "image", "probe", station=given.station), study.fitter
     replayed = [
-        world.replay(e, data.place, keep=True) for e, data in zip(given.episodes, f.episodes, strict=True)
+        replay(world, e, data.place, keep=True) for e, data in zip(given.episodes, f.episodes, strict=True)
     ]
     late = f.fit((Structure((LATE,)), f.start(LATE)), ARM, 40).values[f"{LATE}.latency_s"]
     touch = f.base(TOUCH).values["touch_late"] / CONTROL_HZ

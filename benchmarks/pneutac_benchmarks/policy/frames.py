@@ -13,8 +13,9 @@ from torch.nn import functional as F
 from lerobot_robot_pneutac.policy.rest_image import MAX_EPISODES
 from lerobot_robot_pneutac.policy.scaling import Scaling
 from lerobot_robot_pneutac.policy.tactile_encoder import pool
-from pneutac_datasets.demonstrations.augment.reference import Reference, imprint_centres_mm
+from pneutac_datasets.demonstrations.augment.reference import Reference
 from pneutac_datasets.demonstrations.episodes import Episode
+from pneutac_datasets.demonstrations.replay.imprint import imprint_centres_mm
 from pneutac_sim.features import Places
 from pneutac_sim.files import whole
 from pneutac_sim.gel.contact import without_specks

@@ -59,12 +59,12 @@ class Episode:
 
     @property
     def chambers(self) -> int:
-        """C, of the finger."""
+        """Number of chambers C of the finger."""
         return self.action.shape[1] - len(VELOCITY_NAMES)
 
     @property
     def places(self) -> Places:
-        """Where the rest is in the state."""
+        """Indices of the state after the joints."""
         return Places.of(self.chambers)
 
     @property
@@ -104,7 +104,7 @@ class Episode:
 
     @property
     def pixels(self) -> int:
-        """Of a tactile image."""
+        """Number of pixels of a tactile image."""
         return self.images.shape[1] * self.images.shape[2]
 
     def contact(self) -> tuple[int, int] | None:
@@ -146,7 +146,7 @@ def demonstration_features(meta: LeRobotDatasetMetadata) -> dict:
 
 
 def further_features(meta: LeRobotDatasetMetadata) -> dict:
-    """Those of `FURTHER` that a dataset has."""
+    """The features of `FURTHER` that a dataset has."""
     return {k: _before_encoding(meta.features[k]) for k in FURTHER if k in meta.features}
 
 

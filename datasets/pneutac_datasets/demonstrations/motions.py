@@ -36,7 +36,6 @@ class Motion:
 
     @property
     def seconds(self) -> float:
-        """How long it takes."""
         return len(self.actions) / CONTROL_HZ
 
 
@@ -56,7 +55,7 @@ class Felt:
 
     @property
     def time_s(self) -> np.ndarray:
-        """(T,) since the touch."""
+        """(T,) seconds since the touch."""
         return LEFT_OUT_S + np.arange(len(self.force_n)) / CONTROL_HZ
 
     @property
@@ -67,7 +66,7 @@ class Felt:
 
 
 def held(seconds: float, kpa: float = PRESS_KPA, velocity=(0.0, 0.0, 0.0)) -> list[np.ndarray]:
-    """Actions of a part of a motion."""
+    """Actions that hold a pressure and a velocity for a time."""
     return [np.array([*velocity, kpa])] * round(seconds * CONTROL_HZ)
 
 

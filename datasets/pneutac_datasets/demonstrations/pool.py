@@ -98,7 +98,7 @@ def previous_actions(episode: Episode) -> np.ndarray:
 
 
 def main(argv: list[str] | None = None) -> None:
-    """The command of this module's text."""
+    """Command line of this module."""
     parser = argparse.ArgumentParser(
         prog="python -m pneutac_datasets.demonstrations.pool", description=__doc__
     )

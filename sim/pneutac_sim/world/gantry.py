@@ -103,7 +103,7 @@ class Gantry(VariedWorld):
         self._friction = self.model.dof_frictionloss.copy()
         self._store()
 
-    def stage(self, seed: int, shift_m: tuple[float, float, float]) -> None:
+    def stage(self, seed: int, shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
         """Lays the objects out as `reset` does, moved by `shift_m`; the hand stays as it was mirrored.
 
         Args:

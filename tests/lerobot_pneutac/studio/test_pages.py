@@ -18,9 +18,10 @@ from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
 from lerobot_robot_pneutac.policy.processor_pneutac_bc import make_pneutac_bc_pre_post_processors
 from pneutac_datasets.demonstrations.replay.placing import find_place
 from pneutac_datasets.demonstrations.replay.reading import load_demonstrations
-from pneutac_datasets.demonstrations.replay.replaying import ReplayWorld as EpisodeWorld
+from pneutac_datasets.demonstrations.replay.replaying import replay
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.twin import Twin, Value
+from pneutac_sim.world.varied import VariedWorld
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "recordings"
 
@@ -168,9 +169,8 @@ def test_an_episode_is_replayed_as_the_commands_replay_it(opened, tmp_path):
     until(lambda: panel.readout.content.startswith(("**Off by", ">")), 300)  # both worlds are compiled
     assert panel.readout.content.startswith("**Off by"), panel.readout.content
     twin, given = Twin.builtin(), load_demonstrations(demos, "switch")
-    place = find_place(EpisodeWorld(given.task, twin, station=given.station), given.episodes[0])
-    world = EpisodeWorld(given.task, twin, "image", given.station)
-    compared = world.replay(given.episodes[0], place, keep=True)
+    world = VariedWorld(given.task, twin, "image", "probe", station=given.station)
+    compared = replay(world, given.episodes[0], find_place(world, given.episodes[0]), keep=True)
     np.testing.assert_array_equal(panel._replayed.images, compared.images)
     panel._number.value = 99
     panel.replay()

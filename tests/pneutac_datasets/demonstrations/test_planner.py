@@ -204,7 +204,7 @@ def test_the_touch_tells_where_the_object_stood(switch):
 def test_the_free_way_tells_how_late_commands_act(late):
     references = demonstrations("switch", 2, late)
     world = VariedWorld("switch", touch="area", fidelity="probe")
-    assert command_latency(world, Gantry(world), references) == late
+    assert command_latency(world, references) == late
 
 
 def test_what_is_laid_out_around_a_hand_is_what_a_reset_lays_out():

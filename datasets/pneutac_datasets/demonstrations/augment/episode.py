@@ -17,15 +17,10 @@ from pneutac_datasets.demonstrations.augment.reference import (
     onset_sigma_m,
     reaction_hz,
 )
-from pneutac_datasets.demonstrations.augment.scene import (
-    FEEDBACK_HZ,
-    Scene,
-    command_latency,
-    find_scene,
-    follow,
-)
+from pneutac_datasets.demonstrations.augment.scene import Scene, command_latency, find_scene
 from pneutac_datasets.demonstrations.augment.variant import Variant, bend_gain_sd
 from pneutac_datasets.demonstrations.episodes import POINTS
+from pneutac_datasets.demonstrations.replay.replaying import FEEDBACK_HZ, follow
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import MAX_PRESSURE_KPA, PRESSURES, VELOCITY_NAMES, Places
 from pneutac_sim.gel.sensor import centre_mm
@@ -138,7 +133,7 @@ class Generator:
         self.world.widen_starts(s.start_width)
         self._scene = SceneCameras(self.world, s.cameras)
         self.gantry = Gantry(self.world)
-        self.late_commands = command_latency(self.world, self.gantry, s.references)
+        self.late_commands = command_latency(self.world, s.references)
         self.bend_gain_sd = bend_gain_sd(twin)
         if s.method == "library":
             self.library = Library.of(s.references, float(np.ptp(self.world.pressure_range_kpa)))
@@ -331,7 +326,7 @@ class Generator:
         return np.array([velocity] * len(VELOCITY_NAMES) + pressures)
 
     def _further(self) -> dict[str, np.ndarray]:
-        """What the demonstrations have of `FURTHER`, now."""
+        """Further features of this frame, by their names in the dataset."""
         points = {POINTS: tactile_points(self.world).ravel()} if self.setup.tactile_points else {}
         return points | {f"{OBS_IMAGES}.{name}": p for name, p in self._scene.pictures().items()}
 

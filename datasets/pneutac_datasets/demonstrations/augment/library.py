@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pneutac_datasets.demonstrations.augment.reference import FIRM, Reference, frames_at
-from pneutac_datasets.demonstrations.augment.scene import follow
+from pneutac_datasets.demonstrations.replay.replaying import follow
 from pneutac_sim.features import MAX_PRESSURE_KPA, PRESSURES
 
 TOUCH = 0.0007  # area from which it is a touch: some 50 pixels of 76,800

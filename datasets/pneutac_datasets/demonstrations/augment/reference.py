@@ -6,14 +6,12 @@ import numpy as np
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CONTROL_HZ, PRESSURES
-from pneutac_sim.gel.sensor import TactileSensor, centre_mm
 
 # Frames are of the paper's rate; at another they are as many as last as long, see `frames_at`.
 EXTRA_STEPS = 15  # frames by which a demonstration goes on where the task is about to be done
 MARGIN = 4  # frames before the first and after the last contact that still count as contact phase
 FIRM = 0.15  # of a contact's largest area; what is smaller, and comes last, only brushes
 VENTED = 0.5  # of the highest pressure commanded in a contact; who commands less lets go
-REST_FRAMES, LEAST_PIXELS = 8, 50  # images that make the one at rest; an imprint's smallest size
 LOSS = 8  # frames without touch that still belong to a contact
 LEAST_SEEN = 30  # frames from which a reaction is estimated
 STARTLED = 3  # first frames of a contact, in which a hand has not answered yet
@@ -116,24 +114,6 @@ class Reference:
         last = int(np.flatnonzero(self.area > 0)[-1])
         margin = self.frames(MARGIN)
         return max(0, self.onset - margin), min(len(self), last + margin + 1)
-
-
-def imprint_centres_mm(images: np.ndarray, area: np.ndarray, sensor: TactileSensor) -> np.ndarray:
-    """Middle of the imprint in each image (T, 2), mm across and along the finger; NaN without touch.
-
-    Args:
-        images: uint8 (T, H, W, 3) of one demonstration; those before its first touch show the gel at rest.
-        area: (T,) contact areas.
-        sensor: of the twin, whose threshold and window count.
-    """
-    untouched = np.flatnonzero(np.cumsum(area) == 0)[:REST_FRAMES]
-    rest = images[untouched if len(untouched) else [0]].mean(0)
-    centres, limit = np.full((len(images), 2), np.nan), 3 * sensor.model.threshold_levels
-    for t in np.flatnonzero(area > 0):
-        pressed = np.abs(images[t] - rest).sum(2) > limit
-        if pressed.sum() >= LEAST_PIXELS:
-            centres[t] = centre_mm(pressed, sensor.model.window_mm)
-    return centres
 
 
 def reaction_hz(references: list[Reference]) -> np.ndarray:

@@ -28,7 +28,6 @@ from pneutac_datasets.demonstrations.augment.episode import LONGEST, Attempt, Au
 from pneutac_datasets.demonstrations.augment.reference import (
     EXTRA_STEPS,
     Reference,
-    imprint_centres_mm,
     onset_sigma_m,
 )
 from pneutac_datasets.demonstrations.augment.scene import Scene
@@ -44,6 +43,7 @@ from pneutac_datasets.demonstrations.episodes import (
 )
 from pneutac_datasets.demonstrations.info import refuse_damaged
 from pneutac_datasets.demonstrations.naive import augment_naive
+from pneutac_datasets.demonstrations.replay.imprint import imprint_centres_mm
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import VELOCITY_NAMES, Places
@@ -191,7 +191,6 @@ def _tidy_up(
 
 
 def _find_scenes(pool: ProcessPoolExecutor, work: Work, references: int, progress: Progress) -> list[Scene]:
-    """Where the object stood in each reference."""
     missing = [i for i in range(references) if not work.scene_file(i).exists()]
     for done, future in enumerate([pool.submit(make_scene, i) for i in missing]):
         progress("finding the objects", done, len(missing))

@@ -1,11 +1,9 @@
-"""Where the object stood in a demonstration: not recorded, found from the touch.
+"""Scenes in which a demonstration can have happened: places of its first touch, refined by replays.
 
-Scenes are drawn from the task. In each the object is moved along the gel's view to where the gel, on the
-recorded way, feels it at the recorded onset, or nearer, as the finger gives way before its gel feels it. If
-the gel does not meet it there, it did shortly before: what is pressed softly is not seen at once.
-There the demonstration is replayed. About those scenes in which it does the task, with contact areas near the
-recorded ones, it is tried again a few millimetres away; the scene in the middle of the most that work is
-taken: a demonstration that succeeded hardly did so by a millimetre.
+The object is moved from where `replay.placing` has the first touch, or nearer, as the finger gives way before
+its gel feels it, and the demonstration is replayed. About those scenes in which it does the task, with
+contact areas near the recorded ones, it is tried again a few millimetres away; the scene in the middle of the
+most that work is taken: a demonstration that succeeded hardly did so by a millimetre.
 """
 
 from dataclasses import dataclass, replace
@@ -13,15 +11,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pneutac_datasets.demonstrations.augment.reference import EXTRA_STEPS, FIRM, Reference, frames_at
-from pneutac_sim.features import MAX_SPEED_M_S
+from pneutac_datasets.demonstrations.replay.placing import SHALLOW_MM, Pose, depth_mm, first_touches, on_table
+from pneutac_datasets.demonstrations.replay.replaying import (
+    AWAY_M,
+    Place,
+    along,
+    commanded,
+    follow,
+    frames_of,
+    gel_pose,
+    latency_s,
+    smooth,
+)
+from pneutac_datasets.demonstrations.replay.replaying import (
+    late as delayed,
+)
+from pneutac_sim.features import PRESSURES
 from pneutac_sim.gel.sensor import centre_mm
 from pneutac_sim.world.gantry import Gantry
-from pneutac_sim.world.varied import Variation, VariedWorld
+from pneutac_sim.world.varied import VariedWorld
 
-REACH_M = 0.08  # how far the object is moved at most
 YIELDING_M = 0.03  # how far the finger may give way before its gel feels what its edge has touched
-FEEDBACK_HZ = 2.0  # rate at which the path returns to the demonstrated one
-AWAY_M = (0.0, 0.0, -5.0)  # out of everything's way
 # Frames and control steps are of the paper's rate, see `reference.frames_at`.
 LANE_STEPS = 30  # where the gel passed longer before the recorded onset it met nothing
 UNSEEN_STEPS = 8  # so much before the recorded onset the gel may have met an object, too softly to be seen
@@ -62,39 +72,21 @@ class Scene:
         return self.area_rmse + self.centre_rmse_mm / CENTRE_MM
 
 
-def follow(action: np.ndarray, flange_m: np.ndarray, goal_m: np.ndarray, dt_s: float) -> np.ndarray:
-    """The demonstrated actions (H, 3 + C), led back to the demonstrated path from where the flange is.
-
-    Args:
-        action: (H, 3 + C) demonstrated actions.
-        flange_m: (3,) where the flange is.
-        goal_m: (3,) where the demonstration was.
-        dt_s: duration of a control step.
-    """
-    out = np.array(action, float)
-    fade = (1 - FEEDBACK_HZ * dt_s) ** np.arange(len(out))
-    out[:, :3] += FEEDBACK_HZ * fade[:, None] * (goal_m - flange_m)
-    out[:, :3] = np.clip(out[:, :3], -MAX_SPEED_M_S, MAX_SPEED_M_S)
-    return out
-
-
-def command_latency(world: VariedWorld, gantry: Gantry, references: list[Reference]) -> int:
+def command_latency(world: VariedWorld, references: list[Reference]) -> int:
     """Control steps by which commands acted too late in demonstrations, from their motion in free air.
 
     Args:
         world: any state; it is reset.
-        gantry: its gantry.
         references: the demonstrations.
     """
     errors = np.zeros(frames_at(world.station.control_hz, MOST_LATE) + 1)
-    for late in range(len(errors)):
-        for r in references:
-            actions = np.clip(r.action[: min(r.onset, r.frames(FREE_FRAMES))], *world.action_limits)
-            world.variation = Variation(tuple(r.flange_m[0]), AWAY_M, late_commands=late)
-            world.reset(0)
-            gantry.mirror(world)
-            moved = gantry.rollout(actions)[0] - world.flange_m
-            errors[late] += np.sum((moved - (r.flange_m[1 : len(moved) + 1] - r.flange_m[0])) ** 2)
+    own = world.station.late_commands + world.station.steps(latency_s(world.twin))
+    for r in references:
+        free = min(r.onset, r.frames(FREE_FRAMES))
+        path = commanded(world, r.action[: free + 1], r.flange_m[0])
+        for steps in range(len(errors)):
+            shifted = path[np.maximum(np.arange(len(path)) - own - steps, 0)]
+            errors[steps] += np.sum((shifted - path[0] - r.flange_m[: len(path)] + r.flange_m[0]) ** 2)
     return int(np.argmin(errors))
 
 
@@ -114,20 +106,17 @@ def find_scene(
     rng = np.random.default_rng([seed, reference.source, 7])
     replays = _Replays(world, gantry, reference.prolonged(reference.frames(EXTRA_STEPS)), late)
     way = replays.free_way(int(rng.integers(2**31)))
-    # Objects stand on the table, so they are moved on it, the way that the gel looks.
-    forward = way[-1][1].reshape(3, 3)[:, 2] * (1, 1, 0)
-    forward /= max(np.linalg.norm(forward), 1e-9)
-    across = np.array([-forward[1], forward[0], 0.0])
-
+    axes = on_table(way[-1])
+    across, _, forward = axes
     unseen, lane = reference.frames(UNSEEN_STEPS), reference.frames(LANE_STEPS)
+    starts = rng.integers(2**31, size=DRAWS * candidates).tolist()
+    gels = way[: -unseen - 1 : -1]
     scenes = []
-    for scene_seed in rng.integers(2**31, size=DRAWS * candidates).tolist():
-        gantry.stage(scene_seed, (0.0, 0.0, 0.0))
-        reached = (_touching_distance(gantry, gel, forward) for gel in way[: -unseen - 1 : -1])
-        far = next((d for d in reached if d is not None), None)
-        if far is None or any(_felt(gantry, gel, far * forward) for gel in way[:-lane]):
+    for place in first_touches(gantry, gantry.stage, starts, gels, axes, replays.seen):
+        if any(depth_mm(gantry, gel, place.shift_m).max() > SHALLOW_MM for gel in way[:-lane]):
             continue
-        scenes.append(replays.reduced(scene_seed, (far - YIELDING_M * rng.uniform()) * forward))
+        nearer = YIELDING_M * rng.uniform() * forward
+        scenes.append(replays.reduced(place.seed, place.shift_m - nearer))
         if len(scenes) == candidates:
             break
     if not scenes:
@@ -157,7 +146,7 @@ def find_scene(
 
 
 class _Replays:
-    """A demonstration replayed where its object may have stood, led back to the recorded path.
+    """A demonstration replayed where its object may have stood.
 
     Args:
         world: any state; it is reset.
@@ -168,109 +157,74 @@ class _Replays:
     Attributes:
         onset: first frame in contact.
         felt: root mean square of the recorded contact area in the contact phase.
+        seen: (T, 2) middles of the imprint from the onset on, mm; NaN where it is not known.
     """
 
     def __init__(self, world: VariedWorld, gantry: Gantry, reference: Reference, late: int):
-        self._world, self._gantry, self._reference, self._late = world, gantry, reference, late
+        self._world, self._gantry, self._reference = world, gantry, reference
         self.onset = max(reference.onset, 1)
         self.felt = float(np.sqrt(np.mean(reference.area[slice(*reference.contact_phase)] ** 2)))
+        known = reference.centre_mm is not None
+        self.seen = reference.centre_mm[self.onset :] if known else np.empty((0, 2))
+        self.seen = self.seen[: reference.frames(CENTRES)]
         self._begin = max(self.onset - reference.frames(LANE_STEPS), 0)
+        acting = late * world.dt_s + world.station.latency_s + latency_s(world.twin)
+        self._pressures = delayed(reference.action[:, PRESSURES], acting, reference.control_hz)
+        self._path = smooth(reference.flange_m)
 
-    def free_way(self, seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Positions (3,) and rotations (9,) of the gel up to the onset.
+    def free_way(self, seed: int) -> list[Pose]:
+        """Poses of the gel up to the onset, with nothing in its way.
 
         The gantry is left where the hand was `LANE_STEPS` before it; `reduced` begins there.
         """
-        world, r = self._world, self._reference
-        self._reset(seed, AWAY_M)
         way = []
-        for t in range(self.onset):
+        for t in frames_of(self._world, self._path, self._pressures, Place(seed, AWAY_M)):
             if t == self._begin:
-                self._gantry.mirror(world)
-            self._step(t)
-            # The recorded path, not the replayed one, says where the gel was.
-            at = world.gel_m + r.flange_m[t + 1] - world.flange_m
-            way.append((at, world.data.site("gel").xmat.copy()))
+                self._gantry.mirror(self._world)
+            way.append(gel_pose(self._world, self._path[t]))
+            if t == self.onset:
+                return way
         return way
 
     def reduced(self, seed: int, shift: np.ndarray) -> Scene:
         """In the gantry, with the object as the task's start `seed` has it, moved by `shift` (3,) m."""
-        g, r, begin = self._gantry, self._reference, self._begin
-        g.stage(seed, shift)
+        g, begin = self._gantry, self._begin
+        g.stage(seed, tuple(shift))
         if g.blocked:
             return Scene(seed, tuple(shift.tolist()), False, 1.0, FAR_MM)
-        _, area = g.rollout(follow(r.action[begin:], g.flange_m, r.flange_m[begin], g.dt_s))
-        area = np.append(np.zeros(begin), area)
-        centres = np.vstack([np.full((begin, 2), np.nan), g.centre_mm])
+        actions = along(self._path[begin:], self._pressures[begin:], g.dt_s)
+        led = follow(actions, g.flange_m, self._path[begin], g.dt_s)
+        _, area = g.rollout(np.clip(led, *g.action_limits))
+        area = np.append(np.zeros(begin + 1), area)
+        centres = np.vstack([np.full((begin + 1, 2), np.nan), g.centre_mm])
         return self._scene(seed, shift, g.success and not g.failure, area, centres)
 
     def full(self, seed: int, shift: np.ndarray) -> Scene:
         """The same in the world, from the start."""
-        world, area, spoilt = self._world, np.zeros(len(self._reference)), None
+        world, area, spoilt = self._world, np.zeros(len(self._path)), None
         centres = np.full((len(area), 2), np.nan)
-        self._reset(seed, shift)
-        if world.blocked:
-            return Scene(seed, tuple(shift.tolist()), False, 1.0, FAR_MM)
-        for t in range(len(area)):
-            self._step(t)
+        for t in frames_of(world, self._path, self._pressures, Place(seed, tuple(shift))):
+            if t == 0 and world.blocked:
+                return Scene(seed, tuple(shift.tolist()), False, 1.0, FAR_MM)
             area[t], spoilt = world.touch.area, spoilt or world.failure
             if area[t]:
                 centres[t] = centre_mm(world.touch.depth_mm, world.sensor.model.window_mm)
         return self._scene(seed, shift, world.success and not spoilt, area, centres)
-
-    def _reset(self, seed: int, shift) -> None:
-        start = tuple(self._reference.flange_m[0])
-        self._world.variation = Variation(start, tuple(shift), late_commands=self._late)
-        self._world.reset(seed)
-
-    def _step(self, t: int) -> None:
-        r, world = self._reference, self._world
-        world.step(follow(r.action[t][None], world.flange_m, r.flange_m[t], world.dt_s)[0])
 
     def _scene(
         self, seed: int, shift: np.ndarray, done: bool, area: np.ndarray, centres: np.ndarray
     ) -> Scene:
         """What came of a replay that felt `area` (T,) about `centres` (T, 2) mm."""
         recorded = self._reference.area
-        first, end = self._reference.contact_phase
-        frames = self._reference.frames
-        early = area[: max(self.onset - frames(EARLY_STEPS), 0)].max(initial=0.0) > FIRM * recorded.max()
-        rmse = float(np.sqrt(np.mean((area[first : end - 1] - recorded[first + 1 : end]) ** 2)))
-        away = 0.0
-        if self._reference.centre_mm is not None:
-            felt = slice(self.onset, self.onset + frames(CENTRES))
-            there = self._reference.centre_mm[felt]
-            apart = np.linalg.norm(centres[self.onset - 1 :][: len(there)] - there, axis=1)
-            apart = np.where(np.isnan(apart), FAR_MM, apart)[np.isfinite(there[:, 0])]
-            away = float(np.sqrt(np.mean(apart**2))) if len(apart) else 0.0
+        phase = slice(*self._reference.contact_phase)
+        before = max(self.onset - self._reference.frames(EARLY_STEPS), 0)
+        early = area[:before].max(initial=0.0) > FIRM * recorded.max()
+        rmse = float(np.sqrt(np.mean((area[phase] - recorded[phase]) ** 2)))
+        off_mm = np.linalg.norm(centres[self.onset :][: len(self.seen)] - self.seen, axis=1)
+        off_mm = np.where(np.isnan(off_mm), FAR_MM, off_mm)[np.isfinite(self.seen[:, 0])]
+        away = float(np.sqrt(np.mean(off_mm**2))) if len(off_mm) else 0.0
         return Scene(seed, tuple(shift.tolist()), bool(done and not early), rmse + early, away)
 
 
 def _rank(scene: Scene) -> tuple[bool, float]:
     return not scene.works, scene.misfit
-
-
-def _felt(world: Gantry, gel, shift: np.ndarray) -> float:
-    """Contact area that the gel at pose `gel` feels of the objects, moved by `shift`."""
-    touch, data = world.touch, world.data
-    positions, rotations = data.geom_xpos[touch.felt] + shift, data.geom_xmat[touch.felt]
-    depth = touch.sensor.probe(touch.kinds, touch.sizes, positions, rotations, *gel)
-    return touch.sensor.contact_from_depth(depth).area if depth.any() else 0.0
-
-
-def _touching_distance(world: Gantry, gel, forward: np.ndarray) -> float | None:
-    """How far (m) the objects may move along `forward` for the gel at pose `gel` to feel them, or None."""
-
-    def touches(distance: float) -> bool:
-        return _felt(world, gel, distance * forward) > 0
-
-    far = REACH_M
-    while not touches(far - 0.001):
-        far -= 0.001
-        if far < -REACH_M:
-            return None
-    near = far - 0.001
-    for _ in range(4):
-        middle = (near + far) / 2
-        near, far = (middle, far) if touches(middle) else (near, middle)
-    return near

@@ -42,7 +42,6 @@ class Work:
             )
 
     def scene_file(self, source: int) -> Path:
-        """File of the scene of one reference."""
         return self.folder / f"scene_{source:06d}.json"
 
     def check_file(self, index: int) -> Path:
@@ -95,7 +94,7 @@ def start_to_json(start: tuple[int, Variation]) -> str:
 
 
 def start_from_json(text: str) -> tuple[int, Variation]:
-    """What `start_to_json` wrote."""
+    """Seed and variation from the text of `start_to_json`."""
     values = json.loads(text)
     seed = values.pop("seed")
     return seed, Variation(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
@@ -108,7 +107,7 @@ _work: Work | None = None
 
 
 def begin(setup: AugmentSetup, folder: Path) -> None:
-    """Prepares a worker process."""
+    """Makes the generator and the folder of a worker process."""
     global _generator, _work
     _generator, _work = Generator(setup), Work(folder)
 
@@ -119,7 +118,7 @@ def make_scene(source: int) -> None:
 
 
 def make_episode(index: int, scenes: list[Scene]) -> None:
-    """Makes and saves one demonstration."""
+    """Makes and saves the demonstration of an index."""
     before = _spent()
     attempt, provenance = _generator.episode(index, scenes)
     seconds = {k: v - before[k] for k, v in _spent().items()}

@@ -59,7 +59,6 @@ class Dragging:
         return self.turn_deg_per_mm + far < SLIPS * known.turn_deg_per_mm
 
     def less(self, known: Self) -> bool:
-        """Whether imprints turn significantly less than before."""
         far = SURE * float(np.hypot(self.error, known.error))
         return self.turn_deg_per_mm + far < known.turn_deg_per_mm
 
@@ -78,7 +77,7 @@ class Dragging:
         return f"{told}, {was}: no loss of friction is significant."
 
     def kept(self, task: str) -> dict:
-        """As a twin's history keeps it."""
+        """Entry for a twin's history."""
         return {"task": task, "turn": asdict(self)}
 
 

@@ -8,11 +8,13 @@ import numpy as np
 
 from pneutac_datasets.demonstrations.episodes import Episode
 from pneutac_sim.gel.contact import THRESHOLD_LEVELS
+from pneutac_sim.gel.sensor import TactileSensor, centre_mm
 
 REST_FRAMES, GAP = 12, 1  # frames before the first touch that show the gel at rest, but for the last ones
 DRIFT_LEVELS, SHAPE_LEVELS = 2.0, 2.0  # of a rest image: less is noise, rounding and slow wander of a camera
 FAINT_LEVELS = 5.0  # what noise changes
 APART = 4  # pixels whose brightness is measured
+CENTRE_REST_FRAMES, LEAST_PIXELS = 8, 50  # of an imprint's middle: frames at rest, smallest imprint
 LEAST_SHOWN = 0.02  # levels over the image, below which an imprint has no direction
 
 
@@ -31,6 +33,24 @@ def areas(images: np.ndarray, rest: np.ndarray) -> np.ndarray:
         change = cv2.blur(cv2.absdiff(image, rest), (3, 3)).sum(2, dtype=np.float32) / 3
         out[t] = float((change > THRESHOLD_LEVELS).mean())
     return out
+
+
+def imprint_centres_mm(images: np.ndarray, area: np.ndarray, sensor: TactileSensor) -> np.ndarray:
+    """Middle of the imprint in each image (T, 2), mm across and along the finger; NaN without touch.
+
+    Args:
+        images: uint8 (T, H, W, 3) of one demonstration; those before its first touch show the gel at rest.
+        area: (T,) contact areas.
+        sensor: of the twin, whose threshold and window count.
+    """
+    untouched = np.flatnonzero(np.cumsum(area) == 0)[:CENTRE_REST_FRAMES]
+    rest = images[untouched if len(untouched) else [0]].mean(0)
+    centres, limit = np.full((len(images), 2), np.nan), 3 * sensor.model.threshold_levels
+    for t in np.flatnonzero(area > 0):
+        pressed = np.abs(images[t] - rest).sum(2) > limit
+        if pressed.sum() >= LEAST_PIXELS:
+            centres[t] = centre_mm(pressed, sensor.model.window_mm)
+    return centres
 
 
 def strengths(images: np.ndarray, rest: np.ndarray, gain: np.ndarray | float = 1.0) -> np.ndarray:

@@ -1,11 +1,11 @@
-"""An episode carried out once more in the twin's world: its pressures, on the way that the arm went.
+"""An episode carried out once more in the twin's world: its pressures, along the path that the arm went.
 
 The flange is led along the recorded path, so that what differs is the finger's: its pressure, its bend and
 its touch. Frame t of a replay is what the twin predicts for frame t of the episode.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import override
 
 import numpy as np
 from scipy.signal import savgol_filter
@@ -13,12 +13,11 @@ from scipy.signal import savgol_filter
 from pneutac_datasets.demonstrations.episodes import Episode
 from pneutac_sim.features import CONTROL_HZ, EE, MAX_SPEED_M_S
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.station import Station
 from pneutac_sim.world.varied import Variation, VariedWorld
 
 AWAY_M = (0.0, 0.0, -5.0)  # out of everything's way
 SMOOTH = 5  # frames
-FEEDBACK_HZ = 3.0  # rate at which the flange returns to the recorded path
+FEEDBACK_HZ = 2.0  # rate at which the flange returns to the recorded path
 
 
 @dataclass(frozen=True)
@@ -64,74 +63,88 @@ class Replayed:
     success: bool
 
 
-class ReplayWorld(VariedWorld):
-    """A world whose finger may be bent by so much more than its pressure bends it.
+def follow(action: np.ndarray, flange_m: np.ndarray, goal_m: np.ndarray, dt_s: float) -> np.ndarray:
+    """Actions (H, 3 + C), led back to the path to which they belong.
 
-    Its own command latency is left out: the path is the measured one, and `delayed` delays the pressure.
+    Args:
+        action: (H, 3 + C) that go along the path.
+        flange_m: (3,) where the flange is.
+        goal_m: (3,) where the path begins.
+        dt_s: duration of a control step.
+    """
+    out = np.array(action, float)
+    fade = (1 - FEEDBACK_HZ * dt_s) ** np.arange(len(out))
+    out[:, :3] += FEEDBACK_HZ * fade[:, None] * (goal_m - flange_m)
+    out[:, :3] = np.clip(out[:, :3], -MAX_SPEED_M_S, MAX_SPEED_M_S)
+    return out
 
-    Attributes:
+
+def along(path: np.ndarray, pressures: np.ndarray, dt_s: float) -> np.ndarray:
+    """Actions (T - 1, 3 + C) that go along a path (T, 3) m with pressures (T, C) kPa."""
+    return np.hstack([np.diff(path, axis=0) / dt_s, pressures[:-1]])
+
+
+def frames_of(
+    world: VariedWorld, path: np.ndarray, pressures: np.ndarray, place: Place, more_rad: float = 0.0
+) -> Iterator[int]:
+    """Carries a demonstration out from a reset; yields the number of each frame when the world shows it.
+
+    Commands act at once: the path is the measured one, and who delays them delays `pressures`.
+
+    Args:
+        world: any state.
+        path: (T, 3) of the flange, m.
+        pressures: (T, C) when they act, kPa.
+        place: of the objects.
         more_rad: bend in addition to that of the pressure, shared by the joints.
     """
+    world.variation = Variation(tuple(path[0]), place.shift_m, at_once=True, more_rad=more_rad)
+    world.reset(place.seed)
+    yield 0
+    for t, action in enumerate(along(path, pressures, world.dt_s)):
+        led = follow(action[None], world.flange_m, path[t], world.dt_s)[0]
+        world.step(np.clip(led, *world.action_limits))
+        yield t + 1
 
-    more_rad = 0.0
 
-    def __init__(self, task: str, twin: Twin, touch: str = "probe", station: Station | None = None):
-        """A world of a task; `touch` as of `World`: `image` or, faster, `probe`."""
-        super().__init__(task, twin, touch, "probe", station=station)
+def replay(
+    world: VariedWorld, episode: Episode, place: Place = NOWHERE, more_rad: float = 0.0, keep: bool = False
+) -> Replayed:
+    """Carries an episode out.
 
-    @property
-    @override
-    def _late_commands(self):
-        return 0
+    Args:
+        world: of the twin, in any state; its touch is `image` or, faster, `probe`.
+        episode: as recorded.
+        place: of its objects; if omitted, they are out of the way.
+        more_rad: see `frames_of`.
+        keep: whether to store the tactile images.
+    """
+    path, pressures = smooth(episode.state[:, EE]), late(episode.action[:, 3:], latency_s(world.twin))
+    rows, images = [], []
+    for t in frames_of(world, path, pressures, place, more_rad):
+        touch = world.touch.area, world.press_mm, world.press_n
+        rows.append((world.flange_m, *touch, world.pressure_kpa, *gel_pose(world, path[t])))
+        if keep:
+            images.append(world.touch.image)
+    columns = [np.array(c) for c in zip(*rows, strict=True)]
+    done = bool(world.success and not world.failure)
+    return Replayed(*columns, np.stack(images) if keep else None, done)
 
-    @override
-    def _bend(self, q_cmd: np.ndarray) -> np.ndarray:
-        return super()._bend(q_cmd) + self.more_rad / len(q_cmd)
 
-    def replay(
-        self, episode: Episode, place: Place = NOWHERE, more_rad: float = 0.0, keep: bool = False
-    ) -> Replayed:
-        """Carries an episode out.
+def gel_pose(world: VariedWorld, recorded_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Position (3,) m and rotation (9,) of the gel, where the recorded flange and not the replayed one is."""
+    return world.gel_m + recorded_m - world.flange_m, world.data.site("gel").xmat.copy()
 
-        Args:
-            episode: as recorded.
-            place: of its objects; if omitted, they are out of the way.
-            more_rad: see the class.
-            keep: whether to keep the tactile images.
-        """
-        path = smooth(episode.state[:, EE])
-        pressure = delayed(episode.action[:, 3], self.twin)
-        self.more_rad = more_rad
-        self.variation = Variation(tuple(path[0]), place.shift_m)
-        self.reset(place.seed)
-        rows, images = [self._row(path[0])], [self.touch.image]
-        for t in range(len(path) - 1):
-            speed = (path[t + 1] - path[t]) / self.dt_s + FEEDBACK_HZ * (path[t] - self.flange_m)
-            action = np.append(np.clip(speed, -MAX_SPEED_M_S, MAX_SPEED_M_S), pressure[t])
-            self.step(np.clip(action, *self.action_limits))
-            rows.append(self._row(path[t + 1]))
-            if keep:
-                images.append(self.touch.image)
-        columns = [np.array(c) for c in zip(*rows, strict=True)]
-        kept = np.stack(images) if keep else None
-        return Replayed(*columns, kept, bool(self.success and not self.failure))
 
-    def commanded(self, episode: Episode) -> np.ndarray:
-        """Where the flange goes, (T, 3) m, when the commands act at once and nothing is in its way."""
-        actions = np.clip(episode.action, *self.action_limits)
-        self.variation = Variation(tuple(episode.state[0, EE]), AWAY_M)
-        self.reset(0)
-        path = [self.flange_m]
-        for action in actions[:-1]:
-            self.step(action)
-            path.append(self.flange_m)
-        return np.array(path)
-
-    def _row(self, recorded_m: np.ndarray) -> tuple:
-        at = self.gel_m + recorded_m - self.flange_m
-        axes = self.data.site("gel").xmat.copy()
-        touch = self.touch.area, self.press_mm, self.press_n
-        return self.flange_m, *touch, self.pressure_kpa, at, axes
+def commanded(world: VariedWorld, action: np.ndarray, start_m: np.ndarray) -> np.ndarray:
+    """Where the flange goes, (T, 3) m, by actions (T, 3 + C) that act at once, with nothing in its way."""
+    world.variation = Variation(tuple(start_m), AWAY_M, at_once=True)
+    world.reset(0)
+    path = [world.flange_m]
+    for each in np.clip(action[:-1], *world.action_limits):
+        world.step(each)
+        path.append(world.flange_m)
+    return np.array(path)
 
 
 def smooth(path: np.ndarray) -> np.ndarray:
@@ -139,14 +152,14 @@ def smooth(path: np.ndarray) -> np.ndarray:
     return path if len(path) < SMOOTH else savgol_filter(path, SMOOTH, 1, axis=0, mode="interp")
 
 
-def delayed(command: np.ndarray, twin: Twin) -> np.ndarray:
-    """Commands (T,), each held for a frame, as late as the twin's `command_latency_s`."""
+def latency_s(twin: Twin) -> float:
+    """By which commands act late: the twin's `command_latency_s`, fitted to demonstrations as a whole."""
     known = twin.parameters.get("command_latency_s")
-    return late(command, known.value if known else 0.0)
+    return known.value if known else 0.0
 
 
-def late(command: np.ndarray, latency_s: float) -> np.ndarray:
-    """Commands (T,), each held for a frame, `latency_s` later; before the first there was none."""
-    whole, part = divmod(latency_s * CONTROL_HZ, 1.0)
-    padded = np.concatenate([np.zeros(int(whole) + 1), command])
+def late(command: np.ndarray, latency_s: float, hz: float = CONTROL_HZ) -> np.ndarray:
+    """Commands (T, ...), each held for a frame, `latency_s` later; before the first there was none."""
+    whole, part = divmod(latency_s * hz, 1.0)
+    padded = np.concatenate([np.zeros((int(whole) + 1, *command.shape[1:])), command])
     return (1 - part) * padded[1 : len(command) + 1] + part * padded[: len(command)]

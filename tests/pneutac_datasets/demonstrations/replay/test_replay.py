@@ -21,7 +21,7 @@ from pneutac_datasets.demonstrations.replay.reading import (
     load_demonstrations,
     task_of,
 )
-from pneutac_datasets.demonstrations.replay.replaying import ReplayWorld, late
+from pneutac_datasets.demonstrations.replay.replaying import late, replay
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
     AREA,
@@ -33,6 +33,7 @@ from pneutac_sim.features import (
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.station import Station
+from pneutac_sim.world.varied import VariedWorld
 
 DEMOS = Path(__file__).parents[3] / "golden" / "recordings" / "demos"
 
@@ -56,17 +57,17 @@ def recorded(control_hz: int) -> Episode:
 
 @pytest.fixture(scope="module")
 def world():
-    return ReplayWorld("button", Twin.builtin())
+    return VariedWorld("button", Twin.builtin(), "probe", "probe")
 
 
 def test_the_flange_goes_where_it_went_and_its_object_is_met_when_it_was(world, episode):
     place = find_place(world, episode)
-    replayed = world.replay(episode, place)
+    replayed = replay(world, episode, place)
     off_mm = 1e3 * np.linalg.norm(replayed.flange_m - episode.state[:, EE], axis=1)
     assert np.median(off_mm) < 0.5
     onset, felt = episode.contact()[0], np.flatnonzero(replayed.press_mm > FELT_MM)
     assert abs(felt[0] - onset) < 0.4 * CONTROL_HZ
-    away = world.replay(episode)
+    away = replay(world, episode)
     assert away.press_mm.max() < 0.05
 
 
@@ -135,7 +136,7 @@ def test_another_rate_tells_the_same(world):
     way = [np.cumsum(e.action[:, :3], 0) / e.fps for e in (slow, fast)]
     np.testing.assert_allclose(way[0], way[1][1::2], atol=1e-9)
     place = find_place(world, slow)
-    replayed = world.replay(slow, place)
+    replayed = replay(world, slow, place)
     assert np.median(1e3 * np.linalg.norm(replayed.flange_m - slow.state[:, EE], axis=1)) < 0.5
     felt = np.flatnonzero(replayed.press_mm > FELT_MM)
     assert abs(felt[0] / CONTROL_HZ - fast.contact()[0] / fast.fps) < 0.4
