@@ -294,8 +294,11 @@ def _headline(s: State) -> str:
     runs = "" if s.rest == s.after else f", and to {error} without each run's own offset"
     things = f"{count.capitalize()} {'thing' if n == 1 else 'things'}"
     these = "it" if n == 1 else "both" if n == 2 else f"all {count}"
+    # The equation is what was found; that it is the cause as well is said where the probability allows it.
+    firm = bool(s.mechanisms) and all(m.certain for m in s.mechanisms)
+    like = ":" if firm else f" and {'behaves' if n == 1 else 'behave'} like"
     return (
-        f"{things} {verb} missing from the model: {each}. With {these} the test error falls from "
+        f"{things} {verb} missing from the model{like} {each}. With {these} the test error falls from "
         f"{s.before:.3g} to {s.after:.3g} {s.unit}{runs} ({noise})."
     )
 

@@ -74,6 +74,10 @@ def test_the_headline_lists_the_causes_by_size_without_equations():
     )
     assert "from 0.8 to 0.45 mm (noise 0.43 mm). Explained: fully. The error is 1.05 times the noise." in one
     assert one.endswith("Mechanism: creep is certain (87 %).")
+    study, outcome = given()
+    outcome.mechanisms = [creep(0.6)]
+    unsure = headline(state_of(study, outcome))
+    assert unsure.startswith("One thing is missing from the model and behaves like creep, time constant 8 s.")
     worth = [
         Contribution("lag(p)", False, 0.5, 0.45, (0.1, 0.05, 0.2)),
         Contribution("play(p)", True, 0.7, 0.45, (0.3, 0.2, 0.4)),
