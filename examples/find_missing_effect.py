@@ -2,7 +2,7 @@
 
 from lerobot_pneutac import Recording, add, calibrate, compare, diagnose
 from lerobot_pneutac.verbs.new import new_twin
-from pneutac_datasets.generate.hidden.generate import generate
+from pneutac_datasets.generate.finger import generate
 
 # A finger with a hidden effect; the answer is in outputs/missing_effect/truth/, which nothing here opens.
 generate("creep", "outputs/missing_effect/bench", seed=7, minutes=4, hz=10)

@@ -9,6 +9,7 @@ from pneutac_truths.contact import against_wall
 from pneutac_truths.cosserat import move
 from pneutac_truths.effects import EFFECTS, STAGES
 from pneutac_truths.effects.air import swing as swing_of
+from pneutac_truths.programs import Plan
 from pneutac_truths.seen import Seen, in_columns, logged
 from pneutac_truths.world import World, stream
 
@@ -16,6 +17,7 @@ MINUTES = {"rod": 10.0, "arm": 10.0, "cosserat": 2.0}
 SIZING_DAYS = (1, 2)
 WANTED = (4.5, 9.0)  # rms change of the tip over the noise that an effect alone is given
 LEAST_MOST = (3.2, 11.4)  # on either day
+FULL = 5.0  # misfit of the plain device over the noise, of a strength of 1
 TIMED = ("tracker_lowpass", "tracker_latency", "clock_jitter")
 
 Parameters = dict[str, dict[str, float]]
@@ -99,29 +101,40 @@ def read_gauge(w: World, drawn: Parameters) -> np.ndarray:
     return read
 
 
-def draw(device: str, names: tuple[str, ...], seed: int) -> Parameters:
-    """Parameters of each effect of this device, in the order of the table."""
-    return {name: dict(sized(device, name, seed)) for name in EFFECTS if name in names}
+def draw(
+    device: str, names: tuple[str, ...], seed: int, strength: float | None = None, plan: Plan | None = None
+) -> Parameters:
+    """Parameters of each effect of this device, in the order of the table; see `sized`."""
+    sizing = () if strength is None else (strength, plan)
+    return {name: dict(sized(device, name, seed, *sizing)) for name in EFFECTS if name in names}
 
 
 @lru_cache(maxsize=256)
-def sized(device: str, name: str, seed: int) -> tuple[tuple[str, float], ...]:
+def sized(
+    device: str, name: str, seed: int, strength: float | None = None, plan: Plan | None = None
+) -> tuple[tuple[str, float], ...]:
     """One effect's parameters, sized so that alone it moves the tip by the wanted multiple of the noise.
 
     The geometric mean over the first two days decides, so the device is the same on every day. A gauge
     changes no tip; its error counts with the tip's way that it stands for. A size at the end of its natural
     range stays there.
+
+    With a `strength` the plain device, its gain and rest bend fitted anew to this plan, misses the tip by
+    `FULL` times so much.
     """
     effect = EFFECTS[name]
     rng = stream(seed, name, "parameters")
     parameters = effect.draw(rng)
-    wanted = rng.uniform(*np.log(WANTED))
-    low, high = np.log(effect.ranges["size"])
+    wanted = rng.uniform(*np.log(WANTED)) if strength is None else np.log(FULL * strength)
+    low, high = np.log(effect.ranges["size"]) + [np.log(min(strength or 1.0, 1.0)), 0.0]
     for _ in range(12):
         middle = float(np.log(parameters["size"]))
         try:
-            both = [changed(device, name, seed, day, parameters) for day in SIZING_DAYS]
-            miss = _missing(wanted, np.log(np.maximum(both, 1e-6)))
+            if strength is None:
+                both = [changed(device, name, seed, day, parameters) for day in SIZING_DAYS]
+                miss = _missing(wanted, np.log(np.maximum(both, 1e-6)))
+            else:
+                miss = wanted - np.log(max(changed(device, name, seed, 1, parameters, plan=plan), 1e-6))
         except ArithmeticError:  # loads beyond what this device can carry
             miss = -1.0
         low, high = (middle, high) if miss > 0 else (low, middle)
@@ -140,28 +153,32 @@ def _missing(wanted: float, both: np.ndarray) -> float:
     return float((np.clip(wanted, low, high) if low < high else (low + high) / 2) - both.mean())
 
 
-def changed(device: str, name: str, seed: int, day: int, parameters: dict, minutes=None) -> float:
+def changed(
+    device: str, name: str, seed: int, day: int, parameters: dict, minutes=None, plan: Plan | None = None
+) -> float:
     """How far one effect alone moves the log of the tip, rms, over the rms of the noise.
 
-    Weighed at every fourth row.
+    Weighed at every fourth row. On a given plan, only as far as no other gain and rest bend of the plain
+    device do the same.
     """
-    plain, path = _plain(device, seed, day, minutes, name in TIMED)
+    plain, path, slopes = _plain(device, seed, day, minutes, name in TIMED, plan)
     rows = plain.plan.rows[::4]
-    still = path[np.searchsorted(_rows(plain, name in TIMED), plain.plan.rows)]
     drawn = {name: parameters}
     if EFFECTS[name].stage == "marker":
         tips = watch(plain, path, name in TIMED, drawn).tips[::4]
-    elif EFFECTS[name].stage == "gauge":
-        w = World.start(device, seed, day, minutes or MINUTES[device])
-        act(w, {})
-        w.drive = w.body.bend_rad * read_gauge(plain, drawn)
-        tips = pose(w, rows)
     else:
-        w = World.start(device, seed, day, minutes or MINUTES[device])
-        act(w, drawn)
+        w = World.start(device, seed, day, minutes or MINUTES[device], plan)
+        act(w, {} if EFFECTS[name].stage == "gauge" else drawn)
+        if EFFECTS[name].stage == "gauge":
+            w.drive = w.body.bend_rad * read_gauge(plain, drawn)
         tips = pose(w, rows)
+    still = path[np.searchsorted(_rows(plain, name in TIMED), plain.plan.rows)][::4]
     columns, sd = logged(plain.body, drawn)
-    away = in_columns(plain.body, columns, tips) - in_columns(plain.body, columns, still[::4])
+    still, tips, *slopes = (in_columns(plain.body, columns, x) for x in (still, tips, *slopes))
+    away = tips - still
+    if slopes:
+        basis = np.stack([(x - still).ravel() for x in slopes], 1)
+        away = away - (basis @ np.linalg.lstsq(basis, away.ravel(), rcond=None)[0]).reshape(away.shape)
     return float(np.sqrt((away**2).sum(1).mean() / len(columns)) / sd)
 
 
@@ -170,7 +187,13 @@ def _rows(w: World, fine: bool) -> np.ndarray:
 
 
 @lru_cache(maxsize=4)
-def _plain(device: str, seed: int, day: int, minutes, fine: bool) -> tuple[World, np.ndarray]:
-    w = World.start(device, seed, day, minutes or MINUTES[device])
+def _plain(device: str, seed: int, day: int, minutes, fine: bool, plan: Plan | None):
+    """The plain device, its path, and on a given plan the paths of a little more gain and of more bend."""
+    w = World.start(device, seed, day, minutes or MINUTES[device], plan)
     act(w, {})
-    return w, pose(w, _rows(w, fine))
+    path, slopes, drive = pose(w, _rows(w, fine)), [], w.drive
+    for more in (0.01 * drive, 0.01 * w.body.bend_rad) if plan else ():
+        w.drive = drive + more
+        slopes.append(pose(w, w.plan.rows[::4]))
+    w.drive = drive
+    return w, path, slopes

@@ -1,6 +1,6 @@
 """What a lab would command in one recording: trials of different programs, pauses between, a few repeats."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -9,7 +9,7 @@ ROW_S = 0.05  # between recorded samples
 KINDS = ("steps", "ramps", "sine", "staircase", "random_holds", "chirp")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Plan:
     """Time grid and commands of one recording.
 
@@ -21,6 +21,9 @@ class Plan:
         ends: row after its last.
         programs: name of each trial.
         pauses_s: (trials,) before each trial; the first has none.
+        row_s: between recorded samples.
+        conditions: of each trial, where somebody else decides them: `gravity` (trials, 3) unit vectors,
+            `payload_g` (trials,) and `temperature_c` (trials,); they are logged whether or not they act.
     """
 
     time_s: np.ndarray
@@ -30,12 +33,15 @@ class Plan:
     ends: list[int]
     programs: list[str]
     pauses_s: list[float]
+    row_s: float = ROW_S
+    conditions: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def rows(self) -> np.ndarray:
         """Rows of the fine grid that are recorded."""
-        step = round(ROW_S / DT_S)
-        return np.concatenate([np.arange(a, b, step) for a, b in zip(self.starts, self.ends, strict=True)])
+        every = self.row_s / DT_S
+        trials = [a + np.arange(0, b - a - 0.51, every) for a, b in zip(self.starts, self.ends, strict=True)]
+        return np.round(np.concatenate(trials)).astype(int)
 
     @property
     def trial(self) -> np.ndarray:
@@ -70,13 +76,20 @@ def plan(rng: np.random.Generator, chambers: int, minutes: float, quiet: bool = 
     return _joined([made[i] for i in order], [kinds[i] for i in order], pauses)
 
 
-def given(programs: list[tuple[str, np.ndarray, np.ndarray]], pause_s: float) -> Plan:
+def given(
+    programs: list[tuple[str, np.ndarray, np.ndarray]],
+    pause_s: float,
+    row_s: float = ROW_S,
+    conditions: dict[str, np.ndarray] | None = None,
+) -> Plan:
     """What somebody else commands.
 
     Args:
         programs: name, times (n,) from 0 in s, and shares of the top pressure (n, chambers), or (n,) of one
             chamber, held from their times on.
         pause_s: rest before each program but the first.
+        row_s: between recorded samples.
+        conditions: see `Plan`.
     """
     trials = []
     for _, time_s, share in programs:
@@ -86,7 +99,8 @@ def given(programs: list[tuple[str, np.ndarray, np.ndarray]], pause_s: float) ->
         new = np.r_[True, (np.diff(commands, axis=0) != 0).any(axis=1)]
         sent = np.asarray(time_s)[np.maximum.accumulate(np.where(new, np.arange(len(time_s)), 0))]
         trials.append((commands[latest], _on_grid(sent)[latest]))
-    return _joined(trials, [name for name, *_ in programs], [0.0, *[pause_s] * (len(programs) - 1)])
+    joined = _joined(trials, [name for name, *_ in programs], [0.0, *[pause_s] * (len(programs) - 1)])
+    return replace(joined, row_s=row_s, conditions=conditions or {})
 
 
 def _on_grid(sent_s: np.ndarray) -> np.ndarray:

@@ -107,6 +107,7 @@ def generate(
     tell_sent: bool = False,
     plan: Plan | None = None,
     lab: bool = False,
+    strength: float | None = None,
 ) -> Truth:
     """Makes one recording of a device.
 
@@ -123,6 +124,7 @@ def generate(
         plan: what is commanded, see `programs.given`; None draws it.
         lab: whether a third of the trials are in a room that is `WARMER_C` warmer, as the log shows (the
             device heeds it only where one of its effects does), and the base is turned in its plane alone.
+        strength: of each effect, see `make.sized`; None draws it.
 
     Raises:
         ValueError: an unknown name, or a gauge's fault without a gauge.
@@ -133,7 +135,7 @@ def generate(
         raise ValueError(f"Effect '{faulty[0]}' needs a gauge.")
     rng = stream(seed, device, day, "log")
     gauged = bool(faulty) or (stream(seed, "gauge").random() < 0.5 if gauge is None else gauge)
-    drawn = make.draw(device, names, seed)
+    drawn = make.draw(device, names, seed, strength, plan)
     w = World.start(device, seed, day, make.MINUTES[device] if minutes is None else minutes, plan)
     w.in_plane = lab
     truly, seen = make.run(w, drawn)
@@ -204,12 +206,15 @@ def _conditions(w: World, samples: pd.DataFrame, rng: np.random.Generator, lab: 
     """Columns of weight, payload and temperature; a thermometer is at times logged where it is irrelevant."""
     rows = w.plan.rows
     trial = w.plan.trial[rows]
-    if w.gravity is not None:
+    set_by = w.plan.conditions
+    gravity = set_by.get("gravity") if w.gravity is None else w.gravity
+    payload_g = set_by.get("payload_g") if w.payload_g is None else w.payload_g
+    if gravity is not None:
         for k, axis in enumerate("xyz"):
-            samples[f"gravity_{axis}"] = w.gravity[trial, k] + 0.0
-    if w.payload_g is not None:
-        samples["payload_g"] = w.payload_g[trial]
-    idle = rng.random() < 0.25 or lab
+            samples[f"gravity_{axis}"] = gravity[trial, k] + 0.0
+    if payload_g is not None:
+        samples["payload_g"] = payload_g[trial]
+    idle = rng.random() < 0.25 or lab or "temperature_c" in set_by
     air = w.temperature_c if w.temperature_c is not None else room_temperature(w, "temperature")
     if lab and w.temperature_c is None:
         warm = stream(w.seed, w.day, "warm").permutation(np.arange(len(w.plan.starts)) % 3 == 0)

@@ -12,6 +12,7 @@ from filelock import FileLock
 
 import pneutac_datasets
 import pneutac_sim
+import pneutac_truths
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.twin import Twin
 
@@ -55,7 +56,7 @@ def twin_of(recording: Recording) -> Twin:
 def _sources() -> str:
     """Hash of all the code that generated recordings come from."""
     digest = hashlib.sha256()
-    for package in (pneutac_datasets, pneutac_sim):
+    for package in (pneutac_datasets, pneutac_sim, pneutac_truths):
         for file in sorted(Path(package.__file__).parent.rglob("*.py")):
             digest.update(file.read_bytes())
     return digest.hexdigest()

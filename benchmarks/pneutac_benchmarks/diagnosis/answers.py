@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 from scipy.optimize import minimize
+from scipy.stats import binomtest
 
 from pneutac_benchmarks.diagnosis.rules import COUNTS, COUNTS_AS_NEAR, counts
-from pneutac_benchmarks.diagnosis.table import wilson
 from pneutac_benchmarks.tables import terminal
 
 ENDS = 1.3
@@ -86,7 +86,10 @@ def show(answers: Sequence[dict], console: Console) -> None:
 
 
 def _share(k: int, n: int) -> tuple[str, str]:
-    return f"{k} of {n}", "{:.0%} to {:.0%}".format(*wilson(k, n)) if n else "-"
+    if not n:
+        return "0 of 0", "-"
+    interval = binomtest(k, n).proportion_ci(method="wilson")
+    return f"{k} of {n}", f"{interval.low:.0%} to {interval.high:.0%}"
 
 
 def fitted(X: np.ndarray, right: np.ndarray) -> np.ndarray:

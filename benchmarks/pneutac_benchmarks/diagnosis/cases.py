@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pneutac_sim.errors import InputError
 
-SETS = ("truths", "hidden", "real", "extrapolation", "own_form_out", "rivals", "logs", "lab")
+SETS = ("truths", "real", "extrapolation", "own_form_out", "rivals", "logs", "lab")
 DEVICES = ("rod", "arm", "cosserat")
 
 
@@ -15,12 +15,12 @@ class BenchmarkDiagnosisConfig:
     """Options of `pneutac benchmark diagnosis`.
 
     Attributes:
-        set: `truths` (devices that share nothing with the twin, judged on another day), `hidden` (devices
-            built like the twin), `real` ($PNEUTAC_DATA/soft), `extrapolation` (truths, learnt below 60 % of
-            the pressure), `own_form_out` (without the truth's families), `rivals` (other methods), `logs`
-            (ordinary logs of plain fingers, which must raise no alarm, and some with one effect) or `lab`
-            (truths with turned, loaded and warm runs: calibrated, diagnosed, added, compared on another day,
-            then effects added that are not there).
+        set: `truths` (devices that share nothing with the twin, judged on another day), `real`
+            ($PNEUTAC_DATA/soft), `extrapolation` (truths, learnt below 60 % of the pressure), `own_form_out`
+            (without the truth's families), `rivals` (other methods), `logs` (ordinary logs of plain fingers,
+            which must raise no alarm, and some with one effect) or `lab` (truths with turned, loaded and
+            warm runs: calibrated, diagnosed, added, compared on another day, then effects added that are not
+            there).
         out: folder of the table; finished cases in it are not repeated. Where left out,
             outputs/benchmark_diagnosis/SET.
         fast: one seed, few cases and four-minute recordings only.
@@ -65,12 +65,10 @@ class Case:
 
     Attributes:
         set: one of `SETS`.
-        kind: within the set: `effect`, `pair`, `none`, `unknown`, `plain`, `device`; or how a real one is
-            split.
+        kind: within the set: `effect`, `pair`, `plain`, `device`; or how a real one is split.
         effects: names, joined by commas.
         seed: of everything random.
         minutes: of the recording.
-        strength: of a hidden effect.
         device: of a truth, or the folder of a real recording.
     """
 
@@ -79,13 +77,12 @@ class Case:
     effects: str
     seed: int
     minutes: float = 0.0
-    strength: float = 1.0
     device: str = ""
 
     @property
     def key(self) -> str:
         """File name of its answer."""
-        parts = (self.kind, self.device, self.effects.replace(",", "+"), f"{self.strength:g}", str(self.seed))
+        parts = (self.kind, self.device, self.effects.replace(",", "+"), str(self.seed))
         return "_".join(p for p in (*parts, f"{self.minutes:g}min") if p)
 
 

@@ -20,7 +20,6 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 # set -> its module with `cases(cfg)` and `solve(case)`, and the one with `write_table(answers, out, console)`
 SETS = {
     "truths": ("truths", "table_truths"),
-    "hidden": ("hidden", "table"),
     "real": ("real", "table_real"),
     "extrapolation": ("truths", "table_truths"),
     "own_form_out": ("truths", "table_truths"),

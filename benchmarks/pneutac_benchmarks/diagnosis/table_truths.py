@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 from rich.console import Console
+from scipy.stats import binomtest
 
 from lerobot_pneutac.reports.page import write_result
 from pneutac_benchmarks.diagnosis import pictures
@@ -18,7 +19,6 @@ from pneutac_benchmarks.diagnosis.rules import (
     names_right,
     names_too_much,
 )
-from pneutac_benchmarks.diagnosis.table import wilson
 from pneutac_benchmarks.tables import markdown, terminal
 from pneutac_sim.effects.laws import family
 
@@ -67,11 +67,12 @@ def summary(answers: list[dict]) -> list[dict]:
     for name, members in groups(answers).items():
         scores = [score(a) for a in members]
         sums = {k: sum(s[k] for s in scores) for k in scores[0]}
+        interval = binomtest(sums["right"], len(members)).proportion_ci(method="wilson")
         shares = [a["removed"] for a in members if a["removed"] is not None]
         rows.append(
             {
                 "group": name, "recordings": len(members), **sums,
-                "right_ci95": list(wilson(sums["right"], len(members))),
+                "right_ci95": [float(interval.low), float(interval.high)],
                 "removed_median": float(np.median(shares)) if shares else None,
                 "before_median": float(np.median([_before(a) for a in members])),
                 "after_median": float(np.median([a["ratio"] for a in members])),

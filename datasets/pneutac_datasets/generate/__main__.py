@@ -90,7 +90,7 @@ def _parser() -> argparse.ArgumentParser:
 def _finger(
     out: Path, effect: str = "none", no_measured_pressure: bool = False, **options
 ) -> dict[str, Path]:
-    from pneutac_datasets.generate.hidden.generate import generate
+    from pneutac_datasets.generate.finger import generate
 
     generate(effect.split(","), out, measured_pressure=not no_measured_pressure, **options)
     return {"recording": out, "truth": truth_file(out)}

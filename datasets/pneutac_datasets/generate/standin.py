@@ -11,8 +11,8 @@ from PIL import Image
 from lerobot_robot_pneutac.standin.finger import LENGTH_MM, TIP_MM, RodBody, clamped
 from lerobot_robot_pneutac.standin.gel import WINDOW_MM, CameraNoise, new_gel
 from lerobot_robot_pneutac.standin.world import GAUGE_NOISE_KPA
-from pneutac_datasets.generate.hidden.programs import ProgramTrial, session
 from pneutac_datasets.generate.presses import ball_press, press_row, write_session
+from pneutac_datasets.generate.programs import ProgramTrial, session
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import MAX_PRESSURE_KPA

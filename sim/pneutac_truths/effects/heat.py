@@ -24,8 +24,14 @@ def self_heating(w: World, cool_s: float, size: float) -> None:
 
 
 def room_temperature(w: World, name: str) -> np.ndarray:
-    """Air temperature (n,) in C: a ramp and a slow wander, as in a lab with heating and doors."""
+    """Air temperature (n,) in C: a ramp and a slow wander, as in a lab with heating and doors.
+
+    Where the plan has a temperature of each trial, it wanders by a little about that.
+    """
     rng, t = w.draws(name), w.time_s / w.time_s[-1]
+    if "temperature_c" in w.plan.conditions:
+        turn = 2 * np.pi * (rng.uniform(1, 2.5) * t + rng.uniform())
+        return w.plan.conditions["temperature_c"][w.plan.trial] + 0.2 * np.sin(turn)
     ramp = rng.choice([-1, 1]) * rng.uniform(5, 9)
     phase = rng.uniform(0, 2 * np.pi)
     return 22 + ramp * (t - 0.5) + 1.2 * np.sin(2 * np.pi * rng.uniform(1, 2.5) * t + phase)

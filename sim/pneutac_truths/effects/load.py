@@ -23,6 +23,9 @@ def gravity(w: World, size: float) -> None:
     rng = w.draws("gravity")
     w.body = replace(w.body, weight=size)
     w.weighs = True
+    if "gravity" in w.plan.conditions:
+        w.gravity = w.plan.conditions["gravity"]
+        return
     ways = DOWN[:3] if w.in_plane else DOWN[rng.permutation(len(DOWN))[: rng.integers(3, 5)]]
     # each direction for a run of trials, as the rig is turned seldom; the repeats at the end as they come
     w.gravity = ways[np.sort(np.arange(len(w.plan.starts)) % len(ways))]
@@ -36,12 +39,15 @@ def gravity(w: World, size: float) -> None:
     size=(0.5, 80.0),
 )
 def payload(w: World, size: float) -> None:
-    """`size`: the larger of two weights, g. Without `gravity` the mount stays as it is."""
+    """`size`: the largest weight, g. Without `gravity` the mount stays as it is."""
     rng = w.draws("payload")
     n = len(w.plan.starts)
-    w.payload_g = np.round(rng.permutation(np.resize([0.0, size, 0.0, size / 2], n)), 2)
+    shares = rng.permutation(np.resize([0.0, 1.0, 0.0, 0.5], n))
+    if "payload_g" in w.plan.conditions:
+        shares = w.plan.conditions["payload_g"] / w.plan.conditions["payload_g"].max()
+    w.payload_g = np.round(shares * size, 2)
     if w.gravity is None:
-        w.gravity = np.tile(DOWN[1], (n, 1))
+        w.gravity = w.plan.conditions.get("gravity", np.tile(DOWN[1], (n, 1)))
 
 
 @effect(

@@ -5,7 +5,6 @@ from scipy.spatial.transform import Rotation
 
 from pneutac_truths.effects.air import lag
 from pneutac_truths.effects.table import effect
-from pneutac_truths.programs import ROW_S
 from pneutac_truths.seen import Seen
 from pneutac_truths.world import World, seconds
 
@@ -47,7 +46,7 @@ def clock_jitter(w: World, seen: Seen, size: float) -> None:
     rng = w.draws("clock_jitter")
     n = len(w.plan.rows)
     slow = np.zeros(n)
-    keep = np.exp(-ROW_S / 3.0)
+    keep = np.exp(-w.plan.row_s / 3.0)
     for i, x in enumerate(rng.normal(0, 1, n)):
         slow[i] = keep * slow[i - 1] + np.sqrt(1 - keep**2) * x if i else x
     seen.late_s = seen.late_s + size * (slow + 0.25 * rng.normal(0, 1, n))
@@ -80,7 +79,7 @@ def tracker_outliers(w: World, seen: Seen, per_minute: float, size: float) -> No
     """`size`: typical distance, mm; each lasts 1 to 4 samples."""
     rng = w.draws("tracker_outliers")
     n = len(seen.tips)
-    for at in rng.integers(0, n - 4, max(2, round(per_minute * n * ROW_S / 60))):
+    for at in rng.integers(0, n - 4, max(2, round(per_minute * n * w.plan.row_s / 60))):
         seen.tips[at : at + rng.integers(1, 5)] += rng.normal(0, size / np.sqrt(3), 3)
 
 
@@ -155,11 +154,11 @@ def tracker_freezes(w: World, seen: Seen, per_minute: float, size: float) -> Non
     rng = w.draws("tracker_freezes")
     n = len(seen.tips)
     trial = w.plan.trial[w.plan.rows]
-    k = round(per_minute * n * ROW_S / 60)
+    k = round(per_minute * n * w.plan.row_s / 60)
     speed = np.linalg.norm(np.diff(seen.tips, axis=0, append=seen.tips[-1:]), axis=1)
     chance = speed + 0.2 * speed.mean() + 1e-9
     starts = rng.choice(n, k, p=chance / chance.sum())
-    for at, length in zip(starts, rng.uniform(0.3, 1.7, k) * size / ROW_S, strict=True):
+    for at, length in zip(starts, rng.uniform(0.3, 1.7, k) * size / w.plan.row_s, strict=True):
         rows = np.arange(at, min(at + 1 + round(length), n))
         seen.tips[rows[trial[rows] == trial[at]]] = seen.tips[at]
         seen.frozen[rows[trial[rows] == trial[at]][1:]] = True

@@ -1,7 +1,7 @@
 import pytest
 from generated import once
 
-from pneutac_datasets.generate.hidden.generate import generate
+from pneutac_datasets.generate.finger import generate
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ from lerobot_pneutac import add, compare, diagnose
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.add import Addition
 from lerobot_pneutac.verbs.found import BEFORE, FOUND
+from pneutac_datasets.generate.finger import generate
 from pneutac_datasets.generate.gel import write_gel_recording
-from pneutac_datasets.generate.hidden.generate import generate
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin

@@ -14,7 +14,7 @@ from lerobot_pneutac.reports.compare import heat_map
 from lerobot_pneutac.reports.compare_sentence import phrase
 from lerobot_pneutac.verbs.compare_body import compare_body, train_mask
 from lerobot_pneutac.verbs.fit_body import calibrate_body
-from pneutac_datasets.generate.hidden.generate import generate
+from pneutac_datasets.generate.finger import generate
 from pneutac_datasets.recording.axes import Axis, axes, motion
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
@@ -32,7 +32,7 @@ def bench(tmp_path_factory):
     """A recording without and one with creep of the same finger, and a twin fitted to the first."""
     root = tmp_path_factory.mktemp("bench")
     for name in ("none", "creep"):
-        once(generate, name, root / name, seed=3, minutes=2, hz=20)
+        once(generate, name, root / name, seed=16, minutes=2, hz=20)
     run_verb("new", [f"--twin={root / 'twin'}", f"--recording={root / 'none'}"])
     r = Recording.load(root / "none")
     found = calibrate_body(Twin.load(root / "twin"), r)

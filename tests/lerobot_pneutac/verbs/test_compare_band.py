@@ -11,7 +11,7 @@ from generated import once, twin_of
 from lerobot_pneutac.verbs.compare_band import prediction_band
 from lerobot_pneutac.verbs.compare_body import compare_body
 from lerobot_pneutac.verbs.fit_body import calibrate_body
-from pneutac_datasets.generate.hidden.generate import generate
+from pneutac_datasets.generate.finger import generate
 from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.finger import BodyData, fit, simulate

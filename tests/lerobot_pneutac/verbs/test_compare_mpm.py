@@ -12,7 +12,7 @@ from generated import once
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.compare_mpm import markers_by_mpm, spread
 from lerobot_pneutac.verbs.fit_body import calibrate_body
-from pneutac_datasets.generate.hidden.generate import generate
+from pneutac_datasets.generate.finger import generate
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError

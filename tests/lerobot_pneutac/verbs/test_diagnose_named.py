@@ -30,7 +30,7 @@ def test_measured_pressure_tells_the_valve_from_the_body(bench):
 
 def test_a_disturbance_is_unknown_and_no_headline(bench):
     """Only a declared noise tells it from a slow noise of the tracker."""
-    recording = bench("disturbance_base_bumps")
+    recording = bench("clock_jitter")
     d = diagnose(twin_of(recording), recording, jobs=1)
     assert d.verdict == "adequate" and not d.selected
     assert "neither a known effect nor a black box of the command." in d.sentence

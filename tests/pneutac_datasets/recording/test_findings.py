@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from generated import once
 
-from pneutac_datasets.generate.hidden.generate import generate
+from pneutac_datasets.generate.finger import generate
 from pneutac_datasets.recording.checks import check, findings
 from pneutac_datasets.recording.finding import KINDS
 from pneutac_datasets.recording.recording import Recording

@@ -6,7 +6,7 @@ from generated import once
 from scipy import signal
 from scipy.spatial.transform import Rotation
 
-from pneutac_datasets.generate.hidden.generate import generate
+from pneutac_datasets.generate.finger import generate
 from pneutac_datasets.recording.mounts import align_mounts
 from pneutac_datasets.recording.recording import Recording
 
