@@ -125,6 +125,7 @@ class Refits:
         known: known causes that were switched on, see `Outcome.known`.
         contributions: what each term adds to all others, the largest first.
         significant: whether the step from `baseline` to `after` is significant in cross-validation.
+        doubts: of the named effects, why one may stand in for something else.
         better: another effect that explains significantly more by itself, with which the named ones add
             nothing, with its model; None where there is none.
     """
@@ -135,6 +136,7 @@ class Refits:
     known: list[str] = field(default_factory=list)
     contributions: list[Contribution] = field(default_factory=list)
     significant: bool = True
+    doubts: dict[str, str] = field(default_factory=dict)
     better: tuple[str, FittedModel] | None = None
 
 

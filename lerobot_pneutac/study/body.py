@@ -53,6 +53,7 @@ class BodyStudy(BodyBase):
             before = search.as_it_is()
             if done.model.model.structure.trials:
                 self.findings = [*self.findings, OF_TRIALS]
+            self._report_left_out(search, done.model.model)
             steps.done()
             return body_outcome(self, search, before, done, began)
 
@@ -64,11 +65,17 @@ class BodyStudy(BodyBase):
             if done is not None:
                 return search, done
 
+    def _report_left_out(self, search: BodySearch, model: BodyModel) -> None:
+        """Adds a finding for each cause that a search left out although the error falls by it."""
+        left_out = (s for t, s in search.left_out.items() if t not in model.structure.effects)
+        self.findings = [*self.findings, *left_out]
+
     def refits(self, effects: Sequence[str], steps: Steps) -> Refits:
         """The twin re-fitted as it is, with the known causes, and with these effects too.
 
         Known causes are chosen with the effects in place: those without which the cross-validated error rises
-        significantly.
+        significantly, and of which there is no `doubt`. One that the twin has goes where it does nothing once
+        the effects are there.
         """
         search = BodySearch(self, map, lambda text: None)
         start = search.as_it_is()
@@ -89,6 +96,8 @@ class BodyStudy(BodyBase):
             rich = engine.fits([space.trial(structure, values, name, s) for s in starts(name)], 8)
         rich = [search.score(space.refine_actuation(space.refine(s.model))) for s in rich[:1]] or [start]
         whole = search.simplified(space, Found(start, [start], rich[0]), (*self.twin_effects, *new))
+        whole = search.without_idle(space, whole, whole.model.structure.effects)
+        self._report_left_out(search, whole.model)
         model, terms = whole.model, [e for e in whole.model.structure.effects if e not in self.twin_effects]
         without = {t: search.score(space.without(model, t)) for t in terms}
         known = [t for t in terms if t not in new]
@@ -113,6 +122,7 @@ class BodyStudy(BodyBase):
                 after, {t: self.fitted(s.model) for t, s in without.items()}, known
             ),
             significant=significant,
+            doubts=search.doubts(space, whole, {t: without[t] for t in new if t in without}),
             better=better and (better[0], self.fitted(better[1].model)),
         )
 

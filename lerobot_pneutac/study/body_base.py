@@ -1,9 +1,10 @@
 """A recording of a finger or an arm, its parts, its twin and its sentences; a sample is a row."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.stats import linregress, ttest_1samp
 
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.experiment import Separation, predict, read, separations
@@ -413,3 +414,102 @@ def known_causes(recording: Recording) -> tuple[str, ...]:
     if tip:
         out.append("elongation")
     return tuple(out)
+
+
+COMES_WITH = {
+    "payload": ("payload_g",),
+    "gravity": ("gravity_x", "gravity_y", "gravity_z"),
+    "thermal": ("temperature_c",),
+}  # what an effect comes and goes with, by trials as a rule
+
+
+def doubt(
+    cause: str,
+    recording: Recording,
+    predict: Callable[[Recording], np.ndarray],
+    residual: np.ndarray,
+    rows: np.ndarray,
+    without: np.ndarray,
+    squared: np.ndarray,
+) -> str:
+    """Why a cause that lowers the error may yet stand in for something else, a sentence; empty where not.
+
+    A weight that hangs in one trial explains whatever is different in that trial: creep of the trials before,
+    drift, a knock. Blocks of one trial share it, so they are no repeats; trials are. What comes with a
+    condition must stand out from how much runs of one condition differ (`size_by_run`); what acts in every
+    trial must lower the error of all of them.
+
+    Args:
+        cause: an effect of the model.
+        recording: that the model is fitted to.
+        predict: what the model predicts of this recording under other conditions, (n, k).
+        residual: (n, k) measured - predicted, in the unit of `predict`.
+        rows: (m,) samples to judge by.
+        without: (m,) squared errors of the model without the cause, re-fitted.
+        squared: (m,) those of the model.
+    """
+    name = cause.replace("_", " ")
+    columns = COMES_WITH.get(cause)
+    if columns is None:
+        trial = np.unique(recording.samples["trial"].to_numpy()[rows], return_inverse=True)[1]
+        falls = np.log(np.maximum(np.bincount(trial, without), 1e-300) / np.bincount(trial, squared))
+        few = len(falls) < T.FEW_RUNS
+        if (few and falls.min() > 0) or (
+            not few and ttest_1samp(falls, 0.0, alternative="greater").pvalue < T.SIGNIFICANCE
+        ):
+            return ""
+        return f"{name} is left out: it does not lower the error significantly from trial to trial."
+    claimed, shown = size_by_run(recording, columns, predict, residual, rows)
+    if np.ptp(claimed) > 0 and linregress(claimed, shown, alternative="greater").pvalue < T.SIGNIFICANCE:
+        return ""
+    what = "direction of gravity" if len(columns) > 1 else columns[0]
+    return (
+        f"{name} is left out: what it explains does not exceed significantly how much parts of equal {what} "
+        "differ. Repeat one program under both conditions in turn, three times each."
+    )
+
+
+def size_by_run(
+    recording: Recording,
+    columns: Sequence[str],
+    predict: Callable[[Recording], np.ndarray],
+    residual: np.ndarray,
+    rows: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """How far a cause moves each run (K,) as its model claims, and as the measurement shows.
+
+    Of few runs (`thresholds.FEW_RUNS`) each quarter counts as one. The commonest condition counts as none.
+    The cause is measured there too: by what it would do under the condition farthest from it.
+
+    Args:
+        recording: that the model is fitted to.
+        columns: of the condition.
+        predict: as in `doubt`.
+        residual: likewise.
+        rows: likewise.
+    """
+    samples, condition = recording.samples, recording.samples[list(columns)].to_numpy(float)
+    span = max(np.ptp(condition, axis=0).max(), 1e-12)
+    level = np.unique(np.round(2 * condition / span), axis=0, return_inverse=True)[1].reshape(-1)
+    trial = np.unique(samples["trial"].to_numpy(), return_inverse=True)[1]
+    run = np.cumsum(np.r_[True, (np.diff(trial) != 0) | (np.diff(level) != 0)]) - 1
+    if run[-1] + 1 < T.FEW_RUNS:  # quarters tell at least of what changes within a run
+        first = np.unique(run, return_index=True)[1]
+        run = 4 * run + 4 * (np.arange(len(run)) - first[run]) // np.bincount(run)[run]
+    common = int(np.bincount(level).argmax())
+    none = condition[level == common].mean(axis=0)
+    other = condition[np.linalg.norm(condition - none, axis=1).argmax()]
+
+    def under(value: np.ndarray) -> np.ndarray:
+        return predict(replace(recording, samples=samples.assign(**dict(zip(columns, value, strict=True)))))
+
+    plain, away = under(none), under(other)
+    moved = np.where((level == common)[:, None], away, predict(recording)) - plain
+    claimed, shown = [], []
+    for k in np.unique(run[rows]):
+        mine = rows[run[rows] == k]
+        size = float(np.sqrt((moved[mine] ** 2).sum(axis=1).mean()))
+        acts = size if level[mine[0]] != common else 0.0
+        claimed.append(acts)
+        shown.append(acts + float((residual[mine] * moved[mine]).sum(axis=1).mean()) / max(size, 1e-12))
+    return np.array(claimed), np.array(shown)

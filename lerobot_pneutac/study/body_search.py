@@ -1,6 +1,6 @@
 """The search for what a finger or an arm lacks: air from the measured pressure, body from the pose."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,7 +10,7 @@ from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
 from lerobot_pneutac.diagnosis.parts import conditions, out_of_time
 from lerobot_pneutac.diagnosis.search import Found, Scored, Search, chosen_in, deal_folds
-from lerobot_pneutac.study.body_base import BodyBase, base_effects
+from lerobot_pneutac.study.body_base import COMES_WITH, BodyBase, base_effects, doubt
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, BodyStructure, InputModel
 from lerobot_pneutac.study.body_space import ACTUATIONS, BodySpace
 from lerobot_pneutac.study.data_breaks import change_break, slip_break
@@ -61,10 +61,14 @@ class BodySearch:
         study: of a finger or an arm.
         run: like `map`, perhaps in parallel.
         tell: called with a line of progress.
+
+    Attributes:
+        left_out: causes that lowered the error and yet were left out, and why, see `body_base.doubt`.
     """
 
     def __init__(self, study: BodyBase, run: Callable, tell: Callable[[str], None]):
         self.study, self.run, self.tell = study, run, tell
+        self.left_out: dict[str, str] = {}
         learn = np.flatnonzero(study.parts.learnt)
         self.rows = learn[:: max(1, len(learn) // MOST_ROWS)]
         self.unit = study.parts.unit[self.rows]
@@ -200,14 +204,26 @@ class BodySearch:
                 found, plain = with_offsets, self.simplified(space, with_offsets, own)
             else:
                 space.trials = ()
-        return Searched(space, found, self._without_idle(space, self._refined(space, plain), own))
+        return Searched(space, found, self.without_idle(space, self._refined(space, plain), own))
 
-    def _without_idle(self, space: BodySpace, model: Scored, own: tuple[str, ...]) -> Scored:
-        """The model without terms that ended where they do nothing, at the same instants of steps."""
+    def without_idle(self, space: BodySpace, model: Scored, kept: Sequence[str]) -> Scored:
+        """The model without terms that ended where they do nothing, at the same instants of steps.
+
+        A known cause of the twin goes too where an effect was found with which it does nothing: it stood in
+        for that effect.
+        """
+        own, causes = self.study.twin_effects, base_effects(self.study)
         for term in model.model.structure.effects:
-            if term not in own and space.idle(model.model, term):
+            effects = model.model.structure.effects
+            replaced = term in causes and term in own and not set(effects) <= set(own)
+            if (term not in kept or replaced) and space.idle(model.model, term):
                 structure, values = model.model.structure.without(term), model.model.values
                 model = self.score(space.fitter.fit(structure, values, 8))
+                if replaced:
+                    self.left_out[term] = (
+                        f"{term.replace('_', ' ')} of the twin explains nothing in this recording once what "
+                        "was found is added, and is left out then."
+                    )
         return model
 
     def _refined(self, space: BodySpace, model: Scored) -> Scored:
@@ -261,7 +277,35 @@ class BodySearch:
             if not needed or drop < max(T.PLAIN_OF_EXCESS * excess, T.PLAIN_OF_NOISE * noise_mse):
                 kept = plain
         space.kept = own
-        return search.pruned(kept, found)
+        kept = search.pruned(kept, found)
+        while doubts := self.doubts(space, kept, found.without):
+            self.left_out |= doubts
+            models = {t: space.without(kept.model, t) for t in doubts}
+            kept = search.pruned(min(map(self.score, models.values()), key=lambda s: s.value), found)
+        return kept
+
+    def doubts(self, space: BodySpace, fitted: Scored, without: Mapping[str, Scored]) -> dict[str, str]:
+        """Causes of a model that may stand in for something else, and why.
+
+        Args:
+            space: of the model.
+            fitted: the model.
+            without: the model re-fitted without each term that is judged.
+        """
+        model, fitter, out = fitted.model, space.fitter, {}
+        data = fitter.data(model.structure.input_model)
+        scale = data.scale[: data.counted]
+
+        def predict(recording: Recording) -> np.ndarray:
+            changed = BodyFitter(recording, fitter.twin, fitter.rows)
+            return changed.predict(model)[:, : data.counted] * scale
+
+        residual = data.measured[:, : data.counted] * scale - predict(fitter.recording)
+        for t in without:
+            if t in model.structure.effects and t in (*COMES_WITH, *base_effects(self.study)):
+                squared = without[t].cv_squared, fitted.cv_squared
+                out[t] = doubt(t, fitter.recording, predict, residual, self.rows, *squared)
+        return {t: sentence for t, sentence in out.items() if sentence}
 
     def plain(self, space: BodySpace, model: BodyModel) -> Scored | None:
         """The model re-fitted with the paper's bend profile; None where it cannot be fitted."""

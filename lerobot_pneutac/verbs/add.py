@@ -416,6 +416,8 @@ def _refusal(study, effects: Sequence[str], found: Refits, named: bool) -> str:
             f"the mean square error falls by {value:.3g} [{low:.3g} to {high:.3g}] {unit}^2, which is not a "
             f"significant improvement{_known_help(study, found)}."
         )
+    if found.doubts:
+        return f"Not added: {next(iter(found.doubts.values()))}"
     useless = [c.name for c in found.contributions if c.name in effects and c.drop[1] <= 0]
     if named and len(effects) > 1 and useless:
         useful = [e for e in effects if e not in useless]

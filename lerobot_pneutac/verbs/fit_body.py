@@ -10,13 +10,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
 from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.diagnosis.result import Contribution
 from lerobot_pneutac.reports.colours import HELDOUT, MEASURED, MODEL
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.study.base import ANGLES, RECORD, not_identifiable, unidentified
-from lerobot_pneutac.study.body_base import known_causes
+from lerobot_pneutac.study.body_base import doubt, known_causes
 from lerobot_pneutac.study.pair import fit_parts, pressure_unit_doubts
 from lerobot_pneutac.verbs.calibration import Calibration
 from lerobot_pneutac.verbs.fit_compliance import NO_LOAD, fit_compliance
@@ -156,7 +157,7 @@ def calibrate_body(twin: Twin, recording: Recording, seed: int = 0, progress=Non
     told = fit_compliance(twin, recording, train, seed)
     fits = _fit_stages(told.twin, recording, bench, train, seed, report)
     judge = _Judge(command, recording, heldout, seed)
-    fits, plain, causes = _with_known_causes(fits, recording, bench, train, judge, seed, report)
+    fits, plain, causes, doubts = _with_known_causes(fits, recording, bench, train, judge, seed, report)
     after = replace(fits[-1].twin, fitted_to={"change": "calibrated", "recording": folder, "seed": seed})
 
     def error(model: Twin, mask: np.ndarray) -> float | None:
@@ -172,7 +173,7 @@ def calibrate_body(twin: Twin, recording: Recording, seed: int = 0, progress=Non
         recording=folder,
         change="calibrated",
         seed=seed,
-        findings=tuple(findings + moved + pressure_unit_doubts(after)),
+        findings=tuple(findings + moved + pressure_unit_doubts(after) + doubts),
         fits=fits,
         bench=bench,
         train=train,
@@ -206,6 +207,11 @@ class _Judge:
         rise = self._held.value(without) - self._held.value(squared)
         return rise > WORTH * self._held.value(squared) and self._held.significant_drop(without, squared)
 
+    def idle(self, twin: Twin, cause: str) -> bool:
+        """Whether a cause ended where it moves nothing: a better fit with it is no merit of it."""
+        seen, plain = (simulate(t, self._command).residual for t in (twin, twin.without(cause)))
+        return self._command.error(seen - plain) < T.IDLE_OF_RESIDUAL * self._command.error(seen)
+
     def drop(self, before: np.ndarray, after: np.ndarray) -> tuple[float, float, float]:
         """Fall of the held-out mean square error: value, lower 1 % and upper 99 % bound."""
         return self._held.drop(before, after) if self._held else (0.0, 0.0, 0.0)
@@ -219,10 +225,11 @@ def _with_known_causes(
     judge: _Judge,
     seed: int,
     progress,
-) -> tuple[list[PipelineFit], Twin, list[Contribution]]:
+) -> tuple[list[PipelineFit], Twin, list[Contribution], list[str]]:
     """The fits with those known causes that the recording shows, the twin without them, and their worth.
 
-    All are fitted together; then the one whose removal costs least goes, while that is not significant.
+    All are fitted together; then the one whose removal costs least goes, while that is not significant or
+    there is a `doubt`. Last in the result are sentences on those that went for a doubt.
     """
     plain = fits[-1].twin
     names = [c for c in known_causes(recording) if c not in plain.effects]
@@ -231,26 +238,48 @@ def _with_known_causes(
         return fit(twin, bench, [*plain.effects, *effects], train, starts=1, seed=seed)
 
     if not names:
-        return fits, plain, []
+        return fits, plain, [], []
     progress("fitting known causes", 0, 1 + len(names))
     now = fit(plain, bench, [*plain.effects, *names], train, seed=seed)
-    squared, lost = judge.squared(now.twin), {}
+    squared, lost, doubts = judge.squared(now.twin), {}, {}
     while names:
         without = {c: fitted(now.twin.without(c), [n for n in names if n != c]) for c in names}
         lost = {c: judge.squared(f.twin) for c, f in without.items()}
-        weakest = min(
-            (c for c in names if not judge.needs(lost[c], squared)), key=lambda c: lost[c].sum(), default=""
-        )
-        if not weakest:
+        goes = [c for c in names if judge.idle(now.twin, c) or not judge.needs(lost[c], squared)]
+        if not goes:
+            doubts |= {c: d for c in names if (d := _doubt(c, recording, bench, now, lost[c], squared))}
+            goes = [c for c in names if c in doubts]
+        if not goes:
             break
+        weakest = min(goes, key=lambda c: lost[c].sum())
         names.remove(weakest)
         now, squared = without[weakest], lost[weakest]
         progress("fitting known causes", 1, 1 + len(names))
+    sentences = [d for c, d in doubts.items() if c not in names]
     if not names or not judge.needs(judge.squared(plain), squared):
-        return fits, plain, []
+        return fits, plain, [], sentences
     error = judge.error(squared)
     causes = [Contribution(c, True, judge.error(lost[c]), error, judge.drop(lost[c], squared)) for c in names]
-    return [*fits[:-1], now], plain, sorted(causes, key=lambda c: -c.drop[0])
+    return [*fits[:-1], now], plain, sorted(causes, key=lambda c: -c.drop[0]), sentences
+
+
+def _doubt(
+    cause: str, recording: Recording, bench: BodyData, now: PipelineFit, lost: np.ndarray, squared: np.ndarray
+) -> str:
+    """Why a known cause of a fit may stand in for something else; empty where it does not."""
+    stuck = [n for n in now.at_bound if n.partition(".")[0] == cause]
+    if stuck:
+        name = cause.replace("_", " ")
+        return f"{name} is left out: {joined(stuck)} stopped at a bound, so it stands in for something else."
+    scale = bench.scale[: bench.counted]
+
+    def predict(changed: Recording) -> np.ndarray:
+        data = BodyData.of(changed, now.twin, source="measured" if bench.inputs.measured else "command")
+        seen = now.pipeline.outputs(now.pipeline.run(data.inputs, now.theta), data.columns)
+        return seen[:, : bench.counted] * scale
+
+    residual = now.residual[:, : bench.counted] * scale
+    return doubt(cause, recording, predict, residual, np.arange(len(residual)), lost, squared)
 
 
 def _fit_stages(
