@@ -7,7 +7,7 @@ The excess is a mean square error less that of the noise.
 # ---------------------------------------------------------------- close to the noise: error over noise
 
 AS_IS_NOISE = 1.1  # below, no other actuation is tried (search) and a twin as it is lacks nothing (verdict)
-NOISE = 1.2  # below, what is left is called noise (verdict; reports and `learn` use it too)
+NOISE = 1.2  # below, what is left is called noise, out of time too (verdict; reports and `learn` use it too)
 GAUGE_NOISE = 1.3  # below, the measured pressure is explained and need not drive the body (body_search)
 RUNS_NOISE = 1.4  # below, runs are not tested for offsets of their own (body_search)
 CLOSE = 1.5  # above, no law is named (verdict) and a change point is looked for (data_breaks)
@@ -57,9 +57,6 @@ BLACK_BOX_EXCESS = 0.05  # of the noise: with less excess a black box finds noth
 AGREED = 0.5  # share of the votes below which a finding is unstable (verdict)
 FEW_UNITS = 6  # held-out pieces of time below which no bootstrap means much (verdict)
 FEW_SAMPLES = 60  # to fit, below which nothing is claimed (verdict)
-LATER = (
-    1.25  # error over noise of the later part, predicted from the earlier one: the same out of time (verdict)
-)
 CERTAIN = 0.8  # calibrated probability above which a mechanism is called certain (verdict)
 
 # ---------------------------------------------------------------- parameters
@@ -88,6 +85,8 @@ INSTANTS_AGAIN = 0.97  # of the error: instants of steps are fitted again while 
 BETTER_START = 0.995  # of the error: another way for trials to begin must reach this (body_space)
 GRAVITY_CHANGE = 0.1  # of g: the base is turned by so much where weight can be tested (body_base)
 DEAF_GAUGE = 0.05  # of the command's range: a measured pressure that moves less is of no use (body_base)
+WORTH_OF_CAUSE = 0.01  # of the mean square error: a known cause that lowers it by less is left out (fit_body)
+NEARLY = 0.9  # of what a better effect removes: two forms of one mechanism, as two models of a valve (add)
 
 # ---------------------------------------------------------------- data breaks
 

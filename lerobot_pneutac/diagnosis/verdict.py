@@ -159,7 +159,7 @@ def explained(e: Evidence) -> Explained:
     low, high = e.interval or (e.after, e.after)
     if e.is_noise and high > T.CLOSE:
         return Explained.UNDETERMINED
-    if e.is_noise and (e.later is None or e.later <= T.LATER):
+    if e.is_noise and (e.later is None or e.later <= T.NOISE):
         return Explained.FULLY
     if not (e.noise_known or e.is_noise) or (e.near_miss and not e.selected):
         return Explained.UNDETERMINED

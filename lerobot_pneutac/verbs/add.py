@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 from lerobot_pneutac.cli.options import TableOptions
 from lerobot_pneutac.cli.terminal import Terminal
+from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.result import Contribution, FittedModel, Refits
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.reports.colours import AFTER, BEFORE, KNOWN
@@ -25,7 +26,6 @@ from pneutac_sim.files import check_writable
 from pneutac_sim.twin import Twin
 
 OF_DEMONSTRATIONS = ("late_commands", "compliance")  # parameters of a twin, no effects
-NEARLY = 0.9  # of what a better effect removes: two forms of one mechanism, such as two models of a valve
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -431,7 +431,7 @@ def _nearly_as_good(study, found: Refits) -> bool:
     assert found.better is not None
     models = (found.baseline, found.after, found.better[1])
     base, after, other = (study.test.value(m.squared) for m in models)
-    return base - after > NEARLY * (base - other)
+    return base - after > T.NEARLY * (base - other)
 
 
 def _known_help(study, found: Refits) -> str:

@@ -32,7 +32,6 @@ from pneutac_sim.twin import Twin
 
 LIMIT = "at the limit of its allowed range: the model is probably missing something"
 MOST_POINTS = 4000  # of a line in the report
-WORTH = 0.01  # of the mean square error: a known cause that lowers it by less is left out
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -201,11 +200,13 @@ class _Judge:
         return float(np.sqrt(self._held.value(squared))) if self._held else 0.0
 
     def needs(self, without: np.ndarray, squared: np.ndarray) -> bool:
-        """Whether held-out squared errors (n,) rise significantly, and by `WORTH`, without something."""
+        """Whether held-out squared errors (n,) rise significantly, by `WORTH_OF_CAUSE` at least."""
         if self._held is None:
             return False
         rise = self._held.value(without) - self._held.value(squared)
-        return rise > WORTH * self._held.value(squared) and self._held.significant_drop(without, squared)
+        return rise > T.WORTH_OF_CAUSE * self._held.value(squared) and self._held.significant_drop(
+            without, squared
+        )
 
     def idle(self, twin: Twin, cause: str) -> bool:
         """Whether a cause ended where it moves nothing: a better fit with it is no merit of it."""
