@@ -1,6 +1,7 @@
 """`pneutac benchmark augment`: measures demonstrations a minute, yield, and where the time goes."""
 
 import shutil
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,8 +10,10 @@ from rich.console import Console
 from lerobot_pneutac.reports.page import write_result
 from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment
 from pneutac_benchmarks.tables import markdown, terminal
-from pneutac_sim.errors import check_choice, check_least
+from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.features import CONTROL_HZ, TASK_NAMES, TRIAL_S, task_names
+
+GUIDED = ("library", "expert", "planner")  # methods that do the task on the twin
 
 
 @dataclass
@@ -21,6 +24,8 @@ class BenchmarkAugmentConfig:
         tasks: names of tasks.
         demonstrations: number of scripted demonstrations, recorded first.
         episodes: number of new demonstrations.
+        method: how they are made, see `pneutac augment`.
+        person: how late, uneven and imprecise the demonstrator is, 0 (as scripted) to 1.
         seed: seed of every random choice.
         workers: number of processes; where left out, one a core.
         out: folder of the datasets, `result.json` and `table.md`.
@@ -29,6 +34,8 @@ class BenchmarkAugmentConfig:
     tasks: tuple[str, ...] = TASK_NAMES
     demonstrations: int = 4
     episodes: int = 20
+    method: str = "planner"
+    person: float = 0.0
     seed: int = 1
     workers: int | None = None
     out: Path = Path("outputs/benchmark_augment")
@@ -37,6 +44,9 @@ class BenchmarkAugmentConfig:
         self.out = Path(self.out)
         for task in self.tasks or ("",):
             check_choice("tasks", task, task_names())
+        check_choice("method", self.method, GUIDED)
+        if not 0 <= self.person <= 1:
+            raise InputError(f"person is {self.person:g}; it must be from 0 to 1.")
         check_least(2, demonstrations=self.demonstrations)
         check_least(1, episodes=self.episodes, workers=1 if self.workers is None else self.workers)
 
@@ -66,27 +76,37 @@ def _measure(cfg: BenchmarkAugmentConfig, task: str, console: Console) -> dict:
     cfg.out.mkdir(parents=True, exist_ok=True)
     robot = PneutacSim(PneutacSimConfig(id="twin", task=task, seed=cfg.seed))
     teleop = PneutacScripted(
-        PneutacScriptedConfig(id="scripted", seed=cfg.seed, episode_steps=TRIAL_S * CONTROL_HZ)
+        PneutacScriptedConfig(
+            id="scripted", seed=cfg.seed, episode_steps=TRIAL_S * CONTROL_HZ, person=cfg.person
+        )
     )
     record_episodes(robot, teleop, f"local/{recorded.name}", recorded, cfg.demonstrations, task, True)
     config = AugmentConfig(
         dataset=DatasetRef(f"local/{recorded.name}", recorded),
         output=DatasetRef(f"local/{made.name}", made),
         task=task,
-        method="planner",
+        method=cfg.method,
         episodes=cfg.episodes,
         seed=cfg.seed,
         workers=cfg.workers,
     )
+    began = time.process_time()
     with console.status(f"augmenting {task}"):
         summary = augment(config).summary
     s = summary["seconds"]
-    parts = {k: s[k] for k in ("physics", "touch", "execution", "writing")}
-    total = sum(parts.values())
-    return {
+    core_s = (s["core"] + time.process_time() - began) / summary["kept"]  # the workers' and this process's
+    row = {
         "task": task,
         "demonstrations a minute": 60 * summary["kept"] / summary["wall_s"],
         "yield (%)": 100 * summary["kept"] / summary["attempts"],
+        "core seconds each": core_s,
+        "1,000 on two cores (minutes)": 1000 * core_s / 2 / 60,
+    }
+    if cfg.method != "planner":
+        return row
+    parts = {k: s[k] for k in ("physics", "touch", "execution", "writing")}
+    total = sum(parts.values())
+    return row | {
         "planner steps a second and worker": s["planner_steps"] / (s["physics"] + s["touch"]),
         "planner physics (%)": 100 * parts["physics"] / total,
         "planner touch (%)": 100 * parts["touch"] / total,

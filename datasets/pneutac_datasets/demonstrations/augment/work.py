@@ -5,6 +5,7 @@ workers, and pieces made twice are equal.
 """
 
 import json
+import time
 from dataclasses import asdict
 from pathlib import Path
 
@@ -119,9 +120,9 @@ def make_scene(source: int) -> None:
 
 def make_episode(index: int, scenes: list[Scene]) -> None:
     """Makes and saves the demonstration of an index."""
-    before = _spent()
+    before, began = _spent(), time.process_time()
     attempt, provenance = _generator.episode(index, scenes)
-    seconds = {k: v - before[k] for k, v in _spent().items()}
+    seconds = {k: v - before[k] for k, v in _spent().items()} | {"core": time.process_time() - began}
     _work.save_episode(index, attempt, provenance, seconds)
 
 
