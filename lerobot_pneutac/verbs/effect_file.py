@@ -63,7 +63,8 @@ def _law_source(effect: BodyEffect) -> str:
     return "\n".join(
         [
             head.replace("\\", "\\\\"),
-            "import math", "from functools import partial", "", "import numpy as np", "",
+            "import math", "from functools import partial", "", "import numpy as np",
+            *(["from numba import njit"] if "@njit" in body else []), "",
             "from pneutac_sim.effects import BodyEffect, Parameter, kernel", "",
             *constants, "", "", body, "", "", "EFFECT = BodyEffect(",
             f"    name={own!r},", f"    stage={effect.stage!r},", f"    signal={effect.signal!r},",
