@@ -19,7 +19,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.gel.layout import DIGIT
 from pneutac_sim.gel.metrics import rmse
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 FAST = "rest,pasted,model"
 
