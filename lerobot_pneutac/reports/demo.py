@@ -27,7 +27,7 @@ def demo_page(result) -> Report:
     page.lead(result.sentence)
     page.heading("The error of the twin")
     page.figure(
-        _errors(state),
+        _errors(state, result.added),
         "Held-out tip error before and after. The measurements are of the stand-in: an elastic rod whose air,"
         " creep and hysteresis have other equations than the twin's effects.",
     )
@@ -57,7 +57,7 @@ def quick_page(result, before, after) -> Report:
         " simulated rod with friction of many small elements; the twin's effects have other equations.",
         420,
     )
-    page.figure(_errors(state), "Error of the tip on that day, before and after.")
+    page.figure(_errors(state, result.added), "Error of the tip on that day, before and after.")
     page.text(state["diagnose"]["sentence"])
     page.heading("Try next")
     page.code("\n".join(result.next_commands))
@@ -94,11 +94,10 @@ def _another_day(before, after):
     return figure.update_layout(xaxis_title="time (s)", yaxis_title=before.columns[column])
 
 
-def _errors(state: dict):
+def _errors(state: dict, added: list[str]):
     import plotly.graph_objects as go
 
-    added = ", ".join(state["diagnose"]["selected"])
-    names = ["calibrated", f"with {added}"]
+    names = ["calibrated", f"with {', '.join(added)}"]
     errors = [state["twin"]["tip_error_mm"], state["add"]["tip_error_mm"]]
     figure = go.Figure(go.Bar(x=names, y=errors, marker_color=[BEFORE, AFTER]))
     figure.add_hline(y=state["add"]["noise_mm"], line_dash="dash", annotation_text="noise")

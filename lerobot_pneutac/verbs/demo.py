@@ -99,11 +99,17 @@ class QuickResult(Result):
     title = "A twin learns what its finger lacked"
 
     @property
+    def added(self) -> list[str]:
+        """The effects that `add` stored, which may be fewer than the diagnosis found."""
+        known = Twin.load(self.out / "before").effects
+        return [e for e in Twin.load(self.out / "twin").effects if e not in known]
+
+    @property
     def sentence(self) -> str:
         """What was found, and how the error on another day changed."""
-        found, s = self.state["diagnose"]["selected"], self.state
+        s = self.state
         return (
-            f"With {' and '.join(found)} added, the tip error on another day went from "
+            f"With {' and '.join(self.added)} added, the tip error on another day went from "
             f"{s['twin']['tip_error_mm']:.2f} to {s['add']['tip_error_mm']:.2f} mm "
             f"(noise {s['add']['noise_mm']:.2f} mm)."
         )
@@ -136,16 +142,9 @@ class QuickResult(Result):
 
 
 @dataclass(frozen=True)
-class DemoResult(Result):
-    """What the demo came to.
+class DemoResult(QuickResult):
+    """What the whole demo came to."""
 
-    Attributes:
-        out: its folder.
-        state: stage name to its numbers, seconds and commands.
-    """
-
-    out: Path
-    state: dict
     title = "A twin learns what its finger lacked, and a policy flips the switch"
 
     @property
@@ -158,14 +157,14 @@ class DemoResult(Result):
     @property
     def sentence(self) -> str:
         """What was found, how the error fell, what the policy does."""
-        found, e = self.state["diagnose"]["selected"], self.state["evaluate"]
+        e = self.state["evaluate"]
         lo, hi = self.success_ci95
         before, after = self.state["twin"]["tip_error_mm"], self.state["add"]["tip_error_mm"]
         noise = self.state["add"]["noise_mm"]
         left = max(after**2 - noise**2, 0.0) ** 0.5
         rate = f"{e['success_percent']:.0f} %, 95 % interval {lo:.0f} to {hi:.0f}"
         return (
-            f"With {' and '.join(found)} added, the held-out tip error went from "
+            f"With {' and '.join(self.added)} added, the held-out tip error went from "
             f"{before:.2f} to {after:.2f} mm (noise {noise:.2f} mm, unexplained {left:.2f} mm). "
             "Trained on demonstrations of the corrected twin, the policy flipped the switch in "
             f"{e['successes']} of {e['trials']} starts that it had not seen ({rate})."
@@ -189,15 +188,11 @@ class DemoResult(Result):
 
     def content(self) -> dict:
         s = self.state
-        return {
-            "tip_error_mm": {"before": s["twin"]["tip_error_mm"], "after": s["add"]["tip_error_mm"]},
-            "noise_mm": s["add"]["noise_mm"],
-            "selected": s["diagnose"]["selected"],
+        return super().content() | {
             "success_percent": s["evaluate"]["success_percent"],
             "success_ci95": list(self.success_ci95),
             "trials": s["evaluate"]["trials"],
             "final_loss": s["train"]["losses"][-1],
-            "seconds": {name: stage["seconds"] for name, stage in s.items() if name != "options"},
         }
 
     def page(self) -> Report:
@@ -309,9 +304,12 @@ class Demo:
 
     def _add(self) -> dict:
         """All that was found, at once: found together, one alone may not be worth it."""
-        if not set(self.state["diagnose"]["selected"]) <= set(Twin.load(self.twin).effects):
-            shutil.rmtree(self._path("before"), ignore_errors=True)
-            shutil.copytree(self.twin, self._path("before"))  # to be found again in the studio
+        before, part = self._path("before"), self._path("before.part")  # to be found again in the studio
+        if not before.exists():
+            shutil.rmtree(part, ignore_errors=True)
+            shutil.copytree(self.twin, part)
+            part.rename(before)
+        if set(Twin.load(self.twin).effects) == set(Twin.load(before).effects):
             self._verb("add", self.finger, "added", f"--from={self._path('diagnosis')}")
         return self._compare("compare_after")
 

@@ -26,7 +26,7 @@ class Commands:
     """
 
     def __init__(self):
-        self.lines, self.stop, self.selected = [], None, SELECTED
+        self.lines, self.stop, self.selected, self.left_out = [], None, SELECTED, ()
 
     def __call__(self, demo, *words, total=0, pattern=""):
         line = " ".join(words)
@@ -40,7 +40,7 @@ class Commands:
         if words[1:2] == ("add",):
             twin = Twin.load(demo.twin)
             assert options["from"] == str(demo.cfg.out / "diagnosis")
-            for name in self.selected:
+            for name in set(self.selected) - set(self.left_out):
                 twin.effects[name] = {p.name: Value(0.1) for p in get_effect(name).parameters}
             twin.save(demo.twin)
         result = {
@@ -209,3 +209,14 @@ def test_what_the_quick_demo_leaves_out_is_no_option_of_it():
     assert DemoConfig(quick=True).out.name == "quick"
     with pytest.raises(InputError, match="--quick=true records and trains nothing; leave out --trials"):
         DemoConfig(quick=True, trials=8)
+
+
+def test_an_effect_that_add_left_out_is_not_called_added_and_the_twin_before_stays(commands, tmp_path):
+    commands.left_out, commands.stop = ("valve_lag",), "compare_after"
+    with pytest.raises(InputError):
+        demo(tmp_path / "d")[0].run()
+    commands.stop = None
+    result = demo(tmp_path / "d")[0].run()
+    assert result.sentence.startswith("With creep added, ")
+    assert "creep" not in Twin.load(tmp_path / "d" / "before").effects
+    assert sum(" add " in line for line in commands.lines) == 1
