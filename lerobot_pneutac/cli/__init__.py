@@ -26,6 +26,7 @@ VERBS = {
     "learn": "choose and measure tests automatically until the cause is found or time is up",
     "studio": "open a twin in the browser: bend it, load it, find and add what is missing",
     "report": "write a twin and its history as one page, or as a file for Rerun",
+    "export": "write a twin as one Python file that needs NumPy alone, or its body as MJCF",
     "history": "list the versions of a twin, and go back to one",
     "effects": "list, show and export the effects and laws that a twin may have",
     "add": "add effects to a twin, re-fit it, and store it if the test error falls significantly",

@@ -1,12 +1,12 @@
 """Python files of effects: the library's own as they are, of a law its entry and the source that it runs."""
 
-import dis
 import importlib
 import inspect
 import re
 from dataclasses import MISSING, fields
 from functools import partial
 
+from lerobot_pneutac.verbs.source import Source
 from pneutac_sim.effects import laws
 from pneutac_sim.effects.body_effect import BodyEffect
 from pneutac_sim.effects.effect import Effect, Parameter
@@ -49,13 +49,9 @@ def effect_source(name: str) -> str:
 def _law_source(effect: BodyEffect) -> str:
     """The row of the catalogue, and the source of what it runs."""
     run = effect.run if isinstance(effect.run, partial) else partial(effect.run)
-    used = _used([run.func, *filter(callable, run.keywords.values())])
-    body = "\n\n\n".join(inspect.getsource(f).rstrip() for f in used.values())
-    constants = [f"SLOTS = {laws.SLOTS}"] if "SLOTS" in body else []
-    if "TIMES_S" in body:
-        times = laws.TIMES_S
-        constants += [f"TIMES_S = np.geomspace({times[0]:g}, {times[-1]:g}, {len(times)})"]
-    chosen = [f"{k}={v.__name__ if callable(v) else repr(v)}" for k, v in run.keywords.items()]
+    source = Source()
+    expression = source.add(run)
+    body = source.functions
     own = file_name(effect.name)
     head = f'"""{effect.name}: a law, as it acts in a twin.\n\n{effect.equation}\n'
     head += f'{PROJECT.format(name=own)}"""\n'
@@ -66,27 +62,15 @@ def _law_source(effect: BodyEffect) -> str:
             "import math", "from functools import partial", "", "import numpy as np",
             *(["from numba import njit"] if "@njit" in body else []), "",
             "from pneutac_sim.effects import BodyEffect, Parameter, kernel", "",
-            *constants, "", "", body, "", "", "EFFECT = BodyEffect(",
+            *source.lines(), "", "", body, "", "", "EFFECT = BodyEffect(",
             f"    name={own!r},", f"    stage={effect.stage!r},", f"    signal={effect.signal!r},",
-            f"    run=partial({', '.join([run.func.__name__, *chosen])}),",
+            f"    run={expression},",
             "    parameters=(", *(f"        {_parameter(p)}," for p in effect.parameters), "    ),",
             f"    columns={effect.columns!r},", f"    state_size=lambda channels: {step} * channels,",
             f"    equation={effect.equation!r},", f"    summary={effect.summary!r},",
             f"    experiment={effect.experiment!r},", ")", "",
         ]
     )  # fmt: skip
-
-
-def _used(functions: list) -> dict:
-    """Name to function: these and those of `laws` that they call, callees first."""
-    found: dict = {}
-    for function in functions:
-        plain = getattr(function, "py_func", function)
-        names = {i.argval for i in dis.get_instructions(plain) if i.opname == "LOAD_GLOBAL"}
-        called = [getattr(laws, n, None) for n in sorted(names)]
-        found |= _used([f for f in called if getattr(f, "__module__", "") == laws.__name__ and f != function])
-        found[plain.__name__] = plain
-    return found
 
 
 def _parameter(p: Parameter) -> str:

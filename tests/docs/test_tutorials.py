@@ -28,6 +28,7 @@ pytestmark = pytest.mark.timeout(1200)  # two busy cores; a page takes one or tw
         pytest.param("docs/how_to/photographs.md", marks=NIGHTLY),
         pytest.param("docs/how_to/ask_the_bench.md", marks=NIGHTLY),
         pytest.param("docs/how_to/command_a_bend.md", marks=NIGHTLY),
+        pytest.param("docs/how_to/take_the_finger_along.md", marks=NIGHTLY),
         pytest.param("docs/how_to/demonstrations.md", marks=NIGHTLY),
         pytest.param("docs/how_to/scene_cameras.md", marks=NIGHTLY),
         pytest.param("docs/how_to/several_chambers.md", marks=NIGHTLY),

@@ -153,6 +153,32 @@ class EffectLink:
 _profile = lru_cache(256)(gain_profile)  # a fit asks for the same again and again
 
 
+def drive_line(values: np.ndarray, profile: np.ndarray, axes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Joint angles as a straight line of the pressures, see `Drive`.
+
+    Args:
+        values: the base parameters before the stiffness, in their order.
+        profile: (N,) of `gain_profile`.
+        axes: bending axes of a joint.
+
+    Returns:
+        Joints by pressure (chambers, N axes) in rad/kPa, joints at zero pressure (N axes,) in rad.
+    """
+    n = len(profile)
+    profile = profile * (1 + values[-1 - n : -1])
+    if axes == 1:
+        directions, rest = np.ones((1, 1)), values[3:4]
+    else:
+        ratios, turn = np.array([1.0, values[6], values[7]]), np.array([0.0, values[9], values[10]])
+        phi = values[5] + np.sign(values[8]) * 2 * np.pi * np.arange(3) / 3 + turn
+        directions = ratios[:, None] * np.stack([np.cos(phi), np.sin(phi)], axis=1)
+        rest = values[3:5]
+    bend = values[0] * profile[:, None]  # (N, 1)
+    still = bend * rest
+    still[:, 0] += values[-1] / n
+    return (bend * directions[:, None, :]).reshape(len(directions), -1), still.ravel()
+
+
 @dataclass(frozen=True)
 class Drive:
     """Pressure to free joint angles, q_n = G r_n(alpha, beta) (1 + d_n) (p + p0) + curl / N.
@@ -176,29 +202,12 @@ class Drive:
 
     def rest(self, theta) -> np.ndarray:
         """Joint angles (N axes,) at zero pressure: a curl without stress."""
-        profile, _, rest = self._constants(theta)
-        return self._still(theta, profile, rest)
+        return self.line(theta)[1]
 
     def line(self, theta) -> tuple[np.ndarray, np.ndarray]:
         """Joints by pressure (chambers, N axes), and joints at zero pressure (N axes,)."""
-        profile, directions, rest = self._constants(theta)
-        gain = theta[self.indices[0]] * profile[:, None] * directions[:, None, :]  # (chambers, N, axes)
-        return gain.reshape(len(gain), -1), self._still(theta, profile, rest)
-
-    def _still(self, theta, profile, rest) -> np.ndarray:
-        angles = theta[self.indices[0]] * profile[:, None] * rest
-        angles[:, 0] += theta[self.indices[-1]] / self.geometry.n_joints
-        return angles.ravel()
-
-    def _constants(self, theta) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Profile (N,), direction of each chamber (chambers, axes), rest pressure (axes,)."""
-        values, n = theta[list(self.indices)], self.geometry.n_joints
-        profile = _profile(n, float(values[1]), float(values[2])) * (1 + values[-1 - n : -1])
-        if self.geometry.device == "finger":
-            return profile, np.ones((1, 1)), values[3:4]
-        ratios, turn = np.array([1.0, values[6], values[7]]), np.array([0.0, values[9], values[10]])
-        phi = values[5] + np.sign(values[8]) * 2 * np.pi * np.arange(3) / 3 + turn
-        return profile, ratios[:, None] * np.stack([np.cos(phi), np.sin(phi)], axis=1), values[3:5]
+        values, g = theta[list(self.indices)], self.geometry
+        return drive_line(values, _profile(g.n_joints, float(values[1]), float(values[2])), g.axes)
 
     def held_at(self, theta) -> "HeldDrive":
         """The same where the parameters stay as they are."""

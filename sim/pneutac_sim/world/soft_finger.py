@@ -45,17 +45,18 @@ MATERIALS = (
 )
 
 
-def mjcf(twin: Twin, mount_mm: float = 20.0, axes: int | None = None) -> Finger:
+def mjcf(twin: Twin, mount_mm: float = 20.0, axes: int | None = None, motor_gear: float = 1.0) -> Finger:
     """All of the finger of a twin, on an adapter of that length between the flange and its base.
 
     Args:
         twin: of the body.
         mount_mm: length of the adapter.
         axes: bending axes of a joint; None for those about which its chambers bend it.
+        motor_gear: torque in N m of a control of 1.
     """
     axes = axes or bending_axes(twin)
     xml = body(twin, 1e-3 * mount_mm, axes)
-    return Finger(xml, DEFAULTS, MATERIALS, actuators(twin, axes), tendons(twin, axes))
+    return Finger(xml, DEFAULTS, MATERIALS, actuators(twin, axes, motor_gear), tendons(twin, axes))
 
 
 def bending_axes(twin: Twin) -> int:
@@ -120,9 +121,9 @@ def sensor(twin: Twin) -> Links:
     return Links(mass, centre + [tip, 0.0, 0.0], np.array(inertia))
 
 
-def actuators(twin: Twin, axes: int) -> str:
-    """MJCF motors of the spine joints: their control is the torque tau_mpm [N m]."""
-    return "".join(mjcf_motors(n + 1, axes) for n in range(len(twin.spine_joint_positions_mm)))
+def actuators(twin: Twin, axes: int, gear: float = 1.0) -> str:
+    """MJCF motors of the spine joints: their control times `gear` is the torque tau_mpm [N m]."""
+    return "".join(mjcf_motors(n + 1, axes, gear) for n in range(len(twin.spine_joint_positions_mm)))
 
 
 def tendons(twin: Twin, axes: int) -> str:

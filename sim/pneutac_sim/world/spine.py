@@ -23,11 +23,11 @@ def mjcf_joint(n: int, axes: int) -> str:
     return f'<joint name="spine_{n}" {kind}/>'
 
 
-def mjcf_motors(n: int, axes: int) -> str:
-    """MJCF of what drives it: their control is the torque [N m], of a ball about x, y and z of its link."""
+def mjcf_motors(n: int, axes: int, gear: float = 1.0) -> str:
+    """MJCF of what drives it: their control times `gear` is the torque [N m], of a ball about x, y and z."""
     if axes == 1:
-        return f'<motor name="spine_{n}" joint="spine_{n}"/>'
-    gears = ("1 0 0", "0 1 0", "0 0 1")
+        return f'<motor name="spine_{n}" joint="spine_{n}" gear="{gear}"/>'
+    gears = (f"{gear} 0 0", f"0 {gear} 0", f"0 0 {gear}")
     return "".join(
         f'<motor name="spine_{n}_{a}" joint="spine_{n}" gear="{g} 0 0 0"/>'
         for a, g in zip("xyz", gears, strict=True)

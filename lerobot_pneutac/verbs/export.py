@@ -1,0 +1,240 @@
+"""A twin to take along: the finger as one Python file that needs NumPy alone, or its body as MJCF."""
+
+import textwrap
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from lerobot_pneutac.cli.terminal import Terminal
+from lerobot_pneutac.verbs.exported import Finger, Link, Pose
+from lerobot_pneutac.verbs.report import report
+from lerobot_pneutac.verbs.source import MODULES, Source
+from pneutac_sim.effects.registry import of_sensor
+from pneutac_sim.errors import InputError
+from pneutac_sim.files import whole, write_text
+from pneutac_sim.finger import kinematics
+from pneutac_sim.finger.equilibrium import solve
+from pneutac_sim.finger.pipeline import Pipeline
+from pneutac_sim.finger.stages import EffectLink, LoadLink
+from pneutac_sim.twin import PAPER_FINGER, Twin, Value
+
+IMPORTS = {
+    "math.": MODULES["math"],
+    "Callable": "from collections.abc import Callable",
+    "@dataclass": "from dataclasses import dataclass",
+    "partial(": "from functools import partial",
+}
+COMPUTED = ("session_time_s", "length_mm", "bending_pressure_kpa")
+
+
+@dataclass
+class ExportConfig:
+    """Options of `pneutac export`.
+
+    Attributes:
+        twin: folder of the twin.
+        out: new file to write: `.py`, the finger in Python with NumPy, or `.xml`, its body in MJCF.
+    """
+
+    names_a_file: ClassVar[bool] = True
+
+    twin: Path
+    out: Path
+
+
+def command(cfg: ExportConfig, terminal: Terminal) -> None:
+    """Writes a twin as one Python file that needs NumPy alone, or its body as MJCF."""
+    if cfg.out.suffix not in (".py", ".xml") or cfg.out.exists():
+        raise InputError(f"--out={cfg.out} must name a new file that ends in .py or in .xml.")
+    twin = Twin.load(cfg.twin)
+    if cfg.out.suffix == ".py":
+        write_text(cfg.out, python_file(twin))
+        terminal.say(f"model: {cfg.out}; `python {cfg.out}` steps it once, its first lines explain the rest")
+    else:
+        with whole(cfg.out) as part:
+            write_mjcf(twin, part)
+        terminal.say(f"body: {cfg.out}; `python -m mujoco.viewer --mjcf={cfg.out}` shows it")
+
+
+# ---------------------------------------------------------------- Python
+
+
+def python_file(twin: Twin) -> str:
+    """A finger or an arm as a Python module that needs NumPy alone and steps as the twin's pipeline does.
+
+    Raises:
+        InputError: the twin is of a gel, or an effect of another package uses more than NumPy.
+    """
+    if twin.device == "gel":
+        raise InputError("A gel has no pressure that bends it; export the twin of a finger or an arm.")
+    model, source = Pipeline.of(twin), Source(compiled=False)
+    theta = model.theta(twin)
+    for part in (Link, Pose, Finger):
+        source.add(part)
+    chain = "\n".join(f"    {link}," for link in _links(model, source))
+    reads = _place(model, model.reads_pressure), _place(model, model.observes)
+    body = [
+        *source.lines(), "", "", source.functions, "", "",
+        "CONSTANTS = {", *_constants(twin, model, theta), "}", "", "LINKS = (", chain, ")", "", "",
+        "def finger(**conditions) -> Finger:",
+        '    """A new device, vented; see `Finger`."""',
+        f"    joints_mm = {[float(x) for x in twin.spine_joint_positions_mm]!r}",
+        f"    return Finger(LINKS, CONSTANTS, {float(twin.length_mm)!r}, joints_mm, "
+        f"{model.geometry.chambers}, {reads!r}, conditions)",
+        "", "",
+        'if __name__ == "__main__":',
+        f"    print({_call(model)}.step({_pressure(twin):g}, 0.02))", "",
+    ]  # fmt: skip
+    text = "\n".join(body)
+    needed = [line for used, line in IMPORTS.items() if used in text]
+    head = f'"""{_docstring(twin, model)}"""\n\nfrom __future__ import annotations\n'
+    return "\n".join([head.replace("\\", "\\\\"), *needed, "", "import numpy as np", "", text])
+
+
+def _links(model: Pipeline, source: Source) -> list[str]:
+    """The expressions of the links, in the order in which they act."""
+    out = []
+    for link in model.chain:
+        if isinstance(link, EffectLink):
+            out.append(_effect(link, model, source, _kind(link)))
+        elif isinstance(link, LoadLink):
+            out += [_effect(e, model, source, "load") for e in link.effects]
+            stiffness, size = (model.names[link.stiffness],), model.geometry.n_joints * model.geometry.axes
+            out.append(_link("equilibrium", "equilibrium", source.add(solve), stiffness, memory=size))
+        elif model.chain.index(link) == model.drive:
+            out.append(_link("drive", "drive", None, tuple(model.names[i] for i in link.indices)))
+        else:
+            planar = model.geometry.axes == 1
+            run = kinematics.forward_kinematics if planar else kinematics.forward_kinematics_spatial
+            out.append(_link("kinematics", "kinematics", source.add(run)))
+    return out
+
+
+def _place(model: Pipeline, index: int) -> int:
+    """What `model.chain[index]` is in the file, where effects of the load are links of their own."""
+    loads = [len(link.effects) for link in model.chain[:index] if isinstance(link, LoadLink)]
+    return index + sum(loads)
+
+
+def _kind(link: EffectLink) -> str:
+    signal = link.effect.signal
+    return "markers" if signal == "mount" else signal
+
+
+def _effect(link: EffectLink, model: Pipeline, source: Source, kind: str) -> str:
+    g, effect = model.geometry, link.effect
+    channels = {"pressure": g.chambers, "joints": g.n_joints * g.axes, "load": 6, "markers": 5}[kind]
+    name = f"run_{effect.name}" if effect.name.isidentifier() else ""
+    run = source.add(effect.run, "" if "partial" in type(effect.run).__name__ else name)
+    constants = tuple(model.names[i] for i in link.indices)
+    return _link(effect.name, kind, run, constants, effect.columns, link.state_size(channels))
+
+
+def _link(name, kind, run, constants=(), columns=(), memory=0) -> str:
+    return f"Link({name!r}, {kind!r}, {run}, {constants!r}, {tuple(columns)!r}, {memory})"
+
+
+def _constants(twin: Twin, model: Pipeline, theta) -> list[str]:
+    """A line for each parameter: value, unit and interval."""
+    lines = []
+    for name, spec, value in zip(model.names, model.specs, theta, strict=True):
+        effect, _, parameter = name.rpartition(".")
+        known = (twin.effects[effect] if effect else twin.parameters).get(parameter, Value(0.0))
+        number = repr(float(value)) if value == value and abs(value) != float("inf") else f'float("{value}")'
+        interval = "{:.4g} to {:.4g}".format(*known.ci95) if known.ci95 else ""
+        remark = ", ".join(filter(None, [spec.unit, interval and f"95 % interval {interval}"]))
+        lines.append(f"    {name!r}: {number},  # {remark or 'a ratio'}".rstrip())
+    return lines
+
+
+def _docstring(twin: Twin, model: Pipeline) -> str:
+    """What it is, what it was judged on, and how it is used."""
+    needed = _needed(model)
+    left = [*of_sensor(twin.effects), *(n for n in ("command_latency_s",) if n in twin.parameters)]
+    low, high = twin.pressure_range_kpa
+    judged = [
+        f"- version {e['version']}, {e['change']}: {e['heldout']:.4g} {e.get('unit') or ''} off "
+        f"on test blocks{', of ' + str(e['recording']) if e.get('recording') else ''}"
+        for e in twin.history
+        if isinstance(e.get("heldout"), int | float)
+    ]
+    said = [
+        f"A pneumatic {twin.device}: pressure in, pose out. Written by `pneutac export`; needs NumPy alone.",
+        report(twin).sentence,
+        *(
+            ["Judged on data that it was not fitted to (root mean square):\n" + "\n".join(judged[-5:])]
+            if judged
+            else []
+        ),
+        f"It was measured from {low:g} to {high:g} kPa; beyond these it is extrapolated.",
+        *report(twin).described(),
+        "    from THIS_FILE import finger\n\n"
+        f"    f = {_call(model)}\n"
+        f"    pose = f.step({_pressure(twin):g}, 0.02)  # command in kPa, step in s\n"
+        "    pose.tip, pose.measured, pose.joints_rad, pose.pressure_kpa",
+        *([f"Conditions that it needs: {', '.join(needed)}."] if needed else []),
+        *([f"Not in this file: {', '.join(left)}."] if left else []),
+    ]
+    return "\n\n".join(s if s.startswith("    ") else _wrapped(s) for s in said) + "\n"
+
+
+def _wrapped(text: str) -> str:
+    return "\n".join("\n".join(textwrap.wrap(line, 100)) for line in text.split("\n")).replace('"""', "'''")
+
+
+def _needed(model: Pipeline) -> list[str]:
+    found = {c for e in model.effects for c in e.columns if c not in COMPUTED}
+    return sorted(found)
+
+
+def _call(model: Pipeline) -> str:
+    plain = {"temperature_c": "23.0", "gravity_x": "1.0"}
+    return f"finger({', '.join(f'{c}={plain.get(c, "0.0")}' for c in _needed(model))})"
+
+
+def _pressure(twin: Twin) -> float:
+    low, high = twin.pressure_range_kpa
+    return 0.5 * (high if high > 0 else low)
+
+
+# ---------------------------------------------------------------- MJCF
+
+
+def write_mjcf(twin: Twin, file: Path) -> None:
+    """Writes the body that the world uses, hanging from a fixed flange, with a DIGIT at its tip.
+
+    A motor's control is the angle in rad at which its free joint rests, `joints_rad` of the Python
+    file; of an arm the rotation about x, y, z of the link before: 0, -angle towards +z, angle towards +y.
+
+    Raises:
+        InputError: the twin is of a gel.
+    """
+    if twin.device == "gel":
+        raise InputError("A gel has no joints; export the twin of a finger or an arm.")
+    import mujoco
+    import numpy as np
+
+    from pneutac_sim.world import panda, scene, soft_finger
+    from pneutac_sim.world.pad import Pad
+
+    stiffness = twin.parameter("joint_stiffness_nm_per_rad")
+    known = twin.parameters.get("joint_damping_nms_per_rad")
+    damping = known.value if known else PAPER_FINGER["joint_damping_nms_per_rad"]
+    finger, joints = soft_finger.mjcf(twin, motor_gear=stiffness), len(twin.spine_joint_positions_mm)
+    height = 0.05 + 1e-3 * (twin.length_mm + 60)
+    model = mujoco.MjModel.from_xml_string(f"""
+<mujoco model="pneutac_finger">
+  <compiler angle="radian"/>
+  <option timestep="{1 / scene.PHYSICS_HZ!r}" integrator="implicitfast" iterations="20"/>
+  <default>{finger.defaults}</default>
+  <asset>{panda.MATERIALS}{finger.materials}</asset>
+  <worldbody>
+    <light pos=".3 -.5 .8" dir="-.3 .5 -.8"/>
+    <body name="flange" pos="0 0 {height}" quat="0 1 0 0">{finger.body}</body>
+  </worldbody>
+  <actuator>{finger.actuators}</actuator>
+  {finger.tendons}
+</mujoco>""")
+    soft_finger.Springs(model, joints, damping, stiffness).set(stiffness * np.eye(joints))
+    Pad(model, twin)
+    mujoco.mj_saveLastXML(str(file), model)
