@@ -121,12 +121,12 @@ def _touch(states: list[np.ndarray], sources: list[int], references: list[Refere
     places = _places(references)
     figure = go.Figure()
     for state, source in zip(states, sources, strict=True):
-        if source < SHOWN:
-            t = np.arange(len(state)) / references[source].control_hz
-            line = {"color": SERIES[source], "width": 0.7}
+        if source in [r.source for r in references[:SHOWN]]:
+            t = np.arange(len(state)) / references[0].control_hz
+            line = {"color": SERIES[source % len(SERIES)], "width": 0.7}
             figure.add_scatter(x=t, y=state[:, places.area], mode="lines", line=line, showlegend=False)
     for r in references[:SHOWN]:
-        t, line = np.arange(len(r)) / r.control_hz, {"color": SERIES[r.source], "width": 3}
+        t, line = np.arange(len(r)) / r.control_hz, {"color": SERIES[r.source % len(SERIES)], "width": 3}
         figure.add_scatter(x=t, y=r.area, mode="lines", line=line, name=f"demonstration {r.source}")
     figure.update_layout(xaxis_title="time (s)", yaxis_title="contact area (share of the image)")
     return figure

@@ -2,6 +2,7 @@
 
 import os
 import shlex
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -11,7 +12,12 @@ from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
-from pneutac_datasets.demonstrations.faults import demonstration_faults
+from pneutac_datasets.demonstrations.faults import (
+    demonstration_faults,
+    failed_demonstrations,
+    set_aside,
+    too_few,
+)
 from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.features import FIDELITIES, task_names
 from pneutac_sim.progress import Progress, no_progress
@@ -146,12 +152,14 @@ class Augmentation(Result):
     Attributes:
         config: what was asked for.
         summary: `kept`, `attempts`, `rejected` (reason to number), `wall_s`, and the provenance.
-        references: the recorded demonstrations.
+        references: the recorded demonstrations that were used.
+        failed: the others, number to why each was set aside.
     """
 
     config: AugmentConfig
     summary: dict
     references: list
+    failed: dict[int, str] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
@@ -214,20 +222,33 @@ class Augmentation(Result):
     def content(self) -> dict:
         from lerobot_pneutac.reports.augment import augment_result
 
-        return augment_result(self.config.method, self.summary, self.references)
+        result = augment_result(self.config.method, self.summary, self.references)
+        return result | ({"set_aside": self.failed} if self.failed else {})
 
     def page(self) -> Report:
         from lerobot_pneutac.reports.augment import augment_page
 
         new = (self.config.output.repo_id, self.config.output.root)
-        return augment_page(new, self.summary, self.references)
+        page = augment_page(new, self.summary, self.references)
+        if self.failed:
+            recorded = len(self.references) + len(self.failed)
+            page.text(set_aside(self.config.dataset.root, recorded, self.failed))
+        return page
 
 
-def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmentation:
+def augment(
+    config: AugmentConfig, progress: Progress = no_progress, note: Callable[[str], None] = lambda _: None
+) -> Augmentation:
     """Augments a LeRobotDataset; writes the new one, and goes on where it was stopped.
 
+    Args:
+        config: the options.
+        progress: is called with a text, and how many of how many are done.
+        note: is called with a sentence that names the failed demonstrations, before anything is made.
+
     Raises:
-        InputError: a dataset cannot be read or exists, names no task, or too few variants succeed.
+        InputError: a dataset cannot be read or exists, names no task, fewer than two demonstrations have not
+            failed, or too few variants succeed.
     """
     progress("reading the demonstrations", 0, 1)
     from pneutac_datasets.demonstrations.augment.episode import AugmentSetup
@@ -240,7 +261,8 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
         read_references,
     )
     from pneutac_datasets.demonstrations.episodes import POINTS, further_features
-    from pneutac_datasets.demonstrations.replay.reading import task_of
+    from pneutac_datasets.demonstrations.info import refuse_damaged
+    from pneutac_datasets.demonstrations.replay.reading import task_to_do
     from pneutac_sim.gel.sensor import TactileSensor
 
     check_new(config.output.root, config.output.repo_id)
@@ -252,19 +274,27 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
         if faults:
             raise InputError(" ".join(faults))
         sensor = TactileSensor(twin)
-    meta, references = read_references(config.dataset.root, config.dataset.repo_id, sensor)
+    else:
+        refuse_damaged(config.dataset.root)
+    failed = failed_demonstrations(config.dataset.root)
+    meta, references = read_references(config.dataset.root, config.dataset.repo_id, sensor, failed)
+    if faults := too_few(config.dataset.root, meta.total_episodes, failed):
+        raise InputError(faults[0])
+    onset_sigma_m(references)
+    if failed:
+        note(set_aside(config.dataset.root, meta.total_episodes, failed))
     new = (config.output.root, config.output.repo_id, config.episodes)
     if config.method == "naive":
-        summary = augment_without_simulator(meta, *new, config.seed, progress)
+        summary = augment_without_simulator(meta, *new, config.seed, progress, failed)
     else:
         base_m = np.array(station.base_m)  # demonstrations have positions in the arm's frame
         further = further_features(meta)
+        task = task_to_do(config.task, [r.task for r in references], config.dataset.root)
         placed = [replace(r, flange_m=r.flange_m + base_m) for r in references]
-        onset_sigma_m(placed)
         start_range_m = config.start_range or start_spread_m(placed)
         setup = AugmentSetup(
             placed,
-            config.task or task_of(references[0].task, config.dataset.root),
+            task,
             config.twin,
             config.fidelity,
             config.planner,
@@ -286,11 +316,11 @@ def augment(config: AugmentConfig, progress: Progress = no_progress) -> Augmenta
         summary["start_range_m"] = start_range_m if config.method != "planner" else None
     if file:
         station.save(config.output.root / "meta")
-    return Augmentation(config, summary, references)
+    return Augmentation(config, summary, references, failed)
 
 
 def command(config: AugmentConfig, terminal: Terminal) -> None:
     """Generates many demonstrations from a few, planned on the twin and guided by touch."""
     with terminal.progress() as progress:
-        result = augment(config, progress)
+        result = augment(config, progress, terminal.note)
     terminal.finish(result, config.out)

@@ -13,8 +13,14 @@ from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.study import study_of
 from lerobot_pneutac.study.pair import fit_parts
 from lerobot_pneutac.verbs.new import new_twin
-from pneutac_datasets.demonstrations.faults import demonstration_faults, demonstration_notes, rate_notes
-from pneutac_datasets.demonstrations.info import is_demonstrations
+from pneutac_datasets.demonstrations.faults import (
+    demonstration_faults,
+    demonstration_notes,
+    failed_demonstrations,
+    rate_notes,
+    set_aside,
+)
+from pneutac_datasets.demonstrations.info import is_demonstrations, read_info
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.faults import recording_faults
 from pneutac_datasets.recording.recording import Recording
@@ -79,6 +85,10 @@ def check_path(path: str | Path, twin: Twin | None = None, station: Station | No
         station = station or (Station.load(left) if left else Station())
         faults = demonstration_faults(path, twin or Twin.builtin(), station)
         notes = rate_notes(path) if faults else demonstration_notes(path, station)
+        if not faults:
+            failed = failed_demonstrations(path)
+            recorded = read_info(path / "meta/info.json")["total_episodes"]
+            notes += [set_aside(path, recorded, failed)] * bool(failed)
         return Checked(path, "demonstrations", faults, notes)
     inside = [d.name for d in sorted(path.iterdir()) if any((d / mark).is_file() for mark in MARKS)]
     if inside and not (path / "recording.json").is_file():

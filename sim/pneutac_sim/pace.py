@@ -1,4 +1,7 @@
-"""How fast an episode was recorded: its control loop may fall behind, and LeRobot's times do not show it."""
+"""What a robot stores of each episode in a dataset's `meta`: how fast its control loop ran, and how it ended.
+
+LeRobot's times do not show a loop that falls behind, and its recorder does not ask whether the task was done.
+"""
 
 import json
 from collections.abc import Sequence
@@ -10,6 +13,8 @@ import numpy as np
 from pneutac_sim.errors import InputError
 
 PACE_FILE = "achieved_rate.json"  # in a dataset's `meta`; LeRobot drops what it does not know from info.json
+OUTCOME_FILE = "outcomes.json"  # likewise: episode to `DONE` or why it failed
+DONE = "done"
 SHORT, FAST = 0.95, 1.05  # of the rate that was asked for: less and more are reported
 LATE = 1.5  # periods after which a frame is late
 
@@ -60,6 +65,22 @@ def read_pace(meta: Path) -> dict[int, Pace]:
         return {int(k): Pace(**v) for k, v in content.items()}
     except (ValueError, TypeError, AttributeError) as e:
         raise InputError(f"{file} is damaged ({e}); delete it, the dataset does without.") from e
+
+
+def read_outcomes(meta: Path) -> dict[int, str]:
+    """Episode to `DONE` or the reason of its failure, from a dataset's folder `meta`; those that are known.
+
+    Raises:
+        InputError: the file is damaged.
+    """
+    file = meta / OUTCOME_FILE
+    try:
+        content = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+        return {int(k): str(v) for k, v in content.items()}
+    except (ValueError, AttributeError) as e:
+        raise InputError(
+            f'{file} is damaged ({e}); write {{"0": "{DONE}", "1": "why it failed"}}, or delete it.'
+        ) from e
 
 
 def pace_notes(meta: Path, fps: float) -> list[str]:

@@ -22,7 +22,7 @@ from pneutac_sim.features import (
 )
 from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.pace import pace_notes
+from pneutac_sim.pace import DONE, pace_notes, read_outcomes
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.cameras import SCENE_CAMERAS
 from pneutac_sim.world.station import Station
@@ -30,6 +30,8 @@ from pneutac_sim.world.station import Station
 TACTILE = f"observation.images.{IMAGE_NAME}"
 # Which demonstrations may have too.
 FURTHER = (f"observation.{POINTS_KEY}", *(f"observation.images.{name}" for name in SCENE_CAMERAS))
+AREA_NAME = "contact_area.pos"
+UNTOUCHED = f"never touches anything ({AREA_NAME} is 0 throughout)"
 ROUNDING_KPA = 0.01  # share of the range by which a command may be beyond it
 ROBOT = "pneutac"
 MOST_SPEED_M_S = 0.45  # of the flange between two frames, four times the fastest that is commanded
@@ -46,7 +48,7 @@ OFF_MM, MOST_POSES = 10.0, 500  # by which joints and flange may disagree, and h
 
 
 def demonstration_faults(
-    folder: str | Path, twin: Twin, station: Station | None = None, any_rate: bool = False
+    folder: str | Path, twin: Twin, station: Station | None = None, measured: bool = False
 ) -> list[str]:
     """One sentence for each fault of recorded demonstrations.
 
@@ -54,7 +56,8 @@ def demonstration_faults(
         folder: root of the LeRobotDataset.
         twin: on which they are to be augmented.
         station: in which they were recorded; if omitted, the paper's.
-        any_rate: whether their rate may differ from the station's.
+        measured: whether they are measurements of the finger: their rate may differ from the station's, and
+            whether the task was done does not matter.
     """
     folder = Path(folder)
     file = folder / "meta" / "info.json"
@@ -63,7 +66,7 @@ def demonstration_faults(
     info = read_info(file)
     station, chambers = station or Station(), CHAMBERS.get(twin.device, 1)
     found = _of_features(info["features"], file, GelModel.from_twin(twin).rest_image.shape, chambers)
-    if not any_rate and info.get("fps") != station.control_hz:
+    if not measured and info.get("fps") != station.control_hz:
         found.append(f"{file}: {wrong_rate(info.get('fps'), station.control_hz)}")
     damaged = dataset_faults(folder, info)
     if damaged or any(f"'{name}'" in sentence for sentence in found for name in (STATE, ACTION)):
@@ -75,12 +78,67 @@ def demonstration_faults(
             " station.yaml in which they were recorded by --station=, or lay it in the dataset's folder meta."
         )
     episodes = _read_episodes(folder, info)
-    if len(episodes) < 2:
-        found.append(
-            f"{folder} has {len(episodes)} demonstration; the spread of the contacts needs two or more."
-        )
+    failed = {} if measured else failed_demonstrations(folder)
+    found += too_few(folder, len(episodes), failed)
+    episodes = {number: each for number, each in episodes.items() if number not in failed}
     found += _of_episodes(episodes, twin.pressure_range_kpa, Places.of(chambers).area)
     return found + _of_motion(folder, info, episodes)[0]
+
+
+def failed_demonstrations(folder: str | Path) -> dict[int, str]:
+    """Demonstrations that nothing can be learnt from: number of the episode to why it failed.
+
+    Those that `meta/outcomes.json` calls failed, where a robot or a person left it, and those without touch.
+
+    Args:
+        folder: root of a LeRobotDataset without damage, of this robot's features.
+
+    Raises:
+        InputError: `outcomes.json` is damaged.
+    """
+    folder = Path(folder)
+    info = read_info(folder / "meta" / "info.json")
+    area = info["features"][STATE]["names"].index(AREA_NAME)
+    outcomes, failed = read_outcomes(folder / "meta"), {}
+    for number, (state, _) in _read_episodes(folder, info).items():
+        touch = state[:, area]
+        if np.isfinite(touch).all() and not without_specks(touch).any():
+            failed[number] = UNTOUCHED
+        elif outcomes.get(number, DONE) != DONE:
+            failed[number] = outcomes[number]
+    return failed
+
+
+def too_few(folder: str | Path, recorded: int, failed: dict[int, str]) -> list[str]:
+    """One sentence where fewer than two of the recorded demonstrations have not failed, else none."""
+    left = recorded - len(failed)
+    if left >= 2:
+        return []
+    without = f" besides {_named(failed)}" if failed else ""
+    return [
+        f"{folder} has {left or 'no'} demonstration{'s' * (left != 1)}{without}; augment needs two or more:"
+        " record more with lerobot-record --resume=true."
+    ]
+
+
+def set_aside(folder: str | Path, recorded: int, failed: dict[int, str]) -> str:
+    """A sentence that names the failed demonstrations; empty where there are none."""
+    return (
+        f"{folder}: set aside {_named(failed)}; the other {recorded - len(failed)} are used."
+        if failed
+        else ""
+    )
+
+
+def _named(failed: dict[int, str]) -> str:
+    """The failed episodes by their reasons."""
+    by_reason: dict[str, list[int]] = {}
+    for number, why in failed.items():
+        by_reason.setdefault(why, []).append(number)
+    return ", ".join(
+        f"episode{'s' * (len(which) > 1)} {', '.join(map(str, which))} ({why})"
+        for why, which in by_reason.items()
+    )
 
 
 def motion_faults(folder: str | Path) -> list[str]:
@@ -321,7 +379,7 @@ def _of_episodes(
     kinds: dict[str, list[int]] = {
         "holds numbers that are not finite": [],
         "has one frame only": [],
-        "never touches anything (contact_area.pos is 0 throughout)": [],
+        UNTOUCHED: [],
         f"commands pressures beyond the {low:g} to {high:g} kPa that the twin was measured over": [],
     }
     broken, short, untouched, beyond = kinds.values()

@@ -6,7 +6,7 @@ scales the velocities, a displaced approach moves joints and commands too, and c
 contact area. Nothing knows whether the altered demonstration would have done the task.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -53,6 +53,7 @@ def augment_naive(
     episodes: int,
     seed: int,
     progress: Progress = no_progress,
+    left_out: Collection[int] = (),
 ) -> Path:
     """Writes a LeRobotDataset of varied demonstrations that merges with its source.
 
@@ -64,6 +65,7 @@ def augment_naive(
         episodes: number of new demonstrations; the sources take turns.
         seed: decides every variation.
         progress: is called with a text, and how many of how many demonstrations are made.
+        left_out: numbers of the recorded ones that are not varied.
 
     Returns:
         `out_root`.
@@ -79,10 +81,12 @@ def augment_naive(
     if faults := motion_faults(dataset_root):
         raise InputError(faults[0])
 
+    used = sorted(set(range(meta.total_episodes)) - set(left_out))
+
     @lru_cache(maxsize=16)
     def load(index: int) -> Episode:
         with readable(dataset_root):
-            return load_episode(source, index)
+            return load_episode(source, used[index])
 
     table = source.hf_dataset.with_format("numpy")
     states, actions = (np.stack(table[key][:]) for key in (OBS_STATE, ACTION))
@@ -91,7 +95,7 @@ def augment_naive(
     out = create_dataset(out_repo_id, out_root, meta.fps, features, meta.robot_type, use_videos, longest)
     with quiet_encoders():
         try:
-            for k, new in enumerate(varied(load, meta.total_episodes, states, actions, episodes, seed)):
+            for k, new in enumerate(varied(load, len(used), states, actions, episodes, seed)):
                 progress("varying demonstrations", k, episodes)
                 save_episode(out, new)
         finally:

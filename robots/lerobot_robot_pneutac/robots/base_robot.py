@@ -58,6 +58,11 @@ class BaseRobot(Robot):
     def announced(self, begins: bool) -> None:
         """LeRobot says that the recording of an episode begins, or has ended; here nothing depends on it."""
 
+    @property
+    def outcome(self) -> str | None:
+        """How the last episode ended: `pace.DONE` or why it failed; None where the robot cannot tell."""
+        return None
+
 
 def pose_names(chambers: int = 1) -> tuple[str, ...]:
     """Names of a pose, which commands places in place of velocities."""

@@ -19,7 +19,16 @@ from lerobot_robot_pneutac.options import station_of
 from lerobot_robot_pneutac.robots.base_robot import BaseRobot
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole
-from pneutac_sim.pace import PACE_FILE, Pace, faster_than, read_pace, short_of
+from pneutac_sim.pace import (
+    DONE,
+    OUTCOME_FILE,
+    PACE_FILE,
+    Pace,
+    faster_than,
+    read_outcomes,
+    read_pace,
+    short_of,
+)
 
 KNOWN = "0.6"  # series of LeRobot whose inside `LeRobotHooks` knows
 # So lerobot-record and lerobot-rollout announce that an episode begins, and that one has ended.
@@ -136,6 +145,7 @@ class EpisodeHooks:
         if frames > 1 and self._times_s is not None and len(self._times_s) >= frames:
             if robot is not None:
                 store_station(robot, fpath.parent)
+                self._store_outcome(fpath.parent, data["total_episodes"] - 1, robot.outcome)
             self._store_pace(fpath.parent, data["total_episodes"] - 1, data["fps"], self._times_s[:frames])
         if frames:
             self._times_s = None
@@ -170,14 +180,26 @@ class EpisodeHooks:
             )
         if self._waits and not fast:
             return
-        try:
-            stored = {**read_pace(meta), episode: pace}
-        except InputError as e:  # no reason to lose an episode
-            logger.warning("%s", e)
+        _add(meta / PACE_FILE, read_pace, episode, pace, vars)
+
+    def _store_outcome(self, meta: Path, episode: int, outcome: str | None) -> None:
+        if outcome is None:
             return
-        content = {str(k): vars(p) for k, p in sorted(stored.items())}
-        with whole(meta / PACE_FILE) as part:
-            part.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        if outcome != DONE:
+            logger.warning("Episode %d failed: %s. `pneutac augment` sets it aside.", episode, outcome)
+        _add(meta / OUTCOME_FILE, read_outcomes, episode, outcome, str)
+
+
+def _add(file: Path, read: Callable[[Path], dict], episode: int, value, plain: Callable) -> None:
+    """Adds an episode's entry to a file of `meta`; a damaged one is no reason to lose the episode."""
+    try:
+        stored = {**read(file.parent), episode: value}
+    except InputError as e:
+        logger.warning("%s", e)
+        return
+    content = {str(k): plain(v) for k, v in sorted(stored.items())}
+    with whole(file) as part:
+        part.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 def store_station(robot: BaseRobot, meta: Path) -> None:

@@ -21,6 +21,7 @@ from pneutac_sim import features
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_NAME, POINTS_KEY, Places
 from pneutac_sim.gel.contact import SPECKS
+from pneutac_sim.pace import DONE
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.look import SceneCameras
 from pneutac_sim.world.points import tactile_points
@@ -29,6 +30,7 @@ from pneutac_sim.world.tasks.base import WIDER_M
 
 # A pose command this near to one of the task's starts brings the arm home; their jitter is less.
 HOME_RADIUS_M = 0.010
+NOT_DONE = "the task was not done"
 
 logger = logging.getLogger(__name__)
 
@@ -103,6 +105,7 @@ class PneutacSim(BaseRobot):
         self.recording: bool | None = None
         self.scenes = 0
         self.successes: list[bool] = []
+        self._outcome: str | None = None
         self._hooks = EpisodeHooks(config.control_hz, self, waits=True)
         self._places = Places.of(self.chambers)
 
@@ -174,6 +177,8 @@ class PneutacSim(BaseRobot):
     @override
     def announced(self, begins: bool) -> None:
         """An episode begins, with a fresh scene; or it has ended, and how it went is logged."""
+        if begins:
+            self._outcome = None
         if self.is_connected and begins and self._moved:
             self._begin()
         elif self.is_connected and self.recording and not begins:
@@ -195,6 +200,11 @@ class PneutacSim(BaseRobot):
         )
         if self.successes[-1] and self._spread:
             self._spread.done(self._seed)
+
+    @property
+    @override
+    def outcome(self) -> str | None:
+        return self._outcome
 
     def disconnect(self) -> None:
         """Frees the world; logs how an episode went that nobody announced, as of lerobot-replay."""
@@ -232,6 +242,8 @@ class PneutacSim(BaseRobot):
         self._moved = True
         self._frames += 1
         self._touched += bool(self._observation.state[self._places.area] >= SPECKS)
+        if self.recording and self._outcome in (None, NOT_DONE):
+            self._outcome = self.world.failure or (DONE if self.world.success else NOT_DONE)
         if self.config.bend:
             self._bend.sent(float(self.world.command[3]))
 

@@ -11,17 +11,20 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from demonstration_sets import write_demonstrations
+from lerobot.datasets import LeRobotDatasetMetadata
 
+from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment
 from lerobot_pneutac.verbs.check import check_path
+from pneutac_datasets.demonstrations.augment import run
 from pneutac_datasets.demonstrations.augment.run import read_references
 from pneutac_datasets.demonstrations.faults import TACTILE
 from pneutac_datasets.demonstrations.info import ACTION, STATE
 from pneutac_datasets.demonstrations.naive import augment_naive
 from pneutac_datasets.demonstrations.repair.dataset import repair_dataset
-from pneutac_datasets.demonstrations.replay.reading import load_demonstrations
+from pneutac_datasets.demonstrations.replay.reading import load_demonstrations, task_to_do
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import STATE_NAMES
-from pneutac_sim.pace import PACE_FILE, Pace
+from pneutac_sim.pace import DONE, OUTCOME_FILE, PACE_FILE, Pace
 
 DEMOS = Path(__file__).parents[2] / "golden" / "recordings" / "demos"
 DATA, EPISODES = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet"
@@ -300,3 +303,93 @@ def test_episodes_by_pandas_are_read_too(tmp_path):
     root = copied(tmp_path)
     pd.read_parquet(root / EPISODES).to_parquet(root / EPISODES)
     assert check_path(root).faults == []
+
+
+def some_failed(folder, areas, outcomes):
+    """Demonstrations whose touch begins in their third frame, or never; and how they ended."""
+    root = write_demonstrations(folder, (12.0,) * len(areas), areas)
+    late = numbers(
+        STATE,
+        lambda s: (
+            s
+            * (
+                (np.arange(len(s)) % 5 > 1)[:, None]
+                | (np.arange(20) != STATE_NAMES.index("contact_area.pos"))
+            )
+        ),
+    )
+    late(root)
+    (root / "meta" / OUTCOME_FILE).write_text(json.dumps(outcomes))
+    return root
+
+
+def naive(root, out):
+    given, new = DatasetRef("local/demos", root), DatasetRef("local/new", out)
+    told = []
+    made = augment(AugmentConfig(given, new, "switch", "naive", episodes=4), note=told.append)
+    return made, told
+
+
+def test_failed_demonstrations_are_named_and_set_aside(tmp_path):
+    outcomes = {"0": DONE, "2": "the object was pressed with 1.4 N", "3": DONE}
+    root = some_failed(tmp_path / "demos", (0.1, 0.0, 0.1, 0.1), outcomes)
+    sentence = (
+        f"{root}: set aside episode 1 (never touches anything (contact_area.pos is 0 throughout)), episode 2"
+        " (the object was pressed with 1.4 N); the other 2 are used."
+    )
+    found = check_path(root)
+    assert found.faults == [] and sentence in found.notes
+    made, told = naive(root, tmp_path / "new")
+    assert told == [sentence] and list(made.failed) == [1, 2]
+    assert {line["source_episode"] for line in made.summary["provenance"]} == {0, 3}
+    assert made.summary["kept"] == 4
+
+
+@pytest.mark.parametrize(
+    ("areas", "outcomes", "said"),
+    [
+        ((0.1, 0.0), {}, "has 1 demonstration besides episode 1 .never touches anything"),
+        ((0.0, 0.0, 0.0), {}, "has no demonstrations besides episodes 0, 1, 2 .never touches"),
+        (
+            (0.1, 0.1),
+            {"0": "late", "1": "late"},
+            "no demonstrations besides episodes 0, 1 .late.; augment needs",
+        ),
+        ((0.1,), {}, "has 1 demonstration; augment needs two or more: record more with lerobot-record"),
+    ],
+)
+def test_too_few_that_did_not_fail_are_one_error(tmp_path, areas, outcomes, said):
+    root = some_failed(tmp_path / "demos", areas, outcomes)
+    (fault,) = check_path(root).faults
+    assert re.search(said, fault)
+    with pytest.raises(InputError, match=said):
+        naive(root, tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+def test_damaged_outcomes_are_one_error(tmp_path):
+    root = some_failed(tmp_path / "demos", (0.1, 0.1), [1])
+    with pytest.raises(InputError, match="outcomes.json is damaged"):
+        check_path(root)
+
+
+def test_failed_demonstrations_are_not_mixed_in(tmp_path):
+    """A dataset of 110 frames with half as many recorded ones, all of them of episode 1."""
+    source = LeRobotDatasetMetadata("local/demos", copied(tmp_path))
+    part = Path(shutil.copytree(DEMOS, tmp_path / "new.part"))
+    lines = run._mix(part, "local/new", source, [1], 0.5)
+    length = source.episodes[1]["length"]
+    assert {line["source_episode"] for line in lines} == {1} and len(lines) == round(110 / length)
+    assert LeRobotDatasetMetadata("local/new", part).total_frames == 110 + len(lines) * length
+    assert sorted(f.name for f in tmp_path.iterdir()) == ["demos", "new.part"]
+
+
+def test_demonstrations_of_another_task_are_refused():
+    here = Path("demos")
+    assert task_to_do("", ["flip the switch"] * 2, here) == "switch"
+    assert task_to_do("egg", ["do it"], here) == "egg"
+    assert task_to_do("mine", ["flip the switch"], here) == "mine"  # of a user's package
+    with pytest.raises(InputError, match="names the task 'switch', not --task=egg; give demonstrations"):
+        task_to_do("egg", ["flip the switch"], here)
+    with pytest.raises(InputError, match="of 'switch' .* and 'egg' .*; give a dataset of one task"):
+        task_to_do("", ["flip the switch", "Open the egg carton."], here)

@@ -9,7 +9,7 @@ from lerobot.datasets import LeRobotDataset, dataset_reader, io_utils
 
 from lerobot_robot_pneutac.robots.episode_hooks import EpisodeHooks
 from pneutac_sim.errors import InputError
-from pneutac_sim.pace import PACE_FILE, Pace, pace_notes, read_pace
+from pneutac_sim.pace import DONE, PACE_FILE, Pace, pace_notes, read_outcomes, read_pace
 from pneutac_sim.world.station import Station
 
 DEMOS = Path(__file__).parents[2] / "golden/recordings/demos"
@@ -20,6 +20,7 @@ class Lone:
     """A robot of no arm."""
 
     name = "pneutac"
+    outcome = None
 
     def __init__(self):
         self.told = []
@@ -86,6 +87,20 @@ def test_a_dataset_keeps_the_station_and_what_waits_has_no_pace(keeper, monkeypa
     assert robot.told == [True, False] and read_pace(tmp_path) == {}
     assert Station.load(tmp_path / "station.yaml") == Station(arm="so101", latency_s=0.1)
     assert "ran at 5.0 Hz and not at 15, so its 3 frames are 0.2 s of the simulated world" in caplog.text
+
+
+def test_how_each_episode_ended_is_stored(keeper, monkeypatch, tmp_path, caplog):
+    robot = Lone()
+    hooks = EpisodeHooks(15, robot, waits=True)
+    hooks.connect()
+    for number, robot.outcome in enumerate([DONE, "the task was not done"]):
+        save(tmp_path, number, 3 * number)
+        logging.info("Recording episode")
+        observe(hooks, monkeypatch, [0.0, 0.1, 0.2])
+        save(tmp_path, number + 1, 3 * number + 3)
+    hooks.disconnect()
+    assert read_outcomes(tmp_path) == {0: DONE, 1: "the task was not done"}
+    assert "Episode 1 failed: the task was not done. `pneutac augment` sets it aside." in caplog.text
 
 
 @pytest.mark.parametrize("waits", [False, True])

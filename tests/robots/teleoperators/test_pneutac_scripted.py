@@ -66,7 +66,7 @@ def test_every_episode_that_is_announced_is_one_demonstration(task, control_hz, 
     robot.connect()
     for episode, (ticks, pause) in enumerate([(11, 0), (14, 5), (13, 8), (25, 0)]):
         log_say(f"Recording episode {episode}", play_sounds=False)
-        assert robot.world.time_s == 0
+        assert robot.world.time_s == 0 and robot.outcome is None
         for action in run(robot, teleop, ticks):
             assert "reset" not in action and any(action.values())
         assert robot.world.time_s == pytest.approx(ticks / control_hz)
@@ -74,6 +74,7 @@ def test_every_episode_that_is_announced_is_one_demonstration(task, control_hz, 
             log_say("Reset the environment", play_sounds=False)
         assert len(robot.successes) == episode + (episode < 3)
         assert not any(any(action.values()) for action in run(robot, teleop, pause))
+        assert robot.outcome == "the task was not done", "a pause after the episode changes nothing"
     log_say("Stop recording", play_sounds=False)
     assert len(robot.successes) == 4
     robot.disconnect()

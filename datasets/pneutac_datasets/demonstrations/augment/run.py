@@ -10,7 +10,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import redirect_stderr
@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.datasets.aggregate import aggregate_datasets
+from lerobot.datasets.dataset_tools import delete_episodes
 from lerobot.utils.constants import ACTION, OBS_STATE
 
 from pneutac_datasets.demonstrations.augment.check import check
@@ -58,7 +59,7 @@ RECORDED = "recorded"  # method of the copies of recorded demonstrations
 
 
 def read_references(
-    root: str | Path, repo_id: str, sensor: TactileSensor | None = None
+    root: str | Path, repo_id: str, sensor: TactileSensor | None = None, left_out: Collection[int] = ()
 ) -> tuple[LeRobotDatasetMetadata, list[Reference]]:
     """The recorded demonstrations, without their images.
 
@@ -66,6 +67,7 @@ def read_references(
         root: folder of the dataset.
         repo_id: its name.
         sensor: of the twin; with it the images are read, for the middles of the imprints.
+        left_out: numbers of the episodes that are not read.
 
     Raises:
         InputError: there is no dataset, its features are not those of the robot, or an episode is
@@ -79,7 +81,7 @@ def read_references(
     table = dataset.hf_dataset.with_format("numpy")
     state, action = (np.stack(table[k][:]).astype(float) for k in (OBS_STATE, ACTION))
     references, places = [], Places.of(action.shape[1] - len(VELOCITY_NAMES))
-    for i in range(meta.total_episodes):
+    for i in sorted(set(range(meta.total_episodes)) - set(left_out)):
         row = meta.episodes[i]
         rows = slice(row["dataset_from_index"], row["dataset_to_index"])
         s = state[rows]
@@ -152,7 +154,7 @@ def augment_guided(
         scenes = _find_scenes(pool, work, len(setup.references), progress) if planner else []
         planned = _plan(pool, work, scenes, episodes, progress)
         provenance, seconds = _write(part, out_repo_id, meta, setup.references, planned)
-        provenance += _mix(part, out_repo_id, meta, real_share)
+        provenance += _mix(part, out_repo_id, meta, [r.source for r in setup.references], real_share)
         check(work, setup, checks, progress)
         agreements = _checked(work, checks)
         finish(part, out_root, provenance)
@@ -242,24 +244,32 @@ def _write(
     return provenance, seconds
 
 
-def _mix(part: Path, repo_id: str, meta: LeRobotDatasetMetadata, share: float) -> list[dict]:
-    """Adds copies of the source until such a share of the frames is recorded; returns their provenance."""
+def _mix(part: Path, repo_id: str, meta: LeRobotDatasetMetadata, used: list[int], share: float) -> list[dict]:
+    """Adds copies of the `used` episodes of the source until such a share of the frames is recorded.
+
+    Returns:
+        their provenance.
+    """
     new = LeRobotDatasetMetadata(repo_id, part)
-    copies = round(share / (1 - share) * new.total_frames / meta.total_frames)
+    frames = sum(meta.episodes[i]["length"] for i in used)
+    copies = round(share / (1 - share) * new.total_frames / frames)
     if not copies:
         return []
-    alone = part.with_name(part.name + ".new")
-    shutil.rmtree(alone, ignore_errors=True)
+    alone, source = (part.with_name(f"{part.name}.{name}") for name in ("new", "source"))
+    for folder in (alone, source):
+        shutil.rmtree(folder, ignore_errors=True)
     os.replace(part, alone)
     with quiet_encoders(), redirect_stderr(StringIO()):  # its own progress bars besides ours
-        aggregate_datasets(
-            [repo_id, *[meta.repo_id] * copies], repo_id, [alone, *[Path(meta.root)] * copies], part
-        )
+        recorded = Path(meta.root)
+        if left_out := sorted(set(range(meta.total_episodes)) - set(used)):
+            whole = LeRobotDataset(meta.repo_id, recorded, video_backend="pyav")
+            recorded = Path(delete_episodes(whole, left_out, source, meta.repo_id).root)
+        aggregate_datasets([repo_id, *[meta.repo_id] * copies], repo_id, [alone, *[recorded] * copies], part)
     shutil.rmtree(alone)
-    sources = list(range(meta.total_episodes)) * copies
+    shutil.rmtree(source, ignore_errors=True)
     return [
         {"episode": k, "method": RECORDED, "source_episode": source}
-        for k, source in enumerate(sources, new.total_episodes)
+        for k, source in enumerate(used * copies, new.total_episodes)
     ]
 
 
@@ -270,6 +280,7 @@ def augment_without_simulator(
     episodes: int,
     seed: int,
     progress: Progress = no_progress,
+    left_out: Collection[int] = (),
 ) -> dict:
     """The same by `naive.augment_naive`; the result has the keys of `augment_guided`."""
     out_root, began = Path(out_root), time.monotonic()
@@ -277,9 +288,10 @@ def augment_without_simulator(
         raise InputError(f"'{out_root}' exists; give a new folder for dataset '{out_repo_id}'.")
     part = out_root.with_name(out_root.name + ".part")
     shutil.rmtree(part, ignore_errors=True)
-    augment_naive(meta.root, meta.repo_id, part, out_repo_id, episodes, seed, progress)
+    augment_naive(meta.root, meta.repo_id, part, out_repo_id, episodes, seed, progress, left_out)
+    used = sorted(set(range(meta.total_episodes)) - set(left_out))
     provenance = [
-        {"episode": k, "seed": seed, "source_episode": k % meta.total_episodes, "method": "naive"}
+        {"episode": k, "seed": seed, "source_episode": used[k % len(used)], "method": "naive"}
         for k in range(episodes)
     ]
     finish(part, out_root, provenance)

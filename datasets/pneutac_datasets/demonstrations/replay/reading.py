@@ -20,6 +20,7 @@ from pneutac_sim.features import (
     CONTROL_HZ,
     EE,
     PRESSURE,
+    TASK_NAMES,
     chamber_count,
     task_names,
 )
@@ -209,8 +210,39 @@ def _refuse(folder: Path, twin: Twin, station: Station) -> None:
             f"{folder}: demonstrations are measurements of fingers of one chamber alone, and this body has"
             " several; compare it by a bench recording (--recording=)."
         )
-    if faults := demonstration_faults(folder, twin, station, any_rate=True):
+    if faults := demonstration_faults(folder, twin, station, measured=True):
         raise InputError(faults[0])
+
+
+def task_to_do(given: str, instructions: list[str], folder: Path) -> str:
+    """The task that demonstrations are of.
+
+    Args:
+        given: by the user; empty where the instructions decide.
+        instructions: one for each demonstration.
+        folder: of the dataset.
+
+    Raises:
+        InputError: the instructions name none, several, or another one of the library's than was given.
+    """
+    found = {text: [n for n in task_names() if n in _words(text)] for text in instructions}
+    if not given:
+        tasks = {text: task_of(text, folder) for text in found}
+        if len(set(tasks.values())) > 1:
+            shown = " and ".join(f"'{task}' ('{text}')" for text, task in tasks.items())
+            raise InputError(f"{folder} holds demonstrations of {shown}; give a dataset of one task.")
+        return next(iter(tasks.values()))
+    for text, named in found.items():
+        if len(named) == 1 and named[0] != given and {given, *named} <= set(TASK_NAMES):
+            raise InputError(
+                f"{folder}: the instruction '{text}' names the task '{named[0]}', not --task={given};"
+                f" give demonstrations of '{given}', or --task={named[0]}."
+            )
+    return given
+
+
+def _words(instruction: str) -> set[str]:
+    return set(re.findall(r"\w+", instruction.lower()))
 
 
 def task_of(instruction: str, folder: Path) -> str:
@@ -221,9 +253,8 @@ def task_of(instruction: str, folder: Path) -> str:
     """
     from pneutac_sim.world.tasks import make_task
 
-    words = set(re.findall(r"\w+", instruction.lower()))
     own = [n for n in task_names() if make_task(n).description == instruction]
-    named = own or [n for n in task_names() if n in words]
+    named = own or [n for n in task_names() if n in _words(instruction)]
     if len(named) == 1:
         return named[0]
     raise InputError(
