@@ -117,7 +117,7 @@ class _Staged(Task):
 
     @property
     def home_m(self):
-        return self.inner.home_m if self.variation.start_m is None else self.variation.start_m
+        return self.inner.home_m  # that of the variation is the world's
 
     @property
     def starts_m(self):

@@ -9,6 +9,8 @@ from pneutac_datasets.demonstrations.augment.episode import AugmentSetup, Genera
 from pneutac_datasets.demonstrations.augment.planner import CemPlanner, PlannerConfig, demonstration_cost
 from pneutac_datasets.demonstrations.augment.reference import Reference, onset_sigma_m
 from pneutac_datasets.demonstrations.augment.scene import command_latency
+from pneutac_datasets.demonstrations.episodes import Episode
+from pneutac_datasets.demonstrations.pool import previous_actions
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH
 from pneutac_sim.gel.sensor import centre_mm
@@ -398,6 +400,11 @@ def test_what_leads_the_expert_astray_is_carried_out_and_not_stored():
     assert np.median(np.abs(np.diff(made.action[free, 0]))) < 0.3 * np.median(
         np.abs(np.diff(astray[free, 0]))
     )
+    # What a policy sees as its previous action is the label of the frame before, not what was carried out.
+    images = np.zeros((len(made.state), 2, 2, 3), np.uint8)
+    previous = previous_actions(Episode(made.state, made.action, images, "flip", 15))
+    np.testing.assert_array_equal(previous[1:], made.action[:-1])
+    assert np.abs(previous[1:] - made.carried_out[:-1]).max() > 1e-3
     world = VariedWorld("switch", touch="area", fidelity="probe")
     seed, world.variation = made.start
     states = [world.reset(seed).state]

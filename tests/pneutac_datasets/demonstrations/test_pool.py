@@ -8,23 +8,29 @@ from lerobot.utils.constants import ACTION, OBS_STATE
 from lerobot.utils.feature_utils import dataset_to_policy_features
 from torch.utils.data import default_collate
 
-from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
+from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PREVIOUS_ACTION, TACTILE, PneutacBCConfig
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
+from lerobot_robot_pneutac.policy.tactile_encoder import DIFFERENCE_SCALE
+from lerobot_robot_pneutac.standin.gel import new_gel
 from pneutac_datasets.demonstrations.pool import main, pool_demonstrations
 from pneutac_datasets.demonstrations.save import create_dataset
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, IMAGE_SHAPE, STATE_NAMES
+from pneutac_sim.world.world import World
 
 FRAMES = 4
 
 
+FEATURES = {
+    OBS_STATE: {"dtype": "float32", "shape": (len(STATE_NAMES),), "names": list(STATE_NAMES)},
+    ACTION: {"dtype": "float32", "shape": (len(ACTION_NAMES),), "names": list(ACTION_NAMES)},
+    TACTILE: {"dtype": "image", "shape": IMAGE_SHAPE, "names": ["height", "width", "channels"]},
+}
+
+
 def write(root, seed, fps=15, shape=IMAGE_SHAPE):
     """Two demonstrations of random states and smooth random images."""
-    features = {
-        OBS_STATE: {"dtype": "float32", "shape": (len(STATE_NAMES),), "names": list(STATE_NAMES)},
-        ACTION: {"dtype": "float32", "shape": (len(ACTION_NAMES),), "names": list(ACTION_NAMES)},
-        TACTILE: {"dtype": "image", "shape": shape, "names": ["height", "width", "channels"]},
-    }
+    features = FEATURES | {TACTILE: {**FEATURES[TACTILE], "shape": shape}}
     rng = np.random.default_rng(seed)
     dataset = create_dataset(f"local/{root.name}", root, fps, features, "pneutac", False, FRAMES)
     for _ in range(2):
@@ -83,6 +89,52 @@ def test_one_row_a_sample_says_what_three_do(pooled):
         data = LeRobotDataset("local/small", root=out, delta_timestamps=times)
         losses[whole] = policy(default_collate([data[i] for i in range(len(data))]))[0].item()
     assert losses[True] == pytest.approx(losses[False], rel=1e-5)
+
+
+def test_a_start_in_mid_episode_has_no_previous_action_of_another(tmp_path):
+    """Data and policy take the same: no velocity, and the pressure that there is."""
+    out = pool_demonstrations([write(tmp_path / "a", 1)], tmp_path / "small", "local/small")
+    small = LeRobotDataset("local/small", root=out)
+    first = small[FRAMES]  # of the second demonstration, whose arm moves and whose finger is under pressure
+    pressure = first[OBS_STATE][STATE_NAMES.index("pressure.pos")]
+    hold = torch.tensor([0.0, 0.0, 0.0, pressure])
+    assert torch.equal(first[PREVIOUS_ACTION], hold)
+    config = PneutacBCConfig(
+        device="cpu",
+        input_features=dataset_to_policy_features({k: small.features[k] for k in (OBS_STATE, TACTILE)}),
+        output_features=dataset_to_policy_features({ACTION: small.features[ACTION]}),
+    )
+    policy = PneutacBCPolicy(config, dataset_meta=small.meta)
+    image = torch.nn.functional.interpolate(first[TACTILE][None], IMAGE_SHAPE[:2])
+    seen = {OBS_STATE: first[OBS_STATE][None], TACTILE: image}
+    policy.reset()
+    begun = policy.predict_action_chunk(seen)
+    policy._previous = hold[None]
+    torch.testing.assert_close(policy.predict_action_chunk(seen), begun)
+    policy._previous = hold[None] + 0.1
+    assert (policy.predict_action_chunk(seen) - begun).abs().max() > 0
+
+
+def test_a_policy_on_the_twin_has_the_twins_own_image_at_rest(tmp_path):
+    """Of demonstrations made on the twin it sees nothing there before a touch; of the stand-in's it does."""
+    world = World("switch", touch="image", fidelity="probe")
+    at_rest = torch.from_numpy(world.reset(4).tactile.copy()).permute(2, 0, 1)[None] / 255
+    shown = {}
+    for name, image in (("twin", world.sensor.rest_image), ("standin", new_gel().rest_image)):
+        data = create_dataset(f"local/{name}", tmp_path / name, 15, FEATURES, "pneutac", False, FRAMES)
+        for _ in range(2):
+            frame = {OBS_STATE: np.ones(20, np.float32), ACTION: np.ones(4, np.float32), "task": "flip"}
+            data.add_frame(frame | {TACTILE: np.ascontiguousarray(image)})
+        data.save_episode()
+        data.finalize()
+        out = pool_demonstrations([tmp_path / name], tmp_path / f"{name}_small", f"local/{name}_small")
+        meta = LeRobotDatasetMetadata(f"local/{name}_small", out)
+        features = dataset_to_policy_features({k: meta.features[k] for k in FEATURES})
+        inputs, outputs = {k: features[k] for k in (OBS_STATE, TACTILE)}, {ACTION: features[ACTION]}
+        config = PneutacBCConfig(device="cpu", input_features=inputs, output_features=outputs)
+        encoder = PneutacBCPolicy(config, dataset_meta=meta).encoder
+        shown[name] = float((255 * DIFFERENCE_SCALE * encoder.difference(at_rest)).abs().mean())
+    assert shown["twin"] < 0.5 and shown["standin"] > 3.0, shown  # levels
 
 
 def test_bad_input_is_named(pooled, tmp_path):

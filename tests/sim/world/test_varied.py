@@ -66,3 +66,18 @@ def test_plans_feel_with_the_gel_of_the_world():
     assert np.median(by_formula) > 1e-3, "formula and network differ here"
     # The arm does not hold its orientation quite as the gantry does.
     assert np.median(ahead) < 2e-3
+
+
+def test_after_a_shifted_start_the_tasks_own_home_is_home_again():
+    """Who takes the last start as home lets starts wander from one reset to the next."""
+    world = VariedWorld("card", touch="none", fidelity="probe")
+    own = world.home_m
+    world.variation = Variation(start_m=tuple(own + (0.02, -0.01, 0.03)))
+    world.reset(1)
+    np.testing.assert_allclose(world.home_m, own + (0.02, -0.01, 0.03))
+    np.testing.assert_allclose(world.task.home_m, world.task.inner.home_m)
+    world.variation = Variation()
+    np.testing.assert_array_equal(world.home_m, own)
+    world.reset(1)
+    np.testing.assert_array_equal(world.home_m, own)
+    assert np.abs(world.flange_m - own).max() < 0.01
