@@ -6,16 +6,17 @@ beside it, and nothing where nothing was; a change of light must be told by the 
 """
 
 import json
-from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
+from lerobot_pneutac.cli.terminal import progress_bar
 from lerobot_pneutac.verbs.add import add
 from lerobot_pneutac.verbs.calibrate import calibrate
-from lerobot_pneutac.verbs.diagnose import cores, diagnose
+from lerobot_pneutac.verbs.diagnose import diagnose
 from lerobot_robot_pneutac.standin.world import Physics, StandinWorld
 from pneutac_benchmarks.tables import markdown, terminal
 from pneutac_datasets.demonstrations.episodes import Episode
@@ -26,10 +27,10 @@ from pneutac_datasets.generate.standin import write_finger, write_gel
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.laws import family
 from pneutac_sim.errors import check_least
+from pneutac_sim.executor import ExecutorOptions, run_pieces
 from pneutac_sim.features import CONTROL_HZ, TRIAL_S
 from pneutac_sim.files import write_json, write_text
 from pneutac_sim.twin import Twin
-from pneutac_sim.worker import process_pool
 from pneutac_sim.world.expert import ScriptedExpert
 
 VALVE = ("valve_slew", "valve_lag", "leak", "orifice_flow")
@@ -65,7 +66,7 @@ DRAGGED: dict[str, tuple[Physics, bool]] = {
 
 
 @dataclass
-class BenchmarkDemonstrationsConfig:
+class BenchmarkDemonstrationsConfig(ExecutorOptions):
     """Options of `pneutac benchmark demonstrations`.
 
     Attributes:
@@ -74,7 +75,6 @@ class BenchmarkDemonstrationsConfig:
         cases: so many of the cases, from the first on; all where left out.
         seed: of the demonstrations.
         task: that they show; the twin is fitted to demonstrations of `button` whatever it is.
-        jobs: number of processes; 0 for all cores.
     """
 
     out: Path = Path("outputs/benchmark_demonstrations")
@@ -82,12 +82,11 @@ class BenchmarkDemonstrationsConfig:
     cases: int = len(CASES)
     seed: int = 0
     task: str = "button"
-    jobs: int = 0
 
     def __post_init__(self):
         check_least(5, demonstrations=self.demonstrations)
         check_least(1, cases=self.cases)
-        check_least(0, jobs=self.jobs)
+        self.check_executor()
 
 
 def show(
@@ -154,13 +153,12 @@ def run_case(twin: Twin, number: int, config: BenchmarkDemonstrationsConfig) -> 
     }
 
 
-def write_dragged(number: int, config: BenchmarkDemonstrationsConfig, file: Path) -> str:
+def write_dragged(number: int, config: BenchmarkDemonstrationsConfig, file: Path) -> None:
     """How imprints turn where the finger is dragged, of a number of `DRAGGED`, or of -1, as known before."""
     name, (physics, _) = ("before", (Physics(), False)) if number < 0 else list(DRAGGED.items())[number]
     given = show(config.demonstrations, 1000 * config.seed + 700 + 37 * number, physics, "button", DRAG_M)
     dragging = Dragging.of(given.episodes)
     write_json(file, {"case": name, **(asdict(dragging) if dragging else {})})
-    return f"dragged, {name}: {dragging}"
 
 
 def dragged_rows(files: dict[int, Path]) -> list[tuple[str, ...]]:
@@ -180,11 +178,14 @@ def dragged_rows(files: dict[int, Path]) -> list[tuple[str, ...]]:
     return rows
 
 
-def _write_case(twin: Twin, number: int, config: BenchmarkDemonstrationsConfig, file: Path) -> str:
-    """Runs a case and writes it at once, so that no other's fault loses it; a line that tells it."""
-    result = run_case(twin, number, config)
-    write_json(file, result)
-    return f"{result['case']}: {result['found']}"
+def _write(
+    twin: Twin, config: BenchmarkDemonstrationsConfig, files: list[Path], cases: int, number: int
+) -> None:
+    """Runs a case, or one of those dragged, which follow them from -1 on, and writes it."""
+    if number < cases:
+        write_json(files[number], run_case(twin, number, config))
+    else:
+        write_dragged(number - cases - 1, config, files[number])
 
 
 def names_right(right: tuple[str, ...], kinds: list[str]) -> bool:
@@ -203,14 +204,10 @@ def benchmark_demonstrations(config: BenchmarkDemonstrationsConfig) -> None:
     dragged = {n: config.out / f"dragged_{n + 1:02d}.json" for n in range(-1, len(DRAGGED))}
     if config.task != "button" or config.cases < len(CASES):
         dragged = {}
-    todo = [n for n, file in files.items() if not file.is_file()]
-    with process_pool(config.jobs or cores()) as pool:
-        futures = [pool.submit(_write_case, twin, n, config, files[n]) for n in todo]
-        futures += [
-            pool.submit(write_dragged, n, config, file) for n, file in dragged.items() if not file.is_file()
-        ]
-        for done, future in enumerate(as_completed(futures), 1):
-            console.print(f"{done} of {len(futures)}: {future.result()}", highlight=False)
+    both = [*files.values(), *dragged.values()]
+    with progress_bar(Console(stderr=True)) as progress:
+        make = partial(_write, twin, config, both, len(files))
+        run_pieces(make, both, config.out / "logs", config, progress, "cases")
     rows = [json.loads(file.read_text()) for file in files.values()]
     heads = ("hidden in the stand-in", "found", "right", "before (mm)", "after", "touch before", "after")
     shown = [

@@ -6,15 +6,15 @@ is known at the first moment from which on the headline names its physics and an
 """
 
 import json
-import os
 import tempfile
-from concurrent.futures import as_completed
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
+from lerobot_pneutac.cli.terminal import progress_bar
 from lerobot_pneutac.diagnosis.design import Choice, Limits
 from lerobot_pneutac.diagnosis.programs import common_programs
 from lerobot_pneutac.verbs.diagnose import diagnose
@@ -26,9 +26,9 @@ from pneutac_datasets.generate.truth_bench import TruthBench
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError, check_choice, check_least
+from pneutac_sim.executor import ExecutorOptions, run_pieces
 from pneutac_sim.files import write_json, write_text
 from pneutac_sim.twin import Twin
-from pneutac_sim.worker import process_pool
 from pneutac_truths import EFFECTS, generate, write
 
 # Ten of which the grammar has a form, then ten of which it has none.
@@ -48,7 +48,7 @@ OF_BASE = ("base_tilt", "elongation", "gravity", "payload")
 
 
 @dataclass
-class BenchmarkExperimentsConfig:
+class BenchmarkExperimentsConfig(ExecutorOptions):
     """Options of `pneutac benchmark experiments`.
 
     Attributes:
@@ -57,7 +57,6 @@ class BenchmarkExperimentsConfig:
         seed: of the devices.
         device: `rod`, of one chamber, or `arm`, of three.
         budget_min: minutes of programs, together.
-        jobs: number of processes; 0 for all cores.
     """
 
     out: Path = Path("outputs/benchmark_experiments")
@@ -65,10 +64,9 @@ class BenchmarkExperimentsConfig:
     seed: int = 41
     device: str = "rod"
     budget_min: float = 10.0
-    jobs: int = 0
 
     def __post_init__(self):
-        check_least(0, jobs=self.jobs)
+        self.check_executor()
         check_least(2, budget_min=self.budget_min)
         check_choice("device", self.device, tuple(DEVICES))
         for name in self.effects:
@@ -83,19 +81,19 @@ def benchmark_experiments(cfg: BenchmarkExperimentsConfig) -> None:
     """Runs what is not there yet, then prints and writes the table."""
     names = cfg.effects or LAWS + NO_FORM
     cases = [(name, s) for s in STRATEGIES for name in names]  # the longest first
-    folder = cfg.out / "cases"
-    folder.mkdir(parents=True, exist_ok=True)
-    todo = [(n, s) for n, s in cases if not (folder / f"{n}_{s}.json").is_file()]
+    files = [cfg.out / "cases" / f"{n}_{s}.json" for n, s in cases]
     console = Console()
-    console.print(f"{len(cases)} cases, {len(todo)} to do; Ctrl-C stops, the same command goes on")
-    with process_pool(cfg.jobs or len(os.sched_getaffinity(0))) as pool:
-        futures = [pool.submit(_solve, n, s, cfg, folder) for n, s in todo]
-        for done, future in enumerate(as_completed(futures), 1):
-            console.print(f"{done} of {len(todo)}: {future.result()}", highlight=False)
-    _write_table([json.loads((folder / f"{n}_{s}.json").read_text()) for n, s in cases], cfg.out, console)
+    missing = sum(not file.is_file() for file in files)
+    console.print(f"{len(cases)} cases, {missing} to do; Ctrl-C stops, the same command goes on")
+    with progress_bar(Console(stderr=True)) as progress:
+        run_pieces(partial(_solve, cases, files, cfg), files, cfg.out / "logs", cfg, progress, "experiments")
+    _write_table([json.loads(file.read_text()) for file in files], cfg.out, console)
 
 
-def _solve(name: str, strategy: str, cfg: BenchmarkExperimentsConfig, folder: Path) -> str:
+def _solve(
+    cases: list[tuple[str, str]], files: list[Path], cfg: BenchmarkExperimentsConfig, number: int
+) -> None:
+    name, strategy = cases[number]
     with tempfile.TemporaryDirectory() as tmp:
         other_day = generate(
             cfg.device, [name], cfg.seed, day=2, minutes=4.0, tell_pauses=True, tell_sent=True
@@ -106,8 +104,7 @@ def _solve(name: str, strategy: str, cfg: BenchmarkExperimentsConfig, folder: Pa
         steps = run(name, strategy, cfg, Path(tmp), twin, judge, floor)
     known = _known_at(name, steps)
     answer = {"effect": name, "strategy": strategy, "known_min": known, "steps": steps}
-    write_json(folder / f"{name}_{strategy}.json", answer)
-    return f"{name}, {strategy}: {'not known' if known is None else f'known after {known:.1f} min'}"
+    write_json(files[number], answer)
 
 
 def _standard(name, strategy, cfg, tmp, twin, judge, floor) -> list[dict]:

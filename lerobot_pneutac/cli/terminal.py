@@ -1,5 +1,6 @@
 """The terminal of a command: sentences, results, and how far the work has come."""
 
+import math
 import shlex
 import sys
 import time
@@ -112,12 +113,17 @@ def progress_bar(console: Console) -> Iterator[Callable[[str, int, int], None]]:
 
 
 def _lines(console: Console) -> Callable[[str, int, int], None]:
-    last = -LINE_S
+    last, began = -LINE_S, {}  # when each text's first number was reported, and that number
 
     def progress(text: str, done: int, total: int) -> None:
         nonlocal last
+        start_s, first = began.setdefault(text, (time.monotonic(), done))
         if time.monotonic() - last >= LINE_S:
             last = time.monotonic()
-            console.print(f"{text}: {done} of {total}" if total > 1 else f"{text} ...", highlight=False)
+            line = f"{text}: {done} of {total}" if total > 1 else f"{text} ..."
+            if total > 1 and done > first:
+                left_s = (last - start_s) * (total - done) / (done - first)
+                line += f", about {math.ceil(left_s / 60)} min left"
+            console.print(line, highlight=False)
 
     return progress

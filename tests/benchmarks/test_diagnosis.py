@@ -48,7 +48,7 @@ def test_a_finished_case_is_not_repeated(tmp_path, monkeypatch):
     answer = json.dumps(truth_answer("creep_fractional", ["creep"]))
     (tmp_path / "cases" / f"{case.key}.json").write_text(answer)
     monkeypatch.setattr(truths, "cases", lambda cfg: [case])
-    monkeypatch.setattr(main, "solve", None)
+    monkeypatch.setattr(main, "solve", pytest.fail)
     run_verb("benchmark", ["diagnosis", f"--out={tmp_path}"])
     assert (tmp_path / "table.md").is_file() and (tmp_path / "confusion.png").is_file()
 

@@ -62,12 +62,12 @@ def test_a_crash_is_an_answer_and_the_table_counts_it(tmp_path, monkeypatch):
         raise ZeroDivisionError("division by zero")
 
     monkeypatch.setattr(logs, "diagnosed", fails)
-    config = BenchmarkDiagnosisConfig(set="logs", seeds=1, jobs=1, out=tmp_path)
+    config = BenchmarkDiagnosisConfig(set="logs", seeds=1, workers=1, out=tmp_path)
     cases = logs.cases(config)
-    (tmp_path / "cases").mkdir()
-    for c in cases:
-        main.solve(c, tmp_path / "cases")
-    answers = [json.loads((tmp_path / "cases" / f"{c.key}.json").read_text()) for c in cases]
+    files = [tmp_path / f"{c.key}.json" for c in cases]
+    for k in range(len(cases)):
+        main.solve(cases, files, k)
+    answers = [json.loads(file.read_text()) for file in files]
     assert all("ZeroDivisionError" in a["crash"] for a in answers)
     quiet = answers[0] | {
         "verdict": "adequate", "selected": [], "right": [], "floor": 1.1 * answers[0]["noise"],

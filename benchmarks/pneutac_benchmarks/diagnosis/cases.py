@@ -5,13 +5,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.executor import ExecutorOptions
 
 SETS = ("truths", "real", "extrapolation", "own_form_out", "rivals", "logs", "lab")
 DEVICES = ("rod", "arm", "cosserat")
 
 
 @dataclass
-class BenchmarkDiagnosisConfig:
+class BenchmarkDiagnosisConfig(ExecutorOptions):
     """Options of `pneutac benchmark diagnosis`.
 
     Attributes:
@@ -29,7 +30,6 @@ class BenchmarkDiagnosisConfig:
         minutes: length of each recording; a cosserat rod is always recorded for two.
         devices: names of devices, of truths, with commas between.
         effects: names of effects, of truths, with commas; where left out, all, pairs, `plain` and `device`.
-        jobs: number of processes; 0 for all cores.
     """
 
     set: str = "truths"
@@ -40,13 +40,13 @@ class BenchmarkDiagnosisConfig:
     minutes: float = 10.0
     devices: tuple[str, ...] = DEVICES
     effects: tuple[str, ...] = ()
-    jobs: int = 0
 
     def __post_init__(self):
         if self.set not in SETS:
             raise InputError(f"--set={self.set} must be one of {', '.join(SETS)}.")
-        if self.seeds < 1 or self.jobs < 0 or not 1 <= self.minutes <= 60:
-            raise InputError("--seeds must be 1 or more, --jobs 0 or more, --minutes 1 to 60.")
+        if self.seeds < 1 or not 1 <= self.minutes <= 60:
+            raise InputError("--seeds must be 1 or more, --minutes 1 to 60.")
+        self.check_executor()
         unknown = sorted(set(self.devices) - set(DEVICES))
         if unknown:
             raise InputError(f"--devices={','.join(unknown)} must be some of {', '.join(DEVICES)}.")

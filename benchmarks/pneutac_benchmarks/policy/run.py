@@ -16,8 +16,8 @@ import torch
 
 from pneutac_benchmarks.policy.plan import Unit, as_dict
 from pneutac_sim.errors import InputError
+from pneutac_sim.executor import process_pool
 from pneutac_sim.files import write_json
-from pneutac_sim.worker import process_pool
 
 RESULT, LOG = "unit.json", "log.txt"
 GPU_TRAININGS = 6  # side by side on each

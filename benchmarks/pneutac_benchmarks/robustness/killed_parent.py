@@ -9,34 +9,29 @@ import time
 from pathlib import Path
 
 from pneutac_benchmarks.robustness.outcome import Outcome
-from pneutac_sim.worker import process_pool
+from pneutac_sim.executor import process_pool
 
 MOST_S = 1.0
 WORKERS = 2
 
 
-def busy(_: int = 0) -> None:
-    """Computes for a minute without letting Python's lock go, as compiled code may."""
+def busy(_: int) -> None:
+    """Writes its process' number, then holds Python's lock for a minute, as compiled code may."""
+    os.write(1, f"{os.getpid()}\n".encode())  # in one piece
     ctypes.PyDLL(None).sleep(60)
 
 
-def tell_and(begin_s: int) -> None:
-    """Tells a process' number; stays for some seconds, with Python's lock, as imports do."""
-    os.write(1, f"{os.getpid()}\n".encode())  # in one piece
-    ctypes.PyDLL(None).sleep(begin_s)
-
-
-def parent(begin_s: int) -> None:
-    """Runs a pool whose workers take so many seconds to begin, then compute."""
-    with process_pool(WORKERS, tell_and, begin_s) as pool:
+def parent() -> None:
+    """Runs a pool whose workers compute."""
+    with process_pool(WORKERS) as pool:
         list(pool.map(busy, range(WORKERS)))
 
 
 def kill_parents(number: int) -> Outcome:
-    """Kills a parent so many times: while its workers begin, and while they compute, in turn."""
+    """Kills a parent so many times while its workers compute."""
     broken, longest = [], 0.0
     for i in range(number):
-        program = f"from pneutac_benchmarks.robustness.killed_parent import parent; parent({60 * (i % 2)})"
+        program = "from pneutac_benchmarks.robustness.killed_parent import parent; parent()"
         process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
         workers = [int(process.stdout.readline()) for _ in range(WORKERS)]
         time.sleep(0.1)

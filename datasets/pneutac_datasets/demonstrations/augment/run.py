@@ -32,7 +32,7 @@ from pneutac_datasets.demonstrations.augment.reference import (
     onset_sigma_m,
 )
 from pneutac_datasets.demonstrations.augment.scene import Scene
-from pneutac_datasets.demonstrations.augment.work import Work, begin, make_episode, make_scene
+from pneutac_datasets.demonstrations.augment.work import Work, make_episode, make_scene
 from pneutac_datasets.demonstrations.episodes import (
     TACTILE,
     Episode,
@@ -47,12 +47,12 @@ from pneutac_datasets.demonstrations.naive import augment_naive
 from pneutac_datasets.demonstrations.replay.imprint import imprint_centres_mm
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
+from pneutac_sim.executor import process_pool
 from pneutac_sim.features import VELOCITY_NAMES, Places
 from pneutac_sim.files import write_text
 from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.progress import Progress, no_progress
-from pneutac_sim.worker import process_pool
 
 PROVENANCE = "provenance.jsonl"  # in the dataset's folder `meta`
 RECORDED = "recorded"  # method of the copies of recorded demonstrations
@@ -148,11 +148,11 @@ def augment_guided(
     check_new(out_root, out_repo_id)
     work.open(_run(meta, setup) | ({"real_share": real_share} if real_share else {}))
     shutil.rmtree(part, ignore_errors=True)
-    pool = process_pool(workers, begin, setup, work.folder)
+    pool = process_pool(workers)
     try:
         planner = setup.method == "planner"
-        scenes = _find_scenes(pool, work, len(setup.references), progress) if planner else []
-        planned = _plan(pool, work, scenes, episodes, progress)
+        scenes = _find_scenes(pool, work, setup, progress) if planner else []
+        planned = _plan(pool, work, setup, scenes, episodes, progress)
         provenance, seconds = _write(part, out_repo_id, meta, setup.references, planned)
         provenance += _mix(part, out_repo_id, meta, [r.source for r in setup.references], real_share)
         check(work, setup, checks, progress)
@@ -192,20 +192,30 @@ def _tidy_up(
     return _summary(provenance, {}, scenes, began)
 
 
-def _find_scenes(pool: ProcessPoolExecutor, work: Work, references: int, progress: Progress) -> list[Scene]:
+def _find_scenes(
+    pool: ProcessPoolExecutor, work: Work, setup: AugmentSetup, progress: Progress
+) -> list[Scene]:
+    references = len(setup.references)
     missing = [i for i in range(references) if not work.scene_file(i).exists()]
-    for done, future in enumerate([pool.submit(make_scene, i) for i in missing]):
+    for done, future in enumerate([pool.submit(make_scene, setup, work.folder, i) for i in missing]):
         progress("finding the objects", done, len(missing))
         future.result()
     return [work.load_scene(i) for i in range(references)]
 
 
 def _plan(
-    pool: ProcessPoolExecutor, work: Work, scenes: list[Scene], episodes: int, progress: Progress
+    pool: ProcessPoolExecutor,
+    work: Work,
+    setup: AugmentSetup,
+    scenes: list[Scene],
+    episodes: int,
+    progress: Progress,
 ) -> Iterator[tuple[Attempt, dict, dict]]:
     """Yields the demonstrations in order; see `Work.load_episode`."""
     waiting = {
-        k: pool.submit(make_episode, k, scenes) for k in range(episodes) if not work.episode_file(k).exists()
+        k: pool.submit(make_episode, setup, work.folder, scenes, k)
+        for k in range(episodes)
+        if not work.episode_file(k).exists()
     }
     for k in range(episodes):
         progress("making demonstrations", k, episodes)

@@ -103,29 +103,30 @@ def start_from_json(text: str) -> tuple[int, Variation]:
 
 # ------------------------------------------------------------------ in a worker process
 
-_generator: Generator | None = None
-_work: Work | None = None
+_made: tuple[Path, Generator] | None = None  # a process' generator, and for which run
 
 
-def begin(setup: AugmentSetup, folder: Path) -> None:
-    """Makes the generator and the folder of a worker process."""
-    global _generator, _work
-    _generator, _work = Generator(setup), Work(folder)
-
-
-def make_scene(source: int) -> None:
+def make_scene(setup: AugmentSetup, folder: Path, source: int) -> None:
     """Finds and saves the scene of one reference."""
-    _work.save_scene(source, _generator.scene(source))
+    Work(folder).save_scene(source, _generator(setup, folder).scene(source))
 
 
-def make_episode(index: int, scenes: list[Scene]) -> None:
+def make_episode(setup: AugmentSetup, folder: Path, scenes: list[Scene], index: int) -> None:
     """Makes and saves the demonstration of an index."""
-    before, began = _spent(), time.process_time()
-    attempt, provenance = _generator.episode(index, scenes)
-    seconds = {k: v - before[k] for k, v in _spent().items()} | {"core": time.process_time() - began}
-    _work.save_episode(index, attempt, provenance, seconds)
+    generator = _generator(setup, folder)
+    before, began = _spent(generator), time.process_time()
+    attempt, provenance = generator.episode(index, scenes)
+    seconds = {k: v - before[k] for k, v in _spent(generator).items()} | {"core": time.process_time() - began}
+    Work(folder).save_episode(index, attempt, provenance, seconds)
 
 
-def _spent() -> dict:
-    g = _generator
+def _generator(setup: AugmentSetup, folder: Path) -> Generator:
+    """That of a run, made once in each process."""
+    global _made
+    if _made is None or _made[0] != folder:
+        _made = folder, Generator(setup)
+    return _made[1]
+
+
+def _spent(g: Generator) -> dict:
     return {**g.gantry.seconds, **g.seconds, "planner_steps": g.gantry.steps}

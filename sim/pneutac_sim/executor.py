@@ -1,0 +1,320 @@
+"""Independent pieces of work, each of which writes one file: on this machine, or on a Ray or Slurm cluster.
+
+datatrove carries them out. A piece whose file is there is done, so that the same command goes on with a run
+that was stopped, on any executor.
+"""
+
+import ctypes
+import errno
+import importlib.util
+import inspect
+import io
+import multiprocessing
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack, contextmanager, redirect_stderr
+from dataclasses import dataclass
+from pathlib import Path
+
+from pneutac_sim.errors import InputError, check_choice, check_least
+from pneutac_sim.files import read_yaml
+from pneutac_sim.progress import Progress, no_progress
+
+EXECUTORS = ("local", "ray", "slurm")
+OURS = ("self", "pipeline", "tasks", "workers", "tasks_per_job", "logging_dir", "skip_completed", "depends")
+LOOK_S = 1.0  # between two looks at what is done; longer where a look takes long, as on a network's disk
+LOOKING_SHARE = 0.05
+ENDED = "a process ended, out of memory perhaps"
+PR_SET_PDEATHSIG = 1  # linux/prctl.h
+
+
+@dataclass(kw_only=True)
+class ExecutorOptions:
+    """Options of a command whose work is done in pieces.
+
+    Attributes:
+        executor: what carries out the work: `local`, processes on this machine; `ray`, a Ray cluster, or one
+            that is started here; `slurm`, jobs of a Slurm cluster, which shares its disk with this machine.
+        workers: number of processes or of jobs at a time; if omitted, one a core, and on a cluster no limit.
+        tasks_per_job: pieces of work that follow one another in one task, started once.
+        executor_config: YAML file of arguments of datatrove's Ray or Slurm executor, such as `partition`,
+            `time` and `mem_per_cpu_gb`.
+    """
+
+    executor: str = "local"
+    workers: int | None = None
+    tasks_per_job: int = 1
+    executor_config: Path | None = None
+
+    def check_executor(self) -> None:
+        """Raises InputError where there is no such executor here, or its file has other arguments."""
+        check_choice("executor", self.executor, EXECUTORS)
+        check_least(1, tasks_per_job=self.tasks_per_job, workers=1 if self.workers is None else self.workers)
+        if self.executor == "ray" and importlib.util.find_spec("ray") is None:
+            raise InputError("executor is 'ray', which is not installed; pip install 'pneutac[ray]'.")
+        if self.executor == "slurm" and shutil.which("sbatch") is None:
+            raise InputError("executor is 'slurm', but there is no sbatch here; go to a login node of it.")
+        given = self.executor_arguments()
+        if self.executor == "slurm" and not {"partition", "time"} <= set(given):
+            raise InputError(
+                "executor is 'slurm', which needs --executor_config: a YAML file with its `partition` and "
+                "`time`."
+            )
+
+    def executor_arguments(self) -> dict:
+        """What `executor_config` gives to datatrove's executor; raises InputError where that has no such."""
+        if self.executor_config is None:
+            return {}
+        file, known = Path(self.executor_config), {}
+        if self.executor == "local":
+            raise InputError("executor_config is of `ray` or `slurm`; leave it out, or give --executor.")
+        if not file.is_file():
+            raise InputError(f"executor_config is '{file}', which is no file.")
+        given = read_yaml(file)
+        from datatrove.executor import RayPipelineExecutor, SlurmPipelineExecutor
+
+        engine = RayPipelineExecutor if self.executor == "ray" else SlurmPipelineExecutor
+        known = [name for name in inspect.signature(engine.__init__).parameters if name not in OURS]
+        if not isinstance(given, dict) or set(given) - set(known):
+            raise InputError(
+                f"{file} must hold `name: value` lines of {', '.join(known)}; the others are options."
+            )
+        return given
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """A step of a datatrove pipeline: each task makes pieces that follow one another.
+
+    Attributes:
+        make: writes the file of a number, whole or not at all.
+        numbers: of the pieces that are missing.
+        per_task: how many of them a task makes.
+        alone: whether a task starts a process of its own; the engine's may have been forked from any other.
+    """
+
+    make: Callable[[int], object]
+    numbers: tuple[int, ...]
+    per_task: int
+    alone: bool
+
+    def __call__(self, data, rank: int, world_size: int) -> None:
+        numbers = self.numbers[rank * self.per_task : (rank + 1) * self.per_task]
+        if not self.alone:
+            _make(self.make, numbers)
+            return
+        with process_pool(1) as pool:
+            pool.submit(_make, self.make, numbers).result()
+
+
+def _make(make: Callable[[int], object], numbers: Sequence[int]) -> None:
+    for number in numbers:
+        make(number)
+
+
+def run_pieces(
+    make: Callable[[int], object],
+    files: Sequence[Path],
+    logs: Path,
+    options: ExecutorOptions | None = None,
+    progress: Progress = no_progress,
+    text: str = "",
+) -> None:
+    """Has `make(k)` called for every file that is missing, `files[k]`, which it writes.
+
+    Args:
+        make: can be pickled; what it needs for each piece alike it keeps between calls.
+        files: a file for each piece.
+        logs: folder of datatrove's logs and completions; removed once all files are there.
+        options: where the work is done; None for this machine.
+        progress: is called with `text`, how many files are there and of how many.
+        text: a few words.
+
+    Raises:
+        InputError: a piece has raised it, a process ended, no space is left, or the cluster refuses the work;
+            what has been made is there, and another call goes on.
+    """
+    options = options or ExecutorOptions()
+    missing = tuple(k for k, file in enumerate(files) if not file.exists())
+    if not missing:
+        return
+    shutil.rmtree(logs, ignore_errors=True)
+    run = {"local": _local, "ray": _ray, "slurm": _slurm}[options.executor]
+    tasks = -(-len(missing) // options.tasks_per_job)
+    step = Pieces(make, missing, options.tasks_per_job, options.executor != "local")
+    try:
+        with _shown(progress, text, files, missing):
+            run([step], tasks, logs.absolute(), options)
+    except BrokenProcessPool as e:
+        raise InputError(f"{text or 'Work'}: {ENDED}; repeat the command with fewer workers.") from e
+    except OSError as e:
+        if e.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise InputError(f"No space is left in {logs.parent}; free some and repeat.") from e
+        raise
+    left = [k for k in missing if not files[k].exists()]
+    if left:
+        raise InputError(
+            f"{text or 'Work'}: {len(left)} of {len(files)} pieces were not made ({_reason(logs)}); their "
+            f"logs are in {logs}, and the same command goes on."
+        )
+    shutil.rmtree(logs, ignore_errors=True)
+
+
+@contextmanager
+def _shown(progress: Progress, text: str, files: Sequence[Path], missing: Sequence[int]):
+    """Shows, until the context ends, how many files are there."""
+    ended, total = threading.Event(), len(files)
+
+    def look() -> None:
+        left, pause_s = list(missing), 0.0
+        while not ended.wait(pause_s):
+            began = time.monotonic()
+            left = [k for k in left if not files[k].exists()]
+            progress(text, total - len(left), total)
+            pause_s = max(LOOK_S, (time.monotonic() - began) / LOOKING_SHARE)
+
+    thread = threading.Thread(target=look, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+def _reason(logs: Path) -> str:
+    """How the first task ended that was not completed: the last line of its log, where that is an error."""
+    for log in sorted((logs / "logs").glob("task_*.log")):
+        if not (logs / "completions" / log.stem.removeprefix("task_")).exists():
+            name, _, sentence = log.read_text(errors="replace").rstrip().rpartition("\n")[2].partition(": ")
+            if name.endswith("BrokenProcessPool"):
+                return ENDED
+            return sentence.rstrip(".") if name.endswith(("Error", "Exception")) else ENDED
+    return "their tasks did not end"
+
+
+# ------------------------------------------------------------------ engines
+
+
+def _local(pipeline: list, tasks: int, logs: Path, options: ExecutorOptions) -> None:
+    """Tasks of datatrove in the pool below; its own waits for ever where one of its processes was killed."""
+    engine = _quiet().LocalPipelineExecutor(pipeline, tasks, logging_dir=str(logs))
+    with process_pool(min(options.workers or len(os.sched_getaffinity(0)), tasks)) as pool:
+        futures = [pool.submit(_run_task, engine, rank) for rank in range(tasks)]
+        try:
+            for future in as_completed(futures):
+                future.result()
+        except BaseException:
+            for process in list(pool._processes.values()):
+                process.kill()  # what they had begun is made again
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def _run_task(engine, rank: int) -> None:
+    """A task; what is wrong with it goes to its log, and to whoever waits for it."""
+    with redirect_stderr(io.StringIO()):
+        engine._run_for_rank(rank, local_rank=1)
+
+
+def _ray(pipeline: list, tasks: int, logs: Path, options: ExecutorOptions) -> None:
+    import ray
+
+    given = options.executor_arguments()
+    with ExitStack() as stack:
+        if not ray.is_initialized():
+            try:
+                ray.init(log_to_driver=False, logging_level="ERROR")
+            except (ConnectionError, RuntimeError, ValueError) as e:
+                raise InputError(f"Ray: {str(e).splitlines()[0]}") from e
+            stack.callback(ray.shutdown)
+        workers = options.workers or -1
+        engine = _quiet().RayPipelineExecutor(pipeline, tasks, workers, logging_dir=str(logs), **given)
+        engine.run()
+
+
+def _slurm(pipeline: list, tasks: int, logs: Path, options: ExecutorOptions) -> None:
+    """Waits for the jobs, which are cancelled where this ends before them."""
+    given, activate = options.executor_arguments(), Path(sys.prefix) / "bin" / "activate"
+    name = f"pneutac-{os.getpid()}"
+    defaults = {"qos": None, "with_srun": False, "venv_path": str(activate) if activate.is_file() else None}
+    extra = {"sbatch_args": {**(given.pop("sbatch_args", None) or {}), "wait": ""}, "job_name": name}
+    engine = _quiet().SlurmPipelineExecutor(
+        pipeline, tasks, workers=options.workers or -1, logging_dir=str(logs), **defaults | given | extra
+    )
+    engine.launch_merge_stats = _nothing  # a job more to wait for
+    asked = [f"--{k}={v}" if v else f"--{k}" for k, v in engine.get_sbatch_args().items() if k != "wait"]
+    tried = subprocess.run(
+        ["sbatch", "--test-only", *asked, "--wrap=true"], capture_output=True, text=True, check=False
+    )
+    if tried.returncode:
+        said = tried.stderr.strip().rpartition("\n")[2].removeprefix("sbatch: ").removeprefix("error: ")
+        raise InputError(f"{options.executor_config}: sbatch says '{said}'.")
+    try:
+        engine.run()
+    except subprocess.CalledProcessError:  # a job has failed; what is missing is found by its file
+        pass
+    except BaseException:
+        subprocess.run(["scancel", f"--name={name}"], check=False)
+        raise
+
+
+def _nothing() -> None:
+    pass
+
+
+def _quiet():
+    """The executors of datatrove, which log to files alone."""
+    from datatrove import executor
+    from datatrove.utils.logging import logger
+
+    logger.remove()
+    return executor
+
+
+# ------------------------------------------------------------------ processes of this machine
+
+
+def process_pool(workers: int) -> ProcessPoolExecutor:
+    """A pool of new processes, each of which computes on one thread and ends within a second of its parent.
+
+    Ctrl-C is the parent's, which ends them.
+    """
+    return ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _begin)
+
+
+def _begin() -> None:
+    """What a process does first; what else it needs is imported once it can end, since that takes seconds."""
+    os.environ["OMP_NUM_THREADS"] = "1"  # for what is imported from here on
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _end_with_parent()
+    if "torch" in sys.modules:  # by the program's main module
+        sys.modules["torch"].set_num_threads(1)
+
+
+def _end_with_parent() -> None:
+    """Has the kernel end this process with its parent on Linux; a thread does elsewhere, and ends children.
+
+    The thread alone would wait for compiled code that keeps Python's lock.
+    """
+    parent = multiprocessing.parent_process()
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent.pid:  # it ended just before
+            os._exit(1)
+
+    def wait() -> None:
+        parent.join()
+        for child in multiprocessing.active_children():
+            child.kill()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()

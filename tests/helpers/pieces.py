@@ -1,0 +1,22 @@
+"""Pieces of work for the tests of executors; processes that have no pytest import them."""
+
+import os
+import signal
+from pathlib import Path
+
+import numpy as np
+
+from pneutac_sim.errors import InputError
+from pneutac_sim.files import write_text
+
+
+def make(folder: Path, number: int) -> None:
+    """Writes numbers drawn by a seed; fails or dies where, by the name of a file, it is asked to."""
+    if (folder / f"refuse_{number}").exists():
+        raise InputError(f"piece {number} has no seed; give one.")
+    if (folder / f"kill_{number}").exists():
+        os.kill(os.getpid(), signal.SIGKILL)
+    if (folder / f"fill_{number}").exists():
+        raise OSError(28, "No space left on device")
+    assert os.environ["OMP_NUM_THREADS"] == "1"
+    write_text(folder / f"{number}.txt", str(np.random.default_rng([7, number]).random(3)))
