@@ -34,6 +34,7 @@ lint: .venv/ready
 	$(BIN)/lint-imports --no-cache --no-logo
 	$(BIN)/deptry --no-ansi .
 	cd robots && ../$(BIN)/deptry --no-ansi .
+	cd packages/lerobot_camera_digit && ../../$(BIN)/deptry --no-ansi .
 	$(BIN)/pyright --project pyproject.toml --pythonpath $(BIN)/python
 
 docs: .venv/ready
@@ -47,7 +48,7 @@ sbom: .venv/ready
 bench: .venv/ready
 	for f in benchmarks/*_speed.py; do $(BIN)/python $$f || exit 1; done
 
-.venv/ready: pyproject.toml robots/pyproject.toml constraints.txt
+.venv/ready: pyproject.toml robots/pyproject.toml packages/lerobot_camera_digit/pyproject.toml constraints.txt
 	@[ "$(UV)" = uv ] || [ -x $(UV) ] || { $(PYTHON) -m venv .uv && .uv/bin/python -m pip install -q uv; }
 	$(UV) venv -q --allow-existing --python 3.12 .venv
 	$(UV) pip install -q --python $(BIN)/python -e '.[dev]' -c constraints.txt

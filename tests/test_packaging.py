@@ -21,7 +21,8 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parents[1]
 SITE = Path(sysconfig.get_path("purelib"))
 NAME = "lerobot_robot_pneutac"
-FOLDERS = {"pneutac": ".", NAME: "robots"}
+CAMERA = "lerobot_camera_digit"
+FOLDERS = {"pneutac": ".", NAME: "robots", CAMERA: "packages/lerobot_camera_digit"}
 # What the bench's distribution does without.
 PLUGIN = ("av", "datasets", "lerobot", "pyarrow", "quadrants", "rerun", "serial", "taichi", "torch")
 
@@ -41,6 +42,23 @@ import lerobot_robot_pneutac, pneutac_datasets, pneutac_sim
 print(robot.name, teleop.name, get_policy_class("pneutac_bc").name)
 for module in (lerobot_robot_pneutac, pneutac_datasets, pneutac_sim):
     print(module.__file__)
+"""
+
+
+CAMERA_ALONE = """
+import importlib.util
+from lerobot.utils.import_utils import register_third_party_plugins
+register_third_party_plugins()
+from lerobot.cameras import CameraConfig
+from lerobot.cameras.utils import make_cameras_from_configs
+from lerobot.processor import ProcessorStepRegistry
+config = CameraConfig.get_choice_class("digit")(serial="D20001")
+camera = make_cameras_from_configs({"tactile": config})["tactile"]
+CameraConfig.get_choice_class("elastomer")
+assert "digit_touch" in ProcessorStepRegistry.list()
+assert not any(importlib.util.find_spec(name) for name in ("pneutac_sim", "lerobot_pneutac"))
+import lerobot_camera_digit
+print(camera, "digit_touch", lerobot_camera_digit.__file__)
 """
 
 
@@ -113,7 +131,9 @@ def test_the_wheel_of_the_sdist_holds_every_file_of_the_tree(wheels, name):
 def test_the_distributions_share_one_version_and_the_plugin_pins_it():
     versions = {project(name)["project"]["version"] for name in FOLDERS}
     assert len(versions) == 1
-    assert f"pneutac=={versions.pop()}" in project(NAME)["project"]["dependencies"]
+    version = versions.pop()
+    pinned = {f"pneutac=={version}", f"{CAMERA}=={version}"}
+    assert pinned <= set(project(NAME)["project"]["dependencies"])
 
 
 def project(name: str) -> dict:
@@ -131,7 +151,11 @@ def clean_environment(wheels: list[Path], folder: Path, without: tuple[str, ...]
     (site,) = env.glob("lib/python*/site-packages")
     lent.mkdir()
     for entry in SITE.iterdir():
-        if "pneutac" not in entry.name and entry.suffix != ".pth" and entry.name.split("-")[0] not in without:
+        if (
+            not any(own in entry.name for own in ("pneutac", CAMERA))
+            and entry.suffix != ".pth"
+            and entry.name.split("-")[0] not in without
+        ):
             (lent / entry.name).symlink_to(entry)
     (site / "lent.pth").write_text(f"{lent}\n")
     variables = os.environ | {"PYTHONPATH": "", "HF_HOME": str(folder / "hf")}
@@ -153,6 +177,13 @@ def test_installed_wheel_is_discovered_by_lerobot(wheels, tmp_path):
     names, *files = execute("python", "-c", DISCOVER).splitlines()
     assert names == "pneutac pneutac_scripted pneutac_bc"
     assert all(Path(f).is_relative_to(site) for f in files)
+
+
+def test_the_camera_alone_is_found_by_lerobot(wheels, tmp_path):
+    """Without `pneutac`, of which it imports nothing."""
+    execute, site = clean_environment([wheels[CAMERA]], tmp_path)
+    shown = execute("python", "-c", CAMERA_ALONE).split()
+    assert shown[:3] == ["DIGIT", "D20001", "digit_touch"] and Path(shown[3]).is_relative_to(site)
 
 
 def test_the_quick_demo_runs_from_the_wheel_of_the_bench_without_the_plugin(wheels, tmp_path):
@@ -180,7 +211,7 @@ def test_the_quick_demo_runs_from_the_wheel_of_the_bench_without_the_plugin(whee
 def test_every_declared_package_is_in_the_table_of_licences():
     tables = [project(name)["project"] for name in FOLDERS]
     requirements = [
-        r for t in tables for r in [*t["dependencies"], *sum(t["optional-dependencies"].values(), [])]
+        r for t in tables for r in [*t["dependencies"], *sum(t.get("optional-dependencies", {}).values(), [])]
     ]
     declared = {re.match(r"[\w.-]+", r)[0] for r in requirements} - set(FOLDERS)
     page = (ROOT / "docs" / "reference" / "licences.md").read_text()

@@ -88,7 +88,7 @@ def _devices(name: str, devices: list[str], group: str, use: str) -> Check:
 
 def check_digit() -> Check:
     """DIGITs by the serial number that `--robot.digit.serial` takes."""
-    from lerobot_robot_pneutac.cameras.digit import find_digits
+    from lerobot_camera_digit.digit import find_digits
 
     digits = find_digits()
     if not digits:

@@ -3,8 +3,8 @@
 Only configurations are imported here; what they configure is imported when it is made.
 """
 
-from lerobot_robot_pneutac.cameras.digit import DigitConfig
-from lerobot_robot_pneutac.cameras.elastomer import ElastomerConfig
+from lerobot_camera_digit.digit import DigitConfig
+from lerobot_camera_digit.elastomer import ElastomerConfig
 from lerobot_robot_pneutac.cameras.simulated import DigitGeneratedConfig, PneutacSceneConfig
 from lerobot_robot_pneutac.env import PneutacEnvConfig, PneutacHubConfig, PneutacStandinConfig
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PneutacBCConfig

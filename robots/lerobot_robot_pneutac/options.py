@@ -7,18 +7,13 @@ from typing import TYPE_CHECKING
 
 from draccus.utils import DecodingError
 
+from lerobot_camera_digit.parts import refuse_if
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin, checked_range
 
 if TYPE_CHECKING:
     from pneutac_sim.gel.model import GelModel
     from pneutac_sim.world.station import Station
-
-
-def refuse_if(wrong: bool, sentence: str) -> None:
-    """Raises what LeRobot's commands print as one line; they hide the text of any other error."""
-    if wrong:
-        raise DecodingError((), sentence)
 
 
 @contextmanager

@@ -1,6 +1,6 @@
-"""A clock for `lerobot_robot_pneutac.hardware.parts` on which waiting takes no time."""
+"""A clock for `lerobot_camera_digit.parts` on which waiting takes no time."""
 
-from lerobot_robot_pneutac.hardware import parts
+from lerobot_camera_digit import parts
 
 
 class SimulatedClock:

@@ -9,7 +9,7 @@ import numpy as np
 from lerobot.cameras import Camera, CameraConfig
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
-from lerobot_robot_pneutac.cameras.elastomer import SMALLEST_PX, Framing
+from lerobot_camera_digit.elastomer import SMALLEST_PX, Framing
 from lerobot_robot_pneutac.options import refuse_if
 from pneutac_sim.features import CAMERA_SHAPE, IMAGE_SHAPE
 

@@ -1,15 +1,22 @@
 """What the robot `pneutac` asks of its parts, and how they say that something is wrong."""
 
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
+from lerobot_camera_digit.parts import TICK_S, TURNS, HardwareFault, wait
 
-class HardwareFault(RuntimeError):  # noqa: N818
-    """A part stopped working; the message is one sentence: which part, what happened, what to do."""
+__all__ = [
+    "COMMAND_S",
+    "TICK_S",
+    "TURNS",
+    "Arm",
+    "ArmState",
+    "HardwareFault",
+    "PressureController",
+    "wait",
+]
 
 
 @dataclass(frozen=True)
@@ -82,46 +89,3 @@ class PressureController(Protocol):
 
 
 COMMAND_S = 0.25  # a command older than this is void: the arm stops, the chamber is vented
-TICK_S = 0.02  # between two looks at what is waited for
-TURNS = 3  # of a listening thread, after which a part that is alive has been heard
-
-
-class Clock:
-    """The computer's clock; tests put a simulated one into `parts.clock`."""
-
-    now = staticmethod(time.monotonic)
-    sleep = staticmethod(time.sleep)
-
-
-clock = Clock()
-
-
-def wait(
-    until: Callable[[], bool],
-    limit_s: float,
-    tick_s: float = TICK_S,
-    pause: Callable[[float], object] | None = None,
-) -> bool:
-    """Waits until something is true; the one way in which hardware is waited for.
-
-    A computer that was held up finds everything too old until the threads that listen have had their turn;
-    that is no part's fault. So a pause counts twice its time at most, and there are `TURNS` pauses at least.
-
-    Args:
-        until: asked at once, and after every pause. What it raises ends the waiting.
-        limit_s: pauses in sum, s; infinite where `until` itself ends the waiting.
-        tick_s: a pause, s.
-        pause: waits for up to so many seconds, such as a thread's `join`; by default the clock's `sleep`.
-
-    Returns:
-        whether it became true within the limit.
-    """
-    waited_s, pauses = 0.0, 0
-    while not until():
-        if pauses >= TURNS and waited_s >= limit_s - 1e-9:
-            return False
-        began_s = clock.now()
-        (pause or clock.sleep)(tick_s)
-        waited_s += min(clock.now() - began_s, 2 * tick_s)
-        pauses += 1
-    return True

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 
 import pytest
 
+from lerobot_camera_digit import digit as digit_camera
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs import doctor
-from lerobot_robot_pneutac.cameras import digit as digit_camera
 
 
 def told(capsys) -> str:

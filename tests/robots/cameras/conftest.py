@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from lerobot_robot_pneutac.cameras import digit as digit_camera
-from lerobot_robot_pneutac.cameras.digit import Digit, DigitConfig
+from lerobot_camera_digit import digit as digit_camera
+from lerobot_camera_digit.digit import Digit, DigitConfig
 from pneutac_sim.features import IMAGE_SHAPE
 from pneutac_sim.gel.builtin import rest_image
 
@@ -31,7 +31,7 @@ class Sensor:
         self.upright, self.noisy = UPRIGHT, NOISY
         self.frame = lambda k: NOISY[k % 8]
         self.controls, self.paths, self.mode, self.count = {}, [], "streams", 0
-        self.refuses = None
+        self.refuses, self.lost, self.sent = None, 0, 0
 
     def read(self):
         time.sleep(1 / self.controls[cv2.CAP_PROP_FPS])
@@ -41,6 +41,8 @@ class Sensor:
             time.sleep(0.01)
         if self.mode != "repeats":
             self.count += 1
+        self.sent += 1 + self.lost  # images that the driver has taken or missed, at the sensor's pace
+        self.lost = 0
         return True, lying(self.frame(self.count).astype(np.uint8))
 
 
@@ -63,6 +65,8 @@ def sensor(monkeypatch, tmp_path):
             return control != sensor.refuses
 
         def get(self, control):
+            if control == cv2.CAP_PROP_POS_MSEC:
+                return 1e3 * (5 + sensor.sent / sensor.controls[cv2.CAP_PROP_FPS])
             return float(sensor.controls.get(control, 0))
 
         def read(self):

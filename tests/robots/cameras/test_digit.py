@@ -7,10 +7,9 @@ from awake import awake_s, undisturbed
 from draccus.utils import DecodingError
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
-from lerobot_robot_pneutac.cameras import digit as digit_camera
-from lerobot_robot_pneutac.cameras.digit import Digit, DigitConfig
+from lerobot_camera_digit import digit as digit_camera
+from lerobot_camera_digit.digit import Digit, DigitConfig
 from lerobot_robot_pneutac.hardware.parts import HardwareFault
-from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_SHAPE
 
 
@@ -21,10 +20,10 @@ def test_finds_the_sensor_by_serial_on_its_image_node(sensor, connected, tmp_pat
 
 
 def test_wrong_serial_names_those_found(sensor, connected, monkeypatch, tmp_path):
-    with pytest.raises(InputError, match="'D7' is connected; found: D1, D2, D3"):
+    with pytest.raises(HardwareFault, match="'D7' is connected; found: D1 at port 1-1, D2 at"):
         connected(serial="D7")
     monkeypatch.setattr(digit_camera, "SYSFS", tmp_path / "nothing")
-    with pytest.raises(InputError, match="found: none"):
+    with pytest.raises(HardwareFault, match="found: none"):
         connected()
 
 
@@ -44,7 +43,7 @@ def test_refused_settings_and_old_firmware_are_said(sensor, connected):
     sensor.refuses = cv2.CAP_PROP_FPS
     with pytest.raises(HardwareFault, match="DIGIT D2 at .*video4 cannot be used.*fps=30.*'video'"):
         connected()
-    with pytest.raises(InputError, match="firmware 1.01"):
+    with pytest.raises(HardwareFault, match="firmware 1.01"):
         connected(serial="D3")
 
 
@@ -113,9 +112,54 @@ def test_reading_needs_a_connection(sensor, connected):
 
 def test_two_sensors_with_one_serial_are_refused_with_both_devices(sensor, connected, monkeypatch, tmp_path):
     devices = digit_camera.find_digits()
-    second = next(d for d in devices if d.serial == "D2")._replace(path=tmp_path / "dev" / "video8")
-    monkeypatch.setattr("lerobot_robot_pneutac.cameras.digit.find_digits", lambda: [*devices, second])
+    second = next(d for d in devices if d.serial == "D2")._replace(
+        path=tmp_path / "dev" / "video8", port="1-9"
+    )
+    monkeypatch.setattr("lerobot_camera_digit.digit.find_digits", lambda: [*devices, second])
     with pytest.raises(
-        InputError, match="2 DIGITs have the serial 'D2', at .*video4 and .*video8; unplug all"
+        HardwareFault, match="2 DIGITs have the serial 'D2'; give also the port .* one of 1-2 and 1-9"
     ):
         connected()
+
+
+def test_sensors_with_the_factory_serial_are_told_by_their_port(sensor, connected, tmp_path):
+    for port in (1, 2):
+        (tmp_path / "devices" / f"1-{port}" / "serial").write_text("DXXXXX\n")
+    with pytest.raises(
+        HardwareFault, match="'DXXXXX', which the firmware has by default; give also the port"
+    ):
+        connected(serial="DXXXXX")
+    camera = connected(serial="DXXXXX", port="1-2")
+    assert sensor.paths == [str(tmp_path / "dev" / "video4")] and camera.device.port == "1-2"
+    with pytest.raises(HardwareFault, match="'DXXXXX' at port 1-7 is connected; found: D3 at port 1-3, DXX"):
+        connected(serial="DXXXXX", port="1-7")
+
+
+def test_exposure_and_white_balance_are_fixed_or_held(sensor, connected):
+    exposure, white = digit_camera.CONTROLS["exposure"], digit_camera.CONTROLS["white_balance"]
+    connected()
+    assert not {exposure[0], exposure[3], white[0], white[3]} & set(sensor.controls)
+    connected(exposure=120, white_balance=4600)
+    assert [sensor.controls[c] for c in (exposure[0], exposure[3], white[0], white[3])] == [1, 120, 0, 4600]
+    sensor.controls[exposure[3]] = 77.0  # what the automatic has found
+    connected(lock=True, white_balance=5000)
+    assert [sensor.controls[c] for c in (exposure[0], exposure[3], white[0], white[3])] == [1, 77, 0, 5000]
+    sensor.refuses = white[3]
+    with pytest.raises(
+        HardwareFault, match="DIGIT D2 does not take a fixed white_balance of 5000; leave option"
+    ):
+        connected(lock=True)
+
+
+def test_dropped_images_are_counted_and_logged(sensor, connected, caplog):
+    camera = connected(fps=60)
+    for _ in range(5):
+        camera.async_read(1000)
+    assert camera.dropped == 0
+    for lost in (3, 1):
+        sensor.lost = lost
+        for _ in range(3):
+            camera.async_read(1000)
+    assert camera.dropped == 4 and camera.received >= 11
+    camera.disconnect()
+    assert "DIGIT D2: 4 images were dropped" in caplog.text

@@ -8,8 +8,8 @@ from draccus.utils import DecodingError
 from lerobot.cameras import CameraConfig
 from lerobot.cameras.utils import make_cameras_from_configs
 
-from lerobot_robot_pneutac.cameras.digit import DigitConfig
-from lerobot_robot_pneutac.cameras.elastomer import ElastomerConfig, Framing
+from lerobot_camera_digit.digit import DigitConfig
+from lerobot_camera_digit.elastomer import ElastomerConfig, Framing
 
 PICTURE = np.random.default_rng(0).integers(0, 256, (480, 640, 3), np.uint8)
 

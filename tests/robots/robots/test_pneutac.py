@@ -10,8 +10,8 @@ from draccus.utils import DecodingError
 from lerobot.cameras.opencv import OpenCVCameraConfig
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
+from lerobot_camera_digit.digit import DigitConfig
 from lerobot_robot_pneutac.cameras import tactile
-from lerobot_robot_pneutac.cameras.digit import DigitConfig
 from lerobot_robot_pneutac.cameras.simulated import DigitGeneratedConfig
 from lerobot_robot_pneutac.hardware.arms import PandaConfig, SimulatedArmConfig
 from lerobot_robot_pneutac.hardware.limits import Limits

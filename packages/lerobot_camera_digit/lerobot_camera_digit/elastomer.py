@@ -9,7 +9,7 @@ import numpy as np
 from lerobot.cameras import CameraConfig
 from lerobot.cameras.opencv import OpenCVCamera, OpenCVCameraConfig
 
-from lerobot_robot_pneutac.options import refuse_if
+from lerobot_camera_digit.parts import refuse_if
 
 _TURNS = {0: 0, 90: -1, 180: 2, 270: 1, -90: 1}  # clockwise degrees to quarter turns of np.rot90
 SMALLEST_PX = 32

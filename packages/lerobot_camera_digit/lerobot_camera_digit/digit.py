@@ -18,10 +18,8 @@ from lerobot.cameras.opencv import OpenCVCamera, OpenCVCameraConfig
 from lerobot.utils.decorators import check_if_already_connected
 from lerobot.utils.errors import DeviceNotConnectedError
 
-from lerobot_robot_pneutac.cameras.elastomer import framed
-from lerobot_robot_pneutac.hardware.parts import TURNS, HardwareFault, wait
-from lerobot_robot_pneutac.options import refuse_if
-from pneutac_sim.errors import InputError
+from lerobot_camera_digit.elastomer import framed
+from lerobot_camera_digit.parts import TURNS, HardwareFault, refuse_if, wait
 
 logger = logging.getLogger(__name__)
 
@@ -30,6 +28,12 @@ START_S = 1.0  # a USB camera's first image may take longer than those after it
 # What the sensor streams: width and height of its own, lying image in px, and frame rates in Hz.
 STREAMS = {"QVGA": (320, 240, (30, 60)), "VGA": (640, 480, (15, 30))}
 MAX_LED = 15
+DEFAULT_SERIAL = "DXXXXX"  # of firmware that was written without a number: several sensors may have it
+# What can be fixed: the control of its automatic, V4L2's values of it for off and on, the value's control.
+CONTROLS = {
+    "exposure": (cv2.CAP_PROP_AUTO_EXPOSURE, 1, 3, cv2.CAP_PROP_EXPOSURE),
+    "white_balance": (cv2.CAP_PROP_AUTO_WB, 0, 1, cv2.CAP_PROP_WB_TEMPERATURE),
+}
 SYSFS = Path("/sys/class/video4linux")
 DEV = Path("/dev")
 
@@ -40,10 +44,14 @@ class DigitConfig(CameraConfig):
     """A DIGIT, found by its serial number.
 
     Attributes:
-        serial: number printed on the sensor, such as `D20001`.
+        serial: number printed on the sensor, such as `D20001`; `DXXXXX` where none was ever written to it.
+        port: USB port, such as `1-2`, of the sensor that is meant where several have one serial number.
         resolution: `QVGA`, images of 320 rows and 240 columns as the simulated sensor's, or `VGA`, 640 x 480.
         fps: 30, or 60 (QVGA alone) or 15 (VGA alone).
         led: brightness of the red, green and blue LEDs, 0 (off) to 15.
+        exposure: exposure time in the driver's unit (V4L2: 100 us), which then stays; None: as it is.
+        white_balance: colour temperature in K, which then stays; None: as it is.
+        lock: whether exposure and white balance stay as they are after the warm-up.
         frozen_s: seconds without a new image after which reading says that the sensor hangs. A working one
             never sends the same image twice: the pixels are noisy.
         rotation: clockwise, 0, 90, 180 or 270 degrees, of a sensor that is mounted otherwise.
@@ -54,9 +62,13 @@ class DigitConfig(CameraConfig):
     """
 
     serial: str
+    port: str | None = None
     resolution: str = "QVGA"
     fps: int = 30
     led: tuple[int, int, int] = (MAX_LED, MAX_LED, MAX_LED)
+    exposure: int | None = None
+    white_balance: int | None = None
+    lock: bool = False
     frozen_s: float = 0.5
     rotation: int = 0
     crop: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
@@ -91,11 +103,13 @@ class DigitDevice(NamedTuple):
         serial: USB serial number, the one printed on the sensor.
         path: the video device, such as /dev/video0.
         firmware: USB device release as a number: 200 is version 2.00.
+        port: USB port, such as `1-2`, which stays the same as long as the cable does.
     """
 
     serial: str
     path: Path
     firmware: int
+    port: str
 
 
 def find_digits() -> list[DigitDevice]:
@@ -106,7 +120,7 @@ def find_digits() -> list[DigitDevice]:
         # A UVC camera has a second node, which carries metadata and no images.
         if _text(usb / "product") == "DIGIT" and _text(node / "index") == "0":
             firmware = int(_text(usb / "bcdDevice") or 0)
-            found.append(DigitDevice(_text(usb / "serial"), DEV / node.name, firmware))
+            found.append(DigitDevice(_text(usb / "serial"), DEV / node.name, firmware, usb.name))
     return sorted(found)
 
 
@@ -122,6 +136,9 @@ class Digit(OpenCVCamera):
 
     Attributes:
         device: the sensor that was found, while connected.
+        received: images since it was connected.
+        dropped: images that the sensor sent, or was due to send, and that never came, by the times at which
+            the driver took the others.
     """
 
     def __init__(self, config: DigitConfig):
@@ -141,16 +158,17 @@ class Digit(OpenCVCamera):
         self.device: DigitDevice | None = None
         self._fault: str | None = None
         self._raw: np.ndarray | None = None
-        self._new_image_s = 0.0
+        self._new_image_s = self._taken_s = 0.0
+        self.received = self.dropped = 0
 
     def __str__(self) -> str:
         return f"DIGIT {self.options.serial}"
 
     @staticmethod
     def find_cameras() -> list[dict[str, Any]]:
-        """Serial number, device path and firmware of every connected DIGIT."""
+        """Serial number, device path, firmware and USB port of every connected DIGIT."""
         return [
-            {"type": "digit", "id": d.serial, "path": str(d.path), "firmware": d.firmware}
+            {"type": "digit", "id": d.serial, "path": str(d.path), "firmware": d.firmware, "port": d.port}
             for d in find_digits()
         ]
 
@@ -162,12 +180,13 @@ class Digit(OpenCVCamera):
             warmup: whether to read for a second, in which the exposure settles.
 
         Raises:
-            InputError: no DIGIT with this serial number is connected, or its firmware is too old.
-            HardwareFault: the sensor cannot be opened or does not take its settings.
+            HardwareFault: no DIGIT, or more than one, has this serial number and port, its firmware is too
+                old, it cannot be opened or does not take its settings.
         """
         device = self._find()
         self.index_or_path = str(device.path)
-        self._fault, self._raw = None, None
+        self._fault, self._raw, self._taken_s = None, None, 0.0
+        self.received = self.dropped = 0
         try:
             super().connect(warmup)
         except (ConnectionError, RuntimeError, TimeoutError) as error:
@@ -178,6 +197,19 @@ class Digit(OpenCVCamera):
                 " check that your user is in the group 'video'."
             ) from error
         self.device = device
+        if self.options.lock:
+            try:
+                self._hold()
+            except HardwareFault:
+                self.disconnect()
+                raise
+
+    def disconnect(self) -> None:
+        """Lets go, and logs how many images were dropped, if any."""
+        super().disconnect()
+        if self.dropped:
+            share = 100 * self.dropped / (self.dropped + self.received)
+            logger.warning("%s: %d images were dropped, %.1f %%.", self, self.dropped, share)
 
     def read(self, color_mode=None) -> np.ndarray:
         """Waits for the next image; uint8 (H, W, 3)."""
@@ -201,20 +233,21 @@ class Digit(OpenCVCamera):
         return super().read_latest(max_age_ms)
 
     def _find(self) -> DigitDevice:
-        devices = find_digits()
-        same = [str(d.path) for d in devices if d.serial == self.options.serial]
+        wanted, devices = self.options, find_digits()
+        same = [d for d in devices if d.serial == wanted.serial and wanted.port in (None, d.port)]
+        if not same:
+            there = ", ".join(f"{d.serial} at port {d.port}" for d in devices) or "none"
+            at = f" at port {wanted.port}" if wanted.port else ""
+            raise HardwareFault(f"No DIGIT with serial '{wanted.serial}'{at} is connected; found: {there}.")
         if len(same) > 1:
-            raise InputError(
-                f"{len(same)} DIGITs have the serial '{self.options.serial}', at {' and '.join(same)}; unplug"
-                " all but the one that is meant, since they cannot be distinguished."
+            default = ", which the firmware has by default" if wanted.serial == DEFAULT_SERIAL else ""
+            raise HardwareFault(
+                f"{len(same)} DIGITs have the serial '{wanted.serial}'{default}; give also the port of the"
+                f" one that is meant, one of {' and '.join(d.port for d in same)}."
             )
-        found = {d.serial: d for d in devices}
-        device = found.get(self.options.serial)
-        if device is None:
-            there = ", ".join(found) or "none"
-            raise InputError(f"No DIGIT with serial '{self.options.serial}' is connected; found: {there}.")
+        device = same[0]
         if device.firmware < RGB_FIRMWARE:
-            raise InputError(
+            raise HardwareFault(
                 f"{self} has firmware {device.firmware / 100:.2f}, which cannot set LEDs; update it to 2.00."
             )
         return device
@@ -228,7 +261,26 @@ class Digit(OpenCVCamera):
         actual = self.videocapture.get(cv2.CAP_PROP_ZOOM)
         if actual != value:
             logger.warning("%s was set to LED setting %d and reports %d.", self, value, actual)
+        for option, (switch, _, automatic, _) in CONTROLS.items():
+            value = getattr(self.options, option)
+            if value is not None:
+                self._fix(option, value)
+            elif self.options.lock:
+                self.videocapture.set(switch, automatic)  # so that it settles before it is held
         self._new_image_s = time.perf_counter()
+
+    def _hold(self) -> None:
+        """Exposure and white balance from now on as they are."""
+        for option, (*_, control) in CONTROLS.items():
+            if getattr(self.options, option) is None:
+                self._fix(option, self.videocapture.get(control))
+
+    def _fix(self, option: str, value: float) -> None:
+        switch, fixed, _, control = CONTROLS[option]
+        if not (self.videocapture.set(switch, fixed) and self.videocapture.set(control, value)):
+            raise HardwareFault(
+                f"{self} does not take a fixed {option} of {value:g}; leave option and lock out."
+            )
 
     def _read_from_hardware(self) -> np.ndarray:
         """One raw image, BGR and lying; a broken one is skipped."""
@@ -236,12 +288,19 @@ class Digit(OpenCVCamera):
         while not stop.is_set():
             whole, image = capture.read()
             if whole:
+                self._count(capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3)
                 return image
             if not Path(self.index_or_path).exists():
                 self._fault = f"{self} was unplugged; plug it in and connect again."
                 break
             time.sleep(1 / self.fps)
         raise DeviceNotConnectedError(f"{self} no longer reads.")
+
+    def _count(self, taken_s: float) -> None:
+        """Counts the image that the driver took at this time, and those that are missing before it."""
+        if self.received and taken_s > 0:  # a driver without times says 0
+            self.dropped += max(round((taken_s - self._taken_s) * self.fps) - 1, 0)
+        self.received, self._taken_s = self.received + 1, taken_s
 
     def _postprocess_image(self, image: np.ndarray) -> np.ndarray:
         result = super()._postprocess_image(image)
