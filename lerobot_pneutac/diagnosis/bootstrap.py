@@ -62,16 +62,30 @@ class BlockBootstrap:
         lo, hi = np.quantile(d, [T.SIGNIFICANCE, 1 - T.SIGNIFICANCE])
         return self.value(before) - self.value(after), float(lo), float(hi)
 
-    def significant_drop(self, before: np.ndarray, after: np.ndarray) -> bool:
-        """Whether the error falls significantly, in 99 % of the draws of units, by squared errors (n,).
+    def significant_drop(self, before: np.ndarray, after: np.ndarray, noise_mse: float = 0.0) -> bool:
+        """Whether the error falls significantly, by squared errors (n,), in one of two ways.
 
-        What counts of a unit is its fall as a share of both errors. The moments after a step of the command
-        can hold nearly all of the squared error, in two units of sixty: its mean then says little of whether
-        a model is better.
+        1. In 99 % of the draws of units the fall as a share of both errors is positive on average. The
+           moments after a step of the command can hold nearly all of the squared error, in two units of
+           sixty: its mean then says little of whether a model is better.
+        2. The sum of squares falls in 99 % of the draws from the units in which a model errs clearly more
+           than the noise, if these are more than `FEW_UNITS`. In all others the noise decides which model
+           errs less, and where they are many, their shares hide what the few show.
+
+        Args:
+            before: of the model without.
+            after: of the model with.
+            noise_mse: mean square of the noise; 0 leaves the first way alone.
         """
         b, a = self.sums(before), self.sums(after)
-        share = (b - a) / np.maximum(b + a, 1e-300)
-        return bool(np.quantile(self._weight @ share, T.SIGNIFICANCE) > 0)
+        if np.quantile(self._weight @ ((b - a) / np.maximum(b + a, 1e-300)), T.SIGNIFICANCE) > 0:
+            return True
+        fall = (b - a)[np.maximum(b, a) > T.SHOWS**2 * noise_mse * self._size]
+        n = len(fall)
+        if noise_mse == 0 or n <= T.FEW_UNITS:
+            return False
+        draws = np.random.default_rng(78).multinomial(n, np.full(n, 1 / n), T.DRAWS)
+        return bool(np.quantile(draws @ fall, T.SIGNIFICANCE) > 0)
 
     def reduction(
         self, before: np.ndarray, after: np.ndarray, floor: float

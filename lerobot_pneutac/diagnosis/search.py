@@ -281,10 +281,11 @@ class Search:
         least = max(T.WORTH_OF_EXCESS * (now.value - self.noise_mse), T.WORTH_OF_NOISE * self.noise_mse)
         return self._significant(now, after, least) and self._improves_out_of_time(now, after)
 
+    def is_significant(self, before: Scored, after: Scored) -> bool:
+        return self.bootstrap.significant_drop(before.cv_squared, after.cv_squared, self.noise_mse)
+
     def _significant(self, before: Scored, after: Scored, least: float) -> bool:
-        return before.value - after.value > least and self.bootstrap.significant_drop(
-            before.cv_squared, after.cv_squared
-        )
+        return before.value - after.value > least and self.is_significant(before, after)
 
     def pruned(self, best: Scored, found: Found) -> Scored:
         """Takes away what is not needed, one after the other."""

@@ -11,6 +11,7 @@ NOISE = 1.2  # below, what is left is called noise, out of time too (verdict; re
 GAUGE_NOISE = 1.3  # below, the measured pressure is explained and need not drive the body (body_search)
 RUNS_NOISE = 1.4  # below, runs are not tested for offsets of their own (body_search)
 CLOSE = 1.5  # above, no law is named (verdict) and a change point is looked for (data_breaks)
+SHOWS = 1.7  # above, two thirds of a unit's squared error are the model's: it judges models (bootstrap)
 
 # ---------------------------------------------------------------- search
 
@@ -55,7 +56,7 @@ MOST = 0.5  # share of the excess that effects must remove to be the headline (v
 UNFINISHED = 0.2  # share of the rest that a black box may remove without an objection (verdict)
 BLACK_BOX_EXCESS = 0.05  # of the noise: with less excess a black box finds nothing (black_box)
 AGREED = 0.5  # share of the votes below which a finding is unstable (verdict)
-FEW_UNITS = 6  # held-out pieces of time below which no bootstrap means much (verdict)
+FEW_UNITS = 6  # held-out pieces of time below which no bootstrap means much (verdict, bootstrap)
 FEW_SAMPLES = 60  # to fit, below which nothing is claimed (verdict)
 CERTAIN = 0.8  # calibrated probability above which a mechanism is called certain (verdict)
 

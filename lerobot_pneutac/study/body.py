@@ -159,7 +159,7 @@ def body_outcome(
     """The result of a search, tested on test blocks; `began` by `time.perf_counter`."""
     before = study.fitted(start.model)
     after = _after(study, done, done.model.model)
-    helps = search.bootstrap.significant_drop(start.cv_squared, done.model.cv_squared)
+    helps = search.bootstrap.significant_drop(start.cv_squared, done.model.cv_squared, study.noise.floor**2)
     helps = helps and study.test.value(after.squared) < study.test.value(before.squared)
     if not helps:
         after, done.terms = before, []

@@ -209,16 +209,20 @@ class BodySearch:
     def without_idle(self, space: BodySpace, model: Scored, kept: Sequence[str]) -> Scored:
         """The model without terms that ended where they do nothing, at the same instants of steps.
 
-        A known cause of the twin goes too where an effect was found with which it does nothing: it stood in
-        for that effect.
+        A term that is as quick as the samples can show may still be needed: it goes only if the error does
+        not rise significantly. A known cause of the twin goes too where an effect was found with which it
+        does nothing: it stood in for that effect.
         """
-        own, causes = self.study.twin_effects, base_effects(self.study)
+        own, causes, engine = self.study.twin_effects, base_effects(self.study), self.engine(space)
         for term in model.model.structure.effects:
             effects = model.model.structure.effects
             replaced = term in causes and term in own and not set(effects) <= set(own)
             if (term not in kept or replaced) and space.idle(model.model, term):
                 structure, values = model.model.structure.without(term), model.model.values
-                model = self.score(space.fitter.fit(structure, values, 8))
+                bare = self.score(space.fitter.fit(structure, values, 8))
+                if engine.is_significant(bare, model):
+                    continue
+                model = bare
                 if replaced:
                     self.left_out[term] = (
                         f"{term.replace('_', ' ')} of the twin explains nothing in this recording once what "
@@ -236,7 +240,7 @@ class BodySearch:
             refined = self.score(space.refine_air(air.model))
             best = min(best, air, refined, key=lambda s: s.value)
         same = best.model.structure.effects == model.model.structure.effects
-        better = same or self.bootstrap.significant_drop(model.cv_squared, best.cv_squared)
+        better = same or self.engine(space).is_significant(model, best)
         return best if better else model
 
     def _trials_differ(self, space: BodySpace, found: Found) -> tuple[float, ...]:
@@ -256,11 +260,7 @@ class BodySearch:
             return ()
         best = tried[0]
         differ = now.value - best.value > T.RUNS_WORTH * (now.value - noise_mse)
-        return (
-            best.model.structure.trials
-            if differ and self.bootstrap.significant_drop(now.cv_squared, best.cv_squared)
-            else ()
-        )
+        return best.model.structure.trials if differ and self.engine(space).is_significant(now, best) else ()
 
     def simplified(self, space: BodySpace, found: Found, own: tuple[str, ...]) -> Scored:
         """The final model with the paper's base, and without parts of the base, where that is as good."""
@@ -272,7 +272,7 @@ class BodySearch:
             excess = max(found.base.value - noise_mse, 0.0)
             drop, needed = (
                 plain.value - final.value,
-                self.bootstrap.significant_drop(plain.cv_squared, final.cv_squared),
+                search.is_significant(plain, final),
             )
             if not needed or drop < max(T.PLAIN_OF_EXCESS * excess, T.PLAIN_OF_NOISE * noise_mse):
                 kept = plain

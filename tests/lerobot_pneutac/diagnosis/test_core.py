@@ -64,6 +64,26 @@ def test_a_fall_is_sure_where_nearly_all_units_agree_though_two_hold_all_of_it()
     )
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_a_few_units_far_above_the_noise_decide_and_those_at_the_noise_do_not(seed):
+    """A slow valve shows in nine units of eighty; elsewhere the better model errs a little more."""
+    rng = np.random.default_rng(seed)
+    unit = np.repeat(np.arange(80), 20)
+    noise = rng.chisquare(3, 1600) / 3
+    judge = BlockBootstrap(np.ones(1600, bool), unit, np.zeros(80, int), seed)
+    before, after = noise.copy(), 1.1 * noise
+    for u, b, a in ((3, 460, 0.7), (40, 260, 0.7), (9, 9, 1), (51, 10, 5), (60, 1.0, 3.1)):
+        before[unit == u], after[unit == u] = b, a
+    few = before.copy(), after.copy()
+    for u in (12, 30, 45, 70):
+        before[unit == u] = 3.2
+    assert judge.significant_drop(before, after, 1.0) and not judge.significant_drop(after, before, 1.0)
+    assert not judge.significant_drop(before, after), "without the noise no unit stands out"
+    assert not judge.significant_drop(*few, 1.0), "too few"
+    plain = noise * rng.uniform(0.9, 1.1, 1600), noise
+    assert not judge.significant_drop(*plain, 1.0) and not judge.significant_drop(*plain[::-1], 1.0)
+
+
 def test_stratified_draws_never_lose_a_rare_condition():
     unit = np.repeat(np.arange(36), 10)
     stratum = np.r_[np.zeros(32, int), np.ones(4, int)]

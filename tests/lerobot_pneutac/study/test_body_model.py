@@ -34,9 +34,26 @@ def test_a_better_fit_of_the_same_effects_needs_no_significance_and_other_effect
 
     now, better = scored(("valve_lag",), 0.5, 2.0), scored(effects, 0.4, 1.0)
     search = SimpleNamespace(
-        engine=lambda space: SimpleNamespace(other_actuations=lambda model: []),
+        engine=lambda space: SimpleNamespace(
+            other_actuations=lambda model: [], is_significant=lambda before, after: False
+        ),
         score=lambda model: better,
-        bootstrap=SimpleNamespace(significant_drop=lambda before, after: False),
     )
     space = SimpleNamespace(refine_air=lambda model: model)
     assert BodySearch._refined(search, space, now) is (better if taken else now)
+
+
+@pytest.mark.parametrize("needed", [True, False])
+def test_a_term_at_its_quickest_stays_where_the_error_rises_without_it(needed):
+    """An air faster than the samples ends at the bound of its times, and may still be all that is missing."""
+    model = Scored(SimpleNamespace(structure=BodyStructure(("valve_lag",)), values={}), np.ones(4), 1.0)
+    bare = Scored(SimpleNamespace(structure=BodyStructure(()), values={}), np.full(4, 9.0), 9.0)
+    search = SimpleNamespace(
+        study=SimpleNamespace(twin_effects=(), twin=SimpleNamespace(effects=()), recording=None),
+        engine=lambda space: SimpleNamespace(is_significant=lambda before, after: needed),
+        score=lambda model: bare,
+    )
+    space = SimpleNamespace(idle=lambda model, term: True, fitter=SimpleNamespace(fit=lambda *_: bare.model))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("lerobot_pneutac.study.body_search.base_effects", lambda study: ())
+        assert BodySearch.without_idle(search, space, model, ()) is (model if needed else bare)
