@@ -1,20 +1,18 @@
 """What a robot adds to the datasets that LeRobot records here: its station, and the rate of each episode.
 
-`LeRobotHooks` is the one place that knows the inside of LeRobot; `EpisodeHooks` says what is done.
+`lerobot_inside.LeRobotHooks` notices the episodes; `EpisodeHooks` says what is done then.
 """
 
 import contextlib
-import importlib.metadata
 import json
 import logging
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import override
 from weakref import ref
 
+from lerobot_robot_pneutac.lerobot_inside import LeRobotHooks
 from lerobot_robot_pneutac.options import station_of
 from lerobot_robot_pneutac.robots.base_robot import BaseRobot
 from pneutac_sim.errors import InputError
@@ -30,62 +28,7 @@ from pneutac_sim.pace import (
     short_of,
 )
 
-KNOWN = "0.6"  # series of LeRobot whose inside `LeRobotHooks` knows
-# So lerobot-record and lerobot-rollout announce that an episode begins, and that one has ended.
-BEGINS, ENDS = "Recording episode", ("Reset the environment", "Stop recording")
-
 logger = logging.getLogger(__name__)
-
-
-class LeRobotHooks(logging.Handler):
-    """Hooks into LeRobot, which has none of its own.
-
-    LeRobot stores frame / fps as a frame's time, and observes a robot in the pause between episodes too. What
-    it announces in the log, and how many frames it counts, show which observations belong to an episode: the
-    first ones after the last announcement. It makes the robot, then the dataset, and connects the robot last.
-
-    Args:
-        announced: is called with whether an episode begins (or else has ended).
-        write_json: in place of the function that writes the files of a dataset's `meta`, with its arguments.
-    """
-
-    def __init__(self, announced: Callable[[bool], None], write_json: Callable[[dict, Path], None]):
-        super().__init__(logging.INFO)
-        self._announced, self._write_json, self._warned = announced, write_json, False
-
-    def install(self) -> bool:
-        """Whether LeRobot's datasets are in use here; they are written by `write_json` from now on."""
-        io_utils = sys.modules.get("lerobot.datasets.io_utils")
-        if io_utils is None:
-            return False
-        version = importlib.metadata.version("lerobot")
-        if not version.startswith(f"{KNOWN}."):
-            if not self._warned:
-                logger.warning(
-                    "LeRobot %s is unknown to this version of PneuTac, so the rate of datasets is not"
-                    " checked and no station and no pace are stored with them; install LeRobot %s, or a newer"
-                    " PneuTac.",
-                    *(version, KNOWN),
-                )
-            self._warned = True
-            return False
-        io_utils.write_json = self._write_json
-        sys.modules["lerobot.datasets.dataset_reader"].load_nested_dataset = _load_episodes
-        return True
-
-    def listen(self) -> None:
-        """From now on episodes are noticed, where the hooks can be installed."""
-        if self.install():
-            logging.getLogger().addHandler(self)
-
-    def ignore(self) -> None:
-        logging.getLogger().removeHandler(self)
-
-    @override
-    def emit(self, record: logging.LogRecord) -> None:
-        message = record.getMessage()
-        if message.startswith((BEGINS, *ENDS)):
-            self._announced(message.startswith(BEGINS))
 
 
 class EpisodeHooks:
@@ -210,19 +153,6 @@ def store_station(robot: BaseRobot, meta: Path) -> None:
     station = station_of(robot.config.station)
     if robot.config.station is not None and station.joints == robot.config.joints:
         station.save(meta)
-
-
-def _load_episodes(data: Path, features=None, episodes: list[int] | None = None):
-    """In place of LeRobot's, which says of an episode that is not there that "train" has no data.
-
-    Raises:
-        InputError: the dataset has no such episode.
-    """
-    total = json.loads((data.parent / "meta" / "info.json").read_text(encoding="utf-8"))["total_episodes"]
-    if missing := [e for e in episodes or () if not 0 <= e < total]:
-        raise InputError(f"{data.parent} has no episode {missing[0]}; give one of 0 to {total - 1}.")
-    io_utils = sys.modules["lerobot.datasets.io_utils"]
-    return io_utils.load_nested_dataset(data, features=features, episodes=episodes)
 
 
 def _frames(info: Path) -> int:

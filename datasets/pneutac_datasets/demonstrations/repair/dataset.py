@@ -20,10 +20,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from lerobot.datasets.feature_utils import get_hf_features_from_features
-from lerobot.datasets.utils import DatasetInfo
 
 import datasets
+from lerobot_robot_pneutac.lerobot_inside import DatasetInfo, get_hf_features_from_features
 from pneutac_datasets.demonstrations.info import refuse_version
 from pneutac_datasets.demonstrations.repair.description import begin_metadata, describe
 from pneutac_datasets.demonstrations.repair.parquet_footer import is_whole, mend

@@ -9,10 +9,16 @@ import av
 import numpy as np
 import pandas as pd
 from lerobot.datasets import LeRobotDatasetMetadata
-from lerobot.datasets.compute_stats import aggregate_stats, compute_episode_stats
-from lerobot.datasets.io_utils import cast_stats_to_numpy, write_info, write_stats, write_tasks
-from lerobot.datasets.utils import DatasetInfo
 
+from lerobot_robot_pneutac.lerobot_inside import (
+    DatasetInfo,
+    aggregate_stats,
+    cast_stats_to_numpy,
+    compute_episode_stats,
+    write_info,
+    write_stats,
+    write_tasks,
+)
 from pneutac_datasets.demonstrations.repair.parquet_footer import is_whole
 from pneutac_datasets.demonstrations.repair.videos import Rows, file_numbers, video_file
 from pneutac_sim.errors import InputError

@@ -10,9 +10,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from lerobot.datasets.utils import DatasetInfo, update_chunk_file_indices
-from lerobot.datasets.video_utils import get_video_info
 
+from lerobot_robot_pneutac.lerobot_inside import DatasetInfo, get_video_info, update_chunk_file_indices
 from pneutac_datasets.demonstrations.films import Film, film_of, frame_size, read_film
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import flush
