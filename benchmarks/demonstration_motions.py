@@ -11,9 +11,9 @@ friction.
 
 import numpy as np
 
+from lerobot_pneutac.verbs.design_motion import MOTIONS, TASK, carried_out, sideways
 from lerobot_robot_pneutac.standin.world import OBJECT_MASS, Physics, StandinWorld
 from pneutac_benchmarks.tables import markdown
-from pneutac_datasets.demonstrations.motions import MOTIONS, TASK, carried_out, sideways
 from pneutac_sim.features import task_names
 from pneutac_sim.world.expert import ScriptedExpert
 

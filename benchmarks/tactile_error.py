@@ -17,14 +17,15 @@ from scipy.optimize import minimize
 
 from pneutac_datasets.recording.gel import GelRecording, GelSample
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.gel import metrics, optics
+from pneutac_sim.gel import optics
 from pneutac_sim.gel.fit import fit_presses
+from pneutac_sim.gel.pair import CONTACT_DISC, disc
 from pneutac_sim.gel.photograph import Predictor, press_depth, session_light
 from pneutac_sim.gel.sensor import TactileSensor
 from tactile_presses import choices
 
 FINE_MM = 0.12  # what varies over less is noise, and texture that no model of smooth light has
-RINGS = {"inside": (0.0, 0.8), "rim": (0.8, 1.2), "around": (1.2, metrics.CONTACT_DISC)}
+RINGS = {"inside": (0.0, 0.8), "rim": (0.8, 1.2), "around": (1.2, CONTACT_DISC)}
 
 
 def parts(folder: Path, presses: tuple[int, ...]) -> dict[str, float]:
@@ -40,7 +41,7 @@ def parts(folder: Path, presses: tuple[int, ...]) -> dict[str, float]:
 
 def _parts_of(s: GelSample, gel, predictor: Predictor, data: GelRecording) -> dict[str, float]:
     sensor, photograph = TactileSensor(replace(gel, rest_image=s.rest)), s.photograph
-    m = metrics.disc(s.rest.shape, s.x_px, s.y_px, metrics.CONTACT_DISC * s.radius_px)
+    m = disc(s.rest.shape, s.x_px, s.y_px, CONTACT_DISC * s.radius_px)
     y, x = np.mgrid[: m.shape[0], : m.shape[1]] + 0.5
     r = np.hypot(x - s.x_px, y - s.y_px) / s.radius_px
     predicted = predictor.image(s.press, s.rest, s.clock).astype(np.float32)

@@ -16,7 +16,7 @@ import numpy as np
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.gel.fit import fit_presses
-from pneutac_sim.gel.metrics import score
+from pneutac_sim.gel.pair import score
 from pneutac_sim.gel.photograph import Predictor
 
 PLACE_MM, DEPTH = 0.3, 0.15

@@ -16,7 +16,7 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.gel.fit import fit_presses
 from pneutac_sim.gel.layout import DIGIT
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.mpm.pressed import PressedGel
+from pneutac_sim.mpm.devices import PressedGel
 from pneutac_sim.twin import Twin, Value
 
 RATIOS = (0.1, 0.3, 0.46)

@@ -23,15 +23,14 @@ if TYPE_CHECKING:
     from lerobot_pneutac.verbs.calibrate import calibrate
     from lerobot_pneutac.verbs.calibration import Calibration
     from lerobot_pneutac.verbs.compare import compare
-    from lerobot_pneutac.verbs.comparison import Comparison
     from lerobot_pneutac.verbs.control import Control, control
     from lerobot_pneutac.verbs.design import Design, design
     from lerobot_pneutac.verbs.design_motion import MotionDesign, design_motion
     from lerobot_pneutac.verbs.design_press import PressDesign, design_press
     from lerobot_pneutac.verbs.diagnose import diagnose
     from lerobot_pneutac.verbs.diagnosis import Diagnosis
-    from lerobot_pneutac.verbs.learn import learn
-    from lerobot_pneutac.verbs.learning import Learning
+    from lerobot_pneutac.verbs.learn import Learning, learn
+    from lerobot_pneutac.verbs.result import Comparison
     from pneutac_datasets.demonstrations.replay.reading import Demonstrations, load_demonstrations
     from pneutac_datasets.recording.recording import Recording
     from pneutac_sim.errors import InputError
@@ -46,7 +45,7 @@ _MODULES = {
     "calibrate": "lerobot_pneutac.verbs.calibrate",
     "Calibration": "lerobot_pneutac.verbs.calibration",
     "compare": "lerobot_pneutac.verbs.compare",
-    "Comparison": "lerobot_pneutac.verbs.comparison",
+    "Comparison": "lerobot_pneutac.verbs.result",
     "control": "lerobot_pneutac.verbs.control",
     "Control": "lerobot_pneutac.verbs.control",
     "design": "lerobot_pneutac.verbs.design",
@@ -58,7 +57,7 @@ _MODULES = {
     "diagnose": "lerobot_pneutac.verbs.diagnose",
     "Diagnosis": "lerobot_pneutac.verbs.diagnosis",
     "learn": "lerobot_pneutac.verbs.learn",
-    "Learning": "lerobot_pneutac.verbs.learning",
+    "Learning": "lerobot_pneutac.verbs.learn",
     "add": "lerobot_pneutac.verbs.add",
     "Addition": "lerobot_pneutac.verbs.add",
 }

@@ -13,13 +13,13 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from pneutac_datasets.generate.presses import press_row, write_session
+from pneutac_datasets.generate.gel import press_row, write_session
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.features import AREA
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.probe import SPHERE
 from pneutac_truths.light import Gel
-from pneutac_truths.light.objects import reach_below
+from pneutac_truths.light.gel import reach_below
 
 BIN, DOC = Path(sys.executable).parent, Path(__file__).parents[1] / "docs" / "how_to" / "add_a_task.md"
 

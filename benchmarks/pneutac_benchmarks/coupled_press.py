@@ -13,8 +13,7 @@ import numpy as np
 from pneutac_sim.gel.force import GelForce
 from pneutac_sim.gel.spring import GelSpring
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.mpm_finger import MpmFinger
-from pneutac_sim.world.mpm_gel import MpmGel
+from pneutac_sim.world.mpm_gel import MpmFinger, MpmGel
 from pneutac_sim.world.world import World
 
 TOUCHES_KPA, GAP_M = 5.0, 0.001  # free pressure at which the bar stands so far before the gel

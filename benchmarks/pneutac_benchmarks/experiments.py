@@ -18,8 +18,7 @@ from lerobot_pneutac.cli.terminal import progress_bar
 from lerobot_pneutac.diagnosis.design import Choice, Limits
 from lerobot_pneutac.diagnosis.programs import common_programs
 from lerobot_pneutac.verbs.diagnose import diagnose
-from lerobot_pneutac.verbs.foreseen import error_of
-from lerobot_pneutac.verbs.learn import Rounds
+from lerobot_pneutac.verbs.learn import Rounds, error_of
 from pneutac_benchmarks.diagnosis.rules import BASE, COUNTS, COUNTS_AS_NEAR, counts, names_right
 from pneutac_benchmarks.tables import markdown, terminal
 from pneutac_datasets.generate.truth_bench import TruthBench

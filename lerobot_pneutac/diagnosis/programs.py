@@ -14,7 +14,7 @@ from pneutac_datasets.recording.mounts import CONDITIONS
 from pneutac_datasets.recording.pressures import supply_limits
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger.switches import steps
+from pneutac_sim.finger.inputs import steps
 
 LEVELS = 8  # of pressure
 PACES = (0.02, 0.2, 1.0)  # of the range a second

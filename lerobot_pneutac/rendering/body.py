@@ -1,15 +1,21 @@
-"""Frames of a finger or an arm: brought to rest pressure by pressure, drawn as particles or by its looks."""
+"""Frames of a finger or an arm: brought to rest pressure by pressure, drawn as particles or by its looks.
+
+Photographs of a body and its renderings, and where their silhouettes differ.
+
+Frames of a gel under an indenter: the cut through its material points and the tactile image.
+"""
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from lerobot_pneutac.diagnosis.thresholds import LEVEL_KPA
 from lerobot_pneutac.rendering import particles as draw
-from lerobot_pneutac.rendering.film import (
+from lerobot_pneutac.rendering.options import FPS, RenderConfig, deepest_press
+from lerobot_pneutac.rendering.particles import (
     STRETCH,
     Film,
     FilmFrame,
@@ -18,8 +24,6 @@ from lerobot_pneutac.rendering.film import (
     caption,
     pressure_text,
 )
-from lerobot_pneutac.rendering.options import FPS, RenderConfig
-from lerobot_pneutac.rendering.silhouettes import differing
 from lerobot_pneutac.rendering.view import view_painter
 from lerobot_pneutac.study.photographs import (
     held_levels,
@@ -32,14 +36,65 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import an
 from pneutac_sim.errors import InputError, option
 from pneutac_sim.features import CHAMBERS
+from pneutac_sim.gel.indenter import Press
+from pneutac_sim.gel.model import GelModel
 from pneutac_sim.mpm.body import Body
-from pneutac_sim.photo_fit.objective import SOLID, MaskedPhotograph
+from pneutac_sim.photo_fit.objective import SOLID, MaskedPhotograph, Objective
 from pneutac_sim.splat.body import looks_from_twin
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.follow import carried
+from pneutac_sim.splat.follow import MOST_STRAIN, carried, strain
 from pneutac_sim.splat.render import rasterise
-from pneutac_sim.splat.stretch import MOST_STRAIN
 from pneutac_sim.twin import Twin
+
+SILHOUETTE_HEIGHT = 220  # px of a picture
+
+
+def strip(objective: Objective, positions: np.ndarray, photographs: list[MaskedPhotograph]) -> np.ndarray:
+    """Photographs above, renderings below and differing silhouettes last, uint8 (H, W, 3).
+
+    Args:
+        objective: draws.
+        positions: (T, P, 3) of the particles at each pressure, m.
+        photographs: their `state` counts `positions`.
+    """
+    columns = []
+    low, high = _crop(photographs)
+    for p in photographs:
+        drawn = objective.render(positions[p.state], p.camera)
+        white = drawn.image.clip(0, 1) + (1 - drawn.alpha.clip(0, 1))[..., None]
+        edges = differing(p.mask, drawn.alpha > SOLID)
+        real = np.where(p.mask[..., None], p.image, 255)
+        stack = [a[low[0] : high[0], low[1] : high[1]] for a in (real, 255 * white.clip(0, 1), edges)]
+        size = (round(SILHOUETTE_HEIGHT * (high[1] - low[1]) / (high[0] - low[0])), SILHOUETTE_HEIGHT)
+        columns.append(
+            np.concatenate(
+                [cv2.resize(a.astype(np.uint8), size, interpolation=cv2.INTER_AREA) for a in stack]
+            )
+        )
+    return np.concatenate(columns, 1)
+
+
+def differing(photograph: np.ndarray, drawn: np.ndarray) -> np.ndarray:
+    """Two silhouettes, bool (H, W): grey where both are, red where the photograph's alone, blue the other's.
+
+    Returns:
+        uint8 (H, W, 3), on white.
+    """
+    image = np.full((*photograph.shape, 3), 255, np.uint8)
+    image[photograph & drawn] = (222, 226, 230)
+    image[photograph & ~drawn] = (194, 65, 12)
+    image[~photograph & drawn] = (11, 110, 153)
+    return image
+
+
+def _crop(photographs: list[MaskedPhotograph]) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (row, column) of a window round all masks."""
+    corners = [np.argwhere(p.mask) for p in photographs]
+    size = np.array(photographs[0].mask.shape)
+    low = np.min([c.min(0) for c in corners], 0) - 12
+    high = np.max([c.max(0) for c in corners], 0) + 12
+    return np.maximum(low, 0), np.minimum(high, size)
+
 
 HEIGHT, GAP, CAPTION = 400, 8, 40  # px of a panel, between panels, and below
 MARGIN = 0.12  # round the body, over its length
@@ -235,3 +290,63 @@ def _frames(
             row |= more | {"seconds": spent}
             spent = 0.0
         yield FilmFrame(picture, row)
+
+
+PRESS_FRAMES = 8  # depths on the way down
+GEL_STRAIN = 0.8  # of the warmest colour
+SIZE = {"cube": "side", "edge": "side", "outline": "reach", "mesh": "reach"}  # size_mm; of others the radius
+
+
+def gel_film(twin: Twin, config: RenderConfig) -> Film:
+    """The film of a gel.
+
+    Raises:
+        InputError: the indenter goes too deep, or misses the gel.
+    """
+    press = deepest_press(config, GelModel.from_twin(twin))
+    lead = f"{STRETCH} Right: the tactile image, by Gaussian splats on the particles."
+    return Film("gel", _press_frames(twin, config, press), PRESS_FRAMES, lead)
+
+
+def _press_frames(twin: Twin, config: RenderConfig, press: Press) -> Iterator[FilmFrame]:
+    from pneutac_sim.mpm import devices
+    from pneutac_sim.mpm.indenter import distances_m
+    from pneutac_sim.mpm.solve import solve_equilibrium
+    from pneutac_sim.splat.gel import SplatSensor
+
+    table = None if press.figure is None else distances_m(press.figure)
+    solver = devices.gel(twin, device=config.device, table=table)
+    model = GelModel.from_twin(twin)
+    window, sensor = model.window_mm, SplatSensor(model)
+    cells = solver.body.cells
+    named = f"{press.indenter}, {SIZE.get(press.indenter, 'radius')} {press.size_mm:.3g} mm"
+    spent = 0.0
+    for k in range(PRESS_FRAMES):
+        depth = config.depth_mm * (k + 1) / PRESS_FRAMES
+        start = time.perf_counter()
+        rest = solve_equilibrium(solver, devices.press_loads(replace(press, depth_mm=depth)), warm=k > 0)
+        spent += time.perf_counter() - start
+        moved = devices.surface_displacement(solver, window)[0]
+        row = np.argmin(np.abs(solver.body.positions[:, 1] - 1e-3 * press.y_mm))
+        cut = cells[:, 1] == cells[row, 1]
+        force = float(np.linalg.norm(rest.contact_force[0]))
+        picture = draw.gel_picture(
+            moved,
+            1e3 * rest.positions[0, cut],
+            strain(rest.gradients[0, cut]),
+            1e3 * solver.body.spacing_m,
+            window,
+            config.depth_mm,
+            GEL_STRAIN,
+            f"{named}   depth {depth:.2f} mm   force {force:.2f} N",
+        )
+        picture = draw.beside(picture, sensor.image(moved))
+        last = k == PRESS_FRAMES - 1
+        values = {
+            "depth_mm": depth,
+            "face_mm": float(moved.max()),
+            "force_n": force,
+            "penetration_um": float(1e6 * rest.penetration_m[0]),
+            "seconds": spent,
+        }
+        yield FilmFrame(picture, values if last or k == PRESS_FRAMES // 2 - 1 else None)

@@ -6,15 +6,14 @@ from dataclasses import replace
 import numpy as np
 
 from lerobot_pneutac.rendering import particles as draw
-from lerobot_pneutac.rendering.film import STRETCH, Painter, Pose, caption
 from lerobot_pneutac.rendering.options import RenderView
+from lerobot_pneutac.rendering.particles import STRETCH, Painter, Pose, caption
 from pneutac_sim.mpm.body import Body
 from pneutac_sim.splat.body import ARRAYS, looks_from_twin
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.follow import blank_looks, carried
+from pneutac_sim.splat.follow import blank_looks, carried, strain, stretch_colours
 from pneutac_sim.splat.gaussians import Gaussians
 from pneutac_sim.splat.render import rasterise
-from pneutac_sim.splat.stretch import strain, stretch_colours
 from pneutac_sim.twin import Twin
 
 WIDTH, HEIGHT = 640, 480

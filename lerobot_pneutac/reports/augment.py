@@ -7,8 +7,7 @@ import plotly.graph_objects as go
 from lerobot.datasets import LeRobotDataset
 from lerobot.utils.constants import OBS_STATE
 
-from lerobot_pneutac.reports.colours import SERIES
-from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.reports.page import SERIES, Report
 from pneutac_datasets.demonstrations.augment.reference import Reference, onset_sigma_m
 from pneutac_sim.features import VELOCITY_NAMES, Places
 from pneutac_sim.gel.contact import without_specks

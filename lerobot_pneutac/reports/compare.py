@@ -1,10 +1,14 @@
-"""The page of `pneutac compare`: measured against model, loops, residuals by condition, maps, history."""
+"""The page of `pneutac compare`: measured against model, loops, residuals by condition, maps, history.
+
+`c` is a `BodyComparison` throughout.
+"""
 
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from lerobot_pneutac.reports.colours import (
+from lerobot_pneutac.reports.compare_sentence import inside_band
+from lerobot_pneutac.reports.page import (
     BAND,
     CHAMBERS,
     COMMAND,
@@ -14,9 +18,8 @@ from lerobot_pneutac.reports.colours import (
     MODEL,
     SHADE,
     TRAIN,
+    Report,
 )
-from lerobot_pneutac.reports.compare_sentence import inside_band
-from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.session import name_runs, session_clock
 from pneutac_datasets.recording.axes import numbers, unit_of
 from pneutac_sim.finger.quantities import root_mean

@@ -3,8 +3,7 @@
 import cv2
 import numpy as np
 
-from lerobot_pneutac.reports.colours import COMMAND, MEASURED, MODEL, OTHER
-from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.reports.page import COMMAND, MEASURED, MODEL, OTHER, Report
 from pneutac_sim.features import AREA, CONTROL_HZ, PRESSURE
 
 WIDTH = 180  # of a picture of the gel, px

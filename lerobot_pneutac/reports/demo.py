@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from lerobot_pneutac.reports.colours import AFTER, BEFORE, MEASURED
-from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.reports.page import AFTER, BEFORE, MEASURED, Report
 
 TITLES = {
     "bench": "Measured",

@@ -8,7 +8,7 @@ from plotly.subplots import make_subplots
 
 from lerobot_pneutac.diagnosis.experiment import Separation, read
 from lerobot_pneutac.diagnosis.result import Contribution, Outcome
-from lerobot_pneutac.reports.colours import (
+from lerobot_pneutac.reports.page import (
     AFTER,
     BEFORE,
     COMMAND,
@@ -18,8 +18,9 @@ from lerobot_pneutac.reports.colours import (
     OTHER,
     SHADE,
     WHISKER,
+    Report,
+    interval,
 )
-from lerobot_pneutac.reports.page import Report, interval
 from lerobot_pneutac.reports.sentences import State, alternatives, evidence, meaning, percent
 from lerobot_pneutac.reports.session import name_runs, session_clock, worst_passages
 from lerobot_pneutac.study.base import EffectStudy

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import viser
 import websockets.asyncio.server as websocket_server
 
-from lerobot_pneutac.studio.colours import BRAND
+from lerobot_pneutac.studio.plots import BRAND
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CHAMBERS
 
@@ -94,7 +94,7 @@ class Studio:
             with tabs.add_tab("Measurement", viser.Icon.CHART_LINE):
                 pages["Measurement"] = MeasurementPage(self, pages["Device"].scene)
         else:
-            from lerobot_pneutac.studio.images_page import ImagesPage
+            from lerobot_pneutac.studio.measurement_page import ImagesPage
 
             with tabs.add_tab("Measurement", viser.Icon.PHOTO):
                 pages["Measurement"] = ImagesPage(self)

@@ -12,8 +12,8 @@ from lerobot_pneutac.verbs.benches import save_program
 from lerobot_pneutac.verbs.compare import compare
 from lerobot_pneutac.verbs.design import Design, design
 from lerobot_pneutac.verbs.diagnose import diagnose
-from pneutac_datasets.recording.joined import joined
 from pneutac_datasets.recording.noise import noise_text
+from pneutac_datasets.recording.recording import joined
 from pneutac_sim.errors import InputError
 
 

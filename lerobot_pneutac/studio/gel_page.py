@@ -7,14 +7,14 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from lerobot_pneutac.studio.colours import SKIN
 from lerobot_pneutac.studio.effects_panel import EffectsPanel
+from lerobot_pneutac.studio.plots import SKIN
 from pneutac_sim.effects.registry import sensor_effects
 from pneutac_sim.gel.indenter import INDENTERS, Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import press_depth, registered
 from pneutac_sim.gel.sensor import TactileSensor
-from pneutac_sim.splat.stretch import stretch_colours
+from pneutac_sim.splat.follow import stretch_colours
 from pneutac_sim.twin import Twin
 
 FRAMES_A_S = 30

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from pneutac_sim.finger import Pipeline, PressurePipeline
 from pneutac_sim.finger.stages import FORCES, LoadLink
-from pneutac_sim.mpm.shapes import body_mesh
+from pneutac_sim.mpm.solid import body_mesh
 from pneutac_sim.twin import Twin
 
 

@@ -1,4 +1,7 @@
-"""Small line charts of the studio, redrawn many times a second."""
+"""Small line charts of the studio, redrawn many times a second.
+
+Colours of the studio: those of the reports, distinct for the colour-blind, on light and on dark.
+"""
 
 import math
 import threading
@@ -9,7 +12,7 @@ import numpy as np
 import viser
 from viser import uplot
 
-from lerobot_pneutac.reports.page import cell
+from lerobot_pneutac.reports.page import FLOOR, MODEL, cell
 
 FRAMES_A_S = 20
 SPEEDS = {"1 x": 1.0, "0.2 x": 0.2, "5 x": 5.0, "20 x": 20.0}
@@ -124,3 +127,28 @@ class Lines:
             cursor[np.argmin(np.abs(x - now))] = max(v.max() for v in lines)
             lines = (*lines, cursor)
         self._plot.data = tuple(np.asarray(v, np.float64) for v in (x, *lines))
+
+
+MEASURED = "#7a8794"  # the reports' is near black, which a dark page swallows
+PRESSURE = "#2389bd"  # as that of the reports, lighter, for lines on dark
+BRAND = (12, 116, 162)  # the viewer makes it lighter on light, so that both are seen at about 3 : 1
+SKIN, BASE = (120, 170, 200), (90, 100, 112)
+SPINE, JOINTS, TRAIL = (27, 36, 48), (255, 214, 102), (209, 73, 91)
+__all__ = [
+    "BASE",
+    "BRAND",
+    "FLOOR",
+    "JOINTS",
+    "MEASURED",
+    "MODEL",
+    "PRESSURE",
+    "SKIN",
+    "SPINE",
+    "TRAIL",
+    "rgb",
+]
+
+
+def rgb(colour: str) -> tuple[int, int, int]:
+    """Red, green and blue of `#rrggbb`."""
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)

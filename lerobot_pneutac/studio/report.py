@@ -1,13 +1,25 @@
-"""`pneutac report`: a twin with its history as one page, or as a file for Rerun."""
+"""`pneutac report`: a twin with its history as one page, or as a file for Rerun.
+
+A finger or an arm as a file for Rerun, the viewer that LeRobot uses.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
+import rerun as rr
+
 from lerobot_pneutac.cli.terminal import Terminal
+from lerobot_pneutac.studio.live import LiveBody, Skin, shape_of
+from lerobot_pneutac.studio.plots import MEASURED, SKIN, TRAIL, rgb
 from lerobot_pneutac.study.pair import load_bench_pair
+from lerobot_pneutac.verbs.compare import compare
 from lerobot_pneutac.verbs.report import report
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
+from pneutac_sim.features import CHAMBERS
+from pneutac_sim.finger import Pipeline
 from pneutac_sim.twin import Twin
 
 
@@ -45,8 +57,78 @@ def command(cfg: ReportConfig, terminal: Terminal) -> None:
         twin, recording = load_bench_pair(cfg.twin, cfg.recording, "report on")
     terminal.finish(report(twin), cfg.out)
     if cfg.rrd is not None:
-        from lerobot_pneutac.studio.rerun_file import write_rrd
-
         cfg.rrd.parent.mkdir(parents=True, exist_ok=True)
         frames = write_rrd(cfg.rrd, twin, recording)
         terminal.say(f"{cfg.rrd}: {frames} frames; `rerun {cfg.rrd}` shows them")
+
+
+MOST_FRAMES = 1500
+SWEEP_S, HZ = 10.0, 20.0
+TIPS = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
+
+
+def write_rrd(file: Path, twin: Twin, recording: Recording | None = None) -> int:
+    """Writes a twin on a recording and the measurement, or up and down its pressures; returns frames.
+
+    Lengths are in mm, time is that of the recording with its trials laid end to end.
+
+    Raises:
+        InputError: of a gel, or an effect of the twin needs a condition and there is no recording.
+    """
+    if twin.device not in CHAMBERS:
+        raise InputError(f"The twin is of a {twin.device}; --rrd takes a finger or an arm.")
+    stream = rr.RecordingStream("pneutac")
+    stream.save(str(file))
+    skin, joints = Skin.of(twin), np.array(twin.spine_joint_positions_mm)
+
+    surface = {"triangle_indices": skin.faces, "albedo_factor": (*SKIN, 140)}
+    stream.set_time("time", duration=0.0)
+    stream.log("body/skin", rr.Mesh3D(vertex_positions=skin.vertices_mm, **surface))
+
+    def show(time_s: float, shape) -> None:
+        stream.set_time("time", duration=time_s)
+        vertices, spine = skin.carried_mm(shape, joints), shape.spine_mm(twin.length_mm, joints)
+        stream.log("body/skin", rr.Mesh3D.from_fields(vertex_positions=vertices))
+        stream.log("body/spine", rr.LineStrips3D([spine]))
+        stream.log("body/tip", rr.Points3D([shape.markers[:3]], colors=[TRAIL], radii=[2.0]))
+        stream.log("bend_deg", rr.Scalars(shape.bend_deg))
+
+    count = _sweep(twin, show, stream) if recording is None else _recorded(twin, recording, show, stream)
+    stream.flush()
+    return count
+
+
+def _sweep(twin: Twin, show, stream) -> int:
+    """Slowly up and down the pressures that it was measured over, chamber by chamber."""
+    low, high = twin.pressure_range_kpa
+    body, chambers = LiveBody(twin, {}), CHAMBERS[twin.device]
+    steps = int(SWEEP_S * HZ)
+    ramp = low + (high - low) * (1 - np.abs(np.linspace(-1, 1, steps)))
+    commands = np.concatenate([np.outer(ramp, row) for row in np.eye(chambers)])
+    for i, command in enumerate(commands):
+        show((i + 1) / HZ, body.step(command, np.zeros(3), 1 / HZ))
+        stream.log("pressure_kpa", rr.Scalars(command))
+    return len(commands)
+
+
+def _recorded(twin: Twin, recording: Recording, show, stream) -> int:
+    c = compare(twin, recording)
+    pipeline = Pipeline.of(twin, c.bench.inputs)
+    run = pipeline.run(c.bench.inputs, pipeline.theta(twin, c.bench.inputs.pressure_range_kpa))
+    error, at = np.sqrt(c.squared), 0.0
+    time_s, own = np.empty(len(error)), c.recording.column("time_s").astype(float)
+    for rows in c.recording.trials().values():
+        time_s[rows] = own[rows] - own[rows][0] + at
+        at = time_s[rows][-1] + 1.0
+    shown = range(0, len(error), -(-len(error) // MOST_FRAMES))
+    seen = all(n in c.columns for n in (TIPS[0], TIPS[2]))
+    for i in shown:
+        show(time_s[i], shape_of(run.joints[i], run.markers[i], twin))
+        if seen:
+            tip = [c.measured[i, c.columns.index(n)] if n in c.columns else 0.0 for n in TIPS]
+            stream.log("body/measured_tip", rr.Points3D([tip], colors=[rgb(MEASURED)], radii=[2.0]))
+        stream.log(f"error_{c.unit}", rr.Scalars(error[i]))
+        for k, name in enumerate(c.columns[: c.counted]):
+            stream.log(f"{name}/measured", rr.Scalars(c.measured[i, k]))
+            stream.log(f"{name}/model", rr.Scalars(c.model[i, k]))
+    return len(shown)

@@ -18,8 +18,8 @@ from pneutac_sim.twin import Twin
 if TYPE_CHECKING:
     from lerobot_pneutac.verbs.add import Addition
     from lerobot_pneutac.verbs.benches import Bench
-    from lerobot_pneutac.verbs.comparison import Comparison
     from lerobot_pneutac.verbs.diagnosis import Diagnosis
+    from lerobot_pneutac.verbs.result import Comparison
     from pneutac_datasets.recording.recording import Recording
 
 

@@ -11,10 +11,10 @@ from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.search import Structure
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.finger.data import BodyData
+from pneutac_sim.finger.fit import rough_drive
 from pneutac_sim.finger.instants import StepRows
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.finger.problem import Bounds, Problem, past_jumps
-from pneutac_sim.finger.starts import rough_drive
 from pneutac_sim.least_squares import minimise
 from pneutac_sim.twin import Twin
 

@@ -14,8 +14,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
 from lerobot_pneutac.diagnosis import thresholds as T
-from pneutac_datasets.demonstrations.replay.imprint import brightness, rest_image, strengths
-from pneutac_datasets.demonstrations.replay.placing import find_place
+from pneutac_datasets.demonstrations.replay.imprint import brightness, find_place, rest_image, strengths
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.demonstrations.replay.replaying import Place, commanded, late, replay
 from pneutac_sim.features import CONTROL_HZ, EE, PRESSURE

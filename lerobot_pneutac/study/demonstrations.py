@@ -34,8 +34,7 @@ from lerobot_pneutac.study.demonstration_fit import (
     Fitter,
     latency_s,
 )
-from pneutac_datasets.demonstrations.replay.dragging import Dragging
-from pneutac_datasets.demonstrations.replay.imprint import brightness, rest_image
+from pneutac_datasets.demonstrations.replay.imprint import Dragging, brightness, rest_image
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_sim.effects.laws import family, is_law, law

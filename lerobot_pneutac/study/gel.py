@@ -42,10 +42,10 @@ from pneutac_sim.effects.registry import get_effect, of_sensor, sensor_effects
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.quantities import root_mean
 from pneutac_sim.gel import optics
+from pneutac_sim.gel.fit import FAR_ENOUGH, LEFT_RADII
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import check_pair
 from pneutac_sim.gel.photograph import PressPhotograph, session_light
-from pneutac_sim.gel.session import FAR_ENOUGH, LEFT_RADII
 from pneutac_sim.twin import Twin
 
 RECENT = 3  # presses before, of which something may be left that is no noise

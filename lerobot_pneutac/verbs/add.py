@@ -10,13 +10,11 @@ from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.result import Contribution, FittedModel, Refits
 from lerobot_pneutac.diagnosis.steps import Steps
-from lerobot_pneutac.reports.colours import AFTER, BEFORE, KNOWN
-from lerobot_pneutac.reports.page import Report, interval, span
+from lerobot_pneutac.reports.page import AFTER, BEFORE, KNOWN, Report, interval, span
 from lerobot_pneutac.reports.sentences import percent
 from lerobot_pneutac.study import study_of
 from lerobot_pneutac.study.pair import load_pair, same_body
-from lerobot_pneutac.verbs.diagnosis import Diagnosis
-from lerobot_pneutac.verbs.found import read_found
+from lerobot_pneutac.verbs.diagnosis import Diagnosis, read_found
 from lerobot_pneutac.verbs.result import Result, command_on
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording

@@ -12,14 +12,14 @@ import pandas as pd
 
 from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.diagnosis.programs import sent_s
-from pneutac_datasets.recording.chambers import command_columns
+from pneutac_datasets.recording.axes import command_columns
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import MAX_PRESSURE_KPA
 from pneutac_sim.files import whole
 
 if TYPE_CHECKING:
-    from lerobot_pneutac.measuring.options import MeasureConfig
+    from lerobot_pneutac.measuring.programs import MeasureConfig
 
 
 class Bench(Protocol):
@@ -150,7 +150,7 @@ def make_bench(
         return StandinBench(seed), dict(HANGING)
     if not measure.is_file():
         raise InputError(f"measure={measure} is no file; give a YAML file with the options of your bench.")
-    from lerobot_pneutac.measuring.options import MeasureConfig
+    from lerobot_pneutac.measuring.programs import MeasureConfig
 
     config = parse_options(MeasureConfig, [f"--config_path={measure}", f"--out={out / 'round'}"])
     return MeasuredBench(config), config.conditions

@@ -11,8 +11,7 @@ import numpy as np
 
 from lerobot_pneutac.cli.options import TableOptions
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.verbs.calibration import Calibration
-from lerobot_pneutac.verbs.measured_range import measured_range
+from lerobot_pneutac.verbs.calibration import Calibration, measured_range
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations, is_dataset, load_demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import an
@@ -285,7 +284,7 @@ def check_prior(name: str | None, recording: Recording | Demonstrations) -> None
         raise InputError(
             f"save_prior keeps a gel's lights, but {recording.folder} is of a '{recording.device}'; omit it."
         )
-    from pneutac_sim.gel.makes import check_name
+    from pneutac_sim.gel.told import check_name
 
     check_name(name)
 

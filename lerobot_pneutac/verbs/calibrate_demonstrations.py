@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lerobot_pneutac.verbs.calibration import Calibration
-from pneutac_datasets.demonstrations.replay.dragging import Dragging
-from pneutac_datasets.demonstrations.replay.imprint import LightDrift, light_drift, rest_image
+from pneutac_datasets.demonstrations.replay.imprint import Dragging, LightDrift, light_drift, rest_image
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.model import GelModel

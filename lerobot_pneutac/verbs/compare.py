@@ -6,7 +6,7 @@ from pathlib import Path
 from lerobot_pneutac.cli.options import TableOptions
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.study.pair import load_bench_pair, load_pair, same_device, with_unit_note
-from lerobot_pneutac.verbs.comparison import Comparison
+from lerobot_pneutac.verbs.result import Comparison
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError, check_choice

@@ -10,7 +10,7 @@ from lerobot_pneutac.reports.compare_demonstrations import demonstrations_page, 
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.study.demonstration_fit import ARM, LATE, TOUCH
 from lerobot_pneutac.study.demonstrations import UNIT, DemonstrationStudy
-from lerobot_pneutac.verbs.comparison import Comparison, rms_of
+from lerobot_pneutac.verbs.result import Comparison, rms_of
 from pneutac_datasets.demonstrations.episodes import Episode
 from pneutac_datasets.demonstrations.replay.imprint import LightDrift, light_drift
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations

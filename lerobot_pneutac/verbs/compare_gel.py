@@ -5,18 +5,18 @@ from pathlib import Path
 
 import numpy as np
 
-from lerobot_pneutac.reports.gel_picture import picture_grid
+from lerobot_pneutac.reports.gel_told import picture_grid
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.study.gel_model import predict, seen_by
-from lerobot_pneutac.verbs.comparison import Comparison
 from lerobot_pneutac.verbs.fit_gel import errors_of, scores_of
+from lerobot_pneutac.verbs.result import Comparison
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.inverse import TouchReader
 from pneutac_sim.gel.layout import Layout, Orientation, recognise
-from pneutac_sim.gel.metrics import ImageScores, disc
 from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.pair import ImageScores, disc
 from pneutac_sim.gel.problem import slope_light
 from pneutac_sim.twin import Twin
 

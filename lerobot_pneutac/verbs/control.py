@@ -10,8 +10,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.reports.colours import HELDOUT, MEASURED, MODEL, TRAIN
-from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.reports.page import HELDOUT, MEASURED, MODEL, TRAIN, Report
 from lerobot_pneutac.study.pair import same_body
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.recording import Recording

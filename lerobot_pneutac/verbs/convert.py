@@ -11,16 +11,24 @@ import numpy as np
 
 from lerobot_pneutac.cli.tables import show_understood
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.measuring.camera import Intrinsics, MarkerTracker
-from lerobot_pneutac.measuring.video import track_aruco, track_dots
+from lerobot_pneutac.measuring.camera import Intrinsics, MarkerTracker, track_aruco, track_dots
 from pneutac_datasets.recording import rules
 from pneutac_datasets.recording.recording import Recording
-from pneutac_datasets.recording.sources import joining, mocap, plain, rosbag
+from pneutac_datasets.recording.sources import mocap, plain
 from pneutac_datasets.recording.sources.columns import Column, parse_columns
-from pneutac_datasets.recording.sources.frame import BaseFrame, of_body, of_motion
-from pneutac_datasets.recording.sources.joining import joined, shifted, tabled
+from pneutac_datasets.recording.sources.frame import (
+    BaseFrame,
+    Source,
+    Track,
+    commanded,
+    joined,
+    of_body,
+    of_motion,
+    shifted,
+    tabled,
+)
+from pneutac_datasets.recording.sources.mocap import read_rosbag
 from pneutac_datasets.recording.sources.plain import Given, Understood
-from pneutac_datasets.recording.sources.tracks import Source, Track
 from pneutac_datasets.recording.wording import listed
 from pneutac_sim.errors import InputError
 
@@ -119,10 +127,10 @@ def convert(config: ConvertConfig, show: Callable[[Understood], None] = lambda u
     columns = {n: n for n in log.columns} if config.log is not None else config.columns
     if film:
         tip = _of_film(config)
-        frame = BaseFrame(_upright(tip, joining.command(tip, log, columns)), np.zeros(3))
+        frame = BaseFrame(_upright(tip, commanded(tip, log, columns)), np.zeros(3))
     elif config.tip:
         tip = source.track(config.tip, "tip")
-        frame = _frame(source.track(config.base, "base"), tip, config, joining.command(tip, log, columns))
+        frame = _frame(source.track(config.base, "base"), tip, config, commanded(tip, log, columns))
     elif any(re.match("tip_|bend_|q_", c) for c in config.columns.values()):  # a bag of numbers alone
         table = log.table({n: Column.parsed(n, c).column for n, c in config.columns.items()})
         tip = frame = None
@@ -183,7 +191,7 @@ def _read(config: ConvertConfig) -> Source:
     """Markers and numbers of a take or a bag, or the numbers of a table."""
     path = config.source
     if path.is_dir() or path.suffix.lower() in (".mcap", ".db3"):
-        return rosbag.read_rosbag(path)
+        return read_rosbag(path)
     if path.suffix.lower() == ".csv" and mocap.is_optitrack(path):
         return mocap.read_optitrack(path)
     if path.suffix.lower() == ".csv" and mocap.is_vicon(path):

@@ -12,17 +12,16 @@ from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis.design import NO_HANDS, Choice, Limits, choices
 from lerobot_pneutac.diagnosis.hands import GRAVITY, Hands, instructions, named
 from lerobot_pneutac.diagnosis.result import Candidate
-from lerobot_pneutac.reports.design import design_page
+from lerobot_pneutac.reports.learn import design_page
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import called
 from lerobot_pneutac.study.pair import load_bench_pair, load_pair
 from lerobot_pneutac.verbs.benches import save_program
 from lerobot_pneutac.verbs.design_press import design_press
-from lerobot_pneutac.verbs.diagnosis import Diagnosis
-from lerobot_pneutac.verbs.found import described, load_contenders
+from lerobot_pneutac.verbs.diagnosis import Diagnosis, described, load_contenders
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.demonstrations.replay.reading import is_dataset
-from pneutac_datasets.recording.chambers import per_chamber
+from pneutac_datasets.recording.axes import per_chamber
 from pneutac_datasets.recording.noise import noise_floor
 from pneutac_datasets.recording.pressures import usable
 from pneutac_datasets.recording.recording import Recording

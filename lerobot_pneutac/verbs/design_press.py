@@ -12,8 +12,7 @@ from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import called
 from lerobot_pneutac.study.gel_press import HeldChoice, PressChoice, held_choice, press_choices
 from lerobot_pneutac.study.pair import same_device
-from lerobot_pneutac.verbs.diagnosis import Diagnosis
-from lerobot_pneutac.verbs.found import described, load_contenders
+from lerobot_pneutac.verbs.diagnosis import Diagnosis, described, load_contenders
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording

@@ -10,8 +10,7 @@ from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.study import study_of
 from lerobot_pneutac.study.pair import load_pair, same_body
-from lerobot_pneutac.verbs.diagnosis import Diagnosis
-from lerobot_pneutac.verbs.found import save_contenders
+from lerobot_pneutac.verbs.diagnosis import Diagnosis, save_contenders
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError

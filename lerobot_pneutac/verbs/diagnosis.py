@@ -1,6 +1,11 @@
-"""The result of a diagnosis, for every kind of device."""
+"""The result of a diagnosis, for every kind of device.
 
+What a diagnosis wrote to a folder, as `add` takes it up again.
+"""
+
+import json
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -8,16 +13,92 @@ from pathlib import Path
 from rich.markup import escape
 
 from lerobot_pneutac.diagnosis.experiment import Separation
-from lerobot_pneutac.diagnosis.result import PROFILE, Outcome, Tested
+from lerobot_pneutac.diagnosis.result import PROFILE, Candidate, Outcome, Tested
 from lerobot_pneutac.diagnosis.verdict import Explained
 from lerobot_pneutac.reports import sentences
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import Confidence, State, next_experiment
 from lerobot_pneutac.study.base import EffectStudy
-from lerobot_pneutac.verbs.found import BASELINE, BEFORE, FOUND, save_contenders
 from lerobot_pneutac.verbs.result import Result, command_on
+from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.noise import noise_text
+from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.errors import InputError, option
+from pneutac_sim.files import write_json
 from pneutac_sim.twin import Twin
+
+FILE = "contenders.json"  # the models between which a diagnosis could not yet choose
+BEFORE, BASELINE, FOUND = "before", "baseline", "found"  # folders of twins in that of the report
+
+
+@dataclass(frozen=True)
+class WrittenDiagnosis:
+    """A diagnosis in a folder.
+
+    Attributes:
+        result: its `result.json`.
+        before: the twin as it was, re-fitted.
+        baseline: with the known causes that the recording shows; None where there are none.
+        found: the twin with all that was found.
+    """
+
+    result: Mapping
+    before: Twin
+    baseline: Twin | None
+    found: Twin
+
+
+def read_found(folder: str | Path, recording: Recording | Demonstrations) -> WrittenDiagnosis:
+    """Reads what `pneutac diagnose --out=FOLDER` wrote.
+
+    Args:
+        folder: of the diagnosis.
+        recording: that was diagnosed.
+
+    Raises:
+        InputError: the folder holds no diagnosis, or one of another recording.
+    """
+    file = Path(folder) / "result.json"
+    if not file.is_file():
+        raise InputError(
+            f"There is no diagnosis at '{folder}'; make one with `pneutac diagnose {option('out', folder)}`."
+        )
+    result = json.loads(file.read_text())
+    if "verdict" not in result or not (Path(folder) / FOUND).is_dir():
+        raise InputError(f"{file} is not the result of a body's diagnosis; give the folder that it wrote.")
+    if result["rows"] != len(recording):
+        raise InputError(
+            f"{file} is of a recording of {result['rows']} rows and {recording.folder} has {len(recording)}; "
+            "give the recording that was diagnosed."
+        )
+    before, baseline, found = (Path(folder) / name for name in (BEFORE, BASELINE, FOUND))
+    known = Twin.load(baseline) if baseline.is_dir() else None
+    return WrittenDiagnosis(result, Twin.load(before), known, Twin.load(found))
+
+
+def described(contenders: Sequence[Candidate]) -> list[dict]:
+    """Terms and probability of each."""
+    return [{"terms": list(c.terms), "probability": c.probability} for c in contenders]
+
+
+def save_contenders(folder: str | Path, contenders: Sequence[Candidate]) -> None:
+    """Writes their twins, and last what they are."""
+    for i, c in enumerate(contenders):
+        c.twin.save(Path(folder) / "contenders" / str(i))
+    write_json(Path(folder) / FILE, described(contenders))
+
+
+def load_contenders(folder: str | Path) -> list[Candidate]:
+    """What `save_contenders` wrote; raises InputError where there is nothing."""
+    file = Path(folder) / FILE
+    if not file.is_file():
+        raise InputError(f"There is no {file}; give the folder that `pneutac diagnose --out=` wrote.")
+    stored = json.loads(file.read_text())
+    return [
+        Candidate(Twin.load(Path(folder) / "contenders" / str(i)), tuple(c["terms"]), c["probability"])
+        for i, c in enumerate(stored)
+    ]
+
 
 SHOWN = 3  # warnings on the console; the report has all
 

@@ -11,8 +11,7 @@ from rich.table import Table
 
 from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.reports.colours import AFTER, BEFORE, COMMAND, MEASURED
-from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.reports.page import AFTER, BEFORE, COMMAND, MEASURED, Report
 from lerobot_pneutac.verbs.effect_file import effect_source, file_name, units
 from lerobot_pneutac.verbs.result import Result
 from pneutac_sim.effects.body_effect import BodyEffect

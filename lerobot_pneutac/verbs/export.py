@@ -12,10 +12,9 @@ from lerobot_pneutac.verbs.source import MODULES, Source
 from pneutac_sim.effects.registry import of_sensor
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole, write_text
-from pneutac_sim.finger import kinematics
 from pneutac_sim.finger.equilibrium import solve
 from pneutac_sim.finger.pipeline import Pipeline
-from pneutac_sim.finger.stages import EffectLink, LoadLink
+from pneutac_sim.finger.stages import EffectLink, LoadLink, forward_kinematics, forward_kinematics_spatial
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 
 IMPORTS = {
@@ -105,7 +104,7 @@ def _links(model: Pipeline, source: Source) -> list[str]:
             out.append(_link("drive", "drive", None, tuple(model.names[i] for i in link.indices)))
         else:
             planar = model.geometry.axes == 1
-            run = kinematics.forward_kinematics if planar else kinematics.forward_kinematics_spatial
+            run = forward_kinematics if planar else forward_kinematics_spatial
             out.append(_link("kinematics", "kinematics", source.add(run)))
     return out
 
@@ -215,7 +214,7 @@ def write_mjcf(twin: Twin, file: Path) -> None:
     import numpy as np
 
     from pneutac_sim.world import panda, scene, soft_finger
-    from pneutac_sim.world.pad import Pad
+    from pneutac_sim.world.soft_finger import Pad
 
     stiffness = twin.parameter("joint_stiffness_nm_per_rad")
     known = twin.parameters.get("joint_damping_nms_per_rad")

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pneutac_sim.finger.kinematics import gain_profile
-from pneutac_sim.finger.stages import drive_line
+from pneutac_sim.finger.stages import drive_line, gain_profile
 
 
 @dataclass(frozen=True)

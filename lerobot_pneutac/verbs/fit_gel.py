@@ -8,37 +8,34 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lerobot_pneutac.reports.gel_picture import picture_grid
 from lerobot_pneutac.reports.gel_told import (
     make_sentence,
     moved_sentences,
+    picture_grid,
     residual_sentence,
     told_sentences,
 )
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.study.gel import UNHELD
 from lerobot_pneutac.study.gel_model import at_bound, kept, predict
-from lerobot_pneutac.study.gel_modulus import Modulus, keep_modulus, modulus_sentence
-from lerobot_pneutac.study.pasted import Pasted
+from lerobot_pneutac.study.gel_modulus import Modulus, Pasted, keep_modulus, modulus_sentence
 from lerobot_pneutac.verbs.calibration import Calibration
-from lerobot_pneutac.verbs.comparison import rms_of
+from lerobot_pneutac.verbs.result import rms_of
 from pneutac_datasets.recording.gel import GelRecording, pair_faults
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect, of_sensor, sensor_effects
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.fit import fit_presses
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.makes import library, save
-from pneutac_sim.gel.metrics import ImageScores, score
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.pair import Pair, RestDifference, cells
+from pneutac_sim.gel.pair import ImageScores, Pair, RestDifference, cells, score
 from pneutac_sim.gel.problem import GelFit
-from pneutac_sim.gel.told import Told, told
+from pneutac_sim.gel.told import Told, library, save, told
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 
 if TYPE_CHECKING:
-    from pneutac_sim.mpm.pressed import PressedGel  # which starts a compiler
+    from pneutac_sim.mpm.devices import PressedGel  # which starts a compiler
 
 EFFECTS, STANDARD = "effects", "standard"  # in the history of a twin whose effects nobody chose
 OURS, PASTED, REST = "this model", "difference pasted", "rest image"
@@ -310,7 +307,7 @@ def _against_earlier(twin: Twin, data: GelRecording) -> list[str]:
 
 def _material_points(twin: Twin, data: GelRecording, effects: Sequence[str] | None) -> "PressedGel":
     """The gel of a recording; raises InputError where an effect would move its presses."""
-    from pneutac_sim.mpm.pressed import PressedGel
+    from pneutac_sim.mpm.devices import PressedGel
 
     moving = [name for name in effects or () if get_effect(name).press is not None]
     if moving:

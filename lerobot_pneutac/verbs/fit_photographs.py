@@ -8,20 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
-from lerobot_pneutac.rendering.silhouettes import strip
-from lerobot_pneutac.reports.colours import AFTER, OTHER
-from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.rendering.body import strip
+from lerobot_pneutac.reports.page import AFTER, OTHER, Report
 from lerobot_pneutac.study.photographs import PhotoStudy, photo_study
 from lerobot_pneutac.verbs.calibration import Calibration
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.files import write_image
 from pneutac_sim.finger.fit import BY_IMAGES
 from pneutac_sim.photo_fit.coarse import Coarse, coarse_fit
-from pneutac_sim.photo_fit.confidence import Posterior, confidence
-from pneutac_sim.photo_fit.equilibria import Bodies, Equilibria
+from pneutac_sim.photo_fit.equilibria import Bodies, BodyParameters, Equilibria, body_parameters
 from pneutac_sim.photo_fit.objective import SILHOUETTE, MaskedPhotograph, Objective, Scores
-from pneutac_sim.photo_fit.parameters import BodyParameters, body_parameters
-from pneutac_sim.photo_fit.search import EVALUATIONS, Search, SearchRecord, search
+from pneutac_sim.photo_fit.search import EVALUATIONS, Posterior, Search, SearchRecord, confidence, search
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.splat.body import fit_body_looks, looks_into_twin
 from pneutac_sim.splat.gaussians import Gaussians

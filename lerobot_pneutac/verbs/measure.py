@@ -13,11 +13,10 @@ from lerobot.cameras import Camera, make_cameras_from_configs
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis.hands import instructions
 from lerobot_pneutac.measuring.camera import Intrinsics, MarkerTracker, calibrate_camera
-from lerobot_pneutac.measuring.options import STANDIN, MeasureConfig
-from lerobot_pneutac.measuring.programs import PressureTrial, read_program
+from lerobot_pneutac.measuring.programs import STANDIN, MeasureConfig, PressureTrial, read_program
 from lerobot_robot_pneutac.hardware.chambers import Chambers
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault
-from pneutac_datasets.recording.chambers import command_columns, device_with, measured_columns
+from pneutac_datasets.recording.axes import command_columns, device_with, measured_columns
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import write_image

@@ -12,7 +12,7 @@ from rich.markup import escape
 
 from lerobot_pneutac.cli.options import TableOptions
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.verbs.measured_range import measured_range, range_sentence
+from lerobot_pneutac.verbs.calibration import measured_range, range_sentence
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import an
 from pneutac_sim.errors import InputError, check_choice
@@ -136,7 +136,7 @@ def write_geometry(twin: Twin, folder: Path) -> None:
     They are to look at, print or edit; an edited one comes back with `pneutac new --mesh`.
     """
     from pneutac_sim.mpm.parameters import WIDTH_MM
-    from pneutac_sim.mpm.shapes import body_mesh, digit_mount_mesh
+    from pneutac_sim.mpm.solid import body_mesh, digit_mount_mesh
     from pneutac_sim.mpm.user_mesh import stored_mesh
 
     body_mesh(twin).apply_scale(1000.0).export(folder / "geometry.stl")

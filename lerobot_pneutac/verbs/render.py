@@ -9,8 +9,8 @@ import numpy as np
 from PIL import Image
 
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.rendering.film import Film
 from lerobot_pneutac.rendering.options import FPS, RenderConfig, filled
+from lerobot_pneutac.rendering.particles import Film
 from lerobot_pneutac.reports.page import Report, write_result
 from lerobot_pneutac.verbs.result import Result, about
 from pneutac_sim.errors import InputError
@@ -63,7 +63,7 @@ def make_film(twin: Twin, config: RenderConfig) -> Film:
         InputError: an option does not fit the twin.
     """
     if twin.device == "gel":
-        from lerobot_pneutac.rendering.gel import gel_film as film_of
+        from lerobot_pneutac.rendering.body import gel_film as film_of
     else:
         from lerobot_pneutac.rendering.body import body_film as film_of
     return film_of(twin, config)._replace(about=about(twin, config.recording or ""))

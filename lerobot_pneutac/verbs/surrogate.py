@@ -18,8 +18,8 @@ from pneutac_datasets.recording.wording import an
 from pneutac_sim.errors import InputError, check_choice
 from pneutac_sim.files import write_text
 from pneutac_sim.progress import Progress, no_progress
+from pneutac_sim.surrogate.finger import builtin, fits
 from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
-from pneutac_sim.surrogate.networks import builtin, fits
 from pneutac_sim.twin import NETWORKS, Twin
 
 DATA = "surrogate_data"  # in the twin's folder
@@ -207,8 +207,7 @@ def _train_perception(
 ) -> dict:
     """The gel's network."""
     from pneutac_sim.surrogate.gel_collect import collect_gel, read_contacts
-    from pneutac_sim.surrogate.gel_evaluate import evaluate_gel
-    from pneutac_sim.surrogate.gel_train import EPOCHS, EPOCHS_ON, split, train_gel
+    from pneutac_sim.surrogate.gel_train import EPOCHS, EPOCHS_ON, evaluate_gel, split, train_gel
     from pneutac_sim.surrogate.perception import GelSurrogate
 
     mark, seed = gel_fingerprint(twin), collection.seed

@@ -151,7 +151,7 @@ def check_gl(option: str) -> None:
 
 def check_cameras(option: str, sizes: dict[str, tuple[int, int]]) -> None:
     """Refuses cameras that the scene does not have, and where OpenGL does not start; none are none."""
-    from pneutac_sim.world.cameras import check_camera
+    from pneutac_sim.world.scene import check_camera
 
     with named(option):
         for name, size in sizes.items():

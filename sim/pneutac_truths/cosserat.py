@@ -8,9 +8,8 @@ import math
 
 import numpy as np
 
-from pneutac_truths.contact import place
 from pneutac_truths.programs import DT_S
-from pneutac_truths.rod import BEND_Y, BEND_Z, SET_Y, SET_Z, SOFT, STRETCH, TWIST, Rod
+from pneutac_truths.rod import BEND_Y, BEND_Z, SET_Y, SET_Z, SOFT, STRETCH, TWIST, Rod, place
 from pneutac_truths.world import World, seconds
 
 ELEMENTS = 60

@@ -19,7 +19,7 @@ from pneutac_benchmarks.body.shape_case import (
     heldout,
 )
 from pneutac_benchmarks.body.shape_table import write_tables
-from pneutac_datasets.generate.photo_plan import hidden_twin, session
+from pneutac_datasets.generate.photographs import hidden_twin, session
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError

@@ -12,8 +12,8 @@ from pneutac_datasets.recording.gel import GelRecording
 from pneutac_sim.effects import get_effect
 from pneutac_sim.effects.gel_creep import share_left
 from pneutac_sim.gel.fit import fit_photographs
-from pneutac_sim.gel.metrics import rmse
 from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.pair import rmse
 from pneutac_sim.gel.photograph import Predictor
 
 

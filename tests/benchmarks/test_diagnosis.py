@@ -1,11 +1,23 @@
-"""The benchmark of the diagnosis: what is in each set, how it scores, and that it resumes."""
+"""The benchmark of the diagnosis: what is in each set, how it scores, and that it resumes.
 
+The two answers scored: weights come back from made-up causes, and reported shares are counted.
+
+The benchmark of experiments: a foreign device that remembers its programs, and how an answer is scored.
+
+The benchmark of demonstrations: what is hidden, and when an answer is right.
+"""
+
+import io
 import json
 
+import numpy as np
+import pandas as pd
 import pytest
 from rich.console import Console
 
 from lerobot_pneutac.cli import run_verb
+from lerobot_pneutac.verbs.benches import save_program
+from pneutac_benchmarks.demonstrations import VALVE, names_right
 from pneutac_benchmarks.diagnosis import (
     main,
     real,
@@ -14,12 +26,16 @@ from pneutac_benchmarks.diagnosis import (
     table_truths,
     truths,
 )
+from pneutac_benchmarks.diagnosis.answers import fitted, show
 from pneutac_benchmarks.diagnosis.cases import BenchmarkDiagnosisConfig, Case, diagnosed
 from pneutac_benchmarks.diagnosis.rules import COUNTS, counts
+from pneutac_benchmarks.experiments import _known_at
+from pneutac_datasets.generate.truth_bench import TruthBench
 from pneutac_sim.effects.laws import family, law_names
 from pneutac_sim.effects.registry import body_effects
 from pneutac_sim.errors import InputError
 from pneutac_truths import EFFECTS, PAIRS
+from pneutac_truths.programs import given
 
 # ---------------------------------------------------------------- truths
 
@@ -194,3 +210,71 @@ def test_options_are_told_what_is_right():
     with pytest.raises(InputError, match="must be some of rod, arm, cosserat"):
         BenchmarkDiagnosisConfig(devices=("tentacle",))
     assert BenchmarkDiagnosisConfig(set="real").folder.name == "real"
+
+
+def test_weights_come_back_from_answers_that_they_made():
+    rng, true = np.random.default_rng(0), np.array([-1.0, 0.5, 1.5])
+    X = np.column_stack([np.ones(20_000), rng.normal(2.0, 3.0, 20_000), rng.random(20_000) < 0.5])
+    right = (rng.random(20_000) < 1 / (1 + np.exp(-X @ true))).astype(float)
+    np.testing.assert_allclose(fitted(X, right), true, atol=0.1)
+
+
+def test_recordings_and_causes_are_counted():
+    def answer(ratio, explained, effects="creep_fractional", term="lag(p)"):
+        cause = {"cause": "creep", "ranked": {"creep": 0.9}, "certain": True, "terms": [term]}
+        return {
+            "ratio": ratio, "explained": explained, "effects": effects, "truth": [effects], "causes": [cause]
+        }  # fmt: skip
+
+    printed = io.StringIO()
+    answers = [answer(1.1, "fully"), answer(1.2, "mostly"), answer(1.6, "fully", "marker_slip")]
+    show(answers, Console(file=printed, width=200))
+    text = printed.getvalue()
+    assert "1 of 2" in text  # of two recordings that end explained, and of two that were called so
+    assert "1 of 1" in text  # without the marker that slipped between the days
+    assert "2 of 3" in text and "3 causes; Brier score 0.277" in text
+
+
+def test_what_is_given_is_commanded_and_rests_lie_between():
+    time_s, share = np.array([0.0, 1.0, 2.5]), np.array([0.2, 0.8, 0.0])
+    p = given([("a", time_s, share), ("b", time_s, share)], 10.0)
+    assert p.programs == ["a", "b"] and p.pauses_s == [0.0, 10.0]
+    assert p.time_s[p.starts[1]] - p.time_s[p.ends[0] - 1] == pytest.approx(10.0, abs=0.02)
+    first = p.command[p.starts[0] : p.ends[0], 0]
+    at = p.time_s[p.starts[0] : p.ends[0]]
+    np.testing.assert_array_equal(first, np.where(at < 1 - 1e-9, 0.2, np.where(at < 2.5 - 1e-9, 0.8, 0.0)))
+    assert not p.command[p.ends[0] : p.starts[1]].any()
+    assert set(p.sent_s[p.starts[0] : p.ends[0]]) == {0.0, 1.0, 2.5}
+
+
+@pytest.mark.slow
+def test_a_device_remembers_the_programs_before(tmp_path):
+    t = np.arange(0, 6.05, 0.05)
+    bench = TruthBench(("creep_fractional",), 3)
+    for number, top in enumerate((0.9, 0.3)):
+        file = tmp_path / f"{number}.csv"
+        save_program(file, t, np.where((t > 1) & (t < 5), top * bench.range_kpa[1], 0.0), "steps")
+        after = bench.follow(file, tmp_path / str(number), number)
+        assert bench.pause_s == (None if number == 0 else 120.0)
+    fresh = TruthBench(("creep_fractional",), 3).follow(file, tmp_path / "fresh", 0)
+    pd.testing.assert_series_equal(after.samples["pressure_cmd_kpa"], fresh.samples["pressure_cmd_kpa"])
+    apart = np.abs(after.column("tip_z_mm") - fresh.column("tip_z_mm"))[:15].mean()  # before the step
+    assert apart > 3 * after.meta["noise"]["tip_z_mm"] / np.sqrt(15)
+
+
+def test_known_counts_from_the_moment_after_which_it_stays_known():
+    def step(minute, selected, ratio):
+        return {"min": minute, "verdict": "missing_effect", "selected": selected, "ratio": ratio}
+
+    right, wrong = ["power_law_memory(p)"], ["play(p)"]
+    assert _known_at("creep_fractional", [step(1, right, 1.2), step(2, wrong, 1.2), step(3, right, 1.4)]) == 3
+    assert _known_at("creep_fractional", [step(1, right, 1.6), step(2, right, 1.1)]) == 2
+    assert _known_at("creep_fractional", [step(1, right, 1.2), step(2, right, 1.7)]) is None
+    assert _known_at("creep_fractional", []) is None
+
+
+def test_an_answer_is_right_where_it_names_all_that_was_hidden():
+    assert names_right((), []) and not names_right((), ["creep"])
+    assert names_right(("creep",), ["creep", "hysteresis"]) and not names_right(("creep",), ["hysteresis"])
+    assert not names_right(("late_commands", "creep"), ["late_commands"])
+    assert names_right(VALVE, ["valve_lag"]) and not names_right(VALVE, ["creep"])

@@ -17,7 +17,7 @@ from pneutac_datasets.generate.gel import write_gel_recording
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.layout import DIGIT
-from pneutac_sim.gel.metrics import rmse
+from pneutac_sim.gel.pair import rmse
 
 pytestmark = pytest.mark.nightly
 

@@ -1,11 +1,19 @@
-"""What the site is generated from; `make docs` builds all of it, strictly."""
+"""What the site is generated from; `make docs` builds all of it, strictly.
+
+The map: its generated part is up to date, every file and name exists; thresholds of the diagnosis.
+
+The page's state machine is the firmware's, and the tests that it names exist.
+"""
 
 import re
 
+import controller_states as states
 import pytest
 from doc_blocks import ROOT
 from latex2mathml.converter import convert
+from pressure_rig import build
 
+from lerobot_pneutac.diagnosis import thresholds
 from pneutac_sim.effects import all_effects
 from pneutac_sim.effects.laws import law_names
 from pneutac_sim.effects.registry import get_effect
@@ -54,3 +62,63 @@ def test_every_page_is_in_the_navigation_and_the_other_way_round():
     tables = {t.replace("README.md", "index.md") for t in tables}
     notes = {t for t in tables if t.startswith("results/notes/")}  # for developers; results link to them
     assert notes and nav == pages | GENERATED | tables - notes
+
+
+PAGE = (ROOT / "docs/concepts/map.md").read_text()
+
+
+@pytest.fixture
+def idea_map(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "docs" / "generate")
+    import idea_map
+
+    return idea_map
+
+
+def test_effects_and_commands_are_up_to_date(idea_map):
+    assert PAGE.endswith(idea_map.generated()), "run `python docs/generate/idea_map.py`"
+
+
+def test_every_file_and_name_exists(idea_map):
+    assert not idea_map.missing(PAGE)
+    assert idea_map.missing("`sim/none.py`, `sim/pneutac_sim/twin.py`: `Other`") == [
+        "sim/none.py",
+        "sim/pneutac_sim/twin.py Other",
+    ]
+
+
+def test_it_has_every_equation_of_the_paper():
+    """Five are numbered there; the others stand in its text."""
+    numbered = [f"paper, eq. {n}:" for n in range(1, 6)]
+    others = r"q^{cmd}_n|L\,\nabla d_g|\tau_s =|\tau_r^\star =|f_m :|o_t =|1000\,|\hat I - I_{indent}"
+    assert [text for text in (*numbered, *others.split("|")) if text not in PAGE] == []
+
+
+def test_the_page_of_the_diagnosis_has_the_thresholds_of_the_code():
+    page = (ROOT / "docs/concepts/diagnosis.md").read_text()
+    rows = re.findall(r"^\| `([A-Z_]+)` \| ([\d.]+) \|", page, re.M)
+    assert len(rows) > 9
+    assert [(name, float(value)) for name, value in rows if getattr(thresholds, name) != float(value)] == []
+    assert len(page.split()) <= 900
+
+
+@pytest.fixture(scope="module")
+def found():
+    return states.transitions(build())
+
+
+def test_table_and_picture_are_the_firmwares_own(found):
+    assert states.BEGIN + "\n" + states.table(found) + "\n" + states.END in states.PAGE.read_text()
+    assert states.PICTURE.read_text() == states.svg(found)
+
+
+def test_only_following_has_air_and_only_a_set_point_leads_there(found):
+    into = {(state, event) for (state, event), new in found.items() if new == "following" != state}
+    assert into == {("ready", "set-point within the limits")}
+    assert {new for (_, event), new in found.items() if event == "a fault"} == {"fault"}
+
+
+def test_every_test_that_is_named_exists():
+    names = set(re.findall(r"`(test_\w+\.py)`", states.PAGE.read_text()))
+    assert len(names) > 4
+    assert not [name for name in names if not (ROOT / "tests/robots/hardware" / name).exists()]

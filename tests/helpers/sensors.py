@@ -2,8 +2,7 @@
 
 from dataclasses import replace
 
-from pneutac_sim.gel.builtin import rest_image
-from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.model import GelModel, rest_image
 from pneutac_sim.twin import Twin
 
 WIDE = (480, 640, 3)  # height, width and channels of what many USB cameras give

@@ -7,8 +7,9 @@ import pytest
 
 pytest.importorskip("elastica")
 
-from pneutac_truths import cosserat, generate, make
+from pneutac_truths import cosserat, generate
 from pneutac_truths.programs import DT_S
+from pneutac_truths.truth import act
 from pneutac_truths.world import World
 
 LENGTH = 0.12
@@ -69,7 +70,7 @@ def test_damping_is_the_lowest_modes_ratio():
 @pytest.mark.nightly
 def test_at_rest_it_is_where_the_static_rod_is():
     w = World.start("cosserat", 2, 1, 1.5)
-    make.act(w, {})
+    act(w, {})
     w.drive[:], w.aside[:], w.stretch[:] = 0.8, 0.2, 0.05
     told = w.told(np.array([0]))
     body = cosserat.Moving(1e-3 * w.body.rod.length_mm, 0.18e-3 * w.body.rod.length_mm, 0.2, 1.0)

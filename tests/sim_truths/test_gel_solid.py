@@ -1,12 +1,21 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from pneutac_benchmarks.tactile.drag import drag
+from pneutac_truths.__main__ import main
 from pneutac_truths.gel import solid
+from pneutac_truths.gel.faults import GEL_EFFECTS
 from pneutac_truths.gel.punches import KINDS, Punch, polygon_distance
+from pneutac_truths.gel.scene import Look, Sensor, grid, shine
+from pneutac_truths.gel.session import _session, named, write_gel
+from pneutac_truths.gel.solid import Rubber, press
+from pneutac_truths.light import Gel
+from pneutac_truths.light.gel import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE, HalfSpace, love, reach_below
+from pneutac_truths.light.rays import Lamps, light
 
 pytest.importorskip("skfem", reason="needs scikit-fem (the dev extra)")
-from pneutac_benchmarks.tactile.drag import drag
-from pneutac_truths.gel.solid import Rubber, press
 
 TRIANGLE = ((-1.5, -1.0), (1.5, -1.0), (0.0, 1.6))
 
@@ -102,3 +111,217 @@ def test_a_dragged_ball_takes_the_face_along_and_piles_it_up_in_front():
     assert 0.2 < after.at(x[1:2], y[1:2])[0, 0] < 0.31 and slid.at(x[1:2], y[1:2])[0, 0] < 0.1
     up = after.at(x, y)[:, 2] - slid.at(x, y)[:, 2]
     assert up[2] > 0.005 and up[2] > up[0]
+
+
+pytest.importorskip("mitsuba", reason="needs Mitsuba 3 (the dev extra)")
+
+SMALL = Sensor(image_px=(80, 60), gloss=0.0)
+ONE = replace(SMALL, leds=SMALL.leds[:1], colours=SMALL.colours[:1])  # shines from -x
+X, Y = grid(SMALL)
+FLAT = np.zeros((*X.shape, 3))
+
+
+@pytest.fixture(scope="module")
+def rest():
+    return shine(SMALL, FLAT, Look())
+
+
+def moved(z):
+    return np.stack([0 * z, 0 * z, z], -1)
+
+
+def test_each_led_lights_its_own_side(rest):
+    left, right, below = rest
+    assert left[:, :20].mean() > 1.5 * left[:, -20:].mean()
+    assert right[:, -20:].mean() > 1.5 * right[:, :20].mean()
+    assert below[-15:].mean() > 1.5 * below[:15].mean()
+
+
+def test_half_the_coat_sends_half_the_light(rest):
+    """A little less for what met the face twice; two hundredths are the rays' noise."""
+    worn = shine(ONE, FLAT, Look(coat=np.full(X.shape, 0.5)))[0]
+    assert 0.45 < worn.mean() / rest[0].mean() < 0.52
+
+
+def test_a_dent_shades_what_lies_behind_it(rest):
+    ridge = moved(-1.0 * np.exp(-(((X + 1) / 0.6) ** 2)))
+    change = shine(ONE, ridge, Look())[0] / rest[0] - 1
+    facing, behind, before = (change[20:40, a:b].mean() for a, b in ((30, 34), (38, 44), (8, 16)))
+    assert facing > 0.3
+    assert behind < -0.3
+    assert abs(before) < 0.1
+
+
+def test_the_camera_sees_a_point_where_snells_law_puts_it(rest):
+    coat = 1 - np.exp(-((X + 5) ** 2 + (Y - 3) ** 2) / 0.6**2)
+    lost = rest[0] - shine(ONE, FLAT, Look(coat=coat))[0]
+    lost[lost < 0.5 * lost.max()] = 0  # what is left elsewhere is the rays' noise
+    rows, columns = np.indices(lost.shape) + 0.5
+    seen = (columns * lost).sum() / lost.sum(), (rows * lost).sum() / lost.sum()
+    assert seen == pytest.approx(SMALL.pixel(-5, 3), abs=0.5)
+
+
+def test_dust_on_the_plate_hides_what_is_behind_it(rest):
+    dusty = shine(ONE, FLAT, Look(specks_mm=np.array([[0.0, 0.0, 0.5]])))[0]
+    assert dusty[28:32, 38:42].mean() < 0.5 * rest[0][28:32, 38:42].mean()
+    assert dusty[:15].mean() == pytest.approx(rest[0][:15].mean(), rel=0.02)
+
+
+def acted(name):
+    session = _session(Sensor(), 6, np.random.default_rng(1))
+    parameters = GEL_EFFECTS[name].draw(np.random.default_rng(2))
+    GEL_EFFECTS[name].act(session, **parameters)
+    return session, parameters
+
+
+def test_parameters_are_drawn_within_their_ranges():
+    for fault in GEL_EFFECTS.values():
+        drawn = fault.draw(np.random.default_rng(0))
+        assert all(low <= drawn[k] <= high for k, (low, high) in fault.ranges.items())
+
+
+def test_a_dim_led_dims_from_some_press_on():
+    session, parameters = acted("dim_led")
+    led = session.power[:, int(parameters["which"])]
+    assert led[0] == 1.0
+    assert led[-1] == parameters["share"]
+    assert (np.delete(session.power, int(parameters["which"]), 1) == 1).all()
+
+
+def test_a_warm_red_led_dims_most():
+    power = acted("heating_drift")[0].power
+    assert (np.diff(power, axis=0) < 0).all()
+    assert power[-1, 0] < power[-1, 1] == power[-1, 2]
+
+
+def test_wear_and_dust_grow_from_a_clean_rest_image():
+    worn, dusty = acted("worn_membrane")[0].looks, acted("dust")[0].looks
+    assert (worn[0].coat == 1).all()
+    assert worn[-1].coat.min() < worn[1].coat.min() < 1
+    counts = [len(look.specks_mm) for look in dusty]
+    assert counts[0] == 0 < counts[-1]
+    assert counts == sorted(counts)
+
+
+def test_bands_keep_the_mean_and_wander():
+    rows = acted("rolling_exposure")[0].rows
+    assert rows.mean() == pytest.approx(1.0, abs=0.05)
+    assert np.abs(rows[1] - rows[2]).max() > 0.01
+
+
+def test_bad_input_is_one_sentence(tmp_path, capsys):
+    with pytest.raises(ValueError, match="no effect 'moth' of a gel; give one of worn_membrane"):
+        named(["moth"])
+    with pytest.raises(ValueError, match="1 presses are too few"):
+        write_gel(["plain"], tmp_path / "a", presses=1)
+    with pytest.raises(SystemExit):
+        main(["--device=gel", "--effect=moth", f"--out={tmp_path / 'b'}"])
+    assert "no effect 'moth' of a gel" in capsys.readouterr().err
+
+
+UPRIGHT = [np.eye(3)]
+XS = np.linspace(-5.75, 5.75, 47)
+YS = np.linspace(-7.75, 7.75, 63)
+
+
+@pytest.fixture(scope="module")
+def gel():
+    return Gel()
+
+
+def ball(radius, depth, x=0.0, y=0.0):
+    return [SPHERE], [[radius, 0, 0]], [[x, y, radius - depth]], UPRIGHT
+
+
+def plane(depth):
+    return [BOX], [[30, 30, 10]], [[0, 0, 10 - depth]], UPRIGHT
+
+
+def test_an_even_pressure_on_a_square_dents_its_middle_as_love_says():
+    """Johnson, Contact Mechanics (1985) sec. 3.3: 1.122 p a / E* for a square of side a."""
+    assert love(0.0, 0.0, 1.0, 1.0) / np.pi == pytest.approx(1.122 * 2, rel=1e-3)
+
+
+def test_far_away_a_rectangle_is_boussinesqs_point():
+    assert love(30.0, 40.0, 0.5, 0.25) == pytest.approx(0.5 / 50.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(("radius", "depth"), [(3.0, 0.9), (4.0, 0.5), (2.0, 0.6)])
+def test_a_ball_is_pressed_in_as_hertz_says(radius, depth):
+    modulus, cell = 100.0, 0.2
+    x = (np.arange(60) - 29.5) * cell
+    r = np.hypot(x[None, :], x[:, None])
+    below = depth - r**2 / (2 * radius)
+    u, force = HalfSpace(modulus, (cell, cell), (60, 60)).press(below)
+    assert force == pytest.approx(4 / 3 * 1e-3 * modulus * np.sqrt(radius) * depth**1.5, rel=0.02)
+    # Outside the contact, of radius a = sqrt(R d): Johnson eq. 3.42b
+    a, out = np.sqrt(radius * depth), r > 1.3 * np.sqrt(radius * depth)
+    s = a / r[out]
+    hertz = depth / np.pi * ((2 - 1 / s**2) * np.arcsin(s) + np.sqrt(1 / s**2 - 1))
+    assert u[out] == pytest.approx(hertz, abs=0.02 * depth)
+    held = r < 0.9 * a
+    assert u[held] == pytest.approx(below[held], abs=5e-3 * depth)
+
+
+def test_nothing_in_front_leaves_the_face_at_rest(gel):
+    u, force = gel.press(*plane(-0.1))
+    assert force == 0.0
+    assert not u.any()
+    assert (gel.image(u) == gel.rest_image).all()
+
+
+def lowest(kind, size, turn=UPRIGHT[0]):
+    """How far a shape reaches below its own centre, which lies 2 mm above the plane, and where."""
+    reach = reach_below([kind], [size], [[0.5, -1.0, 2.0]], [turn], XS, YS)
+    i, j = np.unravel_index(reach.argmax(), reach.shape)
+    return reach.max() + 2.0, XS[j], YS[i]
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "low"),
+    [
+        (SPHERE, (3.0, 0, 0), 3.0),
+        (CAPSULE, (1.0, 1.5, 0), 2.5),
+        (ELLIPSOID, (2.0, 4.0, 2.6), 2.6),
+        (CYLINDER, (1.0, 2.4, 0), 2.4),
+        (BOX, (1.0, 2.0, 3.0), 3.0),
+    ],
+)
+def test_shapes_reach_as_far_as_they_are_long(kind, size, low):
+    found, x, y = lowest(kind, size)
+    assert found == pytest.approx(low, abs=0.01)
+    if kind not in (CYLINDER, BOX):
+        assert (x, y) == pytest.approx((0.5, -1.0), abs=0.26)
+
+
+def test_a_slope_towards_a_lamp_is_brighter_in_its_colour(gel):
+    """Red shines from the left; a dent stands out towards the camera, so its left side faces red."""
+    u, _ = gel.press(*ball(3.0, 0.8))
+    change = gel.image(u).astype(float) - gel.rest_image
+    left, right = change[150:170, 92:108].mean((0, 1)), change[150:170, 132:148].mean((0, 1))
+    assert left[0] > 10 > -10 > right[0]
+    assert right[1] > 10 > -5 > left[1]
+
+
+def test_a_dent_throws_a_shadow_away_from_the_lamp():
+    """Flat ground behind a ridge is darker than without it, in front of it it is not."""
+    red = Lamps(places=np.array([[-9.0, 0.0, -2.0]]), colours=np.array([[80.0, 0, 0]]))
+    flat = np.zeros((len(YS), len(XS)))
+    ridge = flat - 1.2 * np.exp(-((XS / 0.6) ** 2))
+    change = (light(ridge, XS, YS, red) - light(flat, XS, YS, red))[..., 0]
+    row = change[len(YS) // 2]
+    assert row[np.searchsorted(XS, 2.5)] < -15
+    assert abs(row[np.searchsorted(XS, -4.0)]) < 1
+
+
+def test_corners_are_darker_by_the_fourth_power_of_the_cosine():
+    even = Lamps(places=np.zeros((0, 3)), colours=np.zeros((0, 3)))
+    out = -np.log(1 - light(np.zeros((len(YS), len(XS))), XS, YS, even) / 255)[..., 0]
+    corner = 1 / (1 + (XS[0] ** 2 + YS[0] ** 2) / even.camera_mm**2) ** 2
+    assert out[0, 0] / out[31, 23] == pytest.approx(corner, rel=1e-3)
+
+
+def test_a_touch_beyond_arithmetic_is_none():
+    body = HalfSpace(100.0, (0.25, 0.25), (40, 40))
+    u, force = body.press(np.full((40, 40), 1e-170))
+    assert force == 0 and not u.any()

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from pneutac_datasets.recording.recording import Recording
-from pneutac_truths import EFFECTS, generate, make, write
+from pneutac_truths import EFFECTS, generate, write
 from pneutac_truths.__main__ import main
+from pneutac_truths.truth import changed, sized
 from pneutac_truths.world import World
 
 SHORT = {"minutes": 2.0}
@@ -17,7 +18,7 @@ SHORT = {"minutes": 2.0}
 
 def test_the_same_seed_writes_the_same_bytes(tmp_path):
     for name in ("a", "b"):
-        make.sized.cache_clear()
+        sized.cache_clear()
         write(generate("rod", ["creep_fractional", "regulator_zero"], 3, **SHORT), tmp_path / name)
     for file in ("recording.json", "samples.csv", "truth.json"):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
@@ -127,11 +128,11 @@ def test_each_effect_alone_moves_the_tip_by_3_to_12_times_the_noise(device, seed
     for name, effect in EFFECTS.items():
         if device not in effect.devices:
             continue
-        parameters = dict(make.sized(device, name, seed))
+        parameters = dict(sized(device, name, seed))
         low, high = effect.ranges["size"]
         assert low <= parameters["size"] <= high, name
         for day in (1, 2):
-            change = make.changed(device, name, seed, day, parameters)
+            change = changed(device, name, seed, day, parameters)
             if not 3 <= change <= 12:
                 outside[name, day] = change
     assert not outside

@@ -7,9 +7,9 @@ from numba import njit
 
 from pneutac_benchmarks.baselines.photo_colours import photo_colours
 from pneutac_sim.mpm.body import Body
+from pneutac_sim.photo_fit.objective import FINE, canvas_of, picture_of
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.rasteriser import Rendering
-from pneutac_sim.splat.zbuffer import FINE, canvas_of, picture_of
 
 RADII = (0.5, 0.6, 0.7, 0.8, 0.9)  # over the particles' spacing; the one that suits the photograph is taken
 

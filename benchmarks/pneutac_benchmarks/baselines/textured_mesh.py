@@ -9,10 +9,10 @@ from scipy.spatial import cKDTree
 from pneutac_benchmarks.baselines.isosurface import isosurface
 from pneutac_benchmarks.baselines.photo_colours import photo_colours
 from pneutac_sim.mpm.body import Body
+from pneutac_sim.photo_fit.objective import draw_triangles
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.carry import carry
+from pneutac_sim.splat.follow import carry
 from pneutac_sim.splat.rasteriser import Rendering
-from pneutac_sim.splat.zbuffer import draw_triangles
 
 FINE = 2  # nodes of the density's lattice a particle, each way
 BORDER = 4  # empty nodes round the body

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pneutac_datasets.generate.photo_plan import joints_of
-from pneutac_datasets.generate.photographs import Disturbances, write_photographs
+from pneutac_datasets.generate.photographs import Disturbances, joints_of, write_photographs
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import in_order
 from pneutac_sim.features import CHAMBERS

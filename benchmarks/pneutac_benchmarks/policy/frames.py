@@ -10,9 +10,8 @@ import numpy as np
 import torch
 from torch.nn import functional as F
 
-from lerobot_robot_pneutac.policy.rest_image import MAX_EPISODES
-from lerobot_robot_pneutac.policy.scaling import Scaling
-from lerobot_robot_pneutac.policy.tactile_encoder import pool
+from lerobot_robot_pneutac.policy.modeling_pneutac_bc import Scaling
+from lerobot_robot_pneutac.policy.tactile_encoder import MAX_EPISODES, pool
 from pneutac_datasets.demonstrations.augment.reference import Reference
 from pneutac_datasets.demonstrations.episodes import Episode
 from pneutac_datasets.demonstrations.replay.imprint import imprint_centres_mm

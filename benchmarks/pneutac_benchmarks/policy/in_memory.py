@@ -17,9 +17,7 @@ from lerobot.policies import make_pre_post_processors
 from lerobot.utils.constants import ACTION, OBS_STATE
 
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
-from lerobot_robot_pneutac.policy.model_card import Demonstrations
-from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
-from lerobot_robot_pneutac.policy.scaling import Scaling
+from lerobot_robot_pneutac.policy.modeling_pneutac_bc import Demonstrations, PneutacBCPolicy, Scaling
 from pneutac_benchmarks.policy.frames import Frames
 from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.features import ACTION_NAMES, IMAGE_SHAPE, STATE_NAMES

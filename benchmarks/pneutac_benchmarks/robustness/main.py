@@ -32,8 +32,8 @@ HARDWARE = "tests/robots/hardware/test_"
 # What needs the firmware's simulator, or parts that hang, is tried by the tests themselves.
 TESTS = {
     "pressure sensor: stuck at 9 kPa with noise; 1,000 random faults for 20 s; supply of 40 kPa": (
-        f"{HARDWARE}pressure_sensor_faults.py::test_a_sensor_stuck_at_9_kpa_with_noise_fills_no_more_than_the_cut_off",
-        f"{HARDWARE}pressure_sensor_faults.py::test_the_chamber_stays_below_the_cut_off_whatever_one_sensor_reads[1000-20]",
+        f"{HARDWARE}pressure_firmware.py::test_a_sensor_stuck_at_9_kpa_with_noise_fills_no_more_than_the_cut_off",
+        f"{HARDWARE}pressure_firmware.py::test_the_chamber_stays_below_the_cut_off_whatever_one_sensor_reads[1000-20]",
         "the chamber stays below 16.5 kPa",
     ),
     "a host that babbles at 1 MB/s": (
@@ -62,8 +62,8 @@ TESTS = {
         "a fault within 300 ms",
     ),
     "power loss and a full disk while a twin is saved": (
-        "tests/sim/test_twin_files.py::test_nothing_takes_a_files_place_before_the_disk_holds_it",
-        "tests/sim/test_twin_files.py::test_a_full_disk_is_one_sentence_and_leaves_nothing_behind",
+        "tests/sim/test_twin.py::test_nothing_takes_a_files_place_before_the_disk_holds_it",
+        "tests/sim/test_twin.py::test_a_full_disk_is_one_sentence_and_leaves_nothing_behind",
         "the old twin stays",
     ),
 }

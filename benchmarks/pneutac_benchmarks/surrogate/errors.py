@@ -11,7 +11,7 @@ from pneutac_sim.surrogate.action import without_torque
 from pneutac_sim.surrogate.collect import FRAME_S, Motion, Plan, collect_action, read_motions
 from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
 from pneutac_sim.surrogate.gel_collect import Pairs, collect_gel, read_contacts
-from pneutac_sim.surrogate.gel_evaluate import evaluate_gel
+from pneutac_sim.surrogate.gel_train import evaluate_gel
 from pneutac_sim.surrogate.network import ActionNetwork
 from pneutac_sim.surrogate.perception import GelSurrogate
 from pneutac_sim.twin import Twin

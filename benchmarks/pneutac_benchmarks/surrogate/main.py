@@ -11,7 +11,7 @@ from pneutac_benchmarks.surrogate.rows import table
 from pneutac_benchmarks.surrogate.speed import against_full, environment_rows
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm import runtime
-from pneutac_sim.surrogate.networks import Networks
+from pneutac_sim.surrogate.finger import Networks
 from pneutac_sim.twin import Twin
 
 

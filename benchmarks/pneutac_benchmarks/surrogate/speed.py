@@ -20,8 +20,8 @@ from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import simulate, solve_equilibrium
 from pneutac_sim.surrogate.collect import FRAME_S, HOLDS
+from pneutac_sim.surrogate.finger import Networks
 from pneutac_sim.surrogate.gel_collect import Contact, press, random_contact
-from pneutac_sim.surrogate.networks import Networks
 from pneutac_sim.surrogate.programs import joint_targets
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.env import PneutacEnv
@@ -171,8 +171,7 @@ def _rates(world: World, steps: int) -> np.ndarray:
 
 
 def _full_row(cfg: BenchmarkSurrogateConfig, twin: Twin) -> dict:
-    from pneutac_sim.world.mpm_finger import MpmFinger
-    from pneutac_sim.world.mpm_gel import MpmGel
+    from pneutac_sim.world.mpm_gel import MpmFinger, MpmGel
     from pneutac_sim.world.touch import Touch
 
     world = World("switch", twin, "image", "surrogate")  # finds the bar in seconds

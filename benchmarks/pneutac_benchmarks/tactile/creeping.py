@@ -14,8 +14,7 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from pneutac_truths.light.gel import Gel
-from pneutac_truths.light.objects import SPHERE
+from pneutac_truths.light.gel import SPHERE, Gel
 
 HOLDS_S = (60.0, 2.0, 2.0)  # in turn
 GAP_S = 3.0

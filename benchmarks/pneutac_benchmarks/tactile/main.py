@@ -16,7 +16,7 @@ from pneutac_benchmarks.tactile.sets import TactileSet, find_sets, thumbnail
 from pneutac_benchmarks.tactile.table import write_tables
 from pneutac_sim.errors import InputError, check_choice
 from pneutac_sim.files import write_json
-from pneutac_sim.gel.metrics import score
+from pneutac_sim.gel.pair import score
 
 SECONDS_ACROSS = 5.0  # of a pair of sets, for the progress bar
 

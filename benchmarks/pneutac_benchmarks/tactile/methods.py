@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lerobot_pneutac.study.pasted import Pasted, RestAlone
+from lerobot_pneutac.study.gel_modulus import Pasted, RestAlone
 from pneutac_benchmarks.baselines.dot_sim import DotSim
 from pneutac_benchmarks.baselines.tacchi import Tacchi
 from pneutac_benchmarks.baselines.taxim import Taxim
@@ -17,7 +17,7 @@ from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import Pair
 from pneutac_sim.gel.photograph import Predictor, Pressed, expected_drift, press_depth, registered
 from pneutac_sim.gel.sensor import TactileSensor
-from pneutac_sim.mpm.pressed import PressedGel
+from pneutac_sim.mpm.devices import PressedGel
 from pneutac_sim.splat.gel import SplatSensor
 from pneutac_sim.splat.refine import refine_fit
 from pneutac_sim.twin import Twin

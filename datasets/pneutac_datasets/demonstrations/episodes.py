@@ -23,8 +23,8 @@ from pneutac_sim.features import (
     state_names_like,
 )
 from pneutac_sim.gel.contact import without_specks
-from pneutac_sim.world.cameras import SCENE_CAMERAS
-from pneutac_sim.world.points import points_info
+from pneutac_sim.world.look import points_info
+from pneutac_sim.world.scene import SCENE_CAMERAS
 
 TACTILE = f"{OBS_IMAGES}.{IMAGE_NAME}"
 POINTS = f"{OBS_STR}.{POINTS_KEY}"  # touch as data

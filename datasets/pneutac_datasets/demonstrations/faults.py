@@ -24,7 +24,7 @@ from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.pace import DONE, pace_notes, read_outcomes
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.cameras import SCENE_CAMERAS
+from pneutac_sim.world.scene import SCENE_CAMERAS
 from pneutac_sim.world.station import Station
 
 TACTILE = f"observation.images.{IMAGE_NAME}"

@@ -10,7 +10,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from pneutac_datasets.generate.truth import truth_file
+from pneutac_datasets.generate.finger import truth_file
 from pneutac_sim.errors import InputError
 
 # What each device takes besides --out and --seed.

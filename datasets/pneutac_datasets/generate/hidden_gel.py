@@ -5,9 +5,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from pneutac_datasets.generate.gel import NOISE_LEVELS, PX_PER_MM
-from pneutac_datasets.generate.presses import ball_press, press_row, write_session
-from pneutac_datasets.generate.truth import write_truth
+from pneutac_datasets.generate.finger import write_truth
+from pneutac_datasets.generate.gel import NOISE_LEVELS, PX_PER_MM, ball_press, press_row, write_session
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import sensor_effects
 from pneutac_sim.effects.sensor_effect import CHANNELS

@@ -9,6 +9,10 @@ An effect is hidden in it so, here with two photographs a pressure, 2 s and 60 s
 
     creeping = Disturbances(effects={"creep": {"weight_4s": 0.06, "weight_40s": 0.08}})
     write_photographs("outputs/photos", seed=3, disturbances=creeping, after_s=(2, 60))
+
+Which hidden device is photographed under which pressures, and how its joints follow them.
+
+Where the cameras of generated photographs stand, and where they stand after they were knocked.
 """
 
 from dataclasses import asdict, dataclass, field
@@ -20,21 +24,136 @@ import trimesh
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from pneutac_datasets.generate.photo_cameras import CAMERAS, knocked, place_camera
-from pneutac_datasets.generate.photo_plan import default_pressures, hidden_twin, joints_of, session
+from pneutac_datasets.generate.finger import write_truth
 from pneutac_datasets.generate.photo_scene import Studio, photograph, ragged
-from pneutac_datasets.generate.truth import write_truth
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.effect import BODY_STAGES
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
+from pneutac_sim.features import CHAMBERS
+from pneutac_sim.finger.inputs import Inputs, pressure_columns
+from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solid import SHAPES
 from pneutac_sim.mpm.solve import solve_equilibrium
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.carry import carry
-from pneutac_sim.twin import Twin, Value
+from pneutac_sim.splat.follow import carry
+from pneutac_sim.twin import PAPER_FINGER, Twin, Value
+
+WIDTH, HEIGHT = 640, 480
+# Camera: the way it looks and the way up in the picture, base frame. Devices hang from their base.
+VIEWS = {"front": (0, 1, 0), "back": (0, -1, 0), "side": (0, 0, -1)}
+CAMERAS = {"finger": ("front", "back"), "arm": ("front", "back", "side")}
+
+
+def place_camera(name: str, length_m: float, rng: np.random.Generator) -> Camera:
+    """A camera of one of `VIEWS` in the base frame, placed by hand, so a few degrees off."""
+    forward = np.array(VIEWS[name], float)
+    down = np.array([1.0, 0.0, 0.0])
+    turn = np.stack([np.cross(down, forward), down, forward])  # rows: right, down, forward
+    turn = Rotation.from_euler("xyz", rng.uniform(-4, 4, 3), degrees=True).as_matrix() @ turn
+    distance = 4 * length_m
+    aim = length_m * np.array([0.5, 0.0, 0.0 if name == "side" else 0.22])
+    extrinsics = np.eye(4)
+    extrinsics[:3, :3] = turn
+    extrinsics[:3, 3] = np.array([0, 0, distance]) - turn @ aim + rng.uniform(-0.01, 0.01, 3) * length_m
+    focal = 0.8 * HEIGHT / length_m * distance
+    intrinsics = np.array([[focal, 0, WIDTH / 2], [0, focal, HEIGHT / 2], [0, 0, 1]])
+    return Camera(intrinsics, extrinsics, WIDTH, HEIGHT)
+
+
+def knocked(camera: Camera, turn_deg: float, shift_mm: float, rng: np.random.Generator) -> Camera:
+    """The camera turned about its eye and shifted, in directions by chance."""
+
+    def way(size):
+        v = rng.normal(size=3)
+        return size * v / np.linalg.norm(v)
+
+    nominal = camera.extrinsics
+    eye = -nominal[:3, :3].T @ nominal[:3, 3] + 1e-3 * way(shift_mm)
+    extrinsics = np.eye(4)
+    extrinsics[:3, :3] = Rotation.from_rotvec(np.radians(way(turn_deg))).as_matrix() @ nominal[:3, :3]
+    extrinsics[:3, 3] = -extrinsics[:3, :3] @ eye
+    return Camera(camera.intrinsics, extrinsics, camera.width, camera.height)
+
+
+PRESSURES_KPA = tuple(float(p) for p in range(16))
+
+
+def hidden_twin(seed: int, device: str) -> Twin:
+    """A device with parameters around the paper's calibrated ones (Sec. IV-A).
+
+    Args:
+        seed: decides them.
+        device: `finger` or `arm`.
+    """
+    if device not in CAMERAS:
+        raise InputError(f"There are no photographs of a '{device}'; choose finger or arm.")
+    rng = np.random.default_rng([seed, 11])
+    p = PAPER_FINGER
+    scale, even, straight = {"finger": (1.0, 1.0, 1.0), "arm": (0.7, 0.3, 0.1)}[device]
+    values = {
+        "gain_rad_per_kpa": scale * p["gain_rad_per_kpa"] * rng.uniform(0.8, 1.25),
+        "gain_alpha": p["gain_alpha"] + rng.uniform(-0.06, 0.06),
+        "gain_beta": p["gain_beta"] * rng.uniform(0.5, 1.2) * even,
+        "rest_pressure_kpa": straight * p["rest_pressure_kpa"] * rng.uniform(0.6, 1.2),
+        "youngs_modulus_mpa": p["youngs_modulus_mpa"] * rng.uniform(0.7, 1.4),
+        "poissons_ratio": p["poissons_ratio"] + rng.uniform(-0.04, 0.02),
+        "joint_stiffness_nm_per_rad": p["joint_stiffness_nm_per_rad"] * rng.uniform(0.8, 1.25),
+    }
+    length = {"finger": 110.0, "arm": 200.0}[device]
+    return Twin(device, length, parameters={k: Value(float(v)) for k, v in values.items()})
+
+
+def default_pressures(device: str) -> np.ndarray:
+    """(T, chambers) kPa: 0 to 15 kPa in steps of 1; of an arm in steps of 3, each chamber by itself."""
+    if CHAMBERS[device] == 1:
+        return np.array(PRESSURES_KPA)[:, None]
+    one = np.array(PRESSURES_KPA[::3])
+    rows = [np.zeros((1, CHAMBERS[device]))]
+    rows += [p * np.eye(CHAMBERS[device])[[c]] for c in range(CHAMBERS[device]) for p in one[1:]]
+    return np.concatenate(rows)
+
+
+def session(pressure: np.ndarray, device: str, after_s: tuple[float, ...], conditions: dict) -> pd.DataFrame:
+    """When the device is photographed under which pressure: the recording's table without what is seen."""
+    pressure = pressure[:, None] if pressure.ndim == 1 else pressure
+    times = np.asarray(after_s, float)
+    if len(times) and not (np.isfinite(times).all() and (np.diff(times, prepend=0.0) > 0).all()):
+        raise InputError(f"after_s is {times.tolist()}; give rising times above 0 s, such as (2, 60).")
+    if pressure.ndim != 2 or pressure.shape[1] != CHAMBERS[device] or not np.isfinite(pressure).all():
+        raise InputError(
+            f"pressures_kpa must be rows of {CHAMBERS[device]} finite numbers, one a chamber of the {device}."
+        )
+    count = len(pressure)
+    if len(times):
+        trial, time = (
+            np.zeros(count * len(times), int),
+            (times[-1] * np.arange(count)[:, None] + times).ravel(),
+        )
+    else:
+        trial, time = np.arange(count), np.zeros(count)
+    each = max(len(times), 1)
+    table = {"trial": trial, "time_s": time}
+    table |= dict(zip(pressure_columns(device)[0], np.repeat(pressure, each, 0).T, strict=True))
+    for name, value in conditions.items():
+        table[name] = np.repeat(np.broadcast_to(np.asarray(value, float), count), each)
+    return pd.DataFrame(table)
+
+
+def joints_of(twin: Twin, samples: pd.DataFrame) -> np.ndarray:
+    """(n, H) rad of the joint targets at each sample of a recording, as it went.
+
+    Raises:
+        InputError: an effect of the twin asks for a column that is not there.
+    """
+    inputs = Inputs.from_samples(samples, twin.device, twin.length_mm, source="command", start="held")
+    pipeline = Pipeline.of(twin, inputs)
+    for name, why in pipeline.left_out.items():
+        raise InputError(f"The twin's effect '{name}' cannot act: {why}.")
+    return pipeline.run(inputs, pipeline.theta(twin)).joints
+
 
 MARKER_NOISE_MM = 0.3
 

@@ -11,12 +11,12 @@ from PIL import Image
 from lerobot_robot_pneutac.standin.finger import LENGTH_MM, TIP_MM, RodBody, clamped
 from lerobot_robot_pneutac.standin.gel import WINDOW_MM, CameraNoise, new_gel
 from lerobot_robot_pneutac.standin.world import GAUGE_NOISE_KPA
-from pneutac_datasets.generate.presses import ball_press, press_row, write_session
-from pneutac_datasets.generate.programs import ProgramTrial, session
+from pneutac_datasets.generate.finger import ProgramTrial, session
+from pneutac_datasets.generate.gel import ball_press, press_row, write_session
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import MAX_PRESSURE_KPA
-from pneutac_truths.light.objects import SPHERE, reach_below
+from pneutac_truths.light.gel import SPHERE, reach_below
 
 MARKER_NOISE_MM = 0.3
 SETTLE_S, TURNED_S = 1.0, 4.0  # a finger that has been turned or loaded swings longer

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from pneutac_datasets.recording.chambers import command_columns
+from pneutac_datasets.recording.axes import command_columns
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_truths import generate, write

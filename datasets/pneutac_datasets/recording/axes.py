@@ -1,12 +1,20 @@
-"""Along which axes an error may be looked at: pressure, direction, rate, hold time, logged conditions."""
+"""Along which axes an error may be looked at: pressure, direction, rate, hold time, logged conditions.
+
+Which device has how many chambers, and what its pressures are called in a table.
+"""
 
 import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
 from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.wording import an, plural
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import CHAMBERS
+from pneutac_sim.finger.inputs import pressure_columns
 
 STILL_1_PER_S = 0.005  # of the range of pressures: a slower change counts as a hold
 HOLD_EDGES_S = (0.0, 1.0, 3.0, 10.0, 30.0, 100.0, np.inf)
@@ -132,3 +140,39 @@ def unit_of(name: str) -> str:
     """Unit in a column's name, for axis titles."""
     m = re.search(r"_(kpa|mm|rad|s|c|g)$", name)
     return {"kpa": "kPa", "mm": "mm", "rad": "rad", "s": "s", "c": "°C", "g": "g"}[m[1]] if m else ""
+
+
+def device_with(chambers: int) -> str:
+    """The device that has so many chambers; raises InputError where none has."""
+    for device, count in CHAMBERS.items():
+        if count == chambers:
+            return device
+    known = " and ".join(f"{an(device)} has {count}" for device, count in CHAMBERS.items())
+    raise InputError(f"There is no device with {chambers} chambers; {known}.")
+
+
+def command_columns(chambers: int) -> list[str]:
+    """Columns of the commands, one a chamber: `pressure_cmd_kpa`, or `pressure_cmd_1_kpa` and so on."""
+    return pressure_columns(device_with(chambers))[0]
+
+
+def measured_columns(chambers: int) -> list[str]:
+    """Columns of the measured pressures, one a chamber."""
+    return pressure_columns(device_with(chambers))[1]
+
+
+def chambers_commanded(columns: Iterable[str]) -> int:
+    """How many chambers has the device of which a table has commands; 0 where it has none."""
+    present = set(columns)
+    return max((n for n in CHAMBERS.values() if present.intersection(command_columns(n))), default=0)
+
+
+def per_chamber(name: str, value: float | Sequence[float] | np.ndarray, chambers: int) -> np.ndarray:
+    """A limit of each chamber (chambers,); raises InputError where there are neither one nor so many."""
+    values = np.atleast_1d(np.asarray(value, float))
+    if values.shape not in ((1,), (chambers,)):
+        raise InputError(
+            f"{name} has {plural(len(values), 'number')} for {plural(chambers, 'chamber')}; give one for all,"
+            " or one for each."
+        )
+    return np.broadcast_to(values, chambers)

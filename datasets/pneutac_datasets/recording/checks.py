@@ -1,10 +1,453 @@
-"""Looks at a recording before any model does: faults of tracker, sensors, clock and experiment."""
+"""Looks at a recording before any model does: faults of tracker, sensors, clock and experiment.
+
+Faults of clock and loop: pauses, missing rows, feedback, a command in the wrong row.
+
+Faults of pose columns: angles that wrap, axes in each other's place, drift.
+"""
+
+import re
+from functools import cache
+from itertools import product
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from pneutac_datasets.recording import gauges, loops, poses, pressures, tracker
-from pneutac_datasets.recording.finding import Finding
+from pneutac_datasets.recording import gauges, pressures, tracker
+from pneutac_datasets.recording.blocks import time_blocks
+from pneutac_datasets.recording.gauges import measured_pressures
+from pneutac_datasets.recording.memory import regress, static_columns
+from pneutac_datasets.recording.noise import headline, noise_floor
 from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.tracker import where
+from pneutac_datasets.recording.wording import Finding, plural
+
+LAGS = 6
+ROUNDING = 1e-5  # of the command's range: what its own past leaves of a smooth program is rounding
+ANSWERED = 0.15  # share of the command's steps that feedback explains and a program does not
+
+
+def clock(recording: Recording) -> list[Finding]:
+    """Long pauses within trials, and rows that are missing from an even clock."""
+    gaps: list[int] = []
+    lost: list[int] = []
+    longest, missing, even = 0.0, 0, True
+    for rows in recording.trials().values():
+        t = recording.column("time_s")[rows]
+        dt = np.diff(t)
+        if len(dt) < 5:
+            continue
+        usual = float(np.median(dt))
+        even &= bool((np.abs(dt - usual) < 0.2 * usual).mean() > 0.9)
+        wide = dt > max(10 * usual, 0.5)
+        gaps += list(np.flatnonzero(wide) + rows.start)
+        longest = max(longest, float(dt[wide].max(initial=0)))
+        short = (dt > 1.5 * usual) & ~wide
+        lost += list(np.flatnonzero(short) + 1 + rows.start)
+        missing += int(np.round(dt[short] / usual - 1).sum())
+    found = []
+    if gaps:
+        at = max(gaps, key=lambda i: recording.column("time_s")[i + 1] - recording.column("time_s")[i])
+        text = (
+            f"The clock has {plural(len(gaps), 'gap')} (the longest {longest:.1f} s, in "
+            f"{where(recording, at)}); what happened meanwhile is unknown to a model with memory, so start a "
+            "new trial there."
+        )
+        found.append(Finding("gaps", text, ("time_s",), np.array(gaps) + 1, {"count": len(gaps)}))
+    if lost and even:
+        text = (
+            f"{plural(missing, 'row')} {'is' if missing == 1 else 'are'} missing from an even clock (first "
+            f"before {where(recording, lost[0])}): frames were dropped there."
+        )
+        found.append(Finding("missing_rows", text, ("time_s",), np.array(lost), {"count": missing}))
+    return found
+
+
+def closed_loop(recording: Recording) -> list[Finding]:
+    """Whether the command answers to the measured motion (Granger's test on the command's own changes).
+
+    A programmed command is predictable from its own past and owes nothing to the noise of the marker; a
+    controller's next command follows the marker's last pose. Only rows are looked at in which the command
+    changes, as a controller may be slower than the log. A pose of the row itself answers to the command too,
+    but with the device's own sign, and a controller has the other. Held and ramped programs are never
+    suspected.
+    """
+    columns, _ = headline(recording)
+    gains = {"before": [0.0, 0], "same": [0.0, 0]}
+    command = recording.samples[recording.pressure_columns].to_numpy(float)
+    pose = recording.samples[columns].to_numpy(float)
+    for rows in recording.trials().values() if columns else ():
+        u = command[rows]
+        y = pose[rows]
+        at = 1 + np.flatnonzero(np.abs(np.diff(u, axis=0)).max(1, initial=0) > 0)
+        if len(at) < 200:
+            continue
+        bent = np.abs(np.diff(u[at], 2, axis=0)).max(1) > 1e-4 * max(np.ptp(u), 1e-9)
+        if bent.mean() < 0.5:
+            continue
+        target = u[at][LAGS:]
+        # the last pose but one and all before it are known: what is news in the last is noise, or feedback
+        known = np.hstack([_past(u[at], 1), _past(u[at] ** 2, 1), _past(y[at - 1], 1)])
+        if _left(target, known).std(axis=0).max() < ROUNDING * max(np.ptp(u), 1e-9):
+            continue
+        before, left = _gain(target, known, y[at - 1][LAGS:])
+        shown = (y @ _answer(u, y))[at][LAGS:]  # (n, chambers), each growing with its chamber's pressure
+        same, sign = _same_row(left, np.hstack([known, y[at - 1][LAGS:]]), shown)
+        for name, gain in (("before", before), ("same", same * (sign < 0))):
+            gains[name][0] += gain * len(target)
+            gains[name][1] += len(target)
+    found = []
+    before, same = (a / n if n else 0.0 for a, n in gains.values())
+    if max(before, same) > ANSWERED:
+        own_row = same > ANSWERED
+        late = (
+            " It answers to the pose of its own row, so it was sent after it was measured: log time_sent_s."
+            if own_row
+            else ""
+        )
+        text = (
+            f"The command follows the measured motion ({max(before, same):.0%} of its steps are explained by "
+            f"it): under feedback noise passes for physics; record open-loop programs.{late}"
+        )
+        numbers = {"share": max(before, same), "same_row": float(own_row)}
+        found.append(Finding("closed_loop", text, tuple(recording.pressure_columns), numbers=numbers))
+    return found
+
+
+def _past(x: np.ndarray, first: int) -> np.ndarray:
+    """(n - LAGS, k LAGS): the rows `first`, `first` + 1, ... before each."""
+    return np.hstack([x[LAGS - first - k : len(x) - first - k] for k in range(LAGS)])
+
+
+def _left(target: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """What regression on some columns, and a constant, leaves."""
+    columns = np.c_[columns, np.ones(len(columns))]
+    return target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
+
+
+def _gain(target: np.ndarray, own: np.ndarray, more: np.ndarray) -> tuple[float, np.ndarray]:
+    """Share of what its own past leaves of a target that more columns explain (0 by chance); what is left."""
+    alone, both = _left(target, own), _left(target, np.hstack([own, more]))
+    n, k, m = len(target), own.shape[1] + 1, more.shape[1]
+    scale = (n - k) / max(n - k - m, 1)
+    return float(1 - scale * (both**2).sum() / max((alone**2).sum(), 1e-30)), both
+
+
+def _same_row(left: np.ndarray, known: np.ndarray, shown: np.ndarray) -> tuple[float, float]:
+    """Share of what is left that news in this row's pose explains, and the sign of its answer."""
+    news = _left(shown, known)
+    covariance = (left * news).sum()
+    share = covariance**2 / max((left**2).sum() * (news**2).sum(), 1e-30)
+    return float(min(share, 1.0)), float(np.sign(covariance))
+
+
+def _answer(u: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """(k, chambers) unit direction in which the device goes when a chamber's pressure grows."""
+    slope = np.linalg.lstsq(np.c_[u, np.ones(len(u))], y, rcond=None)[0][: u.shape[1]].T
+    return slope / np.maximum(np.linalg.norm(slope, axis=0), 1e-12)
+
+
+def late_command(recording: Recording) -> list[Finding]:
+    """Whether the device moves before its command does.
+
+    Before steps out of a rest the pose will do; where the command never rests, the measured pressure decides,
+    if it knows of the next row's command what nothing before it knew.
+    """
+    found = []
+    gauges = {c: [m] for m, c in measured_pressures(recording).items()}
+    for name in recording.pressure_columns:
+        seen = gauges.get(name) or headline(recording)[0]
+        reach = np.ptp(recording.column(name))
+        trials = recording.trials().values()
+        leads = [lead for rows in trials for lead in _leads(recording, name, seen, rows, reach)]
+        ahead = [lead for lead in leads if lead > 0]
+        if len(leads) >= 5 and len(ahead) >= 0.8 * len(leads):
+            late, shown = int(np.median(ahead)), f"in {len(ahead)} of {len(leads)} steps"
+        elif name in gauges and (late := _foreseen(recording, name, seen[0])):
+            shown = "all along"
+        else:
+            continue
+        what = f"Column '{seen[0]}'" if len(seen) == 1 else "The marker"
+        rows = plural(late, "row")
+        text = (
+            f"{what} moves {rows} before the command '{name}' does, {shown}: the command is written too "
+            f"late; move it up by {rows}, or give time_sent_s."
+        )
+        found.append(Finding("late_command", text, (name,), numbers={"rows_late": float(late)}))
+    return found
+
+
+def _leads(recording: Recording, name: str, seen: list[str], rows: slice, reach: float) -> list[int]:
+    """By how many rows the device went ahead of each step of a command, of such a range, out of a rest."""
+    u = recording.column(name)[rows].astype(float)
+    y = recording.samples.iloc[rows][seen].to_numpy(float)
+    other = [c for c in recording.pressure_columns if c != name]
+    others = recording.samples.iloc[rows][other].to_numpy(float)
+    moves = np.abs(np.diff(np.c_[u, others], axis=0, prepend=np.c_[u, others][:1])).max(1)
+    out = []
+    for i in np.flatnonzero(moves > 0.002 * reach):
+        rested = i >= 10 and moves[i - 10 : i].max() <= 1e-6 * reach
+        if not rested or i + 5 > len(u) or np.abs(u[i : i + 10] - u[i - 1]).max() < 0.1 * reach:
+            continue
+        calm = y[i - 10 : i - 4]
+        way = y[min(i + 10, len(y) - 1)] - calm.mean(0)
+        along = (y[i - 10 : i] - calm.mean(0)) @ way / max(np.linalg.norm(way), 1e-12)
+        ahead = along[::-1] > max(0.03 * np.linalg.norm(way), 6 * along[:6].std(), 1e-12)
+        out.append(int(np.argmin(np.r_[ahead, False])))
+    return out
+
+
+def _foreseen(recording: Recording, name: str, gauge: str) -> int:
+    """How many rows ahead of an ever changing command its measured pressure is."""
+    late = 0
+    for ahead in (1, 2, 3):
+        agree, n = 0.0, 0
+        for rows in recording.trials().values():
+            u, p = (np.diff(recording.column(c)[rows].astype(float)) for c in (name, gauge))
+            if len(u) < 200 or (np.abs(np.diff(u)) > 1e-4 * max(np.ptp(u), 1e-9)).mean() < 0.5:
+                continue
+            m = len(u) - ahead
+            known = [u[LAGS + ahead - 1 - k : m + ahead - 1 - k] for k in range(LAGS + ahead - 1)]
+            known = np.stack([*known, *(p[LAGS - k : m - k] for k in range(1, LAGS))], -1)
+            left = _left(p[LAGS:m, None], known)
+            share, sign = _same_row(left, known, u[LAGS + ahead : m + ahead, None])
+            agree, n = agree + share * len(left) * (sign > 0), n + len(left)
+        if n and agree / n > ANSWERED:
+            late = ahead
+    return late
+
+
+TURN = 2 * np.pi
+TIP = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
+LENGTHS = {"millimetres": 1.0, "centimetres": 10.0, "inches": 25.4, "metres": 1000.0}  # mm in one of them
+MOST_TIPS = 200
+MOST_BENT_RAD = 4.2  # beyond that the path nears the base, where any tip lies close to it
+OTHER_LENGTH = 1.15  # ratio of two lengths that no rough measure explains
+OFF_PATH = 0.004  # lengths of the device: nearer than that nothing is wrong
+MUCH_NEARER = 0.3
+
+
+def unwrap(recording: Recording) -> tuple[Recording, list[Finding]]:
+    """Takes whole turns off angles where it is certain that they are the tracker's."""
+    found, samples = [], recording.samples
+    for name in [c for c in samples if re.fullmatch(r"\w+_rad", str(c))]:
+        x = recording.column(name).astype(float)
+        straight, jumps, certain = x.copy(), [], True
+        for rows in recording.trials().values():
+            step = np.diff(x[rows])
+            wraps = np.abs(np.abs(step) - TURN) < 0.25 * np.pi
+            jumps += list(np.flatnonzero(wraps) + 1 + rows.start)
+            straight[rows] = np.unwrap(x[rows])
+            certain &= bool(np.abs(np.diff(straight[rows])).max(initial=0) < 0.25 * np.pi)
+        if not jumps:
+            continue
+        # a tracker wraps at the ends of one turn and shows nothing beyond
+        certain &= bool(
+            np.ptp(x) <= TURN + 1e-6 and np.abs(np.diff(x[np.add.outer(jumps, [-1, 0])])).min() > 5.5
+        )
+        times = f"{plural(len(jumps), 'time')} (first in {where(recording, jumps[0])})"
+        text = f"Column '{name}' jumps by a whole turn {times}; " + (
+            "it moves smoothly otherwise, so the turns are taken off."
+            if certain
+            else "it also moves quickly elsewhere, so it was not changed: unwrap it yourself."
+        )
+        found.append(Finding("wrapped_angle", text, (name,), np.array(jumps), {"unwrapped": float(certain)}))
+        if certain:
+            samples = samples.assign(**{name: straight})
+    if samples is recording.samples:
+        return recording, found
+    return Recording(recording.folder, recording.meta, samples, recording.device, recording.warnings), found
+
+
+def _drive(recording: Recording) -> np.ndarray:
+    """(n, chambers) pressure of the order of 1, measured where all of it was."""
+    measured = list(measured_pressures(recording))
+    names = measured if len(measured) == len(recording.pressure_columns) else recording.pressure_columns
+    p = recording.samples[names].to_numpy(float)
+    return p / max(float(np.abs(p).max()), 1e-9)
+
+
+def exchanged_axes(recording: Recording) -> list[Finding]:
+    """Tip columns of a finger in each other's place: it bends in z and lies along x."""
+    length = recording.length_mm
+    if recording.device != "finger" or length is None:
+        return []
+    p, found = _drive(recording), []
+    if recording.has("tip_y_mm") and recording.has("tip_z_mm"):
+        y, z = (_moved_by(recording, p, c) for c in ("tip_y_mm", "tip_z_mm"))
+        if y > 0.03 * length and z < 0.2 * y:
+            text = (
+                f"The pressure moves tip_y_mm (by {y:.3g} mm) and hardly tip_z_mm (by {z:.2g} mm), but a "
+                "finger bends in z: the axes are exchanged, or the base is turned by 90 degrees; give both "
+                "in the finger's base frame."
+            )
+            found.append(Finding("exchanged_axes", text, ("tip_y_mm", "tip_z_mm")))
+    if recording.has("tip_x_mm") and recording.has("tip_z_mm"):
+        rest = np.abs(p[:, 0]) <= np.quantile(np.abs(p[:, 0]), 0.1)
+        x, z = (float(np.median(recording.column(c)[rest])) for c in ("tip_x_mm", "tip_z_mm"))
+        if abs(z) > 0.8 * length and abs(x) < 0.5 * length:
+            text = (
+                f"At the lowest pressures the tip is at tip_x_mm {x:.3g} and tip_z_mm {z:.3g}, but a finger "
+                f"of {length:g} mm lies along x: the axes are exchanged; give both in its base frame."
+            )
+            found.append(Finding("exchanged_axes", text, ("tip_x_mm", "tip_z_mm")))
+    return found
+
+
+def misplaced_tip(recording: Recording) -> list[Finding]:
+    """Tip coordinates that lie on the path of a bending device in another unit, frame or length alone.
+
+    A device that bends evenly moves its tip on the curve L (sin t, 1 - cos t) / t. Real ones stay near it, so
+    only a reading of the columns that brings them several times nearer is named.
+    """
+    length, names = recording.length_mm, [c for c in TIP if recording.has(c)]
+    if recording.device not in ("finger", "arm") or length is None or "tip_x_mm" not in names[:-1]:
+        return []
+    tip = recording.samples[names].to_numpy(float)
+    tip = tip[:: max(1, len(tip) // MOST_TIPS)] / length
+    x, aside = tip[:, 0], np.linalg.norm(tip[:, 1:], axis=1)
+    sideways = " and ".join(names[1:])
+    now, readings = _off_path(x, aside), []
+    if now < OFF_PATH:
+        return []
+    for (in_x, kx), (in_z, kz) in product(LENGTHS.items(), LENGTHS.items()):
+        if kx == kz == 1:
+            continue
+        which = " and ".join(names) if kx == kz else sideways if kx == 1 else "tip_x_mm"
+        if kx == kz or 1 in (kx, kz):
+            unit = in_z if kx == 1 else in_x
+            remedy = f"{which} can only be in {unit}; multiply by {kz if kx == 1 else kx:g}"
+        else:
+            remedy = f"tip_x_mm can only be in {in_x} and {sideways} in {in_z}; multiply by {kx:g} and {kz:g}"
+        readings.append((_off_path(kx * x, kz * aside), remedy, max(kx, kz)))
+    readings.append(
+        (_off_path(x + 1, aside), f"x is counted from the tip at rest; add {length:g} to tip_x_mm", 1)
+    )
+    readings.append(
+        (_off_path(-x, aside), "x points from the tip to the base; change the sign of tip_x_mm", -1)
+    )
+    scales = [s for s in np.geomspace(1 / 6, 6, 91) if not 1 / OTHER_LENGTH < s < OTHER_LENGTH]
+    best = min(scales, key=lambda s: _off_path(s * x, s * aside))
+    remedy = f"it fits a device of {length / best:.3g} mm; correct length_mm, or the scale of the tip"
+    readings.append((2 * _off_path(best * x, best * aside), remedy, best))
+    off, remedy, kind = min(readings, key=lambda r: r[0])
+    if off > MUCH_NEARER * now:
+        return []
+    rest = np.abs(_drive(recording)).max(1)
+    rest = recording.samples[names].to_numpy(float)[rest <= np.quantile(rest, 0.1)]
+    away = float(np.linalg.norm(np.median(rest, axis=0)))
+    text = (
+        f"At the lowest pressures the tip is {away:.3g} mm from the base of a {recording.device} of "
+        f"{length:g} mm, and its path does not fit such a device: {remedy}."
+    )
+    return [Finding("misplaced_tip", text, tuple(names), numbers={"off_path": now, "reading": float(kind)})]
+
+
+def _off_path(x: np.ndarray, aside: np.ndarray) -> float:
+    """Root mean square distance of tips, in lengths of the device, from the path of an evenly bent one."""
+    return float(np.sqrt(np.mean(_path().query(np.stack([x, aside], -1))[0] ** 2)))
+
+
+@cache
+def _path() -> cKDTree:
+    turn = np.linspace(1e-6, MOST_BENT_RAD, 2000)
+    return cKDTree(np.stack([np.sin(turn), 1 - np.cos(turn)], -1) / turn[:, None])
+
+
+def other_way_round(recording: Recording) -> list[Finding]:
+    """A finger that bends towards -z, or whose angle falls, as the pressure rises."""
+    if recording.device != "finger" or exchanged_axes(recording):
+        return []  # what falls may be another axis
+    p, found = _drive(recording), []
+    if p.max() < -p.min() or not np.ptp(p[:, 0]):
+        return []  # vacuum bends it: which way is positive is its maker's choice
+    for name in ("tip_z_mm", "bend_angle_rad"):
+        if not recording.has(name):
+            continue
+        y = recording.column(name).astype(float)
+        far = float(np.ptp(y))
+        if far < (0.05 * (recording.length_mm or 100.0) if name == "tip_z_mm" else 0.05):
+            continue
+        if np.corrcoef(p[:, 0], y)[0, 1] < -0.7:
+            text = (
+                f"Column '{name}' falls as the pressure rises, but a finger's bend is positive at positive "
+                "pressure: it was mounted, or z drawn, the other way round; change the sign of the column, "
+                "or the twin's gain is negative."
+            )
+            found.append(Finding("other_way_round", text, (name,)))
+    return found
+
+
+def _moved_by(recording: Recording, p: np.ndarray, name: str) -> float:
+    """Range of a column that a static map of the pressure explains, the median over trials."""
+    y, ranges = recording.column(name).astype(float)[:, None], []
+    for rows in recording.trials().values():
+        if np.ptp(p[rows], axis=0).max() > 0.3 * np.ptp(p, axis=0).max():
+            columns = static_columns(p[rows])
+            ranges.append(float(np.ptp(columns @ regress(columns, y[rows]))))
+    return float(np.median(ranges)) if ranges else 0.0
+
+
+def drift(recording: Recording) -> list[Finding]:
+    """A steady move of the output over the session at equal pressures."""
+    columns, unit = headline(recording)
+    same = _usual_conditions(recording)
+    if not columns or same.sum() < 200:
+        return []
+    p, block = _drive(recording)[same], time_blocks(recording.samples)[same]
+    done = _session_s(recording)[same]
+    y = recording.samples[columns].to_numpy(float)[same]
+    floor = noise_floor(recording).by_column
+    moved = {}
+    for i, name in enumerate(columns):
+        total, steady = _trend(static_columns(p), y[:, i : i + 1], done, block)
+        if steady and abs(total) > max(5 * floor.get(name, 0.0), 0.02 * np.ptp(y[:, i])):
+            moved[name] = total
+    if not moved:
+        return []
+    how = " and ".join(f"'{c}' by {x:+.3g} {unit}" for c, x in moved.items())
+    text = (
+        f"At equal pressures the output drifts steadily over the session, {how}: the tracker, the mount or a "
+        "gauge drifts, or the device softens or warms. Repeat the first program at the end to find out which."
+    )
+    return [Finding("drift", text, tuple(moved), numbers=moved)]
+
+
+def _usual_conditions(recording: Recording) -> np.ndarray:
+    """Mask (n,) of rows in the most common orientation and payload, and near the median temperature."""
+    s, mask = recording.samples, np.ones(len(recording), bool)
+    for name in ("gravity_x", "gravity_y", "gravity_z", "payload_g"):
+        if name in s:
+            rounded = s[name].round(1)
+            mask &= (rounded == rounded.mode()[0]).to_numpy()
+    if "temperature_c" in s:
+        mask &= ((s["temperature_c"] - s["temperature_c"].median()).abs() < 2.0).to_numpy()
+    return mask
+
+
+def _session_s(recording: Recording) -> np.ndarray:
+    """(n,) seconds recorded since the first row; pauses between trials are not counted."""
+    t, out, before = recording.column("time_s"), np.empty(len(recording)), 0.0
+    for rows in recording.trials().values():
+        out[rows] = before + t[rows] - t[rows.start]
+        before = out[rows.stop - 1]
+    return out
+
+
+def _trend(design: np.ndarray, y: np.ndarray, done: np.ndarray, block: np.ndarray) -> tuple[float, bool]:
+    """Move of y (n, 1) over the session besides a static map, and whether it is steady over blocks."""
+    share = (done - done.min()) / max(np.ptp(done), 1e-9)
+    left = y - design @ regress(design, y)
+    clock = share[:, None] - design @ regress(design, share[:, None])
+    if (clock**2).mean() < 1e-6:
+        return 0.0, False  # the pressure itself runs with the clock
+    total = float((clock * left).sum() / max((clock**2).sum(), 1e-12))
+    numbers = np.unique(block, return_inverse=True)[1]
+    n = np.bincount(numbers)
+    a, b = (np.bincount(numbers, v[:, 0]) / n for v in (clock, left))
+    if len(n) < 8 or np.ptp(a) < 1e-9 or np.ptp(b) < 1e-12:
+        return total, False
+    return total, bool(abs(np.corrcoef(a, b)[0, 1]) > 0.9)
+
 
 LOOKS = (
     tracker.jumps,
@@ -14,13 +457,13 @@ LOOKS = (
     gauges.clipped_command,
     gauges.coarse,
     gauges.repeated,
-    loops.clock,
-    loops.closed_loop,
-    loops.late_command,
-    poses.exchanged_axes,
-    poses.misplaced_tip,
-    poses.other_way_round,
-    poses.drift,
+    clock,
+    closed_loop,
+    late_command,
+    exchanged_axes,
+    misplaced_tip,
+    other_way_round,
+    drift,
 )
 
 
@@ -54,7 +497,7 @@ def _looked(recording: Recording) -> tuple[Recording, list[Finding]]:
     if recording.device == "gel":
         return recording, []
     measured = pressures.measured_pressures(recording)
-    recording, found = poses.unwrap(recording)
+    recording, found = unwrap(recording)
     recording, more = pressures.usable(recording)
     found += more
     for look in LOOKS:

@@ -9,7 +9,6 @@ import pandas as pd
 
 from pneutac_datasets.recording import reading, rules, units
 from pneutac_datasets.recording.checks import check
-from pneutac_datasets.recording.clock import check_sent, check_time
 from pneutac_datasets.recording.gel import gel_faults
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import listed
@@ -110,8 +109,8 @@ def _look_at(samples: pd.DataFrame, device: str, meta: dict, file: Path, found: 
     if device == "gel":
         return
     if {"trial", "time_s"} <= set(table) and table["trial"].notna().all():
-        found(check_time, table, file, [])
-        found(check_sent, table, file)
+        found(rules.check_time, table, file, [])
+        found(rules.check_sent, table, file)
     for rule in units.RULES:
         if rule is not units.check_gravity or all(f"gravity_{a}" in table for a in "xyz"):
             found(rule, table, meta, file)

@@ -5,10 +5,10 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from pneutac_datasets.recording.finding import Finding
 from pneutac_datasets.recording.pressures import measured_pressures
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.tracker import is_moving
+from pneutac_datasets.recording.wording import Finding
 
 COARSE = 1e-3  # of the range: smaller steps are the digits of the file
 GATHERED = 0.7

@@ -1,22 +1,62 @@
-"""A gel's bench recording, ready to fit and to score: checked images and what pressed each of them."""
+"""A gel's bench recording, ready to fit and to score: checked images and what pressed each of them.
+
+Indenters of any form, as the rows of a gel's recording describe them.
+"""
 
 import math
 from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pandas as pd
 
-from pneutac_datasets.recording.figures import figure_of
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import shown
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.figure import AnyFigure
+from pneutac_sim.files import inside
+from pneutac_sim.gel.figure import AnyFigure, Figure, Outline
 from pneutac_sim.gel.indenter import FIGURES, INDENTERS, Press
 from pneutac_sim.gel.late import Earlier
 from pneutac_sim.gel.pair import RestDifference, cell_px, cells, check_pair, saturated, shows_contact
 from pneutac_sim.gel.photograph import PressPhotograph
 from pneutac_sim.gel.probe import THICKNESS_MM
+
+
+def figure_of(folder: Path, row: pd.Series, indenter: str) -> AnyFigure | None:
+    """The figure of a row's indenter; None where it is one of the plain shapes.
+
+    Args:
+        folder: of the recording, in which `indenter_file` lies.
+        row: with `outline_mm` for an `outline`, `indenter_file` for a `mesh`.
+        indenter: of the row.
+
+    Raises:
+        InputError: the column is empty, or what it names is no indenter.
+    """
+    if indenter == "outline":
+        return Outline.of_text(_text(row, "outline_mm", "give its corners in mm, x y; x y; x y"))
+    if indenter == "mesh":
+        name = _text(row, "indenter_file", "name the STL inside the recording's folder")
+        file = folder / name
+        if "\0" in name or not inside(folder, file):
+            raise InputError(f"indenter_file {shown(name)} lies outside the recording's folder.")
+        return _read(file, file.stat().st_mtime_ns if file.is_file() else 0)
+    return None
+
+
+def _text(row: pd.Series, column: str, remedy: str) -> str:
+    value = row.get(column)
+    if not isinstance(value, str) or not value.strip():
+        raise InputError(f"{column} is empty; {remedy}.")
+    return value
+
+
+@lru_cache(maxsize=16)
+def _read(file: Path, changed: int) -> Figure:
+    return Figure.read(file)
+
 
 MIRROR_SAMPLES = 4  # photographs from which a mirrored axis can be detected
 AGREE_MM = 0.5  # by which a contact's place in pixels and in millimetres may differ

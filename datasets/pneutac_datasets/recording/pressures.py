@@ -12,10 +12,10 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.signal import lfilter
 
-from pneutac_datasets.recording.finding import Finding
 from pneutac_datasets.recording.memory import regress, static_columns
 from pneutac_datasets.recording.noise import headline
 from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.wording import Finding
 
 BINS = 20  # of the command's range
 LEAST_ROWS = 5  # of a bin that counts

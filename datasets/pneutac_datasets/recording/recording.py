@@ -1,7 +1,11 @@
-"""A bench recording: measurements of one device, as a folder with `recording.json` and a table of samples."""
+"""A bench recording: measurements of one device, as a folder with `recording.json` and a table of samples.
+
+Several recordings of one device as one.
+"""
 
 import re
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +13,7 @@ import pandas as pd
 
 from pneutac_datasets.recording import blocks, reading, rules
 from pneutac_datasets.recording.image_file import read_image
-from pneutac_datasets.recording.starts import TrialStart, meta_of_kept, starts
+from pneutac_datasets.recording.rules import TrialStart, meta_of_kept, starts
 from pneutac_datasets.recording.wording import listed, shown
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import inside, whole, write_json
@@ -184,3 +188,34 @@ class Recording:
 def _time(seconds: float) -> str:
     """With nine decimals: seven digits would be too few for a clock that counts since 1970."""
     return f"{seconds:.9f}".rstrip("0").rstrip(".")
+
+
+def joined(recordings: Sequence[Recording], pauses_s: Sequence[float | None]) -> Recording:
+    """All trials of all recordings in their order, renumbered.
+
+    Args:
+        recordings: of one device, with the same columns.
+        pauses_s: seconds without pressure before each recording, since the one before it; None where its
+            first trial begins as its own `recording.json` says, or at an unknown state.
+
+    Raises:
+        InputError: they differ in device, length or columns.
+    """
+    first = recordings[0]
+    columns = set(first.samples)
+    tables, trials, count = [], {}, 0
+    for r, pause_s in zip(recordings, pauses_s, strict=True):
+        if r.device != first.device or r.length_mm != first.length_mm:
+            raise InputError(f"{r.folder} is not of the device of {first.folder}.")
+        if set(r.samples) != columns:
+            other = ", ".join(sorted(set(r.samples) ^ columns))
+            raise InputError(f"{r.folder} and {first.folder} differ in {other}; record the same columns.")
+        stated = r.meta.get("trials") or {}
+        names = {old: count + i for i, old in enumerate(r.trials())}
+        tables.append(r.samples.assign(trial=r.samples["trial"].map(names)))
+        trials |= {str(new): stated[str(old)] for old, new in names.items() if str(old) in stated}
+        if pause_s is not None and count:
+            trials[str(count)] = {"start": "continues", "pause_s": round(pause_s, 3)}
+        count += len(names)
+    samples = pd.concat(tables, ignore_index=True)[list(first.samples)]
+    return replace(first, samples=samples, meta=first.meta | {"trials": trials}, warnings=[])

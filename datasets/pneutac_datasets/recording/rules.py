@@ -1,19 +1,107 @@
-"""What a bench recording must satisfy: each broken rule is one sentence with file, column, row and remedy."""
+"""What a bench recording must satisfy: each broken rule is one sentence with file, column, row and remedy.
+
+How each trial began, if `recording.json` states it: memory (creep, hysteresis) depends on it.
+"""
 
 import difflib
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from pneutac_datasets.recording.clock import check_sent, check_time
-from pneutac_datasets.recording.starts import check_numbers, check_starts
 from pneutac_datasets.recording.units import check_units
 from pneutac_datasets.recording.wording import an, listed, plural, row_name, shown
 from pneutac_sim.errors import CONTROL, InputError
 from pneutac_sim.finger import quantities
 from pneutac_sim.twin import DEVICES
+
+STARTS = ("rested", "continues", "unknown")
+DAY_S = 86400.0
+MAX_DUPLICATES = 0.01  # share of rows with a doubled stamp that a logger's rounding explains
+ROUNDED_S = 1e-3  # by which stamps of two columns may disagree
+EXAMPLE = '{"3": {"start": "continues", "pause_s": 12}}'
+
+
+@dataclass(frozen=True)
+class TrialStart:
+    """In what state the device was when a trial began.
+
+    Attributes:
+        start: `rested`: lay without pressure until its memory had faded; `continues`: goes on from the trial
+            before it in the table; `unknown`.
+        pause_s: time without pressure since the last row of the trial before, s; None where it is not known.
+    """
+
+    start: str = "unknown"
+    pause_s: float | None = None
+
+
+def check_starts(meta: dict, file: Path) -> None:
+    """Raises InputError where field `trials` of `recording.json` is not as documented."""
+    stated = meta.get("trials")
+    if stated is None:
+        return
+    if not isinstance(stated, dict):
+        raise InputError(
+            f"{file}: field 'trials' is {shown(stated)}; name trials by number, as in {EXAMPLE}."
+        )
+    for number, how in stated.items():
+        where = f"{file}: field 'trials' of trial {shown(number)}"
+        if not isinstance(how, dict) or "start" not in how or set(how) - {"start", "pause_s"}:
+            raise InputError(f"{where} is {shown(how)}; give 'start' and perhaps 'pause_s', as in {EXAMPLE}.")
+        start, pause = how["start"], how.get("pause_s")
+        if start not in STARTS:
+            raise InputError(f"{where}: 'start' is {shown(start)}; it must be one of {', '.join(STARTS)}.")
+        if pause is None:
+            continue
+        if isinstance(pause, bool) or not isinstance(pause, int | float) or not 0 <= pause < 1e12:
+            raise InputError(f"{where}: 'pause_s' is {shown(pause)}; give seconds, 0 or more.")
+        if start == "rested":
+            raise InputError(
+                f"{where}: 'pause_s' is {pause:g} though its start is 'rested', however long that took; "
+                "leave it out, or write 'continues' where the rest was too short to forget the trial before."
+            )
+
+
+def check_numbers(meta: dict, trials: list[int], file: Path) -> None:
+    """Raises InputError where field `trials` does not fit the trials (in order) of the table."""
+    stated = meta.get("trials") or {}
+    names = [str(t) for t in trials]
+    for number in stated:
+        if number not in names:
+            raise InputError(
+                f"{file}: field 'trials' names trial {shown(number)}, which is not in the table; its trials "
+                f"are {listed(trials)}."
+            )
+    if stated.get(names[0], {}).get("start") == "continues":
+        raise InputError(
+            f"{file}: field 'trials' lets trial {names[0]} continue, but it is the first of the table; write "
+            "'rested' or 'unknown'."
+        )
+
+
+def starts(meta: dict, trials: list[int]) -> dict[int, TrialStart]:
+    """How each of these trials began; `unknown` where it is not stated."""
+    stated = meta.get("trials") or {}
+    return {t: TrialStart(**stated.get(str(t), {})) for t in trials}
+
+
+def meta_of_kept(meta: dict, before: list[int], kept: list[int]) -> dict:
+    """The fields for a table of fewer trials; one that continued a trial which is gone starts unknown."""
+    if "trials" not in meta:
+        return meta
+    previous = dict(zip(before[1:], before, strict=False))
+    now = dict(zip(kept[1:], kept, strict=False))
+    stated = {}
+    for trial in kept:
+        how = meta["trials"].get(str(trial))
+        if how is not None:
+            torn = how["start"] == "continues" and now.get(trial) != previous.get(trial)
+            stated[str(trial)] = {"start": "unknown"} if torn else how
+    return meta | {"trials": stated}
+
 
 LEAST_USUAL_KPA, LARGE_MOTION_MM = 3.0, 10.0  # no finger of rubber bends so far by so little
 LABELS = r"program|image(_\w+)?|mask(_\w+)?|role|indenter|indenter_file|outline_mm|depth_source"
@@ -287,3 +375,110 @@ def _check_poverty(samples: pd.DataFrame, file: Path, warnings: list[str]) -> No
         warnings.append(
             f"{file} has only {plural(len(samples), 'row')}, too few to distinguish effects; record longer."
         )
+
+
+def check_time(samples: pd.DataFrame, file: Path, warnings: list[str]) -> pd.DataFrame:
+    """The samples without doubled stamps; a clock that goes back or counts milliseconds is refused."""
+    time, trial = samples["time_s"].to_numpy(), samples["trial"].to_numpy()
+    step = np.r_[np.inf, np.where(trial[1:] == trial[:-1], np.diff(time), np.inf)]
+    if (step < 0).any():
+        row = int(np.argmax(step < 0))
+        raise InputError(
+            f"{file}: column 'time_s', {row_name(row, file)} goes back from {time[row - 1]:g} to "
+            f"{time[row]:g} s in trial {trial[row]}; sort the trial by time, or start a new trial "
+            "where the clock was reset."
+        )
+    doubled = step == 0
+    if doubled.any():
+        row, n = int(np.argmax(doubled)), int(doubled.sum())
+        where = (
+            f"{file}: column 'time_s', {row_name(row, file)} repeats the stamp {time[row]:g} s of trial "
+            f"{trial[row]} ({plural(n, 'such row')})"
+        )
+        if n > MAX_DUPLICATES * len(samples) and n > 1:
+            raise InputError(f"{where}; write time_s with more digits, or delete those rows.")
+        warnings.append(f"{where}; {'it is' if n == 1 else 'they are'} left out.")
+        samples = samples[~doubled]
+    normal = np.median(step[np.isfinite(step)]) if np.isfinite(step).any() else 0.0
+    if 5 <= normal <= 1000 and _in_milliseconds(samples):
+        raise InputError(
+            f"{file}: column 'time_s' has one sample every {normal:g} s for {_length(samples) / DAY_S:.1f} "
+            "days while the pressure ramps from row to row, which can only be milliseconds; divide it by "
+            "1000."
+        )
+    if normal >= 5 and len(samples) > 100:
+        warnings.append(
+            f"{file}: column 'time_s' has one sample every {normal:g} s; if the clock counts milliseconds, "
+            "divide it by 1000."
+        )
+    return samples
+
+
+def check_sent(samples: pd.DataFrame, file: Path) -> None:
+    """Raises InputError where `time_sent_s` cannot be when the commands of the rows were sent.
+
+    A command stands in the first row that knows of it: a logger that commands and then measures sends it
+    between the stamps of the row before and of its own, one that measures and then commands before the stamp
+    of the next row. A row that repeats the stamp of the row before repeats its command, which still stands.
+    """
+    if "time_sent_s" not in samples:
+        return
+    sent, time = (samples[c].to_numpy(float) for c in ("time_sent_s", "time_s"))
+    trial = samples["trial"].to_numpy()
+    command = samples[[c for c in samples if re.fullmatch(r"pressure_cmd_(\d+_)?kpa", c)]].to_numpy(float)
+    follows = np.r_[False, trial[1:] == trial[:-1]]
+    step = np.r_[0.0, np.diff(sent)]
+    before = np.where(follows, np.r_[-np.inf, time[:-1]], -np.inf)
+    after = np.where(np.r_[follows[1:], False], np.r_[time[1:], np.inf], np.inf)
+    new = ~follows | (step != 0)
+    changed = np.r_[False, (np.diff(command, axis=0) != 0).any(1)]
+    clock = "give it on the clock of time_s"
+    faults = (
+        (follows & (step < 0), lambda i: f"goes back from {sent[i - 1]:g} to {sent[i]:g} s; sort the rows"),
+        (
+            follows & ~new & changed,
+            lambda i: (
+                f"is {sent[i]:g} s as in the row before, though the command is another; give each "
+                "command its own time"
+            ),
+        ),
+        (
+            sent > after + ROUNDED_S,
+            lambda i: f"is {sent[i]:g} s, later than the time {after[i]:g} s of the next row; {clock}",
+        ),
+        (
+            new & (sent < before - ROUNDED_S),
+            lambda i: (
+                f"is {sent[i]:g} s, earlier than the time {before[i]:g} s of the row before; {clock}, "
+                "and repeat it exactly where no new command was sent"
+            ),
+        ),
+    )
+    found = [(int(np.argmax(wrong)), fault) for wrong, fault in faults if wrong.any()]
+    if found:
+        i, fault = min(found, key=lambda f: f[0])
+        raise InputError(
+            f"{file}: column 'time_sent_s', {row_name(int(samples.index[i]), file)} (trial {trial[i]}) "
+            f"{fault(i)}."
+        )
+
+
+def _length(samples: pd.DataFrame) -> float:
+    """Total recorded time, s."""
+    time = samples.groupby("trial")["time_s"]
+    return float((time.max() - time.min()).sum())
+
+
+def _in_milliseconds(samples: pd.DataFrame) -> bool:
+    """Whether a clock with steps of 5 to 1000 certainly counts milliseconds.
+
+    Its stamps are whole numbers, make more than a day, and the commanded pressure follows ramps. A recording
+    that is truly so slow holds its pressures (creep) or jumps between them from row to row (fatigue).
+    """
+    time = samples["time_s"].to_numpy()
+    if _length(samples) < DAY_S or (np.abs(time - np.round(time)) > 1e-3).any():
+        return False
+    p = samples[[c for c in samples if re.fullmatch(r"pressure_cmd_(\d+_)?kpa", c)]].to_numpy(float)
+    move = np.abs(np.diff(p, axis=0)).max(1) / max(float(np.ptp(p)), 1e-9)
+    moving = move > 1e-4
+    return bool(moving.mean() > 0.1 and np.median(move[moving]) < 0.1)

@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from pneutac_datasets.recording.finding import Finding
 from pneutac_datasets.recording.noise import headline
 from pneutac_datasets.recording.recording import Recording
-from pneutac_datasets.recording.wording import plural
+from pneutac_datasets.recording.wording import Finding, plural
 
 LONGEST_EXCURSION_S = 2.0
 EXPLAINED_BY_S = 2.0  # a pressure change this long before can still move the tip (dead time and fill time)

@@ -2,24 +2,223 @@
 
 The paper's policy network and loss (Sec. "Policy training"): a 64-D embedding of the tactile difference
 with a 24-D observation {q, q', x, s/N, log(1+s), p, a_(t-1)}, two hidden layers of 256, 4-D action.
+
+How the policy scales state and action: about what its demonstrations show, in units of what matters.
+
+The model card of a `pneutac_bc` checkpoint: its README.md, for whoever finds the weights alone.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import torch
-from huggingface_hub import ModelCard
+from huggingface_hub import ModelCard, ModelCardData
+from lerobot.configs.train import TrainPipelineConfig
 from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.utils.constants import ACTION, OBS_STATE
 from safetensors import safe_open
 from torch import Tensor, nn
 
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PREVIOUS_ACTION, TACTILE, PneutacBCConfig
-from lerobot_robot_pneutac.policy.model_card import Demonstrations, checkpoint_step, model_card
-from lerobot_robot_pneutac.policy.rest_image import check_same_sensor, rest_image_of
-from lerobot_robot_pneutac.policy.scaling import Scaling
-from lerobot_robot_pneutac.policy.tactile_encoder import DIFFERENCE_SCALE, EMBEDDING, TactileEncoder
+from lerobot_robot_pneutac.policy.tactile_encoder import (
+    DIFFERENCE_SCALE,
+    EMBEDDING,
+    TactileEncoder,
+    check_same_sensor,
+    rest_image_of,
+)
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import CONTROL_HZ, PRESSURES, Places, action_names, state_names
+from pneutac_sim.features import (
+    ACTION_HIGH,
+    ACTION_LOW,
+    CONTROL_HZ,
+    PANDA_JOINTS,
+    PAPER_RANGE_KPA,
+    PRESSURES,
+    VELOCITY_NAMES,
+    Places,
+    action_limits,
+    action_names,
+    joint_count,
+    pressure_names,
+    state_names,
+)
+
+_STATE_UNITS = {
+    "contact_area.pos": "share of the image's pixels that are in contact",
+    "contact_pixels.pos": "log(1 + pixels in contact)",
+}
+
+
+@dataclass(frozen=True)
+class Demonstrations:
+    """What a card says about the data that a policy was trained on.
+
+    Attributes:
+        repo_ids: of the dataset, or of several that were read as one.
+        episodes: their number.
+        frames: their number.
+        tasks: instructions stored with the frames.
+    """
+
+    repo_ids: tuple[str, ...]
+    episodes: int
+    frames: int
+    tasks: tuple[str, ...]
+
+    @classmethod
+    def of(cls, meta) -> "Demonstrations":
+        """Reads them from a LeRobotDatasetMetadata."""
+        return cls((meta.repo_id,), meta.total_episodes, meta.total_frames, tuple(map(str, meta.tasks.index)))
+
+    @property
+    def name(self) -> str:
+        return ", ".join(self.repo_ids)
+
+
+def checkpoint_step(folder: Path) -> int | None:
+    """Training steps of a checkpoint of lerobot-train, `checkpoints/<step>/pretrained_model`, else None."""
+    step = folder.parent.name
+    return int(step) if step.isdecimal() and folder.parent.parent.name == "checkpoints" else None
+
+
+def model_card(
+    config: PneutacBCConfig,
+    demonstrations: Demonstrations | None = None,
+    rest_level: tuple[float, float, float] | None = None,
+    steps: int | None = None,
+    train: TrainPipelineConfig | None = None,
+    limits: tuple[Sequence[float], Sequence[float]] = (ACTION_LOW, ACTION_HIGH),
+) -> ModelCard:
+    """The card of one checkpoint.
+
+    Args:
+        config: the policy's options.
+        demonstrations: the training data, where known.
+        rest_level: mean of the rest image's channels R, G, B, of 255; None where there is none.
+        steps: training steps, where known.
+        train: options of the whole training, where known.
+        limits: lowest and highest action (3 + C,).
+
+    Returns:
+        The card; `save` writes it.
+    """
+    data = ModelCardData(
+        license=config.license or "apache-2.0",
+        library_name="lerobot",
+        pipeline_tag="robotics",
+        tags=sorted({*(config.tags or []), "lerobot", "robotics", config.type}),
+        model_name=config.type,
+        datasets=list(demonstrations.repo_ids) if demonstrations else None,
+    )
+    # A folder of this machine says nothing elsewhere, and a resumed training names its own checkpoint.
+    known = config.pretrained_path and not Path(config.pretrained_path).is_dir()
+    level = rest_level if config.use_tactile else None
+    return ModelCard.from_template(
+        data,
+        template_path=str(Path(__file__).with_name("model_card_template.md")),
+        config=config,
+        data=demonstrations,
+        steps=train.steps if steps is None and train is not None else steps,
+        batch_size=None if train is None else train.batch_size,
+        fine_tuned_from=Path(config.pretrained_path).as_posix() if known else None,
+        features=_features(config, limits),
+        rest_level=None if level is None else ", ".join(f"{v:.0f}" for v in level),
+    )
+
+
+def _features(
+    config: PneutacBCConfig, limits: tuple[Sequence[float], Sequence[float]]
+) -> list[tuple[str, str, str]]:
+    """Feature, name or shape, and unit of all that goes in or comes out."""
+    pressures = pressure_names(config.chambers)
+
+    def unit(name: str) -> str:
+        if name.startswith("joint"):
+            return "rad" if name.endswith(".pos") else "rad/s"
+        return "kPa" if name in pressures else _STATE_UNITS.get(name, "m")
+
+    unused = () if config.use_tactile else ("contact_area.pos", "contact_pixels.pos")
+    rows = [
+        (OBS_STATE, f"`{n}`", unit(n) + (" (not looked at)" if n in unused else ""))
+        for n in state_names(config.joints, config.chambers)
+    ]
+    if config.use_tactile:
+        c, h, w = config.image_shape
+        rows.append((TACTILE, f"{w} x {h} pixels, {c} channels, RGB", "0 to 1"))
+    return rows + [
+        (ACTION, f"`{n}`", f"{'kPa' if n in pressures else 'm/s'}, {low:g} to {high:g}")
+        for n, low, high in zip(action_names(config.chambers), *limits, strict=True)
+    ]
+
+
+# What counts as much, whatever the station: much less than a robot's limits, so that millimetres matter.
+JOINT_RAD, JOINT_RAD_S, POSITION_M, AREA, LOG_PIXELS = 0.3, 0.3, 0.01, 0.1, 4.0
+# The paper's station: a Panda whose flange points down at the table.
+_PANDA_RAD = [0.0, 0.0, 0.0, -2.55, 0.0, 2.55, np.pi / 4]
+LEAST_KPA = 0.1  # half the width of a range of pressures, at least
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Centre, scale of a state (2 N + 5 + C,), N joints, C chambers; centre, scale, limits of an action."""
+
+    state_centre: np.ndarray
+    state_scale: np.ndarray
+    action_centre: np.ndarray
+    action_scale: np.ndarray
+    action_low: np.ndarray
+    action_high: np.ndarray
+
+    @classmethod
+    def paper(cls, joints: int = PANDA_JOINTS, chambers: int = 1) -> "Scaling":
+        """That of the paper's station and finger, or of others there, for a policy without data."""
+        limits = action_limits(PAPER_RANGE_KPA, chambers)
+        return cls(*_state(joints, chambers), *_middle(*limits), *limits)
+
+    @classmethod
+    def of(cls, stats: dict) -> "Scaling":
+        """That of a dataset.
+
+        Joints and flange are taken about the middle of where they were; pressures, which differ between
+        fingers, over the range that was commanded; velocities over the robot's range.
+
+        Args:
+            stats: of LeRobot, with `min` and `max` of `observation.state` and `action`.
+        """
+        state, action = stats["observation.state"], stats["action"]
+        middle = (np.ravel(state["min"]) + np.ravel(state["max"])) / 2
+        chambers = np.size(action["min"]) - len(VELOCITY_NAMES)
+        joints, places = joint_count(len(middle), chambers), Places.of(chambers)
+        low, high = action_limits(PAPER_RANGE_KPA, chambers)
+        centre, scale = _state(joints, chambers)
+        centre[:joints], centre[places.ee] = middle[:joints], middle[places.ee]
+        low[PRESSURES] = np.minimum(np.ravel(action["min"])[PRESSURES], 0.0)
+        high[PRESSURES] = np.maximum(np.ravel(action["max"])[PRESSURES], 0.0)
+        middle, half = _middle(low, high)
+        half[PRESSURES] = np.maximum(half[PRESSURES], LEAST_KPA)
+        centre[places.pressure], scale[places.pressure] = middle[PRESSURES], half[PRESSURES]
+        return cls(centre, scale, middle, half, low, high)
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        return {f"_{name}": torch.tensor(value, dtype=torch.float32) for name, value in vars(self).items()}
+
+
+def _state(joints: int, chambers: int) -> tuple[np.ndarray, np.ndarray]:
+    """Centre and scale (2 N + 5 + C,) of the state of an arm of N joints at the paper's station."""
+    angles = _PANDA_RAD if joints == PANDA_JOINTS else [0.0] * joints
+    kpa = [7.5] * chambers
+    centre = np.array([*angles, *[0.0] * joints, 0.46, 0.0, 0.28, 0.0, LOG_PIXELS, *kpa])
+    scale = [JOINT_RAD] * joints + [JOINT_RAD_S] * joints + [POSITION_M] * 3 + [AREA, LOG_PIXELS, *kpa]
+    return centre, np.array(scale)
+
+
+def _middle(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Middle and half width of ranges."""
+    return (low + high) / 2, (high - low) / 2
+
 
 HIDDEN = 256
 REST = "encoder.rest_image"

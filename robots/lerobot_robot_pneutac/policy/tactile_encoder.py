@@ -1,10 +1,15 @@
-"""What a tactile image shows beyond the sensor at rest, as a short vector."""
+"""What a tactile image shows beyond the sensor at rest, as a short vector.
 
+The background of the tactile image, taken from the demonstrations themselves.
+"""
+
+import numpy as np
 import torch
+from lerobot.datasets import LeRobotDataset
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from lerobot_robot_pneutac.policy.configuration_pneutac_bc import POOLED_SHAPE
+from lerobot_robot_pneutac.policy.configuration_pneutac_bc import POOLED_SHAPE, TACTILE, whole_shape
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_SHAPE
 
@@ -88,3 +93,103 @@ class TactileEncoder(nn.Module):
         ratio = seen[..., ::2, ::2] / rest[..., ::2, ::2].clamp_min(DARK)
         gain = ratio.flatten(2).median(2).values.clamp(*DRIFT)[..., None, None]
         return (seen - gain * rest) / DIFFERENCE_SCALE
+
+
+MAX_EPISODES = 16
+
+# Correlation of rest images, see `likeness`. Photographs of two DIGITs, the generated DIGIT and the
+# stand-in's have 0.80 to 0.99 with each other, any of them with one mirrored, turned or with channels swapped
+# at most 0.71, and with a GelSight at most 0.34.
+SAME_SENSOR = 0.78
+_CELL = 10  # px; finer structure than this differs between gels of one make
+_FLAT = 1 / 255  # an image that varies by less shows nothing to compare
+
+
+def rest_image_of(*metas) -> torch.Tensor:
+    """Median over the first frames of up to 16 episodes, spread evenly over the data.
+
+    A demonstration starts out of contact; the median forgives some that do not.
+
+    Args:
+        *metas: LeRobotDatasetMetadata of the dataset with tactile images, or of several as if merged.
+
+    Returns:
+        (3, H, W) float32 in [0, 1].
+
+    Raises:
+        InputError: an image cannot be read.
+    """
+    total = sum(meta.total_episodes for meta in metas)
+    chosen = np.unique(np.linspace(0, total - 1, min(total, MAX_EPISODES)).round().astype(int))
+    frames, before = [], 0
+    for meta in metas:
+        inside = (before <= chosen) & (chosen < before + meta.total_episodes)
+        if inside.any():
+            frames += _first_images(meta, (chosen[inside] - before).tolist())
+        before += meta.total_episodes
+    rest = torch.stack(frames).float().quantile(0.5, dim=0)
+    whole = whole_shape(metas[0].features[TACTILE])[1:]
+    # Each mean stands for its pixels, and pools to itself.
+    return rest if tuple(rest.shape[1:]) == whole else F.interpolate(rest[None], whole)[0]
+
+
+def _first_images(meta, episodes: list[int]) -> list[Tensor]:
+    dataset = LeRobotDataset(meta.repo_id, root=meta.root, episodes=episodes, revision=meta.revision)
+    first = [int(meta.episodes[e]["dataset_from_index"]) for e in episodes]
+    row = dataset.absolute_to_relative_idx
+    try:
+        return [dataset[row[i]][TACTILE] for i in first]
+    except (OSError, ValueError, RuntimeError) as error:  # what PIL and PyAV raise
+        raise InputError(
+            f"Dataset '{meta.repo_id}': no rest image, for the first '{TACTILE}' of an episode cannot be read"
+            f" ({type(error).__name__}: {error}); delete that episode or record it again."
+        ) from error
+
+
+def likeness(a: Tensor, b: Tensor) -> float | None:
+    """Whether two rest images show the same arrangement of lights, whatever the brightness of each.
+
+    Args:
+        a: (3, H, W) in [0, 1], in colours R, G, B.
+        b: likewise.
+
+    Returns:
+        Their correlation, over cells of 10 x 10 pixels and all channels, each channel without its mean; None
+        where one of them is evenly coloured.
+    """
+    a, b = (F.avg_pool2d(image.float(), _CELL) for image in (a, b))
+    a, b = (image - image.mean((1, 2), keepdim=True) for image in (a, b))
+    if min(a.std(), b.std()) < _FLAT:
+        return None
+    return float((a * b).sum() / (a.square().sum() * b.square().sum()).sqrt())
+
+
+def check_same_sensor(known: Tensor, found: Tensor, repo_id: str) -> None:
+    """Raises InputError where a dataset's rest image cannot be of the kind of sensor that a policy knows.
+
+    Args:
+        known: rest image (3, H, W) in the policy's weights; NaN where it has none.
+        found: rest image of the dataset.
+        repo_id: of the dataset.
+    """
+    if known.isnan().any():
+        return
+    found = found.to(known.device)
+    like = likeness(known, found)
+    if like is None or like >= SAME_SENSOR:
+        return
+    views = {
+        "mirrored left to right": found.flip(2),
+        "mirrored top to bottom": found.flip(1),
+        "turned upside down": found.flip(1, 2),
+        "BGR instead of RGB": found.flip(0),
+    }
+    how = max(views, key=lambda k: likeness(known, views[k]))
+    seems = (
+        f"it seems {how}" if likeness(known, views[how]) >= SAME_SENSOR else "it seems another kind of sensor"
+    )
+    raise InputError(
+        f"Dataset '{repo_id}': its tactile rest image is not of the sensor that --policy.path was trained on"
+        f" (correlation {like:.2f}, at least {SAME_SENSOR:g} needed); {seems}: record with the camera as in"
+        " the first training, or train again with --policy.type=pneutac_bc."
+    )

@@ -67,7 +67,7 @@ class PneutacScripted(BaseTeleop):
         if robot.recording is False:  # waiting is with the pressure off and the arm at rest
             return dict.fromkeys(action_names(robot.chambers), 0.0)
         if self._scene != (scene := (robot, robot.scenes)):
-            from pneutac_sim.world.person import demonstrator
+            from pneutac_sim.world.expert import demonstrator
 
             if robot.config.bend:
                 raise InputError("pneutac_scripted gives pressures; leave --robot.bend out.")

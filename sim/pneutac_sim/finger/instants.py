@@ -14,9 +14,8 @@ from dataclasses import replace
 import numpy as np
 
 from pneutac_sim.finger.data import BodyData
-from pneutac_sim.finger.inputs import pressure_columns
+from pneutac_sim.finger.inputs import pressure_columns, steps
 from pneutac_sim.finger.pipeline import Pipeline
-from pneutac_sim.finger.switches import steps
 
 COST = (
     1.5  # of the noise's variance: what an instant of its own must gain; by fitting noise it gains up to one

@@ -33,8 +33,8 @@ import numpy as np
 from pneutac_sim.effects.effect import Parameter
 from pneutac_sim.effects.registry import get_effect, in_order, of_body
 from pneutac_sim.errors import InputError
+from pneutac_sim.finger.equilibrium import SoftBody
 from pneutac_sim.finger.inputs import Inputs
-from pneutac_sim.finger.soft_body import SoftBody
 from pneutac_sim.finger.stages import (
     FORCES,
     BodyLink,

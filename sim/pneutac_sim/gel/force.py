@@ -19,6 +19,8 @@ Without w the sum is Hertz for a small contact; w is what the gel bulges out at 
 what a linear layer lacks once it is pressed by a share e of its thickness over a radius a: a face that sticks
 keeps an almost incompressible gel from flowing away. The three numbers are fitted to material points with
 friction, see `benchmarks/notes/gel_force.md`.
+
+What a gel is made of.
 """
 
 import math
@@ -27,10 +29,16 @@ import numpy as np
 from scipy import fft
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.material import MATERIAL, MODULUS, MODULUS_MPA, POISSONS_RATIO
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.twin import Twin
+
+# Of a gel whose twin has none: Ecoflex 00-31 with a coat of paint, about 0.1 MPa.
+MODULUS = "gel_youngs_modulus_mpa"
+MATERIAL = {MODULUS: 0.1, "gel_poissons_ratio": 0.46}
+# Beyond these a gel is no rubber.
+MODULUS_MPA, POISSONS_RATIO = (0.005, 2.0), (0.0, 0.495)
+
 
 STICKS = 0.785
 RIM, RIM_SHARE = 0.64, 0.47  # of the force at a side; of the thickness, over which that fades

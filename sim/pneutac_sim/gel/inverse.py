@@ -21,7 +21,7 @@ from scipy import ndimage, sparse
 from scipy.sparse.linalg import splu
 
 from pneutac_sim.gel import optics
-from pneutac_sim.gel.material import MATERIAL, MODULUS
+from pneutac_sim.gel.force import MATERIAL, MODULUS
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import to_grid
 from pneutac_sim.gel.probe import COLS, ROWS

@@ -13,11 +13,11 @@ import cv2
 import numpy as np
 
 from pneutac_sim.effects.gel_creep import share_left
-from pneutac_sim.gel import metrics, optics
+from pneutac_sim.gel import optics
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.late import LEAST_MM, Earlier, branches_of
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.pair import press_px
+from pneutac_sim.gel.pair import disc, press_px
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.gel.surface import surface
@@ -53,7 +53,7 @@ class PressPhotograph:
     def near(self, px_per_mm: float, radii: float = NEAR_RADII) -> np.ndarray:
         """Pixels (H, W) within so many contact radii of the press."""
         x, y = press_px(self.press, self.rest.shape, px_per_mm)
-        return metrics.disc(self.rest.shape, x, y, radii * self.press.contact_radius_mm * px_per_mm)
+        return disc(self.rest.shape, x, y, radii * self.press.contact_radius_mm * px_per_mm)
 
     def far(self, px_per_mm: float) -> np.ndarray:
         """Probe grid cells (80, 59) whose pixels all lie away from the contact."""

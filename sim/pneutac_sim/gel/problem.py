@@ -12,10 +12,10 @@ from pneutac_sim.gel.channel import Channel, effects_of, priors
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.late import pressed_on
 from pneutac_sim.gel.layout import Layout, Orientation, recognise, recognise_rest
-from pneutac_sim.gel.metrics import CONTACT_DISC
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.optics import gradient
 from pneutac_sim.gel.optics import light as light_of
+from pneutac_sim.gel.pair import CONTACT_DISC
 from pneutac_sim.gel.photograph import (
     Pressed,
     PressPhotograph,

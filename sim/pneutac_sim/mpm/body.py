@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.mpm.sections import lattice_inside
+from pneutac_sim.mpm.user_mesh import lattice_inside
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,17 @@
 The twin's pipeline gives the joint targets, so every effect up to its joints acts here too. One that moves
 the tip alone (`elongation`) acts where the tip is what counts, in `compare` and in the world; where the
 body's shape does, as in pictures, it is refused by name. Observation is no matter of the body.
+
+The torque of a finger's soft body, measured on material points that are held in many poses.
+
+The face of a gel of material points under the presses of a bench recording.
+
+A press at a share of its depth is what `GelModel.depth_scale` means: the camera sees the indenter as if it
+had gone in by that share.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,16 +24,19 @@ from scipy.spatial.transform import Rotation
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CHAMBERS
+from pneutac_sim.finger.equilibrium import SoftBody
 from pneutac_sim.finger.inputs import Inputs, pressure_columns
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.probe import COLS, ROWS
+from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.body import Body, Material
-from pneutac_sim.mpm.figure import centre_m, half_edge_m
+from pneutac_sim.mpm.indenter import SAMPLES, centre_m, distances_m, half_edge_m
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.parameters import parameter
 from pneutac_sim.mpm.solid import bending_body
+from pneutac_sim.mpm.solve import MpmDiverged, solve_equilibrium
 from pneutac_sim.mpm.spine import Spine
 from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
 from pneutac_sim.twin import Twin
@@ -256,3 +267,108 @@ def spine_points(solver: TotalLagrangian, q: np.ndarray) -> np.ndarray:
     link = np.array([0, *range(len(places) - 1)])  # a joint belongs to the link before it
     own = poses[:, link]
     return np.einsum("bkij,kj->bki", own[..., :3], rest) + own[..., 3]
+
+
+POSES_A_JOINT = 4
+ALONE_RAD = (
+    0.2  # how far a joint is bent by itself, at most; loads of half a newton bend the first by so much
+)
+TOLERANCE = 1e-3  # of unbalanced forces
+
+
+def measure(
+    twin: Twin, pressures_kpa: tuple[float, float], particles: int = 4000, device: str = "auto"
+) -> SoftBody:
+    """Holds the finger bent by pressures from least to largest, each joint slightly perturbed, and fits.
+
+    Args:
+        twin: of a finger; its modulus does not count, for torques are proportional to it.
+        pressures_kpa: the least and the largest of use.
+        particles: about how many.
+        device: see `pneutac_sim.mpm.runtime.start`.
+    """
+    n = len(twin.spine_joint_positions_mm)
+    poses, rng = POSES_A_JOINT * n, np.random.default_rng(0)
+    free = devices.joint_targets(without_effects(twin), np.linspace(*pressures_kpa, poses))
+    solver = devices.finger(twin, batch=poses, particles=particles, device=device)
+    held = solve_equilibrium(
+        solver, Loads(q_cmd=free + rng.uniform(-ALONE_RAD, ALONE_RAD, free.shape)), TOLERANCE
+    )
+    torque = held.body_torque.astype(float) / devices.parameter(twin, "youngs_modulus_mpa")
+    rest = devices.joint_targets(without_effects(twin), [0.0])[0]
+    return SoftBody.fit(held.q.astype(float), torque, rest)
+
+
+def without_effects(twin: Twin) -> Twin:
+    """The same finger by pressure alone."""
+    plain = twin.copy()
+    plain.effects = {}
+    return plain
+
+
+STEP_MM = 0.35  # that an indenter goes in by at a time, since friction makes the gel remember its way
+SHARES = np.linspace(0.5, 1.0, 6)  # of a press's depth, between which `between` interpolates
+
+
+class PressedGel:
+    """One gel, pressed again and again, each time from rest.
+
+    Args:
+        gel: gives the window; the lattice is that of `devices.gel`.
+        twin: gives elasticity, Poisson's ratio and density, where it has them.
+        device: see `runtime.start`.
+    """
+
+    def __init__(self, gel: GelModel, twin: Twin, device: str = "auto"):
+        own = twin.copy()
+        gel.into_twin(own)
+        self._window = gel.window_mm
+        self._solver = devices.gel(own, device=device, table=np.zeros((SAMPLES,) * 3))
+        self._seen: list[tuple[Press, np.ndarray]] = []
+
+    def surface(self, press: Press, share: float = 1.0) -> np.ndarray:
+        """Displacement in mm, float32 (80, 59), under a press at a share of its depth.
+
+        Raises:
+            InputError: the gel finds no rest.
+        """
+        return self._surfaces(press, np.array([share]))[0]
+
+    def between(self, press: Press, share: float) -> np.ndarray:
+        """The same for a share from 0.5 to 1, interpolated between six that are stored for each press."""
+        found = [kept for seen, kept in self._seen if seen is press]
+        if not found:
+            found = [self._surfaces(press, SHARES)]
+            self._seen.append((press, found[0]))
+        k = int(np.clip(np.searchsorted(SHARES, share) - 1, 0, len(SHARES) - 2))
+        part = np.float32((share - SHARES[k]) / (SHARES[k + 1] - SHARES[k]))
+        return (1 - part) * found[0][k] + part * found[0][k + 1]
+
+    def _surfaces(self, press: Press, shares: np.ndarray) -> np.ndarray:
+        """(K, 80, 59) on the way in; the explicit steps are halved once where they are too long."""
+        if press.figure is not None:
+            self._solver.set_table(distances_m(press.figure))
+        longest = self._solver.stable_dt
+        try:
+            return self._driven(press, shares)
+        except MpmDiverged:
+            self._solver.stable_dt = 0.5 * longest
+        try:
+            return self._driven(press, shares)
+        except MpmDiverged as e:
+            raise InputError(
+                f"{e.finding}, under the {press.indenter} pressed {press.depth_mm:.3g} mm deep; correct its "
+                "depth, or calibrate without through=mpm."
+            ) from e
+        finally:
+            self._solver.stable_dt = longest
+
+    def _driven(self, press: Press, shares: np.ndarray) -> np.ndarray:
+        out, at = [], 0.0
+        for depth in shares * press.depth_mm:
+            for d in np.linspace(at, depth, int(np.ceil((depth - at) / STEP_MM)) + 1)[1:]:
+                part = devices.press_loads(replace(press, depth_mm=float(d)))
+                solve_equilibrium(self._solver, part, warm=at > 0)
+                at = float(d)
+            out.append(devices.surface_displacement(self._solver, self._window)[0].astype(np.float32))
+        return np.stack(out)

@@ -1,6 +1,6 @@
 """Parameters of the soft solid of a finger, an arm or a gel."""
 
-from pneutac_sim.gel.material import MATERIAL
+from pneutac_sim.gel.force import MATERIAL
 from pneutac_sim.twin import PAPER_FINGER, Twin
 
 WIDTH_MM = {"finger": 20.0, "arm": 40.0}

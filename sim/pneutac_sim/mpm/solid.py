@@ -1,4 +1,7 @@
-"""The soft solid of a finger or an arm: its particles, and what of them each link carries."""
+"""The soft solid of a finger or an arm: its particles, and what of them each link carries.
+
+Closed meshes of devices, in m: x along the straight device, axis at y = z = 0; a gel in its own frame.
+"""
 
 from dataclasses import dataclass
 from itertools import product
@@ -7,12 +10,110 @@ import numpy as np
 import trimesh
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.gel.model import GelModel
 from pneutac_sim.mpm.body import Body, Material
-from pneutac_sim.mpm.parameters import parameter
-from pneutac_sim.mpm.sections import lattice_inside
-from pneutac_sim.mpm.shapes import arm_mesh, finger_mesh
-from pneutac_sim.mpm.user_mesh import stored_mesh
+from pneutac_sim.mpm.parameters import WIDTH_MM, parameter
+from pneutac_sim.mpm.user_mesh import lattice_inside, stored_mesh
 from pneutac_sim.twin import Twin
+
+# DIGIT's housing is 27 x 20 x 18 mm (Lambeta et al. 2020); it lies beyond the tip, back against the mount.
+DIGIT_LENGTH_M, DIGIT_HALF_HEIGHT_M = 0.027, 0.009
+MOUNT_OVERLAP_M, MOUNT_WALL_M, MOUNT_PLAY_M = 0.012, 0.003, 0.0002
+PITCH_M = 0.0095  # of the bellows
+STATIONS_A_RING = 4
+ANGLES = 24
+
+
+def body_mesh(twin: Twin) -> trimesh.Trimesh:
+    """The closed mesh of a twin's soft body: its own where it holds one, else the parametric device's."""
+    own = stored_mesh(twin)
+    if own is not None:
+        return own
+    if twin.device == "gel":
+        model = GelModel.from_twin(twin)
+        # a block under its window, in the gel frame of `gel.probe`: the resting surface is at z = 0
+        block = trimesh.creation.box(1e-3 * np.array([*model.window_mm, model.thickness_mm]))
+        return block.apply_translation((0, 0, -0.5e-3 * model.thickness_mm))
+    width = twin.parameters["width_mm"].value if "width_mm" in twin.parameters else WIDTH_MM[twin.device]
+    shape = finger_mesh if twin.device == "finger" else arm_mesh
+    return shape(1e-3 * twin.length_mm, 1e-3 * width)
+
+
+def finger_mesh(length_m: float, width_m: float) -> trimesh.Trimesh:
+    """A bar with a rounded square section, bellows above and on its sides, and a flat spine below (-z).
+
+    Args:
+        length_m: of the straight finger.
+        width_m: outer width and height.
+    """
+    angle = np.linspace(0, 2 * np.pi, ANGLES, endpoint=False)
+    y, z = np.cos(angle), np.sin(angle)
+    rounded = 0.5 * width_m / (y**4 + z**4) ** 0.25
+    # Folds cut in where the section looks up, half as deep at the sides, not at all below.
+    return _tube(length_m, np.stack([rounded * y, rounded * z], 1), 0.22 * np.clip(0.6 + z, 0, 1))
+
+
+def arm_mesh(length_m: float, width_m: float) -> trimesh.Trimesh:
+    """Three bellows side by side round the axis: a section with three lobes, the first towards +z.
+
+    Args:
+        length_m: of the straight arm.
+        width_m: diameter of the circle round the lobes.
+    """
+    angle = np.linspace(0, 2 * np.pi, ANGLES, endpoint=False)
+    lobes = np.cos(3 * (angle - np.pi / 2))
+    section = 0.5 * width_m * (0.9 + 0.1 * lobes)[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
+    return _tube(length_m, section, 0.15 * np.ones(ANGLES))
+
+
+def digit_mount_mesh(length_m: float, width_m: float) -> trimesh.Trimesh:
+    """A rigid channel under the last 12 mm of a finger's flat spine and a DIGIT's housing beyond its tip.
+
+    Args:
+        length_m: of the straight finger.
+        width_m: of the finger.
+    """
+    inner = width_m / 2 + MOUNT_PLAY_M
+    outer = inner + MOUNT_WALL_M
+    floor, top = -inner, DIGIT_HALF_HEIGHT_M - inner
+    section = [(-outer, floor - MOUNT_WALL_M), (outer, floor - MOUNT_WALL_M), (outer, top), (inner, top)]
+    section += [(inner, floor), (-inner, floor), (-inner, top), (-outer, top)]
+    x = np.repeat([length_m - MOUNT_OVERLAP_M, length_m + DIGIT_LENGTH_M], len(section))
+    vertices = np.column_stack([x, np.tile(section, (2, 1))])
+    here = np.arange(len(section))
+    beside = np.roll(here, -1)
+    far, far_beside = here + len(section), beside + len(section)
+    sides = np.concatenate([np.stack([here, beside, far_beside], 1), np.stack([here, far_beside, far], 1)])
+    end = np.array([(0, 1, 4), (0, 4, 5), (1, 2, 3), (1, 3, 4), (0, 5, 6), (0, 6, 7)])
+    mesh = trimesh.Trimesh(vertices, np.concatenate([sides, end[:, ::-1], end + len(section)]), process=False)
+    if mesh.volume < 0:
+        mesh.invert()
+    return mesh
+
+
+def _tube(length_m: float, section: np.ndarray, depth: np.ndarray) -> trimesh.Trimesh:
+    """Sweeps a section (A, 2), drawn in by the share `depth` (A,) at each fold, along x; ends are closed."""
+    rings = max(1, round(length_m / PITCH_M))
+    share = np.linspace(0, 1, rings * STATIONS_A_RING + 1)
+    fold = 0.5 + 0.5 * np.cos(2 * np.pi * rings * share)  # 1 in a fold
+    fold[share < 0.5 / rings] = fold[share > 1 - 0.5 / rings] = 0.0  # full ends
+    points = section * (1 - fold[:, None, None] * depth[:, None])
+    x = np.broadcast_to((share * length_m)[:, None, None], (*points.shape[:2], 1))
+    vertices = np.concatenate([np.concatenate([x, points], -1).reshape(-1, 3), [[0, 0, 0], [length_m, 0, 0]]])
+    count = len(section)
+    s, a = np.meshgrid(np.arange(len(share) - 1), np.arange(count), indexing="ij")
+    here, beside = s * count + a, s * count + (a + 1) % count
+    sides = np.stack([here, beside, here + count, beside, beside + count, here + count], -1)
+    ring, first, last = np.arange(count), len(vertices) - 2, len(vertices) - 1
+    after = (ring + 1) % count
+    end = (len(share) - 1) * count
+    base = np.stack([np.full_like(ring, first), after, ring], 1)
+    tip = np.stack([np.full_like(ring, last), end + ring, end + after], 1)
+    mesh = trimesh.Trimesh(vertices, np.concatenate([sides.reshape(-1, 3), base, tip]), process=False)
+    if mesh.volume < 0:
+        mesh.invert()
+    return mesh
+
 
 SPACINGS = np.linspace(-0.08, 0.08, 33)  # tried, off the one that volume and number of particles give
 GOOD = 0.01  # relative error at which the search ends

@@ -16,9 +16,8 @@ from scipy.optimize import least_squares, lsq_linear
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.devices import BODIES
-from pneutac_sim.photo_fit.equilibria import Bodies, Equilibria, joint_targets
+from pneutac_sim.photo_fit.equilibria import Bodies, BodyParameters, Equilibria, joint_targets
 from pneutac_sim.photo_fit.objective import MaskedPhotograph, Outline
-from pneutac_sim.photo_fit.parameters import BodyParameters
 from pneutac_sim.splat.body import check_photograph
 from pneutac_sim.splat.camera import Camera
 

@@ -1,4 +1,9 @@
-"""Gaussians on the particles of a body, and how they follow them."""
+"""Gaussians on the particles of a body, and how they follow them.
+
+Colours of a body without looks of its own: its largest stretch, from calm to warm.
+
+Carries points along with the particles of a body: vertices of meshes, samples of rays.
+"""
 
 import numpy as np
 from scipy.ndimage import binary_erosion
@@ -69,3 +74,56 @@ def carried(looks: Gaussians, body: Body, positions: np.ndarray, gradients: np.n
     F = gradients[owner]
     means = positions[owner] + np.einsum("nij,nj->ni", F, looks.means - body.positions[owner])
     return looks.moved(means, F)
+
+
+STOPS = np.array([[38.0, 150, 155], [238, 200, 110], [226, 74, 51]])  # RGB: calm, half way, most
+MOST_STRAIN = 0.15  # of the warmest colour, in a finger or an arm
+
+
+def strain(gradients: np.ndarray) -> np.ndarray:
+    """(...,) largest principal stretch less one of deformation gradients (..., 3, 3)."""
+    return np.linalg.svd(np.asarray(gradients, float), compute_uv=False)[..., 0] - 1
+
+
+def stretch_colours(value: np.ndarray, top: float = MOST_STRAIN) -> np.ndarray:
+    """(P, 3) RGB, 0 to 255, from calm to warm for values from 0 to `top`."""
+    share = np.clip(value / top, 0, 1) * (len(STOPS) - 1)
+    return np.stack([np.interp(share, range(len(STOPS)), stop) for stop in STOPS.T], -1)
+
+
+NEAR = 12  # particles that a point follows
+
+
+class Carrier:
+    """Points that follow a body.
+
+    Each particle maps its surroundings by x = x_p + F_p (X - X_p); a point takes the mean of its nearest
+    ones, weighted by (1 - (d / R)^2)^2 over the distance d, where R lies beyond the last of them. Affine
+    deformations are met exactly, also a little outside the body.
+
+    Args:
+        points: (K, 3) m, in the frame of `rest`.
+        rest: (P, 3) particles before, m.
+    """
+
+    def __init__(self, points: np.ndarray, rest: np.ndarray):
+        d, self._index = cKDTree(rest).query(points, k=NEAR)
+        w = (1 - (d / (1.05 * d[:, -1:] + 1e-12)) ** 2) ** 2
+        self._weights = w / w.sum(1, keepdims=True)
+        self._offset = points[:, None] - rest[self._index]  # (K, NEAR, 3)
+
+    def __call__(self, positions: np.ndarray, gradients: np.ndarray) -> np.ndarray:
+        """(..., K, 3) m where the points are.
+
+        Args:
+            positions: (..., P, 3) particles after, m.
+            gradients: (..., P, 3, 3) deformation gradients from before to after.
+        """
+        there, turned = positions[..., self._index, :], gradients[..., self._index, :, :]
+        mapped = there + np.einsum("...knij,knj->...kni", turned, self._offset)
+        return np.einsum("kn,...kni->...ki", self._weights, mapped)
+
+
+def carry(points: np.ndarray, rest: np.ndarray, positions: np.ndarray, gradients: np.ndarray) -> np.ndarray:
+    """One use of `Carrier`: points (..., K, 3), m."""
+    return Carrier(points, rest)(positions, gradients)

@@ -7,19 +7,49 @@ The chamber drives the spine with a controller of finite stiffness K_c, the body
 where q_free is the bend that the twin's pipeline commands. It was calibrated with the body on the spine, so
 what that takes back of the free bend is in q_free already. Swing and mass are the world's own. Motion of the
 finger alone over time is `ActionNetwork.roll`.
+
+How the stiffness of a finger's joints is shared between the chamber's controller and the soft body.
+
+The two networks of a twin: its own, or those that are shipped for the built-in finger and gel.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, option
+from pneutac_sim.finger.equilibrium import share_of_controller
 from pneutac_sim.mpm import devices
 from pneutac_sim.surrogate import programs
-from pneutac_sim.surrogate.fingerprint import fingerprint
+from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
 from pneutac_sim.surrogate.network import ActionNetwork
-from pneutac_sim.surrogate.stiffness import controller_stiffness
-from pneutac_sim.twin import Twin
+from pneutac_sim.surrogate.perception import GelSurrogate
+from pneutac_sim.twin import NETWORKS, Twin
+
+
+def controller_stiffness(twin: Twin, body: np.ndarray) -> float:
+    """K_c in N m/rad: what is left of the twin's `joint_stiffness_nm_per_rad` without its soft body.
+
+    Args:
+        twin: of a finger.
+        body: (N, N) derivative J of the body's torques by the joint angles at rest, N m/rad.
+
+    Raises:
+        InputError: the body alone is stiffer than the whole.
+    """
+    whole = twin.parameter("joint_stiffness_nm_per_rad")
+    levers = twin.length_mm - np.asarray(twin.spine_joint_positions_mm)
+    controller = share_of_controller(whole, -body, levers)
+    if controller == 0.0:
+        alone = (levers @ levers) / (levers @ np.linalg.solve(-body, levers))
+        raise InputError(
+            f"The soft body alone resists a load at the tip with {alone:.3g} N m/rad a joint, more than the "
+            f"twin's joint_stiffness_nm_per_rad of {whole:.3g}: 'youngs_modulus_mpa' is too high or that "
+            "too low; calibrate with rows that hang a weight on the tip (payload_g)."
+        )
+    return controller
 
 
 def network_of(twin: Twin, network: ActionNetwork) -> ActionNetwork | None:
@@ -93,3 +123,66 @@ class SurrogateFinger:
             raise InputError("A joint angle of the finger is not a finite number.")
         torque, J, self.in_range = self.network.resistance(q_free, q)
         return torque, J
+
+
+_LOAD = {"action": ActionNetwork.load, "perception": GelSurrogate.load}
+_OF = {"action": "finger", "perception": "gel"}
+
+
+def builtin(name: str) -> Path:
+    """File of the network that is shipped for the built-in twin, one of `NETWORKS`."""
+    return Path(str(files("pneutac_sim.surrogate") / f"builtin_{name}.safetensors"))
+
+
+def fits(file: Path, name: str, twin: Twin) -> bool:
+    """Whether a network was trained for this twin, or for one of another modulus, by which it is scaled."""
+    return _of(twin, _LOAD[name](file)) is not None
+
+
+def _of(twin: Twin, network: ActionNetwork | GelSurrogate):
+    """The network as this twin has it; None where it was trained for another one."""
+    if isinstance(network, ActionNetwork):
+        return network_of(twin, network)
+    return network if network.fingerprint == gel_fingerprint(twin) else None
+
+
+@dataclass(frozen=True)
+class Networks:
+    """What stands in for the material points of one twin.
+
+    Attributes:
+        action: f_r, of the finger.
+        gel: f_m, of the gel.
+    """
+
+    action: ActionNetwork
+    gel: GelSurrogate
+
+    @classmethod
+    def of(cls, twin: Twin) -> "Networks":
+        """The networks of a twin.
+
+        Raises:
+            InputError: it has none, they are damaged, or they were trained for another one.
+        """
+        found = {}
+        for name in NETWORKS:
+            own = twin.networks.get(name)
+            network = _of(twin, _LOAD[name](own or builtin(name)))
+            if network is None:
+                why = (
+                    f"{own} was trained for another {_OF[name]}, or before its shape or material changed"
+                    if own
+                    else f"The twin has no {name} network, and its {_OF[name]} is not the built-in one"
+                )
+                raise InputError(
+                    f"{why}; run `pneutac surrogate {option('twin', own.parent if own else 'DIR')}`, "
+                    "or choose the "
+                    "fidelity `probe`, which needs none."
+                )
+            found[name] = network
+        return cls(found["action"], found["perception"])
+
+    def finger(self, twin: Twin) -> SurrogateFinger:
+        """The finger of this twin, bent by the action network."""
+        return SurrogateFinger(twin, self.action)

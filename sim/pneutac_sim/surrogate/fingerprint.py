@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 
-from pneutac_sim.gel.material import MATERIAL, MODULUS
+from pneutac_sim.gel.force import MATERIAL, MODULUS
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.user_mesh import FACES, VERTICES

@@ -9,8 +9,8 @@ import numpy as np
 
 from pneutac_sim.effects.registry import get_effect, of_body
 from pneutac_sim.features import CONTROL_HZ
-from pneutac_sim.finger.kinematics import gain_profile
 from pneutac_sim.finger.online import COMPUTED, PressurePipeline
+from pneutac_sim.finger.stages import gain_profile
 from pneutac_sim.twin import Twin
 
 KINDS = ("steps", "ramps", "chirp", "random")

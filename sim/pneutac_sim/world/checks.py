@@ -36,7 +36,7 @@ def check_networks(twin: Twin, fidelity: str) -> None:
     """
     check_bends(twin, fidelity)
     if fidelity == "surrogate":  # its modules take a second to start
-        from pneutac_sim.surrogate.networks import Networks
+        from pneutac_sim.surrogate.finger import Networks
 
         Networks.of(twin).finger(twin)
 

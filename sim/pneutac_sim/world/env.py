@@ -49,7 +49,7 @@ class PneutacEnv(TaskEnv):
 
 
 def _best_fidelity(twin: Twin) -> str:
-    from pneutac_sim.surrogate.networks import builtin, fits  # its modules take a second to start
+    from pneutac_sim.surrogate.finger import builtin, fits  # its modules take a second to start
 
     if twin.device == "arm":
         return "probe"  # it has no other

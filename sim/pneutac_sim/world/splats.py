@@ -9,10 +9,9 @@ from scipy.spatial import cKDTree
 
 from pneutac_sim.splat.body import ARRAYS, looks_from_twin
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.follow import blank_looks
+from pneutac_sim.splat.follow import blank_looks, strain, stretch_colours
 from pneutac_sim.splat.gaussians import Gaussians
 from pneutac_sim.splat.render import on
-from pneutac_sim.splat.stretch import strain, stretch_colours
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.scene import SEEN_GROUPS
 from pneutac_sim.world.view import CAMERA, Renderer, View, no_gl

@@ -16,8 +16,7 @@ from pneutac_sim.features import (
     state_limits,
 )
 from pneutac_sim.world.base import Observation
-from pneutac_sim.world.look import SceneCameras
-from pneutac_sim.world.points import tactile_points
+from pneutac_sim.world.look import SceneCameras, tactile_points
 
 
 class TaskEnv(gymnasium.Env):

@@ -21,9 +21,8 @@ from pneutac_sim.world.base import BaseWorld, Observation, imprint_m
 from pneutac_sim.world.checks import check_bends
 from pneutac_sim.world.conditions import Conditions, conditions_for, draw
 from pneutac_sim.world.following import Follower
-from pneutac_sim.world.pad import Pad
 from pneutac_sim.world.scene import Finger
-from pneutac_sim.world.soft_finger import Springs, mjcf
+from pneutac_sim.world.soft_finger import Pad, Springs, mjcf
 from pneutac_sim.world.spine import Placing, Spine
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.touch import Touch
@@ -375,13 +374,12 @@ def _deforming(twin: Twin, fidelity: str, touch: str):
     """What bends the finger, and what indents the gel; None for the formulas."""
     deforms = touch in ("image", "area")
     if fidelity == "surrogate":  # its modules take a second to start
-        from pneutac_sim.surrogate.networks import Networks
+        from pneutac_sim.surrogate.finger import Networks
 
         networks = Networks.of(twin)
         return networks.finger(twin), networks.gel if deforms else None
     if fidelity == "mpm":
-        from pneutac_sim.world.mpm_finger import MpmFinger
-        from pneutac_sim.world.mpm_gel import MpmGel
+        from pneutac_sim.world.mpm_gel import MpmFinger, MpmGel
 
         return MpmFinger(twin), MpmGel(twin) if deforms else None
     return None, None

@@ -1,6 +1,6 @@
 """The effects of the truths: every one is a function of a `World` in the module of its stage."""
 
-from pneutac_truths.effects import air, command, drive, gauge, heat, load, marker, material, motion
+from pneutac_truths.effects import air, command, drive, load, marker, material
 from pneutac_truths.effects.table import EFFECTS, STAGES, Effect
 
 __all__ = [
@@ -10,10 +10,7 @@ __all__ = [
     "air",
     "command",
     "drive",
-    "gauge",
-    "heat",
     "load",
     "marker",
     "material",
-    "motion",
 ]

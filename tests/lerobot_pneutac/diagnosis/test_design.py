@@ -7,9 +7,8 @@ import pytest
 from lerobot_pneutac.diagnosis.design import choices, nats_between
 from lerobot_pneutac.diagnosis.programs import Limits, common_programs, first_program, sent_s, table, visited
 from lerobot_pneutac.diagnosis.result import Candidate
-from pneutac_datasets.recording.chambers import command_columns, device_with
-from pneutac_datasets.recording.joined import joined
-from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.axes import command_columns, device_with
+from pneutac_datasets.recording.recording import Recording, joined
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Pipeline
 from pneutac_sim.twin import Twin, Value

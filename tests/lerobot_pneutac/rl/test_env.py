@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from lerobot_pneutac.rl.env import PpoEnv, actor_size, pool
-from lerobot_pneutac.rl.reward import WEIGHTS
-from lerobot_pneutac.rl.task import GOALS, TaskView
+from lerobot_pneutac.rl.env import GOALS, WEIGHTS, PpoEnv, TaskView, actor_size, pool
 from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import TASK_NAMES

@@ -78,7 +78,7 @@ def test_a_finished_training_is_left_as_it_is(trained):
 
 
 def test_a_checkpoint_restores_networks_and_optimiser(trained):
-    from lerobot_pneutac.rl.checkpoint import Keeper
+    from lerobot_pneutac.rl.ppo import Keeper
 
     out, card = trained
     run = {k: card[k] for k in ("task", "twin", "seed", "settings", "weights", "options")}

@@ -16,7 +16,7 @@ from lerobot_pneutac.studio.session import Session
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PneutacBCConfig
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
 from lerobot_robot_pneutac.policy.processor_pneutac_bc import make_pneutac_bc_pre_post_processors
-from pneutac_datasets.demonstrations.replay.placing import find_place
+from pneutac_datasets.demonstrations.replay.imprint import find_place
 from pneutac_datasets.demonstrations.replay.reading import load_demonstrations
 from pneutac_datasets.demonstrations.replay.replaying import replay
 from pneutac_datasets.recording.recording import Recording

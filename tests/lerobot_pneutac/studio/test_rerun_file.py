@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from rerun.experimental import RrdReader
 
-from lerobot_pneutac.studio.rerun_file import write_rrd
+from lerobot_pneutac.studio.report import write_rrd
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin

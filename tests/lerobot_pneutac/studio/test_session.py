@@ -1,15 +1,27 @@
-"""The studio's session: versions to look at and to go back to, one work at a time, twins of other devices."""
+"""The studio's session: versions to look at and to go back to, one work at a time, twins of other devices.
 
+The studio's address: who may open a connection, who may not, and one that is taken.
+
+A body in real time is the pipeline's, its links are its kinematics, and its skin goes with them.
+"""
+
+import socket
 import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
 
 from lerobot_pneutac.cli import run_verb
+from lerobot_pneutac.studio.app import Studio
+from lerobot_pneutac.studio.live import LiveBody, Shape, links
 from lerobot_pneutac.studio.session import Session
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
-from pneutac_sim.twin import Twin
+from pneutac_sim.finger.stages import forward_kinematics_spatial
+from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "recordings"
 
@@ -78,3 +90,76 @@ def test_what_does_not_go_together_is_refused(folder, tmp_path):
     (arm / "samples.csv").write_text(head + rows)
     with pytest.raises(InputError, match="open a twin with a recording of its own device"):
         Session(folder, arm)
+
+
+@pytest.fixture
+def studio():
+    studio = Studio(port=0)
+    yield studio
+    studio.close()
+
+
+@pytest.mark.parametrize(
+    "origin", [None, "http://localhost:9000", "http://127.0.0.1:8080", "http://localhost"]
+)
+def test_programs_and_pages_of_this_machine_come_in(studio, origin):
+    address = studio.address.replace("http", "ws")
+    with connect(address, origin=origin, compression=None, subprotocols=["viser-v1.1.1"]) as connection:
+        assert connection.protocol.state.name == "OPEN"
+
+
+@pytest.mark.parametrize(
+    "origin",
+    ["http://elsewhere.example", "http://localhost.elsewhere.example:8080", "null", "https://localhost"],
+)
+def test_pages_of_other_sites_do_not(studio, origin):
+    with pytest.raises(InvalidStatus, match="403"):
+        connect(studio.address.replace("http", "ws"), origin=origin, compression=None)
+
+
+def test_other_machines_do_not(studio):
+    port = studio.server.get_port()
+    assert studio.server.get_host() == "127.0.0.1"
+    own = next((a[4][0] for a in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)), "127.0.0.1")
+    if own.startswith("127."):
+        pytest.skip("this machine has no address in a network")
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection((own, port), timeout=5)
+
+
+def test_a_port_in_use_is_one_sentence_and_a_closed_one_is_free():
+    first = Studio(port=0)
+    port = first.server.get_port()
+    with pytest.raises(
+        InputError, match=rf"port={port} cannot be had \(Address already in use\); .*--port=0"
+    ):
+        Studio(port)
+    first.close()
+    again = Studio(port)
+    assert again.server.get_port() == port
+    again.close()
+
+
+FINGER = Twin.builtin()
+AT = np.array(FINGER.spine_joint_positions_mm)
+
+
+def test_links_end_where_the_kinematics_says():
+    q = np.random.default_rng(0).normal(0, 0.4, (4, 2))
+    shape = Shape(*links(q, AT), np.zeros(5))
+    tip, _ = forward_kinematics_spatial(q[None], AT, FINGER.length_mm)
+    np.testing.assert_allclose(shape.spine_mm(FINGER.length_mm, AT)[-1], tip[0], atol=1e-9)
+    np.testing.assert_allclose(
+        shape.turns @ shape.turns.transpose(0, 2, 1), np.tile(np.eye(3), (5, 1, 1)), atol=1e-12
+    )
+
+
+def test_a_poke_bends_towards_where_it_pushes_as_springs_do():
+    stiff = FINGER.copy()
+    stiff.parameters["joint_stiffness_nm_per_rad"] = Value(100 * PAPER_FINGER["joint_stiffness_nm_per_rad"])
+    free = LiveBody(stiff, {}).step(np.zeros(1), np.zeros(3), 0.1)
+    poked = LiveBody(stiff, {}).step(np.zeros(1), np.array([0.0, 0.0, 0.1]), 0.1)
+    # small angles: each joint turns by F lever / K, and moves the tip by lever times that
+    levers = free.markers[0] - free.places_mm[1:, 0]
+    moved = 0.1 * (1e-3 * levers**2).sum() / stiff.parameter("joint_stiffness_nm_per_rad")
+    np.testing.assert_allclose(poked.markers[2] - free.markers[2], moved, rtol=0.03)

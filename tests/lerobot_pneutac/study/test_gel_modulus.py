@@ -10,9 +10,8 @@ from lerobot_pneutac.study.gel_modulus import keep_modulus, modulus_sentence
 from pneutac_datasets.generate.standin import write_gel
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.gel.force import GelForce
+from pneutac_sim.gel.force import MODULUS, GelForce
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.material import MODULUS
 from pneutac_sim.twin import Value
 
 

@@ -16,8 +16,8 @@ from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.fit import SHADOW, fit_gel, fit_presses, standard_effects
 from pneutac_sim.gel.layout import Orientation
-from pneutac_sim.gel.metrics import ImageScores, score
 from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.pair import ImageScores, score
 from pneutac_sim.gel.photograph import Predictor
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin

@@ -40,7 +40,7 @@ class Commands:
         if words[1:2] == ("add",):
             twin = Twin.load(demo.twin)
             assert options["from"] == str(demo.cfg.out / "diagnosis")
-            for name in set(self.selected) - set(self.left_out):
+            for name in (n for n in self.selected if n not in self.left_out):
                 twin.effects[name] = {p.name: Value(0.1) for p in get_effect(name).parameters}
             twin.save(demo.twin)
         result = {

@@ -9,10 +9,19 @@ import pytest
 
 from lerobot_pneutac import InputError, Twin, design_motion, load_demonstrations
 from lerobot_pneutac.cli import run_verb
-from lerobot_pneutac.study import demonstration_motions as motions
-from lerobot_pneutac.study.demonstration_motions import COMPLIANCE, FRICTION, Misses
+from lerobot_pneutac.verbs.design_motion import (
+    COMPLIANCE,
+    FRICTION,
+    PLAIN,
+    PRESS,
+    Felt,
+    Misses,
+    SidewaysWorld,
+    carried_out,
+    fingers,
+    sideways,
+)
 from lerobot_robot_pneutac.standin.world import Physics, StandinWorld
-from pneutac_datasets.demonstrations.motions import PRESS, Felt, carried_out, sideways
 
 DEMOS = Path(__file__).parents[2] / "golden" / "recordings" / "demos"
 
@@ -41,8 +50,8 @@ def test_the_stand_in_shows_what_the_twin_foresees():
     )
     force = [carried_out(w, 3, PRESS).force_n.mean() for w in (plain, softer)]
     foreseen = [
-        carried_out(motions.SidewaysWorld("button", t, "none"), 3, PRESS).force_n.mean()
-        for t, _ in (motions.fingers(Twin.builtin())[k] for k in (motions.PLAIN, COMPLIANCE))
+        carried_out(SidewaysWorld("button", t, "none"), 3, PRESS).force_n.mean()
+        for t, _ in (fingers(Twin.builtin())[k] for k in (PLAIN, COMPLIANCE))
     ]
     assert force[1] / force[0] == pytest.approx(foreseen[1] / foreseen[0], abs=0.07)
     drag = sideways(12.0)

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from lerobot_pneutac.cli import run_verb
-from lerobot_pneutac.verbs.effect_file import effect_source, file_name
-from lerobot_pneutac.verbs.effects import list_effects, show_effect, tips
+from lerobot_pneutac.verbs.effects import effect_source, file_name, list_effects, show_effect, tips
 from pneutac_sim.effects.body_effect import BodyEffect
 from pneutac_sim.effects.laws import law_names
 from pneutac_sim.effects.registry import all_effects, body_effects, get_effect

@@ -30,9 +30,8 @@ PRESSURES = np.array([[0.0], [4.0], [7.0], [14.0]])
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory):
     """A recording of four photographs by the renderer, from the front and from behind, with markers."""
-    from pneutac_sim.photo_fit.equilibria import Equilibria
+    from pneutac_sim.photo_fit.equilibria import Equilibria, body_parameters
     from pneutac_sim.photo_fit.objective import Objective
-    from pneutac_sim.photo_fit.parameters import body_parameters
     from pneutac_sim.splat.camera import Camera
     from pneutac_sim.splat.follow import blank_looks
 

@@ -9,7 +9,7 @@ import pytest
 from lerobot_pneutac import Recording, Twin, add
 from lerobot_pneutac.study.body_base import doubt, size_by_run
 from lerobot_pneutac.verbs import fit_body
-from lerobot_pneutac.verbs.fit_compliance import Compliance
+from lerobot_pneutac.verbs.fit_body import Compliance
 from pneutac_datasets.generate.finger import generate
 from pneutac_truths import generate as simulate
 from pneutac_truths.programs import plan as drawn

@@ -18,15 +18,13 @@ from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.hands import Hands
 from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.verbs.benches import StandinBench, make_bench, save_program
-from lerobot_pneutac.verbs.foreseen import not_as_asked
-from lerobot_pneutac.verbs.found import load_contenders, save_contenders
-from lerobot_pneutac.verbs.learn import Rounds
+from lerobot_pneutac.verbs.diagnosis import load_contenders, save_contenders
+from lerobot_pneutac.verbs.learn import Rounds, not_as_asked
 from lerobot_robot_pneutac.hardware.pneutac_serial import PneutacExchange
 from lerobot_robot_pneutac.hardware.serial_pressure import Command
 from lerobot_robot_pneutac.standin.finger import new_rod
-from pneutac_datasets.recording.joined import joined
 from pneutac_datasets.recording.noise import NoiseFloor
-from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.recording import Recording, joined
 from pneutac_sim.effects.laws import family
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.data import BodyData

@@ -9,12 +9,12 @@ import pytest
 import trimesh
 
 from lerobot_pneutac.cli import run_verb
-from lerobot_pneutac.verbs.measured_range import measured_range
+from lerobot_pneutac.verbs.calibration import measured_range
 from lerobot_pneutac.verbs.new import new_twin
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Pipeline
-from pneutac_sim.mpm.shapes import body_mesh
+from pneutac_sim.mpm.solid import body_mesh
 from pneutac_sim.mpm.user_mesh import stored_mesh
 from pneutac_sim.twin import Twin
 

@@ -15,7 +15,7 @@ from pneutac_datasets.demonstrations.augment.variant import BEND_GAIN, bend_gain
 from pneutac_sim.finger.confidence import Z95
 from pneutac_sim.gel.sensor import centre_mm
 from pneutac_sim.twin import Twin, Value
-from pneutac_sim.world.person import Person
+from pneutac_sim.world.expert import Person
 from pneutac_sim.world.varied import VariedWorld
 
 NOTHING = np.full(2, np.nan)

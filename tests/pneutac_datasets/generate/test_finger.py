@@ -11,7 +11,7 @@ from pneutac_datasets.recording.noise import noise_floor
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import body_effects
 from pneutac_sim.errors import InputError
-from pneutac_truths.make import FULL
+from pneutac_truths.truth import FULL
 
 QUICK = {"minutes": 2.0, "hz": 20.0}
 

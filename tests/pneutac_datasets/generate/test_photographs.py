@@ -17,7 +17,7 @@ from pneutac_datasets.generate.photographs import (
 from pneutac_datasets.recording.photographs import read_camera, read_photograph
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger.kinematics import forward_kinematics
+from pneutac_sim.finger.stages import forward_kinematics
 from pneutac_sim.mpm import devices
 
 pytestmark = pytest.mark.slow

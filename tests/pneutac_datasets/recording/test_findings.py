@@ -10,8 +10,8 @@ from generated import once
 
 from pneutac_datasets.generate.finger import generate
 from pneutac_datasets.recording.checks import check, findings
-from pneutac_datasets.recording.finding import KINDS
 from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.wording import KINDS
 
 
 def copy(r):

@@ -10,7 +10,7 @@ import pytest
 from lerobot_camera_digit import digit as digit_camera
 from lerobot_camera_digit.digit import Digit, DigitConfig
 from pneutac_sim.features import IMAGE_SHAPE
-from pneutac_sim.gel.builtin import rest_image
+from pneutac_sim.gel.model import rest_image
 
 UPRIGHT = rest_image(IMAGE_SHAPE)
 NOISY = [

@@ -10,7 +10,7 @@ from lerobot_robot_pneutac.cameras import simulated
 from lerobot_robot_pneutac.cameras.simulated import DigitGeneratedConfig
 from lerobot_robot_pneutac.cameras.tactile import capture_rest_image
 from pneutac_sim.features import IMAGE_SHAPE
-from pneutac_sim.gel.builtin import rest_image
+from pneutac_sim.gel.model import rest_image
 
 REST = rest_image(IMAGE_SHAPE)
 

@@ -1,4 +1,7 @@
-"""The driver at a pseudo-terminal in real time, against the firmware's own core."""
+"""The driver at a pseudo-terminal in real time, against the firmware's own core.
+
+The one way of waiting for hardware, on a simulated clock.
+"""
 
 import os
 import pty
@@ -9,8 +12,9 @@ import tty
 import pytest
 from awake import awake_s, hold_up_us, undisturbed
 from pressure_rig import connected, raised_by, raises_old, reaches, terminal, until
+from simulated_clock import simulate_clock
 
-from lerobot_robot_pneutac.hardware.parts import HardwareFault
+from lerobot_robot_pneutac.hardware.parts import HardwareFault, wait
 from lerobot_robot_pneutac.hardware.pneutac_serial import PneutacSerial
 from lerobot_robot_pneutac.hardware.pressure_check import check_pressure_controller
 from pneutac_sim.errors import InputError
@@ -151,3 +155,28 @@ def test_a_port_where_nobody_answers_is_told(tmp_path):
         PneutacSerial(os.ttyname(device), reconnect_s=0.3).connect()
     os.close(host)
     os.close(device)
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    return simulate_clock(monkeypatch)
+
+
+def test_what_is_true_is_not_waited_for(clock):
+    assert wait(lambda: True, 0.0) and clock.sleeps == 0
+
+
+@pytest.mark.parametrize("after, found", [(3, True), (4, False)])
+def test_it_is_asked_until_the_limit(clock, after, found):
+    assert wait(lambda: clock.sleeps >= after, 3 * 0.03, 0.03) == found
+    assert clock.sleeps == 3
+
+
+def test_a_stall_of_the_computer_counts_as_two_ticks(clock):
+    clock.stalls_s = {1: 5.0}
+    assert not wait(lambda: False, 0.5, 0.1) and clock.sleeps == 4
+
+
+def test_what_is_raised_ends_it(clock):
+    with pytest.raises(ZeroDivisionError):
+        wait(lambda: 1 / 0, 10.0)

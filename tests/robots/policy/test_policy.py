@@ -8,9 +8,8 @@ from lerobot.policies import make_policy
 from lerobot.utils.constants import ACTION, OBS_STATE
 from safetensors.torch import load_file, save_file
 
-from lerobot_robot_pneutac.policy import scaling
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
-from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
+from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy, Scaling
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, ACTION_NAMES, IMAGE_SHAPE, STATE_NAMES
@@ -333,7 +332,7 @@ def test_fine_tuning_keeps_the_weights_and_takes_the_new_rest_image(tmp_path):
 def test_a_dataset_of_another_finger_scales_and_limits_the_pressure():
     rows = {"min": np.full(20, 0.2), "max": np.full(20, 0.6)}
     stats = {"observation.state": rows, "action": {"min": [-0.1, 0, 0, -30.0], "max": [0.1, 0, 0, 60.0]}}
-    s = scaling.Scaling.of(stats)
+    s = Scaling.of(stats)
     assert (s.action_low[3], s.action_high[3], s.action_centre[3], s.action_scale[3]) == (-30, 60, 15, 45)
     assert (s.state_centre[19], s.state_scale[19]) == (15, 45)
     np.testing.assert_allclose(s.state_centre[[0, 14]], 0.4)  # where its arm stood

@@ -4,7 +4,7 @@ import pytest
 from pneutac_sim.effects import body_effects
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Inputs, Pipeline, PressurePipeline
-from pneutac_sim.finger.kinematics import forward_kinematics, joint_command
+from pneutac_sim.finger.stages import forward_kinematics, joint_command
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 
 ALL = list(body_effects())

@@ -9,7 +9,7 @@ from pneutac_sim.effects import get_effect
 from pneutac_sim.effects.sensor_effect import CHANNELS
 from pneutac_sim.gel.fit import fit_photographs
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.metrics import rmse
+from pneutac_sim.gel.pair import rmse
 from pneutac_sim.gel.photograph import Predictor, PressPhotograph
 
 DRIFT = {"gain_red": 1.04, "gain_green": 0.97, "gain_blue": 1.02}

@@ -8,14 +8,15 @@ import pytest
 
 from pneutac_sim.effects.sensor_effect import CHANNELS
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel import builtin, makes
 from pneutac_sim.gel.channel import priors
 from pneutac_sim.gel.fit import fit_presses
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.layout import DIGIT, Layout, Orientation, Unit, kept, recognise_rest
-from pneutac_sim.gel.metrics import rmse
+from pneutac_sim.gel.model import rest_image
+from pneutac_sim.gel.pair import rmse
 from pneutac_sim.gel.photograph import Predictor, PressPhotograph
 from pneutac_sim.gel.residual import FEATURES, PLACE, ResidualField
+from pneutac_sim.gel.told import library, save
 
 
 @pytest.fixture(autouse=True)
@@ -26,7 +27,7 @@ def own(tmp_path, monkeypatch):
 
 def test_a_layout_comes_back_from_its_file(tmp_path):
     sds = (1.0, 2.0, 30.0), (0.05, 0.1, 0.2), (0.05, 0.06, 0.5)
-    rest = kept(builtin.rest_image((80, 80, 3)))
+    rest = kept(rest_image((80, 80, 3)))
     made = Layout(
         "lab",
         ((1.0, 2.0), (3.0, -4.0), (-5.0, 6.5)),
@@ -42,13 +43,13 @@ def test_a_layout_comes_back_from_its_file(tmp_path):
 
 
 def test_the_library_holds_the_products_makes_and_ones_own(own, linear, photograph):
-    assert makes.library() == (DIGIT,), "without any of one's own"
+    assert library() == (DIGIT,), "without any of one's own"
     press = Press("sphere", 3.0, 0.6, -1.0, 0.9)
     pair = PressPhotograph(press, photograph(linear, press, 2), linear.rest_image)
     fit = fit_presses([pair], 20.0, ["near_light", "rest_colour"], makes=())
-    file = makes.save("lab", fit.gel, fit.channels, "a test")
+    file = save("lab", fit.gel, fit.channels, "a test")
     assert file == own / "lab.yaml"
-    lab = makes.library()[1]
+    lab = library()[1]
     assert lab.name == "lab" and recognise_rest(linear.rest_image, lab)[1] > 0.99
     light = np.array(lab.positions_mm) / np.linalg.norm(lab.positions_mm, axis=1)[:, None]
     np.testing.assert_allclose(light, -linear.light / np.linalg.norm(linear.light, axis=1)[:, None], atol=0.1)
@@ -111,8 +112,8 @@ def test_as_much_of_a_lent_field_is_taken_as_explains_the_press(linear, photogra
 
 def test_five_presses_save_a_field_that_others_of_the_make_are_lent(own, linear, session):
     fit = fit_presses(session(linear, 5), 20.0, ["near_light", "rest_colour"], makes=())
-    makes.save("lab", fit.gel, fit.channels, "a test", fit.leftovers)
-    lab = makes.library()[1]
+    save("lab", fit.gel, fit.channels, "a test", fit.leftovers)
+    lab = library()[1]
     assert len(lab.units) == 1
     assert lab.lent(linear.rest_image, Orientation()) is None, "the sensor itself"
     assert lab.lent(linear.rest_image[::-1].copy(), Orientation()) is not None
@@ -122,10 +123,10 @@ def test_what_is_no_prior_gets_one_sentence(own, linear, photograph):
     own.mkdir()
     (own / "bad.yaml").write_text("format: pneutac-prior-1\nred: {x_mm: far}\n")
     with pytest.raises(InputError, match="bad.yaml is no prior of a sensor"):
-        makes.library()
+        library()
     DIGIT.write(own / "bad.yaml", "a test")
     (own / "bad.yaml").write_text((own / "bad.yaml").read_text().replace("field: ", "field: A"))
     with pytest.raises(InputError, match="bad.yaml is no prior of a sensor"):
-        makes.library()
+        library()
     with pytest.raises(InputError, match="near_light and rest_colour"):
-        makes.save("lab", linear, [], "a test")
+        save("lab", linear, [], "a test")

@@ -4,9 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
+from scipy.special import k0, k1
 
+from pneutac_datasets.generate.gel import hertz
 from pneutac_sim.gel.indenter import INDENTERS, Press
 from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.pair import disc, ncc, psnr, rmse, score
 from pneutac_sim.gel.photograph import (
     Predictor,
     PressPhotograph,
@@ -15,6 +19,7 @@ from pneutac_sim.gel.photograph import (
     registered,
     session_light,
 )
+from pneutac_sim.gel.surface import surface
 
 BALL = Press("sphere", 3.0, 0.6, -1.0, 0.9)
 OTHER = Press("sphere", 3.0, -2.0, 4.0, 0.7)
@@ -95,3 +100,95 @@ def test_each_photograph_is_predicted_on_its_own_rest_image(linear):
     far = ~PressPhotograph(OTHER, first, first).near(20.0)
     for rest in (first, second, first):
         np.testing.assert_allclose(predictor.image(OTHER, rest)[far], rest[far].astype(float), atol=3)
+
+
+CELL = (12 / 59, 16 / 80)
+
+
+def radius_grid(x0=0.0, y0=0.0):
+    x = (np.arange(59) + 0.5) * CELL[0] - 6
+    y = (np.arange(80) + 0.5) * CELL[1] - 8
+    return np.hypot(*np.meshgrid(x - x0, y - y0))
+
+
+def ball(r, depth, radius):
+    return np.maximum(0, depth - r**2 / (2 * radius)).astype(np.float32)
+
+
+def closed_form(r, depth, radius, decay):
+    """The obstacle problem of a parabola: contact where parabola and K0 meet with one slope."""
+    rim = np.sqrt(2 * radius * depth)
+    a = brentq(
+        lambda a: a / radius / (depth - a * a / (2 * radius)) - k1(a / decay) / (decay * k0(a / decay)),
+        1e-6 * rim,
+        (1 - 1e-9) * rim,
+    )
+    outside = (depth - a * a / (2 * radius)) * k0(np.maximum(r, a) / decay) / k0(a / decay)
+    return np.where(r < a, depth - r**2 / (2 * radius), outside)
+
+
+@pytest.mark.parametrize("depth, radius, decay", [(0.9, 3, 1.2), (0.3, 3, 1.2), (0.9, 3, 0.6), (0.5, 6, 1.0)])
+def test_a_ball_sags_as_the_closed_form_of_the_layer(depth, radius, decay):
+    r = radius_grid(0.3, -0.2)
+    u = surface(ball(r, depth, radius), CELL, decay)
+    np.testing.assert_allclose(u, closed_form(r, depth, radius, decay), atol=0.03 * depth)
+
+
+def test_a_ball_sags_nearly_as_on_hertz_half_space():
+    """With the best single decay length the layer stays within 5 % of the depth up to two contact radii."""
+    r, depth, radius = radius_grid(), 0.9, 3.0
+    a = np.sqrt(radius * depth)
+    u, u_hertz = surface(ball(r, depth, radius), CELL, 2.0), hertz(r, depth, radius)
+    np.testing.assert_allclose(u[r < 2 * a], u_hertz[r < 2 * a], atol=0.05 * depth)
+    thin = surface(ball(r, depth, radius), CELL, 1.2)
+    np.testing.assert_allclose(thin[r < a], u_hertz[r < a], atol=0.01 * depth)
+    assert (thin[r > 2 * a] < u_hertz[r > 2 * a]).all(), "a bonded layer hides the half-space's far field"
+
+
+def test_the_obstacle_conditions_hold_for_several_flat_and_round_contacts():
+    depth = np.maximum(ball(radius_grid(2, 4), 0.8, 3), ball(radius_grid(-2, -3), 0.4, 5))
+    depth[10:20, 40:50] = 0.5
+    u = surface(depth, CELL, 1.2).astype(np.float64)
+    assert (u >= depth - 1e-6).all()
+    kx, ky = (1.2 / CELL[0]) ** 2, (1.2 / CELL[1]) ** 2
+    v = np.pad(u, 1, mode="edge")
+    pressure = u - kx * (v[1:-1, 2:] + v[1:-1, :-2] - 2 * u) - ky * (v[2:, 1:-1] + v[:-2, 1:-1] - 2 * u)
+    off = u > depth + 0.02
+    assert off.mean() > 0.5
+    # the residual is measured against the diagonal of the operator: an error of u times 1 + 2 (kx + ky)
+    assert np.abs(pressure[off]).max() / (1 + 2 * (kx + ky)) < 0.003
+    assert pressure.min() / (1 + 2 * (kx + ky)) > -0.003
+
+
+def test_rmse_and_psnr_of_a_known_error():
+    a = np.full((4, 5, 3), 100.0)
+    assert rmse(a, a + 2) == 2
+    assert psnr(a, a + 2) == pytest.approx(20 * np.log10(255 / 2))
+    assert psnr(a, a) == np.inf
+
+
+def test_ncc_ignores_gain_and_offset_of_each_channel_but_sees_a_swap():
+    rng = np.random.default_rng(0)
+    a = rng.normal(size=(20, 20, 3))
+    assert ncc(a, a * [2, 3, 0.5] + [10, -5, 100]) == pytest.approx(1)
+    assert ncc(a, -a) == pytest.approx(-1)
+    assert abs(ncc(a, a[..., ::-1])) < 0.5
+
+
+def test_contact_scores_see_what_whole_frame_scores_hide():
+    rng = np.random.default_rng(0)
+    rest = np.broadcast_to(np.linspace(0, 200, 240)[None, :, None], (320, 240, 3))
+    bump = 40 * disc(rest.shape, 100, 80, 20)[..., None] * rng.choice([-1, 1], (1, 1, 3))
+    real = rest + bump
+    nothing = score(rest, real, rest, 100, 80, 20)
+    assert nothing.ncc > 0.97 and nothing.contact_dncc == 0
+    assert nothing.contact_rmse == pytest.approx(20, rel=0.05), "the bump fills a quarter of the disc"
+    right = score(rest + 0.9 * bump, real, rest, 100, 80, 20)
+    assert right.contact_dncc == pytest.approx(1) and right.contact_rmse == pytest.approx(2, rel=0.05)
+
+
+def test_a_wrong_balance_of_colours_counts_in_the_difference():
+    rng = np.random.default_rng(0)
+    rest, d = np.full((60, 60, 3), 100.0), rng.normal(size=(60, 60, 1)) * [10, 10, 10]
+    tinted = score(rest + d * [1, -1, 1], rest + d, rest, 30, 30, 10)
+    assert tinted.contact_dncc == pytest.approx(1 / 3, abs=0.05)

@@ -5,11 +5,11 @@ import pytest
 
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger.kinematics import joint_command
+from pneutac_sim.finger.stages import joint_command
 from pneutac_sim.gel.probe import SPHERE, probe_grid
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.loads import Loads
-from pneutac_sim.mpm.shapes import arm_mesh, finger_mesh
+from pneutac_sim.mpm.solid import arm_mesh, finger_mesh
 from pneutac_sim.mpm.solve import solve_equilibrium
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 from pneutac_sim.world.world import World

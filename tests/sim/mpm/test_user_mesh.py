@@ -5,11 +5,11 @@ import pytest
 import trimesh
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.mpm import devices, shapes
+from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.loads import Loads
-from pneutac_sim.mpm.sections import neutral_axis
+from pneutac_sim.mpm.solid import finger_mesh
 from pneutac_sim.mpm.solve import solve_equilibrium
-from pneutac_sim.mpm.user_mesh import read_mesh, store_mesh, stored_mesh
+from pneutac_sim.mpm.user_mesh import neutral_axis, read_mesh, store_mesh, stored_mesh
 from pneutac_sim.twin import Twin
 
 pytestmark = pytest.mark.slow
@@ -102,7 +102,7 @@ def test_an_unusual_length_is_told(tmp_path):
 
 @pytest.mark.parametrize(
     "mesh",
-    [trimesh.creation.box((100, 20, 20)), shapes.finger_mesh(0.11, 0.02).apply_scale(1000.0)],
+    [trimesh.creation.box((100, 20, 20)), finger_mesh(0.11, 0.02).apply_scale(1000.0)],
     ids=["box", "finger"],
 )
 def test_an_inside_out_mesh_is_turned(tmp_path, mesh):

@@ -1,9 +1,27 @@
+"""Points that follow particles: affine deformations exactly, bending to second order of the spacing.
+
+Masks from photographs against the renderer's own.
+
+Pictures of triangles and disks whose pixels are known.
+"""
+
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
+import trimesh
 
+from pneutac_datasets.generate.photo_scene import Studio, photograph
+from pneutac_datasets.generate.photographs import place_camera
+from pneutac_datasets.recording.photographs import segment
 from pneutac_sim.errors import InputError
+from pneutac_sim.mpm.solid import finger_mesh
+from pneutac_sim.photo_fit.objective import cover, draw_triangles
 from pneutac_sim.splat.camera import Camera
+from pneutac_sim.splat.colours import fit_looks, solve_colours
+from pneutac_sim.splat.follow import carry
+from pneutac_sim.splat.rasteriser import Splats
 
 K = np.array([[300.0, 0, 161], [0, 310.0, 118], [0, 0, 1]])
 
@@ -59,3 +77,180 @@ def test_bad_views_are_refused():
         Camera.look_at([0, 1, 1], [0, 0, 0], [0, 0, 1], 180, 320, 240)
     with pytest.raises(InputError, match="points|Points"):
         Camera.look_at([0, 1, 1], [0, 0, 0], [0, 0, 1], 50, 320, 240).project([[0, np.nan, 0]])
+
+
+def lattice(spacing):
+    axes = (np.arange(0, 0.04, spacing), np.arange(0, 0.012, spacing), np.arange(0, 0.012, spacing))
+    return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+
+
+def test_affine_motion_is_met_exactly_also_outside():
+    rng = np.random.default_rng(0)
+    rest = lattice(0.002)
+    F = np.eye(3) + 0.3 * rng.normal(size=(3, 3))
+    points = rng.uniform(-0.004, 0.045, (200, 3))
+    gradients = np.broadcast_to(F, (len(rest), 3, 3))
+    moved = carry(points, rest, rest @ F.T + [1, 2, 3], gradients)
+    np.testing.assert_allclose(moved, points @ F.T + [1, 2, 3], atol=1e-12)
+
+
+def bend(points, radius=0.03):
+    """Rolls a bar up: x becomes the angle, z the distance from the middle line."""
+    angle, r = points[:, 0] / radius, radius - points[:, 2]
+    return np.stack([r * np.sin(angle), points[:, 1], radius - r * np.cos(angle)], -1)
+
+
+def gradient(points, radius=0.03):
+    angle, r = points[:, 0] / radius, radius - points[:, 2]
+    F = np.zeros((len(points), 3, 3))
+    F[:, 0, 0], F[:, 0, 2] = r / radius * np.cos(angle), -np.sin(angle)
+    F[:, 2, 0], F[:, 2, 2] = r / radius * np.sin(angle), np.cos(angle)
+    F[:, 1, 1] = 1
+    return F
+
+
+def test_bending_converges_with_the_spacing():
+    points = np.random.default_rng(1).uniform([0.004, 0.002, 0.002], [0.034, 0.009, 0.009], (300, 3))
+    errors = []
+    for spacing in (0.002, 0.001):
+        rest = lattice(spacing)
+        moved = carry(points, rest, bend(rest), gradient(rest))
+        errors.append(np.linalg.norm(moved - bend(points), axis=1).max())
+    assert errors[0] < 1e-4
+    assert errors[1] < 0.35 * errors[0]
+
+
+BACKGROUND = (0.1, 0.6, 0.3)
+
+
+def sheet(layers: int = 1):
+    """Camera, means and covariances of layers of 24 x 18 Gaussians two pixels apart, seen head-on."""
+    x, y, z = np.meshgrid(np.arange(24), np.arange(18), np.arange(layers), indexing="ij")
+    means = np.stack([x * 2.0 + 1, y * 2.0 + 1, 100 + z], -1).reshape(-1, 3) * 1e-3
+    camera = Camera(np.array([[100.0, 0, 0], [0, 100.0, 0], [0, 0, 1]]), np.eye(4), 48, 36)
+    return camera, means, np.tile(np.eye(3) * 1e-6, (len(means), 1, 1))
+
+
+def rmse(a, b):
+    return float(np.sqrt(np.mean(np.square(a - b))))
+
+
+def test_direct_solution_recovers_known_colours():
+    camera, means, covariances = sheet()
+    known = np.random.default_rng(0).random((len(means), 3))
+    splats = Splats(camera, means, covariances, np.full(len(means), 0.7))
+    found = solve_colours(splats, splats.render(known, BACKGROUND).image, BACKGROUND, 60, ridge=1e-6)
+    assert np.abs(found - known).max() < 0.02
+
+
+@pytest.mark.slow
+def test_coverage_is_fitted_to_a_silhouette():
+    camera, means, covariances = sheet()
+    wanted = np.zeros((36, 48))
+    wanted[:, :24] = 1
+    n = len(means)
+    _, before = Splats(camera, means, covariances, np.full(n, 0.5)).render(np.zeros((n, 3)))
+    target = np.zeros((36, 48, 3))
+    splats = Splats(camera, means, covariances, np.full(n, 0.5))
+    _, fitted = fit_looks(splats, target, iterations=300, coverage=wanted)
+    _, after = Splats(camera, means, covariances, fitted).render(np.zeros((n, 3)))
+    assert rmse(after, wanted) < 0.5 * rmse(before, wanted)
+
+
+def test_bad_targets_are_refused():
+    camera, means, covariances = sheet()
+    splats = Splats(camera, means, covariances, np.full(len(means), 0.9))
+    with pytest.raises(InputError, match="target"):
+        solve_colours(splats, np.full((36, 48, 3), np.nan))
+    with pytest.raises(InputError, match="target"):
+        solve_colours(splats, np.zeros((48, 36, 3)))
+
+
+def iou(a, b):
+    return (a & b).sum() / (a | b).sum()
+
+
+@pytest.mark.parametrize("view", ["front", "back"])
+@pytest.mark.slow
+def test_difference_to_the_empty_scene_finds_the_body(photographed, view):
+    for image, mask in photographed.pictures[view]:
+        assert iou(segment(image, background=photographed.background[view]), mask) > 0.95
+
+
+@pytest.mark.slow
+def test_brighter_backdrop_is_no_body(photographed):
+    """A cloud that passes between the two photographs."""
+    image, mask = photographed.pictures["front"][0]
+    background = (photographed.background["front"] * 0.97).astype(np.uint8)
+    assert iou(segment(image, background=background), mask) > 0.9
+
+
+@pytest.mark.parametrize("colour", [(190, 60, 50), (40, 110, 190)])
+def test_colour_finds_a_body_of_one_colour(colour):
+    rng = np.random.default_rng(1)
+    mesh = finger_mesh(0.11, 0.02).subdivide()
+    studio = replace(Studio.random(rng, 0.11, 0.02), texture=np.full((8, 8, 3), colour, np.uint8))
+    camera = place_camera("front", 0.11, rng)
+    image, mask = photograph(mesh, mesh.vertices, studio, camera, rng)
+    assert iou(segment(image, colour=colour), mask) > 0.92
+
+
+@pytest.mark.slow
+def test_bad_input_is_named(photographed):
+    image, _ = photographed.pictures["front"][0]
+    empty = photographed.background["front"]
+    with pytest.raises(InputError, match="either the background .* or the body's colour"):
+        segment(image)
+    with pytest.raises(InputError, match="either the background"):
+        segment(image, background=empty, colour=(1, 2, 3))
+    with pytest.raises(InputError, match="No body was found"):
+        segment(empty, background=empty)
+    with pytest.raises(InputError, match="same camera"):
+        segment(image, background=empty[::2])
+    with pytest.raises(InputError, match="The image must be RGB uint8"):
+        segment(image.astype(float), background=empty)
+    with pytest.raises(InputError, match="from 0 to 255"):
+        segment(image, colour=(0.1, np.nan, 3))
+
+
+SEE = Camera(np.array([[100.0, 0, 32], [0, 100.0, 24], [0, 0, 1]]), np.eye(4), 64, 48)
+RED, BLUE = np.array([1.0, 0, 0]), np.array([0, 0, 1.0])
+
+
+def square(half, z):
+    corners = np.array([[-half, -half, z], [half, -half, z], [half, half, z], [-half, half, z]])
+    return corners, np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def test_a_square_fills_its_pixels_and_no_others():
+    vertices, faces = square(0.1, 1.0)  # 20 x 20 px
+    image, alpha = draw_triangles(SEE, vertices, faces, np.tile(RED, (4, 1)))
+    assert alpha.sum() == pytest.approx(400, abs=1)
+    np.testing.assert_allclose(image[14:34, 22:42], np.broadcast_to(RED, (20, 20, 3)), atol=1e-6)
+    assert image[:13].max() == 0
+
+
+def test_the_nearest_is_on_top_in_any_order():
+    near, faces = square(0.05, 1.0)
+    far, _ = square(0.2, 2.0)
+    for order in (1, -1):
+        parts = [(near, RED), (far, BLUE)][::order]
+        vertices = np.concatenate([v for v, _ in parts])
+        colours = np.concatenate([np.tile(c, (4, 1)) for _, c in parts])
+        image, _ = draw_triangles(SEE, vertices, np.concatenate([faces, faces + 4]), colours)
+        np.testing.assert_allclose(image[24, 32], RED, atol=1e-6)
+        np.testing.assert_allclose(image[24, 40], BLUE, atol=1e-6)
+
+
+def test_coverage_is_the_area_of_a_triangle_and_of_a_ball():
+    corners = np.array([[-0.1, -0.08, 1.0], [0.15, -0.02, 1.0], [0.03, 0.11, 1.0]])  # 100 px/m at 1 m
+    a, b = 100 * (corners[1] - corners[0])[:2], 100 * (corners[2] - corners[0])[:2]
+    area = 0.5 * abs(a[0] * b[1] - a[1] * b[0])
+    covered = cover(SEE, corners, np.array([[0, 1, 2]]))
+    assert covered.sum() == pytest.approx(area, rel=5e-3)
+    assert np.allclose(covered, cover(SEE, corners, np.array([[0, 2, 1]])))  # from behind too
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.15)
+    covered = cover(SEE, ball.vertices + [0.0, 0.0, 1.0], ball.faces)
+    tangent = 0.15**2 / (1 - 0.15**2)  # of the cone that touches it, squared
+    assert covered.sum() == pytest.approx(np.pi * 100**2 * tangent, rel=5e-3)
+    assert covered.max() == 1.0

@@ -1,10 +1,23 @@
+import importlib.util
+
 import numpy as np
 import pytest
+import torch
+from scipy.spatial.transform import Rotation
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.photograph import press_depth
 from pneutac_sim.gel.sensor import TactileSensor
+from pneutac_sim.gel.surface import surface
+from pneutac_sim.splat.camera import Camera
+from pneutac_sim.splat.gaussians import Gaussians
 from pneutac_sim.splat.gel import CAMERA_MM, SplatSensor, particles
+from pneutac_sim.splat.rasteriser import Splats
+from pneutac_sim.splat.render import on, rasterise
+from pneutac_sim.world.splats import SplatFinger, camera_of
+from pneutac_sim.world.world import World
 
 REST = np.zeros((80, 59), np.float32)
 
@@ -73,3 +86,78 @@ def test_bad_input_is_refused(sensor):
         sensor.image(REST + 3.0)
     with pytest.raises(InputError, match="increment"):
         sensor.render(REST, np.zeros((320, 241, 3)))
+
+
+ABLE = importlib.util.find_spec("gsplat") is not None and torch.cuda.is_available()
+needs_cuda = pytest.mark.skipif(not ABLE, reason="needs gsplat and a CUDA device")
+
+
+def scene(n: int = 3000) -> Gaussians:
+    rng = np.random.default_rng(0)
+    return Gaussians(
+        means=rng.uniform(-0.1, 0.1, (n, 3)),
+        scales=0.004 * rng.uniform(0.1, 2.0, (n, 3)),
+        rotations=Rotation.random(n, random_state=0).as_matrix(),
+        colours=rng.random((n, 3)),
+        opacities=rng.uniform(0.01, 1.0, n),
+    )
+
+
+def view(distortion) -> Camera:
+    plain = Camera.look_at([0.1, -0.3, 0.12], [0, 0, 0], [0, 0, 1], 40, 200, 150)
+    return Camera(plain.intrinsics, plain.extrinsics, 200, 150, distortion)
+
+
+@needs_cuda
+@pytest.mark.parametrize("distortion", [(), (-0.2, 0.05, 0.003, -0.002, 0.01)])
+def test_cuda_agrees_with_the_cpu(distortion):
+    here = rasterise(scene(), view(distortion), (0.2, 0.5, 0.9))
+    there = rasterise(scene(), view(distortion), (0.2, 0.5, 0.9), device="cuda")
+    assert 0.1 < here.alpha.mean() < 0.99
+    for ours, theirs in zip(here, there, strict=True):
+        # rounding may lift single pixels over the alpha threshold of 1/255
+        assert np.quantile(np.abs(ours - theirs), 0.9995) < 1e-3
+        assert np.abs(ours - theirs).max() < 0.02
+
+
+@needs_cuda
+def test_cuda_gradients_agree_with_the_cpu():
+    from pneutac_sim.splat.cuda import rasterise_tensors
+
+    g, camera = scene(500), view(())
+    by_image = np.random.default_rng(1).normal(size=(150, 200, 3)).astype(np.float32)
+    arrays = (g.means, g.covariances(), g.colours, g.opacities)
+    tensors = [torch.from_numpy(a).cuda().requires_grad_() for a in arrays]
+    image, _ = rasterise_tensors(*tensors, camera, torch.zeros(3, device="cuda"))
+    (image * torch.from_numpy(by_image).cuda()).sum().backward()
+    splats = Splats(camera, g.means, g.covariances(), g.opacities)
+    ours = splats.gradients(g.colours, (0, 0, 0), by_image)
+    for mine, theirs in zip(ours, (tensors[2].grad, tensors[3].grad), strict=True):
+        theirs = theirs.cpu().numpy()
+        assert np.linalg.norm(mine - theirs) < 2e-3 * np.linalg.norm(theirs)
+
+
+@needs_cuda
+def test_a_touch_and_a_finger_are_drawn_on_cuda_as_on_the_cpu():
+    model = GelModel.builtin()
+    here = SplatSensor(model)
+    there = SplatSensor(model, looks=here.looks, device="cuda")
+    u = surface(press_depth(Press("sphere", 3.0, 0.5, 1.0, 0.9), model))
+    assert np.abs(here.image(u).astype(int) - here.image(0 * u)).max() > 30
+    off = np.abs(here.image(u).astype(int) - there.image(u))
+    assert np.quantile(off, 0.999) <= 1 and off.max() < 6
+    world = World("switch", fidelity="probe")
+    world.reset(0)
+    camera = camera_of(world.model, world.data, 320, 240)
+    pictures = [SplatFinger(world.model, world.twin, d).picture(world.data, camera) for d in ("cpu", "auto")]
+    seen = pictures[0][1] > 0.5
+    assert seen.sum() > 500
+    for ours, theirs in zip(*pictures, strict=True):
+        assert np.quantile(np.abs(ours[seen] - theirs[seen]), 0.999) < 1e-3
+
+
+@pytest.mark.skipif(ABLE, reason="gsplat and a CUDA device are there")
+def test_without_cuda_the_remedy_is_named():
+    with pytest.raises(InputError, match=r"uv pip install -e .\.\[cuda\]"):
+        rasterise(scene(5), view(()), device="cuda")
+    assert on("auto") is Splats

@@ -24,8 +24,7 @@ from pneutac_sim.surrogate.gel_collect import (
     random_contact,
     read_contacts,
 )
-from pneutac_sim.surrogate.gel_evaluate import evaluate_gel
-from pneutac_sim.surrogate.gel_train import UNet, split, train_gel
+from pneutac_sim.surrogate.gel_train import UNet, evaluate_gel, split, train_gel
 from pneutac_sim.surrogate.perception import GelSurrogate
 from pneutac_sim.twin import Twin
 

@@ -13,12 +13,11 @@ from pneutac_sim.gel.probe import probe_grid
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import solve_equilibrium
-from pneutac_sim.surrogate.networks import Networks, builtin, fits
+from pneutac_sim.surrogate.finger import Networks, builtin, fits
 from pneutac_sim.surrogate.programs import joint_targets
 from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.env import PneutacEnv
-from pneutac_sim.world.mpm_finger import MpmFinger
-from pneutac_sim.world.mpm_gel import MpmGel
+from pneutac_sim.world.mpm_gel import MpmFinger, MpmGel
 from pneutac_sim.world.world import World
 
 pytestmark = pytest.mark.slow

@@ -1,11 +1,19 @@
-"""The arm: kinematics against the closed form, inverse kinematics, servo tracking."""
+"""The arm: kinematics against the closed form, inverse kinematics, servo tracking.
+
+Arms from a URDF or MJCF, six joints and five.
+"""
 
 import mujoco
 import numpy as np
 import pytest
 
+from pneutac_sim.errors import InputError
 from pneutac_sim.features import JOINT_HIGH, JOINT_LOW
 from pneutac_sim.world import panda
+from pneutac_sim.world.arms import ARMS
+from pneutac_sim.world.arms.chain import Chain
+from pneutac_sim.world.expert import ScriptedExpert
+from pneutac_sim.world.panda import HOME_JOINTS, forward_kinematics
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.world import World
 
@@ -83,3 +91,134 @@ def test_simulated_flange_follows_the_commanded_velocity(axis):
         world.step(np.zeros(4))
     np.testing.assert_allclose(world.flange_m - start, expected, atol=3e-4)
     np.testing.assert_allclose(world.data.site("flange").xmat, rotation, atol=2e-3)
+
+
+UR5_A, UR5_D = (0.0, -0.425, -0.39225, 0.0, 0.0, 0.0), (0.089159, 0.0, 0.0, 0.10915, 0.09465, 0.0823)
+UR5_ALPHA = np.pi / 2 * np.array([1, 0, 0, 1, -1, 0])
+UR5 = ARMS["ur5"][0]
+
+
+def ur5_pose(q):
+    """The flange by the standard Denavit-Hartenberg product of the published parameters, (4, 4)."""
+    T = np.eye(4)
+    for a, d, alpha, theta in zip(UR5_A, UR5_D, UR5_ALPHA, q, strict=True):
+        c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+        T = T @ [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1]]
+    return T
+
+
+def chain(name, base_m=(0.0, 0.0, 0.0)):
+    described = ARMS[name][0]
+    return Chain(described.urdf, described.flange, described.home_rad, base_m)
+
+
+def test_the_ur5_stands_where_its_published_parameters_say():
+    ik = chain("ur5", (0.1, 0.2, 0.3)).solver()
+    for q in np.random.default_rng(0).uniform(-3, 3, (5, 6)):
+        rotation, position = ik.pose(q)
+        np.testing.assert_allclose(position, ur5_pose(q)[:3, 3], atol=1e-7)
+        np.testing.assert_allclose(rotation[:, 2], ur5_pose(q)[:3, 2], atol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["ur5", "so101"])
+def test_the_flange_goes_where_it_is_sent_and_keeps_its_orientation(name):
+    ik = chain(name).solver()
+    ik.reset()
+    held, home = ik.pose(ik.q)
+    np.testing.assert_allclose(held, forward_kinematics(HOME_JOINTS)[:3, :3], atol=1e-3)
+    for t in np.linspace(0, 2 * np.pi, 60):
+        goal = home + 0.04 * np.array([np.sin(t), 1 - np.cos(t), -np.sin(t)])
+        rotation, position = ik.pose(ik.solve(goal))
+        np.testing.assert_allclose(position, goal, atol=1e-4)
+        np.testing.assert_allclose(rotation, held, atol=0.02)
+    ik.solve(home + [2.0, 0.0, 0.0])
+    assert ik.missing_m > 1
+
+
+@pytest.mark.parametrize("name", ["ur5", "so101"])
+def test_the_jacobian_is_the_slope_of_the_pose(name):
+    ik, h = chain(name).solver(), 1e-6
+    q = ik.q + 0.1
+    ik.pose(q)
+    position, rotation = ik.jacobian()
+    for j, step in enumerate(h * np.eye(len(q))):
+        (R0, p0), (R1, p1) = ik.pose(q - step), ik.pose(q + step)
+        np.testing.assert_allclose((p1 - p0) / (2 * h), position[:, j], atol=1e-6)
+        turn = (R1 - R0) / (2 * h) @ ik.pose(q)[0].T
+        np.testing.assert_allclose([turn[2, 1], turn[0, 2], turn[1, 0]], rotation[:, j], atol=1e-6)
+
+
+@pytest.mark.parametrize(("name", "joints"), [("ur5", 6), ("so101", 5)])
+def test_an_expert_does_its_task_and_the_state_has_the_arms_joints(name, joints):
+    world = World("card", touch="area", station=Station(arm=name))
+    observation = world.reset(0)
+    assert observation.state.shape == (2 * joints + 6,)
+    expert = ScriptedExpert(world, np.random.default_rng(0))
+    while not world.success:
+        observation = world.step(expert.action())
+        assert world.time_s < 10
+    # What is observed is in the arm's frame, and its joints are those of its own kinematics.
+    rotation, position = world.arm.solver().pose(observation.state[:joints].astype(float))
+    np.testing.assert_allclose(observation.state[-6:-3], position, atol=1e-5)
+    np.testing.assert_allclose(world.flange_m - world.station.base_m, position, atol=1e-5)
+    assert rotation[2, 2] < -0.999
+
+
+def test_out_of_reach_the_arm_stays_and_comes_back():
+    world = World("switch", touch="none", station=Station(arm="so101", workspace_high_m=(0.9, 0.2, 0.55)))
+    for _ in range(60):
+        world.step([0.1, 0.0, 0.0, 0.0])
+    assert world.clipped > 10 and world.flange_m[0] < 0.6
+    far = world.flange_m[0]
+    for _ in range(5):
+        world.step([-0.1, 0.0, 0.0, 0.0])
+    assert world.flange_m[0] < far - 0.02
+
+
+MJCF = """<mujoco><compiler meshdir="nowhere"/><asset><mesh file="link.obj"/></asset><worldbody>
+<body name="foot"><geom type="mesh" mesh="link"/><joint name="a" axis="0 0 1"/>
+<body pos="0 0 .3"><joint axis="0 1 0"/><body pos=".3 0 .1"><joint axis="0 1 0"/>
+<body pos=".2 0 0"><joint axis="0 1 0"/><body pos="0 0 -.05"><joint axis="0 0 1"/>
+<site name="tool" pos="0 0 -.05" euler="180 0 0"/></body></body></body></body></body>
+</worldbody><actuator><position joint="a"/></actuator></mujoco>"""
+
+
+def test_an_mjcf_without_its_meshes_is_an_arm_too(tmp_path):
+    file = tmp_path / "arm.xml"
+    file.write_text(MJCF)
+    arm = Chain(str(file), "tool", (0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    np.testing.assert_allclose(arm.solver().pose(arm.home_rad)[1], [0.5, 0.0, 0.3], atol=1e-9)
+    assert mujoco.MjModel.from_xml_string(
+        f"<mujoco><default><default class='arm'/></default><asset><material name='arm'/>"
+        f"<material name='arm_dark'/></asset><worldbody>{arm.body()}</worldbody></mujoco>"
+    ).nq == 5  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("arm: ur6", "arm is 'ur6'; give panda, ur5, so101, or a mapping with exactly urdf, flange"),
+        ("arm: {urdf: none.urdf, flange: a, home_rad: [0]}", "There is no file '.*none.urdf'"),
+        ("arm: {urdf: ur5.urdf, flange: tool1, home_rad: [0]}", "no link 'tool1'; it has base, shoulder"),
+        ("arm: {urdf: ur5.urdf, flange: tool0, home_rad: [0]}", "6 joints .* home_rad has 1 angles"),
+        ("arm: {urdf: ur5.urdf, flange: tool0, home_rad: [0, 0, 0, 0, 0, 9]}", "9 for joint_6, whose limits"),
+        ("arm: {urdf: ur5.urdf, flange: tool0, home_rad: [0, 0, 0, 0, 0, 0]}", "points along .* points down"),
+        ("arm: {urdf: ur5.urdf, flange: tool0, home_rad: [x]}", "home_rad is .* finite angle"),
+        ("arm: {urdf: ur5.urdf, flange: forearm, home_rad: [0, 0, 0]}", "3 joints .* takes 5 or more"),
+        ("arm: {urdf: broken.urdf, flange: tool0, home_rad: [0]}", "no URDF or MJCF that MuJoCo reads"),
+        ("arm: {urdf: slide.urdf, flange: tool0, home_rad: [0]}", "joint 'elbow' .* is no hinge"),
+    ],
+)
+def test_a_bad_arm_is_one_sentence(tmp_path, text, says):
+    ur5 = open(UR5.urdf).read()
+    (tmp_path / "ur5.urdf").write_text(ur5)
+    (tmp_path / "broken.urdf").write_text("<robot")
+    (tmp_path / "slide.urdf").write_text(ur5.replace('"elbow" type="revolute"', '"elbow" type="prismatic"'))
+    (tmp_path / "station.yaml").write_text(f"format: pneutac-station/1\n{text}\n")
+    with pytest.raises(InputError, match=says):
+        Station.load(tmp_path / "station.yaml").make_arm()
+
+
+def test_an_arm_that_cannot_reach_the_task_says_so():
+    with pytest.raises(InputError, match="falls .* short .* where the task 'card' starts"):
+        World("card", touch="none", station=Station(arm="so101", base_m=(0.0, 0.0, 0.0)))

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.world.expert import ScriptedExpert
-from pneutac_sim.world.person import Person, demonstrator
+from pneutac_sim.world.expert import Person, ScriptedExpert, demonstrator
 from pneutac_sim.world.tasks.base import HOME_JITTER_M, WIDER_M
 from pneutac_sim.world.varied import Variation, VariedWorld
 from pneutac_sim.world.world import World

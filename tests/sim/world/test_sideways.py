@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from arms import arm_twin
 
-from pneutac_datasets.demonstrations.motions import PRESS, carried_out, sideways
+from lerobot_pneutac.verbs.design_motion import PRESS, carried_out, sideways
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.varied import SidewaysWorld, Variation

@@ -1,16 +1,30 @@
-"""The world: determinism, observations, bad input, clipping, pictures."""
+"""The world: determinism, observations, bad input, clipping, pictures.
 
+Substeps in one call are those of a loop.
+
+Touch as data: displacement and force on a grid of the gel's face.
+
+Worlds of other control rates are the same world.
+"""
+
+import gymnasium
+import mujoco
 import numpy as np
 import pytest
 
+import pneutac_sim  # noqa: F401  registers the environments
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, N_PIXELS, STATE_NAMES, TASK_NAMES
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, N_PIXELS, POINTS_SHAPE, STATE_NAMES, TASK_NAMES
 from pneutac_sim.world import scene, view
 from pneutac_sim.world.expert import ScriptedExpert
+from pneutac_sim.world.gantry import Gantry
+from pneutac_sim.world.look import contact_force_n, tactile_points
+from pneutac_sim.world.soft_finger import GEL_FRICTION
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.tasks import TASKS
+from pneutac_sim.world.varied import Variation, VariedWorld
 from pneutac_sim.world.view import CAMERA
-from pneutac_sim.world.world import World
+from pneutac_sim.world.world import Substeps, World
 
 DT = Station().dt_s
 
@@ -169,3 +183,91 @@ def test_diverged_physics_is_no_fresh_scene():
         world.step([0.0, 0.0, 0.0, 0.0])
     world.reset(0)
     world.step([0.0, 0.0, 0.0, 0.0])
+
+
+def test_one_call_is_the_loop_bit_for_bit():
+    world = World("egg", touch="none")
+    model, one = world.model, world.data
+    for _ in range(3):  # moving, so that a warm start matters
+        world.step(np.array([0.1, 0.0, -0.1, 20.0]))
+    many = mujoco.MjData(model)
+    mujoco.mj_copyData(many, model, one)
+    for data in (one, many):  # pushed from outside, as tests and users of the world do
+        data.qfrc_applied[7], data.xfrc_applied[-1, :3] = 0.01, (0.0, 0.02, 0.0)
+    ctrl = one.ctrl + np.linspace(0, 0.01, 50)[:, None]
+    Substeps(model, one).run(ctrl)
+    for row in ctrl:
+        many.ctrl[:] = row
+        mujoco.mj_step(model, many)
+    for name in ("time", "qpos", "qvel", "qacc_warmstart", "ctrl", "xpos", "qfrc_applied", "xfrc_applied"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(many, name))
+
+
+@pytest.fixture(scope="module")
+def pressed() -> World:
+    """A world whose gel presses the switch, some way in."""
+    world = World("switch", touch="area")
+    world.reset(2)
+    expert = ScriptedExpert(world, np.random.default_rng(2))
+    while world.press_n < 0.4:
+        world.step(expert.action())
+    return world
+
+
+def test_forces_sum_to_the_one_of_the_gels_spring(pressed):
+    total = tactile_points(pressed)[..., 3:].sum((0, 1))
+    np.testing.assert_allclose(total, contact_force_n(pressed.model, pressed.data), rtol=1e-5)
+    assert total[2] == pytest.approx(-pressed.press_n, rel=0.05)
+    # It slides: Coulomb's limit, but for the round bar's normal, which is not quite the gel's.
+    assert np.abs(total[:2]).max() < 1.01 * GEL_FRICTION * abs(total[2])
+
+
+def test_the_environment_has_them_where_asked_for():
+    env = gymnasium.make("pneutac_sim/switch", touch="area", fidelity="probe", points=True)
+    observation, _ = env.reset(seed=2)
+    assert env.observation_space.contains(observation)
+    assert observation["tactile.points"].size == np.prod(POINTS_SHAPE)
+    with pytest.raises(InputError, match="no tactile points with touch 'none'"):
+        gymnasium.make("pneutac_sim/switch", touch="none", points=True)
+
+
+HELD_S = 0.2  # of each command: whole control steps at all of these rates
+AWAY = Variation(shift_m=(0.0, 0.0, -5.0))
+
+
+def free_world(control_hz):
+    world = VariedWorld("switch", touch="probe", station=Station(control_hz=control_hz))
+    world.variation = AWAY
+    world.reset(3)
+    return world
+
+
+def free_way(control_hz):
+    """Flange (n, 3) in mm, tip (n, 3) in mm and pressure (n,) after each of some commands in free air."""
+    world, rng, rows = free_world(control_hz), np.random.default_rng(0), []
+    for _ in range(15):
+        action = np.append(rng.uniform(-0.05, 0.05, 3), rng.uniform(2, 12))
+        for _ in range(world.station.steps(HELD_S)):
+            world.step(action)
+        rows.append([*1e3 * world.flange_m, *world.tip[:3], world.pressure_kpa])
+    assert world.time_s == pytest.approx(15 * HELD_S)
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("control_hz", [5, 10, 30, 60])
+def test_the_free_finger_goes_the_same_way_in_seconds(control_hz):
+    at_15, other = free_way(15), free_way(control_hz)
+    assert np.ptp(at_15[:, 5]) > 10  # mm: the finger bends
+    np.testing.assert_allclose(other[:, :6], at_15[:, :6], atol=0.1)  # mm
+    np.testing.assert_allclose(other[:, 6], at_15[:, 6], atol=1e-9)
+
+
+def test_the_gantry_looks_ahead_at_the_rate_of_its_world():
+    world = free_world(30)
+    gantry = Gantry(world)
+    actions = np.tile([0.05, 0.0, -0.02, 8.0], (12, 1))
+    gantry.mirror(world)
+    planned, _ = gantry.rollouts(actions[None])
+    for action in actions:
+        world.step(action)
+    np.testing.assert_allclose(planned[0, -1], world.flange_m, atol=2e-4)

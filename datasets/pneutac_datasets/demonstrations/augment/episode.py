@@ -28,8 +28,7 @@ from pneutac_sim.twin import Twin
 from pneutac_sim.world.conditions import Conditions
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.gantry import Gantry
-from pneutac_sim.world.look import SceneCameras
-from pneutac_sim.world.points import tactile_points
+from pneutac_sim.world.look import SceneCameras, tactile_points
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.varied import Variation, VariedWorld
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pneutac_datasets.demonstrations.augment.reference import EXTRA_STEPS, FIRM, Reference, frames_at
-from pneutac_datasets.demonstrations.replay.placing import SHALLOW_MM, Pose, depth_mm, first_touches, on_table
+from pneutac_datasets.demonstrations.replay.imprint import SHALLOW_MM, Pose, depth_mm, first_touches, on_table
 from pneutac_datasets.demonstrations.replay.replaying import (
     AWAY_M,
     Place,

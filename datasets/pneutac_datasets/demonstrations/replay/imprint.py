@@ -1,14 +1,37 @@
-"""What images show besides the contact area: the strength of an imprint, and the drift of the light."""
+"""What images show besides the contact area: the strength of an imprint, and the drift of the light.
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+Where a demonstration's objects stood: not recorded, found from the first touch.
+
+Starts are drawn from the task. In each the objects are moved to where the gel, on the recorded path, feels
+them at the recorded onset, with the imprint's middle where the images show it.
+
+A comparison takes that place, off the table if need be: in it the twin feels the object when it was felt,
+whatever its finger does wrong. Augmentation, whose twin is trusted, goes on from such places on the table to
+the scene in which the whole demonstration happens again, see `augment.scene`.
+
+Whether a gel sticks to what it presses: how its imprint turns while the arm drags the finger sideways.
+
+A finger whose gel sticks is held at its tip: as the arm goes sideways the finger bends across and its tip
+turns, by 3/2 of the way over its length however soft it is, and the imprint of a thing that is longer than
+wide turns in the image. Where the gel slips the finger does not turn. Neither pressure, nor creep, nor
+another stiffness does that. The twin's own finger bends in one plane, so nothing is replayed.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import islice
+from typing import Self
 
 import cv2
 import numpy as np
 
 from pneutac_datasets.demonstrations.episodes import Episode
-from pneutac_sim.gel.contact import THRESHOLD_LEVELS
+from pneutac_datasets.demonstrations.replay.replaying import Place, replay
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import ACTION_NAMES, AREA, EE
+from pneutac_sim.gel.contact import THRESHOLD_LEVELS, without_specks
 from pneutac_sim.gel.sensor import TactileSensor, centre_mm
+from pneutac_sim.world.varied import Variation, VariedWorld
 
 REST_FRAMES, GAP = 12, 1  # frames before the first touch that show the gel at rest, but for the last ones
 DRIFT_LEVELS, SHAPE_LEVELS = 2.0, 2.0  # of a rest image: less is noise, rounding and slow wander of a camera
@@ -157,3 +180,203 @@ def light_drift(episodes: list[Episode], rest: np.ndarray) -> LightDrift:
         tuple(gain.tolist()),
         float(each.std(0).max()) if len(each) > 1 else 0.0,
     )
+
+
+DRAWS, ENOUGH = 128, 8  # starts drawn at most, and those in reach of which the nearest is taken
+REACH_M, STEP_M = 0.08, 0.001  # how far objects are moved along the gel's view, in steps
+CENTRES = 12  # frames from the onset on whose imprints are taken
+SHALLOW_MM = 0.15  # depth of the first touch that a camera shows
+
+Pose = tuple[np.ndarray, np.ndarray]  # position (3,) m and rotation (9,) of the gel
+
+
+def find_place(world: VariedWorld, episode: Episode) -> Place:
+    """The start and displacement with which the twin first feels what the episode felt.
+
+    Args:
+        world: any state; it is reset.
+        episode: with at least one touch.
+
+    Raises:
+        InputError: no object of the task comes into the gel's reach there.
+    """
+    contact = episode.contact()
+    if contact is None:
+        raise InputError("The episode never touches anything, so the position of its objects is unknown.")
+    onset = contact[0]
+    free = replay(world, episode)
+    gel = free.gel_m[onset], free.gel_axes[onset]
+    middles = imprint_centres_mm(episode.images, without_specks(episode.state[:, AREA]), world.sensor)
+    world.variation = Variation(tuple(episode.state[0, -6:-3]))
+    starts = np.random.default_rng([0, 11]).integers(2**31, size=DRAWS).tolist()
+    seen = middles[onset : onset + CENTRES]
+    touches = first_touches(world, world.reset, starts, [gel], gel[1].reshape(3, 3).T, seen)
+    found = list(islice(touches, ENOUGH))
+    if not found:
+        raise InputError(
+            f"No object of the task '{world.task.name}' comes into the gel's reach at the first touch, frame "
+            f"{onset}; is the episode of another task, or the twin of another finger?"
+        )
+    return min(found, key=lambda place: float(np.linalg.norm(place.shift_m)))
+
+
+def first_touches(
+    world: VariedWorld,
+    lay_out: Callable[[int], object],
+    starts: Iterable[int],
+    gels: Sequence[Pose],
+    axes: np.ndarray,
+    seen_mm: np.ndarray,
+) -> Iterator[Place]:
+    """Places at which the gel just feels the objects.
+
+    Args:
+        world: whose objects are laid out.
+        lay_out: puts them where the task's start of a seed has them.
+        starts: seeds.
+        gels: poses at which the gel may first have felt them; the first that reaches them is taken.
+        axes: (3, 3), rows by which objects are moved: across the gel, along it, and the way that it looks.
+        seen_mm: (T, 2) middles of the imprint from the onset on; NaN where it is not known.
+    """
+    seen = np.nanmedian(seen_mm, axis=0) if np.isfinite(seen_mm).any() else None
+    for start in starts:
+        lay_out(start)
+        shifts = (_first_touch(world, gel, axes, seen) for gel in gels)
+        shift = next((s for s in shifts if s is not None), None)
+        if shift is not None:
+            yield Place(start, tuple(shift.tolist()))
+
+
+def on_table(gel: Pose) -> np.ndarray:
+    """(3, 3) axes of `first_touches` that leave objects on the table."""
+    view = gel[1].reshape(3, 3)[:, 2] * (1, 1, 0)
+    view /= max(np.linalg.norm(view), 1e-9)
+    across = np.array([-view[1], view[0], 0.0])
+    across *= np.sign(across @ gel[1].reshape(3, 3)[:, 0] or 1.0)
+    return np.stack([across, np.zeros(3), view])
+
+
+def _first_touch(world: VariedWorld, gel: Pose, axes: np.ndarray, seen: np.ndarray | None):
+    """Displacement (3,) m at which the gel just feels the objects, or None."""
+    shift = np.zeros(3)
+    for _ in range(2):  # once to the gel, then away from it
+        far = _touching(world, gel, shift, axes[2])
+        if far is None:
+            return None
+        shift = shift + far * axes[2]
+        if seen is not None:
+            there = centre_mm(depth_mm(world, gel, shift), world.sensor.model.window_mm)
+            shift = shift + 1e-3 * (seen - there) @ axes[:2]
+    far = _touching(world, gel, shift, axes[2])
+    return None if far is None else shift + far * axes[2]
+
+
+def depth_mm(world: VariedWorld, gel: Pose, shift: np.ndarray) -> np.ndarray:
+    """Probe grid of the gel at a pose, of the objects moved by `shift` (3,) m."""
+    touch, data = world.touch, world.data
+    positions, rotations = data.geom_xpos[touch.felt] + shift, data.geom_xmat[touch.felt]
+    return touch.sensor.probe(touch.kinds, touch.sizes, positions, rotations, *gel)
+
+
+def _touching(world: VariedWorld, gel: Pose, shift: np.ndarray, view: np.ndarray) -> float | None:
+    """How far (m) beyond `shift` along the view the objects are just felt, or None within `REACH_M`."""
+
+    def deep(far: float) -> bool:
+        return depth_mm(world, gel, shift + far * view).max() > SHALLOW_MM
+
+    far = REACH_M
+    while not deep(far):
+        far -= STEP_M
+        if far < -REACH_M:
+            return None
+    near, far = far, far + STEP_M  # felt, and not
+    for _ in range(5):
+        middle = (near + far) / 2
+        near, far = (middle, far) if deep(middle) else (near, middle)
+    return near
+
+
+SIDEWAYS, DRAG_M_S = ACTION_NAMES.index("dy.vel"), 0.003  # of a command, and from which speed on it drags
+LEAST_FRAMES, LEAST_MM = 30, 5.0  # of a drag in touch
+SHOWN_LATE = 2  # frames by which images show a way late
+LEAST = 3  # episodes
+SLIPS = 0.5  # of the turn that was known
+SURE = 2.0  # standard errors
+
+
+@dataclass(frozen=True)
+class Dragging:
+    """How imprints turned where the finger was dragged.
+
+    Attributes:
+        turn_deg_per_mm: mean over episodes of the turn per way of the arm.
+        error: its standard error.
+        episodes: in which it was dragged.
+    """
+
+    turn_deg_per_mm: float
+    error: float
+    episodes: int
+
+    @classmethod
+    def of(cls, episodes: Sequence[Episode]) -> Self | None:
+        """Of episodes; None where fewer than three drag the finger sideways in touch."""
+        turns = np.array([t for t in map(turn_deg_per_mm, episodes) if t is not None])
+        if len(turns) < LEAST:
+            return None
+        error = float(turns.std(ddof=1) / np.sqrt(len(turns)))
+        return cls(float(turns.mean()), error, len(turns))
+
+    @classmethod
+    def known(cls, history: Sequence[Mapping], task: str) -> Self | None:
+        """The last of a task that a twin's history has."""
+        kept = [h["dragging"] for h in history if h.get("dragging", {}).get("task") == task]
+        return cls(**kept[-1]["turn"]) if kept else None
+
+    def slips(self, known: Self) -> bool:
+        """Whether the gel, which stuck before, slips more now."""
+        far = SURE * float(np.hypot(self.error, SLIPS * known.error))
+        return self.turn_deg_per_mm + far < SLIPS * known.turn_deg_per_mm
+
+    def less(self, known: Self) -> bool:
+        far = SURE * float(np.hypot(self.error, known.error))
+        return self.turn_deg_per_mm + far < known.turn_deg_per_mm
+
+    def sentence(self, known: Self | None) -> str:
+        """The finding about the gel's friction, a sentence."""
+        told = (
+            f"Dragged sideways, imprints turned by {self.turn_deg_per_mm:.2g} ({self.error:.1g}) degrees a mm"
+        )
+        if known is None:
+            return f"{told}; `pneutac calibrate` stores that, to detect a change of the gel's friction."
+        was = f"{known.turn_deg_per_mm:.2g} ({known.error:.1g}) before"
+        if self.slips(known):
+            return f"{told}, {was}: the gel has less friction than before and slips."
+        if self.less(known):
+            return f"{told}, {was}: the gel sticks less than before; by how much is not identifiable."
+        return f"{told}, {was}: no loss of friction is significant."
+
+    def kept(self, task: str) -> dict:
+        """Entry for a twin's history."""
+        return {"task": task, "turn": asdict(self)}
+
+
+def turn_deg_per_mm(episode: Episode) -> float | None:
+    """Least-squares turn of the imprint by the arm's way sideways; None where it is not dragged far."""
+    contact = episode.contact()
+    if contact is None:
+        return None
+    touched = slice(contact[0], contact[1] + 1)
+    rows = np.abs(episode.action[touched, SIDEWAYS]) > DRAG_M_S
+    way = 1e3 * episode.state[:, EE][np.maximum(np.arange(*touched.indices(len(episode))) - SHOWN_LATE, 0), 1]
+    if rows.sum() < LEAST_FRAMES or np.ptp(way[rows]) < LEAST_MM:
+        return None
+    images, rest = episode.images[touched], rest_image(episode)
+    turn, strong = turns_deg(images, rest), strengths(images, rest)
+    rows &= np.isfinite(turn)
+    if rows.sum() < LEAST_FRAMES:
+        return None
+    frames = np.arange(len(turn))
+    ground = np.stack([way, np.ones(len(way)), frames], 1)[rows]  # it may turn slowly as it creeps
+    weight = np.sqrt(strong[rows])
+    return float(np.linalg.lstsq(ground * weight[:, None], turn[rows] * weight, rcond=None)[0][0])
