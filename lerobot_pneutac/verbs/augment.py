@@ -1,6 +1,5 @@
 """`pneutac augment`: makes many demonstrations out of a few, carried out on the twin."""
 
-import os
 import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -19,6 +18,7 @@ from pneutac_datasets.demonstrations.faults import (
     too_few,
 )
 from pneutac_sim.errors import InputError, check_choice, check_least
+from pneutac_sim.executor import ExecutorOptions
 from pneutac_sim.features import FIDELITIES, task_names
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
@@ -45,7 +45,7 @@ class DatasetRef:
 
 
 @dataclass
-class AugmentConfig:
+class AugmentConfig(ExecutorOptions):
     """Options of `pneutac augment`.
 
     Attributes:
@@ -78,7 +78,6 @@ class AugmentConfig:
         attempts: number of variants tried for one demonstration before giving up.
         check_mpm: number of the new demonstrations that are carried out once more by material points; how far
             they agree goes into the report. Each takes minutes.
-        workers: number of processes; if omitted, one a core.
         out: folder for `report.html` and `result.json`.
     """
 
@@ -98,7 +97,6 @@ class AugmentConfig:
     real_share: float | None = None
     attempts: int = 30
     check_mpm: int = 0
-    workers: int | None = None
     out: Path | None = None
 
     def __post_init__(self):
@@ -123,8 +121,8 @@ class AugmentConfig:
         if not 0 <= self.real_share <= MOST_REAL or (self.real_share and self.method == "naive"):
             raise InputError(f"real_share must be 0 to {MOST_REAL:g}, and 0 with naive.")
         check_choice("fidelity", self.fidelity, FIDELITIES)
-        self.workers = self.workers if self.workers is not None else len(os.sched_getaffinity(0))
-        check_least(1, episodes=self.episodes, attempts=self.attempts, workers=self.workers)
+        self.check_executor()
+        check_least(1, episodes=self.episodes, attempts=self.attempts)
         check_least(0, check_mpm=self.check_mpm)
         if self.check_mpm and self.method == "naive":
             raise InputError(
@@ -310,9 +308,7 @@ def augment(
                 key.split(".")[-1]: tuple(f["shape"][:2]) for key, f in further.items() if key != POINTS
             },
         )
-        summary = augment_guided(
-            meta, setup, *new, config.workers, progress, config.check_mpm, config.real_share
-        )
+        summary = augment_guided(meta, setup, *new, config, progress, config.check_mpm, config.real_share)
         summary["start_range_m"] = start_range_m if config.method != "planner" else None
     if file:
         station.save(config.output.root / "meta")

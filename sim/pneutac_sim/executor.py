@@ -98,24 +98,27 @@ class Pieces:
         make: writes the file of a number, whole or not at all.
         numbers: of the pieces that are missing.
         per_task: how many of them a task makes.
+        home: folder from which relative paths lead.
         alone: whether a task starts a process of its own; the engine's may have been forked from any other.
     """
 
     make: Callable[[int], object]
     numbers: tuple[int, ...]
     per_task: int
+    home: Path
     alone: bool
 
     def __call__(self, data, rank: int, world_size: int) -> None:
         numbers = self.numbers[rank * self.per_task : (rank + 1) * self.per_task]
         if not self.alone:
-            _make(self.make, numbers)
+            _make(self.make, numbers, self.home)
             return
         with process_pool(1) as pool:
-            pool.submit(_make, self.make, numbers).result()
+            pool.submit(_make, self.make, numbers, self.home).result()
 
 
-def _make(make: Callable[[int], object], numbers: Sequence[int]) -> None:
+def _make(make: Callable[[int], object], numbers: Sequence[int], home: Path) -> None:
+    os.chdir(home)
     for number in numbers:
         make(number)
 
@@ -149,7 +152,7 @@ def run_pieces(
     shutil.rmtree(logs, ignore_errors=True)
     run = {"local": _local, "ray": _ray, "slurm": _slurm}[options.executor]
     tasks = -(-len(missing) // options.tasks_per_job)
-    step = Pieces(make, missing, options.tasks_per_job, options.executor != "local")
+    step = Pieces(make, missing, options.tasks_per_job, Path.cwd(), options.executor != "local")
     try:
         with _shown(progress, text, files, missing):
             run([step], tasks, logs.absolute(), options)

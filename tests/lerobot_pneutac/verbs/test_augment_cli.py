@@ -196,7 +196,7 @@ run_verb("augment", sys.argv[1:])
 
 
 @pytest.mark.nightly
-def test_killed_and_resumed_equals_uninterrupted(recorded, made, tmp_path):
+def test_killed_and_resumed_on_ray_equals_uninterrupted(recorded, made, tmp_path):
     out = tmp_path / "again"
     work = tmp_path / "again.work"
     run = subprocess.Popen(command(recorded, out), env=os.environ, stdout=subprocess.DEVNULL)
@@ -209,9 +209,15 @@ def test_killed_and_resumed_equals_uninterrupted(recorded, made, tmp_path):
     assert list(work.glob("episode_*.npz"))
     with pytest.raises(InputError, match="another seed; delete that folder"):
         run_verb("augment", options(recorded, out, "--episodes=2", "--seed=6"))
-    run_verb("augment", options(recorded, out, "--episodes=2", "--seed=5"))
+    run_verb("augment", options(recorded, out, "--episodes=2", "--seed=5", "--executor=ray"))
     for one, two in zip(table(made / "more"), table(out), strict=True):
         np.testing.assert_array_equal(one, two)
+    one, two = (LeRobotDataset(f"local/{d.name}", d, video_backend="pyav") for d in (made / "more", out))
+    for k in range(0, len(one), 7):
+        assert (one[k][TACTILE] == two[k][TACTILE]).all()
+    for key in (OBS_STATE, ACTION, TACTILE):
+        for name, values in one.meta.stats[key].items():
+            np.testing.assert_allclose(two.meta.stats[key][name], values, rtol=1e-6, atol=1e-6)
     name = "meta/provenance.jsonl"
     assert (out / name).read_text() == (made / "more" / name).read_text()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["again"]

@@ -9,12 +9,13 @@ import hashlib
 import json
 import os
 import shutil
+import threading
 import time
 from collections.abc import Collection, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stderr
 from dataclasses import asdict
+from functools import partial
 from io import StringIO
 from pathlib import Path
 
@@ -47,7 +48,7 @@ from pneutac_datasets.demonstrations.naive import augment_naive
 from pneutac_datasets.demonstrations.replay.imprint import imprint_centres_mm
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
-from pneutac_sim.executor import process_pool
+from pneutac_sim.executor import ExecutorOptions, run_pieces
 from pneutac_sim.features import VELOCITY_NAMES, Places
 from pneutac_sim.files import write_text
 from pneutac_sim.gel.contact import without_specks
@@ -55,6 +56,7 @@ from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.progress import Progress, no_progress
 
 PROVENANCE = "provenance.jsonl"  # in the dataset's folder `meta`
+LOOK_S = 0.1  # between two looks for the next demonstration to write
 RECORDED = "recorded"  # method of the copies of recorded demonstrations
 
 
@@ -111,7 +113,7 @@ def augment_guided(
     out_root: str | Path,
     out_repo_id: str,
     episodes: int,
-    workers: int,
+    executor: ExecutorOptions,
     progress: Progress = no_progress,
     checks: int = 0,
     real_share: float = 0.0,
@@ -124,7 +126,7 @@ def augment_guided(
         out_root: folder of the new dataset; `<out_root>.work` holds what is finished until all is.
         out_repo_id: its name.
         episodes: number of new demonstrations.
-        workers: processes.
+        executor: where the demonstrations are made.
         progress: is called with the stage, and how many of how many are done.
         checks: demonstrations that material points carry out once more, see `check.check`.
         real_share: share of the frames that are to be recorded ones: as many copies of the source are merged
@@ -148,23 +150,22 @@ def augment_guided(
     check_new(out_root, out_repo_id)
     work.open(_run(meta, setup) | ({"real_share": real_share} if real_share else {}))
     shutil.rmtree(part, ignore_errors=True)
-    pool = process_pool(workers)
-    try:
-        planner = setup.method == "planner"
-        scenes = _find_scenes(pool, work, setup, progress) if planner else []
-        planned = _plan(pool, work, setup, scenes, episodes, progress)
-        provenance, seconds = _write(part, out_repo_id, meta, setup.references, planned)
-        provenance += _mix(part, out_repo_id, meta, [r.source for r in setup.references], real_share)
-        check(work, setup, checks, progress)
-        agreements = _checked(work, checks)
-        finish(part, out_root, provenance)
-        shutil.rmtree(work.folder)
-    except BrokenProcessPool as e:
-        raise InputError(
-            "A worker process ended (out of memory?); repeat the command to go on, with fewer workers."
-        ) from e
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+    scenes = _find_scenes(work, setup, executor, progress) if setup.method == "planner" else []
+    files, ended = [work.episode_file(k) for k in range(episodes)], threading.Event()
+    make = partial(make_episode, setup, work.folder, scenes)
+    with ThreadPoolExecutor(1) as writer:
+        made = _made(work, episodes, ended)
+        written = writer.submit(_write, part, out_repo_id, meta, setup.references, made)
+        try:
+            run_pieces(make, files, work.folder / "logs", executor, progress, "making demonstrations")
+        finally:
+            ended.set()
+        provenance, seconds = written.result()
+    provenance += _mix(part, out_repo_id, meta, [r.source for r in setup.references], real_share)
+    check(work, setup, checks, progress)
+    agreements = _checked(work, checks)
+    finish(part, out_root, provenance)
+    shutil.rmtree(work.folder)
     return _summary(provenance, seconds, scenes, began) | agreements
 
 
@@ -193,34 +194,20 @@ def _tidy_up(
 
 
 def _find_scenes(
-    pool: ProcessPoolExecutor, work: Work, setup: AugmentSetup, progress: Progress
+    work: Work, setup: AugmentSetup, executor: ExecutorOptions, progress: Progress
 ) -> list[Scene]:
-    references = len(setup.references)
-    missing = [i for i in range(references) if not work.scene_file(i).exists()]
-    for done, future in enumerate([pool.submit(make_scene, setup, work.folder, i) for i in missing]):
-        progress("finding the objects", done, len(missing))
-        future.result()
-    return [work.load_scene(i) for i in range(references)]
+    files = [work.scene_file(i) for i in range(len(setup.references))]
+    make = partial(make_scene, setup, work.folder)
+    run_pieces(make, files, work.folder / "logs", executor, progress, "finding the objects")
+    return [work.load_scene(i) for i in range(len(files))]
 
 
-def _plan(
-    pool: ProcessPoolExecutor,
-    work: Work,
-    setup: AugmentSetup,
-    scenes: list[Scene],
-    episodes: int,
-    progress: Progress,
-) -> Iterator[tuple[Attempt, dict, dict]]:
-    """Yields the demonstrations in order; see `Work.load_episode`."""
-    waiting = {
-        k: pool.submit(make_episode, setup, work.folder, scenes, k)
-        for k in range(episodes)
-        if not work.episode_file(k).exists()
-    }
+def _made(work: Work, episodes: int, ended: threading.Event) -> Iterator[tuple[Attempt, dict, dict]]:
+    """Yields the demonstrations in order, as they are made, until all are or the making has ended."""
     for k in range(episodes):
-        progress("making demonstrations", k, episodes)
-        if k in waiting:
-            waiting.pop(k).result()
+        while not work.episode_file(k).exists():
+            if ended.wait(LOOK_S) and not work.episode_file(k).exists():
+                return
         yield work.load_episode(k)
 
 
@@ -229,7 +216,7 @@ def _write(
     repo_id: str,
     meta: LeRobotDatasetMetadata,
     references: list[Reference],
-    planned: Iterator[tuple[Attempt, dict, dict]],
+    made: Iterator[tuple[Attempt, dict, dict]],
 ) -> tuple[list[dict], dict[str, float]]:
     """Writes the dataset into `part`; returns the provenance and the seconds spent, by part of the work."""
     features = demonstration_features(meta)
@@ -240,14 +227,14 @@ def _write(
     with quiet_encoders():
         out = create_dataset(repo_id, part, meta.fps, features, meta.robot_type, use_videos, longest)
         try:
-            for attempt, line, spent in planned:
+            for attempt, line, spent in made:
                 provenance.append(line)
                 for name, s in spent.items():
                     seconds[name] = seconds.get(name, 0.0) + s
                 start = time.perf_counter()
                 instruction = references[line["source"]].task
-                made = Episode(attempt.state, attempt.action, attempt.images, instruction, meta.fps)
-                save_episode(out, made, attempt.more)
+                episode = Episode(attempt.state, attempt.action, attempt.images, instruction, meta.fps)
+                save_episode(out, episode, attempt.more)
                 seconds["writing"] += time.perf_counter() - start
         finally:
             out.finalize()
