@@ -4,6 +4,7 @@ import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
 from pneutac_datasets.demonstrations.faults import (
+    TACTILE,
     demonstration_faults,
     failed_demonstrations,
     set_aside,
@@ -26,8 +28,14 @@ from pneutac_sim.world.base import MOST_WIDE
 from pneutac_sim.world.checks import check_bends, check_world
 from pneutac_sim.world.station import Station, station_file
 
+if TYPE_CHECKING:
+    from lerobot.datasets import LeRobotDatasetMetadata
+
+    from pneutac_sim.gel.sensor import TactileSensor
+
 METHODS = ("library", "expert", "planner", "naive")
 MOST_START_M, MOST_REAL = 0.1, 0.9
+MOST_ELSEWHERE = 0.05  # share of the pixels that differ from the twin's image at rest; more is noted
 REAL_SHARE = 0.25  # of the frames, with which ten and a hundred new ones were trained best
 
 
@@ -234,6 +242,42 @@ class Augmentation(Result):
         return page
 
 
+def other_sensor(meta: "LeRobotDatasetMetadata", sensor: "TactileSensor") -> str:
+    """A sentence where the twin's gel does not look at rest like that of the demonstrations; else empty.
+
+    A policy has one image at rest: what differs from it looks like a touch.
+
+    Args:
+        meta: of the demonstrations.
+        sensor: of the twin.
+
+    Raises:
+        InputError: they are of another kind of sensor, or turned.
+    """
+    import torch
+
+    from lerobot_robot_pneutac.policy.rest_image import SAME_SENSOR, likeness, rest_image_of
+    from pneutac_sim.gel.contact import contact_area, quieted
+
+    rest = rest_image_of(meta)
+    like = likeness(rest, torch.from_numpy(sensor.rest_image.copy()).permute(2, 0, 1) / 255)
+    image = (255 * rest).round().byte().permute(1, 2, 0).contiguous().numpy()
+    if like is not None and like < SAME_SENSOR:
+        raise InputError(
+            f"{meta.root}: the first images of '{TACTILE}' are not of the twin's kind of sensor, or turned"
+            f" (correlation {like:.2f} with its image at rest, {SAME_SENSOR:g} needed); give --twin of the"
+            " sensor that recorded them."
+        )
+    share = contact_area(quieted(image), quieted(sensor.rest_image), sensor.model.threshold_levels).area
+    if share <= MOST_ELSEWHERE:
+        return ""
+    return (
+        f"{meta.root}: before a touch {100 * share:.0f} % of the pixels of '{TACTILE}' differ from the twin's"
+        " image at rest, so that a policy trained on both takes one of the two for touched; calibrate the"
+        " twin's gel (pneutac calibrate), or give --twin of that sensor."
+    )
+
+
 def augment(
     config: AugmentConfig, progress: Progress = no_progress, note: Callable[[str], None] = lambda _: None
 ) -> Augmentation:
@@ -242,11 +286,12 @@ def augment(
     Args:
         config: the options.
         progress: is called with a text, and how many of how many are done.
-        note: is called with a sentence that names the failed demonstrations, before anything is made.
+        note: is called with a sentence on the failed demonstrations, and one where the twin's gel looks
+            otherwise at rest, before anything is made.
 
     Raises:
-        InputError: a dataset cannot be read or exists, names no task, fewer than two demonstrations have not
-            failed, or too few variants succeed.
+        InputError: a dataset cannot be read or exists, names no task, is of another task or sensor, fewer
+            than two demonstrations have not failed, or too few variants succeed.
     """
     progress("reading the demonstrations", 0, 1)
     from pneutac_datasets.demonstrations.augment.episode import AugmentSetup
@@ -279,6 +324,8 @@ def augment(
     if faults := too_few(config.dataset.root, meta.total_episodes, failed):
         raise InputError(faults[0])
     onset_sigma_m(references)
+    if sensor is not None and (other := other_sensor(meta, sensor)):
+        note(other)
     if failed:
         note(set_aside(config.dataset.root, meta.total_episodes, failed))
     new = (config.output.root, config.output.repo_id, config.episodes)

@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,9 @@ import pytest
 from demonstration_sets import write_demonstrations
 from lerobot.datasets import LeRobotDatasetMetadata
 
-from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment
+from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment, other_sensor
 from lerobot_pneutac.verbs.check import check_path
+from lerobot_robot_pneutac.standin.gel import new_gel
 from pneutac_datasets.demonstrations.augment import run
 from pneutac_datasets.demonstrations.augment.run import read_references
 from pneutac_datasets.demonstrations.faults import TACTILE
@@ -24,6 +26,7 @@ from pneutac_datasets.demonstrations.repair.dataset import repair_dataset
 from pneutac_datasets.demonstrations.replay.reading import load_demonstrations, task_to_do
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import STATE_NAMES
+from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.pace import DONE, OUTCOME_FILE, PACE_FILE, Pace
 
 DEMOS = Path(__file__).parents[2] / "golden" / "recordings" / "demos"
@@ -393,3 +396,14 @@ def test_demonstrations_of_another_task_are_refused():
         task_to_do("egg", ["flip the switch"], here)
     with pytest.raises(InputError, match="of 'switch' .* and 'egg' .*; give a dataset of one task"):
         task_to_do("", ["flip the switch", "Open the egg carton."], here)
+
+
+def test_demonstrations_of_another_sensor_are_named(tmp_path):
+    """Of the same kind but another gel: noted; turned: refused."""
+    meta = LeRobotDatasetMetadata("local/demos", DEMOS)
+    assert other_sensor(meta, TactileSensor()) == ""
+    gel, rest = TactileSensor().model, new_gel().rest_image
+    standin, turned = (TactileSensor(replace(gel, rest_image=r)) for r in (rest, rest[::-1].copy()))
+    assert "% of the pixels of 'observation.images.tactile' differ" in other_sensor(meta, standin)
+    with pytest.raises(InputError, match="not of the twin's kind of sensor, or turned .correlation"):
+        other_sensor(meta, turned)
