@@ -88,6 +88,7 @@ benchmark speed --twins=x
 benchmark juggling
 benchmark body --hidden=-1
 benchmark augment --tasks=[bottle]
+benchmark augment --start_width=0.5
 doctor --port
 """.strip().splitlines()
 

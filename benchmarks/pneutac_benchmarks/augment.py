@@ -12,6 +12,7 @@ from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment
 from pneutac_benchmarks.tables import markdown, terminal
 from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.features import CONTROL_HZ, TASK_NAMES, TRIAL_S, task_names
+from pneutac_sim.world.base import MOST_WIDE
 
 GUIDED = ("library", "expert", "planner")  # methods that do the task on the twin
 
@@ -26,6 +27,7 @@ class BenchmarkAugmentConfig:
         episodes: number of new demonstrations.
         method: how they are made, see `pneutac augment`.
         person: how late, uneven and imprecise the demonstrator is, 0 (as scripted) to 1.
+        start_width: how much wider than the task's own the starts are, 0 to 2; not of the planner.
         seed: seed of every random choice.
         workers: number of processes; where left out, one a core.
         out: folder of the datasets, `result.json` and `table.md`.
@@ -36,6 +38,7 @@ class BenchmarkAugmentConfig:
     episodes: int = 20
     method: str = "planner"
     person: float = 0.0
+    start_width: float = 0.0
     seed: int = 1
     workers: int | None = None
     out: Path = Path("outputs/benchmark_augment")
@@ -47,6 +50,10 @@ class BenchmarkAugmentConfig:
         check_choice("method", self.method, GUIDED)
         if not 0 <= self.person <= 1:
             raise InputError(f"person is {self.person:g}; it must be from 0 to 1.")
+        if not 0 <= self.start_width <= (0 if self.method == "planner" else MOST_WIDE):
+            raise InputError(
+                f"start_width is {self.start_width:g}; it must be from 0 to {MOST_WIDE:g}, 0 with planner."
+            )
         check_least(2, demonstrations=self.demonstrations)
         check_least(1, episodes=self.episodes, workers=1 if self.workers is None else self.workers)
 
@@ -74,7 +81,7 @@ def _measure(cfg: BenchmarkAugmentConfig, task: str, console: Console) -> dict:
     for folder in (recorded, made, made.with_name(made.name + ".work")):
         shutil.rmtree(folder, ignore_errors=True)
     cfg.out.mkdir(parents=True, exist_ok=True)
-    robot = PneutacSim(PneutacSimConfig(id="twin", task=task, seed=cfg.seed))
+    robot = PneutacSim(PneutacSimConfig(id="twin", task=task, seed=cfg.seed, start_width=cfg.start_width))
     teleop = PneutacScripted(
         PneutacScriptedConfig(
             id="scripted", seed=cfg.seed, episode_steps=TRIAL_S * CONTROL_HZ, person=cfg.person
@@ -86,6 +93,7 @@ def _measure(cfg: BenchmarkAugmentConfig, task: str, console: Console) -> dict:
         output=DatasetRef(f"local/{made.name}", made),
         task=task,
         method=cfg.method,
+        start_width=cfg.start_width,
         episodes=cfg.episodes,
         seed=cfg.seed,
         workers=cfg.workers,
