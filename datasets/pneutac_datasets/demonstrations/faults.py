@@ -44,6 +44,9 @@ SLIGHT = 0.1  # ratio of motion and command below which one of the two is missin
 LEAST_FOLLOWING = 0.5  # correlation of motion and command; the stand-in's, which lags, is above 0.95
 MOST_FACTOR, NOTED_FACTOR = 3.0, 1.5  # of motion and command: more is refused, or noted
 MOST_RAD = 8.0  # of a joint; robots turn by one turn and a little
+# Of a training: frames that a policy plans ahead by default (ACT), the share of episodes that may be shorter,
+# and the shares of an episode with one unchanged action and of all frames at a limit that are noted.
+CHUNK, MOST_SHORT, MOST_FROZEN, MOST_AT_LIMIT = 100, 0.1, 0.05, 0.5
 OFF_MM, MOST_POSES = 10.0, 500  # by which joints and flange may disagree, and how many frames are compared
 
 
@@ -187,6 +190,7 @@ def demonstration_notes(folder: str | Path, station: Station) -> list[str]:
         *_of_motion(folder, info, episodes)[1],
         *_of_joints(folder, episodes, station),
         *_unmeasured(folder, info, episodes),
+        *_of_training(folder, info, episodes),
     ]
 
 
@@ -199,6 +203,49 @@ def rate_notes(folder: str | Path) -> list[str]:
     meta = Path(folder) / "meta"
     fps = read_info(meta / "info.json").get("fps")
     return pace_notes(meta, float(fps)) if isinstance(fps, int | float) and fps > 0 else []
+
+
+def _of_training(folder: Path, info: dict, episodes: dict[int, tuple[np.ndarray, np.ndarray]]) -> list[str]:
+    """What a policy may learn wrongly, by the rules of lerobot-doctor (checks `episodes`, `actions`)."""
+    notes, lengths = [], [len(action) for _, action in episodes.values()]
+    short = sum(n < CHUNK for n in lengths)
+    if short > MOST_SHORT * len(lengths):
+        notes.append(
+            f"{folder}: {short} of {len(lengths)} episodes have fewer than {CHUNK} frames, which ACT plans"
+            f" ahead by default; train it with --policy.chunk_size={min(lengths)}"
+            f" --policy.n_action_steps={min(lengths)}."
+        )
+    frozen = {}
+    for number, (_, action) in episodes.items():
+        begins, frames = _longest_run((action[1:] == action[:-1]).all(axis=1))
+        if frames >= MOST_FROZEN * len(action):
+            frozen[number] = f"{number} ({frames} frames from {begins / float(info['fps']):.1f} s)"
+    if frozen:
+        notes.append(
+            f"{folder}: the action stays the same in episode{'s' * (len(frozen) > 1)}"
+            f" {', '.join(frozen.values())}; where the robot waits at the start of an episode a policy learns"
+            " to wait: leave those frames out."
+        )
+    actions = np.concatenate([action for _, action in episodes.values()])
+    for name, column_ in zip(info["features"][ACTION]["names"], actions.T, strict=True):
+        for limit, word in ((column_.min(), "lowest"), (column_.max(), "highest")):
+            share = float((column_ == limit).mean())
+            if MOST_AT_LIMIT < share < 1:
+                notes.append(
+                    f"{folder}: {name} is at its {word} value, {limit:g}, in {100 * share:.0f} % of the"
+                    " frames; make sure that no limit cuts what was demonstrated."
+                )
+    return notes
+
+
+def _longest_run(same: np.ndarray) -> tuple[int, int]:
+    """Where the longest stretch of True begins in (T,), and its length."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
+    if not len(edges):
+        return 0, 0
+    lengths = edges[1::2] - edges[::2]
+    best = int(lengths.argmax())
+    return int(edges[::2][best]), int(lengths[best])
 
 
 def _unmeasured(folder: Path, info: dict, episodes: dict[int, tuple[np.ndarray, np.ndarray]]) -> list[str]:

@@ -14,6 +14,7 @@ from lerobot_robot_pneutac.options import gel_of
 from lerobot_robot_pneutac.robots.episode_hooks import store_station
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
+from pneutac_datasets.demonstrations.card import write_card
 from pneutac_datasets.demonstrations.episodes import POINTS, points_feature
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
@@ -82,6 +83,7 @@ def record_episodes(
             dataset.finalize()
             for device in ours:
                 device.disconnect()
+    write_card(root)
     return Path(root)
 
 

@@ -253,7 +253,8 @@ def notes_of(root, *damages):
         damage(root)
     found = check_path(root)
     assert found.faults == []
-    return " ".join(found.notes)
+    short = "fewer than 100 frames"  # both of the golden demonstrations are
+    return " ".join(n for n in found.notes if short not in n)
 
 
 def test_joints_that_do_not_belong_to_the_flange_are_noted(tmp_path):

@@ -34,6 +34,7 @@ from pneutac_datasets.demonstrations.augment.reference import (
 )
 from pneutac_datasets.demonstrations.augment.scene import Scene
 from pneutac_datasets.demonstrations.augment.work import Work, make_episode, make_scene
+from pneutac_datasets.demonstrations.card import write_card
 from pneutac_datasets.demonstrations.episodes import (
     TACTILE,
     Episode,
@@ -312,8 +313,9 @@ def _summary(provenance: list[dict], seconds: dict, scenes: list[Scene], began: 
 
 
 def finish(part: Path, out_root: Path, provenance: list[dict]) -> None:
-    """Adds the provenance to a whole dataset and gives it its name, in one step."""
+    """Adds provenance and card to a whole dataset and gives it its name, in one step."""
     write_text(part / "meta" / PROVENANCE, "".join(json.dumps(line) + "\n" for line in provenance))
+    write_card(part)
     os.replace(part, out_root)
 
 

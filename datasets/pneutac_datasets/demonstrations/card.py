@@ -1,0 +1,77 @@
+"""The card of a dataset of demonstrations: its README.md, with features, units, station and licence."""
+
+import json
+from pathlib import Path
+
+from pneutac_datasets.demonstrations.info import read_info
+from pneutac_sim.files import write_text
+from pneutac_sim.pace import DONE, OUTCOME_FILE, read_outcomes
+from pneutac_sim.world.station import Station, station_file
+
+UNITS = {
+    "ee_x.pos": "m", "ee_y.pos": "m", "ee_z.pos": "m", "dx.vel": "m/s", "dy.vel": "m/s", "dz.vel": "m/s",
+    "contact_area.pos": "share of the image's pixels in contact",
+    "contact_pixels.pos": "log(1 + pixels in contact)",
+}  # fmt: skip
+
+
+def write_card(folder: str | Path, licence: str = "apache-2.0") -> Path:
+    """Writes `README.md` into a dataset's folder; returns it.
+
+    Args:
+        folder: of a LeRobotDataset.
+        licence: of the data, by the Hub's identifiers.
+
+    Raises:
+        InputError: its `info.json` or its station is damaged.
+    """
+    folder = Path(folder)
+    write_text(folder / "README.md", dataset_card(folder, licence))
+    return folder / "README.md"
+
+
+def dataset_card(folder: Path, licence: str) -> str:
+    """The card as Markdown with the Hub's header."""
+    info = read_info(folder / "meta/info.json")
+    left = station_file(folder)
+    station, outcomes = Station.load(left) if left else Station(), read_outcomes(folder / "meta")
+    arm = station.arm if isinstance(station.arm, str) else "described in `meta/station.yaml`"
+    low, high = (", ".join(f"{x:g}" for x in c) for c in (station.workspace_low_m, station.workspace_high_m))
+    failed = [str(k) for k, why in sorted(outcomes.items()) if why != DONE]
+    rows = [row for key, feature in info["features"].items() for row in _rows(key, feature)]
+    made = (folder / "meta/provenance.jsonl").is_file()
+    return "\n".join(
+        [
+            "---", f"license: {licence}", "task_categories: [robotics]", "tags: [LeRobot, pneutac, tactile]",
+            "configs:", "- config_name: default", "  data_files: data/*/*.parquet", "---", "",
+            "# Demonstrations with a soft finger and a touch sensor", "",
+            f"{info['total_episodes']} episodes, {info['total_frames']} frames at {info['fps']} Hz, robot"
+            f" type `{info.get('robot_type')}`, LeRobot dataset format {info.get('codebase_version')}.",
+            "Made by `pneutac augment`; `meta/provenance.jsonl` names method and source of each episode."
+            if made else "Recorded by a teleoperator.",
+            *([f"Episodes that failed: {', '.join(failed)} (`meta/{OUTCOME_FILE}`)."] if failed else []),
+            "", "## Features", "", "| feature | name or shape | unit |", "|---|---|---|", *rows, "",
+            "## Station", "",
+            f"Arm {arm}, mount {station.mount_mm:g} mm, control rate {station.control_hz} Hz, workspace"
+            f" of the flange from ({low}) to ({high}) m"
+            + ("." if left else ", the paper's: no `station.yaml` was left here."),
+            "", "## Licence", "", f"{licence}; LeRobot's default where its owner gave no other.", "",
+        ]
+    )  # fmt: skip
+
+
+def _rows(key: str, feature: dict) -> list[str]:
+    names = feature.get("names")
+    if feature["dtype"] in ("video", "image"):
+        return [f"| `{key}` | {' x '.join(map(str, feature['shape']))} {feature['dtype']}, RGB | 0 to 255 |"]
+    if isinstance(names, list) and key in ("observation.state", "action"):
+        return [f"| `{key}` | `{name}` | {_unit(name)} |" for name in names]
+    units = ", ".join(dict.fromkeys((feature.get("info") or {}).get("units", [])))
+    unit = units or {"timestamp": "s"}.get(key, "")
+    return [f"| `{key}` | {json.dumps(list(feature['shape']))} {feature['dtype']} | {unit} |"]
+
+
+def _unit(name: str) -> str:
+    if name.startswith("joint"):
+        return "rad" if name.endswith(".pos") else "rad/s"
+    return "kPa" if name.startswith("pressure") else UNITS.get(name, "")
