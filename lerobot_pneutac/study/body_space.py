@@ -247,7 +247,8 @@ class BodySpace(Space):
             model = self.fitter.fit(moved.structure, moved.values, 0)  # judged on all rows of the search
             if (model.residual**2).mean() > T.INSTANTS_AGAIN * before:
                 break
-        return self.fitter.fit(model.structure, model.values, 8)
+        model = self.fitter.fit(model.structure, model.values, 8)
+        return self.refine_air(model) if model.structure.input_model.target == "pressure" else model
 
     def refine_air(self, model: BodyModel) -> BodyModel:
         """Fits the air by the samples just after the command's steps, each step at the instant that suits it.

@@ -250,7 +250,7 @@ class Bounds:
     def __init__(self, pipeline: Pipeline, pressure_range_kpa: float, row_s: float | None = None):
         bounds = np.array([p.limits(pressure_range_kpa) for p in pipeline.specs])
         for (_, low, high), bound, spec in zip(bounds.copy(), bounds, pipeline.specs, strict=True):
-            if row_s is not None and spec.unit == "s":
+            if row_s is not None and spec.unit == "s" and low > 0:  # a dead time may be none
                 bound[1] = min(max(low, SHORTEST_ROWS * row_s), 0.9 * high)
             elif row_s is not None and spec.unit == "rad/s":
                 bound[2] = max(min(high, 2 * np.pi / (SHORTEST_PERIOD_ROWS * row_s)), 1.1 * low)

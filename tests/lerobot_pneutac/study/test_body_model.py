@@ -57,3 +57,13 @@ def test_a_term_at_its_quickest_stays_where_the_error_rises_without_it(needed):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("lerobot_pneutac.study.body_search.base_effects", lambda study: ())
         assert BodySearch.without_idle(search, space, model, ()) is (model if needed else bare)
+
+
+def test_a_dead_time_may_be_none_and_a_lag_is_no_shorter_than_the_samples_show(tmp_path):
+    """Else a model with a dead time errs more than the same model without, and the air's true form loses."""
+    recording = Recording.load(write(generate("rod", ["plain"], 3, minutes=1.0), tmp_path / "r"))
+    fitter = BodyFitter(recording, Twin("finger", recording.length_mm), np.arange(0, len(recording), 3))
+    model = fitter.fit(BodyStructure(("dead_time", "valve_lag"), InputModel()), {}, 0)
+    lower = dict(zip(model.pipeline.names, model.bounds.lower, strict=True))
+    assert lower["dead_time.delay_s"] == 0.0
+    assert lower["valve_lag.fill_time_s"] == pytest.approx(fitter.row_s / 4)
