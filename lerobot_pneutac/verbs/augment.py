@@ -204,6 +204,11 @@ class Augmentation(Result):
                 f"They start up to {x:.0f} / {y:.0f} / {z:.0f} mm (x / y / z) away from recorded starts "
                 f"(--start_range)."
             )
+        if late := self.summary.get("answer_delay_frames"):
+            out.append(
+                f"Who demonstrated answers a touch {late} frame{'s' * (late > 1)} late; pneutac_bc learns to"
+                " answer earlier, by at most 0.2 s (--policy.answer_delay)."
+            )
         if copies:
             times = copies // len(self.references)
             out.append(

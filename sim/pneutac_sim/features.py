@@ -25,6 +25,7 @@ FIDELITIES = ("surrogate", "mpm", "probe")  # how finger and gel of a world defo
 RENDERS = ("mesh", "splats")  # how a world is drawn
 IMAGE_SHAPE = (320, 240, 3)  # of the built-in twin's DIGIT; another sensor's images have a size of their own
 IMAGE_NAME = "tactile"
+SPECKS = 50 / (240 * 320)  # share of an image's pixels that a camera's noise alone may show as contact, by far
 POINTS_KEY = "tactile.points"  # touch as data; LeRobot puts `observation.` before it
 POINTS_SHAPE = (16, 12, 6)  # its rows, columns and values of a point; a millimetre apart on a DIGIT
 POINTS_SIZE = 1152  # in observations and datasets they are one vector: LeRobot 0.6 merges nothing else

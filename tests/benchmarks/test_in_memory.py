@@ -55,9 +55,10 @@ def frames():
 
 @pytest.mark.parametrize("use_tactile", [True, False])
 def test_loss_and_gradients_are_those_of_forward(frames, use_tactile, monkeypatch):
-    policy = new_policy(use_tactile, 3e-4, 0, "cpu").train()
+    policy = new_policy(use_tactile, 3e-4, 0, "cpu", memory=True).train()
     policy.learn_from(_card(frames), frames.rest)
     data = _Data(frames, policy, torch.device("cpu"))
+    policy._memories = data._recalled
     rows = np.array([0, 3, 5, 11, 12, 15])  # both sides of the episodes' borders
     whole = np.concatenate([e.images for e in episodes()])[rows]
     batch = {  # what lerobot-train would make of these frames
@@ -65,6 +66,7 @@ def test_loss_and_gradients_are_those_of_forward(frames, use_tactile, monkeypatc
         TACTILE: torch.from_numpy(whole).permute(0, 3, 1, 2).float() / 255,
         ACTION: torch.from_numpy(np.stack([frames.previous[rows], frames.action[rows]], 1)),
         f"{ACTION}_is_pad": torch.from_numpy(np.stack([frames.first[rows], np.zeros(6, bool)], 1)),
+        "index": torch.from_numpy(rows),
     }
 
     def run(loss_of):
@@ -74,13 +76,13 @@ def test_loss_and_gradients_are_those_of_forward(frames, use_tactile, monkeypatc
         loss.backward()
         return loss.item(), terms, [p.grad.clone() for p in policy.parameters()]
 
-    *arrays, difference = data.at(rows)
+    *arrays, difference, recalled = data.at(rows)
     if use_tactile:  # the images are kept as 8-bit means
         exact = policy.encoder.difference(batch[TACTILE])
         assert (difference - exact).abs().max() <= 0.6 / 32
         monkeypatch.setattr(policy, "_difference", lambda batch: difference)
     loss, terms, gradients = run(lambda: policy(batch))
-    loss_m, terms_m, gradients_m = run(lambda: policy.loss(*arrays, difference))
+    loss_m, terms_m, gradients_m = run(lambda: policy.loss(*arrays, difference, recalled))
     assert loss_m == pytest.approx(loss, rel=1e-5) and terms_m == pytest.approx(terms, rel=1e-5)
     for a, b in zip(gradients, gradients_m, strict=True):
         assert a.abs().max() > 0 and torch.allclose(a, b, rtol=1e-3, atol=1e-4 * a.abs().max().item())

@@ -3,19 +3,20 @@
 Tactile images are means over 80 x 60 cells, rounded to 8 bits, as in `pneutac_datasets.demonstrations.pool`.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch.nn import functional as F
 
+from lerobot_robot_pneutac.policy.labels import ahead, frames_ahead
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import Scaling
 from lerobot_robot_pneutac.policy.tactile_encoder import MAX_EPISODES, pool
 from pneutac_datasets.demonstrations.augment.reference import Reference
 from pneutac_datasets.demonstrations.episodes import Episode
 from pneutac_datasets.demonstrations.replay.imprint import imprint_centres_mm
-from pneutac_sim.features import Places
+from pneutac_sim.features import CONTROL_HZ, Places
 from pneutac_sim.files import whole
 from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.gel.sensor import TactileSensor
@@ -79,6 +80,12 @@ class Frames:
         """Its first `n` demonstrations."""
         end = int(np.searchsorted(self.episode, n))
         return Frames(**{f.name: getattr(self, f.name)[:end] for f in fields(self)} | {"shape": self.shape})
+
+    def answered_early(self, delay: int) -> "Frames":
+        """The same with labels ahead by a delay in frames, as `pneutac_bc` learns from."""
+        area = self.state[:, Places.of(self.action.shape[1] - 3).area]
+        moved = ahead(self.action, area, self.episode, frames_ahead(delay, CONTROL_HZ))
+        return replace(self, action=moved)
 
     def __len__(self) -> int:
         return len(self.episode)

@@ -17,6 +17,7 @@ from lerobot.policies import make_pre_post_processors
 from lerobot.utils.constants import ACTION, OBS_STATE
 
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
+from lerobot_robot_pneutac.policy.memory import of_episodes
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import Demonstrations, PneutacBCPolicy, Scaling
 from pneutac_benchmarks.policy.frames import Frames
 from pneutac_sim.errors import InputError, check_least
@@ -44,7 +45,12 @@ class Training:
 
 
 def new_policy(
-    use_tactile: bool, lr: float, seed: int, device: str, scaling: Scaling | None = None
+    use_tactile: bool,
+    lr: float,
+    seed: int,
+    device: str,
+    scaling: Scaling | None = None,
+    memory: bool = False,
 ) -> PneutacBCPolicy:
     """A policy with random weights and no rest image yet, scaled by data or else by the paper's ranges."""
     inputs = {OBS_STATE: PolicyFeature(FeatureType.STATE, (len(STATE_NAMES),))}
@@ -53,6 +59,7 @@ def new_policy(
     config = PneutacBCConfig(
         device=device,
         use_tactile=use_tactile,
+        memory=memory,
         optimizer_lr=lr,
         action_feature_names=list(ACTION_NAMES),
         input_features=inputs,
@@ -172,6 +179,11 @@ class _Data:
     def __init__(self, frames: Frames, policy: PneutacBCPolicy, device: torch.device):
         arrays = (frames.state, frames.previous, frames.first, frames.action)
         self._arrays = [torch.from_numpy(a).to(device) for a in arrays]
+        self._recalled = None
+        if policy.config.memory:
+            options = policy.config.chambers, policy.config.control_hz
+            found = of_episodes(torch.from_numpy(frames.state), frames.episode, *options)
+            self._recalled = found.to(device)
         self._device, self._difference = device, None
         if policy.encoder is not None:
             self._difference = torch.cat([self._seen(policy, some) for some in _parts(frames.images)])
@@ -184,7 +196,8 @@ class _Data:
         """Arguments of `PneutacBCPolicy.loss`."""
         rows = torch.from_numpy(rows).to(self._device)
         difference = None if self._difference is None else self._difference[rows].float()
-        return *(a[rows] for a in self._arrays), difference
+        recalled = None if self._recalled is None else self._recalled[rows]
+        return *(a[rows] for a in self._arrays), difference, recalled
 
 
 def _parts(images: np.ndarray) -> list[np.ndarray]:

@@ -33,6 +33,7 @@ class Condition:
         then: whether it is trained on what is made first, and then on the real ones, as in the paper; else on
             both at once, the real ones by `real_share`.
         use_tactile: whether the policy feels.
+        memory: whether it remembers and answers early, as by default after `augment`; the paper's does not.
     """
 
     words: str
@@ -40,13 +41,14 @@ class Condition:
     real: float = 1.0
     then: bool = False
     use_tactile: bool = True
+    memory: bool = False
 
 
 CONDITIONS = {
     "real": Condition("ten real ones"),
     "real_20": Condition("twenty real ones", real=2),
     "real_100": Condition("a hundred real ones", real=10),
-    "library": Condition("ten real ones and the library's", "library"),
+    "library": Condition("ten real ones and the library's", "library", memory=True),
     "expert": Condition("ten real ones and the scripted expert's on the twin", "expert"),
     "planner": Condition("ten real ones and planned ones", "planner"),
     "sim_real": Condition("planned ones, then ten real ones", "planner", then=True),
@@ -63,7 +65,9 @@ ALIASES = {"mixed": "planner"}  # old name to new, for one more version
 COMPARED = {
     "sim_only_before": Condition("the library's alone, twin before", "library_before", real=0),
     "sim_only": Condition("the library's alone, twin after", "library", real=0),
-    "library_before": Condition("ten real ones and the library's, twin before", "library_before"),
+    "library_before": Condition(
+        "ten real ones and the library's, twin before", "library_before", memory=True
+    ),
     "library": CONDITIONS["library"],
     "expert_before": Condition("ten real ones and the expert's, twin before", "expert_before"),
     "expert": CONDITIONS["expert"],
@@ -143,6 +147,7 @@ def _of_condition(cfg, task: str, seed: int, name: str, condition: Condition) ->
     made = _made(cfg, task, seed, condition.made) if condition.made else []
     options = {
         "use_tactile": condition.use_tactile,
+        "memory": condition.memory,
         "real": len(real),  # of its needs, the last ones
         "episodes": wanted,
         "then": condition.then,

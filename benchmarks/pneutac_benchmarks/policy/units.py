@@ -12,7 +12,7 @@ import torch
 
 from pneutac_benchmarks.policy.frames import Frames
 from pneutac_datasets.demonstrations.augment.episode import AugmentSetup, Generator
-from pneutac_datasets.demonstrations.augment.library import start_spread_m
+from pneutac_datasets.demonstrations.augment.library import lagged_answers, start_spread_m
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
 from pneutac_datasets.demonstrations.augment.scene import Scene
 from pneutac_datasets.demonstrations.episodes import Episode
@@ -185,8 +185,12 @@ def train(folder: Path, options: dict, needs: list[Path]) -> dict:
     parts = [Frames.load(need / FRAMES_FILE) for need in needs]
     real = Frames.joined(parts[len(parts) - o["real"] :]).first_episodes(o["episodes"]) if o["real"] else None
     made = Frames.joined(parts[: len(parts) - o["real"]]) if len(parts) > o["real"] else None
+    if o["memory"]:
+        known = real.first_episodes(min(o["episodes"], real.episodes))
+        delay = lagged_answers(known.references(np.array(Station().base_m)))[1]
+        made, real = (f.answered_early(delay) for f in (made, real))
     every = Frames.joined([x for x in (made, real) if x is not None])
-    policy = new_policy(o["use_tactile"], o["lr"], seed, o["device"], every.scaling)
+    policy = new_policy(o["use_tactile"], o["lr"], seed, o["device"], every.scaling, o["memory"])
     result, updates, copies, last = {}, o["pretrain_updates"] + o["finetune_updates"], (), every
     if made and real and o["then"]:
         result["pretraining"] = asdict(learn(policy, made, o["pretrain_updates"], o["batch"], seed))

@@ -18,6 +18,7 @@ from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.utils.constants import ACTION
 
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import POOLED_FROM, PREVIOUS_ACTION
+from lerobot_robot_pneutac.policy.labels import ANSWER_DELAY
 from lerobot_robot_pneutac.policy.tactile_encoder import grid, pool
 from pneutac_datasets.demonstrations.episodes import (
     TACTILE,
@@ -67,6 +68,9 @@ def pool_demonstrations(sources: list[Path], out: str | Path, repo_id: str) -> P
         raise InputError(f"'{metas[0].root}' has images of {whole} already; train on it as it is.")
     info = {**(features[TACTILE].get("info") or {}), POOLED_FROM: list(whole[:2])}
     features[TACTILE] = {**features[TACTILE], "dtype": "image", "shape": small, "info": info}
+    delays = [(m.features[ACTION].get("info") or {}).get(ANSWER_DELAY, 0) for m in metas]
+    if any(delays):
+        features[ACTION]["info"] = {ANSWER_DELAY: max(delays)}
     features[PREVIOUS_ACTION] = dict(features[ACTION])
     new = create_dataset(repo_id, out, metas[0].fps, features, metas[0].robot_type, False, 1)
     with quiet_encoders():

@@ -10,6 +10,7 @@ from lerobot.optim.schedulers import CosineDecayWithWarmupSchedulerConfig
 from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
 
 from lerobot_robot_pneutac.options import refuse_if
+from lerobot_robot_pneutac.policy.labels import ANSWER_DELAY
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
     CHAMBERS,
@@ -42,6 +43,11 @@ class PneutacBCConfig(PreTrainedConfig):
 
     Attributes:
         use_tactile: false leaves out the tactile image and both contact scalars.
+        memory: whether the policy remembers where and when it last touched, and what it sensed 0.5 and 1 s
+            ago; if omitted, a policy that is trained on a dataset does, and one that was before it could does
+            not.
+        answer_delay: frames by which the demonstrator answers a touch late; labels in touch are taken so much
+            ahead, at most 0.2 s. If omitted, what `pneutac augment` wrote into the dataset, else 0.
         control_hz: rate of the data and of the robot, which turns velocities into displacements per step;
             if omitted, the first dataset's.
         previous_action_dropout: share of training samples in which the previous action is hidden (replaced by
@@ -61,6 +67,8 @@ class PneutacBCConfig(PreTrainedConfig):
     """
 
     use_tactile: bool = True
+    memory: bool | None = None
+    answer_delay: int | None = None
     control_hz: int | None = None
     previous_action_dropout: float = 0.3
     previous_action_in_data: bool = False
@@ -79,6 +87,10 @@ class PneutacBCConfig(PreTrainedConfig):
         refuse_if(
             not 0 <= self.previous_action_dropout <= 1,
             f"--policy.previous_action_dropout is {self.previous_action_dropout}; it must be in [0, 1].",
+        )
+        refuse_if(
+            self.answer_delay is not None and self.answer_delay < 0,
+            f"--policy.answer_delay is {self.answer_delay}; it must not be negative.",
         )
         for name in ("pressure_noise_kpa", "brightness_noise_levels", "pixel_noise_levels"):
             refuse_if(
@@ -205,6 +217,8 @@ class PneutacBCConfig(PreTrainedConfig):
                 f"{where} has no '{PREVIOUS_ACTION}'; write it with pneutac_datasets.demonstrations.pool, or"
                 " give --policy.previous_action_in_data=false."
             )
+        if self.answer_delay is None:
+            self.answer_delay = (meta.features[ACTION].get("info") or {}).get(ANSWER_DELAY, 0)
         if self.use_tactile:
             if TACTILE not in meta.features:
                 raise InputError(f"{where} has no '{TACTILE}'; record it, or use --policy.use_tactile=false.")

@@ -1,7 +1,8 @@
 """The policy `pneutac_bc`: |tactile - rest| through a convolutional encoder, with the state into an MLP.
 
 The paper's policy network and loss (Sec. "Policy training"): a 64-D embedding of the tactile difference
-with a 24-D observation {q, q', x, s/N, log(1+s), p, a_(t-1)}, two hidden layers of 256, 4-D action.
+with a 24-D observation {q, q', x, s/N, log(1+s), p, a_(t-1)}, two hidden layers of 256, 4-D action. Beyond
+the paper, and off with `memory=False`: what it remembers of the episode, see `memory`.
 
 How the policy scales state and action: about what its demonstrations show, in units of what matters.
 
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as parquet
 import torch
 from huggingface_hub import ModelCard, ModelCardData
 from lerobot.configs.train import TrainPipelineConfig
@@ -21,7 +23,10 @@ from lerobot.utils.constants import ACTION, OBS_STATE
 from safetensors import safe_open
 from torch import Tensor, nn
 
+from lerobot_robot_pneutac.policy import memory
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PREVIOUS_ACTION, TACTILE, PneutacBCConfig
+from lerobot_robot_pneutac.policy.labels import ahead, frames_ahead
+from lerobot_robot_pneutac.policy.memory import AREA, POSITION_M
 from lerobot_robot_pneutac.policy.tactile_encoder import (
     DIFFERENCE_SCALE,
     EMBEDDING,
@@ -155,7 +160,7 @@ def _features(
 
 
 # What counts as much, whatever the station: much less than a robot's limits, so that millimetres matter.
-JOINT_RAD, JOINT_RAD_S, POSITION_M, AREA, LOG_PIXELS = 0.3, 0.3, 0.01, 0.1, 4.0
+JOINT_RAD, JOINT_RAD_S, LOG_PIXELS = 0.3, 0.3, 4.0  # and `memory.POSITION_M`, `memory.AREA`
 # The paper's station: a Panda whose flange points down at the table.
 _PANDA_RAD = [0.0, 0.0, 0.0, -2.55, 0.0, 2.55, np.pi / 4]
 LEAST_KPA = 0.1  # half the width of a range of pressures, at least
@@ -222,11 +227,12 @@ def _middle(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 HIDDEN = 256
 REST = "encoder.rest_image"
+FIRST = "mlp.0.weight"
 SCALES = "_state_centre", "_action_centre"  # as long as state and action
 
 
 class PneutacBCPolicy(PreTrainedPolicy):
-    """Behaviour cloning from touch and proprioception; keeps its own previous action between calls.
+    """Behaviour cloning from touch and proprioception; keeps its previous action and memory between calls.
 
     Attributes:
         encoder: of the tactile image; None with `use_tactile=False`.
@@ -253,6 +259,8 @@ class PneutacBCPolicy(PreTrainedPolicy):
         if dataset_meta is not None:
             config.check_dataset(dataset_meta)
         config.control_hz = config.control_hz or CONTROL_HZ
+        if config.memory is None:
+            config.memory = dataset_meta is not None
         config.validate_features()
         if dataset_meta is not None:
             self._demonstrations = Demonstrations.of(dataset_meta)
@@ -269,7 +277,13 @@ class PneutacBCPolicy(PreTrainedPolicy):
         self._dataset_scaling = None if dataset_meta is None else Scaling.of(dataset_meta.stats)
         for name, value in (self._dataset_scaling or Scaling.paper(*sizes)).tensors().items():
             self.register_buffer(name, value)
-        width = len(channels) + actions + (EMBEDDING if config.use_tactile else 0)
+        recalled = memory.size(config.chambers) if config.memory else 0
+        hidden = [] if config.use_tactile else memory.of_touch(config.chambers)
+        self.register_buffer(
+            "_recalled", torch.tensor([i for i in range(recalled) if i not in hidden], dtype=torch.long), persistent=False
+        )
+        self._read(dataset_meta)
+        width = len(channels) + len(self._recalled) + actions + (EMBEDDING if config.use_tactile else 0)
         self.mlp = nn.Sequential(
             nn.Linear(width, HIDDEN),
             nn.ReLU(),
@@ -279,6 +293,25 @@ class PneutacBCPolicy(PreTrainedPolicy):
         )
         self._take_dataset_rest()
         self.reset()
+
+    def _read(self, meta) -> None:
+        """Of every frame of a dataset: what is remembered there, and the action and the one before it."""
+        config, found = self.config, {"_memories": None, "_labels": None, "_before": None, "_first": None}
+        if meta is not None and (config.memory or config.answer_delay):
+            columns = ["index", "episode_index", OBS_STATE, ACTION]
+            table = parquet.read_table(meta.root / "data", columns=columns).sort_by("index")
+            episode = table["episode_index"].to_numpy()
+            state, action = (np.stack(table[k].to_numpy()).astype(np.float32) for k in (OBS_STATE, ACTION))
+            if config.memory:
+                sizes = config.chambers, config.control_hz
+                found["_memories"] = memory.of_episodes(torch.from_numpy(state), episode, *sizes)
+            if config.answer_delay:
+                frames = frames_ahead(config.answer_delay, config.control_hz)
+                moved = torch.from_numpy(ahead(action, state[:, self._places.area], episode, frames))
+                first = torch.from_numpy(np.diff(episode, prepend=-1) != 0)
+                found |= {"_labels": moved, "_before": moved.roll(1, 0), "_first": first}
+        for name, values in found.items():
+            self.register_buffer(name, values, persistent=False)
 
     @classmethod
     def _load_as_safetensor(cls, model, model_file, map_location, strict):
@@ -293,6 +326,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
                 model.config.check_size(tuple(file.get_slice(REST).get_shape()), str(model_file))
             other = sorted(set(file.keys()) ^ set(model.state_dict()))
             sizes = [file.get_slice(k).get_shape()[0] for k in SCALES if k in file.keys()]
+            inputs = file.get_slice(FIRST).get_shape()[1] if FIRST in file.keys() else None
         if other:
             raise InputError(
                 f"'{model_file}' does not hold the weights of this policy (differs in {', '.join(other)});"
@@ -304,6 +338,12 @@ class PneutacBCPolicy(PreTrainedPolicy):
                 f"'{model_file}' was trained on {sizes[0]} numbers of state and {sizes[1]} of action, and"
                 f" here are {now[0]} and {now[1]}: an arm of other joints, or other chambers. Give those of"
                 " its demonstrations (--env.twin, --env.station), or train again."
+            )
+        if inputs != model.mlp[0].in_features:
+            raise InputError(
+                f"'{model_file}' takes {inputs} numbers and this policy {model.mlp[0].in_features}: it was"
+                f" trained {'without' if model.config.memory else 'with'} memory; give"
+                f" --policy.memory={'false' if model.config.memory else 'true'}, or train again."
             )
         model = super()._load_as_safetensor(model, model_file, map_location, strict)
         if model._dataset_scaling is not None:
@@ -356,8 +396,10 @@ class PneutacBCPolicy(PreTrainedPolicy):
         return self.parameters()
 
     def reset(self) -> None:
-        """Forgets the previous action; to be called when an episode starts."""
+        """Forgets the previous action and all before; to be called when an episode starts."""
         self._previous: Tensor | None = None
+        self._memory: memory.Memory | None = None
+
 
     # ------------------------------------------------------------ training
 
@@ -368,24 +410,47 @@ class PneutacBCPolicy(PreTrainedPolicy):
             batch: `action` (B, 2, 3 + C) of C chambers, the previous and the present one; `action_is_pad`
                 (B, 2), true where there is none; with `previous_action_in_data` instead `action` (B, 3 + C)
                 and `observation.previous_action` (B, 3 + C); `observation.state` (B, 2 N + 5 + C) with N
-                joints; the tactile image (B, 3, H, W) in [0, 1].
+                joints; the tactile image (B, 3, H, W) in [0, 1]; with memory `index` (B,), of the frames in
+                the dataset that the policy was made for.
 
         Returns:
             loss, and its two terms by name.
 
         Raises:
-            InputError: the loss is not finite.
+            InputError: the loss is not finite, or there is no dataset to remember.
         """
+        recalled = self._memories[self._rows(batch)] if self.config.memory else None
         if self.config.previous_action_in_data:
             previous, target = batch[PREVIOUS_ACTION], batch[ACTION]
             hidden = torch.zeros(len(target), dtype=torch.bool, device=target.device)
         else:
             previous, target = batch[ACTION].unbind(1)
             hidden = batch[f"{ACTION}_is_pad"][:, 0]
-        return self.loss(batch[OBS_STATE], previous, hidden, target, self._difference(batch))
+        if self.config.answer_delay:
+            rows = self._rows(batch)
+            target = self._labels[rows]
+            unknown = hidden | self._first[rows]
+            previous = torch.where(unknown[:, None], previous, self._before[rows])
+        return self.loss(batch[OBS_STATE], previous, hidden, target, self._difference(batch), recalled)
+
+    def _rows(self, batch: dict[str, Tensor]) -> Tensor:
+        """The frames of a batch in the dataset."""
+        if "index" not in batch or (self._memories is None and self._labels is None):
+            raise InputError(
+                "With memory or an answer delay pneutac_bc needs the dataset that it is trained on"
+                " (dataset_meta) and each frame's 'index'; train with lerobot-train, or give"
+                " --policy.memory=false and --policy.answer_delay=0."
+            )
+        return batch["index"]
 
     def loss(
-        self, state: Tensor, previous: Tensor, hidden: Tensor, target: Tensor, difference: Tensor | None
+        self,
+        state: Tensor,
+        previous: Tensor,
+        hidden: Tensor,
+        target: Tensor,
+        difference: Tensor | None,
+        recalled: Tensor | None,
     ) -> tuple[Tensor, dict[str, float]]:
         """What `forward` returns, of samples whose images are prepared.
 
@@ -395,6 +460,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
             hidden: (B,), true where there is none.
             target: action (B, 3 + C) to be learnt.
             difference: (B, 3, 80, 60) from `TactileEncoder.difference`; None without touch.
+            recalled: (B, M) from `Memory.recall`; None without memory.
         """
         if self.training:
             state = state.clone()
@@ -408,7 +474,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
                 noise = drift + grain * torch.randn(difference.shape, device=difference.device)
                 difference = difference + noise / (255 * DIFFERENCE_SCALE)
         previous = torch.where(hidden[:, None], self._hold(state), previous)
-        error = self._predict(state, difference, previous) - target
+        error = self._predict(state, difference, previous, recalled) - target
         # Velocity m/s to displacement per step mm.
         motion = (error[:, :3] * (1000 / self.config.control_hz)).square().sum(1).mean()
         pressure = error[:, PRESSURES].square().sum(1).mean()
@@ -423,12 +489,14 @@ class PneutacBCPolicy(PreTrainedPolicy):
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor], **kwargs) -> Tensor:
-        """The next action (B, 3 + C), within the action limits; remembered as the previous one.
+        """The next action (B, 3 + C), within the action limits; remembered with the observation.
 
         Raises:
             InputError: an observation is not finite or has another shape, or there is no rest image.
         """
         self._previous = self.predict_action_chunk(batch)[:, 0]
+        if self._memory is not None:
+            self._memory.keep(batch[OBS_STATE])
         return self._previous
 
     @torch.no_grad()
@@ -440,7 +508,10 @@ class PneutacBCPolicy(PreTrainedPolicy):
         if state.shape[1:] != (size,):
             raise InputError(f"The state has the shape {tuple(state.shape[1:])}; it must be ({size},).")
         previous = self._hold(state) if self._previous is None else self._previous
-        action = self._predict(state, self._difference(batch), previous)
+        if self.config.memory and self._memory is None:
+            self._memory = memory.Memory(self.config.chambers, self.config.control_hz)
+        recalled = self._memory.recall(state) if self._memory else None
+        action = self._predict(state, self._difference(batch), previous, recalled)
         if not action.isfinite().all():
             raise InputError("The policy's action is not finite: its weights or an observation contain NaN.")
         return action.clamp(self._action_low, self._action_high)[:, None]
@@ -461,12 +532,17 @@ class PneutacBCPolicy(PreTrainedPolicy):
             raise InputError(f"The observation has no '{TACTILE}'; pneutac_bc was trained with touch.")
         return self.encoder.difference(batch[TACTILE])
 
-    def _predict(self, state: Tensor, difference: Tensor | None, previous: Tensor) -> Tensor:
-        """Action (B, 3 + C), m/s and kPa, not clipped, from state, difference and previous action."""
+    def _predict(
+        self, state: Tensor, difference: Tensor | None, previous: Tensor, recalled: Tensor | None
+    ) -> Tensor:
+        """Action (B, 3 + C), m/s and kPa, not clipped; see `loss`."""
         parts = [
             ((state - self._state_centre) / self._state_scale)[:, self._channels],
             (previous - self._action_centre) / self._action_scale,
         ]
+        if recalled is not None:
+            kpa = self._state_scale[self._places.pressure]
+            parts.append(memory.scaled(recalled, kpa)[:, self._recalled])
         if self.encoder is not None:
             parts.insert(0, self.encoder(difference))
         return self.mlp(torch.cat(parts, 1)) * self._action_scale + self._action_centre

@@ -12,9 +12,10 @@ import numpy as np
 from numba import njit
 from scipy.ndimage import label, maximum
 
+from pneutac_sim.features import SPECKS
+
 THRESHOLD_LEVELS = 12.0
 QUIET_SHARE = 0.999  # share of pixels without contact that stay below the threshold
-SPECKS = 50 / (240 * 320)  # share of an image's pixels that a camera's noise alone may bring above it, by far
 
 
 class ContactArea(NamedTuple):

@@ -129,7 +129,7 @@ def test_images_keep_their_size_and_weights_of_another_size_are_named(tmp_path):
     mini = write_dataset(tmp_path / "mini", [100, 120], shape=(240, 320, 3))
     policy = make_policy(PneutacBCConfig(device="cpu"), mini)
     assert policy.encoder.rest_image.shape == (3, 240, 320)
-    batch = make_batch(2) | {TACTILE: torch.rand(2, 3, 240, 320)}
+    batch = make_batch(2) | {TACTILE: torch.rand(2, 3, 240, 320), "index": torch.tensor([0, 3])}
     loss, _ = policy.forward(batch)
     loss.backward()
     assert policy.encoder.layers[0].weight.grad.abs().max() > 0
@@ -206,7 +206,7 @@ def test_noise_on_images_is_of_pixels_and_of_brightness_in_training_only():
         policy.encoder.register_forward_pre_hook(lambda _, given, seen=seen: seen.append(32 * given[0]))
         torch.manual_seed(0)
         for _ in range(200):
-            policy.loss(state, previous, hidden, previous, still)
+            policy.loss(state, previous, hidden, previous, still, None)
         seen = torch.cat(seen)
         mean = seen.mean((2, 3), keepdim=True)
         assert mean.square().mean().sqrt() == pytest.approx(brightness, rel=0.06, abs=0.02)

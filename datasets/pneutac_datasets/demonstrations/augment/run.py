@@ -23,10 +23,13 @@ import numpy as np
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.datasets.aggregate import aggregate_datasets
 from lerobot.datasets.dataset_tools import delete_episodes
+from lerobot.datasets.io_utils import load_info, write_info
 from lerobot.utils.constants import ACTION, OBS_STATE
 
+from lerobot_robot_pneutac.policy.labels import ANSWER_DELAY
 from pneutac_datasets.demonstrations.augment.check import check
 from pneutac_datasets.demonstrations.augment.episode import LONGEST, Attempt, AugmentSetup
+from pneutac_datasets.demonstrations.augment.library import lagged_answers
 from pneutac_datasets.demonstrations.augment.reference import (
     EXTRA_STEPS,
     Reference,
@@ -165,9 +168,10 @@ def augment_guided(
     provenance += _mix(part, out_repo_id, meta, [r.source for r in setup.references], real_share)
     check(work, setup, checks, progress)
     agreements = _checked(work, checks)
-    finish(part, out_root, provenance)
+    delay = lagged_answers(setup.references)[1] if setup.method == "library" else 0
+    finish(part, out_root, provenance, delay)
     shutil.rmtree(work.folder)
-    return _summary(provenance, seconds, scenes, began) | agreements
+    return _summary(provenance, seconds, scenes, began) | agreements | {ANSWER_DELAY: delay}
 
 
 def _checked(work: Work, checks: int) -> dict:
@@ -312,8 +316,20 @@ def _summary(provenance: list[dict], seconds: dict, scenes: list[Scene], began: 
     }
 
 
-def finish(part: Path, out_root: Path, provenance: list[dict]) -> None:
-    """Adds provenance and card to a whole dataset and gives it its name, in one step."""
+def finish(part: Path, out_root: Path, provenance: list[dict], answer_delay: int = 0) -> None:
+    """Adds provenance and card to a whole dataset and gives it its name, in one step.
+
+    Args:
+        part: the dataset.
+        out_root: its name.
+        provenance: a dict of each episode.
+        answer_delay: frames by which the demonstrator answers a touch late, for policies.
+    """
+    if answer_delay:
+        info = load_info(part)
+        action = info.features[ACTION]
+        action["info"] = {**(action.get("info") or {}), ANSWER_DELAY: answer_delay}
+        write_info(info, part)
     write_text(part / "meta" / PROVENANCE, "".join(json.dumps(line) + "\n" for line in provenance))
     write_card(part)
     os.replace(part, out_root)
