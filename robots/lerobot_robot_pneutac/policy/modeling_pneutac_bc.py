@@ -279,9 +279,8 @@ class PneutacBCPolicy(PreTrainedPolicy):
             self.register_buffer(name, value)
         recalled = memory.size(config.chambers) if config.memory else 0
         hidden = [] if config.use_tactile else memory.of_touch(config.chambers)
-        self.register_buffer(
-            "_recalled", torch.tensor([i for i in range(recalled) if i not in hidden], dtype=torch.long), persistent=False
-        )
+        seen = torch.tensor([i for i in range(recalled) if i not in hidden], dtype=torch.long)
+        self.register_buffer("_recalled", seen, persistent=False)
         self._read(dataset_meta)
         width = len(channels) + len(self._recalled) + actions + (EMBEDDING if config.use_tactile else 0)
         self.mlp = nn.Sequential(
@@ -399,7 +398,6 @@ class PneutacBCPolicy(PreTrainedPolicy):
         """Forgets the previous action and all before; to be called when an episode starts."""
         self._previous: Tensor | None = None
         self._memory: memory.Memory | None = None
-
 
     # ------------------------------------------------------------ training
 
