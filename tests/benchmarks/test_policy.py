@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,19 +13,22 @@ import pytest
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.cli.options import parse_options
 from pneutac_benchmarks.policy import run as benchmark_policy_run
+from pneutac_benchmarks.policy import units
 from pneutac_benchmarks.policy.main import BenchmarkPolicyConfig
 from pneutac_benchmarks.policy.plan import (
     CONDITIONS,
     PERSON,
+    RESULT,
     TEST_START,
     Unit,
     derived_seed,
     plan,
     recordings,
 )
-from pneutac_benchmarks.policy.run import LOG, RESULT, _pool, finished, run_units
+from pneutac_benchmarks.policy.run import LOG, _pool, finished, run_units
 from pneutac_benchmarks.policy.table import curve, difference, reasons, rows, success, worth
 from pneutac_benchmarks.policy.units import STARTS_EACH, _why
+from pneutac_datasets.demonstrations.films import read_film
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import TASK_NAMES
 from pneutac_sim.twin import Twin
@@ -192,6 +196,37 @@ def test_a_failed_trial_has_its_reason(touched, failure, why):
     assert _why(world, area) == why
 
 
+def test_failed_trials_have_films(tmp_path, monkeypatch):
+    """Of the first seed alone, after all trials; a trial is done once more from its start."""
+    cfg = config("--tasks=[egg]", "--seeds=[0,1]", "--conditions=[real,library]", "--films=1")
+    made = by_kind(plan(cfg), "film")
+    assert [u.name for u in made] == ["egg/0/real_films", "egg/0/library_films"]
+    assert plan(cfg)[-2:] == made and made[0].needs[0] == "egg/0/real_policy"
+
+    class Trial(World):
+        starts = ()
+
+        def reset(self, start):
+            self.starts = (*self.starts, start)
+
+        def step(self, action):
+            return SimpleNamespace(state=np.zeros(20))
+
+        def render(self, width, height):
+            return np.zeros((height, width, 3), np.uint8)
+
+    world = Trial()
+    monkeypatch.setattr(units, "_trained", lambda folder: SimpleNamespace(reset=lambda: None))
+    monkeypatch.setattr(units, "_action", lambda policy, observation: None)
+    monkeypatch.setattr(units, "_standin", lambda *options: world)
+    found = trials("egg", 0, "real", [1, 0, 0])["egg/0/real_trials_000"]
+    (tmp_path / "trials").mkdir()
+    (tmp_path / "trials" / RESULT).write_text(json.dumps(found))
+    (film,) = units.film(tmp_path, made[0].options, [tmp_path, tmp_path / "trials"])["films"]
+    assert (film["start"], film["reason"]) == (1, "time-out, touch lost") and world.starts == (1,)
+    assert read_film(Path(film["file"])).stated == units.STEPS
+
+
 def test_old_name_of_a_condition_is_taken():
     assert config("--conditions=[mixed]").conditions == ("planner",)
 
@@ -211,6 +246,7 @@ def test_old_name_of_a_condition_is_taken():
         ("--minutes=0", "^minutes is 0"),
         ("--select=best", "it must be one of last, held_out"),
         ("--trials=0", "^trials is 0"),
+        ("--films=-1", "^films is -1"),
         ("--jobs=0", "^jobs is 0"),
         ("--lr=0", "^lr is 0"),
         ("--finetune_lr=nan", "^finetune_lr is nan"),
@@ -286,7 +322,7 @@ COMMAND = "from lerobot_pneutac.cli.__main__ import main; main()"
 @pytest.mark.nightly
 @pytest.mark.timeout(1200)  # two busy cores
 def test_a_killed_benchmark_goes_on_to_all_conditions(tmp_path):
-    argv = ["--fast=true", "--select=held_out", "--device=cpu", "--jobs=1", f"--out={tmp_path}"]
+    argv = ["--fast=true", "--films=1", "--select=held_out", "--device=cpu", "--jobs=1", f"--out={tmp_path}"]
     with subprocess.Popen(
         [sys.executable, "-c", COMMAND, "benchmark", "policy", *argv], stdout=subprocess.DEVNULL
     ) as process:
@@ -322,5 +358,7 @@ def test_a_killed_benchmark_goes_on_to_all_conditions(tmp_path):
     alone = result["units"]["switch/0/real_policy"]["result"]
     assert alone["training"]["lr"] == 1e-3
     assert "pretraining" not in alone and alone["training"]["curve"][-1]["update"] == 40
+    (shown,) = result["units"]["switch/0/n_aug_films"]["result"]["films"] or [None]
+    assert shown is None or Path(shown["file"]).is_file()
     assert "| n_aug |" in (tmp_path / "table.md").read_text()
     assert "Learning curves" in (tmp_path / "report.html").read_text()

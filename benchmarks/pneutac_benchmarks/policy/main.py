@@ -66,6 +66,8 @@ class BenchmarkPolicyConfig:
         select: weights that are kept: `last`, after the last update, or `held_out`, with the lowest loss on a
             tenth of the demonstrations, at least one, which are then not trained on.
         ppo_steps: control steps of reinforcement learning.
+        films: number of failed trials of each condition and task, of the first seed, of which the report has
+            a film.
         device: device of the training, `cpu` or `cuda`; where left out, cuda if there is one.
         jobs: number of processes; where left out, one a core.
         minutes: after so long no unit of work is begun, and the tables are of what is done; the same command
@@ -96,6 +98,7 @@ class BenchmarkPolicyConfig:
     finetune_lr: float = 1e-4
     select: str = "last"
     ppo_steps: int = 400_000
+    films: int = 0
     device: str | None = None
     jobs: int | None = None
     minutes: float | None = None
@@ -115,6 +118,7 @@ class BenchmarkPolicyConfig:
         for name in ("augmented", "pretrain_updates", "finetune_updates", "batch", "ppo_steps", "jobs"):
             check_least(1, **{name: getattr(self, name)})
         check_least(2, demonstrations=self.demonstrations)
+        check_least(0, films=self.films)
         if not 1 <= self.trials <= MAX_TRIALS:
             raise InputError(f"trials is {self.trials}; it must be from 1 to {MAX_TRIALS}.")
         for name in ("lr", "finetune_lr"):

@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, field
 
 from pneutac_sim.features import TASK_NAMES
 
+RESULT = "unit.json"  # of each finished unit
 # Starts of a unit's trials or training derive from seed, task and purpose, so that no two share one.
 PURPOSES = ("real", "more", "augmented", "naive", "ppo", "student", "network")
 # The trials' starts follow one another from here, above all others; options are chosen by 2**30 on.
@@ -17,7 +18,15 @@ SETS = 8  # seeds that follow one another and, where more than twenty are asked 
 PERSON = {"switch": (1.0, 0.25), "egg": (1.0, 1.0), "card": (0.5, 0.5)}
 OTHER_TASK = (1.0, 0.0)
 # Core seconds, by kind: of each demonstration, try or trial; of the others once.
-COST_S = {"record": 6.5, "library": 2.5, "expert": 1.5, "planner": 30.0, "naive": 0.2, "student": 2.0}
+COST_S = {
+    "record": 6.5,
+    "library": 2.5,
+    "expert": 1.5,
+    "planner": 30.0,
+    "naive": 0.2,
+    "student": 2.0,
+    "film": 6.0,
+}
 ONCE_S = {"scenes": 70.0, "ppo": 1200.0, "train": 240.0, "evaluate": 3.2}
 TRAIN_GPU_S = 30.0  # of a core, where a GPU trains
 
@@ -130,7 +139,7 @@ def plan(cfg) -> list[Unit]:
             for task in cfg.tasks:
                 for unit in _of_condition(cfg, task, seed, name, condition):
                     units.setdefault(unit.name, unit)
-    return sorted(units.values(), key=lambda u: u.kind == "evaluate" and u.options["further"])
+    return sorted(units.values(), key=lambda u: 2 * (u.kind == "film") + u.options.get("further", False))
 
 
 def recordings(seed: int, sets: int) -> list[tuple[int, str]]:
@@ -171,7 +180,11 @@ def _of_condition(cfg, task: str, seed: int, name: str, condition: Condition) ->
         numbers = {"start": TEST_START + seed * MAX_TRIALS + k, "trials": min(CHUNK, cfg.trials - k)}
         numbers["further"] = k >= 2 * CHUNK
         trials.append(Unit(f"{at}/{name}_trials_{k:03d}", "evaluate", where | numbers, (policy.name,)))
-    return [*real, *made, policy, *trials]
+    films = []
+    if cfg.films and seed == cfg.seeds[0]:
+        needs = (policy.name, *(u.name for u in trials if not u.options["further"]))
+        films = [Unit(f"{at}/{name}_films", "film", where | {"episodes": cfg.films}, needs)]
+    return [*real, *made, policy, *trials, *films]
 
 
 def _recording(cfg, task: str, seed: int, purpose: str) -> Unit:

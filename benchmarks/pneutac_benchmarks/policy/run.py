@@ -14,12 +14,12 @@ from pathlib import Path
 
 import torch
 
-from pneutac_benchmarks.policy.plan import Unit, as_dict
+from pneutac_benchmarks.policy.plan import RESULT, Unit, as_dict
 from pneutac_sim.errors import InputError
 from pneutac_sim.executor import process_pool
 from pneutac_sim.files import write_json
 
-RESULT, LOG = "unit.json", "log.txt"
+LOG = "log.txt"
 GPU_TRAININGS = 6  # side by side on each
 # Each process computes on one thread, and none asks the Hub for datasets that lie here.
 _ENVIRONMENT = {"OMP_NUM_THREADS": "1", "HF_HUB_OFFLINE": "1"}

@@ -214,6 +214,13 @@ def write(cfg, done: dict[str, dict], failed: dict[str, str], wall_s: float, con
     if failed:
         report.heading("What could not be done")
         report.table([{"unit": name, "why": why} for name, why in failed.items()])
+    films = [(name, each) for name, unit in done.items() for each in unit["result"].get("films", ())]
+    if films:
+        report.heading("Failed trials")
+    for name, each in films:
+        report.video(
+            each["file"], f"{name.removesuffix('_films')}, start {each['start']}: {each['reason']}", 320
+        )
     report.heading("Learning curves")
     for task in cfg.tasks:
         report.figure(_curves(cfg, done, task, chosen), f"{task}: loss on the last data")

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from functools import lru_cache
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import torch
 
 from pneutac_benchmarks.policy.frames import Frames
+from pneutac_benchmarks.policy.plan import RESULT
 from pneutac_datasets.demonstrations.augment.episode import AugmentSetup, Generator
 from pneutac_datasets.demonstrations.augment.library import lagged_answers, start_spread_m
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
@@ -27,6 +29,7 @@ from pneutac_sim.world.world import World
 HELD_OUT = 0.1  # share of the final data set's episodes, where the weights are chosen by them
 ATTEMPTS = 60  # variants tried for one demonstration
 FRAMES_FILE, SCENES_FILE = "frames.npz", "scenes.json"
+FILM_SIZE = 320, 240
 PPO_ENVS = 8
 STEPS = TRIAL_S * CONTROL_HZ
 STARTS_EACH = 500  # starts that a recording may try
@@ -207,20 +210,43 @@ def train(folder: Path, options: dict, needs: list[Path]) -> dict:
 
 def evaluate(folder: Path, options: dict, needs: list[Path]) -> dict:
     """Trials on the stand-in, on the CPU: start, whether the task was done, after how many steps, why not."""
-    (path,) = (needs[0] / "checkpoints").glob("*/pretrained_model")
-    policy = _policy(path)
-    world = _standin(options["task"], options["twin"], options["start_width"])
-    trials = []
-    for start in range(options["start"], options["start"] + options["trials"]):
-        observation, areas = world.reset(start), []
-        policy.reset()
-        while len(areas) < STEPS and not (world.success or world.failure):
-            observation = world.step(_action(policy, observation))
-            areas.append(observation.state[Places.of(1).area])
-        done = bool(world.success and not world.failure)
-        why = "" if done else _why(world, np.array(areas))
-        trials.append({"start": start, "success": done, "steps": len(areas), "reason": why})
+    policy, world = _trained(needs[0]), _standin(options["task"], options["twin"], options["start_width"])
+    starts = range(options["start"], options["start"] + options["trials"])
+    trials = [_tried(policy, world, start) for start in starts]
     return {"success_percent": 100 * float(np.mean([t["success"] for t in trials])), "trials": trials}
+
+
+def film(folder: Path, options: dict, needs: list[Path]) -> dict:
+    """Films of the first failed trials, which are done once more; a trial depends on its start alone."""
+    from lerobot.utils.io_utils import write_video
+
+    policy, world = _trained(needs[0]), _standin(options["task"], options["twin"], options["start_width"])
+    trials = [t for need in needs[1:] for t in json.loads((need / RESULT).read_text())["result"]["trials"]]
+    films = []
+    for trial in [t for t in trials if not t["success"]][: options["episodes"]]:
+        pictures, path = [], folder / f"start_{trial['start']}.mp4"
+        _tried(policy, world, trial["start"], lambda: pictures.append(world.render(*FILM_SIZE)))  # noqa: B023
+        write_video(path, pictures, CONTROL_HZ)
+        films.append({"start": trial["start"], "reason": trial["reason"], "file": str(path)})
+    return {"films": films}
+
+
+def _tried(policy, world, start: int, seen: Callable[[], None] = lambda: None) -> dict:
+    """One trial; `seen` is called before each step."""
+    observation, areas = world.reset(start), []
+    policy.reset()
+    while len(areas) < STEPS and not (world.success or world.failure):
+        seen()
+        observation = world.step(_action(policy, observation))
+        areas.append(observation.state[Places.of(1).area])
+    done = bool(world.success and not world.failure)
+    why = "" if done else _why(world, np.array(areas))
+    return {"start": start, "success": done, "steps": len(areas), "reason": why}
+
+
+def _trained(folder: Path):
+    (path,) = (folder / "checkpoints").glob("*/pretrained_model")
+    return _policy(path)
 
 
 def _action(policy, observation) -> np.ndarray:
@@ -267,4 +293,4 @@ def _twin(twin: str | None) -> Twin | None:
     return Twin.load(twin) if twin else None
 
 
-KINDS = {f.__name__: f for f in (record, scenes, augment, naive, ppo, student, train, evaluate)}
+KINDS = {f.__name__: f for f in (record, scenes, augment, naive, ppo, student, train, evaluate, film)}
