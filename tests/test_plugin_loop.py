@@ -1,12 +1,14 @@
 """LeRobot's whole loop as its users run it: real commands, no display, no network."""
 
 import json
+import shlex
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 from awake import undisturbed
+from doc_blocks import ROOT, blocks
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.utils.constants import OBS_STATE
 from warm_commands import WarmCommands
@@ -165,3 +167,39 @@ def test_record_train_eval_rollout_replay_merge(run):
     )
     merged = LeRobotDatasetMetadata("local/merged", work / "merged")
     assert merged.total_frames == demo.total_frames + rollout.total_frames
+
+
+SMALL = {
+    "act": {"policy.dim_model": 64, "policy.n_heads": 2, "policy.dim_feedforward": 128},
+    "diffusion": {
+        "policy.down_dims": "[32,64]",
+        "policy.diffusion_step_embed_dim": 32,
+        "policy.num_train_timesteps": 20,
+        "policy.num_inference_steps": 5,
+        "policy.spatial_softmax_num_keypoints": 8,
+    },
+}
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("policy", SMALL)
+def test_other_policies_train_and_evaluate_by_the_pages_commands(run, policy):
+    """With a small network, two steps and one short trial in place of the page's numbers."""
+    page = [b for b in blocks("docs/how_to/which_policy.md") if f"policy.type={policy} " in b.text]
+    train, evaluate = (shlex.split(c) for c in page[0].text.replace("\\\n", "").strip().split("\n"))
+    outputs = run.work / policy
+    shutil.copytree(ROOT / "tests/golden/recordings/demos", outputs / "switch/demos")
+    trial = {"eval.n_episodes": 1, "env.episode_length": 10, "policy.device": "cpu"}
+    small = {
+        "steps": 2,
+        "batch_size": 2,
+        "num_workers": 0,
+        "save_freq": 0,
+        "policy.device": "cpu",
+        "policy.pretrained_backbone_weights": "null",
+    }
+    for (command, *options), other in ((train, small | SMALL[policy]), (evaluate, trial)):
+        given = dict(o.removeprefix("--").split("=", 1) for o in options) | other
+        run(command, *(f"--{k}={str(v).replace('outputs/', f'{outputs}/')}" for k, v in given.items()))
+    (result,) = outputs.rglob("eval_info.json")
+    assert json.loads(result.read_text())["overall"]["n_episodes"] == 1
