@@ -25,11 +25,12 @@ from pneutac_benchmarks.policy.plan import (
     plan,
     recordings,
 )
-from pneutac_benchmarks.policy.run import LOG, _pool, finished, run_units
+from pneutac_benchmarks.policy.run import LOG, finished, run_units
 from pneutac_benchmarks.policy.table import curve, difference, reasons, rows, success, worth
 from pneutac_benchmarks.policy.units import STARTS_EACH, _why
 from pneutac_datasets.demonstrations.films import read_film
 from pneutac_sim.errors import InputError
+from pneutac_sim.executor import ExecutorOptions
 from pneutac_sim.features import TASK_NAMES
 from pneutac_sim.twin import Twin
 
@@ -247,7 +248,7 @@ def test_old_name_of_a_condition_is_taken():
         ("--select=best", "it must be one of last, held_out"),
         ("--trials=0", "^trials is 0"),
         ("--films=-1", "^films is -1"),
-        ("--jobs=0", "^jobs is 0"),
+        ("--workers=0", "^workers is 0"),
         ("--lr=0", "^lr is 0"),
         ("--finetune_lr=nan", "^finetune_lr is nan"),
         ("--fidelity=exact", "^fidelity is 'exact'"),
@@ -265,7 +266,10 @@ def test_units_of_other_options_are_refused(tmp_path):
     assert finished(tmp_path, unit) is None
     path = tmp_path / unit.name / RESULT
     path.parent.mkdir(parents=True)
-    path.write_text(json.dumps({"unit": {"name": unit.name, "kind": "record", "options": {}, "needs": []}}))
+    other = {"name": unit.name, "kind": "record", "options": {}, "needs": []}
+    path.write_text(json.dumps({"unit": other, "failed": "no demonstration succeeded"}))
+    assert finished(tmp_path, unit) is None  # and is tried again
+    path.write_text(json.dumps({"unit": other, "result": {}}))
     with pytest.raises(InputError, match="other options"):
         finished(tmp_path, unit)
     path.write_text("{")
@@ -279,33 +283,21 @@ def test_a_unit_that_fails_costs_none_but_those_that_need_it(tmp_path):
     needing = Unit("switch/0/student_policy", "train", {"device": "cpu"}, (broken.name,))
     options = {"task": "switch", "twin": None, "episodes": 1, "seed": 3, "person": 0.0, "start_width": 0.0}
     sound = Unit("switch/0/real", "record", options)
-    done, failed, faults = run_units(tmp_path, [broken, needing, sound], 1, lambda share, words: None)
+    done, failed, faults = run_units(tmp_path, [broken, needing, sound], ExecutorOptions(workers=1))
     assert set(done) == {sound.name}
     assert faults == [broken.name]  # and none that needs it
-    assert "IndexError" in failed[broken.name] and "log.txt" in failed[broken.name]
+    assert "KeyError" in failed[broken.name] and "log.txt" in failed[broken.name]
     assert failed[needing.name] == f"needs {broken.name}"
     assert "Traceback" in (tmp_path / broken.name / LOG).read_text()
 
 
 def test_after_its_time_no_unit_is_begun(tmp_path):
     unit = Unit("switch/0/student", "student", {"episodes": 1})
-    assert run_units(tmp_path, [unit], 1, lambda share, words: None, time.monotonic() - 1) == ({}, {}, [])
-
-
-def test_an_interrupt_ends_at_once_what_runs():
-    with pytest.raises(KeyboardInterrupt):
-        with _pool(1) as pool:
-            pool.submit(os.getpid).result()  # the process is there
-            start = time.monotonic()
-            running = pool.submit(time.sleep, 60)
-            while not running.running():
-                time.sleep(0.01)
-            raise KeyboardInterrupt
-    assert time.monotonic() - start < 30
+    assert run_units(tmp_path, [unit], ExecutorOptions(), until=time.time() - 1) == ({}, {}, [])
 
 
 def test_a_fault_writes_the_table_and_ends_the_command_with_an_error(tmp_path, monkeypatch):
-    def faulty(out, units, jobs, progress, until):
+    def faulty(out, units, options, progress, until):
         done = trials("switch", 0, "real", [1])
         return done, {"switch/0/x": "OSError: full"}, ["switch/0/x"]
 
@@ -322,7 +314,8 @@ COMMAND = "from lerobot_pneutac.cli.__main__ import main; main()"
 @pytest.mark.nightly
 @pytest.mark.timeout(1200)  # two busy cores
 def test_a_killed_benchmark_goes_on_to_all_conditions(tmp_path):
-    argv = ["--fast=true", "--films=1", "--select=held_out", "--device=cpu", "--jobs=1", f"--out={tmp_path}"]
+    argv = ["--fast=true", "--films=1", "--select=held_out", "--device=cpu", "--workers=1"]
+    argv.append(f"--out={tmp_path}")
     with subprocess.Popen(
         [sys.executable, "-c", COMMAND, "benchmark", "policy", *argv], stdout=subprocess.DEVNULL
     ) as process:

@@ -7,14 +7,13 @@ benchmark that was stopped goes on with the same command.
 
 import importlib.util
 import math
-import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
+from lerobot_pneutac.cli.terminal import progress_bar
 from pneutac_benchmarks.policy.plan import (
     ALIASES,
     CONDITIONS,
@@ -25,6 +24,7 @@ from pneutac_benchmarks.policy.plan import (
     plan,
 )
 from pneutac_sim.errors import InputError, check_choice, check_least
+from pneutac_sim.executor import ExecutorOptions
 from pneutac_sim.features import FIDELITIES, TASK_NAMES, task_names
 from pneutac_sim.world.base import MOST_WIDE
 
@@ -42,7 +42,7 @@ _FAST = {
 
 
 @dataclass
-class BenchmarkPolicyConfig:
+class BenchmarkPolicyConfig(ExecutorOptions):
     """Options of `pneutac benchmark policy`.
 
     Attributes:
@@ -69,7 +69,6 @@ class BenchmarkPolicyConfig:
         films: number of failed trials of each condition and task, of the first seed, of which the report has
             a film.
         device: device of the training, `cpu` or `cuda`; where left out, cuda if there is one.
-        jobs: number of processes; where left out, one a core.
         minutes: after so long no unit of work is begun, and the tables are of what is done; the same command
             goes on. Where left out, all is done.
         twin: folder of the twin for augmentation and reinforcement learning; where left out, the built-in
@@ -100,7 +99,6 @@ class BenchmarkPolicyConfig:
     ppo_steps: int = 400_000
     films: int = 0
     device: str | None = None
-    jobs: int | None = None
     minutes: float | None = None
     twin: Path | None = None
     fidelity: str = "surrogate"
@@ -112,10 +110,10 @@ class BenchmarkPolicyConfig:
         self.out = Path(self.out).absolute()
         if self.fast:
             vars(self).update(_FAST)
-        self.jobs = self.jobs if self.jobs is not None else len(os.sched_getaffinity(0))
+        self.check_executor()
         self.conditions = tuple(ALIASES.get(name, name) for name in self.conditions)
         self._check_lists()
-        for name in ("augmented", "pretrain_updates", "finetune_updates", "batch", "ppo_steps", "jobs"):
+        for name in ("augmented", "pretrain_updates", "finetune_updates", "batch", "ppo_steps"):
             check_least(1, **{name: getattr(self, name)})
         check_least(2, demonstrations=self.demonstrations)
         check_least(0, films=self.films)
@@ -172,7 +170,7 @@ class BenchmarkPolicyConfig:
         there = torch.cuda.is_available()
         self.device = self.device if self.device is not None else ("cuda" if there else "cpu")
         check_choice("device", self.device, ("cpu", "cuda"))
-        if self.device == "cuda" and not there:
+        if self.device == "cuda" and not there and self.executor == "local":
             raise InputError("device is 'cuda', but PyTorch finds no GPU; use cpu.")
         if "ppo" in self.conditions and importlib.util.find_spec("stable_baselines3") is None:
             raise InputError(
@@ -186,29 +184,20 @@ def benchmark_policy(cfg: BenchmarkPolicyConfig) -> None:
     from pneutac_benchmarks.policy.table import write
 
     console = Console()
-    units, start = plan(cfg), time.monotonic()
+    units, start = plan(cfg), time.time()
     left = [unit for unit in units if finished(cfg.out, unit) is None]
     core_s = sum(unit.core_s for unit in left)
     console.print(
         f"{len(units)} units of work in {cfg.out}, {len(units) - len(left)} of them done before; the others"
-        f" take about {core_s / 3600:.1f} core hours, {core_s / cfg.jobs / 60:.0f} minutes in {cfg.jobs}"
-        " processes.",
+        f" take about {core_s / 3600:.1f} core hours.",
         highlight=False,
     )
     until = math.inf if cfg.minutes is None else start + 60 * cfg.minutes
-    columns = (TextColumn("{task.description:.60}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
-        row = bar.add_task("starting", total=1.0)
-        done, failed, faults = run_units(
-            cfg.out,
-            units,
-            cfg.jobs,
-            lambda share, words: bar.update(row, completed=share, description=words),
-            until,
-        )
+    with progress_bar(Console(stderr=True)) as progress:
+        done, failed, faults = run_units(cfg.out, units, cfg, progress, until)
     for name, why in failed.items():
         console.print(f"[yellow]not done:[/] {name}: {why}", highlight=False)
-    report = write(cfg, done, failed, time.monotonic() - start, console)
+    report = write(cfg, done, failed, time.time() - start, console)
     console.print(f"Report: {report}", highlight=False)
     if not any(unit.kind == "evaluate" and unit.name in done for unit in units):
         raise InputError(f"No policy could be tried; '{cfg.out / 'table.md'}' says why.")

@@ -1,28 +1,24 @@
-"""Carries out the units of the policy benchmark in processes, and keeps what is finished."""
+"""Carries out the units of the policy benchmark, and keeps what is finished."""
 
-import contextlib
 import json
 import math
-import multiprocessing
 import os
 import time
 import traceback
-from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import torch
 
 from pneutac_benchmarks.policy.plan import RESULT, Unit, as_dict
 from pneutac_sim.errors import InputError
-from pneutac_sim.executor import process_pool
+from pneutac_sim.executor import ExecutorOptions, run_pieces
 from pneutac_sim.files import write_json
+from pneutac_sim.progress import Progress, no_progress
 
 LOG = "log.txt"
-GPU_TRAININGS = 6  # side by side on each
-# Each process computes on one thread, and none asks the Hub for datasets that lie here.
-_ENVIRONMENT = {"OMP_NUM_THREADS": "1", "HF_HUB_OFFLINE": "1"}
+GPU_TRAININGS = 6  # side by side on each GPU of this machine
 
 
 def finished(out: Path, unit: Unit) -> dict | None:
@@ -39,6 +35,8 @@ def finished(out: Path, unit: Unit) -> dict | None:
         made = found["unit"]
     except (ValueError, KeyError, TypeError) as e:
         raise InputError(f"'{path}' is damaged; delete '{path.parent}'.") from e
+    if "result" not in found:  # it failed, or was not begun
+        return None
     if made != json.loads(json.dumps(as_dict(unit))):
         raise InputError(f"'{path.parent}' was made with other options; give another folder, or delete it.")
     return found
@@ -47,118 +45,112 @@ def finished(out: Path, unit: Unit) -> dict | None:
 def run_units(
     out: Path,
     units: list[Unit],
-    jobs: int,
-    progress: Callable[[float, str], None],
+    options: ExecutorOptions,
+    progress: Progress = no_progress,
     until: float = math.inf,
 ) -> tuple[dict[str, dict], dict[str, str], list[str]]:
-    """Carries out what is not finished, in the order of what needs what.
+    """Carries out what is not finished, in stages: units whose needs are there, then those that need them.
 
     Args:
         out: the benchmark's folder.
         units: those that others need first, and those that count most.
-        jobs: processes.
-        progress: is told the share that is done and a few words.
-        until: `time.monotonic()` after which no unit is begun; the units that were not are in neither result.
+        options: where the units are carried out.
+        progress: is called with the kinds of a stage, and how many of its units are done.
+        until: `time.time()` after which no unit is begun; the units that were not are in neither result.
 
     Returns:
         unit name to what is in its `unit.json`; unit name to a sentence for those that could not be done; and
         the names of those among them that ended in a fault, not in an InputError.
+
+    Raises:
+        InputError: a process ended, or the cluster refuses the work; the same command goes on.
     """
     done = {u.name: found for u in units if (found := finished(out, u)) is not None}
     failed: dict[str, str] = {}
     faults: list[str] = []
-    waiting = {u.name: u for u in units if u.name not in done}
-    gpus = torch.cuda.device_count()
-    running: dict[Future, Unit] = {}
-    total = sum(u.core_s for u in units)
-
-    def show(words: str) -> None:
-        over = sum(u.core_s for u in units if u.name in done or u.name in failed)
-        progress(over / total, words)
-
-    with _environment(), _pool(jobs) as pool:
-        while waiting or running:
-            for unit in [u for u in waiting.values() if set(u.needs) & failed.keys()]:
-                missing = next(n for n in unit.needs if n in failed)
-                failed[waiting.pop(unit.name).name] = f"needs {missing}"
-            if time.monotonic() > until:
-                waiting.clear()
-            for unit in [u for u in waiting.values() if set(u.needs) <= done.keys()]:
-                training = sum(_on_gpu(u) for u in running.values())
-                if len(running) == jobs:
-                    break
-                if not _on_gpu(unit) or training < GPU_TRAININGS * gpus:
-                    del waiting[unit.name]
-                    running[pool.submit(run_unit, out, unit)] = unit
-            show(", ".join(sorted(u.name for u in running.values())))
-            if not running:
-                continue
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                unit = running.pop(future)
-                error = future.exception()
-                if error is None:
-                    done[unit.name] = future.result()
-                elif isinstance(error, BrokenProcessPool):
-                    raise InputError(
-                        f"A process ended during '{unit.name}' (out of memory?); see"
-                        f" '{out / unit.name / LOG}' and repeat the command, with fewer --jobs."
-                    ) from error
-                else:
-                    failed[unit.name] = str(error)
-                    if not isinstance(error, InputError):  # the others go on; the command ends with an error
-                        log = out / unit.name / LOG
-                        with log.open("a") as file:
-                            file.writelines(traceback.format_exception(error))
-                        failed[unit.name] = f"{type(error).__name__}: {error} (see '{log}')"
-                        faults.append(unit.name)
-    show("")
+    for wanted in _rounds(units, until):
+        waiting = [u for u in wanted if u.name not in done and u.name not in failed]
+        for unit in waiting:
+            (out / unit.name / RESULT).unlink(missing_ok=True)  # of a run in which it failed
+        while stage := _ready(waiting, done):
+            files = [out / u.name / RESULT for u in stage]
+            kinds = ", ".join(sorted({u.kind for u in stage}))
+            run_pieces(
+                partial(run_unit, out, stage, until),
+                files,
+                out / "logs",
+                _on(options, stage),
+                progress,
+                kinds,
+            )
+            for unit, file in zip(stage, files, strict=True):
+                found = json.loads(file.read_text())
+                if "result" in found:
+                    done[unit.name] = found
+                elif "failed" in found:
+                    failed[unit.name] = found["failed"]
+                    faults += [unit.name] * found["fault"]
+            waiting = [u for u in waiting if u not in stage]
+            for unit in waiting:
+                if missing := next((n for n in unit.needs if n in failed), None):
+                    failed[unit.name] = f"needs {missing}"
     return done, failed, faults
+
+
+def _rounds(units: list[Unit], until: float) -> Iterator[list[Unit]]:
+    """All at once, or seed by seed where the time may end before all are done."""
+    if until == math.inf:
+        yield units
+        return
+    named = {u.name: u for u in units}
+    for seed in dict.fromkeys(u.name.split("/")[1] for u in units):
+        names = [u.name for u in units if u.name.split("/")[1] == seed]
+        for name in names:
+            names += [n for n in named[name].needs if n not in names]
+        yield [u for u in units if u.name in names]
+
+
+def _ready(waiting: list[Unit], done: dict[str, dict]) -> list[Unit]:
+    """Units whose needs are there; those of a GPU alone."""
+    ready = [u for u in waiting if set(u.needs) <= done.keys()]
+    return [u for u in ready if not _on_gpu(u)] or ready
+
+
+def _on(options: ExecutorOptions, stage: list[Unit]) -> ExecutorOptions:
+    """Where a stage is carried out: few at a time where they share this machine's GPUs."""
+    given = {name: getattr(options, name) for name in ExecutorOptions.__dataclass_fields__}
+    if options.executor == "local" and _on_gpu(stage[0]):
+        most = GPU_TRAININGS * torch.cuda.device_count()
+        given["workers"] = min(options.workers or len(os.sched_getaffinity(0)), most)
+    return ExecutorOptions(**given)
 
 
 def _on_gpu(unit: Unit) -> bool:
     return unit.options.get("device") == "cuda"
 
 
-def run_unit(out: Path, unit: Unit) -> dict:
-    """Carries out one unit; all that this process prints goes to the unit's log. Returns its `unit.json`."""
-    folder = out / unit.name
+def run_unit(out: Path, units: list[Unit], until: float, number: int) -> None:
+    """Carries out a unit and writes its `unit.json`; all that this process prints goes to the unit's log."""
+    unit = units[number]
+    folder, found = out / unit.name, {"unit": as_dict(unit)}
     folder.mkdir(parents=True, exist_ok=True)
+    if time.time() > until:
+        write_json(folder / RESULT, found)
+        return
     with (folder / LOG).open("a") as log:
         for stream in (1, 2):  # also what libraries in C print
             os.dup2(log.fileno(), stream)
+    os.environ["HF_HUB_OFFLINE"] = "1"  # what lies here is not looked for on the Hub
     from pneutac_benchmarks.policy.units import KINDS
 
     start = time.monotonic()
-    result = KINDS[unit.kind](folder, unit.options, [out / need for need in unit.needs])
-    found = {"unit": as_dict(unit), "seconds": time.monotonic() - start, "result": result}
+    try:
+        found["result"] = KINDS[unit.kind](folder, unit.options, [out / need for need in unit.needs])
+        found["seconds"] = time.monotonic() - start
+    except InputError as e:
+        found |= {"failed": str(e), "fault": False}
+    except Exception as e:  # the other units go on; the command ends with an error
+        with (folder / LOG).open("a") as log:
+            log.writelines(traceback.format_exception(e))
+        found |= {"failed": f"{type(e).__name__}: {e} (see '{folder / LOG}')", "fault": True}
     write_json(folder / RESULT, found)
-    return found
-
-
-@contextlib.contextmanager
-def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes that end with this one, and at once when this one fails or is interrupted."""
-    pool = process_pool(jobs)
-    try:
-        yield pool
-    except BaseException:
-        for process in multiprocessing.active_children():
-            process.kill()  # what they had not finished is done again
-        raise
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-@contextlib.contextmanager
-def _environment() -> Iterator[None]:
-    """What the processes find in their environment."""
-    before = {k: os.environ.get(k) for k in _ENVIRONMENT}
-    os.environ.update(_ENVIRONMENT)
-    try:
-        yield
-    finally:
-        for k, v in before.items():
-            if v is None:
-                del os.environ[k]
-            else:
-                os.environ[k] = v
