@@ -261,7 +261,7 @@ def other_sensor(meta: "LeRobotDatasetMetadata", sensor: "TactileSensor") -> str
     """
     import torch
 
-    from lerobot_robot_pneutac.policy.rest_image import SAME_SENSOR, likeness, rest_image_of
+    from lerobot_robot_pneutac.policy.tactile_encoder import SAME_SENSOR, likeness, rest_image_of
     from pneutac_sim.gel.contact import contact_area, quieted
 
     rest = rest_image_of(meta)

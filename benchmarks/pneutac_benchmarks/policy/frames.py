@@ -106,7 +106,7 @@ class Frames:
 
     @property
     def rest(self) -> torch.Tensor:
-        """The rest image (3, H, W) in [0, 1], by the rule of `rest_image.rest_image_of`."""
+        """The rest image (3, H, W) in [0, 1], by the rule of `tactile_encoder.rest_image_of`."""
         chosen = np.unique(np.linspace(0, self.episodes - 1, min(self.episodes, MAX_EPISODES)).round())
         first = self.images[self.first][chosen.astype(int)]
         rest = torch.from_numpy(first).permute(0, 3, 1, 2).float().div(255).quantile(0.5, dim=0)
