@@ -1,4 +1,4 @@
-"""The demo's page: what was found, how the error fell, what the policy does and feels, what was run."""
+"""The demo's page: what was found, how the error fell, what the policies do and feel, what was run."""
 
 from pathlib import Path
 
@@ -7,6 +7,7 @@ from PIL import Image
 
 from lerobot_pneutac.reports.page import AFTER, BEFORE, MEASURED, Report
 
+FILMS = 3  # starts of which both films are shown
 TITLES = {
     "bench": "Measured",
     "twin": "Twin, calibrated and compared",
@@ -31,15 +32,24 @@ def demo_page(result) -> Report:
         " creep and hysteresis have other equations than the twin's effects.",
     )
     page.text(state["diagnose"]["sentence"])
-    page.heading("What the policy does")
-    for video in sorted((out / "eval").rglob("*.mp4"))[:3]:
-        page.video(video, f"The policy on the stand-in, {video.stem.replace('_', ' ')}", width=480)
+    page.heading("What the policies do")
+    page.text(
+        "Both policies on the stand-in from the same starts: at the left trained with augmentation, at the"
+        " right on the recorded demonstrations alone."
+    )
+    films = [sorted((out / folder).rglob("*.mp4")) for folder in ("eval", "eval_alone")]
+    for start, pair in list(enumerate(zip(*films, strict=False)))[:FILMS]:
+        ends = ["done" if state["evaluate"][arm][start] else "not done" for arm in ("augmented", "alone")]
+        page.videos(list(pair), f"Start {start + 1}: with augmentation {ends[0]}, the ten alone {ends[1]}.")
     page.heading("What it feels")
     page.image(demonstration_strip(out / "demonstrations"), "One demonstration: touch over time")
     for picture in sorted((out / "touch").glob("*.png"))[:1]:
         page.image(np.asarray(Image.open(picture).convert("RGB")), "Presses beside the calibrated model")
     page.heading("Learning curve")
-    page.figure(_losses(state["train"]), "Training loss of lerobot-train")
+    page.figure(
+        _losses(state["train"]),
+        "Training loss of lerobot-train, each on its own data: it does not tell which policy is better",
+    )
     page.heading("Try next")
     page.code("\n".join(result.next_commands))
     return _with_commands(page, state)
@@ -106,8 +116,10 @@ def _errors(state: dict, added: list[str]):
 def _losses(training: dict):
     import plotly.graph_objects as go
 
-    x = (1 + np.arange(len(training["losses"]))) * training["log_freq"]
-    figure = go.Figure(go.Scatter(x=x, y=training["losses"], mode="lines"))
+    figure = go.Figure()
+    for arm, name in (("augmented", "with augmentation"), ("alone", "recorded ones alone")):
+        x = (1 + np.arange(len(training[arm]))) * training["log_freq"]
+        figure.add_scatter(x=x, y=training[arm], mode="lines", name=name)
     axes = {"xaxis_title": "step", "yaxis_title": "loss (mm² per step + kPa²)", "yaxis_type": "log"}
     return figure.update_layout(**axes)
 

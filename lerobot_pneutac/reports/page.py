@@ -96,7 +96,12 @@ class Report:
 
     def video(self, path: str | Path, caption: str = "", width: int = 640) -> None:
         """An MP4 file, embedded."""
-        self._add("video", caption, width=width, data=_base64(Path(path).read_bytes()))
+        self.videos([path], caption, width)
+
+    def videos(self, paths: Sequence[str | Path], caption: str = "", width: int = 470) -> None:
+        """MP4 files side by side, embedded."""
+        films = [_base64(Path(path).read_bytes()) for path in paths]
+        self._add("video", caption, width=width, films=films)
 
     def figure(self, figure, caption: str = "", height: int = 420) -> None:
         """An interactive plotly figure."""

@@ -1,8 +1,9 @@
 """Runs every step once on the simulated robot that stands in for a real one, by the commands of a user.
 
 A finger with hidden physics is measured; its twin is compared with the measurements, the missing effects are
-found and added, and the error falls. The corrected twin then turns ten demonstrations into more, one policy
-is trained with lerobot-train and tried with lerobot-eval on starts that it has not seen.
+found and added, and the error falls. The corrected twin then turns ten demonstrations of a modelled person
+into more. Two policies are trained with lerobot-train, on these and on the ten alone, and both are tried with
+lerobot-eval on the same starts, which they have not seen.
 """
 
 import importlib.util
@@ -15,9 +16,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from scipy.stats import binomtest
 
 from lerobot_pneutac.cli.terminal import Terminal
@@ -29,10 +32,13 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.features import CONTROL_HZ, TRIAL_S
 from pneutac_sim.files import write_json
+from pneutac_sim.pace import DONE, read_outcomes
 from pneutac_sim.progress import Progress
 from pneutac_sim.twin import Twin
 
-TASK, TASK_TEXT = "switch", "flip the switch"
+# Of three tasks augmentation helps most on this one. Person and starts are those of benchmarks/policy.md.
+TASK, TASK_TEXT = "card", "pull the front card out of the deck"
+PERSON, START_WIDTH = 0.5, 0.5
 LEARNING = (
     "demonstrations",
     "augmented",
@@ -41,7 +47,9 @@ LEARNING = (
     "trials",
 )  # options of the stages that it leaves out
 HIDDEN = "friction_maxwell"  # effect of the rod of the quick demo
-SPREAD = 60  # random starts over which the demonstrations are spread
+FIRST_S = 14  # of the demonstration by lerobot-record; the person is done with most in 10 s
+ALONE = "_alone"  # ends the folders of what is made of the recorded demonstrations alone
+RESAMPLED = 10_000
 
 
 @dataclass
@@ -52,10 +60,10 @@ class DemoConfig:
         out: folder of everything that the demo writes; of the quick one outputs/quick, where none is given.
         minutes: length of the session in which the finger is measured.
         demonstrations: number of those recorded on the stand-in, one of them by lerobot-record itself.
-        augmented: number of those planned on the corrected twin, guided by touch.
-        steps: optimiser steps of lerobot-train.
+        augmented: number of those that `augment` makes of them on the corrected twin.
+        steps: optimiser steps of lerobot-train, of each of the two policies.
         batch_size: frames of an optimiser step.
-        trials: randomised starts on which the policy is tried.
+        trials: randomised starts on which both policies are tried.
         seed: seed of every random choice.
         fresh: deletion of an earlier demo in `out`, before all else.
         quick: the bench alone, a minute or two and without LeRobot: a rod with a hidden effect is measured,
@@ -65,8 +73,8 @@ class DemoConfig:
     out: Path = Path("outputs/demo")
     minutes: float = 3.0
     demonstrations: int = 10
-    augmented: int = 12
-    steps: int = 5000
+    augmented: int = 60
+    steps: int = 4000
     batch_size: int = 32
     trials: int = 40
     seed: int = 1
@@ -145,29 +153,40 @@ class QuickResult(Result):
 class DemoResult(QuickResult):
     """What the whole demo came to."""
 
-    title = "A twin learns what its finger lacked, and a policy flips the switch"
+    title = "A twin learns what its finger lacked, and a policy pulls a card"
 
     @property
-    def success_ci95(self) -> tuple[float, float]:
-        """Wilson's 95 % interval of the success rate, percent."""
+    def difference(self) -> tuple[float, float, float]:
+        """Success with augmentation less that of the ten alone, percent, and its 95 % interval.
+
+        Over the same starts, by resampling them.
+        """
         e = self.state["evaluate"]
-        interval = binomtest(e["successes"], e["trials"]).proportion_ci(method="wilson")
-        return 100 * interval.low, 100 * interval.high
+        points = 100 * np.subtract(e["augmented"], e["alone"], dtype=float)
+        drawn = np.random.default_rng(0).choice(points, (RESAMPLED, len(points))).mean(1)
+        return float(points.mean()), *map(float, np.percentile(drawn, [2.5, 97.5]))
 
     @property
     def sentence(self) -> str:
-        """What was found, how the error fell, what the policy does."""
-        e = self.state["evaluate"]
-        lo, hi = self.success_ci95
+        """What was found, how the error fell, what the policies do, and whether augmentation helped."""
         before, after = self.state["twin"]["tip_error_mm"], self.state["add"]["tip_error_mm"]
         noise = self.state["add"]["noise_mm"]
         left = max(after**2 - noise**2, 0.0) ** 0.5
-        rate = f"{e['success_percent']:.0f} %, 95 % interval {lo:.0f} to {hi:.0f}"
+        e, made = self.state["evaluate"], self.state["augment"]
+        mean, low, high = self.difference
+        if low > 0:
+            verdict = "Augmentation helped in this run"
+        elif mean <= 0:
+            verdict = "Augmentation did not help in this run"
+        else:
+            verdict = "Whether augmentation helped is uncertain in this run"
         return (
             f"With {' and '.join(self.added)} added, the held-out tip error went from "
             f"{before:.2f} to {after:.2f} mm (noise {noise:.2f} mm, unexplained {left:.2f} mm). "
-            "Trained on demonstrations of the corrected twin, the policy flipped the switch in "
-            f"{e['successes']} of {e['trials']} starts that it had not seen ({rate})."
+            f"Trained on {made['recorded']} demonstrations and {made['kept']} made of them on the corrected"
+            f" twin, the policy pulled the card in {_count(e['augmented'], 'starts that it had not seen')};"
+            f" trained on the {made['recorded']} alone in {_count(e['alone'], 'of the same')}."
+            f" {verdict}: {mean:+.0f} points (95 % interval {low:+.0f} to {high:+.0f}; one training each)."
         )
 
     @property
@@ -187,16 +206,31 @@ class DemoResult(QuickResult):
         return Twin.load(self.out / "twin"), self.out / "bench/finger"
 
     def content(self) -> dict:
-        s = self.state
+        e, (mean, low, high) = self.state["evaluate"], self.difference
         return super().content() | {
-            "success_percent": s["evaluate"]["success_percent"],
-            "success_ci95": list(self.success_ci95),
-            "trials": s["evaluate"]["trials"],
-            "final_loss": s["train"]["losses"][-1],
+            "success_percent": {name: 100 * float(np.mean(e[name])) for name in ("augmented", "alone")},
+            "success_ci95": {name: wilson(e[name]) for name in ("augmented", "alone")},
+            "difference_percent": mean,
+            "difference_ci95": [low, high],
+            "trials": len(e["augmented"]),
+            "final_loss": self.state["train"]["augmented"][-1],
         }
 
     def page(self) -> Report:
         return demo_page(self)
+
+
+def wilson(successes: list[bool]) -> list[float]:
+    """Wilson's 95 % interval of a success rate, percent."""
+    interval = binomtest(sum(successes), len(successes)).proportion_ci(method="wilson")
+    return [100 * interval.low, 100 * interval.high]
+
+
+def _count(successes: list[bool], what: str) -> str:
+    """Such as "8 of 10 starts (80 %, 95 % interval 49 to 94)"."""
+    low, high = wilson(successes)
+    rate = f"{100 * np.mean(successes):.0f} %, 95 % interval {low:.0f} to {high:.0f}"
+    return f"{sum(successes)} of {len(successes)} {what} ({rate})"
 
 
 Announce = Callable[[str], None]
@@ -247,10 +281,10 @@ class Demo:
             ("twin", "Make its twin, calibrate finger and gel, and compare", self._calibrate),
             ("diagnose", "Which physics is missing?", self._diagnose),
             ("add", "Add it, and see the error fall", self._add),
-            ("record", f"Record {cfg.demonstrations} demonstrations", self._record),
-            ("augment", f"Plan {cfg.augmented} more on the corrected twin, guided by touch", self._augment),
-            ("train", "Train a policy with lerobot-train", self._train),
-            ("evaluate", f"Try it with lerobot-eval, {cfg.trials} starts", self._evaluate),
+            ("record", f"Record {cfg.demonstrations} demonstrations of a modelled person", self._record),
+            ("augment", f"Make {cfg.augmented} more of them on the corrected twin", self._augment),
+            ("train", "Train a policy on all with lerobot-train, and one on the recorded alone", self._train),
+            ("evaluate", f"Try both with lerobot-eval, the same {cfg.trials} starts", self._evaluate),
         ]
         stages = quick if cfg.quick else full
         for number, (name, title, stage) in enumerate(stages, 1):
@@ -314,23 +348,32 @@ class Demo:
         return self._compare("compare_after")
 
     def _record(self) -> dict:
-        """One demonstration by lerobot-record in real time, the others unpaced by the same robot code."""
+        """One demonstration by lerobot-record in real time, the others unpaced by the same robot code.
+
+        The unpaced are recorded until they succeed; whether the first did is in its `outcomes.json`.
+        """
         cfg, first, rest = self.cfg, self._path("recorded_1"), self._path("recorded_2")
-        merged = self._path("demonstrations")
-        for folder in (first, rest, merged):
+        recorded = self._path("demonstrations")
+        for folder in (first, rest, recorded):
             shutil.rmtree(folder, ignore_errors=True)
         self._command(
             "lerobot-record", "--robot.type=pneutac_sim", "--robot.id=demo", "--robot.standin=true",
             f"--robot.twin={self.twin}", f"--robot.task={TASK}", f"--robot.seed={cfg.seed}",
-            "--teleop.type=pneutac_scripted", f"--teleop.seed={cfg.seed}",
+            f"--robot.start_width={START_WIDTH}", "--teleop.type=pneutac_scripted",
+            f"--teleop.person={PERSON}", f"--teleop.seed={cfg.seed}",
             f"--dataset.repo_id=local/{first.name}", f"--dataset.root={first}", "--dataset.no_stamp=true",
             f"--dataset.single_task={TASK_TEXT}", f"--dataset.fps={CONTROL_HZ}", "--dataset.num_episodes=1",
-            f"--dataset.episode_time_s={TRIAL_S}", "--dataset.reset_time_s=0",
+            f"--dataset.episode_time_s={FIRST_S}", "--dataset.reset_time_s=0",
             "--dataset.streaming_encoding=true", "--dataset.push_to_hub=false", "--play_sounds=false",
         )  # fmt: skip
-        self._unpaced(rest, cfg.demonstrations - 1)
-        self._merge(merged, first, rest)
-        return {}
+        done = read_outcomes(first / "meta").get(0) == DONE
+        if done:
+            self._unpaced(rest, cfg.demonstrations - 1)
+            self._merge(recorded, first, rest)
+        else:
+            self._announce("It failed, as some of a person's do, and is left out.")
+            self._unpaced(recorded, cfg.demonstrations)
+        return {"first_done": done}
 
     def _unpaced(self, root: Path, episodes: int) -> None:
         from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
@@ -341,9 +384,9 @@ class Demo:
 
         seed, steps = self.cfg.seed + 1000, TRIAL_S * CONTROL_HZ
         options = {"id": "demo", "task": TASK, "seed": seed, "standin": True, "twin": self.twin}
-        robot = PneutacSim(PneutacSimConfig(**options, spread=SPREAD))
-        teleop = PneutacScripted(PneutacScriptedConfig(id="scripted", seed=seed, episode_steps=steps))
-        name = f"local/{root.name}"
+        robot = PneutacSim(PneutacSimConfig(**options, start_width=START_WIDTH))
+        person = PneutacScriptedConfig(id="scripted", seed=seed, episode_steps=steps, person=PERSON)
+        name, teleop = f"local/{root.name}", PneutacScripted(person)
         record_episodes(robot, teleop, name, root, episodes, TASK_TEXT, True, self._progress)
 
     def _augment(self) -> dict:
@@ -352,49 +395,63 @@ class Demo:
         self._command(
             "pneutac", "augment", f"--dataset.repo_id=local/{source.name}", f"--dataset.root={source}",
             f"--output.repo_id=local/{new.name}", f"--output.root={new}", f"--task={TASK}",
-            f"--twin={self.twin}", "--method=planner", f"--episodes={self.cfg.augmented}",
+            f"--twin={self.twin}", f"--start_width={START_WIDTH}", f"--episodes={self.cfg.augmented}",
             f"--seed={self.cfg.seed}", f"--out={out}",
         )  # fmt: skip
         result = json.loads((out / "result.json").read_text())
-        return {"kept": result["kept"], "attempts": result["attempts"]}
+        return {name: result[name] for name in ("kept", "attempts")} | {"recorded": self.cfg.demonstrations}
 
     def _train(self) -> dict:
-        """The paper's behaviour-cloning policy on recorded and new demonstrations together."""
-        cfg, out, data = self.cfg, self._path("train"), self._path("training")
-        for folder in (out, data):
-            shutil.rmtree(folder, ignore_errors=True)
-        # Recorded episodes count twice, planned ones once: 148 of 180 trials instead of 136 succeeded.
-        sources = [*[self._path("demonstrations")] * 2, self._path("augmented")]
-        # Small images, one row a sample: these cores see ten times the frames in the same time.
-        self._command(
-            "python", "-m", "pneutac_datasets.demonstrations.pool", f"--out={data}", *map(str, sources)
-        )
-        every = max(1, cfg.steps // 50)
-        printed = self._command(
-            "lerobot-train", "--policy.type=pneutac_bc", "--policy.device=cpu",
-            f"--dataset.repo_id=local/{data.name}", f"--dataset.root={data}", f"--output_dir={out}",
-            f"--steps={cfg.steps}", f"--batch_size={cfg.batch_size}", f"--seed={cfg.seed}",
-            "--policy.previous_action_in_data=true", "--policy.optimizer_lr=1e-3", "--num_workers=2",
-            "--dataloader_multiprocessing_context=fork",
-            f"--log_freq={every}", "--save_freq=0", "--env_eval_freq=0", "--wandb.enable=false",
-            total=cfg.steps // every, pattern=r"\bloss:",
-        )  # fmt: skip
-        losses = [float(x) for x in re.findall(r"\bloss:([0-9.eE+-]+)", printed)]
-        return {"log_freq": every, "losses": losses}
+        """The paper's behaviour-cloning policy on what `augment` has mixed, and on the recorded alone."""
+        cfg, every = self.cfg, max(1, self.cfg.steps // 50)
+        pools, trainings = [], []
+        for source, end in (("augmented", ""), ("demonstrations", ALONE)):
+            out, data = self._path(f"train{end}"), self._path(f"training{end}")
+            for folder in (out, data):
+                shutil.rmtree(folder, ignore_errors=True)
+            # Small images, one row a sample: these cores see ten times the frames in the same time.
+            pools.append(
+                (
+                    "python",
+                    "-m",
+                    "pneutac_datasets.demonstrations.pool",
+                    f"--out={data}",
+                    str(self._path(source)),
+                )
+            )
+            trainings.append((
+                "lerobot-train", "--policy.type=pneutac_bc", "--policy.device=cpu",
+                f"--dataset.repo_id=local/{data.name}", f"--dataset.root={data}", f"--output_dir={out}",
+                f"--steps={cfg.steps}", f"--batch_size={cfg.batch_size}", f"--seed={cfg.seed}",
+                "--policy.previous_action_in_data=true", "--policy.optimizer_lr=1e-3", "--num_workers=1",
+                "--dataloader_multiprocessing_context=fork",
+                f"--log_freq={every}", "--save_freq=0", "--env_eval_freq=0", "--wandb.enable=false",
+            ))  # fmt: skip
+        self._together(*pools)
+        printed = self._together(*trainings, total=cfg.steps // every, pattern=r"\bloss:")
+        losses = [[float(x) for x in re.findall(r"\bloss:([0-9.eE+-]+)", text)] for text in printed]
+        return {"log_freq": every, "augmented": losses[0], "alone": losses[1]}
 
     def _evaluate(self) -> dict:
-        cfg, out = self.cfg, self._path("eval")
-        shutil.rmtree(out, ignore_errors=True)
-        self._command(
-            "lerobot-eval", f"--policy.path={self._path('train')}/checkpoints/last/pretrained_model",
-            "--policy.device=cpu", "--env.type=pneutac_standin", f"--env.task={TASK}",
-            f"--env.twin={self.twin}", f"--eval.n_episodes={cfg.trials}",
-            "--eval.batch_size=2", f"--seed={cfg.seed + 5000}",
-            f"--output_dir={out}",
-        )  # fmt: skip
-        percent = json.loads((out / "eval_info.json").read_text())["overall"]["pc_success"]
-        successes = round(percent * cfg.trials / 100)
-        return {"success_percent": percent, "successes": successes, "trials": cfg.trials}
+        cfg, trials = self.cfg, []
+        for end in ("", ALONE):
+            shutil.rmtree(self._path(f"eval{end}"), ignore_errors=True)
+            trials.append((
+                "lerobot-eval",
+                f"--policy.path={self._path(f'train{end}')}/checkpoints/last/pretrained_model",
+                "--policy.device=cpu", "--env.type=pneutac_standin", f"--env.task={TASK}",
+                f"--env.twin={self.twin}", f"--env.start_width={START_WIDTH}",
+                f"--eval.n_episodes={cfg.trials}", "--eval.batch_size=1", f"--seed={cfg.seed + 5000}",
+                f"--output_dir={self._path(f'eval{end}')}",
+            ))  # fmt: skip
+        self._together(*trials)
+        return {"augmented": self._successes("eval"), "alone": self._successes(f"eval{ALONE}")}
+
+    def _successes(self, folder: str) -> list[bool]:
+        """Of each start, in the order of the starts."""
+        info = json.loads((self._path(folder) / "eval_info.json").read_text())
+        (task,) = info["per_task"]
+        return [bool(done) for done in task["metrics"]["successes"]]
 
     # ------------------------------------------------------------ what the stages share
 
@@ -421,6 +478,12 @@ class Demo:
             "--operation.type=merge", f"--operation.repo_ids={ids}", f"--operation.roots={roots}",
         )  # fmt: skip
 
+    def _together(self, *commands: tuple[str, ...], total: int = 0, pattern: str = "") -> list[str]:
+        """Runs commands side by side, see `_command`; returns what each printed."""
+        with ThreadPoolExecutor(len(commands)) as pool:
+            running = [pool.submit(self._command, *c, total=total, pattern=pattern) for c in commands]
+            return [each.result() for each in running]
+
     def _command(self, *command: str, total: int = 0, pattern: str = "") -> str:
         """Runs one command, its output into `logs/`; each match of `pattern` is progress.
 
@@ -430,12 +493,14 @@ class Demo:
         Raises:
             InputError: it failed; with the end of its log.
         """
-        self._commands.append(shlex.join(command))
-        self._announce(f"$ {self._commands[-1]}")
+        line = shlex.join(command)
+        self._commands.append(line)
+        self._announce(f"$ {line}")
         # More threads than cores left over make torch on small batches slower, not faster.
         env = os.environ | {"HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
         env["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{env['PATH']}"
-        log = self._path("logs") / f"{len(self.state):02d}_{len(self._commands)}_{Path(command[0]).name}.log"
+        number = 1 + self._commands.index(line)
+        log = self._path("logs") / f"{len(self.state):02d}_{number}_{Path(command[0]).name}.log"
         log.parent.mkdir(exist_ok=True)
         lines, done, name = [], 0, " ".join(w for w in command[:2] if not w.startswith("-"))
         pipe = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "errors": "replace"}

@@ -27,6 +27,7 @@ class Commands:
 
     def __init__(self):
         self.lines, self.stop, self.selected, self.left_out = [], None, SELECTED, ()
+        self.first, self.tenths = "done", (9, 5)  # of the recorded one, of starts with augmentation and alone
 
     def __call__(self, demo, *words, total=0, pattern=""):
         line = " ".join(words)
@@ -54,8 +55,13 @@ class Commands:
         }.get(words[1], {})
         if "out" in options:
             self.write(demo.cfg.out / options["out"].removeprefix(f"{demo.cfg.out}/"), "result.json", result)
+        if words[0] == "lerobot-record":
+            self.write(demo.cfg.out / "recorded_1" / "meta", "outcomes.json", {"0": self.first})
         if words[0] == "lerobot-eval":
-            self.write(demo.cfg.out / "eval", "eval_info.json", {"overall": {"pc_success": 90.0}})
+            folder, n = options["output_dir"].rsplit("/", 1)[1], demo.cfg.trials
+            done = [k % 10 < self.tenths[folder.endswith("_alone")] for k in range(n)]
+            info = {"per_task": [{"metrics": {"successes": done}}]}
+            self.write(demo.cfg.out / folder, "eval_info.json", info)
         return "step:1 loss:3.5 grdn:1\nstep:2 loss:0.25 grdn:1\n" if words[0] == "lerobot-train" else ""
 
     @property
@@ -100,17 +106,20 @@ def test_the_stages_run_in_order_and_hand_on_what_they_found(commands, tmp_path)
         *["pneutac add", "pneutac compare"],
         *["lerobot-record", "unpaced 9", "lerobot-edit-dataset"],
         "pneutac augment",
-        *["pneutac_datasets.demonstrations.pool", "lerobot-train"],
-        "lerobot-eval",
+        *["pneutac_datasets.demonstrations.pool"] * 2,
+        *["lerobot-train"] * 2,
+        *["lerobot-eval"] * 2,
     ]
-    assert result.state["augment"] | {"seconds": 0, "commands": []} == {
+    assert {k: result.state["augment"][k] for k in ("kept", "attempts", "recorded")} == {
         "kept": 3,
         "attempts": 4,
-        "seconds": 0,
-        "commands": [],
+        "recorded": 10,
     }
-    assert result.state["train"]["losses"] == [3.5, 0.25]
-    assert result.state["evaluate"]["successes"] == 9
+    assert result.state["train"]["augmented"] == [3.5, 0.25]
+    assert sum(result.state["evaluate"]["augmented"]) == 9 and sum(result.state["evaluate"]["alone"]) == 5
+    policies = [line for line in commands.lines if line.startswith("lerobot-")]
+    for seed in ("--seed=1", "--seed=5001"):
+        assert sum(seed in line.split() for line in policies) == 2, "both are trained and tried alike"
     d = result.to_dict()
     assert d["tip_error_mm"] == {"before": 2.5, "after": pytest.approx(2.5 / 3)} and d["noise_mm"] == 0.5
     assert d["selected"] == SELECTED and d["final_loss"] == 0.25 and set(d["seconds"]) == set(STAGES)
@@ -138,7 +147,7 @@ def test_an_interrupted_demo_goes_on_where_it_stopped(commands, tmp_path, stop, 
     for verb in ("pneutac_datasets.generate", "pneutac diagnose", "lerobot-record"):
         assert commands.verbs().count(verb) == 1
     assert len(commands.added) == 1, "what was found is added once"
-    assert result.to_dict()["success_percent"] == 90.0
+    assert result.to_dict()["success_percent"] == {"augmented": 90.0, "alone": 50.0}
 
 
 def test_a_finished_demo_runs_nothing_again_and_fresh_begins_anew(commands, tmp_path):
@@ -192,12 +201,16 @@ def test_the_sentence_says_what_was_found_and_the_report_is_written(commands, tm
     out = tmp_path / "d"
     run_verb("demo", [f"--out={out}"])
     result = json.loads((out / "result.json").read_text())
-    assert result["trials"] == 40 and result["success_ci95"] == pytest.approx([76.95, 96.04], abs=0.01)
+    assert result["trials"] == 40
+    assert result["success_ci95"]["augmented"] == pytest.approx([76.95, 96.04], abs=0.01)
+    assert result["difference_percent"] == 40 and 20 < result["difference_ci95"][0] < 30
     page = (out / "report.html").read_text()
     sentence = (
         "With creep and valve_lag added, the held-out tip error went from 2.50 to 0.83 mm "
-        "(noise 0.50 mm, unexplained 0.67 mm). Trained on demonstrations of the corrected twin, the policy "
-        "flipped the switch in 36 of 40 starts that it had not seen (90 %, 95 % interval 77 to 96)."
+        "(noise 0.50 mm, unexplained 0.67 mm). Trained on 10 demonstrations and 3 made of them on the"
+        " corrected twin, the policy pulled the card in 36 of 40 starts that it had not seen (90 %, 95 %"
+        " interval 77 to 96); trained on the 10 alone in 20 of 40 of the same (50 %, 95 % interval 35 to 65)."
+        " Augmentation helped in this run: +40 points (95 % interval +25 to +55; one training each)."
     )
     assert sentence in page
     for text in ("The error of the twin", "Learning curve", "lerobot-eval", "Two are missing."):
@@ -220,3 +233,34 @@ def test_an_effect_that_add_left_out_is_not_called_added_and_the_twin_before_sta
     assert result.sentence.startswith("With creep added, ")
     assert "creep" not in Twin.load(tmp_path / "d" / "before").effects
     assert sum(" add " in line for line in commands.lines) == 1
+
+
+@pytest.mark.parametrize(
+    ("tenths", "said"),
+    [
+        ((5, 5), "Augmentation did not help in this run: +0 points"),
+        ((3, 6), "Augmentation did not help in this run: -30 points"),
+        ((6, 5), "Whether augmentation helped is uncertain in this run: +10 points"),
+    ],
+)
+def test_it_says_where_augmentation_did_not_help(commands, tmp_path, tenths, said):
+    commands.tenths = tenths
+    assert said in demo(tmp_path / "d", trials=10)[0].run().sentence
+
+
+def test_a_first_demonstration_that_failed_is_left_out(commands, tmp_path):
+    commands.first = "the task was not done"
+    demo(tmp_path / "d")[0].run()
+    assert "unpaced 10" in commands.lines and "lerobot-edit-dataset" not in commands.verbs()
+
+
+def test_films_of_both_policies_stand_side_by_side(commands, tmp_path):
+    result = demo(tmp_path / "d")[0].run()
+    for folder, marks in (("eval", b"xy"), ("eval_alone", b"zw")):
+        for k, mark in enumerate(marks):
+            (tmp_path / "d" / folder / f"eval_episode_{k}.mp4").write_bytes(bytes([mark]) * 3)
+    page = result.page().fragment()
+    films = re.findall(r"<figure>(.*?)</figure>", page)
+    pairs = [re.findall(r"base64,(\w+)", film) for film in films if "<video" in film]
+    assert pairs == [["eHh4", "enp6"], ["eXl5", "d3d3"]]
+    assert "Start 1: with augmentation done, the ten alone done." in page
