@@ -14,6 +14,7 @@ from lerobot_pneutac.cli.terminal import Terminal
 
 OK, NOTE, FAIL = "ok", "note", "missing"
 DEV = Path("/dev")
+LEROBOT = "0.6"  # series that `lerobot_robot_pneutac` is tried on; it names the exact version
 Check = tuple[str, str, str, str]  # name, state, what was found, remedy
 
 
@@ -22,7 +23,12 @@ def check_packages() -> list[Check]:
     rows = [("Python", OK if sys.version_info >= (3, 12) else FAIL, platform.python_version(), "")]
     for name in ("lerobot", "torch", "mujoco", "numba", "gymnasium", "numpy", "pyserial"):
         try:
-            rows.append((name, OK, importlib.metadata.version(name), ""))
+            version = importlib.metadata.version(name)
+            if name == "lerobot" and not version.startswith(f"{LEROBOT}."):
+                remedy = f"PneuTac is made for LeRobot {LEROBOT}: uv pip install 'lerobot=={LEROBOT}.*'"
+                rows.append((name, FAIL, version, remedy))
+            else:
+                rows.append((name, OK, version, ""))
         except importlib.metadata.PackageNotFoundError:
             rows.append((name, FAIL, "not installed", f"uv pip install {name}"))
     return rows

@@ -5,7 +5,8 @@ Where a parameter is wrong the sentence begins with its name: the command line m
 
 import re
 import shlex
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
 # All but tab and newline: what a terminal obeys, and marks that turn the direction of text.
 CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
@@ -20,6 +21,22 @@ class InputError(ValueError):
 
     def __init__(self, message: str):
         super().__init__(printable(message))
+
+
+@contextmanager
+def from_hub(sentence: str) -> Iterator[None]:
+    """Makes any fault of the Hub or of the network one sentence, which begins with this one.
+
+    Raises:
+        InputError: something failed inside.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as e:  # client, network and file cache have errors of their own, without a common class
+        reason = (str(e).splitlines() or [""])[0].strip().rstrip(".") or type(e).__name__
+        raise InputError(f"{sentence} ({reason}); check the name, your login and the network.") from e
 
 
 def printable(text: str) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 import yaml
 from safetensors.numpy import load_file, save
 
-from pneutac_sim.errors import InputError, option, shown
+from pneutac_sim.errors import InputError, from_hub, option, shown
 from pneutac_sim.features import PAPER_LENGTH_MM, PAPER_RANGE_KPA
 from pneutac_sim.files import inside, locked, read_yaml, refuse_pointer, whole, write_json, write_text
 
@@ -236,12 +236,17 @@ class Twin:
         return replace(self, effects={k: v for k, v in self.effects.items() if k != effect})
 
     def push_to_hub(self, repo_id: str, **kwargs) -> str:
-        """Uploads a saved copy of this twin to the Hugging Face Hub; returns the commit's address."""
+        """Uploads a saved copy of this twin to the Hugging Face Hub; returns the commit's address.
+
+        Raises:
+            InputError: the Hub cannot be reached, or refuses it.
+        """
         import tempfile
 
         from huggingface_hub import HfApi  # slow to import, and few twins come from the Hub or go there
 
-        with tempfile.TemporaryDirectory() as tmp:
+        failed = f"The twin was not uploaded to '{repo_id}'"
+        with tempfile.TemporaryDirectory() as tmp, from_hub(failed):
             self.save(tmp)
             api = HfApi()
             api.create_repo(repo_id, exist_ok=True)
@@ -250,12 +255,18 @@ class Twin:
 
     @classmethod
     def from_pretrained(cls, name_or_path: str | Path, **kwargs) -> "Twin":
-        """Loads a twin from a folder or from a Hub repository."""
+        """Loads a twin from a folder or from a Hub repository.
+
+        Raises:
+            InputError: there is no such folder and the Hub cannot be reached or has none, or it is damaged.
+        """
         if Path(name_or_path).is_dir():
             return cls.load(name_or_path)
         from huggingface_hub import snapshot_download
 
-        return cls.load(snapshot_download(str(name_or_path), **kwargs))
+        with from_hub(f"There is no folder '{name_or_path}', and no twin of that name came from the Hub"):
+            folder = snapshot_download(str(name_or_path), **kwargs)
+        return cls.load(folder)
 
     def _as_dict(self) -> dict:
         return {

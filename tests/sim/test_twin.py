@@ -7,6 +7,7 @@ import errno
 import os
 from pathlib import Path
 
+import huggingface_hub
 import numpy as np
 import pytest
 
@@ -36,6 +37,20 @@ def test_round_trip_keeps_every_field(tmp_path):
     assert back.spine_joint_positions_mm == twin.spine_joint_positions_mm == [13.75, 41.25, 68.75, 96.25]
     np.testing.assert_array_equal(back.arrays["rest_image"], twin.arrays["rest_image"])
     assert Twin.from_pretrained(tmp_path / "twin").parameters == twin.parameters
+
+
+def test_a_hub_out_of_reach_is_one_sentence(monkeypatch, tmp_path):
+    def unreachable(*args, **kwargs):
+        raise huggingface_hub.errors.LocalEntryNotFoundError("Name or service not known\nmore")
+
+    sentence = "no twin of that name came from the Hub \\(Name or service not known\\); check the name"
+    for name in ("snapshot_download", "HfApi"):
+        monkeypatch.setattr(huggingface_hub, name, unreachable)
+    with pytest.raises(InputError, match=f"There is no folder 'nobody/none', and {sentence}") as refused:
+        Twin.from_pretrained("nobody/none")
+    assert "\n" not in str(refused.value)
+    with pytest.raises(InputError, match="The twin was not uploaded to 'nobody/none'"):
+        Twin.builtin().push_to_hub("nobody/none")
 
 
 def test_a_twin_that_does_not_say_was_measured_over_the_papers_pressures(tmp_path):

@@ -87,6 +87,12 @@ def refuse_version(file: Path, info: dict) -> None:
             "convert it with `python -m lerobot.scripts.convert_dataset_v21_to_v30"
             f" --repo-id=local/{root.name} --root={root} --push-to-hub=false`"
         )
+    elif str(version) == "v2.0":
+        remedy = (
+            "convert it first to v2.1, on the Hub, with an older LeRobot: `uvx --from lerobot==0.3.3 python"
+            " -m lerobot.datasets.v21.convert_dataset_v20_to_v21 --repo-id=NAME`, then to v3.0 with `python"
+            " -m lerobot.scripts.convert_dataset_v21_to_v30 --repo-id=NAME`"
+        )
     elif found and int(found[1]) < VERSION:
         remedy = "convert it with the LeRobot that recorded it, first to v2.1 and then to v3.0"
     elif found:

@@ -10,6 +10,7 @@ import pytest
 from lerobot_camera_digit import digit as digit_camera
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs import doctor
+from lerobot_robot_pneutac import lerobot_inside
 
 
 def told(capsys) -> str:
@@ -63,3 +64,15 @@ def test_a_version_that_is_not_there_is_missing(monkeypatch):
 
     monkeypatch.setattr(doctor.importlib.metadata, "version", without_numba)
     assert ("numba", doctor.FAIL, "not installed", "uv pip install numba") in doctor.check_packages()
+
+
+@pytest.mark.parametrize("installed", ["0.5.1", "0.7.0"])
+def test_an_older_or_newer_lerobot_is_named_with_the_one_to_install(monkeypatch, installed):
+    version = doctor.importlib.metadata.version
+    monkeypatch.setattr(
+        doctor.importlib.metadata, "version", lambda n: installed if n == "lerobot" else version(n)
+    )
+    remedy = "PneuTac is made for LeRobot 0.6: uv pip install 'lerobot==0.6.*'"
+    assert ("lerobot", doctor.FAIL, installed, remedy) in doctor.check_packages()
+    monkeypatch.undo()
+    assert doctor.LEROBOT == lerobot_inside.KNOWN and doctor.check_packages()[1][1] == doctor.OK

@@ -6,6 +6,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import httpx
 import numpy as np
 import pandas as pd
 import pyarrow as pa
@@ -131,7 +132,7 @@ def narrow(root):
 SHORT = "breaks off: it holds"
 FROM = f"videos/{TACTILE}/from_timestamp"
 BAD = {
-    "v2.0": (info(codebase_version="v2.0"), "codebase_version is 'v2.0'.*first to v2.1"),
+    "v2.0": (info(codebase_version="v2.0"), "codebase_version is 'v2.0'.*to v2.1.*convert_dataset_v20_to_v21"),
     "v2.1": (info(codebase_version="v2.1"), "convert_dataset_v21_to_v30 --repo-id=local/demos"),
     "v4.0": (info(codebase_version="v4.0"), "recorded with a newer LeRobot"),
     "no version": (info(codebase_version=None), "codebase_version is None"),
@@ -408,3 +409,12 @@ def test_demonstrations_of_another_sensor_are_named(tmp_path):
     assert "% of the pixels of 'observation.images.tactile' differ" in other_sensor(meta, standin)
     with pytest.raises(InputError, match="not of the twin's kind of sensor, or turned .correlation"):
         other_sensor(meta, turned)
+
+
+def test_a_hub_out_of_reach_is_one_sentence(monkeypatch):
+    def unreachable(*args, **kwargs):
+        raise httpx.ConnectError("[Errno -2] Name or service not known")
+
+    monkeypatch.setattr("lerobot.datasets.LeRobotDataset", unreachable)
+    with pytest.raises(InputError, match=r"no dataset of that name came from the Hub \(\[Errno -2\] Name or"):
+        load_demonstrations("nobody/none")

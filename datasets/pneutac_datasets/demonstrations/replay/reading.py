@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from pneutac_datasets.demonstrations.info import ACTION, is_demonstrations, read_info
-from pneutac_sim.errors import InputError, shown
+from pneutac_sim.errors import InputError, from_hub, shown
 from pneutac_sim.features import (
     AREA,
     CHAMBERS,
@@ -116,7 +116,6 @@ def load_demonstrations(
     Raises:
         InputError: it is no dataset of this robot, has no such episode, or they cannot serve as measurements.
     """
-    from huggingface_hub.errors import HfHubHTTPError
     from lerobot.datasets import LeRobotDataset
 
     from pneutac_datasets.demonstrations.episodes import load_episode, readable
@@ -125,12 +124,8 @@ def load_demonstrations(
 
     folder = Path(name)
     if not is_demonstrations(folder):
-        try:
+        with from_hub(f"There is no folder '{name}', and no dataset of that name came from the Hub"):
             folder = Path(LeRobotDataset(str(name), video_backend="pyav").root)
-        except (OSError, ValueError, HfHubHTTPError) as e:
-            raise InputError(
-                f"There is no folder '{name}', and no dataset of that name on the Hub ({e})."
-            ) from e
     file = station_file(folder, station)
     where = replace(Station.load(file) if file else Station(), control_hz=CONTROL_HZ)
     _refuse(folder, twin or Twin.builtin(), where)
