@@ -132,7 +132,7 @@ def narrow(root):
 SHORT = "breaks off: it holds"
 FROM = f"videos/{TACTILE}/from_timestamp"
 BAD = {
-    "v2.0": (info(codebase_version="v2.0"), "codebase_version is 'v2.0'.*to v2.1.*convert_dataset_v20_to_v21"),
+    "v2.0": (info(codebase_version="v2.0"), "'v2.0'.*to v2.1.*convert_dataset_v20_to_v21"),
     "v2.1": (info(codebase_version="v2.1"), "convert_dataset_v21_to_v30 --repo-id=local/demos"),
     "v4.0": (info(codebase_version="v4.0"), "recorded with a newer LeRobot"),
     "no version": (info(codebase_version=None), "codebase_version is None"),
