@@ -281,6 +281,11 @@ class Search:
         least = max(T.WORTH_OF_EXCESS * (now.value - self.noise_mse), T.WORTH_OF_NOISE * self.noise_mse)
         return self._significant(now, after, least) and self._improves_out_of_time(now, after)
 
+    def is_needed(self, without: Scored, model: Scored) -> bool:
+        """Whether a model is so much better than the one re-fitted without a term that the term stays."""
+        least = max(T.WORTH_KEEPING * (without.value - self.noise_mse), T.WORTH_OF_NOISE * self.noise_mse)
+        return self._significant(without, model, least)
+
     def is_significant(self, before: Scored, after: Scored) -> bool:
         return self.bootstrap.significant_drop(before.cv_squared, after.cv_squared, self.noise_mse)
 
@@ -297,10 +302,7 @@ class Search:
             without = {t: self.score(m) for t, m in zip(terms, models, strict=True)}
             found.without = without
             weakest = min(without, key=lambda t: without[t].value)
-            excess = without[weakest].value - self.noise_mse
-            if self._significant(
-                without[weakest], best, max(T.WORTH_KEEPING * excess, T.WORTH_OF_NOISE * self.noise_mse)
-            ):
+            if self.is_needed(without[weakest], best):
                 return best
             best = without[weakest]
 

@@ -209,9 +209,9 @@ class BodySearch:
     def without_idle(self, space: BodySpace, model: Scored, kept: Sequence[str]) -> Scored:
         """The model without terms that ended where they do nothing, at the same instants of steps.
 
-        A term that is as quick as the samples can show may still be needed: it goes only if the error does
-        not rise significantly. A known cause of the twin goes too where an effect was found with which it
-        does nothing: it stood in for that effect.
+        A term that is as quick as the samples can show may still be needed, see `Search.is_needed`. A known
+        cause of the twin goes too where an effect was found with which it does nothing: it stood in for that
+        effect.
         """
         own, causes, engine = self.study.twin_effects, base_effects(self.study), self.engine(space)
         for term in model.model.structure.effects:
@@ -220,7 +220,7 @@ class BodySearch:
             if (term not in kept or replaced) and space.idle(model.model, term):
                 structure, values = model.model.structure.without(term), model.model.values
                 bare = self.score(space.fitter.fit(structure, values, 8))
-                if engine.is_significant(bare, model):
+                if engine.is_needed(bare, model):
                     continue
                 model = bare
                 if replaced:

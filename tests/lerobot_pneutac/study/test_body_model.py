@@ -50,7 +50,7 @@ def test_a_term_at_its_quickest_stays_where_the_error_rises_without_it(needed):
     bare = Scored(SimpleNamespace(structure=BodyStructure(()), values={}), np.full(4, 9.0), 9.0)
     search = SimpleNamespace(
         study=SimpleNamespace(twin_effects=(), twin=SimpleNamespace(effects=()), recording=None),
-        engine=lambda space: SimpleNamespace(is_significant=lambda before, after: needed),
+        engine=lambda space: SimpleNamespace(is_needed=lambda without, model: needed),
         score=lambda model: bare,
     )
     space = SimpleNamespace(idle=lambda model, term: True, fitter=SimpleNamespace(fit=lambda *_: bare.model))
