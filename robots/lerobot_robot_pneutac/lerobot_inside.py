@@ -88,8 +88,8 @@ def _load_episodes(data: Path, features=None, episodes: list[int] | None = None)
     return io_utils.load_nested_dataset(data, features=features, episodes=episodes)
 
 
-# Functions by which LeRobot describes what it has recorded, by their module in `lerobot.datasets`; a repair
-# calls them again. They are imported when they are asked for: robots do without, and they take seconds.
+# Functions by which LeRobot describes what it has recorded, by their module in `lerobot.datasets`; repair and
+# augmentation call them again. They are imported when asked for: robots do without, and they take seconds.
 _OF_DATASETS = {
     "DatasetInfo": "utils",
     "aggregate_stats": "compute_stats",
@@ -97,6 +97,7 @@ _OF_DATASETS = {
     "compute_episode_stats": "compute_stats",
     "get_hf_features_from_features": "feature_utils",
     "get_video_info": "video_utils",
+    "load_info": "io_utils",
     "update_chunk_file_indices": "utils",
     "write_info": "io_utils",
     "write_stats": "io_utils",

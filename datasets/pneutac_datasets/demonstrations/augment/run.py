@@ -23,9 +23,9 @@ import numpy as np
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.datasets.aggregate import aggregate_datasets
 from lerobot.datasets.dataset_tools import delete_episodes
-from lerobot.datasets.io_utils import load_info, write_info
 from lerobot.utils.constants import ACTION, OBS_STATE
 
+from lerobot_robot_pneutac.lerobot_inside import load_info, write_info
 from lerobot_robot_pneutac.policy.labels import ANSWER_DELAY
 from pneutac_datasets.demonstrations.augment.check import check
 from pneutac_datasets.demonstrations.augment.episode import LONGEST, Attempt, AugmentSetup
