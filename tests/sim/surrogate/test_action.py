@@ -206,7 +206,7 @@ def test_an_interrupted_collection_goes_on(collection):
     file.write_bytes(kept)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly  # the verb trains in `test_surrogate.py`; the shipped network is tested every day
 def test_training_beats_no_network_on_other_motions(collection):
     twin = Twin.builtin()
     network = train_action(twin, collection, epochs=150)

@@ -49,9 +49,8 @@ def test_expert_succeeds_within_limits(worlds, task):
     assert np.median(lengths) <= 8 * CONTROL_HZ
 
 
-@pytest.mark.parametrize(
-    "task", ["switch", *(pytest.param(t, marks=pytest.mark.nightly) for t in TASK_NAMES if t != "switch")]
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("task", TASK_NAMES)
 def test_task_needs_touch(task):
     expert, replayed, _ = difficulty.measure(task, 60)
     assert expert >= 0.95 * 60

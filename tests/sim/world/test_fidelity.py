@@ -54,7 +54,7 @@ def to_tip(twin, q):
     return (np.exp(1j * np.cumsum(q)) * ways)[::-1].cumsum()[::-1]
 
 
-@pytest.mark.parametrize("pressure_kpa", [0.0, 7.5, 15.0])
+@pytest.mark.parametrize("pressure_kpa", [0.0, pytest.param(7.5, marks=pytest.mark.nightly), 15.0])
 def test_a_force_at_the_tip_moves_it_as_far_with_the_network_as_with_material_points(bodies, pressure_kpa):
     """What material points say otherwise of the torque at a loaded pose would move the tip by 5 % at most."""
     twin, _, network = bodies
