@@ -16,6 +16,7 @@ from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.wording import an
 from pneutac_sim.errors import InputError, check_choice
+from pneutac_sim.executor import ExecutorOptions
 from pneutac_sim.files import write_text
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.surrogate.finger import builtin, fits
@@ -130,6 +131,7 @@ def train_networks(
     fresh: bool = False,
     device: str = "auto",
     progress: Progress = no_progress,
+    executor: ExecutorOptions | None = None,
 ) -> TrainedNetworks:
     """Trains what is missing or outdated, and writes networks and their card into the twin's folder.
 
@@ -140,6 +142,7 @@ def train_networks(
         fresh: train even where the networks that are shipped were trained for such a finger and gel.
         device: `auto`, `cpu` or `cuda`.
         progress: is called with a few words, what is done and of how much.
+        executor: where motions and contacts are collected, each on one core; None for this process.
 
     Raises:
         InputError: the twin is no finger's or has not been calibrated, or too little is to be collected.
@@ -165,7 +168,7 @@ def train_networks(
             found = {"source": "shipped: this finger or gel is the built-in one"}
         else:
             train = _train_action if name == "action" else _train_perception
-            found = {"source": "trained"} | train(twin, file, collection, device, progress)
+            found = {"source": "trained"} | train(twin, file, collection, device, progress, executor)
         networks[name] = found | {"seconds": time.perf_counter() - start}
         twin.networks[name] = file
     twin.folder = folder
@@ -179,7 +182,14 @@ def _to_train(twin: Twin, fresh: bool) -> list[str]:
     return [name for name in NETWORKS if fresh or not fits(builtin(name), name, twin)]
 
 
-def _train_action(twin: Twin, file: Path, collection: Collection, device: str, progress: Progress) -> dict:
+def _train_action(
+    twin: Twin,
+    file: Path,
+    collection: Collection,
+    device: str,
+    progress: Progress,
+    executor: ExecutorOptions | None,
+) -> dict:
     """The finger's network."""
     from pneutac_sim.surrogate.action import evaluate_action, train_action
     from pneutac_sim.surrogate.collect import Plan, collect_action
@@ -192,7 +202,7 @@ def _train_action(twin: Twin, file: Path, collection: Collection, device: str, p
 
     show()
     plan = Plan(total, collection.seconds, collection.particles, seed=seed)
-    collect_action(twin, folder, plan, device, show)
+    collect_action(twin, folder, plan, device, show, executor)
     network = train_action(
         twin, folder, seed, progress=lambda line: progress(f"finger: {line}", total, total)
     )
@@ -203,7 +213,12 @@ def _train_action(twin: Twin, file: Path, collection: Collection, device: str, p
 
 
 def _train_perception(
-    twin: Twin, file: Path, collection: Collection, device: str, progress: Progress
+    twin: Twin,
+    file: Path,
+    collection: Collection,
+    device: str,
+    progress: Progress,
+    executor: ExecutorOptions | None,
 ) -> dict:
     """The gel's network."""
     from pneutac_sim.surrogate.gel_collect import collect_gel, read_contacts
@@ -219,6 +234,7 @@ def _train_perception(
         seed,
         device,
         lambda done, total: progress("gel: full contacts", done, total),
+        executor,
     )
     shipped = None if fits(builtin("perception"), "perception", twin) else builtin("perception")
     network = train_gel(
@@ -274,8 +290,8 @@ def _sem(x: float | None, digits: int) -> str:
 
 
 @dataclass
-class SurrogateConfig:
-    """Options of `pneutac surrogate`.
+class SurrogateConfig(ExecutorOptions):
+    """Options of `pneutac surrogate`; without workers or executor this process collects, on all cores.
 
     Attributes:
         twin: folder of a finger's twin; the networks are written into it.
@@ -299,6 +315,9 @@ class SurrogateConfig:
     seed: int = 0
     out: Path | None = None
 
+    def __post_init__(self):
+        self.check_executor()
+
 
 def command(config: SurrogateConfig, terminal: Terminal) -> None:
     """Trains the networks in place of a twin's material points, from full simulations."""
@@ -312,6 +331,9 @@ def command(config: SurrogateConfig, terminal: Terminal) -> None:
             f"Full simulations and training: about {max(1, round(minutes))} min on two cores of their own."
         )
     with terminal.progress() as progress:
-        trained = train_networks(twin, config.twin, collection, config.fresh, config.device, progress)
+        executor = None if config.executor == "local" and config.workers is None else config
+        trained = train_networks(
+            twin, config.twin, collection, config.fresh, config.device, progress, executor
+        )
     terminal.finish(trained, config.out)
     terminal.say(f"networks and {CARD} are in {config.twin}")

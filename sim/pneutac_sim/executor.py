@@ -130,6 +130,7 @@ def run_pieces(
     options: ExecutorOptions | None = None,
     progress: Progress = no_progress,
     text: str = "",
+    there: Callable[[Path], bool] = Path.exists,
 ) -> None:
     """Has `make(k)` called for every file that is missing, `files[k]`, which it writes.
 
@@ -140,13 +141,14 @@ def run_pieces(
         options: where the work is done; None for this machine.
         progress: is called with `text`, how many files are there and of how many.
         text: a few words.
+        there: whether the piece of a file is done.
 
     Raises:
         InputError: a piece has raised it, a process ended, no space is left, or the cluster refuses the work;
             what has been made is there, and another call goes on.
     """
     options = options or ExecutorOptions()
-    missing = tuple(k for k, file in enumerate(files) if not file.exists())
+    missing = tuple(k for k, file in enumerate(files) if not there(file))
     if not missing:
         return
     shutil.rmtree(logs, ignore_errors=True)
@@ -154,7 +156,7 @@ def run_pieces(
     tasks = -(-len(missing) // options.tasks_per_job)
     step = Pieces(make, missing, options.tasks_per_job, Path.cwd(), options.executor != "local")
     try:
-        with _shown(progress, text, files, missing):
+        with _shown(progress, text, files, missing, there):
             run([step], tasks, logs.absolute(), options)
     except BrokenProcessPool as e:
         raise InputError(f"{text or 'Work'}: {ENDED}; repeat the command with fewer workers.") from e
@@ -162,7 +164,7 @@ def run_pieces(
         if e.errno in (errno.ENOSPC, errno.EDQUOT):
             raise InputError(f"No space is left in {logs.parent}; free some and repeat.") from e
         raise
-    left = [k for k in missing if not files[k].exists()]
+    left = [k for k in missing if not there(files[k])]
     if left:
         raise InputError(
             f"{text or 'Work'}: {len(left)} of {len(files)} pieces were not made ({_reason(logs)}); their "
@@ -172,7 +174,7 @@ def run_pieces(
 
 
 @contextmanager
-def _shown(progress: Progress, text: str, files: Sequence[Path], missing: Sequence[int]):
+def _shown(progress: Progress, text: str, files: Sequence[Path], missing: Sequence[int], there: Callable):
     """Shows, until the context ends, how many files are there."""
     ended, total = threading.Event(), len(files)
 
@@ -180,7 +182,7 @@ def _shown(progress: Progress, text: str, files: Sequence[Path], missing: Sequen
         left, pause_s = list(missing), 0.0
         while not ended.wait(pause_s):
             began = time.monotonic()
-            left = [k for k in left if not files[k].exists()]
+            left = [k for k in left if not there(files[k])]
             progress(text, total - len(left), total)
             pause_s = max(LOOK_S, (time.monotonic() - began) / LOOKING_SHARE)
 

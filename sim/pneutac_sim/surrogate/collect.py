@@ -7,6 +7,7 @@ collection that was interrupted goes on where it stopped.
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.executor import ExecutorOptions, run_pieces
 from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.files import whole
 from pneutac_sim.mpm import devices, runtime
@@ -96,6 +98,7 @@ def collect_action(
     plan: Plan | None = None,
     device: str = "auto",
     progress: Callable[[str], None] = lambda _: None,
+    executor: ExecutorOptions | None = None,
 ) -> list[Path]:
     """Moves the full finger under all programs of the plan and keeps its trajectories.
 
@@ -105,6 +108,8 @@ def collect_action(
         plan: what to collect; None for the default, 24 trajectories of 1 s.
         device: see `pneutac_sim.mpm.runtime.start`.
         progress: is given a line after each batch.
+        executor: collects one by one, each on one core; None for batches on all cores, or the GPU, of this
+            process.
 
     Returns:
         The files, all of the plan.
@@ -135,6 +140,16 @@ def collect_action(
             )
     if not missing:
         return files
+    if executor is not None:
+        run_pieces(
+            partial(_collect, twin, plan, files, label, device),
+            files,
+            folder / "logs",
+            executor,
+            lambda _, done, total: progress(f"collected {done} of {total} trajectories"),
+            "trajectories",
+        )
+        return files
     running = runtime.start(device)
     size = SIDE_BY_SIDE[running]
     while missing:
@@ -143,6 +158,13 @@ def collect_action(
             _write(files[i], motion, label)
         progress(f"collected {plan.trajectories - len(missing)} of {plan.trajectories} trajectories")
     return files
+
+
+def _collect(
+    twin: Twin, plan: Plan, files: list[Path], label: dict[str, str], device: str, number: int
+) -> None:
+    (motion,) = _move(twin, plan, [number], runtime.start(device, threads=1))
+    _write(files[number], motion, label)
 
 
 def read_motions(out_dir: str | Path, twin: Twin) -> tuple[Plan, list[Motion]]:

@@ -9,18 +9,19 @@ import json
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.files import whole, write_json
+from pneutac_sim.executor import ExecutorOptions, run_pieces
+from pneutac_sim.files import whole, write_json, write_text
 from pneutac_sim.gel.indenter import INDENTERS, Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.probe import COLS, ROWS, probe_grid
-from pneutac_sim.mpm import devices
+from pneutac_sim.mpm import devices, runtime
 from pneutac_sim.mpm.devices import press_loads
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import MpmDiverged, solve_equilibrium
@@ -163,6 +164,7 @@ def collect_gel(
     seed: int = 0,
     device: str = "auto",
     progress: Callable[[int, int], None] = lambda done, total: None,
+    executor: ExecutorOptions | None = None,
 ) -> Collected:
     """Presses indenters into the gel of a twin; contacts that the folder holds already are reused.
 
@@ -173,6 +175,8 @@ def collect_gel(
         seed: of their shapes, sizes, depths and places.
         device: see `mpm.runtime.start`.
         progress: called after each contact with the number of those done and of all.
+        executor: where contacts are collected, each on one core; None for all cores, or the GPU, of this
+            process.
 
     Raises:
         InputError: the number makes no sense, or the folder holds contacts of another gel or seed.
@@ -181,21 +185,42 @@ def collect_gel(
         raise InputError(f"contacts is {contacts}; give a number of contacts above zero.")
     folder, model = Path(folder), GelModel.from_twin(twin)
     _claim(folder, {"format": FORMAT, "fingerprint": gel_fingerprint(twin), "seed": seed})
-    solver = None
-    for number in range(contacts):
-        file = folder / f"contact_{number:04d}.npz"
-        diverged = file.with_suffix(".diverged")
-        if not file.exists() and not diverged.exists():
+    files, solver = [folder / f"contact_{n:04d}.npz" for n in range(contacts)], None
+    if executor is not None:
+        run_pieces(
+            partial(_collect, twin, files, seed, device),
+            files,
+            folder / "logs",
+            executor,
+            lambda _, done, total: progress(done, total),
+            "contacts",
+            _collected,
+        )
+    for number, file in enumerate(files):
+        if not _collected(file):
             solver = solver or devices.gel(twin, device=device)
-            contact = random_contact(seed, number, model.window_mm)
-            try:
-                pairs = press(solver, contact, model)
-                _store(file, contact, pairs)
-            except MpmDiverged as e:
-                diverged.write_text(f"{contact.press}: {e.finding}.\n")
+            _press_and_store(solver, model, file, seed, number)
         progress(number + 1, contacts)
-    done = [(folder / f"contact_{n:04d}.npz").exists() for n in range(contacts)]
-    return Collected(sum(done), contacts - sum(done))
+    done = sum(file.exists() for file in files)
+    return Collected(done, contacts - done)
+
+
+def _collected(file: Path) -> bool:
+    return file.exists() or file.with_suffix(".diverged").exists()
+
+
+def _press_and_store(solver, model: GelModel, file: Path, seed: int, number: int) -> None:
+    contact = random_contact(seed, number, model.window_mm)
+    try:
+        _store(file, contact, press(solver, contact, model))
+    except MpmDiverged as e:
+        write_text(file.with_suffix(".diverged"), f"{contact.press}: {e.finding}.\n")
+
+
+def _collect(twin: Twin, files: list[Path], seed: int, device: str, number: int) -> None:
+    runtime.start(device, threads=1)
+    solver = devices.gel(twin, device=device)
+    _press_and_store(solver, GelModel.from_twin(twin), files[number], seed, number)
 
 
 def press(solver, contact: Contact, model: GelModel) -> Pairs:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.executor import ExecutorOptions
 from pneutac_sim.mpm.body import Body, Material
 from pneutac_sim.mpm.spine import Spine
 from pneutac_sim.surrogate.action import FEWEST, evaluate_action, split, train_action
@@ -196,8 +197,8 @@ def test_an_interrupted_collection_goes_on(collection):
     file.unlink()
     with pytest.raises(InputError, match="action_003.*missing.*pneutac surrogate"):
         read_motions(collection, twin)
-    collect_action(twin, collection, plan, "cpu", told.append)
-    assert told == ["collected 6 of 6 trajectories"]
+    collect_action(twin, collection, plan, "cpu", told.append, ExecutorOptions(workers=1))
+    assert told[0] == "collected 5 of 6 trajectories"
     after = read_motions(collection, twin)[1][3]
     np.testing.assert_allclose(after.q, before.q, atol=2e-3)
     file.write_bytes(kept[:200])
