@@ -65,6 +65,7 @@ CHANGED: dict[str, dict[str, str]] = {
 TOLERANCES = [
     ("*reduction*", 1e-3, 1e-3),  # shares of one, many of them next to nothing
     ("gel_diagnose:*parameters*", 1e-2, 1e-4),  # of effects that are not there: 3e-3 were seen
+    ("arm_diagnose:base_model*", 1e-3, 2e-5),  # kPa and rad of next to nothing: 7e-6 from machine to machine
     ("finger_compare_mpm:*", 3e-3, 1e-4),  # material points come to rest within a tolerance
     ("render_finger:*", 3e-3, 1e-2),
     ("*", 1e-3, 1e-6),
