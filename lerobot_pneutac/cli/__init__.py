@@ -112,7 +112,6 @@ def _dispatch(argv: list[str]) -> None:
 
 
 def _missing() -> tuple[str, ...]:
-    """The commands that are not installed."""
     return () if importlib.util.find_spec(PLUGIN) else PLUGIN_VERBS
 
 

@@ -119,7 +119,6 @@ def name_option(sentence: str, config_class: type) -> str:
 
 
 def _check_file(path: Path, options: dict[str, Option]) -> None:
-    """Raises InputError where a file of options cannot be read, or names another option."""
     if not path.is_file():
         raise InputError(f"--config_path={path} is no file; give a YAML file of options.")
     content = read_yaml(path)
@@ -131,7 +130,6 @@ def _check_file(path: Path, options: dict[str, Option]) -> None:
 
 
 def _in_words(text: str, options: dict[str, Option]) -> str:
-    """What draccus reports, as a sentence that says what to give."""
     text = " ".join(text.split())
     if missing := re.match(r"(?:`(\w+)`: )?Missing required field\(s\) (.+) for \w+", text):
         group = f"{missing[1]}." if missing[1] else ""

@@ -30,12 +30,7 @@ LINE_S = 10.0  # between two lines of progress where there is no bar
 
 
 class Terminal:
-    """What a command prints to.
-
-    Args:
-        verb: the command.
-        argv: its arguments, shown at the end of a report.
-    """
+    """What a command prints to."""
 
     def __init__(self, verb: str, argv: list[str]):
         self.console = Console()
@@ -50,7 +45,6 @@ class Terminal:
         self.say(f"[yellow]note:[/] {escape(printable(text))}", markup=True)
 
     def progress(self) -> AbstractContextManager[Callable[[str, int, int], None]]:
-        """See `progress_bar`."""
         return progress_bar(Console(stderr=True))
 
     def finish(self, result, out: Path | None, sentence: bool = True) -> None:
@@ -64,7 +58,6 @@ class Terminal:
             self.say(f"report: {path}")
 
     def show(self, result, sentence: bool = True) -> None:
-        """Prints notes, sentence, table and remarks of a `Result`."""
         show(result, self.console, sentence)
 
 

@@ -88,7 +88,6 @@ def differing(photograph: np.ndarray, drawn: np.ndarray) -> np.ndarray:
 
 
 def _crop(photographs: list[MaskedPhotograph]) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (row, column) of a window round all masks."""
     corners = [np.argwhere(p.mask) for p in photographs]
     size = np.array(photographs[0].mask.shape)
     low = np.min([c.min(0) for c in corners], 0) - 12
@@ -210,7 +209,6 @@ def _window(recorded: Recorded, spines: np.ndarray, length_m: float) -> tuple[sl
 
 
 def _beside(panels, captions, window: tuple[slice, slice]) -> np.ndarray:
-    """Pictures (H, W, 3) side by side, uint8, with a line below each."""
     parts = []
     for panel, below in zip(panels, captions, strict=True):
         cut = np.ascontiguousarray(panel[window], np.uint8)

@@ -171,7 +171,6 @@ def deepest_press(config: RenderConfig, gel: GelModel) -> Press:
 
 
 def _figure(config: RenderConfig) -> AnyFigure | None:
-    """The figure of `outline` and `mesh`."""
     for kind, name in (("outline", "outline_mm"), ("mesh", "indenter_file")):
         if (config.indenter == kind) != (getattr(config, name) is not None):
             raise InputError(f"indenter={kind} and {name} come together; give both or neither.")

@@ -16,13 +16,7 @@ SHOWN = 4  # recorded demonstrations whose touch is drawn
 
 
 def augment_page(new: tuple[str, Path], summary: dict, references: list[Reference]) -> Report:
-    """The report, not yet written.
-
-    Args:
-        new: repo_id and folder of the new demonstrations.
-        summary: of `augment_guided`.
-        references: the recorded demonstrations.
-    """
+    """The report, not yet written."""
     share = summary["kept"] / summary["attempts"]
     report = Report(f"{summary['kept']} demonstrations from {len(references)}")
     report.lead(
@@ -104,7 +98,6 @@ def _scene_row(reference: Reference, scene: dict) -> dict:
 
 
 def _states(repo_id: str, root: Path) -> list[np.ndarray]:
-    """(T, 2 N + 5 + C) of each demonstration."""
     dataset = LeRobotDataset(repo_id, root, video_backend="pyav")
     state = np.stack(dataset.hf_dataset.with_format("numpy")[OBS_STATE][:])
     rows = (dataset.meta.episodes[i] for i in range(dataset.num_episodes))
@@ -112,7 +105,6 @@ def _states(repo_id: str, root: Path) -> list[np.ndarray]:
 
 
 def _places(references: list[Reference]) -> Places:
-    """Where the touch is in a state."""
     return Places.of(references[0].action.shape[1] - len(VELOCITY_NAMES))
 
 

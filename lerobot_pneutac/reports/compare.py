@@ -47,9 +47,7 @@ def comparison_page(c) -> Report:
         report.table(
             [{"range of the action network": "samples outside it", "share": f"{100 * c.out_of_range:.2g}%"}]
         )
-    if c.findings:
-        report.heading("What the checks found")
-        report.text("\n\n".join(c.findings))
+    report.found(c.findings)
     report.heading("Over time")
     caption = "Measured and modelled; the worst passages are shaded."
     caption += " In green the 95 % band of the held-out part." if c.coverage is not None else ""
@@ -86,12 +84,10 @@ def _thin(index: np.ndarray, value: np.ndarray, count: int = POINTS) -> np.ndarr
 
 
 def _share(part: np.ndarray, whole: int, parts: int) -> int:
-    """Points for a part of a line of `whole` samples in so many parts."""
     return max(3, min(EACH, ALL // parts), POINTS * len(part) // whole)
 
 
 def _line(parts: list[np.ndarray], digits: int) -> np.ndarray:
-    """Parts of a line one after the other, rounded."""
     return np.concatenate(parts or [GAP]).round(digits)
 
 
@@ -122,7 +118,6 @@ def _add_band(figure: go.Figure, c, i: int, t: np.ndarray, centre: np.ndarray) -
 
 
 def in_band(c) -> go.Figure:
-    """What is left of each counted column over the held-out part, in its band."""
     figure = make_subplots(c.counted, 1, shared_xaxes=True, vertical_spacing=0.04)
     t, _ = session_clock(c.recording)
     for i, name in enumerate(c.columns[: c.counted]):
@@ -144,7 +139,6 @@ def in_band(c) -> go.Figure:
 
 
 def over_time(c) -> go.Figure:
-    """Each counted column over the session."""
     figure = make_subplots(
         c.counted + 1, 1, shared_xaxes=True, vertical_spacing=0.03,
         row_heights=[1.0] * c.counted + [0.6],
@@ -185,7 +179,6 @@ def over_time(c) -> go.Figure:
 
 
 def _main_column(c) -> int:
-    """The counted column that moves most."""
     return int(np.argmax(np.var(c.measured[:, : c.counted], axis=0)))
 
 
@@ -210,7 +203,6 @@ def loops(c) -> go.Figure:
 
 
 def heat_map(c) -> go.Figure:
-    """Error over pressure and signed rate."""
     p = c.recording.samples[c.recording.pressure_columns].to_numpy(float).mean(1)
     across = numbers("pressure", p, 10)
     rate, still, size = c.rate, c.still, np.abs(c.rate)
@@ -243,7 +235,6 @@ def heat_map(c) -> go.Figure:
 
 
 def by_condition(by: dict[str, list[dict]], c) -> go.Figure:
-    """Bars of train and held-out error for each axis."""
     rows = max(1, (len(by) + 1) // 2)
     figure = make_subplots(
         rows, 2, subplot_titles=[_title(n) for n in by], vertical_spacing=0.32 / rows, horizontal_spacing=0.09
@@ -294,7 +285,6 @@ def residuals(c) -> go.Figure:
 
 
 def ladder(c) -> go.Figure:
-    """Train and held-out error of each version that was tested in the unit of this comparison."""
     known = [e for e in c.history if e["unit"] == c.unit]
     figure = history([e for e in known if e["heldout"] is not None or e["train"] is not None], c.unit)
     if c.noise_floor:
@@ -303,7 +293,6 @@ def ladder(c) -> go.Figure:
 
 
 def history(entries: list[dict], unit: str) -> go.Figure:
-    """Train and held-out error of the versions tested in one unit."""
     x = [f"{e['version']}: {e['change']}" for e in entries]
     figure = go.Figure()
     for key, colour, name in (("train", TRAIN, "train"), ("heldout", HELDOUT, "held out")):

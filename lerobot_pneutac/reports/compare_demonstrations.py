@@ -13,7 +13,6 @@ EVERY = 2  # frames of an episode that are shown in the film
 
 
 def demonstrations_page(c) -> Report:
-    """The report of a comparison."""
     page = Report(c.title)
     page.lead(c.sentence)
     for remark in c.remarks():

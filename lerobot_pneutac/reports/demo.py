@@ -74,7 +74,6 @@ def quick_page(result, before, after) -> Report:
 
 
 def _with_commands(page: Report, state: dict) -> Report:
-    """The page, with what was run at its end."""
     page.heading("What was run")
     for name, title in TITLES.items():
         if name in state:

@@ -19,7 +19,7 @@ from lerobot_pneutac.reports.page import (
     SHADE,
     WHISKER,
     Report,
-    interval,
+    parameter_rows,
 )
 from lerobot_pneutac.reports.sentences import State, alternatives, evidence, meaning, percent
 from lerobot_pneutac.reports.session import name_runs, session_clock, worst_passages
@@ -99,7 +99,6 @@ def _contributions(page: Report, study: EffectStudy, o: Outcome) -> None:
 
 
 def contributions(study: EffectStudy, o: Outcome) -> go.Figure:
-    """By how much the test error rises without each cause."""
     shown = sorted(o.contributions, key=lambda c: c.drop[0])
     names = [c.name.replace("_", " ") for c in shown]
     rise = [c.error_without - c.error_with for c in shown]
@@ -120,7 +119,6 @@ def contributions(study: EffectStudy, o: Outcome) -> go.Figure:
 
 
 def _root(c: Contribution, drop: float) -> float:
-    """Error without a term whose removal raises the mean square by so much."""
     return float(np.sqrt(max(c.error_with**2 + drop, 0.0)))
 
 
@@ -173,20 +171,7 @@ def _parameters(page: Report, study: EffectStudy, o: Outcome) -> None:
     if not o.selected:
         return
     page.heading("How well each parameter is known")
-    fitted = {e: study.parameters(o.after, e) for e in o.selected}
-    page.table(
-        [
-            {
-                "effect": e,
-                "parameter": k,
-                "value": p["value"],
-                "95 % interval": interval(p, "held"),
-                "unit": p["unit"] or "(a ratio)",
-            }
-            for e, parameters in fitted.items()
-            for k, p in parameters.items()
-        ]
-    )
+    page.table([row for e in o.selected for row in parameter_rows(study.parameters(o.after, e), effect=e)])
 
 
 def ladder(study: EffectStudy, o: Outcome) -> go.Figure:
@@ -229,7 +214,6 @@ def _noise(figure: go.Figure, noise: float | None, **place) -> None:
 
 
 def reductions(o: Outcome) -> go.Figure:
-    """Each candidate's share of the error above the noise."""
     shown = [(t, t.reduction, t.ci95) for t in o.tested if t.reduction is not None and t.ci95 is not None][
         ::-1
     ]
@@ -289,7 +273,6 @@ def shown_axes(study: EffectStudy) -> list[Axis]:
 
 
 def by_level(study: EffectStudy, o: Outcome, found: list[Axis]) -> go.Figure:
-    """Root mean square error before and after at each level of each axis."""
     rows = max(1, (len(found) + 1) // 2)
     figure = make_subplots(
         rows, 2, subplot_titles=[a.name.replace("_", " ") for a in found], vertical_spacing=0.36 / rows,
@@ -309,7 +292,6 @@ def by_level(study: EffectStudy, o: Outcome, found: list[Axis]) -> go.Figure:
 
 
 def proposed(s: Separation) -> go.Figure:
-    """What the two rivals predict in the proposed experiment."""
     figure = go.Figure()
     spread = [float(np.abs(a - b).max()) for a, b in zip(s.predictions[0].T, s.predictions[1].T, strict=True)]
     k = int(np.argmax(spread))

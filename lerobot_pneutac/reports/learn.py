@@ -17,7 +17,6 @@ from lerobot_pneutac.reports.sentences import called
 
 
 def design_page(design) -> Report:
-    """The report of a `Design`."""
     report, best = Report(design.title), design.best
     report.lead(design.sentence)
     figure = make_subplots(2, 1, shared_xaxes=True, row_heights=[0.7, 0.3], vertical_spacing=0.06)
@@ -39,7 +38,6 @@ def design_page(design) -> Report:
 
 
 def motion_page(design) -> Report:
-    """The report of a `MotionDesign`."""
     report = Report(design.title)
     report.lead(design.sentence)
     for c in dict.fromkeys(design.chosen.values()):
@@ -81,7 +79,6 @@ CURVE, COMMAND, BARS = (
 
 
 def learn_page(learning) -> Report:
-    """The report of a `Learning`."""
     report = Report(learning.title)
     report.lead(learning.sentence)
     report.figure(
@@ -166,12 +163,7 @@ def _likely(learning) -> go.Figure:
 
 
 def film_frames(rounds, files: list[Path]) -> Iterator[np.ndarray]:
-    """Pictures, uint8 (H, W, 3), `FRAMES_HZ` of them a second.
-
-    Args:
-        rounds: that had a model before them, in order.
-        files: of each, as predicted and as measured.
-    """
+    """Pictures, uint8 (H, W, 3), `FRAMES_HZ` of them a second."""
     for k, (r, file) in enumerate(zip(rounds, files, strict=True)):
         table = pd.read_csv(file)
         t = table["time_s"].to_numpy(float) - table["time_s"].iloc[0]

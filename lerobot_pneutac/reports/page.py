@@ -20,11 +20,7 @@ from pneutac_sim.files import write_json, write_text
 
 
 class Report:
-    """Collects sections and writes one HTML file without outside references.
-
-    Args:
-        title: heading of the page.
-    """
+    """Collects sections and writes one HTML file without outside references."""
 
     def __init__(self, title: str):
         self.title = title
@@ -52,6 +48,12 @@ class Report:
         if items:
             self._add("list", heading, entries=items)
 
+    def found(self, findings: Sequence[str]) -> None:
+        """What the checks of the recording found; nothing where it is empty."""
+        if findings:
+            self.heading("What the checks found")
+            self.text("\n\n".join(findings))
+
     def next_here(self) -> None:
         """The place of the next command, if there is one; without it that is the end of the page."""
         self._next_at = len(self._sections)
@@ -62,7 +64,6 @@ class Report:
         self._sections[at:at] = [{"kind": kind, "text": title}, {"kind": "code", "text": command}]
 
     def code(self, text: str) -> None:
-        """A block to copy."""
         self._add("code", text.strip())
 
     def table(self, rows: list[dict], caption: str = "") -> None:
@@ -95,7 +96,6 @@ class Report:
         self._add("film", caption, width=width, data=_base64(buffer.getvalue()))
 
     def video(self, path: str | Path, caption: str = "", width: int = 640) -> None:
-        """An MP4 file, embedded."""
         self.videos([path], caption, width)
 
     def videos(self, paths: Sequence[str | Path], caption: str = "", width: int = 470) -> None:
@@ -104,7 +104,6 @@ class Report:
         self._add("video", caption, width=width, films=films)
 
     def figure(self, figure, caption: str = "", height: int = 420) -> None:
-        """An interactive plotly figure."""
         from plotly.io import to_html
 
         margin = {"l": 60, "r": 20, "t": 60, "b": 50}
@@ -165,7 +164,6 @@ def plain(x):
 
 
 def _marked(text: str) -> Markup:
-    """`code` and **bold** as markup, all else escaped."""
     text = re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text)))
     return Markup(re.sub(r"\*\*([^*]+)\*\*", r"<b>\1</b>", text))
 
@@ -189,6 +187,15 @@ def span(ci95, unknown: str = "") -> str:
 def interval(parameter: dict, unknown: str = "") -> str:
     """The interval of a parameter as results have it, or why there is none."""
     return parameter.get("note") or span(parameter["ci95"], unknown)
+
+
+def parameter_rows(parameters: dict[str, dict], **first) -> list[dict]:
+    """A table of parameters as results have them; `first` are columns before."""
+    return [
+        first | {"parameter": k, "value": v["value"], "95 % interval": interval(v, "held")}
+        | {"unit": v["unit"] or "(a ratio)"}
+        for k, v in parameters.items()
+    ]  # fmt: skip
 
 
 def _base64(data: bytes) -> str:

@@ -119,7 +119,6 @@ class State:
 
     @property
     def kind(self) -> Kind:
-        """What the headline is about."""
         if self.poor:
             return Kind.POOR
         if not self.causes:
@@ -132,7 +131,6 @@ class State:
 
     @property
     def confidence(self) -> Confidence:
-        """The one word for it."""
         sure = self.at_noise and self.noise_measured and not self.objections
         if self.kind is Kind.NOTHING:
             return Confidence.CONFIRMED if sure else Confidence.LIKELY
@@ -190,7 +188,6 @@ def state_of(study: EffectStudy, outcome: Outcome) -> State:
 
 
 def _causes(study: EffectStudy, outcome: Outcome, named: list[str]) -> tuple[str, ...]:
-    """Noun phrases of what is missing, one for all terms of one kind."""
     kinds: dict[str, list[str]] = {}
     for name in named:
         kinds.setdefault(family(name), []).append(name)

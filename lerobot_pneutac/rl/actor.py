@@ -89,12 +89,6 @@ class Actor(nn.Module):
 def try_actor(actor: Actor, env, episodes: int, seed: int) -> dict:
     """Rolls the mean actions out.
 
-    Args:
-        actor: the actor.
-        env: a `PpoEnv`.
-        episodes: how many.
-        seed: of the starts.
-
     Returns:
         `success` (share), `episodes`, `return` (mean), `steps` (mean length), `failures` (text to count).
     """

@@ -78,7 +78,6 @@ class TaskView:
         self.size = 13 + 2 * len(self._joints)
 
     def progress(self) -> float:
-        """How much is done, see `Goal`."""
         return float(self.goal.progress(self._inner()))
 
     def contact_point_m(self) -> np.ndarray:

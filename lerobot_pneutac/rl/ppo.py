@@ -47,13 +47,7 @@ class Keeper(BaseCallback):
     """
 
     def __init__(self, out: Path, run: dict, progress: Callable[[str, int], None]):
-        """A keeper.
-
-        Args:
-            out: folder.
-            run: what must be equal for a training to go on.
-            progress: is called with a few words and the steps done after every rollout.
-        """
+        """A keeper."""
         super().__init__()
         self.curve: list[dict] = []
         self._out, self._run, self._progress = out, run, progress
@@ -202,7 +196,6 @@ class Asymmetric(nn.Module):
         return self.forward_actor(features), self.forward_critic(features)
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
-        """The actor's; what follows its own part of the observation is cut off."""
         return self.actor(features[:, : self.felt])
 
     def forward_critic(self, features: torch.Tensor) -> torch.Tensor:

@@ -42,7 +42,6 @@ class RecordedStudent:
 
     @property
     def success(self) -> float:
-        """Share of the rollouts that succeeded, with the noise."""
         return self.episodes / self.trials
 
 
@@ -60,16 +59,6 @@ def record_student(
 
     Stored are the actor's means; the robot carries them out with noise, so that the student also sees what to
     do off the path.
-
-    Args:
-        actor_dir: folder of the actor.
-        task: such as `switch`; must be the actor's.
-        twin: the finger with its gel; None for the built-in one.
-        seed: of starts and noise.
-        student: the dataset, how many demonstrations, fidelity and noise.
-        conditions: of the world, see `World`.
-        station: likewise.
-        progress: is called after each trial with a few words, the demonstrations and how many are wanted.
 
     Raises:
         InputError: the actor is missing, damaged or another task's, a number is out of range, the dataset's

@@ -94,12 +94,7 @@ NARROW = 0.6  # width over height of a picture into which the body fits
 
 
 class BodyScene:
-    """What is drawn of a body.
-
-    Args:
-        server: the viewer.
-        twin: gives its sizes.
-    """
+    """What is drawn of a body."""
 
     def __init__(self, server: viser.ViserServer, twin: Twin):
         self._server, self._length = server, twin.length_mm
@@ -181,7 +176,6 @@ class BodyScene:
             self._solid, self._skin.visible = None, True
 
     def forget_path(self) -> None:
-        """The tip's path starts again."""
         self._path = []
         self._trail.points = np.zeros((1, 2, 3), np.float32)
 
@@ -208,14 +202,7 @@ DRAWN = POINTS, SPLATS = "points, coloured by stretch", "splats, in its own look
 
 
 class SolidPanel:
-    """A button that solves, and what came of it until something moves.
-
-    Args:
-        studio: that it is a part of.
-        scene: picture of the body.
-        begin: called before: makes the picture the page's own.
-        now: twin, pressures (chambers,) in kPa and conditions at present.
-    """
+    """A button that solves, and what came of it until something moves."""
 
     def __init__(
         self,
@@ -277,9 +264,6 @@ SPEEDS = {"1 x": 1.0, "10 x": 10.0, "100 x": 100.0}
 
 class DevicePage:
     """Knobs, switches, and a body that follows them.
-
-    Args:
-        studio: that it is a page of.
 
     Attributes:
         shape: where the body is now.
@@ -389,12 +373,10 @@ class DevicePage:
 
     @property
     def pressure_kpa(self) -> np.ndarray:
-        """(chambers,) of the sliders."""
         return np.array([s.value for s in self._pressures], float)
 
     @property
     def force_n(self) -> np.ndarray:
-        """(3,) of the sliders."""
         f = [s.value for s in self._force]
         return np.array(f if self._arm else [f[0], 0.0, f[1]], float)
 
@@ -413,7 +395,6 @@ class DevicePage:
     # ---------------------------------------------------------------- the body
 
     def _changed(self) -> None:
-        """Another twin is looked at: its switches."""
         twin = self._studio.session.twin
         if self._folder is not None:
             self._folder.remove()

@@ -18,12 +18,7 @@ from pneutac_sim.errors import InputError
 
 
 class ExperimentPanel:
-    """A button that chooses, one that downloads and, where there is a bench, one that drives.
-
-    Args:
-        studio: that it is a part of; its session has a recording.
-        work: begins something that takes long: what it is, and what is called with its progress.
-    """
+    """A button that chooses, one that downloads and, where there is a bench, one that drives."""
 
     def __init__(self, studio, work: Callable):
         self._studio, self._work, gui = studio, work, studio.server.gui
@@ -42,7 +37,6 @@ class ExperimentPanel:
         self._drive.on_click(studio.safely(self.drive))
 
     def design(self) -> None:
-        """Chooses the most informative program for the bench."""
         session = self._studio.session
         recording = session.needs_recording()
         if session.diagnosis is None:
@@ -97,11 +91,7 @@ SHOWN = 10  # of the candidates
 
 
 class FindPage:
-    """The loop, by buttons; each does what the command of its name does.
-
-    Args:
-        studio: that it is a page of; its session has a recording.
-    """
+    """The loop, by buttons; each does what the command of its name does."""
 
     title = "Find it"
 
@@ -182,7 +172,6 @@ class FindPage:
         self.sentence.content = session.comparison.sentence
 
     def diagnose(self) -> None:
-        """Looks for what is missing; the twin stays as it is."""
         session = self._studio.session
         recording = session.needs_recording()
 
@@ -207,7 +196,6 @@ class FindPage:
         self._work(f"trying {chosen}", work)
 
     def keep(self) -> None:
-        """Writes what was tried as the twin's next version."""
         session = self._studio.session
         if session.addition is None or not session.addition.accepted:
             raise InputError("There is nothing to keep; try an effect first.")
@@ -224,12 +212,10 @@ class FindPage:
         self.before_after.visible = True
 
     def back(self) -> None:
-        """Writes the version that is looked at as the newest."""
         number = self._studio.session.keep()
         self._studio.say(f"Version {number} is as the one that you went back to; none was lost.")
 
     def write(self) -> None:
-        """The diagnosis as the command would write it."""
         diagnosis, out = self._studio.session.diagnosis, Path(self._out.value)
         if diagnosis is None:
             raise InputError("Diagnose first; there is nothing to write yet.")

@@ -27,9 +27,6 @@ DEEPEST_MM = 2.0
 class GelPage:
     """An indenter on a gel.
 
-    Args:
-        studio: that it is a page of.
-
     Attributes:
         busy_s: processor time of the last state, s.
     """
@@ -104,7 +101,6 @@ class GelPage:
         self._due.set()
 
     def _changed(self) -> None:
-        """Another twin is looked at: its switches."""
         twin = self._studio.session.twin
         if self._folder is not None:
             self._folder.remove()

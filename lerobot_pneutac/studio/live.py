@@ -142,6 +142,5 @@ def _force(names: tuple[str, ...], force_n: np.ndarray) -> np.ndarray:
 
 
 def shape_of(joints: np.ndarray, markers: np.ndarray, twin: Twin) -> Shape:
-    """The body at one sample of a `Run`: joints (N axes,), markers (5,)."""
     at = np.array(twin.spine_joint_positions_mm)
     return Shape(*links(np.asarray(joints).reshape(len(at), -1), at), markers)

@@ -24,13 +24,7 @@ WIDTH_PX = 440
 
 
 class PhotographPanel:
-    """Photographs of one camera.
-
-    Args:
-        gui: of the viewer.
-        recording: of a finger or an arm, perhaps without photographs.
-        twin: gives the skin.
-    """
+    """Photographs of one camera."""
 
     def __init__(self, gui, recording: Recording, twin: Twin):
         self._recording, self._skin = recording, Skin.of(twin)
@@ -43,7 +37,6 @@ class PhotographPanel:
         self._picture = gui.add_image(np.zeros((2, 2, 3), np.uint8), label="photographed", visible=False)
 
     def _camera_of(self, column: str) -> Camera | None:
-        """Of a column, where `recording.json` describes it."""
         described = self._recording.meta.get("cameras")
         names = list(described) if isinstance(described, dict) else []
         name = column.removeprefix("image_") if column != "image" else next(iter(names), "")
@@ -87,12 +80,7 @@ TIPS = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
 
 
 class MeasurementPage:
-    """Play, scrub, jump.
-
-    Args:
-        studio: that it is a page of; its session has a recording of a body.
-        scene: the picture that follows.
-    """
+    """Play, scrub, jump."""
 
     title = "Measurement"
 
@@ -116,7 +104,6 @@ class MeasurementPage:
     # ---------------------------------------------------------------- what is shown
 
     def _load(self) -> None:
-        """Runs the twin on the recording and shows what comes of it."""
         session = self._studio.session
         try:
             comparison = compare(session.twin, session.needs_recording())
@@ -148,7 +135,6 @@ class MeasurementPage:
             )
 
     def _lay_out(self, c) -> None:
-        """Charts, worst passages and conditions of a comparison."""
         gui = self._gui
         self.player.reaches(float(self._t[-1]))
         if not self._charts:
@@ -242,11 +228,7 @@ TIMES = 4.0  # by which the difference is exaggerated
 
 
 class ImagesPage:
-    """Recorded, modelled, and the difference.
-
-    Args:
-        studio: that it is a page of; its session has a recording of a gel.
-    """
+    """Recorded, modelled, and the difference."""
 
     title = "Measurement"
 
@@ -277,7 +259,6 @@ class ImagesPage:
         self._draw()
 
     def jump(self) -> None:
-        """Shows the image with the largest error in the contact."""
         if self._c is not None:
             names = [s.name for s in self._c.data.samples]
             self._number.value = 1 + names.index(self._c.worst[0]["image"])

@@ -19,12 +19,7 @@ SPEEDS = {"1 x": 1.0, "0.2 x": 0.2, "5 x": 5.0, "20 x": 20.0}
 
 
 class Player:
-    """A moment that moves on by itself, or by hand.
-
-    Args:
-        gui: of the viewer.
-        show: called when the moment is another.
-    """
+    """A moment that moves on by itself, or by hand."""
 
     def __init__(self, gui: viser.GuiApi, show: Callable[[], None]):
         self._time = gui.add_slider("time, s", 0.0, 1.0, 0.01, 0.0)
@@ -150,5 +145,4 @@ __all__ = [
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
-    """Red, green and blue of `#rrggbb`."""
     return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)

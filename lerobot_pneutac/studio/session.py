@@ -82,7 +82,6 @@ class Session:
         self._told: list[Callable[[], None]] = []
 
     def when_changed(self, tell: Callable[[], None]) -> None:
-        """Calls `tell` whenever another twin is looked at."""
         self._told.append(tell)
 
     def needs_recording(self) -> Recording:

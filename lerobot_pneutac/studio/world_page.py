@@ -25,11 +25,7 @@ TOLD = "as its instruction says"
 
 
 class EpisodePanel:
-    """One episode: recorded, replayed, and the difference.
-
-    Args:
-        studio: that it is a part of; its twin is a finger's.
-    """
+    """One episode: recorded, replayed, and the difference."""
 
     def __init__(self, studio):
         self._studio, gui = studio, studio.server.gui
@@ -59,7 +55,6 @@ class EpisodePanel:
         studio.session.when_changed(self._forget)
 
     def replay(self) -> None:
-        """Carries the chosen episode out with the twin that is looked at."""
         name, number = self._name.value.strip(), int(self._number.value)
         if not name:
             raise InputError("Which dataset? Give its folder, such as outputs/demo/demonstrations.")
@@ -130,11 +125,7 @@ EXPERT, POLICY, HAND = PLAYERS = ("the scripted expert", "a policy", "by hand")
 
 
 class WorldPage:
-    """A task of the library, one control step after the other.
-
-    Args:
-        studio: that it is a page of; its twin is a finger's or an arm's.
-    """
+    """A task of the library, one control step after the other."""
 
     title = "World"
 
@@ -185,7 +176,6 @@ class WorldPage:
             slider.value = float(np.clip(slider.value + sign * PRESSURE_STEP * (high - low), low, high))
 
     def begin(self) -> None:
-        """Another start of the task; the one before ends."""
         self.close_world()
         self._stop = threading.Event()
         self.readout.content = f"The world of the task '{self._task.value}' is made ..."
@@ -212,7 +202,6 @@ class WorldPage:
             self.readout.content = f"> {e}"
 
     def _mover(self, env) -> Callable[[dict], np.ndarray]:
-        """What gives the next action for an observation."""
         if self._player.value == HAND:
             return lambda _: self.action()
         if self._player.value == POLICY:

@@ -10,7 +10,7 @@ from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.result import Contribution, FittedModel, Refits
 from lerobot_pneutac.diagnosis.steps import Steps
-from lerobot_pneutac.reports.page import AFTER, BEFORE, KNOWN, Report, interval, span
+from lerobot_pneutac.reports.page import AFTER, BEFORE, KNOWN, Report, parameter_rows, span
 from lerobot_pneutac.reports.sentences import percent
 from lerobot_pneutac.study import study_of
 from lerobot_pneutac.study.pair import load_pair, same_body
@@ -18,6 +18,7 @@ from lerobot_pneutac.verbs.diagnosis import Diagnosis, read_found
 from lerobot_pneutac.verbs.result import Result, command_on
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.wording import joined
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import check_writable
@@ -109,7 +110,6 @@ class Addition(Result):
 
     @property
     def _effects(self) -> list[str]:
-        """The effects without the known causes."""
         return [e for e in self.effect.split(", ") if e not in self.known]
 
     @property
@@ -119,7 +119,6 @@ class Addition(Result):
 
     @property
     def sentence(self) -> str:
-        """By how much the error falls, with what, and what each effect does; or why it was refused."""
         before, base, after = self.before, self.baseline, self.after
         if not self.accepted or before is None or base is None or after is None:
             return self.reason
@@ -131,9 +130,9 @@ class Addition(Result):
             change = f"{verb}{'s' if len(causes) == 1 else ''} the test error from {was} to {now}"
             if was == now:
                 change = f"leave{'s' if len(causes) == 1 else ''} the test error at {now}"
-            text = f"Known causes: {_listed(causes)} {change} {self.unit}{'' if self._effects else noise}."
+            text = f"Known causes: {joined(causes)} {change} {self.unit}{'' if self._effects else noise}."
         if self._effects:
-            names = _listed(self._effects)
+            names = joined(self._effects)
             text += f" With {names} it falls from {base['heldout']:.3g} to {after['heldout']:.3g} {self.unit}"
             text = text.replace(" it falls", " the test error falls") if not causes else text
             text += f"{noise}."
@@ -141,11 +140,9 @@ class Addition(Result):
 
     @property
     def findings_shown(self) -> tuple[str, ...]:
-        """The findings, unless the diagnosis has shown them."""
         return () if self.diagnosed else self.findings
 
     def rows(self) -> list[dict]:
-        """The errors as it is, with known causes, and with all; none where the diagnosis has shown them."""
         return [] if self.diagnosed else self._errors()
 
     def _errors(self) -> list[dict]:
@@ -165,7 +162,6 @@ class Addition(Result):
         return command_on("compare" if self.accepted else "diagnose", self.twin, self.recording)
 
     def remarks(self) -> list[str]:
-        """What each term is worth, bounds, warnings, and where the twin lies."""
         out = []
         if len(self.contributions) > 1:
             worth = ", ".join(f"{c.name} {c.error_without:.3g}" for c in self.contributions)
@@ -197,12 +193,10 @@ class Addition(Result):
         return out
 
     def page(self) -> Report:
-        """The errors, what each term is worth, and the parameters."""
         page = Report(self.title)
         page.lead(self.sentence)
-        if self.accepted:
-            for text in self.physics:
-                page.text(text)
+        for text in self.physics if self.accepted else ():
+            page.text(text)
         if self.accepted and self.objections:
             page.text(f"**Warnings of the diagnosis:** {'; '.join(self.objections)}.")
         if self.before is not None:
@@ -228,29 +222,14 @@ class Addition(Result):
             ],
             "What each term is worth: the model is re-fitted without it.",
         )
-        page.table(
-            [
-                {
-                    "parameter": k,
-                    "value": v["value"],
-                    "95 % interval": interval(v, "held"),
-                    "unit": v["unit"] or "(a ratio)",
-                }
-                for k, v in (self.parameters or {}).items()
-            ],
-            "Fitted to all but the test part.",
-        )
-        if self.findings:
-            page.heading("What the data check found")
-            page.text("\n\n".join(self.findings))
+        page.table(parameter_rows(self.parameters or {}), "Fitted to all but the test part.")
+        page.found(self.findings)
         return page
 
     def _steps(self) -> list[tuple[str, dict, str]]:
         steps = [("before", self.before, BEFORE)]
-        steps += (
-            [(f"with known causes ({', '.join(self.known)})", self.baseline, KNOWN)] if self.known else []
-        )
-        steps += [(f"with {', '.join(self._effects)}", self.after, AFTER)] if self._effects else []
+        steps += [(f"with known causes ({', '.join(self.known)})", self.baseline, KNOWN)] * bool(self.known)
+        steps += [(f"with {', '.join(self._effects)}", self.after, AFTER)] * bool(self._effects)
         return [(name, e, colour) for name, e, colour in steps if e is not None]
 
 
@@ -292,7 +271,7 @@ def add(
         if not (isinstance(recording, Demonstrations) and e in OF_DEMONSTRATIONS):
             get_effect(e)
     recording, steps = same_body(twin, recording, "add to"), Steps(progress)
-    given: dict[str, Any] = {"effect": ", ".join(effects), "recording": str(recording.folder), "seed": seed}
+    given = _given(effects, recording, seed)
     study = study_of(twin, recording, seed, adding=effects)
     reason = next(filter(None, map(study.refusal, effects)), "") or study.too_little()
     if reason:
@@ -300,6 +279,10 @@ def add(
     steps.expect(f"fitting with and without {given['effect']}", 2)
     found = study.refits(effects, steps)
     return _judged(study, twin, effects, found, given, anyway, named=True)
+
+
+def _given(effects: Sequence[str], recording: Recording | Demonstrations, seed: int) -> dict[str, Any]:
+    return {"effect": ", ".join(effects) or "nothing", "recording": str(recording.folder), "seed": seed}
 
 
 def _written(twin: Twin, recording: Recording | Demonstrations, folder: Path, anyway: bool) -> Addition:
@@ -320,11 +303,8 @@ def _whole(
 ) -> Addition:
     """Everything that a diagnosis found, tested on its test blocks."""
     selected = list(result["selected"])
-    given: dict[str, Any] = {
-        "effect": ", ".join(selected) or "nothing",
-        "recording": str(study.recording.folder),
-    }
-    given |= {"seed": study.seed, "objections": tuple(result.get("objections", ())), "diagnosed": True}
+    given = _given(selected, study.recording, study.seed)
+    given |= {"objections": tuple(result.get("objections", ())), "diagnosed": True}
     reason = study.too_little() if selected else "Nothing was written: the diagnosis found nothing to add."
     if reason:
         return Addition(accepted=False, reason=reason, twin=twin, findings=tuple(study.findings), **given)
@@ -357,7 +337,7 @@ def _judged(
     reason = _refusal(study, effects, found, named)
     if not reason and not decided:
         reason = (
-            f"Not added: the diagnosis is inconclusive; {_listed(effects)} only compensates for something "
+            f"Not added: the diagnosis is inconclusive; {joined(effects)} only compensates for something "
             f"that no known effect describes."
         )
     stored = not reason or anyway
@@ -391,7 +371,7 @@ def _refusal(study, effects: Sequence[str], found: Refits, named: bool) -> str:
     """Why effects are not added, a sentence; empty where they are."""
     base, after, unit = found.baseline if named else found.before, found.after, study.unit
     errors = [study.errors(m)["heldout"] for m in (base, after)]
-    names = _listed(effects)
+    names = joined(effects)
     value, low, high = study.test.drop(base.squared, after.squared)
     if found.better is not None and low > 0 and not _nearly_as_good(study, found):
         other, model = found.better
@@ -401,7 +381,7 @@ def _refusal(study, effects: Sequence[str], found: Refits, named: bool) -> str:
         )
     if idle := [e for e in effects if study.idle(after, e)]:
         plural = "their constants end where they do" if len(idle) > 1 else "its constants end where it does"
-        return f"Not added: {_listed(idle)} changes nothing; {plural} nothing{_known_help(study, found)}."
+        return f"Not added: {joined(idle)} changes nothing; {plural} nothing{_known_help(study, found)}."
     if named and low > 0 and not found.significant:
         return (
             f"Not added: with {names} the test error falls from {errors[0]:.4g} to {errors[1]:.4g} {unit}, "
@@ -420,7 +400,7 @@ def _refusal(study, effects: Sequence[str], found: Refits, named: bool) -> str:
     if named and len(effects) > 1 and useless:
         useful = [e for e in effects if e not in useless]
         instead = f"; give --effect={','.join(useful)}" if useful else "; give one of them alone"
-        return f"Not added: {_listed(useless)} adds nothing significant to the others{instead}."
+        return f"Not added: {joined(useless)} adds nothing significant to the others{instead}."
     return ""
 
 
@@ -437,15 +417,11 @@ def _known_help(study, found: Refits) -> str:
     if not found.known or study.test.drop(found.before.squared, found.baseline.squared)[1] <= 0:
         return ""
     before, base = (study.errors(m)["heldout"] for m in (found.before, found.baseline))
-    causes = _listed([k.replace("_", " ") for k in found.known])
+    causes = joined([k.replace("_", " ") for k in found.known])
     return (
         f". The known causes {causes} lower it from {before:.4g} to {base:.4g} {study.unit}; "
         "`pneutac calibrate` fits them"
     )
-
-
-def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 @dataclass

@@ -177,14 +177,12 @@ class Augmentation(Result):
         return self.summary["kept"] / self.summary["attempts"]
 
     def rows(self) -> list[dict]:
-        """Variants and their number."""
         counts = {"kept": self.summary["kept"]}
         counts |= {f"rejected: {reason}": count for reason, count in self.summary["rejected"].items()}
         counts["yield"] = f"{100 * self.share:.0f} %"
         return [{"variants": name, "number": number} for name, number in counts.items()]
 
     def remarks(self) -> list[str]:
-        """How many, where and how fast."""
         kept, minutes = self.summary["kept"], self.summary["wall_s"] / 60
         checks = self.summary.get("checks", [])
         agree = sum(c["success"] for c in checks)
@@ -196,7 +194,6 @@ class Augmentation(Result):
         ]
 
     def _mixed(self) -> list[str]:
-        """Where they start, and what else the dataset holds."""
         out, copies = [], self.summary.get("copies", 0)
         if start_range := self.summary.get("start_range_m"):
             x, y, z = (1e3 * each for each in start_range)
@@ -218,13 +215,11 @@ class Augmentation(Result):
         return out
 
     def subject(self) -> tuple[Twin, Path]:
-        """The twin on which it was planned, and the recorded demonstrations."""
         twin = Twin.load(self.config.twin) if self.config.twin else Twin.builtin()
         return twin, self.config.dataset.root
 
     @property
     def next_command(self) -> str:
-        """To train a policy on the new demonstrations."""
         new = self.config.output
         options = [f"--dataset.repo_id={new.repo_id}", f"--dataset.root={new.root}", "--policy.device=cpu"]
         options += [f"--output_dir={new.root}_policy", "--env_eval_freq=0", "--wandb.enable=false"]
@@ -251,10 +246,6 @@ def other_sensor(meta: "LeRobotDatasetMetadata", sensor: "TactileSensor") -> str
     """A sentence where the twin's gel does not look at rest like that of the demonstrations; else empty.
 
     A policy has one image at rest: what differs from it looks like a touch.
-
-    Args:
-        meta: of the demonstrations.
-        sensor: of the twin.
 
     Raises:
         InputError: they are of another kind of sensor, or turned.

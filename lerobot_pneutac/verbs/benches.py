@@ -51,11 +51,7 @@ class Bench(Protocol):
 
 
 class StandinBench:
-    """The stand-in's finger, which shares no physics with a twin.
-
-    Args:
-        seed: of the measurement's noise.
-    """
+    """The stand-in's finger, which shares no physics with a twin."""
 
     range_kpa, hz, pause_s = (np.zeros(1), np.full(1, MAX_PRESSURE_KPA)), 20.0, None
 
@@ -63,18 +59,13 @@ class StandinBench:
         self._seed = seed
 
     def follow(self, program: Path, out: Path, number: int) -> Recording:
-        """See `Bench`."""
         from pneutac_datasets.generate.standin import write_program
 
         return write_program(out, program, 1000 * self._seed + number)
 
 
 class MeasuredBench:
-    """A finger in front of a camera, on a pressure controller: `pneutac measure`.
-
-    Args:
-        config: its options; `program` and `out` are set for each program.
-    """
+    """A finger in front of a camera, on a pressure controller: `pneutac measure`."""
 
     def __init__(self, config: "MeasureConfig"):
         self._config = config
@@ -83,7 +74,6 @@ class MeasuredBench:
         self._vented_s: float | None = None  # on the clock
 
     def follow(self, program: Path, out: Path, number: int) -> Recording:
-        """See `Bench`."""
         from lerobot_pneutac.verbs.measure import measure
 
         began_s, before_s = time.monotonic() + self._config.rest_s, self._vented_s

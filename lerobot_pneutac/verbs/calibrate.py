@@ -300,7 +300,6 @@ def keep_prior(result: Calibration, name: str | None) -> str:
 
 
 def stopped(keep: Path) -> str:
-    """What to say where a calibration was interrupted."""
     search = keep / SEARCH
     count = len(json.loads(search.read_text())["evaluations"]) if search.is_file() else 0
     if not count:
@@ -312,6 +311,5 @@ def stopped(keep: Path) -> str:
 
 
 def forget_search(keep: Path) -> None:
-    """Deletes the stored search."""
     for name in (SEARCH, BEST):
         (keep / name).unlink(missing_ok=True)

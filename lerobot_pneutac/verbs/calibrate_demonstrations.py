@@ -37,7 +37,6 @@ class LightCalibration(Calibration):
 
     @property
     def sentence(self) -> str:
-        """How the light had changed, and what the new rest image gains."""
         if self.error["heldout"] == self.before:
             return f"{self.light.sentence} Its rest image is kept: it is {self.before:.2f} levels off."
         return (
@@ -46,7 +45,6 @@ class LightCalibration(Calibration):
         )
 
     def rows(self) -> list[dict]:
-        """The error before and after, and the factor on each colour."""
         return [
             {"colour": name, "factor": gain, "levels": level}
             for name, gain, level in zip(
@@ -62,7 +60,6 @@ class LightCalibration(Calibration):
         return out + ([self.dragging.sentence(self.dragged_before)] if self.dragging else [])
 
     def _noted(self) -> dict:
-        """How imprints turned under a drag, which later ones are held against."""
         return {"dragging": self.dragging.kept(self.task)} if self.dragging else {}
 
     def content(self) -> dict:
@@ -71,11 +68,6 @@ class LightCalibration(Calibration):
 
 def calibrate_demonstrations(twin: Twin, given: Demonstrations, seed: int = 0) -> LightCalibration:
     """Takes the gel's rest image from the frames before the first touches; the twin is not changed.
-
-    Args:
-        twin: of a finger with its gel.
-        given: the episodes; a third of them are held out.
-        seed: decides which.
 
     Raises:
         InputError: there are fewer than two episodes, or their images have another size than the gel's.

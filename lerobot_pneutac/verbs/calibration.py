@@ -87,19 +87,16 @@ class Calibration(Result):
 
     @property
     def version(self) -> int | None:
-        """Number of the saved version."""
         return self.twin.history[-1]["version"] if self.saved_to else None
 
     @property
     def next_command(self) -> str:
-        """To see where it still fails."""
         return command_on("compare", self.twin, self.recording)
 
     def rows(self) -> list[dict]:
         return self.parameter_rows()
 
     def parameter_rows(self) -> list[dict]:
-        """The same, for the report."""
         return [
             {
                 "parameter": name,
@@ -116,7 +113,6 @@ class Calibration(Result):
         return super().content() | where
 
     def _now(self) -> str:
-        """The end of a remark with the place of the twin."""
         return f"; the twin at {self.saved_to} is now version {self.version}" if self.saved_to else ""
 
 

@@ -52,7 +52,6 @@ class Band:
         return np.abs(residual) <= self.half
 
     def at(self, samples: np.ndarray) -> "Band":
-        """Of these samples (m,) alone."""
         return replace(self, half=self.half[samples])
 
 
@@ -172,7 +171,6 @@ class BodyComparison(Comparison):
 
     @cached_property
     def squared(self) -> np.ndarray:
-        """(n,) squared Euclidean distance."""
         return squared_distance((self.measured - self.model)[:, : self.counted])
 
     @property
@@ -181,7 +179,6 @@ class BodyComparison(Comparison):
 
     @property
     def noise_floor(self) -> float | None:
-        """Error that the measurement's own noise makes; None where it is unknown."""
         return self.noise.value
 
     @property
@@ -213,12 +210,10 @@ class BodyComparison(Comparison):
 
     @property
     def by(self) -> dict[str, list[dict]]:
-        """Error under each condition."""
         return {a.name: by_axis(a, self.squared, self.train_samples) for a in self.axes}
 
     @cached_property
     def worst(self) -> list[dict]:
-        """The worst passages, separated in time."""
         return worst_passages(self.recording, self.squared)
 
     def rows(self) -> list[dict]:
@@ -266,19 +261,13 @@ class BodyComparison(Comparison):
         }
 
     def page(self) -> Report:
-        """Measured against model, loops, residuals by condition, maps, history."""
         from lerobot_pneutac.reports.compare import comparison_page
 
         return comparison_page(self)
 
 
 def compare_body(twin: Twin, recording: Recording) -> BodyComparison:
-    """Checks the recording, runs the twin from the commanded pressure and sorts the errors.
-
-    Args:
-        twin: of the same device.
-        recording: of a finger or an arm.
-    """
+    """Checks the recording, runs the twin from the commanded pressure and sorts the errors."""
     clean, findings = check(recording)
     train = train_mask(twin, clean)
     judged = train if train.any() else np.ones(len(clean), bool)
@@ -324,7 +313,6 @@ def train_mask(twin: Twin, recording: Recording) -> np.ndarray:
 
 
 def _pressure_error(recording: Recording, twin: Twin) -> np.ndarray | None:
-    """(n,) squared distance of the pneumatics from the measured pressure, from the command."""
     measured = [n.replace("cmd_", "") for n in recording.pressure_columns]
     if not all(map(recording.has, measured)):
         return None

@@ -67,7 +67,6 @@ class DemonstrationComparison(Comparison):
 
     @property
     def noise_floor(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Error that the measurement's own noise makes."""
         return self.study.noise.floor
 
     @property
@@ -75,7 +74,6 @@ class DemonstrationComparison(Comparison):
         return f"Twin against demonstrations: {self.demonstrations.folder.name}"
 
     def subject(self) -> tuple[Twin, str]:
-        """The twin and the dataset."""
         return self.twin, str(self.demonstrations.folder)
 
     @cached_property
@@ -102,7 +100,6 @@ class DemonstrationComparison(Comparison):
 
     @cached_property
     def by(self) -> dict[str, list[dict]]:
-        """Errors by phase, by episode and by imprint depth."""
         owner = self.study.owner
         episodes = [
             {"bin": str(i), **self._row(owner == i)} | self._touches(i)
@@ -147,7 +144,6 @@ class DemonstrationComparison(Comparison):
 
     @property
     def worst(self) -> list[dict]:
-        """The episodes with the largest errors."""
         rows = sorted(self.by["episode"], key=lambda r: -r["error"])[:3]
         length = [len(e) / CONTROL_HZ for e in self.demonstrations.episodes]
         return [
@@ -157,7 +153,6 @@ class DemonstrationComparison(Comparison):
 
     @property
     def sentence(self) -> str:
-        """How far it is off, and where most."""
         channel = max(("arm", "gauge", "touch"), key=lambda k: self.error[k] or 0.0)
         phase = max(self.by["phase"], key=lambda r: r["error"] or 0.0)["bin"]
         most = {"arm": "where the arm goes", "gauge": "its pressure", "touch": "its touch"}[channel]
@@ -205,11 +200,9 @@ class DemonstrationComparison(Comparison):
         }
 
     def page(self) -> Report:
-        """Pictures, curves, a film and errors."""
         return demonstrations_page(self)
 
     def pictures(self) -> dict[str, np.ndarray]:
-        """Recorded touch and the twin's, of the worst episode, where it is pressed most."""
         frames = film_frames(self, self.worst[0]["trial"])
         e = self.demonstrations.episodes[self.worst[0]["trial"]]
         return {"touch.png": frames[int(np.argmax(e.state[:, AREA]))]}
@@ -232,12 +225,6 @@ def compare_demonstrations(
     twin: Twin, given: Demonstrations, seed: int = 0, progress: Progress = no_progress
 ) -> DemonstrationComparison:
     """Replays demonstrations in the twin's world and compares; neither is changed.
-
-    Args:
-        twin: of the finger.
-        given: the episodes.
-        seed: decides which episodes are held out.
-        progress: called with how many episodes are replayed.
 
     Raises:
         InputError: an episode's objects cannot be placed.

@@ -61,12 +61,10 @@ class GelComparison(Comparison):
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """What the checks found, one sentence each."""
         return tuple(self.data.warnings)
 
     @property
     def error(self) -> dict[str, float | None]:
-        """Root mean square error over the calibration's images and over all others."""
         return errors_of(self.scores, self.data)
 
     @property
@@ -87,7 +85,6 @@ class GelComparison(Comparison):
 
     @property
     def by(self) -> dict[str, list[dict]]:
-        """Error by role, and of held-out images by indenter."""
         samples, unseen = self.data.samples, self.data.heldout
         return {
             "role": _by(self.scores, [s.role or "others" for s in samples]),
@@ -96,7 +93,6 @@ class GelComparison(Comparison):
 
     @property
     def worst(self) -> list[dict]:
-        """The images with the largest error in the contact."""
         order = sorted(range(len(self.scores)), key=lambda i: -self.scores[i].contact_rmse)
         return [
             {

@@ -42,13 +42,6 @@ def by_mpm(
 ) -> BodyComparison:
     """A comparison at some of the samples, with a model by material points.
 
-    Args:
-        c: by the pipeline.
-        twin: a finger's or an arm's.
-        samples: at most so many.
-        seed: decides which.
-        progress: called with a text, the poses done and all of them.
-
     Raises:
         InputError: an effect cannot act on material points, or a body finds no rest.
     """

@@ -58,7 +58,6 @@ class Control(Result):
 
     @property
     def expected_error_rad(self) -> float:
-        """Root mean square of target and twin."""
         return root_mean((self.predicted_rad - self.target_rad) ** 2)
 
     @property
@@ -71,7 +70,6 @@ class Control(Result):
 
     @property
     def sentence(self) -> str:
-        """How near the finger comes to what was asked."""
         span = np.ptp(self.target_rad)
         if self.error_rad is None:
             share = 100 * self.expected_error_rad / span
@@ -86,7 +84,6 @@ class Control(Result):
         )
 
     def rows(self) -> list[dict]:
-        """Errors of twin and finger."""
         kinds = (("by the twin", self.expected_error_rad), ("measured", self.error_rad))
         return [
             {"bend": name, "error, mrad": f"{1e3 * error:.1f}"} for name, error in kinds if error is not None
@@ -98,7 +95,6 @@ class Control(Result):
         return shlex.join(["pneutac", "measure", f"--program={out}/program.csv", f"--out={out}/recording"])
 
     def page(self) -> Report:
-        """Target, twin, finger and pressure over time."""
         return _page(self)
 
     def report(self, out: str | Path, command: str = "") -> Path:

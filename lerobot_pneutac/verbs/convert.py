@@ -109,10 +109,6 @@ class ConvertConfig:
 def convert(config: ConvertConfig, show: Callable[[Understood], None] = lambda understood: None) -> Recording:
     """Writes the recording and reads it back with all the checks of one.
 
-    Args:
-        config: its options.
-        show: is given what was understood of a table, before anything is written.
-
     Raises:
         InputError: one sentence: what is missing in which file, or a fault of the recording.
     """
@@ -176,7 +172,6 @@ def _convert_tables(config: ConvertConfig, show: Callable[[Understood], None]) -
 
 
 def _columns(config: ConvertConfig) -> dict[str, str]:
-    """Those that are given, with the one of times."""
     return ({config.time: "time_s"} if config.time else {}) | config.columns
 
 
@@ -200,7 +195,6 @@ def _read(config: ConvertConfig) -> Source:
 
 
 def _log(config: ConvertConfig) -> Source:
-    """The log of pressures, by the recording's names and units."""
     assert config.log is not None
     columns = _columns(config)
     given = Given(columns, rate_hz=config.rate_hz)

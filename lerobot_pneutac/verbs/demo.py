@@ -114,7 +114,6 @@ class QuickResult(Result):
 
     @property
     def sentence(self) -> str:
-        """What was found, and how the error on another day changed."""
         s = self.state
         return (
             f"With {' and '.join(self.added)} added, the tip error on another day went from "
@@ -124,7 +123,6 @@ class QuickResult(Result):
 
     @property
     def next_commands(self) -> list[str]:
-        """Commands to try next."""
         return [
             f"pneutac history --twin={self.out}/twin",
             f"pneutac studio --twin={self.out}/before --recording={self.out}/monday",
@@ -132,7 +130,6 @@ class QuickResult(Result):
         ]
 
     def subject(self) -> tuple[Twin, Path]:
-        """The corrected twin, and what it was measured by."""
         return Twin.load(self.out / "twin"), self.out / "monday"
 
     def content(self) -> dict:
@@ -168,7 +165,6 @@ class DemoResult(QuickResult):
 
     @property
     def sentence(self) -> str:
-        """What was found, how the error fell, what the policies do, and whether augmentation helped."""
         before, after = self.state["twin"]["tip_error_mm"], self.state["add"]["tip_error_mm"]
         noise = self.state["add"]["noise_mm"]
         left = max(after**2 - noise**2, 0.0) ** 0.5
@@ -202,7 +198,6 @@ class DemoResult(QuickResult):
         ]
 
     def subject(self) -> tuple[Twin, Path]:
-        """The corrected twin, and what it was measured by."""
         return Twin.load(self.out / "twin"), self.out / "bench/finger"
 
     def content(self) -> dict:
@@ -221,7 +216,6 @@ class DemoResult(QuickResult):
 
 
 def wilson(successes: list[bool]) -> list[float]:
-    """Wilson's 95 % interval of a success rate, percent."""
     interval = binomtest(sum(successes), len(successes)).proportion_ci(method="wilson")
     return [100 * interval.low, 100 * interval.high]
 
@@ -238,11 +232,6 @@ Announce = Callable[[str], None]
 
 class Demo:
     """One run: its folder, its stages and the commands that it ran. Finished stages are reused.
-
-    Args:
-        cfg: the options.
-        announce: called with the title of each stage, each command, and the end of what a command printed.
-        progress: `progress(text, done, total)`.
 
     Raises:
         InputError: the folder holds a demo with other options.
@@ -448,7 +437,6 @@ class Demo:
         return {"augmented": self._successes("eval"), "alone": self._successes(f"eval{ALONE}")}
 
     def _successes(self, folder: str) -> list[bool]:
-        """Of each start, in the order of the starts."""
         info = json.loads((self._path(folder) / "eval_info.json").read_text())
         (task,) = info["per_task"]
         return [bool(done) for done in task["metrics"]["successes"]]

@@ -62,12 +62,10 @@ class Design(Result):
 
     @property
     def best(self) -> Choice:
-        """The program to drive."""
         return self.choices[0]
 
     @property
     def sentence(self) -> str:
-        """What to drive and what it is expected to show."""
         c = self.best
         if c.tells_little:
             return (
@@ -109,13 +107,11 @@ class Design(Result):
         return super().content() | {"contenders": described(self.contenders)}
 
     def report(self, out: str | Path, command: str = "") -> Path:
-        """Writes `program.csv` too."""
         c = self.best
         save_program(Path(out) / "program.csv", c.time_s, c.pressure_kpa, c.kind, c.conditions)
         return super().report(out, command)
 
     def page(self) -> Report:
-        """The program, and what each model predicts."""
         return design_page(self)
 
 

@@ -78,7 +78,6 @@ class Felt:
 
     @property
     def time_s(self) -> np.ndarray:
-        """(T,) seconds since the touch."""
         return LEFT_OUT_S + np.arange(len(self.force_n)) / CONTROL_HZ
 
     @property
@@ -128,11 +127,6 @@ MOTIONS = (
 
 def carried_out(world, seed: int, motion: Motion) -> Felt:
     """What is felt in a motion, from where the finger has found the bar.
-
-    Args:
-        world: with the task `button`; `World`'s senses are asked of it alone.
-        seed: of the scene.
-        motion: to carry out.
 
     Raises:
         InputError: the finger does not reach the bar.
@@ -286,7 +280,6 @@ def fingers(twin: Twin) -> dict[str, tuple[Twin, float]]:
 
 
 def _creeping(twin: Twin) -> Twin:
-    """With more of the creep that it has, or with creep's usual amount where it has none."""
     own = twin.effects.get(CREEP)
     more = {
         p.name: Value(MORE_CREEP * own[p.name].value if own else p.default)
@@ -327,7 +320,6 @@ class MotionDesign(Result):
 
     @property
     def sentence(self) -> str:
-        """Which motions to record and what they show."""
         motions: dict[str, list[str]] = {}
         for change, c in self.chosen.items():
             changes = motions.setdefault(f"{c.motion.name} ({c.motion.seconds:.0f} s)", [])
@@ -342,7 +334,6 @@ class MotionDesign(Result):
         return f"Record {count} episodes with the finger against the bar of '{TASK}': {tell}."
 
     def rows(self) -> list[dict]:
-        """Every motion, and the standard deviations by which it shows each change."""
         return [
             {
                 "motion": c.motion.name,
@@ -384,7 +375,6 @@ class MotionDesign(Result):
         }
 
     def page(self) -> Report:
-        """The motions, and what each finger would show of them."""
         return motion_page(self)
 
 

@@ -46,12 +46,10 @@ class PressDesign(Result):
 
     @property
     def best(self) -> PressChoice:
-        """The press to photograph."""
         return self.choices[0]
 
     @property
     def tells_little(self) -> bool:
-        """Whether it is hardly worth a photograph."""
         return self.best.rivals < LITTLE_GAIN
 
     @property
@@ -61,7 +59,6 @@ class PressDesign(Result):
 
     @property
     def sentence(self) -> str:
-        """What to press and what it is expected to show."""
         if self.held_first:
             return self.held.sentence
         if self.tells_little:
@@ -89,7 +86,6 @@ class PressDesign(Result):
         ]
 
     def remarks(self) -> list[str]:
-        """What would show creep, if that is not proposed first."""
         return [] if self.held_first else [self.held.sentence]
 
     def content(self) -> dict:
@@ -113,7 +109,6 @@ class PressDesign(Result):
         return super().report(out, command)
 
     def page(self) -> Report:
-        """The press as each model predicts it."""
         page, images = super().page(), self.best.images
         names = [f"{100 * c.probability:.0f} % {_named(c)}" for c in self.contenders]
         page.image(np.concatenate(images, axis=1), f"What each model predicts: {', '.join(names)}.")

@@ -51,10 +51,6 @@ class WrittenDiagnosis:
 def read_found(folder: str | Path, recording: Recording | Demonstrations) -> WrittenDiagnosis:
     """Reads what `pneutac diagnose --out=FOLDER` wrote.
 
-    Args:
-        folder: of the diagnosis.
-        recording: that was diagnosed.
-
     Raises:
         InputError: the folder holds no diagnosis, or one of another recording.
     """
@@ -138,12 +134,10 @@ class Diagnosis(Result):
 
     @property
     def verdict(self) -> str:
-        """`adequate`, `missing_effect`, `insufficient_form`, `unknown_effect` or `ambiguous`."""
         return self.outcome.verdict
 
     @property
     def explained(self) -> Explained:
-        """How much of the error is explained."""
         return self.outcome.explained
 
     @property
@@ -182,17 +176,14 @@ class Diagnosis(Result):
 
     @property
     def next_experiment(self) -> str:
-        """What to record next."""
         return self._next[0]
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """What the data check found, one sentence each."""
         return tuple(self.study.findings)
 
     @property
     def findings_shown(self) -> tuple[str, ...]:
-        """Nothing: findings are among the warnings."""
         return ()
 
     @property
@@ -225,7 +216,6 @@ class Diagnosis(Result):
         return sentences.do_next(self.state, self._add_command)
 
     def subject(self) -> tuple[Twin, Path]:
-        """The twin as it was given, and the recording."""
         return self.study.twin, self.study.recording.folder
 
     @property
@@ -236,11 +226,9 @@ class Diagnosis(Result):
 
     @property
     def next_command(self) -> str:
-        """To add what was found; empty where an experiment is needed first."""
         return self.do_next if self.do_next == self._add_command else ""
 
     def rows(self) -> list[dict]:
-        """The test error before, with known causes, with all, and without each cause."""
         o, rows = self.outcome, [("before", self.before)]
         if o.baseline is not None and o.known:
             rows.append(("with known causes", self.study.errors(o.baseline)))
@@ -293,7 +281,6 @@ class Diagnosis(Result):
         return replace(self, saved_to=Path(folder))
 
     def page(self) -> Report:
-        """The sentence, then the evidence as pictures."""
         from lerobot_pneutac.reports.diagnosis import diagnosis_page
 
         return diagnosis_page(self, self._next[1])

@@ -47,7 +47,6 @@ def check_plugin() -> Check:
 
 
 def check_gpu() -> Check:
-    """The accelerator that torch sees."""
     import torch
 
     if torch.cuda.is_available():
@@ -69,7 +68,6 @@ def check_rendering() -> Check:
 
 
 def check_ports() -> Check:
-    """Serial ports that a pressure controller may sit on."""
     from serial.tools import list_ports
 
     ports = [p.device for p in list_ports.comports()]
@@ -77,7 +75,6 @@ def check_ports() -> Check:
 
 
 def check_cameras() -> Check:
-    """Video devices."""
     devices = sorted(str(p) for p in DEV.glob("video*"))
     return _devices("cameras", devices, "video", "needed only for a real DIGIT or a bench camera")
 
@@ -129,7 +126,6 @@ CHECKS = (
 
 
 def check_all() -> list[Check]:
-    """Every check, in the order of the table."""
     rows = check_packages()
     for check in CHECKS:
         try:

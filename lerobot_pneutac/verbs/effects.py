@@ -68,7 +68,6 @@ class ShownEffect(Result):
         return super().content() | out | {"columns": getattr(e, "columns", ())}
 
     def page(self) -> Report:
-        """The same with a picture of a finger that goes through steps and ramps."""
         page = super().page()
         for remark in self.remarks():
             page.text(remark)

@@ -91,7 +91,6 @@ def python_file(twin: Twin) -> str:
 
 
 def _links(model: Pipeline, source: Source) -> list[str]:
-    """The expressions of the links, in the order in which they act."""
     out = []
     for link in model.chain:
         if isinstance(link, EffectLink):
@@ -134,7 +133,6 @@ def _link(name, kind, run, constants=(), columns=(), memory=0) -> str:
 
 
 def _constants(twin: Twin, model: Pipeline, theta) -> list[str]:
-    """A line for each parameter: value, unit and interval."""
     lines = []
     for name, spec, value in zip(model.names, model.specs, theta, strict=True):
         effect, _, parameter = name.rpartition(".")
@@ -147,7 +145,6 @@ def _constants(twin: Twin, model: Pipeline, theta) -> list[str]:
 
 
 def _docstring(twin: Twin, model: Pipeline) -> str:
-    """What it is, what it was judged on, and how it is used."""
     needed = _needed(model)
     left = [*of_sensor(twin.effects), *(n for n in ("command_latency_s",) if n in twin.parameters)]
     low, high = twin.pressure_range_kpa

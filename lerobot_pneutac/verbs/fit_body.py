@@ -136,7 +136,6 @@ def _held(twin: Twin, remark: str) -> Compliance:
 
 
 def _found(twin: Twin, found: PipelineFit, body: SoftBody) -> Compliance:
-    """The twin with the fitted values."""
     if WHOLE not in found.ci95 or WHOLE in found.at_bound:
         return _held(twin, f"The loads bend the finger too little, so {_NEITHER}; {advice(twin)}.")
     new, whole = twin.copy(), found.twin.parameters[WHOLE]
@@ -204,7 +203,6 @@ class BodyCalibration(Calibration):
 
     @property
     def sentence(self) -> str:
-        """How far the twin is from the recording now."""
         heldout, train = self.error["heldout"], f"training error {self.error['train']:.3g} {self.unit}"
         if heldout is None:
             return f"Calibrated: {train}; nothing was held out{self._now()}."
@@ -213,7 +211,6 @@ class BodyCalibration(Calibration):
 
     @property
     def reference(self) -> tuple[str, float | None]:
-        """The twin as it was."""
         return "the twin as it was", self.before
 
     def remarks(self) -> list[str]:
@@ -235,7 +232,6 @@ class BodyCalibration(Calibration):
         return []
 
     def _causes(self) -> list[str]:
-        """What the known causes are worth, one sentence; none where there are none."""
         if not self.causes:
             return []
         error = self.error["heldout"]
@@ -250,7 +246,6 @@ class BodyCalibration(Calibration):
         return super().content() | errors | {"known_causes": self.causes, "compliance": self.compliance}
 
     def page(self) -> Report:
-        """Parameters, and measurements with the twin's prediction."""
         import plotly.graph_objects as go
 
         page = Report(self.title)
@@ -278,12 +273,6 @@ class BodyCalibration(Calibration):
 
 def calibrate_body(twin: Twin, recording: Recording, seed: int = 0, progress=None) -> BodyCalibration:
     """Fits all parameters of the twin and of its effects to 70 % of a recording, by whole blocks of time.
-
-    Args:
-        twin: of the recording's device; where the fit starts.
-        recording: of a finger or an arm.
-        seed: decides which blocks are held out, and the starting points.
-        progress: called with a text, the fits done and all of them.
 
     Raises:
         InputError: as `fit_parts`.
@@ -332,12 +321,10 @@ class _Judge:
         self._held = BlockBootstrap(heldout, parts.unit, parts.stratum, seed) if heldout.any() else None
 
     def squared(self, twin: Twin) -> np.ndarray:
-        """(n,) squared errors, in the unit of the error."""
         residual = simulate(twin, self._command).residual * self._command.scale
         return squared_distance(residual[:, : self._command.counted])
 
     def error(self, squared: np.ndarray) -> float:
-        """Held-out root mean square error."""
         return float(np.sqrt(self._held.value(squared))) if self._held else 0.0
 
     def needs(self, without: np.ndarray, squared: np.ndarray) -> bool:
@@ -443,7 +430,6 @@ def _fit_stages(
 
 
 def _shown_by(name: str) -> str:
-    """What to record to identify a parameter."""
     effect, dot, _ = name.partition(".")
     return get_effect(effect).experiment if dot else RECORD.get(name.partition("_")[0], ANGLES)
 

@@ -82,13 +82,11 @@ class GelCalibration(Calibration):
         return "A tactile sensor from two images" if n == 1 else f"A tactile sensor from {n} presses"
 
     def mean(self, method: str) -> ImageScores | None:
-        """Mean over held-out images; None where there are none."""
         picked = [self.scores[method][i] for i in self.data.heldout]
         return ImageScores.mean(picked) if picked else None
 
     @property
     def sentence(self) -> str:
-        """The error on held-out images."""
         if not self.data.heldout:
             return ""
         return (
@@ -97,7 +95,6 @@ class GelCalibration(Calibration):
         )
 
     def rows(self) -> list[dict]:
-        """One row a method and role, held-out roles first."""
         rows, samples = [], self.data.samples
         for role in sorted({s.role for s in samples}, key=lambda r: (r == "calibration", r)):
             picked = [i for i, s in enumerate(samples) if s.role == role]
@@ -148,11 +145,9 @@ class GelCalibration(Calibration):
 
     @property
     def reference(self) -> tuple[str, float | None]:
-        """The rest image alone."""
         return "the rest image alone", errors_of(self.scores[REST], self.data)["heldout"]
 
     def remarks(self) -> list[str]:
-        """Make, time and what to look at."""
         out = self._told_of()
         n = len(self.data.presses)
         what = "one rest and one indentation image" if n == 1 else f"{n} indentation images"
@@ -337,7 +332,6 @@ def render(gel: GelModel, data: GelRecording) -> dict[str, list[np.ndarray]]:
 
 
 def scores_of(data: GelRecording, predicted: list[np.ndarray]) -> list[ImageScores]:
-    """Each sample's prediction against its photograph."""
     return [
         score(p, s.image, s.rest, s.x_px, s.y_px, s.radius_px)
         for p, s in zip(predicted, data.samples, strict=True)
@@ -378,7 +372,6 @@ def _described(press: Press) -> dict:
 
 
 def _parameters(gel: GelModel) -> dict[str, dict]:
-    """Name to value and unit of what was fitted."""
     out = {}
     for k, channel in enumerate("rgb"):
         for axis in range(2):

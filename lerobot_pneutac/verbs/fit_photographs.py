@@ -94,7 +94,6 @@ class PhotoCalibration(Calibration):
 
     @property
     def sentence(self) -> str:
-        """How well silhouettes overlap."""
         tip, iou = self.tip_mm, self.iou
         text = f"Silhouettes overlap by {iou['train']:.1%} where the twin was fitted"
         if iou["heldout"] is not None:
@@ -104,7 +103,6 @@ class PhotoCalibration(Calibration):
         return text + "."
 
     def remarks(self) -> list[str]:
-        """Overlap, tip error and what they cost."""
         iou, tip = self.iou, self.tip_mm
         tested = "nothing was held out" if iou["heldout"] is None else f"held-out IoU {iou['heldout']:.4f}"
         if tip is not None and tip["heldout"] is not None:
@@ -131,7 +129,6 @@ class PhotoCalibration(Calibration):
         }  # fmt: skip
 
     def page(self) -> Report:
-        """Parameters, photographs and renderings, and how the objective fell."""
         return _page(self)
 
 
@@ -200,7 +197,6 @@ def _calibration(
     objective: Objective,
     everywhere: Equilibria,
 ) -> PhotoCalibration:
-    """The result of a search, but for what it was made from."""
     scores, tip_error_mm = objective.scores(everywhere.first), None
     if study.markers_mm is not None:
         tip_error_mm = np.linalg.norm(1e3 * everywhere.first.tips[0] - study.markers_mm, axis=1)
@@ -238,14 +234,7 @@ def _parts(study: PhotoStudy, values: np.ndarray) -> dict[str, float | None]:
 
 
 def search_key(recording: Recording, twin: Twin, photographs: list[MaskedPhotograph], particles: int) -> str:
-    """What a search depends on besides its start: one with another key is not continued.
-
-    Args:
-        recording: of the photographs.
-        twin: to be fitted.
-        photographs: that are fitted.
-        particles: of the body, about.
-    """
+    """What a search depends on besides its start: one with another key is not continued."""
     pictures = [(p.state, zlib.crc32(p.image.tobytes()), zlib.crc32(p.mask.tobytes())) for p in photographs]
     return f"{recording.folder.resolve()} {pictures} {particles} {len(twin.history)}"
 
@@ -283,7 +272,6 @@ def _page(c: PhotoCalibration) -> Report:
 
 
 def _strips(c) -> Iterator[tuple[np.ndarray, str]]:
-    """Pictures of six photographs each, with what they show."""
     study = c.study
     shown = sorted(study.photographs, key=lambda p: p.state)
     for i in range(0, len(shown), 6):

@@ -12,10 +12,6 @@ from pneutac_sim.twin import Twin
 def restore(folder: str | Path, version: int) -> Twin:
     """Writes an earlier version of a twin as its newest one, so that nothing is lost; returns it.
 
-    Args:
-        folder: of the twin.
-        version: number of the version, as `pneutac history` lists it.
-
     Raises:
         InputError: there is no such version, or it is the newest.
     """

@@ -107,7 +107,6 @@ class Round:
 
     @property
     def unconfirmed(self) -> list[str]:
-        """Effects found that no recording confirms."""
         return [e for e in self.selected if e not in self.confirmed_by]
 
 
@@ -146,12 +145,10 @@ class Learning(Result):
 
     @property
     def bench_s(self) -> float:
-        """Time on the bench."""
         return sum(r.seconds for r in self.rounds)
 
     @cached_property
     def sentence(self) -> str:
-        """What is known now."""
         r = self.last
         minutes = f"{self.bench_s / 60:.1f} minutes on the bench in {len(self.rounds)} programs"
         if not r.selected:
@@ -201,12 +198,10 @@ class Learning(Result):
 
     @property
     def next_command(self) -> str:
-        """To see where the twin still fails, on the newest recording."""
         newest = self.folder / f"round_{self.last.number}" / "recording"
         return f"pneutac compare --twin={self.folder / 'twin'} --recording={newest}"
 
     def page(self) -> Report:
-        """The error on each next recording before it was used, first."""
         return learn_page(self)
 
 

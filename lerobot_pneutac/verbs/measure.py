@@ -135,7 +135,6 @@ class BenchDriver:
         self._vented_s: float | None = None  # clock at the end of the trial before, if it was stored
 
     def images(self, number: int) -> Path:
-        """Folder of a trial's images."""
         return self._config.out / "images" / f"trial_{number:03d}"
 
     def drive(self, number: int, trial: PressureTrial) -> tuple[int, int]:

@@ -25,12 +25,10 @@ class TwinReport(Result):
         return f"Twin of a {self.twin.device}" + (f": {self.twin.folder.name}" if self.twin.folder else "")
 
     def subject(self) -> tuple[Twin, str]:
-        """The twin, and the recording that its last version was made with."""
         return self.twin, (self.twin.history[-1].get("recording") or "") if self.twin.history else ""
 
     @property
     def sentence(self) -> str:
-        """What it has, and its error when it was last tested."""
         twin = self.twin
         effects = ", ".join(twin.effects) or "no effects"
         judged = [e for e in twin.history if e.get("heldout") is not None]
@@ -67,7 +65,6 @@ class TwinReport(Result):
         return super().content() | out
 
     def page(self) -> Report:
-        """Its history, what its effects do, its numbers, its looks."""
         return _page(self)
 
 

@@ -173,7 +173,6 @@ class Comparison(Result):
 
     @property
     def history(self) -> list[dict]:
-        """How the error of the twin's versions fell."""
         names = ("version", "change", "train", "heldout", "unit")
         return [{k: e.get(k) for k in names} for e in self.twin.history]
 
@@ -191,12 +190,10 @@ class Comparison(Result):
 
     @property
     def heldout(self) -> float | None:
-        """Error where the twin was not fitted."""
         return self.error["heldout"]
 
     @property
     def train(self) -> float | None:
-        """Error where the twin was fitted."""
         return self.error["train"]
 
 

@@ -18,9 +18,6 @@ MODULES = {"math": "import math", "numpy": "import numpy as np"}
 class Source:
     """Collects functions and classes, and the functions and constants that these use, callees first.
 
-    Args:
-        compiled: keep the decorators that compile a function.
-
     Attributes:
         constants: name to its line of Python.
     """
@@ -33,7 +30,6 @@ class Source:
 
     @property
     def functions(self) -> str:
-        """All that was added."""
         return "\n\n\n".join(self._texts)
 
     def add(self, function, name: str = "") -> str:
@@ -83,7 +79,6 @@ class Source:
         return f"{module}_{name.lstrip('_')}" if name in self._names.values() else name
 
     def lines(self) -> list[str]:
-        """The constants as Python."""
         return [f"{name} = {text}" for name, text in self.constants.items()]
 
 

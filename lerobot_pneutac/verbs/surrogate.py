@@ -114,7 +114,6 @@ class TrainedNetworks(Result):
 
     @property
     def next_command(self) -> str:
-        """To measure them on more motions and contacts."""
         return shlex.join(["pneutac", "benchmark", "surrogate", f"--twin={self.twin.folder}"])
 
     def page(self) -> Report:
@@ -190,7 +189,6 @@ def _train_action(
     progress: Progress,
     executor: ExecutorOptions | None,
 ) -> dict:
-    """The finger's network."""
     from pneutac_sim.surrogate.action import evaluate_action, train_action
     from pneutac_sim.surrogate.collect import Plan, collect_action
 
@@ -220,7 +218,6 @@ def _train_perception(
     progress: Progress,
     executor: ExecutorOptions | None,
 ) -> dict:
-    """The gel's network."""
     from pneutac_sim.surrogate.gel_collect import collect_gel, read_contacts
     from pneutac_sim.surrogate.gel_train import EPOCHS, EPOCHS_ON, evaluate_gel, split, train_gel
     from pneutac_sim.surrogate.perception import GelSurrogate
