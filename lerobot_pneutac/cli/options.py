@@ -54,6 +54,27 @@ class TableOptions:
     mapping: Path | None = None
 
 
+@dataclass(kw_only=True)
+class PairOptions(TableOptions):
+    """Options of a verb that takes a twin and a recording.
+
+    Attributes:
+        twin: folder of the twin.
+        recording: folder of a bench recording, or tables as `pneutac convert` reads them of the same finger,
+            arm or gel; or of a LeRobotDataset of demonstrations, or its name on the Hub.
+        task: of demonstrations: the task in front of the robot, if their instruction does not name it.
+        station: of demonstrations: `station.yaml` of the arm and its place; if omitted, the one that their
+            robot left in them, or the paper's.
+        out: folder for `result.json` and `report.html`; nothing is written without it.
+    """
+
+    twin: Path
+    recording: Path
+    task: str = ""
+    station: Path | None = None
+    out: Path | None = None
+
+
 def parse_options(config_class: type, argv: list[str], what: str | None = None):
     """Reads `--name=value` options into a dataclass that validates itself.
 

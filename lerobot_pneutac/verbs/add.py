@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
-from lerobot_pneutac.cli.options import TableOptions
+from lerobot_pneutac.cli.options import PairOptions
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.result import Contribution, FittedModel, Refits
@@ -425,33 +425,22 @@ def _known_help(study, found: Refits) -> str:
 
 
 @dataclass
-class AddConfig(TableOptions):
+class AddConfig(PairOptions):
     """Options of `pneutac add`.
 
     Attributes:
         twin: folder of the twin; its next version is written there if the test error falls significantly.
-        recording: folder of a bench recording, or tables as `pneutac convert` reads them of the same finger,
-            arm or gel; or of a LeRobotDataset of demonstrations, or its name on the Hub.
         effect: names of the effects or laws to switch on, joined by commas.
         diagnosis: folder that `pneutac diagnose` wrote; all that it found is switched on. Also `--from`.
-        task: of demonstrations: the task in front of the robot, if their instruction does not name it.
-        station: of demonstrations: `station.yaml` of the arm and its place; if omitted, the one that their
-            robot left in them, or the paper's.
         anyway: stores the version although the error does not fall significantly, marked as unconfirmed.
-        out: folder for `result.json` and `report.html`.
         seed: seed of the data split and of the bootstrap.
     """
 
     aliases: ClassVar = {"from": "diagnosis"}
 
-    twin: Path
-    recording: Path
     effect: str = ""
     diagnosis: Path | None = None
-    task: str = ""
-    station: Path | None = None
     anyway: bool = False
-    out: Path | None = None
     seed: int = 0
 
     def __post_init__(self):

@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from lerobot_pneutac.cli.options import TableOptions
+from lerobot_pneutac.cli.options import PairOptions
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.verbs.calibration import Calibration, measured_range
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations, is_dataset, load_demonstrations
@@ -138,7 +138,7 @@ def training_levels(levels: Sequence[float] | str) -> tuple[float, ...]:
 
 
 @dataclass
-class CalibrateConfig(TableOptions):
+class CalibrateConfig(PairOptions):
     """Options of `pneutac calibrate`.
 
     Attributes:
@@ -146,9 +146,6 @@ class CalibrateConfig(TableOptions):
         recording: folder of the bench recording, or tables as `pneutac convert` reads them; without it a twin
             of a gel is begun, from the DIGIT photographs in $PNEUTAC_DATA or generated images. Of a
             LeRobotDataset of demonstrations, or its name on the Hub, the gel's light at rest is taken.
-        task: of demonstrations: the task in front of the robot, if their instruction does not name it.
-        station: of demonstrations: `station.yaml` of the arm and its place; if omitted, the one that their
-            robot left in them, or the paper's.
         out: folder for `result.json`, `report.html` and pictures.
         effects: optics effects of a gel to fit, with commas between, or `none` for the paper's linear model;
             if omitted, those chosen for the twin before, else all that the presses can identify.
@@ -165,11 +162,7 @@ class CalibrateConfig(TableOptions):
         seed: seed of every random choice.
     """
 
-    twin: Path
-    recording: Path | None = None
-    task: str = ""
-    station: Path | None = None
-    out: Path | None = None
+    recording: Path | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
     effects: str | None = None
     through: str | None = None
     image_size: tuple[int, int] | None = None

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from lerobot_pneutac.cli.options import TableOptions
+from lerobot_pneutac.cli.options import PairOptions
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.study.pair import load_bench_pair, load_pair, same_device, with_unit_note
 from lerobot_pneutac.verbs.result import Comparison
@@ -76,18 +76,13 @@ def check_fidelity(fidelity: str, samples: int | None) -> None:
 
 
 @dataclass
-class CompareConfig(TableOptions):
+class CompareConfig(PairOptions):
     """Options of `pneutac compare`.
 
     Attributes:
-        twin: folder of the twin.
         recording: folder of a bench recording, or tables as `pneutac convert` reads them of the same device;
             or of a LeRobotDataset of demonstrations, or its name on the Hub, which are replayed in the twin's
             world.
-        task: of demonstrations: the task in front of the robot, if their instruction does not name it.
-        station: of demonstrations: `station.yaml` of the arm and its place; if omitted, the one that their
-            robot left in them, or the paper's.
-        out: folder for `result.json` and `report.html`; nothing is written without it.
         fidelity: `pipeline` (the twin's kinematics, every sample) or `mpm` (of a finger or an arm: the full
             body of material points, at samples spread over the recording).
         samples: largest number of samples by mpm; if omitted, 200.
@@ -95,11 +90,6 @@ class CompareConfig(TableOptions):
         seed: seed of the choice of the samples by mpm, and of the demonstrations that are held out.
     """
 
-    twin: Path
-    recording: Path
-    task: str = ""
-    station: Path | None = None
-    out: Path | None = None
     fidelity: str = "pipeline"
     samples: int | None = None
     later: list[Path] = field(default_factory=list)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lerobot_pneutac.cli.options import TableOptions
+from lerobot_pneutac.cli.options import PairOptions
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis.design import NO_HANDS, Choice, Limits, choices
 from lerobot_pneutac.diagnosis.hands import GRAVITY, Hands, instructions, named
@@ -29,6 +29,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
 
 SHOWN = 8
+PROGRAM = ("max_kpa", "min_kpa", "budget_s", "program_s", "hz", "hands", "payload_g", "warm_c")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -173,7 +174,7 @@ def design(
 
 
 @dataclass
-class DesignConfig(TableOptions):
+class DesignConfig(PairOptions):
     """Options of `pneutac design`.
 
     Attributes:
@@ -181,8 +182,6 @@ class DesignConfig(TableOptions):
         recording: folder of the recording that was diagnosed, or its tables; or of a LeRobotDataset of
             demonstrations, or its name on the Hub, for which the next motions of the arm are chosen.
         diagnosis: folder that `pneutac diagnose --out=` wrote; demonstrations need none.
-        task: of demonstrations: the task in front of the robot, if their instruction does not name it.
-        station: of demonstrations: `station.yaml`, where their robot left none in them.
         out: folder for `program.csv` (of a gel `press.csv`), `result.json` and `report.html`; nothing is
             written without it.
         max_kpa: highest set-point, one for all chambers or one for each; that of the recording where none is
@@ -197,12 +196,7 @@ class DesignConfig(TableOptions):
         warm_c: to which the finger can be warmed.
     """
 
-    twin: Path
-    recording: Path
     diagnosis: Path | None = None
-    out: Path | None = None
-    task: str = ""
-    station: Path | None = None
     max_kpa: float | tuple[float, ...] | None = None
     min_kpa: float | tuple[float, ...] | None = None
     budget_s: float = 600.0
@@ -223,7 +217,7 @@ def command(cfg: DesignConfig, terminal: Terminal) -> None:
     if is_dataset(cfg.recording):
         from lerobot_pneutac.verbs.design_motion import design_motion  # MuJoCo, which benches do not need
 
-        _take_no_more(cfg, "max_kpa", "the next demonstrations have")
+        _take_no_more(cfg, "the next demonstrations have")
         if cfg.diagnosis:
             raise InputError("diagnosis: motions are chosen by the twin alone; leave it out.")
         twin, shown = load_pair(cfg.twin, cfg.recording, "design by", cfg.task, cfg.station)
@@ -234,7 +228,7 @@ def command(cfg: DesignConfig, terminal: Terminal) -> None:
     if cfg.diagnosis is None:
         raise InputError("Give the folder that `pneutac diagnose --out=DIR` wrote, as --diagnosis=DIR.")
     if recording.device == "gel":
-        _take_no_more(cfg, "task", "a press of a gel has")
+        _take_no_more(cfg, "a press of a gel has", "task", "station")
         return terminal.finish(design_press(twin, recording, cfg.diagnosis), cfg.out)
     usual = {
         c: float(recording.column(c)[0]) for c in (*GRAVITY, "payload_g", "temperature_c") if recording.has(c)
@@ -244,9 +238,9 @@ def command(cfg: DesignConfig, terminal: Terminal) -> None:
     return terminal.finish(design(twin, recording, cfg.diagnosis, *limits, hands), cfg.out)
 
 
-def _take_no_more(cfg: DesignConfig, first: str, has: str) -> None:
-    """Raises InputError where an option from the first on is given."""
-    options = fields(cfg)
-    for option in options[[o.name for o in options].index(first) :]:
-        if getattr(cfg, option.name) != option.default:
+def _take_no_more(cfg: DesignConfig, has: str, *names: str) -> None:
+    """Raises InputError where one of these options, or one of a bench's programs, is given."""
+    for option in fields(cfg):
+        asked = option.name in (*names, *PROGRAM) and getattr(cfg, option.name) != option.default
+        if asked:
             raise InputError(f"{option.name}: {has} no such option; leave it out.")

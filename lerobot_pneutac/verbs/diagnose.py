@@ -3,9 +3,8 @@
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
-from lerobot_pneutac.cli.options import TableOptions
+from lerobot_pneutac.cli.options import PairOptions
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.study import study_of
@@ -48,26 +47,15 @@ def cores() -> int:
 
 
 @dataclass
-class DiagnoseConfig(TableOptions):
+class DiagnoseConfig(PairOptions):
     """Options of `pneutac diagnose`.
 
     Attributes:
         twin: folder of the twin, which is not changed.
-        recording: folder of a bench recording, or tables as `pneutac convert` reads them of the same finger,
-            arm or gel; or of a LeRobotDataset of demonstrations, or its name on the Hub.
-        task: of demonstrations: the task in front of the robot, if their instruction does not name it.
-        station: of demonstrations: `station.yaml` of the arm and its place; if omitted, the one that their
-            robot left in them, or the paper's.
-        out: folder for `result.json` and `report.html`.
         jobs: number of processes; 0 for all cores.
         seed: seed of the data split and of every bootstrap.
     """
 
-    twin: Path
-    recording: Path
-    task: str = ""
-    station: Path | None = None
-    out: Path | None = None
     jobs: int = 0
     seed: int = 0
 

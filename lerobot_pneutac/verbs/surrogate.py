@@ -7,6 +7,7 @@ import shlex
 import shutil
 import time
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -29,36 +30,49 @@ HEADER = ("what", "network", "without")
 # Seconds of processor time for a finger of six joints (`benchmarks/surrogate.md`): of a simulated second of
 # motion and the fit to it; of a contact and the fit to it.
 MOTION_S, FIT_S, CONTACT_S, GEL_FIT_S = 14.0, 8.0, 4.5, 2.5
-FROM_NOTHING = (
-    10  # times as long a fit takes for the gel whose network is shipped, which does not begin with it
-)
+FROM_NOTHING = 10  # times as long takes a fit for the gel whose network is shipped: it begins with none
 REFINED = "--trajectories=24 --seconds=1 --contacts=100"
 
 
-@dataclass(frozen=True)
-class Collection:
-    """What is collected from full simulations; the defaults are coarse.
+@dataclass
+class SurrogateConfig(ExecutorOptions):
+    """Options of `pneutac surrogate`; without workers or executor this process collects, on all cores.
 
     Attributes:
-        trajectories: motions of the finger; two sixths of them are held out.
-        seconds: of each.
-        contacts: presses on the gel; of two kinds of indenter all are held out.
-        particles: of the finger, about.
-        seed: decides programs, contacts and weights.
+        twin: folder of a finger's twin; the networks are written into it.
+        trajectories: number of motions of the full finger; two sixths of them are held out.
+        seconds: length of each motion.
+        contacts: number of presses on the full gel; of two kinds of indenter all are held out.
+        particles: number of material points of the finger, about.
+        fresh: training also where the networks that are shipped were trained for such a finger and gel.
+        device: `auto`, `cpu` or `cuda`.
+        seed: seed of programs, contacts and weights.
+        out: folder for `result.json` and `report.html`; nothing is written without it.
     """
 
+    twin: Path
     trajectories: int = 12
     seconds: float = 0.5
     contacts: int = 24
     particles: int = 4000
+    fresh: bool = False
+    device: str = "auto"
     seed: int = 0
+    out: Path | None = None
 
-    def minutes(self, twin: Twin, fresh: bool = False) -> float:
+    def __post_init__(self):
+        self.check_executor()
+
+    def to_train(self, twin: Twin) -> list[str]:
+        """Those of `NETWORKS` that are not shipped for such a finger or gel; all of them where `fresh`."""
+        return [name for name in NETWORKS if self.fresh or not fits(builtin(name), name, twin)]
+
+    def minutes(self, twin: Twin) -> float:
         """How long two cores take for it, about, if nothing else runs there; 0 where all is shipped."""
         if twin.device != "finger":  # which training refuses
             return 0.0
-        moved, missing = self.trajectories * self.seconds, _to_train(twin, fresh)
-        finger = moved * (MOTION_S * self.particles / 4000 + FIT_S)
+        missing = self.to_train(twin)
+        finger = self.trajectories * self.seconds * (MOTION_S * self.particles / 4000 + FIT_S)
         shipped = fits(builtin("perception"), "perception", twin)
         gel = self.contacts * (CONTACT_S + GEL_FIT_S * (FROM_NOTHING if shipped else 1))
         return sum(s for name, s in (("action", finger), ("perception", gel)) if name in missing) / 60
@@ -69,16 +83,15 @@ class Collection:
         from pneutac_sim.surrogate.action import FEWEST
         from pneutac_sim.surrogate.gel_train import CHECK_EVERY, HELDOUT, LEAST
 
+        check_choice("device", self.device, ("auto", "cpu", "cuda"))
         if self.trajectories < FEWEST:
             raise InputError(
                 f"trajectories={self.trajectories} are too few to train on; give {FEWEST} or more."
             )
-        seen = max(CHECK_EVERY, LEAST + 1)
-        fewest = next(
-            n
-            for n in range(seen, 100)
-            if sum(INDENTERS[k % len(INDENTERS)] not in HELDOUT for k in range(n)) >= seen
-        )
+        seen, fewest, used = max(CHECK_EVERY, LEAST + 1), 0, 0
+        while used < seen:
+            used += INDENTERS[fewest % len(INDENTERS)] not in HELDOUT
+            fewest += 1
         if self.contacts < fewest:
             raise InputError(
                 f"contacts={self.contacts} are too few to train on, since those of {' and '.join(HELDOUT)} "
@@ -123,30 +136,18 @@ class TrainedNetworks(Result):
         return page
 
 
-def train_networks(
-    twin: Twin,
-    folder: Path,
-    collection: Collection | None = None,
-    fresh: bool = False,
-    device: str = "auto",
-    progress: Progress = no_progress,
-    executor: ExecutorOptions | None = None,
-) -> TrainedNetworks:
+def train_networks(config: SurrogateConfig, twin: Twin, progress: Progress = no_progress) -> TrainedNetworks:
     """Trains what is missing or outdated, and writes networks and their card into the twin's folder.
 
     Args:
+        config: what to collect and to learn from.
         twin: of a calibrated finger; gets the networks.
-        folder: of the twin.
-        collection: what to learn from.
-        fresh: train even where the networks that are shipped were trained for such a finger and gel.
-        device: `auto`, `cpu` or `cuda`.
         progress: is called with a few words, what is done and of how much.
-        executor: where motions and contacts are collected, each on one core; None for this process.
 
     Raises:
         InputError: the twin is no finger's or has not been calibrated, or too little is to be collected.
     """
-    folder, collection = Path(folder), collection or Collection()
+    folder = Path(config.twin)
     if twin.device != "finger":
         raise InputError(
             f"{folder} is the twin of {an(twin.device)}, but the networks are of a finger and the gel on "
@@ -157,17 +158,16 @@ def train_networks(
             f"{folder} has not been calibrated (no gain_rad_per_kpa); run `pneutac calibrate "
             f"--twin={folder} --recording=DIR` first."
         )
-    check_choice("device", device, ("auto", "cpu", "cuda"))
-    collection.check()
-    networks = {}
+    config.check()
+    networks, missing = {}, config.to_train(twin)
     for name in NETWORKS:
         file, start = folder / f"{name}.safetensors", time.perf_counter()
-        if name not in _to_train(twin, fresh):
+        if name not in missing:
             shutil.copyfile(builtin(name), file)
             found = {"source": "shipped: this finger or gel is the built-in one"}
         else:
             train = _train_action if name == "action" else _train_perception
-            found = {"source": "trained"} | train(twin, file, collection, device, progress, executor)
+            found = {"source": "trained"} | train(config, twin, file, progress)
         networks[name] = found | {"seconds": time.perf_counter() - start}
         twin.networks[name] = file
     twin.folder = folder
@@ -176,33 +176,26 @@ def train_networks(
     return trained
 
 
-def _to_train(twin: Twin, fresh: bool) -> list[str]:
-    """Those of `NETWORKS` that are not shipped for such a finger or gel; all of them where `fresh`."""
-    return [name for name in NETWORKS if fresh or not fits(builtin(name), name, twin)]
+def _executor(config: SurrogateConfig) -> SurrogateConfig | None:
+    """Where motions and contacts are collected, each on one core; None for this process."""
+    return None if config.executor == "local" and config.workers is None else config
 
 
-def _train_action(
-    twin: Twin,
-    file: Path,
-    collection: Collection,
-    device: str,
-    progress: Progress,
-    executor: ExecutorOptions | None,
-) -> dict:
+def _train_action(c: SurrogateConfig, twin: Twin, file: Path, progress: Progress) -> dict:
     from pneutac_sim.surrogate.action import evaluate_action, train_action
     from pneutac_sim.surrogate.collect import Plan, collect_action
 
-    total, seed = collection.trajectories, collection.seed
-    folder = file.parent / DATA / f"motions_{fingerprint(twin)[:8]}_{total}x{collection.seconds:g}s"
+    total = c.trajectories
+    folder = file.parent / DATA / f"motions_{fingerprint(twin)[:8]}_{total}x{c.seconds:g}s"
 
     def show(*_) -> None:
         progress("finger: full motions", len(list(folder.glob("action_*.safetensors"))), total)
 
     show()
-    plan = Plan(total, collection.seconds, collection.particles, seed=seed)
-    collect_action(twin, folder, plan, device, show, executor)
+    plan = Plan(total, c.seconds, c.particles, seed=c.seed)
+    collect_action(twin, folder, plan, c.device, show, _executor(c))
     network = train_action(
-        twin, folder, seed, progress=lambda line: progress(f"finger: {line}", total, total)
+        twin, folder, c.seed, progress=lambda line: progress(f"finger: {line}", total, total)
     )
     errors = asdict(evaluate_action(twin, network, folder))
     network.save(file)
@@ -210,39 +203,18 @@ def _train_action(
     return {"errors": {k: v if np.isfinite(v) else None for k, v in errors.items()}}
 
 
-def _train_perception(
-    twin: Twin,
-    file: Path,
-    collection: Collection,
-    device: str,
-    progress: Progress,
-    executor: ExecutorOptions | None,
-) -> dict:
+def _train_perception(c: SurrogateConfig, twin: Twin, file: Path, progress: Progress) -> dict:
     from pneutac_sim.surrogate.gel_collect import collect_gel, read_contacts
     from pneutac_sim.surrogate.gel_train import EPOCHS, EPOCHS_ON, evaluate_gel, split, train_gel
     from pneutac_sim.surrogate.perception import GelSurrogate
 
-    mark, seed = gel_fingerprint(twin), collection.seed
+    mark, contacts = gel_fingerprint(twin), partial(progress, "gel: full contacts")
     folder = file.parent / DATA / f"contacts_{mark[:8]}"
-    collected = collect_gel(
-        twin,
-        folder,
-        collection.contacts,
-        seed,
-        device,
-        lambda done, total: progress("gel: full contacts", done, total),
-        executor,
-    )
+    collected = collect_gel(twin, folder, c.contacts, c.seed, c.device, contacts, _executor(c))
     shipped = None if fits(builtin("perception"), "perception", twin) else builtin("perception")
-    network = train_gel(
-        folder,
-        mark,
-        seed=seed,
-        epochs=EPOCHS_ON if shipped else EPOCHS,
-        device=device,
-        progress=lambda done, total: progress("gel: training", done, total),
-        start=GelSurrogate.load(shipped) if shipped else None,
-    )
+    start, epochs = (GelSurrogate.load(shipped), EPOCHS_ON) if shipped else (None, EPOCHS)
+    how = {"seed": c.seed, "epochs": epochs, "device": c.device, "start": start}
+    network = train_gel(folder, mark, **how, progress=partial(progress, "gel: training"))
     _, check, unseen = split(read_contacts(folder))
     network.errors = evaluate_gel(network, check + unseen, twin)
     network.save(file)
@@ -286,51 +258,14 @@ def _sem(x: float | None, digits: int) -> str:
     return "" if x is None else f" ± {x:.{digits}f}"
 
 
-@dataclass
-class SurrogateConfig(ExecutorOptions):
-    """Options of `pneutac surrogate`; without workers or executor this process collects, on all cores.
-
-    Attributes:
-        twin: folder of a finger's twin; the networks are written into it.
-        trajectories: number of motions of the full finger; two sixths of them are held out.
-        seconds: length of each motion.
-        contacts: number of presses on the full gel; of two kinds of indenter all are held out.
-        particles: number of material points of the finger, about.
-        fresh: training also where the networks that are shipped were trained for such a finger and gel.
-        device: `auto`, `cpu` or `cuda`.
-        seed: seed of programs, contacts and weights.
-        out: folder for `result.json` and `report.html`; nothing is written without it.
-    """
-
-    twin: Path
-    trajectories: int = 12
-    seconds: float = 0.5
-    contacts: int = 24
-    particles: int = 4000
-    fresh: bool = False
-    device: str = "auto"
-    seed: int = 0
-    out: Path | None = None
-
-    def __post_init__(self):
-        self.check_executor()
-
-
 def command(config: SurrogateConfig, terminal: Terminal) -> None:
     """Trains the networks in place of a twin's material points, from full simulations."""
     twin = Twin.load(config.twin)
-    collection = Collection(
-        config.trajectories, config.seconds, config.contacts, config.particles, config.seed
-    )
-    minutes = collection.minutes(twin, config.fresh)
-    if minutes:
+    if minutes := config.minutes(twin):
         terminal.say(
             f"Full simulations and training: about {max(1, round(minutes))} min on two cores of their own."
         )
     with terminal.progress() as progress:
-        executor = None if config.executor == "local" and config.workers is None else config
-        trained = train_networks(
-            twin, config.twin, collection, config.fresh, config.device, progress, executor
-        )
+        trained = train_networks(config, twin, progress)
     terminal.finish(trained, config.out)
     terminal.say(f"networks and {CARD} are in {config.twin}")
