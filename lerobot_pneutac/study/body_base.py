@@ -17,7 +17,7 @@ from lerobot_pneutac.study.body_model import BodyFitter, BodyModel
 from lerobot_pneutac.study.data_breaks import Break, without_break
 from lerobot_pneutac.study.pair import LONGER, device_moves, enough_rows
 from pneutac_datasets.recording.checks import check
-from pneutac_datasets.recording.mounts import on_one_mount
+from pneutac_datasets.recording.mounts import align_mounts
 from pneutac_datasets.recording.noise import noise_floor
 from pneutac_datasets.recording.pressures import supply_limits
 from pneutac_datasets.recording.recording import Recording
@@ -165,7 +165,7 @@ class BodyBase(EffectStudy):
             return
         largest = max(body_effects(), key=lambda e: len(get_effect(e).parameters))
         enough_rows(twin, self.recording, [*self.twin_effects, *(adding or [largest])], self.parts.train)
-        self.recording, moved = on_one_mount(self.recording, twin, self.parts.train)
+        self.recording, moved = align_mounts(self.recording, twin.length_mm, self.parts.train)
         self.findings = self.findings + moved
         self.checked = len(self.findings)
         self.noise = noise_floor(self.recording)

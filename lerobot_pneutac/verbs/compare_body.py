@@ -23,7 +23,7 @@ from lerobot_pneutac.reports.session import worst_passages
 from lerobot_pneutac.verbs.result import Comparison, rms_of
 from pneutac_datasets.recording.axes import Axis, axes, is_still, motion
 from pneutac_datasets.recording.checks import check
-from pneutac_datasets.recording.mounts import on_one_mount
+from pneutac_datasets.recording.mounts import align_mounts
 from pneutac_datasets.recording.noise import NoiseFloor, noise_floor
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import option
@@ -271,7 +271,7 @@ def compare_body(twin: Twin, recording: Recording) -> BodyComparison:
     clean, findings = check(recording)
     train = train_mask(twin, clean)
     judged = train if train.any() else np.ones(len(clean), bool)
-    clean, moved = on_one_mount(clean, twin, judged)
+    clean, moved = align_mounts(clean, twin.length_mm, judged)
     prediction = simulate(twin, read(clean, twin))
     findings += moved
     findings += [f"Effect '{name}' could not act: {why}." for name, why in prediction.left_out.items()]

@@ -26,7 +26,7 @@ from lerobot_pneutac.study.base import ANGLES, RECORD, not_identifiable, unident
 from lerobot_pneutac.study.body_base import doubt, known_causes
 from lerobot_pneutac.study.pair import fit_parts, pressure_unit_doubts
 from lerobot_pneutac.verbs.calibration import Calibration, measured_range, range_sentence
-from pneutac_datasets.recording.mounts import on_one_mount
+from pneutac_datasets.recording.mounts import align_mounts
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import joined
 from pneutac_sim.effects.gravity import STANDARD_GRAVITY
@@ -280,7 +280,7 @@ def calibrate_body(twin: Twin, recording: Recording, seed: int = 0, progress=Non
     began = time.perf_counter()
     folder = str(recording.folder)
     recording, findings, train, heldout = fit_parts(twin, recording, seed)
-    recording, moved = on_one_mount(recording, twin, train)
+    recording, moved = align_mounts(recording, twin.length_mm, train)
     bench, command = (BodyData.of(recording, twin, source=s) for s in ("auto", "command"))
     report = progress or (lambda *_: None)
     told = fit_compliance(twin, recording, train, seed)

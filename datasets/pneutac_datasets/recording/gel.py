@@ -152,7 +152,7 @@ class GelRecording:
         out, rests = _begun(recording)
         clocks = _clock(recording.samples)
         for (i, row), clock in zip(recording.samples.iterrows(), clocks, strict=True):
-            out.samples.append(_row(recording, out, rests, int(i), row, clock))
+            out.samples.append(_sample(recording, out, rests, int(i), row, clock))
         _tell_earlier(recording, out.samples)
         out.warnings += [*(_misplaced(out) or _doubtful(out)), *_rest_doubts(out)]
         return out
@@ -192,7 +192,7 @@ def gel_faults(recording: Recording) -> tuple[list[str], list[str]]:
         return [str(e)], []
     for i, row in recording.samples.iterrows():
         try:
-            _row(recording, gel, rests, int(i), row, 0.0)
+            _sample(recording, gel, rests, int(i), row, 0.0)
         except InputError as e:
             faults.append(str(e))
     if faults:
@@ -243,28 +243,14 @@ def _begun(recording: Recording) -> tuple[GelRecording, dict[str, np.ndarray]]:
     return out, {meta["rest_image"]: rest}
 
 
-def _row(
-    recording: Recording,
-    gel: GelRecording,
-    rests: dict[str, np.ndarray],
-    i: int,
-    row: pd.Series,
-    clock: float,
-) -> GelSample:
-    where, own = f"{recording.folder}, row {i + 1}", row.get("rest_image")
-    first = recording.meta["rest_image"]
-    own = own if isinstance(own, dict) or (isinstance(own, str) and own) else first
-    name = own if isinstance(own, str) else where
-    if name not in rests:
-        rests[name] = _image(recording, own, f"{where}: rest image {shown(name)}", gel.rest)
-    return _sample(recording, row, where, gel, rests[name], clock)
-
-
 def _image(recording: Recording, value, what: str, like: np.ndarray | None = None) -> np.ndarray:
     """An image; raises InputError where it is of another size than `like`, or black or white all over."""
     image = recording.image(value, plain=True)
-    if like is not None:
-        _same_size(image, like, what)
+    if like is not None and image.shape != like.shape:
+        raise InputError(
+            f"{what} is {image.shape[1]} x {image.shape[0]} pixels but the rest image is "
+            f"{like.shape[1]} x {like.shape[0]}; give images of one size."
+        )
     dark, bright = np.percentile(image, (1, 99))
     if bright < BLACK_LEVEL or dark > WHITE_LEVEL:
         colour = "black" if bright < BLACK_LEVEL else "white"
@@ -354,12 +340,9 @@ def _misplaced(data: "GelRecording") -> list[str]:
 
 def _rest_doubts(data: "GelRecording") -> list[str]:
     """Notes where a rest image differs from what the presses show away from their contacts."""
-    out = []
-    for rest in {id(s.rest): s.rest for s in data.samples}.values():
-        samples = [s for s in data.samples if s.rest is rest]
-        if len(samples) >= REST_SAMPLES:
-            out += _rest_doubt(rest, samples, data.px_per_mm)
-    return out
+    rests = {id(s.rest): [r for r in data.samples if r.rest is s.rest] for s in data.samples}
+    each = (_rest_doubt(s[0].rest, s, data.px_per_mm) for s in rests.values() if len(s) >= REST_SAMPLES)
+    return [note for notes in each for note in notes]
 
 
 def _rest_doubt(rest: np.ndarray, samples: list[GelSample], px_per_mm: float) -> list[str]:
@@ -405,15 +388,10 @@ def _doubtful(data: "GelRecording") -> list[str]:
 
     Those to calibrate by are refused for it, see `pair.check_pair`.
     """
-    empty, bright = [], []
-    for i, s in enumerate(data.samples, 1):
-        if s.role == "calibration":
-            continue
-        if not shows_contact(s.rest, s.image, s.press, data.px_per_mm):
-            empty.append(str(i))
-        if saturated(s.image, s.photograph.near(data.px_per_mm, 1.2)):
-            bright.append(str(i))
-    out = []
+    out, scale = [], data.px_per_mm
+    scored = [(str(i), s) for i, s in enumerate(data.samples, 1) if s.role != "calibration"]
+    empty = [i for i, s in scored if not shows_contact(s.rest, s.image, s.press, scale)]
+    bright = [i for i, s in scored if saturated(s.image, s.photograph.near(scale, 1.2))]
     if empty:
         out.append(f"no contact shows where rows {', '.join(empty)} put it; check their x_mm and y_mm.")
     if bright:
@@ -421,69 +399,52 @@ def _doubtful(data: "GelRecording") -> list[str]:
     return out
 
 
-def _same_size(image: np.ndarray, rest: np.ndarray, what: str) -> None:
-    if image.shape != rest.shape:
-        raise InputError(
-            f"{what} is {image.shape[1]} x {image.shape[0]} pixels but the rest image is "
-            f"{rest.shape[1]} x {rest.shape[0]}; give images of one size."
-        )
-
-
 def _sample(
     recording: Recording,
-    row: pd.Series,
-    where: str,
     gel: GelRecording,
-    rest: np.ndarray,
+    rests: dict[str, np.ndarray],
+    i: int,
+    row: pd.Series,
     clock: float,
 ) -> GelSample:
-    image = _image(recording, row["image"], f"{where}: image {shown(str(row['image']))}", rest)
-    kind = str(row["indenter"])
-    if kind not in INDENTERS + FIGURES:
-        every = ", ".join(INDENTERS + FIGURES)
-        raise InputError(f"{where}: indenter is {shown(kind)}; it must be one of {every}.")
-    h, w = image.shape[:2]
-    x_px, x_mm = _place(row, where, gel.px_per_mm, "x", w)
-    y_px, y_mm = _place(row, where, gel.px_per_mm, "y", h)
+    """One row, its rest image among `rests` by name; raises InputError where it is wrong."""
+    where, own = f"{recording.folder}, row {i + 1}", row.get("rest_image")
+    own = own if own and isinstance(own, dict | str) else recording.meta["rest_image"]
+    name = own if isinstance(own, str) else where
+    if name not in rests:
+        rests[name] = _image(recording, own, f"{where}: rest image {shown(name)}", gel.rest)
+    image = _image(recording, row["image"], f"{where}: image {shown(str(row['image']))}", rests[name])
     try:
+        kind = str(row["indenter"])
+        if kind not in INDENTERS + FIGURES:
+            every = ", ".join(INDENTERS + FIGURES)
+            raise InputError(f"indenter is {shown(kind)}; it must be one of {every}.")
+        x_px, x_mm = _place(row, gel.px_per_mm, "x", image.shape[1])
+        y_px, y_mm = _place(row, gel.px_per_mm, "y", image.shape[0])
         figure = figure_of(recording.folder, row, kind)
-    except InputError as e:
-        raise InputError(f"{where}: {e}") from e
-    size_mm, depth_mm = _size_and_depth(row, where, gel, kind, figure)
-    try:
+        size_mm, depth_mm = _size_and_depth(row, gel, kind, figure)
         press = Press(kind, size_mm, x_mm, y_mm, depth_mm, _number(row, "yaw_rad") or 0.0, figure)
+        radius_px = _number(row, "contact_radius_px")
+        if radius_px is None:
+            radius_px = press.contact_radius_mm * gel.px_per_mm
+        role = str(row.get("role", ""))
+        sd = {} if role == KNOWN else _deviations(row)
+        force_n = _number(row, "force_n")
+        if force_n is not None and not 0 < force_n < MOST_N:
+            raise InputError(f"force_n is {force_n:g}; give newton, above 0 and below {MOST_N:g}.")
     except InputError as e:
         raise InputError(f"{where}: {e}") from e
-    radius_px = _number(row, "contact_radius_px")
-    if radius_px is None:
-        radius_px = press.contact_radius_mm * gel.px_per_mm
-    role = str(row.get("role", ""))
-    sd = {} if role == KNOWN else _deviations(row, where)
-    force_n = _number(row, "force_n")
-    if force_n is not None and not 0 < force_n < MOST_N:
-        raise InputError(f"{where}: force_n is {force_n:g}; give newton, above 0 and below {MOST_N:g}.")
-    return GelSample(
-        str(row["image"]),
-        role,
-        image,
-        rest,
-        float(clock),
-        press,
-        x_px,
-        y_px,
-        radius_px,
-        sd,
-        force_n,
-    )
+    taken = str(row["image"]), role, image, rests[name], float(clock)
+    return GelSample(*taken, press, x_px, y_px, radius_px, sd, force_n)
 
 
-def _deviations(row: pd.Series, where: str) -> dict[str, float]:
+def _deviations(row: pd.Series) -> dict[str, float]:
     """Attribute of the press to the standard deviation that the row states; what it does not state holds."""
     out = {}
     for column, attributes in UNCERTAIN.items():
         value = _number(row, column)
         if value is not None and not 0 <= value < math.inf:
-            raise InputError(f"{where}: {column} is {value:g}; give a standard deviation, or leave it empty.")
+            raise InputError(f"{column} is {value:g}; give a standard deviation, or leave it empty.")
         out |= dict.fromkeys(attributes, value) if value else {}
     return out
 
@@ -493,32 +454,32 @@ def _number(row: pd.Series, *names: str) -> float | None:
     return next((float(row[n]) for n in names if n in row and pd.notna(row[n])), None)
 
 
-def _place(row: pd.Series, where: str, px_per_mm: float, axis: str, size_px: int) -> tuple[float, float]:
+def _place(row: pd.Series, px_per_mm: float, axis: str, size_px: int) -> tuple[float, float]:
     """Contact centre along one axis: pixel, and mm from the image's centre."""
     px, mm = _number(row, f"contact_{axis}_px"), _number(row, f"{axis}_mm")
     if px is None:
         if mm is None:
             raise InputError(
-                f"{where}: the contact's place is empty; fill x_mm and y_mm, or contact_x_px, contact_y_px."
+                "the contact's place is empty; fill x_mm and y_mm, or contact_x_px, contact_y_px."
             )
         px = size_px / 2 + mm * px_per_mm
     centred_mm = (px - size_px / 2) / px_per_mm
     if not 0 <= px < size_px:
         raise InputError(
-            f"{where}: the contact's centre, {centred_mm:.3g} mm along {axis}, lies outside the image, which "
-            f"goes to {size_px / px_per_mm / 2:.3g} mm; correct {axis}_mm, contact_{axis}_px or "
-            "px_per_mm, or leave the row out."
+            f"the contact's centre, {centred_mm:.3g} mm along {axis}, lies outside the image, which goes to"
+            f" {size_px / px_per_mm / 2:.3g} mm; correct {axis}_mm, contact_{axis}_px or px_per_mm, or leave"
+            " the row out."
         )
     if mm is not None and abs(centred_mm - mm) > AGREE_MM:
         raise InputError(
-            f"{where}: {axis}_mm is {mm:g} but contact_{axis}_px, {px:g}, lies at "
-            f"{centred_mm:.3g} mm from the image's centre; correct one of them."
+            f"{axis}_mm is {mm:g} but contact_{axis}_px, {px:g}, lies at {centred_mm:.3g} mm from the image's"
+            " centre; correct one of them."
         )
     return px, centred_mm
 
 
 def _size_and_depth(
-    row: pd.Series, where: str, gel: GelRecording, kind: str, figure: AnyFigure | None
+    row: pd.Series, gel: GelRecording, kind: str, figure: AnyFigure | None
 ) -> tuple[float, float]:
     """Indenter size and depth, mm; of a ball the depth may follow from the contact radius (Hertz)."""
     names = ("indenter_radius_mm", "indenter_size_mm")
@@ -530,15 +491,15 @@ def _size_and_depth(
         if note not in gel.warnings:
             gel.warnings.append(note)
     if size is None:
-        raise InputError(f"{where}: indenter_radius_mm or indenter_size_mm is empty; give the {kind}'s size.")
+        raise InputError(f"indenter_radius_mm or indenter_size_mm is empty; give the {kind}'s size.")
     depth = _number(row, "depth_mm")
     if depth is None and radius_px is not None:
         depth = (radius_px / gel.px_per_mm) ** 2 / size  # Hertz: a^2 = R d
     if depth is None:
-        raise InputError(f"{where}: depth_mm is empty; give it, or contact_radius_px of a sphere.")
+        raise InputError("depth_mm is empty; give it, or contact_radius_px of a sphere.")
     if depth > gel.thickness_mm:
         raise InputError(
-            f"{where}: depth_mm is {depth:g} but the gel is {gel.thickness_mm:g} mm thick; give millimetres, "
-            "or gel_size_mm in recording.json."
+            f"depth_mm is {depth:g} but the gel is {gel.thickness_mm:g} mm thick; give millimetres, or"
+            " gel_size_mm in recording.json."
         )
     return size, depth

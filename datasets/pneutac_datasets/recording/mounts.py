@@ -4,7 +4,7 @@ Where, under equal conditions, the same pressure brings the device elsewhere fro
 perhaps turned and shifted between trials, which says nothing about its physics; perhaps it remembers (creep,
 softening), which does. So data are moved only where one rigid motion of a session significantly removes most
 of the error, over whole trials, and where the history of the pressure cannot explain it as well. Every verb
-that weighs a twin against a recording looks at it through `on_one_mount`.
+that weighs a twin against a recording looks at it through `align_mounts`.
 
 Was a session mounted differently? Asked of the error itself, over whole pieces of time.
 
@@ -12,7 +12,7 @@ Rigid motions of what was measured: turn and shift of points, shift of anything 
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -22,7 +22,6 @@ from pneutac_datasets.recording.memory import STARTS, Memory, history, regress, 
 from pneutac_datasets.recording.noise import headline
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.finger import quantities
-from pneutac_sim.twin import Twin
 
 LEAST_TURN = 0.003  # of the points' own weight: what speaks for no turn
 
@@ -311,17 +310,6 @@ SWEEP = 0.3  # of the whole pressure range that a trial must cover to fit its re
 CONDITIONS = {"gravity_x": 0.1, "gravity_y": 0.1, "gravity_z": 0.1, "temperature_c": 2.0, "payload_g": 0.1}
 
 
-def on_one_mount(recording: Recording, twin: Twin, train: np.ndarray) -> tuple[Recording, list[str]]:
-    """The recording moved onto one mount, and a sentence for each session that was mounted differently.
-
-    Args:
-        recording: cleaned; one of a single mount is returned as it is.
-        twin: of the device.
-        train: (n,) mask of training samples; others are moved, but nothing is judged or fitted by them.
-    """
-    return align_mounts(recording, twin.length_mm, train)
-
-
 def align_mounts(
     recording: Recording, length_mm: float, train: np.ndarray | None = None
 ) -> tuple[Recording, list[str]]:
@@ -330,9 +318,9 @@ def align_mounts(
     Of tip coordinates the motion turns and shifts; angles, curvatures and a single coordinate are shifted.
 
     Args:
-        recording: of a finger or an arm.
+        recording: cleaned, of a finger or an arm; one of a single mount is returned as it is.
         length_mm: of the device.
-        train: (n,) mask of samples to judge and fit by; None means all.
+        train: (n,) mask of samples to judge and fit by, others are moved too; None means all.
 
     Returns:
         The recording and a sentence for each session that was moved.
@@ -369,7 +357,7 @@ def _moved(recording: Recording, columns: list[str], motions: dict[int, Motion])
     for trial, motion in motions.items():
         rows = samples.index[trials[trial]]
         samples.loc[rows, columns] = motion(samples.loc[rows, columns].to_numpy(float))
-    return Recording(recording.folder, recording.meta, samples, recording.device, recording.warnings)
+    return replace(recording, samples=samples)
 
 
 def _sweeps(recording: Recording, columns: list[str], train: np.ndarray) -> dict[int, np.ndarray]:

@@ -1,6 +1,7 @@
 """Units by name, and columns whose numbers can only be in another unit than their name says."""
 
 import re
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -100,99 +101,77 @@ def unit_named(text: str, dimension: str = "") -> Unit | None:
 
 def check_units(samples: pd.DataFrame, meta: dict, file: Path) -> None:
     """Raises InputError where a column's range can only be another unit than its name says."""
-    for rule in RULES:
-        rule(samples, meta, file)
+    for fault in unit_faults(samples, meta, file):
+        raise InputError(fault)
 
 
-def _check_angles(samples: pd.DataFrame, meta: dict, file: Path) -> None:
-    for name in _columns(samples, r"bend_angle_rad|q_\d+_rad"):
-        value, row = _top(samples, name)
-        if value > 4 * np.pi:
-            raise _other_unit(samples, file, name, row, "degrees", "multiply the column by pi/180")
+def unit_faults(samples: pd.DataFrame, meta: dict, file: Path) -> Iterator[str]:
+    """A sentence for each quantity whose numbers can only be in another unit than its columns say."""
+
+    def other(name: str, row: int, unit: str, remedy: str, value: float | None = None) -> list[str]:
+        value = abs(float(samples[name].iloc[row])) if value is None else value
+        where = row_name(int(samples.index[row]), file)
+        return [f"{file}: column {shown(name)}, {where} is {value:g}, which can only be {unit}; {remedy}."]
+
+    def beyond(pattern: str, most: float, unit: str, remedy: str) -> list[str]:
+        tops = ((name, *_top(samples, name)) for name in _columns(samples, pattern))
+        return next((other(name, row, unit, remedy) for name, value, row in tops if value > most), [])
+
+    pascal = "pascal", "divide the column by 1000"
+    kpa = beyond(r"pressure_(cmd_)?(\d+_)?kpa", MAX_PRESSURE_KPA, *pascal)
+    yield from kpa or _pressures_apart(samples, other)
+    yield from _tip_elsewhere(samples, meta.get("length_mm"), other)
+    yield from beyond(r"bend_angle_rad|q_\d+_rad", 4 * np.pi, "degrees", "multiply the column by pi/180")
+    gravity = [f"gravity_{a}" for a in "xyz"]
+    missing = [c for c in gravity if c not in samples]
+    if 0 < len(missing) < 3:
+        yield f"{file}: column '{missing[0]}' is missing; gravity needs gravity_x, gravity_y, gravity_z."
+    elif not missing:
+        norm = np.linalg.norm(samples[gravity].to_numpy(float), axis=1)
+        row = int(np.abs(norm - 1).argmax())
+        if abs(norm[row] - 1) > 0.05:
+            what = "no unit vector (length of gravity_x, y, z)", "divide the three columns by their length"
+            yield from other("gravity_x", row, *what, float(norm[row]))
+    yield from beyond("temperature_c", 150, "kelvin", "subtract 273.15 from the column")
 
 
-def _check_temperature(samples: pd.DataFrame, meta: dict, file: Path) -> None:
-    if "temperature_c" in samples:
-        value, row = _top(samples, "temperature_c")
-        if value > 150:
-            raise _other_unit(
-                samples, file, "temperature_c", row, "kelvin", "subtract 273.15 from the column"
-            )
-
-
-def _check_pressures(samples: pd.DataFrame, meta: dict, file: Path) -> None:
-    pressures = _columns(samples, r"pressure_(cmd_)?(\d+_)?kpa")
-    for name in pressures:
-        value, row = _top(samples, name)
-        if value > MAX_PRESSURE_KPA:
-            raise _other_unit(samples, file, name, row, "pascal", "divide the column by 1000")
-    for name in pressures:
+def _pressures_apart(samples: pd.DataFrame, other: Callable[..., list[str]]) -> list[str]:
+    for name in _columns(samples, r"pressure_(\d+_)?kpa"):
         command = name.replace("pressure_", "pressure_cmd_")
-        if "cmd" in name or command not in samples:
+        if command not in samples:
             continue
         (measured, row), (commanded, _) = _top(samples, name), _top(samples, command)
         if min(measured, commanded) > 0 and not 1 / RATIO < measured / commanded < RATIO:
-            other = f"another unit than that of '{command}' (up to {commanded:g})"
-            raise _other_unit(samples, file, name, row, other, "give both in kPa above the surroundings")
+            unit = f"another unit than that of '{command}' (up to {commanded:g})"
+            return other(name, row, unit, "give both in kPa above the surroundings")
+    return []
 
 
-def _check_tip(samples: pd.DataFrame, meta: dict, file: Path) -> None:
-    length_mm = meta.get("length_mm")
+def _tip_elsewhere(
+    samples: pd.DataFrame, length_mm: float | None, other: Callable[..., list[str]]
+) -> list[str]:
     tips = _columns(samples, r"tip_[xyz]_mm")
-    if not tips:
-        return
-    if "tip_x_mm" not in tips and len(tips) < 3:
-        return  # one coordinate across the finger may hardly move
+    if not tips or "tip_x_mm" not in tips and len(tips) < 3:
+        return []  # one coordinate across the finger may hardly move
     reach = np.linalg.norm(samples[tips].to_numpy(float), axis=1)
     row, value = int(reach.argmax()), float(reach.max())
     if 0 < value < (SHORTEST_TIP * length_mm if length_mm else 1.0):
-        raise _other_unit(samples, file, tips[0], row, "metres", "multiply the tip columns by 1000", value)
-    rest = _reach_at_rest(samples, reach)
+        return other(tips[0], row, "metres", "multiply the tip columns by 1000", value)
+    if not length_mm:
+        return []
+    commands, rest = _columns(samples, r"pressure_cmd_(\d+_)?kpa"), 0.0
+    if commands:
+        driven = samples[commands].abs().max(axis=1).to_numpy(float)
+        rest = float(np.median(reach[driven <= np.quantile(driven, 0.05)]))
     for unit, mm in (("centimetres", 10.0), ("inches", 25.4)):
-        if length_mm and rest and abs(rest * mm / length_mm - 1) < SAME_LENGTH and value < 3 * rest:
-            other, remedy = (
-                f"{unit}: at rest the tip is {rest:.3g} from the base",
-                f"multiply the tip columns by {mm:g}",
-            )
-            raise _other_unit(
-                samples, file, tips[0], row, f"{other} of a finger of {length_mm:g} mm", remedy, value
-            )
-    if length_mm and value > LONGEST_TIP * length_mm:
-        other = f"another unit or frame (length_mm is {length_mm:g})"
+        if rest and abs(rest * mm / length_mm - 1) < SAME_LENGTH and value < 3 * rest:
+            unit += f": at rest the tip is {rest:.3g} from the base of a finger of {length_mm:g} mm"
+            return other(tips[0], row, unit, f"multiply the tip columns by {mm:g}", value)
+    if value > LONGEST_TIP * length_mm:
+        unit = f"another unit or frame (length_mm is {length_mm:g})"
         remedy = "give the tip in millimetres from the base of the device"
-        raise _other_unit(samples, file, tips[0], row, other, remedy, value)
-
-
-def _reach_at_rest(samples: pd.DataFrame, reach: np.ndarray) -> float:
-    """How far the tip is from the base where the least pressure is commanded; 0 where none is."""
-    commands = _columns(samples, r"pressure_cmd_(\d+_)?kpa")
-    if not commands:
-        return 0.0
-    driven = samples[commands].abs().max(axis=1).to_numpy(float)
-    return float(np.median(reach[driven <= np.quantile(driven, 0.05)]))
-
-
-def check_gravity(samples: pd.DataFrame, meta: dict, file: Path) -> None:
-    """Raises InputError where gravity has not all three columns, or is no unit vector."""
-    gravity = [f"gravity_{a}" for a in "xyz"]
-    missing = [c for c in gravity if c not in samples]
-    if len(missing) == 3:
-        return
-    if missing:
-        raise InputError(
-            f"{file}: column '{missing[0]}' is missing; gravity needs gravity_x, gravity_y, gravity_z."
-        )
-    norm = np.linalg.norm(samples[gravity].to_numpy(float), axis=1)
-    row = int(np.abs(norm - 1).argmax())
-    if abs(norm[row] - 1) > 0.05:
-        other, remedy = (
-            "no unit vector (length of gravity_x, y, z)",
-            "divide the three columns by their length",
-        )
-        raise _other_unit(samples, file, "gravity_x", row, other, remedy, float(norm[row]))
-
-
-RULES = (_check_pressures, _check_tip, _check_angles, check_gravity, _check_temperature)
+        return other(tips[0], row, unit, remedy, value)
+    return []
 
 
 def _columns(samples: pd.DataFrame, pattern: str) -> list[str]:
@@ -203,19 +182,3 @@ def _top(samples: pd.DataFrame, name: str) -> tuple[float, int]:
     """Largest size in a column, and its row."""
     values = np.abs(samples[name].to_numpy(float))
     return float(values.max()), int(values.argmax())
-
-
-def _other_unit(
-    samples: pd.DataFrame,
-    file: Path,
-    name: str,
-    row: int,
-    other: str,
-    remedy: str,
-    value: float | None = None,
-) -> InputError:
-    value = abs(float(samples[name].iloc[row])) if value is None else value
-    where = row_name(int(samples.index[row]), file)
-    return InputError(
-        f"{file}: column {shown(name)}, {where} is {value:g}, which can only be {other}; {remedy}."
-    )

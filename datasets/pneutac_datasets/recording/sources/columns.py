@@ -346,7 +346,7 @@ def understand(
     named = _of_time(frame, named, columns)
     taken = {c.column for c in columns.values()}
     targets = _targets(named, taken)
-    questions = _doubled(targets, taken, file)
+    questions = _doubled(targets)
     for name, target in targets.items():
         column = Column(name, target, None)
         if named[name].unit:
@@ -360,20 +360,11 @@ def understand(
         questions += _absolute(found, frame, given)
     have = {c.column for c in found}
     if not questions and not any(re.fullmatch(r"pressure_cmd_(\d+_)?kpa", c) for c in have):
-        gauge = next((c for c in found if re.fullmatch(r"pressure_(\d+_)?kpa", c.column)), None)
-        questions.append(
-            ("no column is the commanded pressure", f"{gauge.name if gauge else 'NAME'}: pressure_cmd_kpa")
-            if gauge is None
-            else (
-                f"{shown(gauge.name)} is a measured pressure and none is the commanded one",
-                "NAME: pressure_cmd_kpa",
-            )
-        )
-    if (
-        not questions
-        and not log
-        and not any(re.match(r"(tip_[xz]|bend_|q_|curvature_|image)", c) for c in have)
-    ):
+        gauge = next((shown(c.name) for c in found if re.fullmatch(r"pressure_(\d+_)?kpa", c.column)), "")
+        what = f"{gauge} is a measured pressure and none is the commanded one"
+        questions.append((what if gauge else "no column is the commanded pressure", "NAME: pressure_cmd_kpa"))
+    posed = any(re.match(r"(tip_[xz]|bend_|q_|curvature_|image)", c) for c in have)
+    if not (questions or log or posed):
         questions.append(
             ("no column has the motion of the finger", "NAME: tip_x_mm [mm], NAME: tip_z_mm [mm]")
         )
@@ -382,7 +373,10 @@ def understand(
     return found
 
 
-def _asked(file: str, questions: list[tuple[str, str]], frame: pd.DataFrame) -> str:
+Question = list[tuple[str, str]]
+
+
+def _asked(file: str, questions: Question, frame: pd.DataFrame) -> str:
     said = "; ".join(dict.fromkeys(q for q, _ in questions))
     answer = ", ".join(dict.fromkeys(a for _, a in questions))
     has = f" It has {listed(map(shown, frame))}." if any("NAME" in a for _, a in questions) else ""
@@ -450,19 +444,16 @@ def _targets(named: dict[str, Named], taken: set[str]) -> dict[str, str]:
     return out
 
 
-def _doubled(targets: dict[str, str], taken: set[str], file: str) -> list[tuple[str, str]]:
+def _doubled(targets: dict[str, str]) -> Question:
     """A question for each column of the recording that several could be."""
-    questions = []
-    for target in dict.fromkeys(targets.values()):
-        names = [n for n, t in targets.items() if t == target]
-        if len(names) > 1:
-            questions.append(
-                (
-                    f"{' and '.join(map(shown, names))} could each be {target}",
-                    f"{names[0]}: {target}, {names[1]}: -",
-                )
-            )
-    return questions
+    names: dict[str, list[str]] = {}
+    for name, target in targets.items():
+        names.setdefault(target, []).append(name)
+    return [
+        (f"{' and '.join(map(shown, n))} could each be {t}", f"{n[0]}: {t}, {n[1]}: -")
+        for t, n in names.items()
+        if len(n) > 1
+    ]
 
 
 def _with_given_unit(column: Column, text: str, file: str) -> Column:
@@ -470,24 +461,16 @@ def _with_given_unit(column: Column, text: str, file: str) -> Column:
     if not dimension:
         return column
     unit = unit_named(text, dimension)
-    if (
-        unit is None
-        and unit_named(text, "voltage") is None
-        and not (
-            dimension in ("time", "acceleration") and unit_named(text) is not None or text in ("-", "1", "")
-        )
-    ):
+    if unit is None and unit_named(text, "voltage") is not None:
+        return replace(column, guess="voltage")
+    unitless = text in ("-", "1", "")
+    if unit is None and not (unitless or dimension in ("time", "acceleration") and unit_named(text)):
         raise InputError(
             f"{file}: the unit {shown(text)} of {shown(column.name)} is unknown for {column.column}, which"
             f" takes {EXAMPLES.get(dimension, 'm/s^2 or none')}; give it as `pneutac convert {file}"
             f" --columns='{column.name}: {column.column} [UNIT]'`."
         )
-    if unit is None and unit_named(text, "voltage") is not None:
-        return replace(column, guess="voltage")
     return replace(column, unit=unit)
-
-
-Question = list[tuple[str, str]]
 
 
 def _measured_in(
@@ -495,95 +478,75 @@ def _measured_in(
     given: dict[str, str],
 ) -> tuple[Column, Question]:  # fmt: skip
     """The column with its unit, by the size of its numbers where that leaves one, else a question."""
-    target, name = column.column, column.name
-    dimension = dimension_of(target)
+    target, name, dimension = column.column, column.name, dimension_of(column.column)
     if column.guess == "voltage":
-        return column, [
-            (
-                f"{shown(name)} is no pressure but a signal; give kPa for each of its units",
-                f"{name}: {target} * KPA_PER_UNIT + KPA_AT_ZERO",
-            )
-        ]
+        what = f"{shown(name)} is no pressure but a signal; give kPa for each of its units"
+        return column, [(what, f"{name}: {target} * KPA_PER_UNIT + KPA_AT_ZERO")]
     if column.unit is not None or column.retained or target == LEAVE_OUT or not dimension:
         return column, []
     if values.dtype.kind not in "fiu":
         return column, []  # times of day, or what the rules refuse
-    numbers = values.to_numpy(float)
-    numbers = numbers[np.isfinite(numbers)]
-    top = float(np.abs(numbers).max()) if len(numbers) else 0.0
-
-    def by_size(unit: str) -> tuple[Column, Question]:
-        return replace(column, unit=unit_named(unit, dimension), guess="by size"), []
-
-    def ask(what: str, *units: str) -> tuple[Column, Question]:
-        choice = "|".join(units)
-        return column, [(f"{shown(name)} ({what}) has no unit", f"{name}: {target} [{choice}]")]
-
-    if dimension == "pressure":
-        if column.factor != 1 or name in given:  # stated in full: kPa, as its name says
-            return replace(
-                column, unit=column.unit or (unit_named("kPa") if column.factor == 1 else None)
-            ), []
-        return ask(
-            f"{numbers.min():.4g} to {numbers.max():.4g}" if len(numbers) else "empty", "kPa", "bar", "psi"
-        )
-    if name in given:
-        return replace(column, unit=unit_named(BASE_UNIT.get(dimension, ""), dimension)), []
+    if name in given:  # its name says the unit; a pressure with a factor is stated in full
+        unit = "" if dimension == "pressure" and column.factor != 1 else BASE_UNIT.get(dimension, "")
+        return replace(column, unit=unit_named(unit, dimension)), []
     if dimension == "length":
-        return _length(column, found, frame, length_mm, by_size, ask)
+        kin = [c for c in found if c.column[:4] == target[:4] and dimension_of(c.column) == "length"]
+        written = {str(c.unit): c.unit for c in kin if c.unit is not None and not c.guess}
+        if len(written) == 1:
+            return replace(column, unit=next(iter(written.values())), guess="as the others"), []
+    numbers = values.to_numpy(float)
+    unit = _by_size(column, numbers[np.isfinite(numbers)], found, frame, length_mm)
+    if isinstance(unit, str):
+        return (replace(column, unit=unit_named(unit, dimension), guess="by size") if unit else column), []
+    what, *units = unit
+    return column, [(f"{shown(name)} ({what}) has no unit", f"{name}: {target} [{'|'.join(units)}]")]
+
+
+def _by_size(
+    column: Column, numbers: np.ndarray, found: Sequence[Column], frame: pd.DataFrame, length_mm: float | None
+) -> str | tuple[str, ...]:  # fmt: skip
+    """The only unit that numbers of such a size have, empty for none, else what they are and the choice."""
+    dimension = dimension_of(column.column)
+    top = float(np.abs(numbers).max(initial=0.0))
+    if dimension == "pressure":
+        extent = f"{numbers.min():.4g} to {numbers.max():.4g}" if len(numbers) else "empty"
+        return extent, "kPa", "bar", "psi"
+    if dimension == "length":  # by how far the tip is from the base
+        tips = [c.name for c in found if re.fullmatch(r"tip_[xyz]_mm", c.column) and c.unit is None]
+        places = frame[tips].apply(pd.to_numeric, errors="coerce").to_numpy(float)
+        reach = float(np.nanmax(np.linalg.norm(places, axis=1))) if len(places) else 0.0
+        fits = (
+            {u: reach * UNITS["length"][u] / length_mm for u in ("m", "cm", "mm", "in")} if length_mm else {}
+        )
+        good = [u for u, ratio in fits.items() if 0.7 < ratio < 1.4]
+        if len(good) == 1:
+            return good[0]
+        if 0.01 <= reach < 1 or reach >= 20:
+            return "m" if reach < 1 else "mm"
+        return f"{reach:.3g} from the origin", "mm", "cm", "m", "in"
     if dimension == "angle":
-        return by_size("deg") if top > 7 else ask(f"up to {top:.3g}", "rad", "deg")
+        return "deg" if top > 7 else (f"up to {top:.3g}", "rad", "deg")
     if dimension == "temperature":
         middle = float(np.median(numbers)) if len(numbers) else 20.0
         if 60 <= middle <= 212:
-            return ask(f"{middle:.3g} in the middle", "C", "F")
-        return by_size("K" if 230 <= middle <= 420 else "C")
+            return f"{middle:.3g} in the middle", "C", "F"
+        return "K" if 230 <= middle <= 420 else "C"
     if dimension == "mass":
-        return by_size("g") if top >= 1 or top == 0 else ask(f"up to {top:.3g}", "g", "kg")
+        return "g" if top >= 1 or top == 0 else (f"up to {top:.3g}", "g", "kg")
     if dimension == "acceleration":
         three = frame[[c.name for c in found if c.column.startswith("gravity_")]]
         norm = float(np.nanmedian(np.linalg.norm(three.to_numpy(float), axis=1)))
-        return by_size("m/s2") if 9 < norm < 10.5 else (column, [])
-    if dimension == "time":
-        return _clock(column, numbers, by_size, ask)
-    return by_size(BASE_UNIT[dimension])
-
-
-def _length(column, found, frame, length_mm, by_size, ask) -> tuple[Column, Question]:
-    """The unit of the tip's coordinates, by how far it is from the base."""
-    kin = [c for c in found if c.column[:4] == column.column[:4] and dimension_of(c.column) == "length"]
-    written = {str(c.unit): c.unit for c in kin if c.unit is not None and not c.guess}
-    if len(written) == 1:  # as its neighbours
-        return replace(column, unit=next(iter(written.values())), guess="as the others"), []
-    tips = [c.name for c in found if re.fullmatch(r"tip_[xyz]_mm", c.column) and c.unit is None]
-    numbers = frame[tips].apply(pd.to_numeric, errors="coerce").to_numpy(float)
-    reach = float(np.nanmax(np.linalg.norm(numbers, axis=1))) if len(numbers) else 0.0
-    if length_mm:
-        fits = {u: reach * UNITS["length"][u] / length_mm for u in ("m", "cm", "mm", "in")}
-        good = [u for u, ratio in fits.items() if 0.7 < ratio < 1.4]
-        if len(good) == 1:
-            return by_size(good[0])
-    if 0.01 <= reach < 1:
-        return by_size("m")
-    if reach >= 20:
-        return by_size("mm")
-    return ask(f"{reach:.3g} from the origin", "mm", "cm", "m", "in")
-
-
-def _clock(column, numbers, by_size, ask) -> tuple[Column, Question]:
-    """The unit of a clock, by its stamps and steps."""
+        return "m/s2" if 9 < norm < 10.5 else ""
+    if dimension != "time" or not len(numbers):
+        return BASE_UNIT[dimension]
     if re.search(r"frame|bild|sample|index", column.name, re.I):
-        return by_size("frames")
-    if not len(numbers):
-        return by_size("s")
+        return "frames"
     for unit, least in (("ns", 1e17), ("us", 1e14), ("ms", 1e11), ("s", 1e8)):
         if numbers.min() > least:
-            return by_size(unit)  # since 1970
+            return unit  # since 1970
     steps = np.diff(numbers)
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
-    if step < 1:
-        return by_size("s")
-    return ask(f"in steps of {step:.3g}", "s", "ms")
+    return "s" if step < 1 else (f"in steps of {step:.3g}", "s", "ms")
 
 
 def _absolute(found: list[Column], frame: pd.DataFrame, given: dict[str, str]) -> Question:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from pneutac_datasets.recording.sources.frame import Source, Track, rotations
 from pneutac_datasets.recording.text_table import MAX_CSV_BYTES, MAX_ROWS
@@ -140,13 +141,8 @@ def _rows(file: Path) -> list[list[str]]:
 
 def _numbers(rows: list[list[str]], width: int) -> np.ndarray:
     """Numbers (n, width) of the rows; NaN where a cell is empty or no number."""
-    table = np.full((len(rows), width), np.nan)
-    for i, row in enumerate(rows):
-        for j, cell in enumerate(row[:width]):
-            try:
-                table[i, j] = float(cell)
-            except ValueError:
-                continue  # a marker that was not seen leaves its cells empty
+    cells = pd.DataFrame([(row + [""] * width)[:width] for row in rows], dtype=object)
+    table = cells.apply(pd.to_numeric, errors="coerce").to_numpy(float)  # an unseen marker's cells are empty
     return table[np.isfinite(table[:, 0])]
 
 

@@ -27,6 +27,7 @@ MAPPING = "mapping.yaml"  # there, what the columns are
 TEXT = (".csv", ".txt", ".tsv", ".tab", ".dat", ".log", ".asc", ".prn")
 FILES = (*TEXT, ".mat", ".parquet")
 SPREADSHEETS = (".xlsx", ".xls", ".xlsm", ".ods", ".numbers")
+TIPS = ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
 VECTORS = "tip_{}_mm", "force_{}_n", "gravity_{}"
 REST_SHARE = 0.05  # of the rows: those of the least pressure
 ALONG = 0.7  # cosine between the resting tip and x, below which the axes must be others
@@ -66,18 +67,16 @@ class Given:
         wrong = [k for k in content if k not in known] if isinstance(content, dict) else ["content"]
         if wrong:
             raise InputError(f"{file}: field {shown(wrong[0])} is none of {', '.join(known)}.")
+        given = {k: v for k, v in content.items() if v not in (None, "")}
         try:
-            columns = content.get("columns") or {}
-            x, y, z = (float(v) for v in content.get("base_mm", cls.base_mm))
-            length_mm, rate_hz = (
-                None if content.get(k) is None else float(content[k]) for k in ("length_mm", "rate_hz")
-            )
-            if not isinstance(columns, dict):
+            given |= {k: float(given[k]) for k in ("length_mm", "rate_hz") if k in given}
+            given |= {k: str(given[k]) for k in ("base_x", "base_z", "date") if k in given}
+            x, y, z = (float(v) for v in given.pop("base_mm", cls.base_mm))
+            if not isinstance(given.get("columns", {}), dict):
                 raise ValueError("columns must be names and what they are")
         except (TypeError, ValueError) as e:
             raise InputError(f"{file} is no mapping: {e}.") from e
-        base_x, base_z, date = (str(content.get(k, getattr(cls, k))) for k in ("base_x", "base_z", "date"))
-        return cls(parse_columns(columns), (x, y, z), base_x, base_z, length_mm, rate_hz, date)
+        return cls(parse_columns(given.pop("columns", {})), (x, y, z), **given)
 
     def text(self, columns: Sequence[Column], length_mm: float | None) -> str:
         """The content of `mapping.yaml` once the columns are known."""
@@ -162,10 +161,8 @@ def folder_of(files: Sequence[Path]) -> Path:
 def is_current(folder: Path, files: Sequence[Path], mapping: Path | None = None) -> bool:
     """Whether a folder holds the recording of these files as they and its mapping are now."""
     try:
-        meta = json.loads((folder / "recording.json").read_text(encoding="utf-8"))
-        stamp = meta["source"]
-        own = stamp["mapping"] == _digest(folder / MAPPING)
-        same = own and stamp["files"] == {f.name: _digest(f) for f in files}
+        stamp = json.loads((folder / "recording.json").read_text(encoding="utf-8"))["source"]
+        same = stamp == {"files": {f.name: _digest(f) for f in files}, "mapping": _digest(folder / MAPPING)}
         return same and (mapping is None or Given.load(mapping) == Given.load(folder / MAPPING))
     except (OSError, ValueError, KeyError, TypeError, InputError):
         return False
@@ -215,7 +212,7 @@ def understand_files(files: Sequence[Path], given: Given, log: bool = False, tim
     read = [read_table(f, time) for f in files]
     notes = [n for t in read for n in t.notes]
     _alike(read, notes)
-    source = ", ".join(str(f) for f in files[:1]) if len(files) == 1 else _pattern(files)
+    source = str(files[0]) if len(files) == 1 else f"{files[0]} to {files[-1].name}"
     frame = pd.concat([t.frame for t in read], ignore_index=True)
     if not len(frame):
         raise InputError(f"{files[0]} has a header but no rows; record at least one trial.")
@@ -245,10 +242,6 @@ def understand_files(files: Sequence[Path], given: Given, log: bool = False, tim
     if not log and not faults:
         notes += _axes_notes(recording, source, given)
     return Understood(list(files), recording, columns, given, read[0].style, notes, length_mm, faults)
-
-
-def _pattern(files: Sequence[Path]) -> str:
-    return f"{files[0]} to {files[-1].name}"
 
 
 def _alike(read: Sequence[TextTable], notes: list[str]) -> None:
@@ -434,7 +427,6 @@ def _filled(
 
 def _into_base(table: pd.DataFrame, given: Given, columns: Sequence[Column], source: str) -> None:
     """Turns and shifts what is in the table's frame into the base's, in place."""
-    tips = [f"tip_{a}_mm" for a in "xyz"]
     base = np.array(given.base_mm, float)
     marker = [f"base_{a}_mm" for a in "xyz"]
     if all(m in table for m in marker):
@@ -451,7 +443,7 @@ def _into_base(table: pd.DataFrame, given: Given, columns: Sequence[Column], sou
         values = np.stack(
             [table[n].to_numpy(float) if n in table else np.zeros(len(table)) for n in names], 1
         )
-        values = (values - base if names == tips else values) @ axes
+        values = (values - base if names == TIPS else values) @ axes
         turned = np.abs(axes[[n in table for n in names]]).sum(0) > 0  # measured in the new frame
         for i, n in enumerate(names):
             if turned[i]:
@@ -462,14 +454,13 @@ def _into_base(table: pd.DataFrame, given: Given, columns: Sequence[Column], sou
 
 def _at_rest(table: pd.DataFrame) -> np.ndarray | None:
     """Where the tip is (3,), mm, at the least pressures; None where it was not measured."""
-    tips = [f"tip_{a}_mm" for a in "xyz"]
     commands = [c for c in table if re.fullmatch(r"pressure_cmd_(\d+_)?kpa", c)]
     if "tip_x_mm" not in table or not commands:
         return None
     try:
         driven = table[commands].abs().max(axis=1).to_numpy(float)
         rest = table[driven <= np.nanquantile(driven, REST_SHARE)]
-        return np.array([float(rest[t].median()) if t in table else 0.0 for t in tips])
+        return np.array([float(rest[t].median()) if t in table else 0.0 for t in TIPS])
     except (TypeError, ValueError):
         return None  # texts, which the rules refuse
 
@@ -489,7 +480,7 @@ def _axes_notes(recording: Recording, source: str, given: Given) -> list[str]:
     """
     table = recording.samples
     rest = _at_rest(table)
-    tips = [t for t in ("tip_x_mm", "tip_y_mm", "tip_z_mm") if t in table]
+    tips = [t for t in TIPS if t in table]
     if rest is None or not np.linalg.norm(rest) > 0 or len(tips) < 2:
         return []
     moved = float(np.linalg.norm([np.ptp(table[t]) for t in tips]))
@@ -533,19 +524,16 @@ def _axes_notes(recording: Recording, source: str, given: Given) -> list[str]:
 def _date(frame: pd.DataFrame, columns: Sequence[Column]) -> str:
     """Day of the measurement, if the clock is unambiguous."""
     clock = next((c for c in columns if c.column == "time_s"), None)
-    if clock is None or not len(frame):
+    first = None if clock is None else frame[clock.name].iloc[0]
+    if isinstance(first, str):
+        iso = re.match(r"(\d{4})-(\d\d)-(\d\d)", first)
+        german = re.match(r"(\d{1,2})\.(\d{1,2})\.(\d{4})", first)
+        parts = iso.groups() if iso else german.groups()[::-1] if german else ()
+        return "-".join(f"{int(p):02d}" for p in parts)
+    if clock is None or not isinstance(first, int | float | np.number):
         return ""
-    first = frame[clock.name].iloc[0]
-    try:
-        if isinstance(first, str):
-            iso = re.match(r"(\d{4})-(\d\d)-(\d\d)", first)
-            german = re.match(r"(\d{1,2})\.(\d{1,2})\.(\d{4})", first)
-            parts = iso.groups() if iso else german.groups()[::-1] if german else None
-            return "-".join(f"{int(p):02d}" for p in parts) if parts else ""
-        seconds = float(first) * (clock.unit.factor if clock.unit else 1.0)
-        return f"{pd.Timestamp(seconds, unit='s'):%Y-%m-%d}" if 1e9 < seconds < 4e9 else ""
-    except (ValueError, OverflowError, TypeError):
-        return ""
+    seconds = float(first) * (clock.unit.factor if clock.unit else 1.0)
+    return f"{pd.Timestamp(seconds, unit='s'):%Y-%m-%d}" if 1e9 < seconds < 4e9 else ""
 
 
 def _checked(
