@@ -66,7 +66,7 @@ class TaskView:
     def __init__(self, world: World):
         model, name = world.model, world.task.name
         self._world = world
-        self.goal = goal_of(self._inner())
+        self.goal = goal_of(self._world.task)
         try:
             self._body, self._geom = model.body(name).id, model.geom(self.goal.geom).id
         except KeyError as e:
@@ -78,7 +78,7 @@ class TaskView:
         self.size = 13 + 2 * len(self._joints)
 
     def progress(self) -> float:
-        return float(self.goal.progress(self._inner()))
+        return float(self.goal.progress(self._world.task))
 
     def contact_point_m(self) -> np.ndarray:
         """Where the object should be touched (3,), metres in the world."""
@@ -109,10 +109,6 @@ class TaskView:
                 np.tanh(dq),
             ]
         )
-
-    def _inner(self) -> Task:
-        """The task itself, where a `VariedWorld` wraps it."""
-        return getattr(self._world.task, "inner", self._world.task)
 
 
 # Weight of each term in one control step. Over an episode the whole progress earns 2, coming from 10 cm away

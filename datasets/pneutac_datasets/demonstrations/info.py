@@ -170,7 +170,8 @@ def _of_kind(info: dict, *kinds: str) -> list[str]:
     return [key for key, feature in info["features"].items() if feature["dtype"] in kinds]
 
 
-def _read_parquet(file: Path, remedy: str, columns: list[str] | None = None) -> "pa.Table":
+def _read_parquet(file: Path, remedy: str, columns: list[str] | None = None, schema: bool = False):
+    """A table, or its schema alone; raises InputError where it is missing or damaged."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -178,7 +179,7 @@ def _read_parquet(file: Path, remedy: str, columns: list[str] | None = None) -> 
         raise InputError(f"{file} is missing; {remedy}.")
     refuse_pointer(file)
     try:
-        return pq.read_table(file, columns=columns, partitioning=None)
+        return pq.read_schema(file) if schema else pq.read_table(file, columns=columns, partitioning=None)
     except (pa.ArrowException, OSError, ValueError) as e:
         raise InputError(f"{file} is cut short or damaged, and no Parquet file; {remedy}.") from e
 
@@ -246,9 +247,6 @@ def _statistics(folder: Path, info: dict, repair: str) -> None:
 
 def _rows(folder: Path, info: dict, repair: str) -> dict[str, np.ndarray]:
     """LeRobot's own columns of all rows."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     files = sorted((folder / "data").glob("*/*.parquet"))
     if not files:
         raise InputError(f"{folder / 'data'} holds no .parquet file; restore it.")
@@ -257,14 +255,8 @@ def _rows(folder: Path, info: dict, repair: str) -> dict[str, np.ndarray]:
     for file in files:
         if not file.stat().st_size:
             raise InputError(f"{file} is empty; restore it.")
-        refuse_pointer(file)
-        try:
-            schema = pq.read_schema(file)
-        except (pa.ArrowException, OSError, ValueError) as e:
-            raise InputError(
-                f"{file} is cut short or damaged, and no Parquet file; restore it, or run {repair}, which"
-                " keeps its whole episodes."
-            ) from e
+        whole = f"restore it, or run {repair}, which keeps its whole episodes"
+        schema = _read_parquet(file, whole, schema=True)
         if set(schema.names) != set(wanted):
             missing, more = sorted(set(wanted) - set(schema.names)), sorted(set(schema.names) - set(wanted))
             what = f"lacks the column '{missing[0]}'" if missing else f"has a column '{more[0]}'"
@@ -360,26 +352,20 @@ def _pictures(
     films: dict[Path, Film | InputError] = {}
     for key in _of_kind(info, "video"):
         for number, row in enumerate(episodes):
-            chunk, file_number, begin = (
-                row[f"videos/{key}/{n}"] for n in ("chunk_index", "file_index", "from_timestamp")
-            )
-            if None in (chunk, file_number, begin):
-                found[key] = (
-                    f"{folder}: meta/episodes does not say where '{key}' of episode {number} is; delete"
-                    f" meta/episodes and run {repair}."
-                )
-                continue
-            path = info["video_path"].format(
-                video_key=key, chunk_index=int(chunk), file_index=int(file_number)
-            )
-            file = folder / path
-            if not file.is_file():
-                found.setdefault(
-                    path,
-                    f"{file} is missing; put it back, or run {repair} --drop, which leaves its episodes out.",
-                )
-                continue
+            places = "chunk_index", "file_index", "from_timestamp"
+            chunk, file_number, begin = (row[f"videos/{key}/{n}"] for n in places)
+            path = key
             try:
+                if None in (chunk, file_number, begin):
+                    raise InputError(
+                        f"{folder}: meta/episodes does not say where '{key}' of episode {number} is; delete"
+                        f" meta/episodes and run {repair}."
+                    )
+                numbers = {"chunk_index": int(chunk), "file_index": int(file_number)}
+                file = folder / (path := info["video_path"].format(video_key=key, **numbers))
+                if not file.is_file():
+                    drop = f"run {repair} --drop, which leaves its episodes out"
+                    raise InputError(f"{file} is missing; put it back, or {drop}.")
                 times = begin + rows["timestamp"][rows["episode_index"] == number]
                 _look_at_video(film_of(films, file), file, times, number, repair)
                 size = frame_size(file, times[[0, -1]])

@@ -25,7 +25,7 @@ from pneutac_datasets.demonstrations.episodes import (
 )
 from pneutac_datasets.demonstrations.faults import motion_faults
 from pneutac_datasets.demonstrations.info import refuse_damaged
-from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
+from pneutac_datasets.demonstrations.save import create_dataset, written
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
     PANDA_JOINTS,
@@ -93,13 +93,10 @@ def augment_naive(
     longest = int(np.ceil(max(meta.episodes["length"]) / SPEED[0])) + 1
     use_videos = features[TACTILE]["dtype"] == "video"
     out = create_dataset(out_repo_id, out_root, meta.fps, features, meta.robot_type, use_videos, longest)
-    with quiet_encoders():
-        try:
-            for k, new in enumerate(varied(load, len(used), states, actions, episodes, seed)):
-                progress("varying demonstrations", k, episodes)
-                save_episode(out, new)
-        finally:
-            out.finalize()
+    with written(out):
+        for k, new in enumerate(varied(load, len(used), states, actions, episodes, seed)):
+            progress("varying demonstrations", k, episodes)
+            save_episode(out, new)
     return Path(out_root)
 
 

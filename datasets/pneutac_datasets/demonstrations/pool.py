@@ -28,7 +28,7 @@ from pneutac_datasets.demonstrations.episodes import (
     save_episode,
 )
 from pneutac_datasets.demonstrations.info import refuse_damaged
-from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
+from pneutac_datasets.demonstrations.save import create_dataset, written
 from pneutac_sim.errors import InputError
 
 
@@ -73,19 +73,14 @@ def pool_demonstrations(sources: list[Path], out: str | Path, repo_id: str) -> P
         features[ACTION]["info"] = {ANSWER_DELAY: max(delays)}
     features[PREVIOUS_ACTION] = dict(features[ACTION])
     new = create_dataset(repo_id, out, metas[0].fps, features, metas[0].robot_type, False, 1)
-    with quiet_encoders():
-        try:
-            for meta in metas:
-                source = LeRobotDataset(meta.repo_id, root=meta.root)
-                for index in range(meta.total_episodes):
-                    episode = load_episode(source, index)
-                    episode.images = np.concatenate([_means(image) for image in episode.images])
-                    episode.state, episode.action = (
-                        x.astype(np.float32) for x in (episode.state, episode.action)
-                    )
-                    save_episode(new, episode, {PREVIOUS_ACTION: previous_actions(episode)})
-        finally:
-            new.finalize()
+    with written(new):
+        for meta in metas:
+            source = LeRobotDataset(meta.repo_id, root=meta.root)
+            for index in range(meta.total_episodes):
+                e = load_episode(source, index)
+                e.images = np.concatenate([_means(image) for image in e.images])
+                e.state, e.action = (x.astype(np.float32) for x in (e.state, e.action))
+                save_episode(new, e, {PREVIOUS_ACTION: previous_actions(e)})
     return Path(out)
 
 

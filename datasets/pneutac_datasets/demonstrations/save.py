@@ -69,3 +69,13 @@ def quiet_encoders() -> Iterator[None]:
         av.logging.set_libav_level(av.logging.INFO)
         if bars:
             datasets.enable_progress_bars()
+
+
+@contextlib.contextmanager
+def written(dataset: LeRobotDataset) -> Iterator[None]:
+    """While episodes are added to a dataset: quiet, and whole at the end, come what may."""
+    with quiet_encoders():
+        try:
+            yield
+        finally:
+            dataset.finalize()

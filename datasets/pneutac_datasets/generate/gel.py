@@ -6,6 +6,7 @@ on a Hertz half-space, with attached shadows, sensor noise and a drift of bright
 What generated gel recordings share: where balls are pressed in, and the table of what was done.
 """
 
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -25,30 +26,38 @@ def ball_press(i: int, rng: np.random.Generator) -> Press:
     return Press("sphere", BALLS_MM[i % len(BALLS_MM)], x, y, depth)
 
 
-def press_row(i: int, image: str, press: Press) -> dict:
-    """The row of `samples.csv` of the press number `i`, photographed in the file `image`."""
-    return {
-        "role": "heldout" if i else "calibration",
-        "trial": i,
-        "time_s": 0.0,
-        "image": image,
-        "indenter": press.indenter,
-        "indenter_radius_mm": press.size_mm,
-        "x_mm": press.x_mm,
-        "y_mm": press.y_mm,
-        "depth_mm": press.depth_mm,
-    }
+def write_presses(
+    folder: str | Path,
+    rest: np.ndarray,
+    photographs: Iterable[tuple[Press, np.ndarray, dict]],
+    px_per_mm: float,
+    notes: str,
+) -> Recording:
+    """Writes a gel's recording; returns it as loaded.
 
+    Args:
+        folder: where it goes.
+        rest: image without contact, (H, W, 3) levels.
+        photographs: of each press, the first of which is to calibrate by: the press, its image and what else
+            is known of it, by column.
+        px_per_mm: scale of the images.
+        notes: on their origin.
+    """
+    folder, rows = Path(folder), []
+    (folder / "images").mkdir(parents=True, exist_ok=True)
 
-def write_session(folder: Path, rows: list[dict], px_per_mm: float, notes: str) -> Recording:
-    """Writes what is known of the images that `folder` holds already; returns the recording as loaded."""
-    meta = {
-        "rest_image": "rest.png",
-        "samples": "samples.csv",
-        "px_per_mm": px_per_mm,
-        "generated": True,
-        "notes": notes,
-    }
+    def save(image: np.ndarray, name: str) -> None:
+        Image.fromarray(np.clip(image, 0, 255).round().astype(np.uint8)).save(folder / name)
+
+    save(rest, "rest.png")
+    for i, (press, image, more) in enumerate(photographs):
+        row = {"role": "heldout" if i else "calibration", "trial": i, "time_s": 0.0}
+        row |= {"image": f"images/ball_{i}.png", "indenter": press.indenter}
+        row |= {"indenter_radius_mm": press.size_mm, "x_mm": press.x_mm, "y_mm": press.y_mm}
+        save(image, row["image"])
+        rows.append(row | {"depth_mm": press.depth_mm} | more)
+    meta = {"rest_image": "rest.png", "samples": "samples.csv", "px_per_mm": px_per_mm}
+    meta |= {"generated": True, "notes": notes}
     Recording(folder, meta, pd.DataFrame(rows), "gel").write(folder)
     return Recording.load(folder)
 
@@ -77,28 +86,25 @@ def write_gel_recording(folder: str | Path, seed: int = 0, heldout: int = 6) -> 
     Returns:
         The recording, as loaded from `folder`.
     """
-    folder, rng = Path(folder), np.random.default_rng(seed)
-    (folder / "images").mkdir(parents=True, exist_ok=True)
+    rng = np.random.default_rng(seed)
     x, y = np.meshgrid(
         (np.arange(WIDTH) + 0.5 - WIDTH / 2) / PX_PER_MM, (np.arange(HEIGHT) + 0.5 - HEIGHT / 2) / PX_PER_MM
     )
 
-    def photograph(u: np.ndarray, name: str) -> None:
+    def photograph(u: np.ndarray) -> np.ndarray:
         exposure = _EXPOSURE * (1 + DRIFT_SHARE * rng.standard_normal())
-        image = exposure * _radiance(u, x, y) + NOISE_LEVELS * rng.standard_normal((*u.shape, 3))
-        Image.fromarray(np.clip(image, 0, 255).round().astype(np.uint8)).save(folder / name)
+        return exposure * _radiance(u, x, y) + NOISE_LEVELS * rng.standard_normal((*u.shape, 3))
 
-    photograph(np.zeros_like(x), "rest.png")
-    rows = []
-    for i in range(heldout + 1):
-        cx, cy = (0.6, 0.5) if i == 0 else rng.uniform((-3.5, -5.0), (3.5, 5.0))
-        depth = 0.9 if i == 0 else rng.uniform(0.5, 1.1)
-        name = f"images/ball_{i}.png"
-        photograph(hertz(np.hypot(x - cx, y - cy), depth, BALL_RADIUS_MM), name)
-        row = press_row(i, name, Press("sphere", BALL_RADIUS_MM, cx, cy, depth))
-        rows.append(row | {"contact_radius_px": np.sqrt(BALL_RADIUS_MM * depth) * PX_PER_MM})
+    def presses() -> Iterator[tuple[Press, np.ndarray, dict]]:
+        for i in range(heldout + 1):
+            cx, cy = (0.6, 0.5) if i == 0 else rng.uniform((-3.5, -5.0), (3.5, 5.0))
+            depth = 0.9 if i == 0 else rng.uniform(0.5, 1.1)
+            image = photograph(hertz(np.hypot(x - cx, y - cy), depth, BALL_RADIUS_MM))
+            radius_px = np.sqrt(BALL_RADIUS_MM * depth) * PX_PER_MM
+            yield Press("sphere", BALL_RADIUS_MM, cx, cy, depth), image, {"contact_radius_px": radius_px}
+
     notes = "Generated: point LEDs on a Hertz half-space, with noise and drift; not photographs."
-    return write_session(folder, rows, PX_PER_MM, notes)
+    return write_presses(folder, photograph(np.zeros_like(x)), presses(), PX_PER_MM, notes)
 
 
 def hertz(r_mm: np.ndarray, depth_mm: float, radius_mm: float) -> np.ndarray:
@@ -125,6 +131,3 @@ def _radiance(u: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         lambert = np.maximum(lz - lx * ux - ly * uy, 0.0) * cosine_scale / distance
         image += (strength * lambert * 400.0 / distance**2)[..., None] * np.array(colour)
     return image
-
-
-# Effects of a size that real sensors show, others at their defaults; a seed varies them by a fifth.

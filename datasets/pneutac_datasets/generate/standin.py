@@ -1,21 +1,21 @@
 """The stand-in on the bench, finger and gel: what one measures of a real finger before making its twin."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pandas as pd
-from PIL import Image
 
 from lerobot_robot_pneutac.standin.finger import LENGTH_MM, TIP_MM, RodBody, clamped
 from lerobot_robot_pneutac.standin.gel import WINDOW_MM, CameraNoise, new_gel
 from lerobot_robot_pneutac.standin.world import GAUGE_NOISE_KPA
 from pneutac_datasets.generate.finger import ProgramTrial, session
-from pneutac_datasets.generate.gel import ball_press, press_row, write_session
+from pneutac_datasets.generate.gel import ball_press, write_presses
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import MAX_PRESSURE_KPA
+from pneutac_sim.gel.indenter import Press
 from pneutac_truths.light.gel import SPHERE, reach_below
 
 MARKER_NOISE_MM = 0.3
@@ -173,22 +173,22 @@ def write_gel(folder: str | Path, seed: int = 0) -> Recording:
         folder: where the recording goes.
         seed: decides places, depths, noise and drift of the light.
     """
-    folder, rng = Path(folder), np.random.default_rng([seed, 4])
+    rng = np.random.default_rng([seed, 4])
     gel, scale = new_gel(), np.random.default_rng([seed, 6])
     camera = CameraNoise(gel.rest_image.shape)
     camera.begin(rng)
-    (folder / "images").mkdir(parents=True, exist_ok=True)
-    Image.fromarray(gel.rest_image).save(folder / "rest.png")  # the mean of many frames
-    rows = []
-    for i in range(PRESSES):
-        press, name = ball_press(i, rng), f"images/ball_{i}.png"
-        ball = [SPHERE], [[press.size_mm, 0.0, 0.0]]
-        at = np.array([press.x_mm, press.y_mm, press.size_mm])
-        first = (reach_below(*ball, at, np.eye(3), gel.xs_mm, gel.ys_mm) + gel.rest_mm).max()  # below 0
-        at[2] -= press.depth_mm - first
-        displacement, force = gel.press(*ball, at, np.eye(3))
-        Image.fromarray(camera.photograph(gel.image(displacement))).save(folder / name)
-        read_n = scale.normal(force, np.hypot(SCALE_SHARE * force, SCALE_NOISE_N))
-        rows.append(press_row(i, name, press) | {"force_n": read_n})
-    px_per_mm = gel.rest_image.shape[1] / WINDOW_MM[0]
-    return write_session(folder, rows, px_per_mm, "Generated: the stand-in for reality.")
+
+    def presses() -> Iterator[tuple[Press, np.ndarray, dict]]:
+        for i in range(PRESSES):
+            press = ball_press(i, rng)
+            ball = [SPHERE], [[press.size_mm, 0.0, 0.0]]
+            at = np.array([press.x_mm, press.y_mm, press.size_mm])
+            first = (reach_below(*ball, at, np.eye(3), gel.xs_mm, gel.ys_mm) + gel.rest_mm).max()  # below 0
+            at[2] -= press.depth_mm - first
+            displacement, force = gel.press(*ball, at, np.eye(3))
+            image = camera.photograph(gel.image(displacement))
+            read_n = scale.normal(force, np.hypot(SCALE_SHARE * force, SCALE_NOISE_N))
+            yield press, image, {"force_n": read_n}
+
+    px_per_mm = gel.rest_image.shape[1] / WINDOW_MM[0]  # its rest image is the mean of many frames
+    return write_presses(folder, gel.rest_image, presses(), px_per_mm, "Generated: the stand-in for reality.")

@@ -5,7 +5,7 @@
 
 from abc import ABC, abstractmethod
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -34,6 +34,33 @@ class Observation:
 
     state: np.ndarray
     tactile: np.ndarray | None
+
+
+@dataclass(frozen=True)
+class Variation:
+    """What is different from the scene that the task itself draws.
+
+    Attributes:
+        start_m: flange position (3,) at the start, metres; None for the task's own.
+        shift_m: displacement (3,) of the task's objects, metres.
+        bend_gain: factor on the bend that the pressure makes.
+        more_rad: bend in addition to that, shared by the joints.
+        friction: factor on the friction of the gel.
+        late_commands: control steps by which commands act later than the station says.
+        at_once: whether commands act without any latency in place of that.
+        late_touch: control steps by which touch is shown too late.
+        conditions: in place of those that the world draws.
+    """
+
+    start_m: tuple[float, float, float] | None = None
+    shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    bend_gain: float = 1.0
+    friction: float = 1.0
+    late_commands: int = 0
+    late_touch: int = 0
+    conditions: dict[str, float] = field(default_factory=dict)
+    at_once: bool = False
+    more_rad: float = 0.0
 
 
 class BaseWorld(ABC):
@@ -110,9 +137,9 @@ class BaseWorld(ABC):
             InputError: the arm does not reach it.
         """
         mujoco.mj_resetData(self.model, self.data)
-        self.task.reset(self.model, self.data, self._rng)
+        self._lay_out()
         self.target_m = self.home_m + self._rng.uniform(-1, 1, 3) * self._start_half_m
-        self.target_m[1] += self._rng.choice(self.task.starts_m)
+        self.target_m[1] += self._rng.choice(self._starts_m)
         self._ik.reset()
         for _ in range(START_SOLVES):
             self._joints = self._ik.solve(self.target_m - self._base_m)
@@ -125,6 +152,14 @@ class BaseWorld(ABC):
         self.clipped = self.out_of_range = 0
         self.command = np.zeros(3 + self.chambers)
         self._queue = deque([self.command] * self._late_commands)
+
+    def _lay_out(self) -> None:
+        """Places the task's objects as a random start has them."""
+        self.task.reset(self.model, self.data, self._rng)
+
+    @property
+    def _starts_m(self) -> tuple[float, ...]:
+        return self.task.starts_m
 
     def _settle(self, drive) -> None:
         """Brings arm and finger to rest under a constant drive, before the clock starts."""

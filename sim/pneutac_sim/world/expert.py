@@ -163,7 +163,7 @@ class ScriptedExpert:
 
 def _expert_of(world: World) -> Callable[..., Wish]:
     """The library's expert of a task, or the task's own."""
-    task = getattr(world.task, "inner", world.task)  # a `VariedWorld` wraps it
+    task = world.task
     if task.name in EXPERTS:
         return EXPERTS[task.name]
     if type(task).expert is Task.expert:

@@ -21,14 +21,14 @@ from pneutac_sim.world.base import Observation
 from pneutac_sim.world.panda import HOME_JOINTS, SERVO_LAG_S, forward_kinematics
 from pneutac_sim.world.soft_finger import mjcf
 from pneutac_sim.world.touch import Touch
-from pneutac_sim.world.varied import VariedWorld, _Staged
+from pneutac_sim.world.world import World
 
 SLIDES = ("slide_x", "slide_y", "slide_z")
 STIFFNESS_N_M = 40000.0  # of the flange: about 12 kN m/rad at the arm's half metre
 INERTIA_KG = 1.0
 
 
-class Gantry(VariedWorld):
+class Gantry(World):
     """The reduced world of a world: starts where that one is, and tries sequences of actions.
 
     The finger has the stiffness of the world's own where it was mirrored, held while the gantry looks ahead;
@@ -44,7 +44,7 @@ class Gantry(VariedWorld):
 
     _soft_body: tuple[np.ndarray, np.ndarray] | None = None  # the soft body's stiffness and torque
 
-    def __init__(self, world: VariedWorld):
+    def __init__(self, world: World):
         """A gantry for `world`; its state is taken over by `mirror`.
 
         Raises:
@@ -52,10 +52,9 @@ class Gantry(VariedWorld):
         """
         limits = {"pressure_range_kpa": world.pressure_range_kpa, "station": world.station}
         super().__init__(world.task.name, world.twin, "area", "probe", world.conditions, **limits)
-        task = self.task.inner
         spec = mujoco.MjSpec.from_string(
             scene.build(
-                task,
+                self.task,
                 mjcf(self.twin, self.station.mount_mm),
                 _slides_mjcf,
                 _servos_mjcf,
@@ -65,7 +64,6 @@ class Gantry(VariedWorld):
         spec.compiler.discardvisual = True  # nobody looks at it
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
-        self.task = _Staged(task, self.model)
         self.sensor = TactileSensor(self.twin)
         self.touch = Touch(self.model, self.sensor, "area", world.touch.network)
         self._ik, self._base_m = _Straight(), np.zeros(3)
@@ -79,7 +77,7 @@ class Gantry(VariedWorld):
         self._loose = [(self.model.joint(j), self.data.joint(j)) for j in loose]
         self.reset(0)
 
-    def mirror(self, world: VariedWorld) -> None:
+    def mirror(self, world: World) -> None:
         """Takes over the state of `world`: poses, speeds, pressures, and what the task remembers."""
         here, there = self.data, world.data
         self._pairs.copy(world.model, there, self.model, here)
@@ -96,7 +94,7 @@ class Gantry(VariedWorld):
         self._pipeline = world._pipeline.copy()
         self._queue = deque(world._queue)
         self._placing.set(self.model, world._placing.poses.copy())
-        self._memory = _memory(vars(world.task.inner))
+        self._memory = _memory(vars(world.task))
         mujoco.mj_kinematics(self.model, here)
         self.touch.sense(here)
         self._residual_area = world.touch.area - self.touch.area
@@ -114,12 +112,11 @@ class Gantry(VariedWorld):
         mujoco.mj_setState(model, here, self._state, _STATE)
         for joint, state in self._loose:
             state.qpos[:], state.qvel[:] = joint.qpos0, 0.0
-        self.task.variation = replace(self.variation, shift_m=shift_m)
-        self.task.reset(model, here, np.random.default_rng(seed))
+        self._stage(np.random.default_rng(seed), replace(self.variation, shift_m=shift_m))
         mujoco.mj_forward(model, here)
         here.qacc_warmstart[:] = 0.0
         self._friction = model.dof_frictionloss.copy()
-        self._memory = _memory(vars(self.task.inner))
+        self._memory = _memory(vars(self.task))
         self._store()
 
     def _store(self) -> None:
@@ -180,7 +177,7 @@ class Gantry(VariedWorld):
     def _restart(self) -> None:
         mujoco.mj_setState(self.model, self.data, self._state, _STATE)
         self.model.dof_frictionloss[:] = self._friction
-        vars(self.task.inner).update(_memory(self._memory))
+        vars(self.task).update(_memory(self._memory))
         self._placing.set(self.model, self._poses)
         mujoco.mj_kinematics(self.model, self.data)
 

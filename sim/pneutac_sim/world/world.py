@@ -5,6 +5,7 @@ solves the inverse kinematics once, and interpolates joint targets and pressure 
 """
 
 import logging
+from collections import deque
 from typing import override
 
 import mujoco
@@ -17,7 +18,7 @@ from pneutac_sim.finger.online import PressurePipeline
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import PAPER_FINGER, Twin, checked_range
 from pneutac_sim.world import scene
-from pneutac_sim.world.base import BaseWorld, Observation, imprint_m
+from pneutac_sim.world.base import BaseWorld, Observation, Variation, imprint_m
 from pneutac_sim.world.checks import check_bends
 from pneutac_sim.world.conditions import Conditions, conditions_for, draw
 from pneutac_sim.world.following import Follower
@@ -25,6 +26,7 @@ from pneutac_sim.world.scene import Finger
 from pneutac_sim.world.soft_finger import Pad, Springs, mjcf
 from pneutac_sim.world.spine import Placing, Spine
 from pneutac_sim.world.station import Station
+from pneutac_sim.world.tasks.base import HOME_JITTER_M, contact_force
 from pneutac_sim.world.touch import Touch
 from pneutac_sim.world.view import View
 
@@ -46,7 +48,10 @@ class World(BaseWorld):
         out_of_range: number of steps since the reset in which a state of the finger or a contact lay outside
             what the networks were trained with.
         touch: last touch: `depth_mm`, `image`, `pixels`, `area`.
+        variation: what is laid out on purpose, from the next reset on.
     """
+
+    variation = Variation()
 
     def __init__(
         self,
@@ -120,6 +125,10 @@ class World(BaseWorld):
         self._springs = Springs(self.model, self._bends.joints, damping, whole)
         self._follower = Follower(self.model, self._bends.joints)
         self._tip, self._placing = self.model.site("tip").id, Placing(self.model)
+        roots = (self.model.body(b) for b in np.flatnonzero(self.model.body_parentid == 0)[1:])
+        self._roots = [b.id for b in roots if b.name not in ("panda", "arm", "gantry")]
+        self._places = self.model.body_pos[self._roots].copy()
+        self._grip = float(self.model.geom("pad").friction[0])
 
     def reset(self, seed: int | None = None) -> Observation:
         """Starts an episode, before which the finger has rested.
@@ -131,6 +140,7 @@ class World(BaseWorld):
         """
         if seed is not None:
             self._rng = np.random.default_rng(seed)
+        self._rest_rad = None
         self._start()
         self.conditions = self._draw_conditions()
         self._pipeline.set_conditions(self.conditions)
@@ -149,17 +159,63 @@ class World(BaseWorld):
         self._settle(self.spine_target_rad)
         self._measure(self.dt_s)
         self.touch.sense(self.data)
+        self._shown = deque([self._felt()] * self.variation.late_touch)
         return self._observe()
+
+    @override
+    def _lay_out(self) -> None:
+        self._stage(self._rng, self.variation)
+
+    def _stage(self, rng: np.random.Generator, variation: Variation) -> None:
+        """Objects by the task's own random start, then moved, and the gel's grip."""
+        model, data = self.model, self.data
+        model.body_pos[self._roots] = self._places
+        self.task.reset(model, data, rng)
+        model.body_pos[self._roots] += variation.shift_m
+        for b in self._roots:
+            joint = model.body_jntadr[b]
+            if joint >= 0 and model.jnt_type[joint] == 0:  # a free object stands where its joint says
+                at = model.jnt_qposadr[joint]
+                data.qpos[at : at + 3] += variation.shift_m
+        model.geom("pad").friction[0] = self._grip * variation.friction
+
+    @property
+    @override
+    def home_m(self) -> np.ndarray:
+        start_m = self.variation.start_m
+        return super().home_m if start_m is None else np.array(start_m)
+
+    @property
+    @override
+    def _start_half_m(self) -> np.ndarray:
+        return super()._start_half_m if self.variation.start_m is None else np.full(3, HOME_JITTER_M)
+
+    @property
+    @override
+    def _starts_m(self) -> tuple[float, ...]:
+        return super()._starts_m if self.variation.start_m is None else (0.0,)
+
+    @property
+    def blocked(self) -> bool:
+        """Whether the objects were laid where the hand starts: it touches them, or the task is over."""
+        touches = contact_force(self.model, self.data, "") > 0
+        return touches or self.success or self.failure is not None
+
+    def _felt(self) -> tuple:
+        return self.touch.image, self.touch.pixels, self.touch.area
 
     @property
     @override
     def _late_commands(self) -> int:
+        if self.variation.at_once:
+            return 0
         # The twin has a latency of its own where demonstrations show one.
         known = self.twin.parameters.get("command_latency_s")
-        return super()._late_commands + (self.station.steps(known.value) if known else 0)
+        own = self.station.steps(known.value) if known else 0
+        return super()._late_commands + own + self.variation.late_commands
 
     def _draw_conditions(self) -> dict[str, float]:
-        return draw(self._conditions, self._rng)
+        return draw(self._conditions, self._rng) | self.variation.conditions
 
     def step(self, action: np.ndarray) -> Observation:
         """Advances one control step, `dt_s`.
@@ -179,6 +235,8 @@ class World(BaseWorld):
         self._measure(self.dt_s)
         self.touch.sense(self.data)
         self.out_of_range += not (self.touch.in_range and (self.finger is None or self.finger.in_range))
+        self._shown.append(self._felt())
+        self.touch.image, self.touch.pixels, self.touch.area = self._shown.popleft()
         return self._observe()
 
     @override
@@ -243,8 +301,13 @@ class World(BaseWorld):
         return mjcf(self.twin, self.station.mount_mm)
 
     def _bend(self, q_cmd: np.ndarray) -> np.ndarray:
-        """Angles in rad at which the unloaded finger rests; here those that the pressure commands."""
-        return q_cmd
+        """Angles in rad at which the unloaded finger rests, by those that the pressure commands."""
+        if self._rest_rad is None:  # at the reset, where the pressure is off
+            self._rest_rad = q_cmd
+        if self.variation is World.variation:
+            return q_cmd
+        bent = self._rest_rad + self.variation.bend_gain * (q_cmd - self._rest_rad)
+        return bent + self.variation.more_rad / len(q_cmd)
 
     def _in_plane(self, q: np.ndarray) -> np.ndarray:
         """Those of joint angles that the pipeline has; here all."""

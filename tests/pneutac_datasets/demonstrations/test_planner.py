@@ -317,7 +317,7 @@ def test_what_is_done_at_once_is_no_demonstration(switch, monkeypatch, steps, sh
     world = generator.world
     taken, step = [], world.step
     monkeypatch.setattr(world, "step", lambda action: (taken.append(action), step(action))[1])
-    monkeypatch.setattr(world.task.inner, "success", lambda: len(taken) >= steps)
+    monkeypatch.setattr(world.task, "success", lambda: len(taken) >= steps)
     variant = Variant(0, (0.0, 0.0, 0.0), 1.0, 0.0, 1.0)
     trial = generator.carry_out(variant, scenes[0], np.random.default_rng(0), plan=False)
     assert len(trial.action) == steps

@@ -105,7 +105,7 @@ def test_a_varied_world_widens_its_objects_and_starts_where_it_is_told():
         world.reset(seed)
         found.append(world.target_m - (0.38, 0.01, 0.32))
     assert (np.abs(found) <= HOME_JITTER_M).all()
-    assert world.task.inner.spread_x_m == pytest.approx(0.052)
+    assert world.task.spread_x_m == pytest.approx(0.052)
 
 
 @pytest.mark.slow

@@ -197,15 +197,7 @@ class Generator:
         """
         r = self.setup.references[variant.source]
         start = r.flange_m[0] + plan * START_M * np.append(np.clip(rng.standard_normal(2), -2, 2), 0)
-        self.world.variation = Variation(
-            tuple(start.tolist()),
-            tuple(np.add(scene.shift_m, variant.shift_m).tolist()),
-            variant.bend_gain,
-            variant.friction,
-            variant.late_commands,
-            variant.late_touch,
-            variant.conditions,
-        )
+        self.world.variation = variant.of_world(start, scene.shift_m)
         ways = self._plan(r, variant, rng) if plan else iter(np.clip(r.action, *self.world.action_limits))
         return self._carried_out(ways, scene.seed, r.area, missed=plan)
 
@@ -221,15 +213,7 @@ class Generator:
         """
         s = self.setup
         start_m = s.references[variant.source].flange_m[0] + rng.uniform(-1, 1, 3) * s.start_range_m
-        self.world.variation = Variation(
-            tuple(start_m.tolist()),
-            (0.0, 0.0, 0.0),
-            variant.bend_gain,
-            variant.friction,
-            variant.late_commands,
-            variant.late_touch,
-            variant.conditions,
-        )
+        self.world.variation = variant.of_world(start_m)
         self._path: list[tuple[int, int, int]] = []
         ways = self._follow(rng) if s.method == "library" else self._expert(rng)
         noise = rng if s.method == "expert" else None

@@ -50,7 +50,7 @@ from pneutac_datasets.demonstrations.episodes import (
 from pneutac_datasets.demonstrations.info import refuse_damaged
 from pneutac_datasets.demonstrations.naive import augment_naive
 from pneutac_datasets.demonstrations.replay.imprint import imprint_centres_mm
-from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
+from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders, written
 from pneutac_sim.errors import InputError
 from pneutac_sim.executor import ExecutorOptions, run_pieces
 from pneutac_sim.features import VELOCITY_NAMES, Places
@@ -231,18 +231,16 @@ def _write(
     provenance, seconds = [], {"writing": 0.0}
     with quiet_encoders():
         out = create_dataset(repo_id, part, meta.fps, features, meta.robot_type, use_videos, longest)
-        try:
-            for attempt, line, spent in made:
-                provenance.append(line)
-                for name, s in spent.items():
-                    seconds[name] = seconds.get(name, 0.0) + s
-                start = time.perf_counter()
-                instruction = references[line["source"]].task
-                episode = Episode(attempt.state, attempt.action, attempt.images, instruction, meta.fps)
-                save_episode(out, episode, attempt.more)
-                seconds["writing"] += time.perf_counter() - start
-        finally:
-            out.finalize()
+    with written(out):
+        for attempt, line, spent in made:
+            provenance.append(line)
+            for name, s in spent.items():
+                seconds[name] = seconds.get(name, 0.0) + s
+            start = time.perf_counter()
+            instruction = references[line["source"]].task
+            episode = Episode(attempt.state, attempt.action, attempt.images, instruction, meta.fps)
+            save_episode(out, episode, attempt.more)
+            seconds["writing"] += time.perf_counter() - start
     return provenance, seconds
 
 

@@ -1,5 +1,6 @@
 """The domain randomisation of one new demonstration."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -7,6 +8,7 @@ import numpy as np
 from pneutac_sim.finger.confidence import Z95
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.conditions import Conditions, draw
+from pneutac_sim.world.varied import Variation
 
 # Standard deviations.
 FRICTION = 0.15  # of the factor on the gel's friction
@@ -66,6 +68,12 @@ class Variant:
             int(rng.integers(0, LATE + 1)),
             draw(conditions or {}, rng),
         )
+
+    def of_world(self, start_m: np.ndarray, shift_m: Sequence[float] = (0.0, 0.0, 0.0)) -> Variation:
+        """The world's own: the flange starts at `start_m` (3,), objects stand `shift_m` (3,) aside, m."""
+        start, shift = tuple(np.asarray(start_m).tolist()), tuple(np.add(shift_m, self.shift_m).tolist())
+        late = self.late_commands, self.late_touch
+        return Variation(start, shift, self.bend_gain, self.friction, *late, self.conditions)
 
 
 def bend_gain_sd(twin: Twin | None) -> float:

@@ -157,13 +157,7 @@ class LightDrift:
         )
 
     def to_dict(self) -> dict:
-        return {
-            "levels": list(self.levels),
-            "shape_levels": self.shape_levels,
-            "gain": list(self.gain),
-            "spread_levels": self.spread_levels,
-            "drifted": self.drifted,
-        }
+        return asdict(self) | {"drifted": self.drifted}
 
 
 def light_drift(episodes: list[Episode], rest: np.ndarray) -> LightDrift:
