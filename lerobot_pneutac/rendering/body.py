@@ -66,11 +66,8 @@ def strip(objective: Objective, positions: np.ndarray, photographs: list[MaskedP
         real = np.where(p.mask[..., None], p.image, 255)
         stack = [a[low[0] : high[0], low[1] : high[1]] for a in (real, 255 * white.clip(0, 1), edges)]
         size = (round(SILHOUETTE_HEIGHT * (high[1] - low[1]) / (high[0] - low[0])), SILHOUETTE_HEIGHT)
-        columns.append(
-            np.concatenate(
-                [cv2.resize(a.astype(np.uint8), size, interpolation=cv2.INTER_AREA) for a in stack]
-            )
-        )
+        small = [cv2.resize(a.astype(np.uint8), size, interpolation=cv2.INTER_AREA) for a in stack]
+        columns.append(np.concatenate(small))
     return np.concatenate(columns, 1)
 
 
@@ -228,9 +225,7 @@ def body_film(twin: Twin, config: RenderConfig) -> Film:
     """
     from pneutac_sim.mpm import devices
 
-    recorded = None
-    if config.recording is not None:
-        recorded = read_recorded(twin, config)
+    recorded = None if config.recording is None else read_recorded(twin, config)
     given = config.pressure_kpa
     if given is not None and len(given) % CHAMBERS[twin.device]:
         raise InputError(f"pressure_kpa has {len(given)} numbers; an arm takes three for each pose.")
@@ -252,18 +247,14 @@ def body_film(twin: Twin, config: RenderConfig) -> Film:
     elif config.view is not None:
         painter, lead = view_painter(twin, solver.body, config.view, spines)
     else:
-        painter, lead = _particle_painter(twin, solver.body.spacing_m), STRETCH
+        turns = (24.0,) if twin.device == "finger" else (24.0, -66.0)  # an arm bends out of the plane
+        size = 1e-3 * twin.length_mm, solver.body.spacing_m
+
+        def painter(pose: Pose) -> tuple[np.ndarray, dict]:
+            return draw.body_picture(pose, *size, caption(pose), MOST_STRAIN, turns), {}
+
+        lead = STRETCH
     return Film(twin.device, _frames(solver, program, q_cmd, each, painter), len(program), lead)
-
-
-def _particle_painter(twin: Twin, spacing_m: float) -> Painter:
-    turns = (24.0,) if twin.device == "finger" else (24.0, -66.0)  # an arm bends out of the plane
-    length = 1e-3 * twin.length_mm
-
-    def paint(pose: Pose) -> tuple[np.ndarray, dict]:
-        return draw.body_picture(pose, length, spacing_m, caption(pose), MOST_STRAIN, turns), {}
-
-    return paint
 
 
 def _frames(
@@ -328,23 +319,11 @@ def _press_frames(twin: Twin, config: RenderConfig, press: Press) -> Iterator[Fi
         row = np.argmin(np.abs(solver.body.positions[:, 1] - 1e-3 * press.y_mm))
         cut = cells[:, 1] == cells[row, 1]
         force = float(np.linalg.norm(rest.contact_force[0]))
-        picture = draw.gel_picture(
-            moved,
-            1e3 * rest.positions[0, cut],
-            strain(rest.gradients[0, cut]),
-            1e3 * solver.body.spacing_m,
-            window,
-            config.depth_mm,
-            GEL_STRAIN,
-            f"{named}   depth {depth:.2f} mm   force {force:.2f} N",
-        )
+        cut_mm = 1e3 * rest.positions[0, cut], strain(rest.gradients[0, cut]), 1e3 * solver.body.spacing_m
+        text = f"{named}   depth {depth:.2f} mm   force {force:.2f} N"
+        picture = draw.gel_picture(moved, *cut_mm, window, config.depth_mm, GEL_STRAIN, text)
         picture = draw.beside(picture, sensor.image(moved))
-        last = k == PRESS_FRAMES - 1
-        values = {
-            "depth_mm": depth,
-            "face_mm": float(moved.max()),
-            "force_n": force,
-            "penetration_um": float(1e6 * rest.penetration_m[0]),
-            "seconds": spent,
-        }
-        yield FilmFrame(picture, values if last or k == PRESS_FRAMES // 2 - 1 else None)
+        values = {"depth_mm": depth, "face_mm": float(moved.max()), "force_n": force}
+        values |= {"penetration_um": float(1e6 * rest.penetration_m[0]), "seconds": spent}
+        shown = k in (PRESS_FRAMES // 2 - 1, PRESS_FRAMES - 1)
+        yield FilmFrame(picture, values if shown else None)

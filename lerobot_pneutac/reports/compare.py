@@ -20,7 +20,7 @@ from lerobot_pneutac.reports.page import (
     TRAIN,
     Report,
 )
-from lerobot_pneutac.reports.session import name_runs, session_clock
+from lerobot_pneutac.reports.session import bar_panels, name_runs, session_clock
 from pneutac_datasets.recording.axes import numbers, unit_of
 from pneutac_sim.finger.quantities import root_mean
 
@@ -117,22 +117,25 @@ def _add_band(figure: go.Figure, c, i: int, t: np.ndarray, centre: np.ndarray) -
     )  # fmt: skip
 
 
+def _add_line(figure: go.Figure, i: int, t, values, parts: list[np.ndarray], name: str, **line) -> None:
+    """A line of column `i` in parts, each thinned."""
+    x, y = [], []
+    for part in parts:
+        part = _thin(part, values[part], _share(part, len(t), len(parts)))
+        x += [t[part], GAP]
+        y += [values[part], GAP]
+    figure.add_scatter(
+        x=_line(x, 3), y=_line(y, 4), name=name, legendgroup=name, showlegend=i == 0, mode="lines",
+        line=line, row=i + 1, col=1,
+    )  # fmt: skip
+
+
 def in_band(c) -> go.Figure:
     figure = make_subplots(c.counted, 1, shared_xaxes=True, vertical_spacing=0.04)
-    t, _ = session_clock(c.recording)
+    (t, _), parts = session_clock(c.recording), _heldout(c)
     for i, name in enumerate(c.columns[: c.counted]):
         left = c.measured[:, i] - c.model[:, i]
-        x, y = [], []
-        parts = _heldout(c)
-        for part in parts:
-            part = _thin(part, left[part], _share(part, len(t), len(parts)))
-            x += [t[part], GAP]
-            y += [left[part], GAP]
-        figure.add_scatter(
-            x=_line(x, 3), y=_line(y, 4),
-            name="measured minus modelled", legendgroup="left", showlegend=i == 0, mode="lines",
-            line={"color": MEASURED, "width": 1}, row=i + 1, col=1,
-        )  # fmt: skip
+        _add_line(figure, i, t, left, parts, "measured minus modelled", color=MEASURED, width=1)
         _add_band(figure, c, i, t, np.zeros(len(t)))
         figure.update_yaxes(title_text=_title(name), row=i + 1, col=1)
     return name_runs(figure, c.recording, row=c.counted)
@@ -144,25 +147,12 @@ def over_time(c) -> go.Figure:
         row_heights=[1.0] * c.counted + [0.6],
     )  # fmt: skip
     t, shift = session_clock(c.recording)
-    trials = c.recording.trials().values()
+    trials = [np.arange(rows.start, rows.stop) for rows in c.recording.trials().values()]
     for i in range(c.counted if c.band is not None else 0):
         _add_band(figure, c, i, t, c.model[:, i])
     for i, name in enumerate(c.columns[: c.counted]):
-        for values, colour, label in (
-            (c.measured[:, i], MEASURED, "measured"),
-            (c.model[:, i], MODEL, "model"),
-        ):
-            x, y = [], []
-            for rows in trials:
-                index = np.arange(rows.start, rows.stop)
-                index = _thin(index, values[index], _share(index, len(t), len(trials)))
-                x += [t[index], GAP]
-                y += [values[index], GAP]
-            figure.add_scatter(
-                x=_line(x, 3), y=_line(y, 4),
-                name=label, legendgroup=label, showlegend=i == 0, mode="lines",
-                line={"color": colour, "width": 1.2}, row=i + 1, col=1,
-            )  # fmt: skip
+        for values, colour, label in ((c.measured, MEASURED, "measured"), (c.model, MODEL, "model")):
+            _add_line(figure, i, t, values[:, i], trials, label, color=colour, width=1.2)
         figure.update_yaxes(title_text=_title(name), row=i + 1, col=1)
     command = c.recording.samples[c.recording.pressure_columns].to_numpy(float)
     for k, name in enumerate(c.recording.pressure_columns):
@@ -217,40 +207,18 @@ def heat_map(c) -> go.Figure:
                 z[a, b] = root_mean(c.squared[at])
     top = max(float(np.nanmax(z)), 1e-9)  # plotly heeds zmin only where zmax is given too
     z = np.where(np.isfinite(z), z.round(4), None).tolist()
-    bar = {"title": c.unit}
-    figure = go.Figure(
-        go.Heatmap(
-            z=z,
-            x=across.labels,
-            y=names,
-            colorscale="YlOrRd",
-            zmin=0,
-            zmax=top,
-            colorbar=bar,
-            hoverongaps=False,
-        )
-    )
-    figure.update_layout(xaxis_title="commanded pressure, kPa", yaxis_title="pressure")
-    return figure
+    scale = {"colorscale": "YlOrRd", "zmin": 0, "zmax": top, "colorbar": {"title": c.unit}}
+    figure = go.Figure(go.Heatmap(z=z, x=across.labels, y=names, hoverongaps=False, **scale))
+    return figure.update_layout(xaxis_title="commanded pressure, kPa", yaxis_title="pressure")
 
 
 def by_condition(by: dict[str, list[dict]], c) -> go.Figure:
-    rows = max(1, (len(by) + 1) // 2)
-    figure = make_subplots(
-        rows, 2, subplot_titles=[_title(n) for n in by], vertical_spacing=0.32 / rows, horizontal_spacing=0.09
-    )
-    for k, (_, bins) in enumerate(by.items()):
-        at = {"row": k // 2 + 1, "col": k % 2 + 1}
-        x = [b["value"] for b in bins]
-        for key, colour, name in (("error", TRAIN, "all"), ("heldout", HELDOUT, "held out")):
-            figure.add_bar(
-                x=x, y=[b[key] for b in bins], name=name, marker_color=colour, legendgroup=name,
-                showlegend=k == 0, **at,
-            )  # fmt: skip
-        if c.noise.value:
-            figure.add_hline(y=c.noise.value, line={"color": FLOOR, "dash": "dash", "width": 1.5}, **at)
-        figure.update_xaxes(type="category", tickfont={"size": 10}, **at)
-    return figure
+    kinds = (("error", TRAIN, "all"), ("heldout", HELDOUT, "held out"))
+    panels = {
+        _title(axis): [([b["value"] for b in bins], [b[k] for b in bins], *kind) for k, *kind in kinds]
+        for axis, bins in by.items()
+    }
+    return bar_panels(panels, c.noise.value)
 
 
 def residuals(c) -> go.Figure:

@@ -1,9 +1,8 @@
 """The page of a twin against demonstrations: recorded touch and the twin's, curves, a film, errors."""
 
-import cv2
 import numpy as np
 
-from lerobot_pneutac.reports.page import COMMAND, MEASURED, MODEL, OTHER, Report
+from lerobot_pneutac.reports.page import COMMAND, MEASURED, MODEL, OTHER, Report, side_by_side
 from pneutac_sim.features import AREA, CONTROL_HZ, PRESSURE
 
 WIDTH = 180  # of a picture of the gel, px
@@ -51,10 +50,8 @@ def film_frames(c, number: int) -> list[np.ndarray]:
 
 def beside(recorded: np.ndarray, replayed: np.ndarray) -> np.ndarray:
     """Two images of the gel and their difference, `GAIN` times as large, side by side: uint8 (H, W, 3)."""
-    height = round(WIDTH * recorded.shape[0] / recorded.shape[1])
     apart = np.clip(128 + GAIN * (recorded.astype(int) - replayed), 0, 255).astype(np.uint8)
-    three = (recorded, replayed, apart)
-    return np.hstack([cv2.resize(x, (WIDTH, height), interpolation=cv2.INTER_AREA) for x in three])
+    return side_by_side((recorded, replayed, apart), width=WIDTH, gap=0)
 
 
 def _curves(c, number: int):

@@ -88,17 +88,11 @@ def _another_day(before, after):
 
     rows = max(before.recording.trials().values(), key=lambda r: r.stop - r.start)
     column = int(np.ptp(before.measured[rows, : before.counted], axis=0).argmax())
-    lines = {
-        "measured": (before.measured, MEASURED),
-        "before": (before.model, BEFORE),
-        "after": (after.model, AFTER),
-    }
-    figure = go.Figure()
-    for name, (y, colour) in lines.items():
-        time_s = before.recording.column("time_s")[rows]
-        figure.add_scatter(
-            x=time_s, y=y[rows, column].round(3), name=name, mode="lines", line={"color": colour}
-        )
+    figure, time_s = go.Figure(), before.recording.column("time_s")[rows]
+    lines = (("measured", before.measured, MEASURED), ("before", before.model, BEFORE))
+    for name, values, colour in (*lines, ("after", after.model, AFTER)):
+        y = values[rows, column].round(3)
+        figure.add_scatter(x=time_s, y=y, name=name, mode="lines", line={"color": colour})
     return figure.update_layout(xaxis_title="time (s)", yaxis_title=before.columns[column])
 
 

@@ -22,7 +22,7 @@ from lerobot_pneutac.reports.page import (
     parameter_rows,
 )
 from lerobot_pneutac.reports.sentences import State, alternatives, evidence, meaning, percent
-from lerobot_pneutac.reports.session import name_runs, session_clock, worst_passages
+from lerobot_pneutac.reports.session import bar_panels, name_runs, session_clock, worst_passages
 from lerobot_pneutac.study.base import EffectStudy
 from pneutac_datasets.recording.axes import Axis, axes, numbers, unit_of
 from pneutac_datasets.recording.recording import Recording
@@ -143,14 +143,15 @@ def _candidates(page: Report, study: EffectStudy, o: Outcome, state: State) -> N
         row |= {f"test error without it ({study.unit})": without.get(name)} if without else {}
         rows.append(row | {"tested by": t.tested_by if t else "with the others"})
     page.table(rows)
-    page.table(
-        [
-            {"cause": r.effect, "instead": r.rival, "its mean square error": f"{100 * r.difference:+.1f} %"}
-            for r in o.rivals
-        ],
-        "Effects that fit the data about as well.",
-    )
+    page.table(rival_rows(o), "Effects that fit the data about as well.")
     page.table([{"not tested": u.name, "why": u.reason} for u in study.untested])
+
+
+def rival_rows(o: Outcome) -> list[dict]:
+    return [
+        {"cause": r.effect, "instead": r.rival, "its mean square error": f"{100 * r.difference:+.1f} %"}
+        for r in o.rivals
+    ]
 
 
 def _over_time(page: Report, study: EffectStudy, o: Outcome) -> None:
@@ -201,22 +202,14 @@ def error_bars(steps: list[Step], unit: str, noise: float | None) -> go.Figure:
             marker_color=[s[3] for s in steps], width=0.5, error_y=whisker,
         )
     )  # fmt: skip
-    _noise(figure, noise)
+    if noise:
+        figure.add_hline(y=noise, line={"dash": "dash", "color": FLOOR}, annotation_text="noise")
     return figure.update_yaxes(title=f"test error ({unit})", rangemode="tozero")
 
 
-def _noise(figure: go.Figure, noise: float | None, **place) -> None:
-    if noise:
-        figure.add_hline(
-            y=noise, line={"dash": "dash", "color": FLOOR},
-            annotation_text="" if place else "noise", **place,
-        )  # fmt: skip
-
-
 def reductions(o: Outcome) -> go.Figure:
-    shown = [(t, t.reduction, t.ci95) for t in o.tested if t.reduction is not None and t.ci95 is not None][
-        ::-1
-    ]
+    tested = reversed(o.tested)
+    shown = [(t, t.reduction, t.ci95) for t in tested if t.reduction is not None and t.ci95 is not None]
     value = [100 * share for _, share, _ in shown]
     figure = go.Figure(
         go.Bar(
@@ -239,15 +232,8 @@ def over_time(study: EffectStudy, o: Outcome, worst: list[dict]) -> go.Figure:
     step = max(1, len(t) // MOST_POINTS)
     figure = make_subplots(2, 1, shared_xaxes=True, vertical_spacing=0.04, row_heights=[1.0, 0.4])
     for name, r, colour in (("before", o.before, BEFORE), ("after", o.after, AFTER)):
-        y = np.sqrt(r.squared)[::step]
-        figure.add_scatter(
-            x=t[::step].round(3),
-            y=np.round(y, 4),
-            name=name,
-            line={"width": 1, "color": colour},
-            row=1,
-            col=1,
-        )
+        y, line = np.sqrt(r.squared)[::step].round(4), {"width": 1, "color": colour}
+        figure.add_scatter(x=t[::step].round(3), y=y, name=name, line=line, row=1, col=1)
     p = study.recording.samples[list(study.recording.pressure_columns)].to_numpy(float).mean(1)
     figure.add_scatter(
         x=t[::step].round(3), y=np.round(p[::step], 3), name="command", line={"width": 1, "color": COMMAND},
@@ -273,22 +259,15 @@ def shown_axes(study: EffectStudy) -> list[Axis]:
 
 
 def by_level(study: EffectStudy, o: Outcome, found: list[Axis]) -> go.Figure:
-    rows = max(1, (len(found) + 1) // 2)
-    figure = make_subplots(
-        rows, 2, subplot_titles=[a.name.replace("_", " ") for a in found], vertical_spacing=0.36 / rows,
-        horizontal_spacing=0.09,
-    )  # fmt: skip
-    for k, axis in enumerate(found):
-        at = {"row": k // 2 + 1, "col": k % 2 + 1}
-        for name, r, colour in (("before", o.before, BEFORE), ("after", o.after, AFTER)):
-            y = [float(np.sqrt(r.squared[axis.bin == i].mean())) for i in range(len(axis.labels))]
-            figure.add_bar(
-                x=axis.labels, y=np.round(y, 4), name=name, marker_color=colour, legendgroup=name,
-                showlegend=k == 0, **at,
-            )  # fmt: skip
-        _noise(figure, study.noise.value, **at)
-        figure.update_xaxes(type="category", tickfont={"size": 10}, **at)
-    return figure.update_yaxes(title_text=study.unit, col=1)
+    def errors(squared: np.ndarray, axis: Axis) -> np.ndarray:
+        return np.round([np.sqrt(squared[axis.bin == i].mean()) for i in range(len(axis.labels))], 4)
+
+    kinds = ((o.before, BEFORE, "before"), (o.after, AFTER, "after"))
+    panels = {
+        a.name.replace("_", " "): [(a.labels, errors(r.squared, a), colour, n) for r, colour, n in kinds]
+        for a in found
+    }
+    return bar_panels(panels, study.noise.value).update_yaxes(title_text=study.unit, col=1)
 
 
 def proposed(s: Separation) -> go.Figure:

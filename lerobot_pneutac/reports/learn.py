@@ -71,11 +71,8 @@ def pressure_traces(time_s: np.ndarray, pressure_kpa: np.ndarray) -> list[go.Sca
 FORESEEN = "foreseen.csv"  # in a round's folder: its program as predicted and as measured
 FASTER, FRAMES_HZ = 10.0, 10.0
 SIZE = (720, 400)  # width, height
-CURVE, COMMAND, BARS = (
-    (60, 60, 470, 270),
-    (60, 300, 470, 370),
-    (530, 60, 700, 370),
-)  # left, top, right, bottom
+# left, top, right, bottom
+CURVE, COMMAND, BARS = (60, 60, 470, 270), (60, 300, 470, 370), (530, 60, 700, 370)
 
 
 def learn_page(learning) -> Report:
@@ -86,9 +83,10 @@ def learn_page(learning) -> Report:
         "Error on each program before it was used for anything, by the best model until then and by the "
         "twin as it was given, re-fitted, and the error of what was found after it, where no fit saw.",
     )
-    seen = [r for r in learning.rounds if _kept(learning, r).is_file()]
+    files = {r.number: learning.folder / f"round_{r.number}" / FORESEEN for r in learning.rounds}
+    seen = [r for r in learning.rounds if files[r.number].is_file()]
     if seen:
-        frames = list(film_frames(seen, [_kept(learning, r) for r in seen]))
+        frames = list(film_frames(seen, [files[r.number] for r in seen]))
         report.film(
             frames,
             1 / FRAMES_HZ,
@@ -104,25 +102,17 @@ def learn_page(learning) -> Report:
     return report
 
 
-def _kept(learning, r) -> Path:
-    return learning.folder / f"round_{r.number}" / FORESEEN
-
-
 def _foreseen(learning) -> go.Figure:
     rounds = learning.rounds
     figure = go.Figure()
-    seen = [r for r in rounds if r.predicted_error is not None]
-    for name, colour, values in (
-        ("predicted", MODEL, [r.predicted_error for r in seen]),
-        ("as given", HELDOUT, [r.bare_error for r in seen]),
+    for name, errors, line in (
+        ("predicted", [r.predicted_error for r in rounds], {"color": MODEL}),
+        ("as given", [r.bare_error for r in rounds], {"color": HELDOUT}),
+        ("after", [r.error for r in rounds], {"color": TRAIN, "dash": "dot"}),
+        ("noise", [r.noise for r in rounds], {"color": MEASURED, "dash": "dash"}),
     ):
-        x = [r.number for r in seen]
-        figure.add_trace(go.Scatter(x=x, y=values, name=name, mode="lines+markers", line={"color": colour}))
-    x = [r.number for r in rounds]
-    after = {"color": TRAIN, "dash": "dot"}
-    figure.add_trace(go.Scatter(x=x, y=[r.error for r in rounds], name="after", line=after))
-    noise = {"color": MEASURED, "dash": "dash"}
-    figure.add_trace(go.Scatter(x=x, y=[r.noise for r in rounds], name="noise", line=noise))
+        mode = "lines" if "dash" in line else "lines+markers"
+        figure.add_scatter(x=[r.number for r in rounds], y=errors, name=name, mode=mode, line=line)
     figure.update_xaxes(title_text="round", dtick=1)
     figure.update_yaxes(title_text=f"error, {rounds[-1].unit}", rangemode="tozero")
     return figure
@@ -135,9 +125,8 @@ def _programs(learning) -> go.Figure:
         table = pd.read_csv(learning.folder / f"round_{r.number}" / "program.csv")
         commands = table[[c for c in table if c.startswith("pressure_cmd_")]].to_numpy(float)
         for trace in pressure_traces(table["time_s"], commands):
-            figure.add_trace(
-                trace.update(legendgroup=trace.name, showlegend=trace.showlegend and not i), i + 1, 1
-            )
+            trace.update(legendgroup=trace.name, showlegend=trace.showlegend and not i)
+            figure.add_trace(trace, i + 1, 1)
         figure.update_yaxes(title_text=f"{r.number}, kPa", row=i + 1, col=1)
     figure.update_xaxes(title_text="time, s", row=len(rounds), col=1)
     return figure
@@ -146,16 +135,10 @@ def _programs(learning) -> go.Figure:
 def _likely(learning) -> go.Figure:
     figure = go.Figure()
     for r in learning.rounds:
-        names = list(r.probabilities)
-        order = np.argsort([-r.probabilities[n] for n in names])
-        for i in order:
-            label = names[i] or "no effect"
-            figure.add_trace(
-                go.Bar(
-                    x=[r.number], y=[r.probabilities[names[i]]], name=label, showlegend=False,
-                    hovertext=label, text=label.split(" + ")[-1],
-                )
-            )  # fmt: skip
+        for name, p in sorted(r.probabilities.items(), key=lambda item: -item[1]):
+            label = name or "no effect"
+            text = {"name": label, "hovertext": label, "text": label.split(" + ")[-1]}
+            figure.add_bar(x=[r.number], y=[p], showlegend=False, **text)
     figure.update_layout(barmode="stack")
     figure.update_xaxes(title_text="round", dtick=1)
     figure.update_yaxes(title_text="probability")

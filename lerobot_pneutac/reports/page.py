@@ -6,7 +6,7 @@ Colours of all pages and of the studio, one for each meaning, distinct for the c
 import base64
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
@@ -196,6 +196,21 @@ def parameter_rows(parameters: dict[str, dict], **first) -> list[dict]:
         | {"unit": v["unit"] or "(a ratio)"}
         for k, v in parameters.items()
     ]  # fmt: skip
+
+
+def side_by_side(
+    images: Iterable[np.ndarray], height: int | None = None, width: int | None = None, gap: int = 6
+) -> np.ndarray:
+    """Pictures, uint8 (H, W, 3), of one height or one width each, px, with white between them."""
+    import cv2
+
+    out = []
+    for image in images:
+        h, w = image.shape[:2]
+        size = (width, round(width * h / w)) if width else (round((height or h) * w / h), height or h)
+        small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        out += [np.full((size[1], gap, 3), 255, np.uint8), small]
+    return np.concatenate(out[1:], axis=1)
 
 
 def _base64(data: bytes) -> str:

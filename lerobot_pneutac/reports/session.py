@@ -2,6 +2,9 @@
 
 import numpy as np
 import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from lerobot_pneutac.reports.page import FLOOR
 
 PASSAGE_S = 2.0
 PASSAGES = 5
@@ -38,6 +41,23 @@ def name_runs(figure: go.Figure, recording, row: int | None = None) -> go.Figure
         **ticks, ticktext=[f"{text}, {at:.0f} s" for text, at in zip(texts, starts, strict=True)],
         title_text="run and time of the session", **place,
     )  # fmt: skip
+
+
+def bar_panels(panels: dict[str, list[tuple]], noise: float | None) -> go.Figure:
+    """Groups of bars, two panels a row: of each panel its title, and x, y, colour and name of each group."""
+    rows = max(1, (len(panels) + 1) // 2)
+    spaces = {"vertical_spacing": 0.34 / rows, "horizontal_spacing": 0.09}
+    figure = make_subplots(rows, 2, subplot_titles=list(panels), **spaces)
+    for k, groups in enumerate(panels.values()):
+        at = {"row": k // 2 + 1, "col": k % 2 + 1}
+        for x, y, colour, name in groups:
+            figure.add_bar(
+                x=x, y=y, name=name, marker_color=colour, legendgroup=name, showlegend=k == 0, **at
+            )
+        if noise:
+            figure.add_hline(y=noise, line={"color": FLOOR, "dash": "dash", "width": 1.5}, **at)
+        figure.update_xaxes(type="category", tickfont={"size": 10}, **at)
+    return figure
 
 
 def worst_passages(recording, squared: np.ndarray) -> list[dict]:

@@ -1,6 +1,7 @@
 """The trained actor: a small network and how it is stored, in PyTorch alone."""
 
 import json
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -92,23 +93,14 @@ def try_actor(actor: Actor, env, episodes: int, seed: int) -> dict:
     Returns:
         `success` (share), `episodes`, `return` (mean), `steps` (mean length), `failures` (text to count).
     """
-    wins, returns, lengths, failures = 0, [], [], {}
+    wins, returns, steps, failures = 0, 0.0, 0, Counter()
     for k in range(episodes):
         observed, _ = env.reset(seed=seed if k == 0 else None)
-        returns.append(0.0)
-        over, n = False, 0
+        over = False
         while not over:
             observed, reward, terminated, truncated, info = env.step(actor.act(observed["actor"]))
-            returns[-1] += reward
-            over, n = terminated or truncated, n + 1
+            over, steps, returns = terminated or truncated, steps + 1, returns + reward
         wins += info["is_success"]
-        lengths.append(n)
-        if info["failure"]:
-            failures[info["failure"]] = failures.get(info["failure"], 0) + 1
-    return {
-        "success": wins / episodes,
-        "episodes": episodes,
-        "return": float(np.mean(returns)),
-        "steps": float(np.mean(lengths)),
-        "failures": failures,
-    }
+        failures.update(filter(None, [info["failure"]]))
+    found = {"success": wins / episodes, "episodes": episodes, "return": float(returns / episodes)}
+    return found | {"steps": steps / episodes, "failures": dict(failures)}

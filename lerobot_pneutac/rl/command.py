@@ -37,6 +37,6 @@ def command(config: PpoConfig, terminal: Terminal) -> None:
 
         with terminal.progress() as progress:
             what = (config.out, config.task, twin, config.seed, config.student)
-            done = record_student(*what, progress, config.conditions, station)
-        share = f"{done.episodes} demonstrations of {done.trials} trials ({100 * done.success:.0f} %)"
+            kept, trials = record_student(*what, progress, config.conditions, station)
+        share = f"{kept} demonstrations of {trials} trials ({100 * kept / trials:.0f} %)"
         terminal.say(f"{share} in {config.student.root}.")

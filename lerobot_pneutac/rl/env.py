@@ -10,7 +10,7 @@ What reinforcement learning needs of a task: its progress, and where the object 
 Only reward and critic see this; the actor does not.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import gymnasium
 import numpy as np
@@ -99,16 +99,13 @@ class TaskView:
         yaw = 2 * np.arctan2(place.quat[3], place.quat[0])
         q = data.qpos[model.jnt_qposadr[self._joints]]
         dq = data.qvel[model.jnt_dofadr[self._joints]]
-        return np.concatenate(
-            [
-                (self.contact_point_m() - w.gel_m) / LENGTH_M,
-                (data.geom_xpos[self._geom] - (0.5, 0.0, 0.1)) / LENGTH_M,
-                (place.pos - (0.55, 0.0, 0.0)) / LENGTH_M,
-                [np.sin(yaw), np.cos(yaw), self.progress(), w.press_mm],
-                q,
-                np.tanh(dq),
-            ]
-        )
+        parts = [
+            (self.contact_point_m() - w.gel_m) / LENGTH_M,
+            (data.geom_xpos[self._geom] - (0.5, 0.0, 0.1)) / LENGTH_M,
+            (place.pos - (0.55, 0.0, 0.0)) / LENGTH_M,
+        ]
+        yaws = [np.sin(yaw), np.cos(yaw), self.progress(), w.press_mm]
+        return np.concatenate([*parts, yaws, q, np.tanh(dq)])
 
 
 # Weight of each term in one control step. Over an episode the whole progress earns 2, coming from 10 cm away
@@ -233,10 +230,20 @@ class PpoEnv(gymnasium.Env):
     critic alone. Action (4,) in [-1, 1], see `to_action`. `info` has `terms`, the reward's terms before
     their weights, `is_success` and `failure`. An episode terminates on success and failure.
 
+    Args:
+        task: a task's name, see `features.task_names`.
+        twin: the finger with its gel; default the built-in one.
+        randomise: whether friction and bend of the finger change with every episode.
+        length: control steps after which a trial is cut off; if omitted, those of `EPISODE_S`.
+        conditions: of the world, see `World`.
+        station: likewise.
+
     Attributes:
         world: the world inside.
         view: the task's goal and object.
-        randomise: whether friction and bend of the finger change with every episode.
+
+    Raises:
+        InputError: the task is unknown, the arm does not reach it, or the twin is not a finger's.
     """
 
     metadata = {"render_modes": []}
@@ -250,19 +257,6 @@ class PpoEnv(gymnasium.Env):
         conditions: Conditions | None = None,
         station: Station | None = None,
     ):
-        """An environment with a task.
-
-        Args:
-            task: a task's name, see `features.task_names`.
-            twin: the finger with its gel; default the built-in one.
-            randomise: whether friction and bend change with every episode.
-            length: control steps after which a trial is cut off; if omitted, those of `EPISODE_S`.
-            conditions: of the world, see `World`.
-            station: likewise.
-
-        Raises:
-            InputError: the task is unknown, the arm does not reach it, or the twin is not a finger's.
-        """
         if twin is not None and CHAMBERS.get(twin.device, 1) > 1:
             raise InputError(
                 f"An actor commands one chamber, and this twin is of an '{twin.device}'; give a finger's."
@@ -271,22 +265,17 @@ class PpoEnv(gymnasium.Env):
         self.view = TaskView(self.world)
         self.randomise, self._length = randomise, length or self.world.station.steps(EPISODE_S)
         self.action_space = spaces.Box(-1.0, 1.0, (len(ACTION_NAMES),), np.float32)
-        size = self.view.size + 2  # with friction and bend gain
-        self.observation_space = spaces.Dict(
-            {
-                "actor": spaces.Box(-_LIMIT, _LIMIT, (actor_size(self.world.arm.joints),), np.float32),
-                "object": spaces.Box(-_LIMIT, _LIMIT, (size,), np.float32),
-            }
-        )
+        sizes = {"actor": actor_size(self.world.arm.joints), "object": self.view.size + 2}  # friction, gain
+        boxes = {name: spaces.Box(-_LIMIT, _LIMIT, (n,), np.float32) for name, n in sizes.items()}
+        self.observation_space = spaces.Dict(boxes)
 
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:
         """Starts an episode; a seed decides it and all that follow."""
         super().reset(seed=seed)
         rng = self.np_random
         if self.randomise:
-            self.world.variation = replace(
-                Variation(), friction=rng.uniform(*FRICTION), bend_gain=rng.uniform(*BEND_GAIN)
-            )
+            friction, gain = rng.uniform(*FRICTION), rng.uniform(*BEND_GAIN)
+            self.world.variation = Variation(friction=friction, bend_gain=gain)
         observed = self.world.reset(int(rng.integers(2**31)))
         self._previous, self._done = np.zeros(len(ACTION_NAMES)), 0
         self._moment = self._look()
@@ -299,11 +288,7 @@ class PpoEnv(gymnasium.Env):
         terms = reward_terms(self._moment, moment, self.view.goal.depth_mm, self._previous, normal)
         self._moment, self._previous = moment, normal
         self._done += 1
-        info = {
-            "terms": terms,
-            "is_success": moment.success,
-            "failure": self.world.failure or "",
-        }
+        info = {"terms": terms, "is_success": moment.success, "failure": self.world.failure or ""}
         over = moment.success or moment.failure
         return self._observe(observed.state), total(terms), over, self._done >= self._length, info
 

@@ -61,11 +61,8 @@ class Keeper(BaseCallback):
         for i, values in policy.optimizer.state_dict()["state"].items():
             tensors |= {f"optimizer.{i}.{k}": v for k, v in values.items()}
         tensors = {k: v.detach().cpu().contiguous() for k, v in tensors.items()}
-        notes = {
-            "run": json.dumps(self._run),
-            "steps": str(self.model.num_timesteps),
-            "curve": json.dumps(self.curve),
-        }
+        notes = {"run": self._run, "steps": self.model.num_timesteps, "curve": self.curve}
+        notes = {name: json.dumps(value) for name, value in notes.items()}
         with whole(self._out / CHECKPOINT) as part:
             save_file(tensors, part, notes)
         write_json(self._out / CURVE, self.curve)
@@ -87,15 +84,10 @@ class Keeper(BaseCallback):
                 " repeat the command that began it."
             )
         policy, state = model.policy, {}
-        networks = {}
-        for name, tensor in tensors.items():
-            kind, rest = name.split(".", 1)
-            if kind == "policy":
-                networks[rest] = tensor
-            else:
-                i, key = rest.split(".")
-                state.setdefault(int(i), {})[key] = tensor
-        policy.load_state_dict(networks)
+        for name in [n for n in tensors if n.startswith("optimizer.")]:
+            _, i, key = name.split(".")
+            state.setdefault(int(i), {})[key] = tensors.pop(name)
+        policy.load_state_dict({n.removeprefix("policy."): t for n, t in tensors.items()})
         policy.optimizer.load_state_dict(policy.optimizer.state_dict() | {"state": state})
         model.num_timesteps, self.curve = steps, curve
         self._before_s = curve[-1]["seconds"]

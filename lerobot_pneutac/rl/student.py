@@ -1,7 +1,6 @@
 """Demonstrations of a trained actor, for a student that has a camera instead of a probe grid."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -26,25 +25,6 @@ ROBOT = "pneutac"  # type of the robot in recorded demonstrations, so that they 
 PATIENCE = 10  # trials for each demonstration that is wanted
 
 
-@dataclass(frozen=True)
-class RecordedStudent:
-    """What a recording came to.
-
-    Attributes:
-        root: the dataset's folder.
-        episodes: demonstrations in it, all successful.
-        trials: rollouts that they took.
-    """
-
-    root: Path
-    episodes: int
-    trials: int
-
-    @property
-    def success(self) -> float:
-        return self.episodes / self.trials
-
-
 def record_student(
     actor_dir: str | Path,
     task: str,
@@ -54,11 +34,14 @@ def record_student(
     progress: Progress = no_progress,
     conditions: Conditions | None = None,
     station: Station | None = None,
-) -> RecordedStudent:
+) -> tuple[int, int]:
     """Writes a LeRobotDataset with the features of recorded demonstrations; rollouts that fail are left out.
 
     Stored are the actor's means; the robot carries them out with noise, so that the student also sees what to
     do off the path.
+
+    Returns:
+        How many demonstrations, all successful, of how many trials.
 
     Raises:
         InputError: the actor is missing, damaged or another task's, a number is out of range, the dataset's
@@ -83,7 +66,7 @@ def record_student(
                 progress("recording demonstrations", kept, student.episodes)
         finally:
             dataset.finalize()
-    return RecordedStudent(Path(student.root), kept, trials)
+    return kept, trials
 
 
 def rolled_out(

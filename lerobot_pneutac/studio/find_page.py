@@ -4,11 +4,11 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from lerobot_pneutac.reports.diagnosis import ladder, reductions
+from lerobot_pneutac.reports.diagnosis import ladder, reductions, rival_rows
 from lerobot_pneutac.reports.sentences import alternatives, meaning
 from lerobot_pneutac.studio.plots import table
 from lerobot_pneutac.verbs.add import add
-from lerobot_pneutac.verbs.benches import save_program
+from lerobot_pneutac.verbs.benches import save_choice
 from lerobot_pneutac.verbs.compare import compare
 from lerobot_pneutac.verbs.design import Design, design
 from lerobot_pneutac.verbs.diagnose import diagnose
@@ -65,7 +65,7 @@ class ExperimentPanel:
 
             show(f"{best.name}, {best.seconds:.0f} s", 0, 1)
             out.mkdir(parents=True, exist_ok=True)
-            save_program(out / "program.csv", best.time_s, best.pressure_kpa, best.kind, best.conditions)
+            save_choice(out / "program.csv", best)
             try:
                 measured = bench.follow(out / "program.csv", out / "recording", session.measured)
             except HardwareFault as e:
@@ -78,10 +78,9 @@ class ExperimentPanel:
     def _send(self, event) -> None:
         if event.client is None or self._design is None:
             return
-        c = self._design.best
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "program.csv"
-            save_program(file, c.time_s, c.pressure_kpa, c.kind, c.conditions)
+            save_choice(file, self._design.best)
             event.client.send_file_download(file.name, file.read_bytes())
 
 
@@ -243,10 +242,7 @@ class FindPage:
             f"**Do next.** {d.do_next}"
         )
         self._clear()
-        rivals = [
-            {"effect": r.effect, "rival": r.rival, "its mean square": f"{100 * r.difference:+.1f} %"}
-            for r in d.outcome.rivals
-        ]
+        rivals = rival_rows(d.outcome)
         with self._evidence:
             for figure, height in ((ladder(d.study, d.outcome), 260), (reductions(d.outcome), 300)):
                 figure.update_layout(template="plotly_white", height=height, font={"size": 10},
@@ -274,15 +270,8 @@ class FindPage:
         session = self._studio.session
         newest = session.twin if session.version is None else None
         if newest is not None:
-            rows = [
-                {
-                    "version": e["version"],
-                    "what": e["change"],
-                    "held out": e.get("heldout"),
-                    "unit": e.get("unit"),
-                }
-                for e in newest.history
-            ]
+            names = ("version", "change", "heldout", "unit")
+            rows = [{k: e.get(k) for k in names} for e in newest.history]
             self.history.content = table(rows) or "Nothing was changed yet."
             self._version.options = (NEWEST, *(f"{e['version']}: {e['change']}" for e in newest.history[:-1]))
             self._version.value = NEWEST

@@ -4,9 +4,9 @@ import threading
 import time
 from dataclasses import replace
 
-import cv2
 import numpy as np
 
+from lerobot_pneutac.reports.page import side_by_side
 from lerobot_pneutac.studio.effects_panel import EffectsPanel
 from lerobot_pneutac.studio.plots import SKIN
 from pneutac_sim.effects.registry import sensor_effects
@@ -15,7 +15,6 @@ from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import press_depth, registered
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.splat.follow import stretch_colours
-from pneutac_sim.twin import Twin
 
 FRAMES_A_S = 30
 UNIT = 0.1  # of the scene, in mm^-1
@@ -40,7 +39,7 @@ class GelPage:
         self._picture = self._gui.add_image(
             blank, label=f"what the sensor sees; how deep its surface moves, 0 to {DEEPEST_MM:g} mm"
         )
-        self._sensor = self._sensor_of(studio.session.twin)
+        self._sensor = TactileSensor(GelModel.from_twin(studio.session.twin))
         width, height = self._sensor.model.window_mm
         self._shape = self._gui.add_dropdown("indenter", INDENTERS)
         self._size = self._gui.add_slider("radius or side, mm", 0.5, 8.0, 0.1, 3.0)
@@ -60,10 +59,6 @@ class GelPage:
         studio.session.when_changed(studio.safely(self._changed))
         self._thread = threading.Thread(target=self._run, daemon=True, name="gel page")
         self._thread.start()
-
-    @staticmethod
-    def _sensor_of(twin: Twin) -> TactileSensor:
-        return TactileSensor(GelModel.from_twin(twin))
 
     def _draw_scene(self) -> None:
         scene, (width, height) = self._studio.server.scene, self._sensor.model.window_mm
@@ -153,11 +148,7 @@ class GelPage:
             f"{depth.max():.2f} mm, under its shape {width * height * (depth > 0).mean():.1f} mm²"
         )
         colours = stretch_colours(moved, DEEPEST_MM).astype(np.uint8)
-        size = (round(PICTURE_PX * image.shape[1] / image.shape[0]), PICTURE_PX)
-        both = [cv2.resize(v, size, interpolation=cv2.INTER_AREA) for v in (image, colours)]
-        self._picture.image = np.concatenate(
-            [both[0], np.full((PICTURE_PX, 6, 3), 255, np.uint8), both[1]], 1
-        )
+        self._picture.image = side_by_side([image, colours], height=PICTURE_PX)
         if self._studio.session.twin.device != "gel":
             return
         drawn = self._flat.copy()

@@ -127,20 +127,27 @@ class LiveBody:
         if np.any(force_n):
             flat = np.ravel(q)[None]
             state = np.zeros(self._poke.state_size(flat.shape[1]))
-            bent = self._poke(
-                flat, np.array([dt_s]), self._theta, lambda names: _force(names, force_n), state
-            )
-            q = bent[0].reshape(q.shape)
+
+            def force(names: tuple[str, ...]) -> np.ndarray:
+                return np.array([[force_n[FORCES.index(n)] for n in names]], dtype=float)
+
+            q = self._poke(flat, np.array([dt_s]), self._theta, force, state)[0].reshape(q.shape)
         markers = self._pipeline.place(q, dt_s)
         turns, places = links(q, self._joints_mm)
         return Shape(turns, places, markers)
 
 
-def _force(names: tuple[str, ...], force_n: np.ndarray) -> np.ndarray:
-    """(1, k) of the condition columns asked for, all of them forces."""
-    return np.array([[force_n[FORCES.index(n)] for n in names]], dtype=float)
-
-
 def shape_of(joints: np.ndarray, markers: np.ndarray, twin: Twin) -> Shape:
     at = np.array(twin.spine_joint_positions_mm)
     return Shape(*links(np.asarray(joints).reshape(len(at), -1), at), markers)
+
+
+TIPS = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
+
+
+def measured_tips(c) -> np.ndarray | None:
+    """(n, 3) mm of a `BodyComparison`; None where x or z was not measured."""
+    if TIPS[0] not in c.columns or TIPS[2] not in c.columns:
+        return None
+    none = np.zeros(len(c.measured))
+    return np.stack([c.measured[:, c.columns.index(n)] if n in c.columns else none for n in TIPS], axis=1)

@@ -10,7 +10,9 @@ import cv2
 import numpy as np
 
 from lerobot_pneutac.reports.compare import by_condition
-from lerobot_pneutac.studio.live import Shape, Skin, shape_of
+from lerobot_pneutac.reports.page import side_by_side
+from lerobot_pneutac.reports.session import session_clock
+from lerobot_pneutac.studio.live import Shape, Skin, measured_tips, shape_of
 from lerobot_pneutac.studio.plots import FLOOR, MEASURED, MODEL, PRESSURE, Lines, Player, rgb, table
 from lerobot_pneutac.verbs.compare import compare
 from pneutac_datasets.recording.photographs import read_camera
@@ -59,8 +61,7 @@ class PhotographPanel:
             lines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
             cv2.drawContours(image, lines, -1, rgb(MODEL), max(2, image.shape[1] // 200))
             self._picture.label = "photographed; the line is the model's outline"
-        size = (WIDTH_PX, round(WIDTH_PX * image.shape[0] / image.shape[1]))
-        self._picture.image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        self._picture.image = side_by_side([image], width=WIDTH_PX)
         self._picture.visible = True
 
 
@@ -76,7 +77,6 @@ def silhouette(vertices_mm: np.ndarray, faces: np.ndarray, camera: Camera) -> np
 
 MOST_POINTS = 500  # of a line: more cannot be distinguished in the panel
 WINDOWS = {"10 s": 10.0, "30 s": 30.0, "2 min": 120.0, "all": np.inf}
-TIPS = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
 
 
 class MeasurementPage:
@@ -120,19 +120,11 @@ class MeasurementPage:
         """Keeps what is drawn of a comparison, trials laid end to end."""
         pipeline = Pipeline.of(c.twin, c.bench.inputs)
         self._run_of = pipeline.run(c.bench.inputs, pipeline.theta(c.twin, c.bench.inputs.pressure_range_kpa))
-        own = c.recording.column("time_s").astype(float)
-        self._t, at = np.empty(len(own)), 0.0
-        for rows in c.recording.trials().values():
-            self._t[rows] = own[rows] - own[rows][0] + at
-            at = self._t[rows][-1] + 1.0
+        self._t, self._shift = session_clock(c.recording)
         self._c, self._error = c, np.sqrt(c.squared)
         self._main = int(np.argmax(np.var(c.measured[:, : c.counted], axis=0)))
         self._pressure = c.recording.samples[c.recording.pressure_columns].to_numpy(float)
-        self._tip = None
-        if all(n in c.columns for n in (TIPS[0], TIPS[2])):
-            self._tip = np.stack(
-                [c.measured[:, c.columns.index(n)] if n in c.columns else np.zeros(len(own)) for n in TIPS], 1
-            )
+        self._tip = measured_tips(c)
 
     def _lay_out(self, c) -> None:
         gui = self._gui
@@ -172,10 +164,8 @@ class MeasurementPage:
 
     def jump(self, passage: dict) -> None:
         """Shows the beginning of a passage as `compare` names it."""
-        rows = self._c.recording.trials()[passage["trial"]]
-        own = self._c.recording.column("time_s")[rows]
         self._scene.forget_path()
-        self.player.now_s = float(self._t[rows][0] + passage["from_s"] - own[0])
+        self.player.now_s = float(passage["from_s"] + self._shift[passage["trial"]])
 
     # ---------------------------------------------------------------- in time
 
@@ -271,11 +261,8 @@ class ImagesPage:
         i = min(int(self._number.value), len(c.predicted)) - 1
         sample, score = c.data.samples[i], c.scores[i]
         difference = np.clip(128 + TIMES * (c.predicted[i].astype(float) - sample.image), 0, 255)
-        size = (THUMBNAIL_PX, round(THUMBNAIL_PX * sample.image.shape[0] / sample.image.shape[1]))
         three = (sample.image, c.predicted[i], difference.astype(np.uint8))
-        small = [cv2.resize(v, size, interpolation=cv2.INTER_AREA) for v in three]
-        gap = np.full((size[1], 6, 3), 255, np.uint8)
-        self._picture.image = np.concatenate([small[0], gap, small[1], gap, small[2]], axis=1)
+        self._picture.image = side_by_side(three, width=THUMBNAIL_PX)
         p = sample.press
         self.readout.content = (
             f"**Off by {score.rmse:.2f} levels**, in the contact {score.contact_rmse:.2f}: {sample.name}, "

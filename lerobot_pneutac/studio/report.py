@@ -11,7 +11,8 @@ import numpy as np
 import rerun as rr
 
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.studio.live import LiveBody, Skin, shape_of
+from lerobot_pneutac.reports.session import session_clock
+from lerobot_pneutac.studio.live import LiveBody, Skin, measured_tips, shape_of
 from lerobot_pneutac.studio.plots import MEASURED, SKIN, TRAIL, rgb
 from lerobot_pneutac.study.pair import load_bench_pair
 from lerobot_pneutac.verbs.compare import compare
@@ -64,7 +65,6 @@ def command(cfg: ReportConfig, terminal: Terminal) -> None:
 
 MOST_FRAMES = 1500
 SWEEP_S, HZ = 10.0, 20.0
-TIPS = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
 
 
 def write_rrd(file: Path, twin: Twin, recording: Recording | None = None) -> int:
@@ -115,18 +115,12 @@ def _recorded(twin: Twin, recording: Recording, show, stream) -> int:
     c = compare(twin, recording)
     pipeline = Pipeline.of(twin, c.bench.inputs)
     run = pipeline.run(c.bench.inputs, pipeline.theta(twin, c.bench.inputs.pressure_range_kpa))
-    error, at = np.sqrt(c.squared), 0.0
-    time_s, own = np.empty(len(error)), c.recording.column("time_s").astype(float)
-    for rows in c.recording.trials().values():
-        time_s[rows] = own[rows] - own[rows][0] + at
-        at = time_s[rows][-1] + 1.0
+    error, (time_s, _), tips = np.sqrt(c.squared), session_clock(c.recording), measured_tips(c)
     shown = range(0, len(error), -(-len(error) // MOST_FRAMES))
-    seen = all(n in c.columns for n in (TIPS[0], TIPS[2]))
     for i in shown:
         show(time_s[i], shape_of(run.joints[i], run.markers[i], twin))
-        if seen:
-            tip = [c.measured[i, c.columns.index(n)] if n in c.columns else 0.0 for n in TIPS]
-            stream.log("body/measured_tip", rr.Points3D([tip], colors=[rgb(MEASURED)], radii=[2.0]))
+        if tips is not None:
+            stream.log("body/measured_tip", rr.Points3D(tips[i : i + 1], colors=[rgb(MEASURED)], radii=[2.0]))
         stream.log(f"error_{c.unit}", rr.Scalars(error[i]))
         for k, name in enumerate(c.columns[: c.counted]):
             stream.log(f"{name}/measured", rr.Scalars(c.measured[i, k]))

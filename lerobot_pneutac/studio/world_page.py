@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
 from lerobot.configs import PreTrainedConfig
@@ -17,6 +16,7 @@ from lerobot.policies import get_policy_class, make_pre_post_processors
 from lerobot.utils.constants import OBS_IMAGES
 from lerobot.utils.import_utils import register_third_party_plugins
 
+from lerobot_pneutac.reports.page import side_by_side
 from lerobot_pneutac.studio.plots import FLOOR, MEASURED, MODEL, Lines, Player
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import AREA, CHAMBERS, IMAGE_NAME, PRESSURE, TRIAL_S, pressure_names, task_names
@@ -220,16 +220,7 @@ class WorldPage:
         return np.append(velocity, [slider.value for slider in self._pressures])
 
     def _show(self, scene: np.ndarray, touch: np.ndarray, time_s: float, info: dict, done: bool) -> None:
-        small = [
-            cv2.resize(
-                v, (round(HEIGHT_PX * v.shape[1] / v.shape[0]), HEIGHT_PX), interpolation=cv2.INTER_AREA
-            )
-            for v in (scene, touch)
-        ]
-        self._picture.image = np.concatenate(
-            [small[0], np.full((HEIGHT_PX, 6, 3), 255, np.uint8), small[1]], 1
-        )
-        self._picture.visible = True
+        self._picture.image, self._picture.visible = side_by_side([scene, touch], height=HEIGHT_PX), True
         end = "**Done.**" if info["is_success"] else f"**{info['failure'] or 'Time is up.'}**" if done else ""
         self.readout.content = f"{self._task.value}, {time_s:.1f} s of the task. {end}"
 

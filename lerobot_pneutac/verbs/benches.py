@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from lerobot_pneutac.cli.options import parse_options
+from lerobot_pneutac.diagnosis.design import Choice
 from lerobot_pneutac.diagnosis.programs import sent_s
 from pneutac_datasets.recording.axes import command_columns
 from pneutac_datasets.recording.recording import Recording
@@ -106,6 +107,11 @@ def save_program(
     table = pd.DataFrame(times | columns | {"program": kind} | dict(conditions))
     with whole(file) as part:
         table.to_csv(part, index=False, float_format="%.6g")
+
+
+def save_choice(file: Path, c: Choice) -> None:
+    """Writes a program that was chosen."""
+    save_program(file, c.time_s, c.pressure_kpa, c.kind, c.conditions)
 
 
 STANDIN, MEASURE = BENCHES = ("standin", "measure")

@@ -84,30 +84,29 @@ def calibrate(
         if isinstance(effects, str):
             effects = [e.strip() for e in effects.split(",") if e != "none"]
         return calibrate_gel(twin, recording, effects, through == "mpm", image_size, progress)
-    if effects is not None:
-        raise InputError(
-            f"effects chooses the optics of a gel, but {recording.folder} is a recording of a "
-            f"'{recording.device}'; omit it, and switch an effect on with `pneutac add --effect=NAME`."
-        )
-    if through is not None:
-        raise InputError(
-            f"through={through} simulates presses into a gel, but {recording.folder} is a recording of a "
-            f"'{recording.device}'; omit it."
-        )
-    if image_size is not None:
-        raise InputError(
-            f"image_size is that of a gel's images, but {recording.folder} is a recording of a "
-            f"'{recording.device}'; omit it."
-        )
-    if by == "images" or (by is None and _photographs_alone(recording)):
+    for name, value, does in (
+        ("effects", effects, "chooses the optics of a gel"),
+        (f"through={through}", through, "simulates presses into a gel"),
+        ("image_size", image_size, "is that of a gel's images"),
+    ):
+        if value is not None:
+            more = ", and switch an effect on with `pneutac add --effect=NAME`" * (name == "effects")
+            what = f"{recording.folder} is a recording of a '{recording.device}'"
+            raise InputError(f"{name} {does}, but {what}; omit it{more}.")
+    from pneutac_datasets.recording.photographs import masked_cameras
+
+    markers = [c for c in recording.observations if not c.startswith("image")]
+    if by == "images" or (by is None and not markers and masked_cameras(recording)):
         from lerobot_pneutac.verbs.fit_photographs import PhotoOptions, calibrate_photographs
 
         options = PhotoOptions(training_levels(train_kpa), evaluations, particles, seed)
         files = (None, None) if keep is None else (keep / SEARCH, keep / BEST)
-        return _measured(calibrate_photographs(twin, recording, options, *files, progress), recording)
-    from lerobot_pneutac.verbs.fit_body import calibrate_body
+        result = calibrate_photographs(twin, recording, options, *files, progress)
+    else:
+        from lerobot_pneutac.verbs.fit_body import calibrate_body
 
-    return _measured(calibrate_body(twin, recording, seed, progress), recording)
+        result = calibrate_body(twin, recording, seed, progress)
+    return _measured(result, recording)
 
 
 def _measured(result: Calibration, recording: Recording) -> Calibration:
@@ -115,14 +114,6 @@ def _measured(result: Calibration, recording: Recording) -> Calibration:
     twin = result.twin.copy()
     twin.pressure_range_kpa = measured_range(recording) or twin.pressure_range_kpa
     return replace(result, twin=twin)
-
-
-def _photographs_alone(recording: Recording) -> bool:
-    """Whether a body's recording has photographs with masks and no markers."""
-    from pneutac_datasets.recording.photographs import masked_cameras
-
-    markers = [c for c in recording.observations if not c.startswith("image")]
-    return not markers and bool(masked_cameras(recording))
 
 
 def training_levels(levels: Sequence[float] | str) -> tuple[float, ...]:
@@ -185,10 +176,18 @@ def command(cfg: CalibrateConfig, terminal: Terminal) -> None:
 
 def run(cfg: CalibrateConfig, scratch: Path, terminal: Terminal) -> Calibration:
     """Fits and, unless it is worse, saves the twin's next version; `scratch` is for generated data."""
-    recording, note = recording_for(cfg.recording, scratch, cfg.seed, cfg.task, cfg.twin, cfg.station)
+    recording, note = recording_for(cfg, scratch)
     terminal.console.print(note, end="\n" if note else "", highlight=False)
     check_writable(cfg.twin, f"--twin={cfg.twin}")
-    check_prior(cfg.save_prior, recording)
+    if cfg.save_prior is not None:
+        from pneutac_sim.gel.told import check_name
+
+        if recording.device != "gel":
+            raise InputError(
+                f"save_prior keeps a gel's lights, but {recording.folder} is of a '{recording.device}'; "
+                "omit it."
+            )
+        check_name(cfg.save_prior)
     twin, keep = twin_for(cfg.twin, recording), cfg.out or cfg.twin
     if not (cfg.twin / "twin.yaml").exists():
         terminal.say(f"There is no twin at {cfg.twin} yet: beginning one of a gel.")
@@ -198,26 +197,23 @@ def run(cfg: CalibrateConfig, scratch: Path, terminal: Terminal) -> Calibration:
         with terminal.progress() as progress:
             result = calibrate(twin, recording, **options, keep=keep, progress=progress)
     except KeyboardInterrupt:
-        terminal.say(stopped(keep))
+        terminal.say(_stopped(keep / SEARCH))
         raise
     if result.worse:
         return result
-    if cfg.out is None:
-        forget_search(keep)
+    for name in (SEARCH, BEST) if cfg.out is None else ():
+        (keep / name).unlink(missing_ok=True)
     if note and isinstance(recording, Recording) and recording.meta.get("generated"):
         result = replace(result, recording=f"generated images (seed {cfg.seed})")  # their folder goes
-    terminal.console.print(keep_prior(result, cfg.save_prior), end="", highlight=False)
+    if cfg.save_prior is not None:
+        from lerobot_pneutac.verbs.fit_gel import GelCalibration
+
+        assert isinstance(result, GelCalibration)
+        terminal.say(f"Stored the sensor's illumination as {result.save_prior(cfg.save_prior)}.")
     return result.save(cfg.twin)
 
 
-def recording_for(
-    folder: Path | None,
-    scratch: Path,
-    seed: int,
-    task: str = "",
-    twin: Path | None = None,
-    station: Path | None = None,
-) -> tuple[Recording | Demonstrations, str]:
+def recording_for(cfg: CalibrateConfig, scratch: Path) -> tuple[Recording | Demonstrations, str]:
     """The recording, and a sentence where none was given.
 
     Without one the DIGIT photographs in $PNEUTAC_DATA, or images generated in folder `scratch` where that is
@@ -226,19 +222,22 @@ def recording_for(
     Raises:
         InputError: none was given for a twin that exists, which those do not measure; or as the readers.
     """
+    folder, exists = cfg.recording, (cfg.twin / "twin.yaml").exists()
     if folder is not None and is_dataset(folder):
-        known = Twin.load(twin) if twin and (twin / "twin.yaml").exists() else None
-        return load_demonstrations(folder, task, known, station=station), ""
+        known = Twin.load(cfg.twin) if exists else None
+        return load_demonstrations(folder, cfg.task, known, station=cfg.station), ""
     if folder is not None:
         return Recording.load(folder), ""
-    if twin and (twin / "twin.yaml").exists():
-        raise InputError(f"Give --recording=DIR: which measurement is the twin at '{twin}' to be fitted to?")
+    if exists:
+        raise InputError(
+            f"Give --recording=DIR: which measurement is the twin at '{cfg.twin}' to be fitted to?"
+        )
     real = Path(os.environ.get("PNEUTAC_DATA", "/nonexistent")) / "tactile" / "digit_nagoya"
     if real.is_dir():
         return Recording.load(real), f"No --recording given: using the DIGIT photographs in {real}."
     from pneutac_datasets.generate.gel import write_gel_recording
 
-    return Recording.load(write_gel_recording(scratch / "generated", seed).folder), (
+    return Recording.load(write_gel_recording(scratch / "generated", cfg.seed).folder), (
         "[yellow]No --recording given: using GENERATED images, not photographs.[/] "
         "Give --recording=DIR to calibrate to a real sensor."
     )
@@ -269,31 +268,7 @@ def twin_for(folder: Path, recording: Recording | Demonstrations) -> Twin:
     return Twin(device="gel", length_mm=16.0)
 
 
-def check_prior(name: str | None, recording: Recording | Demonstrations) -> None:
-    """Raises InputError, before any work, where a prior cannot be stored under this name."""
-    if name is None:
-        return
-    if recording.device != "gel":
-        raise InputError(
-            f"save_prior keeps a gel's lights, but {recording.folder} is of a '{recording.device}'; omit it."
-        )
-    from pneutac_sim.gel.told import check_name
-
-    check_name(name)
-
-
-def keep_prior(result: Calibration, name: str | None) -> str:
-    """Stores a gel's illumination under this name; returns a line with its place, or nothing."""
-    if name is None:
-        return ""
-    from lerobot_pneutac.verbs.fit_gel import GelCalibration
-
-    assert isinstance(result, GelCalibration)
-    return f"Stored the sensor's illumination as {result.save_prior(name)}.\n"
-
-
-def stopped(keep: Path) -> str:
-    search = keep / SEARCH
+def _stopped(search: Path) -> str:
     count = len(json.loads(search.read_text())["evaluations"]) if search.is_file() else 0
     if not count:
         return "Stopped before the first candidates were evaluated; the twin is as it was."
@@ -301,8 +276,3 @@ def stopped(keep: Path) -> str:
         f"Stopped after {count} evaluations, stored in {search}; the twin is unchanged, and the same command "
         f"continues from here."
     )
-
-
-def forget_search(keep: Path) -> None:
-    for name in (SEARCH, BEST):
-        (keep / name).unlink(missing_ok=True)

@@ -22,6 +22,7 @@ from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.varied import VariedWorld
 
+CHANNELS = {"arm": slice(0, 3), "gauge": slice(3, 4), "touch": TOUCH}  # of a residual
 PHASES = ("free", "onset", "pressed", "release")
 NEAR = 4  # frames about the first and after the last touch that are its onset and release
 DEPTHS_MM = (0.0, 0.3, 0.6, 0.9, 1.2)
@@ -90,8 +91,7 @@ class DemonstrationComparison(Comparison):
         """Of the episodes that a fit would see, and of those that it would not; and of each channel."""
         parts = self.study.parts
         out = {"train": rms_of(self._squared[parts.train]), "heldout": rms_of(self._squared[parts.test])}
-        channels = {"arm": slice(0, 3), "gauge": slice(3, 4), "touch": TOUCH}
-        return out | {k: rms_of((self.residual[:, c] ** 2).sum(1)) for k, c in channels.items()}
+        return out | {k: rms_of((self.residual[:, c] ** 2).sum(1)) for k, c in CHANNELS.items()}
 
     @cached_property
     def phase(self) -> np.ndarray:
@@ -116,31 +116,23 @@ class DemonstrationComparison(Comparison):
 
     def _row(self, rows: np.ndarray) -> dict:
         r = self.residual[rows]
-        channels = {"error": slice(None), "arm": slice(0, 3), "gauge": slice(3, 4), "touch": TOUCH}
-        row = {k: rms_of((r[:, c] ** 2).sum(1)) for k, c in channels.items()}
-        apart = np.concatenate([self._areas(i) for i in range(len(self.replayed))])[rows]
+        row = {k: rms_of((r[:, c] ** 2).sum(1)) for k, c in ({"error": slice(None)} | CHANNELS).items()}
+        pairs = zip(self.demonstrations.episodes, self.replayed, strict=True)
+        apart = np.concatenate([e.state[:, AREA] - r.area for e, r in pairs])[rows]
         return row | {"area": rms_of(apart**2), "frames": int(rows.sum())}
-
-    def _areas(self, i: int) -> np.ndarray:
-        return self.demonstrations.episodes[i].state[:, AREA] - self.replayed[i].area
 
     def _touches(self, i: int) -> dict:
         """When an episode first touches, as recorded and as replayed, and how far its images differ."""
         e, r = self.demonstrations.episodes[i], self.replayed[i]
         felt = np.flatnonzero(r.press_mm > FELT_MM)
         first = (e.contact() or (0, 0))[0]
-        phase, images = phases(e), r.images
-        shown = (
-            np.mean((images[phase == 2].astype(np.float32) - e.images[phase == 2]) ** 2)
-            if images is not None and (phase == 2).any()
-            else np.nan
-        )
-        return {
-            "onset_s": first / CONTROL_HZ,
-            "onset_replayed_s": float(felt[0]) / CONTROL_HZ if len(felt) else None,
-            "image_rmse_levels": float(np.sqrt(shown)) if np.isfinite(shown) else None,
-            "does_the_task": r.success,
-        }
+        pressed, rmse = phases(e) == 2, None
+        if r.images is not None and pressed.any():
+            apart = r.images[pressed].astype(np.float32) - e.images[pressed]
+            rmse = float(np.sqrt(np.mean(apart**2)))
+        onset_s = float(felt[0]) / CONTROL_HZ if len(felt) else None
+        row = {"onset_s": first / CONTROL_HZ, "onset_replayed_s": onset_s}
+        return row | {"image_rmse_levels": rmse, "does_the_task": r.success}
 
     @property
     def worst(self) -> list[dict]:
@@ -253,11 +245,8 @@ def _clock_drift_s(study: DemonstrationStudy) -> float | None:
     for later in (False, True):
         kept = []
         for e in f.episodes:
-            touched = np.flatnonzero(e.contact)
-            mine = np.zeros(len(e), bool)
-            part = touched[len(touched) // 2 :] if later else touched[: len(touched) // 2]
-            mine[part] = True
-            kept.append(mine)
+            half = np.cumsum(e.contact) > e.contact.sum() // 2
+            kept.append(e.contact & (half if later else ~half))
         if min(int(m.sum()) for m in kept) < 2 * CONTROL_HZ:
             return None
         halves.append(f.lateness(kept) / CONTROL_HZ)

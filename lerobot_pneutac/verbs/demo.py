@@ -19,6 +19,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from scipy.stats import binomtest
@@ -39,13 +40,7 @@ from pneutac_sim.twin import Twin
 # Of three tasks augmentation helps most on this one. Person and starts are those of benchmarks/policy.md.
 TASK, TASK_TEXT = "card", "pull the front card out of the deck"
 PERSON, START_WIDTH = 0.5, 0.5
-LEARNING = (
-    "demonstrations",
-    "augmented",
-    "steps",
-    "batch_size",
-    "trials",
-)  # options of the stages that it leaves out
+LEARNING = ("demonstrations", "augmented", "steps", "batch_size", "trials")  # which the quick demo leaves out
 HIDDEN = "friction_maxwell"  # effect of the rod of the quick demo
 FIRST_S = 14  # of the demonstration by lerobot-record; the person is done with most in 10 s
 ALONE = "_alone"  # ends the folders of what is made of the recorded demonstrations alone
@@ -83,9 +78,7 @@ class DemoConfig:
 
     def __post_init__(self):
         check_least(2, demonstrations=self.demonstrations)
-        check_least(
-            1, augmented=self.augmented, steps=self.steps, batch_size=self.batch_size, trials=self.trials
-        )
+        check_least(1, **{name: getattr(self, name) for name in LEARNING[1:]})
         if self.quick and self.out == type(self).out:
             self.out = Path("outputs/quick")
         given = [n for n in LEARNING if self.quick and getattr(self, n) != type(self).__dict__[n]]
@@ -105,6 +98,7 @@ class QuickResult(Result):
     out: Path
     state: dict
     title = "A twin learns what its finger lacked"
+    measured: ClassVar = "monday"  # folder of the recording that it was fitted to
 
     @property
     def added(self) -> list[str]:
@@ -130,7 +124,7 @@ class QuickResult(Result):
         ]
 
     def subject(self) -> tuple[Twin, Path]:
-        return Twin.load(self.out / "twin"), self.out / "monday"
+        return Twin.load(self.out / "twin"), self.out / self.measured
 
     def content(self) -> dict:
         s = self.state
@@ -151,6 +145,7 @@ class DemoResult(QuickResult):
     """What the whole demo came to."""
 
     title = "A twin learns what its finger lacked, and a policy pulls a card"
+    measured: ClassVar = "bench/finger"
 
     @property
     def difference(self) -> tuple[float, float, float]:
@@ -170,12 +165,9 @@ class DemoResult(QuickResult):
         left = max(after**2 - noise**2, 0.0) ** 0.5
         e, made = self.state["evaluate"], self.state["augment"]
         mean, low, high = self.difference
-        if low > 0:
-            verdict = "Augmentation helped in this run"
-        elif mean <= 0:
-            verdict = "Augmentation did not help in this run"
-        else:
-            verdict = "Whether augmentation helped is uncertain in this run"
+        verdict = "Whether augmentation helped is uncertain in this run"
+        if low > 0 or mean <= 0:
+            verdict = f"Augmentation {'helped' if low > 0 else 'did not help'} in this run"
         return (
             f"With {' and '.join(self.added)} added, the held-out tip error went from "
             f"{before:.2f} to {after:.2f} mm (noise {noise:.2f} mm, unexplained {left:.2f} mm). "
@@ -196,9 +188,6 @@ class DemoResult(QuickResult):
             f"--demonstrations={self.out}/demonstrations "
             f"--policy={self.out}/train/checkpoints/last/pretrained_model",
         ]
-
-    def subject(self) -> tuple[Twin, Path]:
-        return Twin.load(self.out / "twin"), self.out / "bench/finger"
 
     def content(self) -> dict:
         e, (mean, low, high) = self.state["evaluate"], self.difference
@@ -255,12 +244,9 @@ class Demo:
     def run(self) -> DemoResult | QuickResult:
         """All stages, except those that an earlier run finished."""
         cfg = self.cfg
+        rod = "Measure a finger on two days (an elastic rod with friction that the twin lacks)"
         quick = [
-            (
-                "bench",
-                "Measure a finger on two days (an elastic rod with friction that the twin lacks)",
-                self._days,
-            ),
+            ("bench", rod, self._days),
             ("twin", "Make its twin, calibrate it, and compare it with the other day", self._calibrate),
             ("diagnose", "Which physics is missing?", self._diagnose),
             ("add", "Add it, and compare again", self._add),
@@ -293,12 +279,8 @@ class Demo:
     def _days(self) -> dict:
         for day, folder in enumerate((self.finger, self._path("friday")), 1):
             shutil.rmtree(folder, ignore_errors=True)
-            options = [
-                f"--day={day}",
-                f"--minutes={self.cfg.minutes}",
-                f"--seed={self.cfg.seed}",
-                f"--out={folder}",
-            ]
+            options = [f"--day={day}", f"--minutes={self.cfg.minutes}", f"--seed={self.cfg.seed}"]
+            options.append(f"--out={folder}")
             self._command("python", "-m", "pneutac_truths", "--device=rod", f"--effect={HIDDEN}", *options)
         return {}
 
@@ -399,15 +381,8 @@ class Demo:
             for folder in (out, data):
                 shutil.rmtree(folder, ignore_errors=True)
             # Small images, one row a sample: these cores see ten times the frames in the same time.
-            pools.append(
-                (
-                    "python",
-                    "-m",
-                    "pneutac_datasets.demonstrations.pool",
-                    f"--out={data}",
-                    str(self._path(source)),
-                )
-            )
+            pool = ("python", "-m", "pneutac_datasets.demonstrations.pool", f"--out={data}")
+            pools.append((*pool, str(self._path(source))))
             trainings.append((
                 "lerobot-train", "--policy.type=pneutac_bc", "--policy.device=cpu",
                 f"--dataset.repo_id=local/{data.name}", f"--dataset.root={data}", f"--output_dir={out}",

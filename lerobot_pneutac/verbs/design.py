@@ -14,11 +14,10 @@ from lerobot_pneutac.diagnosis.hands import GRAVITY, Hands, instructions, named
 from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.reports.learn import design_page
 from lerobot_pneutac.reports.page import Report
-from lerobot_pneutac.reports.sentences import called
 from lerobot_pneutac.study.pair import load_bench_pair, load_pair
-from lerobot_pneutac.verbs.benches import save_program
+from lerobot_pneutac.verbs.benches import save_choice
 from lerobot_pneutac.verbs.design_press import design_press
-from lerobot_pneutac.verbs.diagnosis import Diagnosis, described, load_contenders
+from lerobot_pneutac.verbs.diagnosis import Diagnosis, described, load_contenders, named_terms
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.demonstrations.replay.reading import is_dataset
 from pneutac_datasets.recording.axes import per_chamber
@@ -75,19 +74,15 @@ class Design(Result):
             )
         likely = self.contenders[0]
         first = "".join(f"{s} " for s in instructions(self.hands.usual, c.conditions))
-        names = " + ".join(map(called, likely.terms)) or "no effect"
-        best = f"{names} has {100 * likely.probability:.0f} %"
+        best = f"{named_terms(likely)} has {100 * likely.probability:.0f} %"
+        decides = c.rivals >= max(np.log(len(self.contenders)) / 2, 1e-9)
+        purpose = "decides between them" if decides else "sharpens the constants of the first"
         gain = f"{c.rivals:.2f} nats between models, {c.constants:.1f} nats on constants"
         return (
             f"{first}Next, drive {c.name} ({c.seconds:.0f} s). Of {len(self.contenders)} candidate models "
-            f"{best}; this test mainly {self._purpose}. Expected information: {gain}; "
+            f"{best}; this test mainly {purpose}. Expected information: {gain}; "
             f"{100 * c.new:.0f} % of its time is at pressures that no recording has."
         )
-
-    @property
-    def _purpose(self) -> str:
-        decides = self.best.rivals >= max(np.log(len(self.contenders)) / 2, 1e-9)
-        return "decides between them" if decides else "sharpens the constants of the first"
 
     def rows(self) -> list[dict]:
         return [
@@ -108,8 +103,7 @@ class Design(Result):
         return super().content() | {"contenders": described(self.contenders)}
 
     def report(self, out: str | Path, command: str = "") -> Path:
-        c = self.best
-        save_program(Path(out) / "program.csv", c.time_s, c.pressure_kpa, c.kind, c.conditions)
+        save_choice(Path(out) / "program.csv", self.best)
         return super().report(out, command)
 
     def page(self) -> Report:
@@ -145,21 +139,15 @@ def design(
     """
     if recording.device == "gel":
         raise InputError(f"{recording.folder} is of a gel; `design_press` chooses its next press.")
-    found = isinstance(diagnosis, Diagnosis)
-    contenders = list(diagnosis.outcome.contenders) if found else load_contenders(diagnosis)
+    contenders = load_contenders(diagnosis)
     if not contenders:
         raise InputError("The diagnosis is of demonstrations; give one of a bench recording.")
     recording = usable(recording)[0]  # no program goes beyond the supply by itself
     command = recording.samples[recording.pressure_columns].to_numpy(float)
-    limits = Limits(
-        per_chamber(
-            "min_kpa", np.minimum(command.min(axis=0), 0.0) if min_kpa is None else min_kpa, len(command.T)
-        ),
-        per_chamber("max_kpa", command.max(axis=0) if max_kpa is None else max_kpa, len(command.T)),
-        hz,
-        budget_s,
-        program_s,
-    )
+    low = np.minimum(command.min(axis=0), 0.0) if min_kpa is None else min_kpa
+    high = command.max(axis=0) if max_kpa is None else max_kpa
+    ends = (per_chamber(n, v, len(command.T)) for n, v in (("min_kpa", low), ("max_kpa", high)))
+    limits = Limits(*ends, hz, budget_s, program_s)
     noise = noise_floor(recording)
     ranked = choices(recording, contenders, noise.needed(recording.folder), limits, hands)
     return Design(

@@ -12,7 +12,7 @@ Motions of the arm with the finger against a bar, in any world with the task `bu
 Pressures are those of the paper's finger; another's are as large a share of its range, as of an expert's.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +26,7 @@ from lerobot_pneutac.study.demonstration_data import COMPLIANCE, STIFFNESS, TYPI
 from lerobot_pneutac.study.demonstrations import UNIT
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
+from pneutac_datasets.recording.wording import joined
 from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CONTROL_HZ, PRESSURES
@@ -95,33 +96,20 @@ def held(seconds: float, kpa: float = PRESS_KPA, velocity=(0.0, 0.0, 0.0)) -> li
 def sideways(drag_mm: float, kpa: float = PRESS_KPA) -> Motion:
     """Holds, then drags to one side, the other, and back to the first."""
     there, v = 1e-3 * drag_mm / DRAG_M_S, DRAG_M_S
-    actions = (
-        held(2, kpa)
-        + held(there, kpa, (0, v, 0))
-        + held(2 * there, kpa, (0, -v, 0))
-        + held(2 * there, kpa, (0, v, 0))
-    )
+    actions = held(2, kpa) + held(there, kpa, (0, v, 0))
+    actions += held(2 * there, kpa, (0, -v, 0)) + held(2 * there, kpa, (0, v, 0))
     how = "press" if kpa >= PRESS_KPA else "press lightly" if kpa > SEARCH_KPA else "just touch"
     return Motion(f"{how} and drag sideways by {drag_mm:g} mm", np.array(actions), drag_mm)
 
 
 PRESS = Motion("press and hold", np.array(held(6)))
+FORTH = held(1, velocity=(0, 0, 0.004)) + held(2, velocity=(0, 0, -0.004)) + held(2, velocity=(0, 0, 0.004))
+STEPS = 3 * (held(0.5, velocity=(0.01, 0, 0)) + held(2))
 MOTIONS = (
     PRESS,
     Motion("three steps of pressure, each held", np.array(held(2, 6.0) + held(2) + held(2, 12.0))),
-    Motion(
-        "three steps of the arm, each held",
-        np.array(held(2) + 3 * (held(0.5, velocity=(0.01, 0, 0)) + held(2))),
-    ),
-    Motion(
-        "drag along the finger",
-        np.array(
-            held(2)
-            + held(1, velocity=(0, 0, 0.004))
-            + held(2, velocity=(0, 0, -0.004))
-            + held(2, velocity=(0, 0, 0.004))
-        ),
-    ),
+    Motion("three steps of the arm, each held", np.array(held(2) + STEPS)),
+    Motion("drag along the finger", np.array(held(2) + FORTH)),
 )
 
 
@@ -239,12 +227,11 @@ def motion_choices(
             felt[name].append([carried_out(world, seed, motion) for seed in PLACES])
             done += 1
             progress("motions", done, len(changes) * len(motions))
-    return [
-        MotionChoice(
-            m, _sure(misses, {n: f[i] for n, f in felt.items()}), {n: f[i][0] for n, f in felt.items()}
-        )
-        for i, m in enumerate(motions)
-    ]
+    out = []
+    for i, m in enumerate(motions):
+        here = {name: each[i] for name, each in felt.items()}
+        out.append(MotionChoice(m, _sure(misses, here), {name: each[0] for name, each in here.items()}))
+    return out
 
 
 def shortest(choices: Sequence[MotionChoice], change: str) -> MotionChoice:
@@ -271,23 +258,13 @@ def fingers(twin: Twin) -> dict[str, tuple[Twin, float]]:
     """The twin as it is and with one change, and the factor on the friction of its gel."""
     softer = twin.copy()
     softer.parameters = twin.parameters | {STIFFNESS: Value(SOFTER * twin.parameter(STIFFNESS))}
-    return {
-        PLAIN: (twin, 1.0),
-        CREEP: (_creeping(twin), 1.0),
-        COMPLIANCE: (softer, 1.0),
-        FRICTION: (twin, SLIPPERY),
-    }
-
-
-def _creeping(twin: Twin) -> Twin:
-    own = twin.effects.get(CREEP)
+    creeping, own = twin.copy(), twin.effects.get(CREEP)  # else of its usual amount
     more = {
         p.name: Value(MORE_CREEP * own[p.name].value if own else p.default)
         for p in get_effect(CREEP).parameters
     }
-    out = twin.copy()
-    out.effects = twin.effects | {CREEP: more}
-    return out
+    creeping.effects = twin.effects | {CREEP: more}
+    return {PLAIN: (twin, 1.0), CREEP: (creeping, 1.0), COMPLIANCE: (softer, 1.0), FRICTION: (twin, SLIPPERY)}
 
 
 WORDS = {CREEP: "more creep", COMPLIANCE: "another stiffness", FRICTION: "half the friction of the gel"}
@@ -329,7 +306,7 @@ class MotionDesign(Result):
                 "None of these motions would significantly show creep, stiffness or friction; record more "
                 "episodes."
             )
-        tell = "; ".join(f"{name}, which shows {_listed(changes)}" for name, changes in motions.items())
+        tell = "; ".join(f"{name}, which shows {joined(changes)}" for name, changes in motions.items())
         count = len(self.recording.episodes)
         return f"Record {count} episodes with the finger against the bar of '{TASK}': {tell}."
 
@@ -394,8 +371,3 @@ def design_motion(twin: Twin, recording: Demonstrations, progress: Progress = no
     misses = Misses.of(len(recording.episodes), known)
     choices = motion_choices(twin, misses, recording.station, progress)
     return MotionDesign(twin=twin, recording=recording, choices=tuple(choices), known=known)
-
-
-def _listed(words: Iterable[str]) -> str:
-    *first, last = words
-    return f"{', '.join(first)} and {last}" if first else last

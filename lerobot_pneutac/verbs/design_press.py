@@ -9,10 +9,9 @@ import pandas as pd
 from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.diagnosis.thresholds import LITTLE_GAIN
 from lerobot_pneutac.reports.page import Report
-from lerobot_pneutac.reports.sentences import called
 from lerobot_pneutac.study.gel_press import HeldChoice, PressChoice, held_choice, press_choices
 from lerobot_pneutac.study.pair import same_device
-from lerobot_pneutac.verbs.diagnosis import Diagnosis, described, load_contenders
+from lerobot_pneutac.verbs.diagnosis import Diagnosis, described, load_contenders, named_terms
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
@@ -70,7 +69,7 @@ class PressDesign(Result):
         return (
             f"Press the {p.indenter} of {p.size_mm:g} mm {p.depth_mm:g} mm deep at x {p.x_mm:g}, "
             f"y {p.y_mm:g} mm: {self.best.rivals:.2f} nats between {len(self.contenders)} models, of which "
-            f"{_named(likely)} is the likeliest ({100 * likely.probability:.0f} %)."
+            f"{named_terms(likely)} is the likeliest ({100 * likely.probability:.0f} %)."
         )
 
     def rows(self) -> list[dict]:
@@ -110,7 +109,7 @@ class PressDesign(Result):
 
     def page(self) -> Report:
         page, images = super().page(), self.best.images
-        names = [f"{100 * c.probability:.0f} % {_named(c)}" for c in self.contenders]
+        names = [f"{100 * c.probability:.0f} % {named_terms(c)}" for c in self.contenders]
         page.image(np.concatenate(images, axis=1), f"What each model predicts: {', '.join(names)}.")
         first = images[0].astype(float)
         apart = [np.clip(128 + 4 * (i - first), 0, 255).astype(np.uint8) for i in images[1:]]
@@ -131,8 +130,7 @@ def design_press(twin: Twin, recording: Recording, diagnosis: str | Path | Diagn
         InputError: the recording is of no gel, the folder holds no diagnosis, or one of a body.
     """
     same_device(twin, recording, "the twin", "design for")
-    found = isinstance(diagnosis, Diagnosis)
-    contenders = list(diagnosis.outcome.contenders) if found else load_contenders(diagnosis)
+    contenders = load_contenders(diagnosis)
     data = GelRecording.load(recording)
     return PressDesign(
         twin=twin,
@@ -141,10 +139,6 @@ def design_press(twin: Twin, recording: Recording, diagnosis: str | Path | Diagn
         choices=tuple(press_choices(data, contenders)),
         held=held_choice(data, contenders),
     )
-
-
-def _named(contender: Candidate) -> str:
-    return " + ".join(map(called, contender.terms)) or "no effect"
 
 
 def _row(p: Press) -> dict:

@@ -84,8 +84,10 @@ def save_contenders(folder: str | Path, contenders: Sequence[Candidate]) -> None
     write_json(Path(folder) / FILE, described(contenders))
 
 
-def load_contenders(folder: str | Path) -> list[Candidate]:
-    """What `save_contenders` wrote; raises InputError where there is nothing."""
+def load_contenders(folder: "str | Path | Diagnosis") -> list[Candidate]:
+    """Those of a diagnosis, or what `save_contenders` wrote; raises InputError where there is nothing."""
+    if isinstance(folder, Diagnosis):
+        return list(folder.outcome.contenders)
     file = Path(folder) / FILE
     if not file.is_file():
         raise InputError(f"There is no {file}; give the folder that `pneutac diagnose --out=` wrote.")
@@ -94,6 +96,11 @@ def load_contenders(folder: str | Path) -> list[Candidate]:
         Candidate(Twin.load(Path(folder) / "contenders" / str(i)), tuple(c["terms"]), c["probability"])
         for i, c in enumerate(stored)
     ]
+
+
+def named_terms(contender: Candidate) -> str:
+    """Its terms in words."""
+    return " + ".join(map(sentences.called, contender.terms)) or "no effect"
 
 
 SHOWN = 3  # warnings on the console; the report has all

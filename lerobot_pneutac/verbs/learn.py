@@ -25,11 +25,12 @@ from lerobot_pneutac.reports.learn import FORESEEN, learn_page
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import called
 from lerobot_pneutac.study.pair import same_body, same_chambers
-from lerobot_pneutac.verbs.benches import Bench, check_bench, make_bench, save_program
+from lerobot_pneutac.verbs.benches import Bench, check_bench, make_bench, save_choice
 from lerobot_pneutac.verbs.diagnose import diagnose
 from lerobot_pneutac.verbs.diagnosis import Diagnosis, load_contenders
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.recording import Recording, joined
+from pneutac_datasets.recording.wording import joined as listed
 from pneutac_sim.effects.laws import family
 from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.files import whole, write_json
@@ -154,23 +155,18 @@ class Learning(Result):
         if not r.selected:
             what = "nothing is missing" if self.confirmed else "nothing significant was found"
         else:
-            names = [called(e) for e in r.selected]
-            what = f"the {self.twin.device} shows " + (
-                names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+            what = f"the {self.twin.device} shows {listed(map(called, r.selected))}"
+        text = f"After {minutes}: {what}."
+        if r.predicted_error is not None:
+            text += (
+                f" The last program was predicted to {r.predicted_error:.3g} {r.unit} before it was used "
+                f"({r.predicted_error / r.noise:.2g} times the noise)."
             )
-        foreseen = (
-            f" The last program was predicted to {r.predicted_error:.3g} {r.unit} before it was used "
-            f"({r.predicted_error / r.noise:.2g} times the noise)."
-            if r.predicted_error is not None
-            else ""
-        )
-        sure = [called(e) for e in r.selected if e in r.confirmed_by]
-        loose = [called(e) for e in r.unconfirmed]
-        status = (
-            f" Confirmed, by a program of another kind that needed it: {', '.join(sure)}." if sure else ""
-        )
-        status += f" Not confirmed: {', '.join(loose)}." if loose else ""
-        return f"After {minutes}: {what}.{foreseen}{status} It ended because {self.ended}."
+        if sure := [called(e) for e in r.selected if e in r.confirmed_by]:
+            text += f" Confirmed, by a program of another kind that needed it: {', '.join(sure)}."
+        if r.unconfirmed:
+            text += f" Not confirmed: {', '.join(map(called, r.unconfirmed))}."
+        return f"{text} It ended because {self.ended}."
 
     def rows(self) -> list[dict]:
         return [
@@ -271,9 +267,7 @@ def not_as_asked(
     return f"The finger moved as if {best}." if best and errors[best] < CLEARLY * told else ""
 
 
-NEEDED = (
-    1.2  # a law is confirmed if the best model without it predicted the recording at least this factor worse
-)
+NEEDED = 1.2  # a law is confirmed if the best model without it predicted at least this factor worse
 DOUBT = 0.1  # probability that an unconfirmed law is not there, when the next program is chosen
 GIVE_UP = 4  # programs in a row, predicted badly and no better, after which it ends
 FALLS = 0.9  # of the error over noise: what stays above has not fallen
@@ -459,9 +453,7 @@ class Rounds:
     def _driven(self, folder: Path, choice: Choice) -> str:
         """Drives a program; what a hand did instead of what was asked, empty where that is not seen."""
         shutil.rmtree(folder, ignore_errors=True)
-        save_program(
-            folder / "program.csv", choice.time_s, choice.pressure_kpa, choice.kind, choice.conditions
-        )
+        save_choice(folder / "program.csv", choice)
         self._bench.follow(folder / "program.csv", folder / "recording", len(self.done))
         if not choice.hand:
             return ""
@@ -493,18 +485,11 @@ class Rounds:
         def lacking(effect: str) -> float:
             """The least error without the effect's kind of physics, of it dropped or of another candidate."""
             dropped = error_of(best.without(effect), everything, rows, favour=True)
-            others = [
-                error
-                for error, c in zip(errors, contenders, strict=True)
-                if family(effect) not in _families(c)
-            ]
-            return min(dropped, *others)
+            pairs = zip(errors, contenders, strict=True)
+            return min(dropped, *(error for error, c in pairs if family(effect) not in _families(c)))
 
-        return {
-            "predicted_error": errors[0],
-            "bare_error": errors[-1],
-            "without": {e: lacking(e) for e in terms},
-        }
+        without = {e: lacking(e) for e in terms}
+        return {"predicted_error": errors[0], "bare_error": errors[-1], "without": without}
 
     def _judged(self, entry: dict, found: Diagnosis, foreseen: dict) -> Round:
         noise, needed_by, sure = found.study.noise.needed(found.study.recording.folder), {}, set()

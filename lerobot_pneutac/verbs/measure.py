@@ -77,7 +77,7 @@ def measure(
     try:
         pressure.connect()
         for name, c in cameras.items():
-            _connect(c, name)
+            _asked(name, "cannot be opened", c.connect)
         tracker.see_base([_image(cameras["camera"], "camera") for _ in range(BASE_IMAGES)])
         for number, trial in enumerate(trials):
             taken, seen = driver.drive(number, trial)
@@ -205,14 +205,10 @@ class BenchDriver:
             "length_mm": self._config.length_mm,
             "notes": self._config.notes,
             "trials": self._starts,
-            "cameras": {
-                "camera": {
-                    "intrinsics": camera.matrix.tolist(),
-                    "extrinsics": self._tracker.extrinsics().tolist(),
-                    "distortion": camera.distortion.tolist(),
-                }
-            },
         }
+        numbers = {"intrinsics": camera.matrix, "extrinsics": self._tracker.extrinsics()}
+        numbers |= {"distortion": camera.distortion}
+        meta["cameras"] = {"camera": {name: array.tolist() for name, array in numbers.items()}}
         samples = pd.DataFrame(self._rows)
         device = device_with(self._config.chambers)
         new = Recording(self._config.out, meta, samples, device).write(self._config.out / "new")
@@ -227,20 +223,17 @@ def _wait_until(clock_s: float) -> None:
     time.sleep(max(0.0, clock_s - time.monotonic()))
 
 
-def _connect(camera: Camera, name: str) -> None:
-    """Opens the camera; raises HardwareFault where it cannot be opened."""
+def _asked(name: str, fault: str, call: Callable):
+    """What a call to a camera returns; raises HardwareFault where it fails, in whichever way it does."""
     try:
-        camera.connect()
+        return call()
     except Exception as e:
-        raise HardwareFault(f"The camera '{name}' cannot be opened: {str(e).rstrip('.')}.") from e
+        raise HardwareFault(f"The camera '{name}' {fault}: {str(e).rstrip('.')}.") from e
 
 
 def _image(camera: Camera, name: str) -> np.ndarray:
     """The camera's next image; raises HardwareFault where none comes in time."""
-    try:
-        return camera.async_read(timeout_ms=FRAME_MS)
-    except Exception as e:
-        raise HardwareFault(f"The camera '{name}' gives no picture: {str(e).rstrip('.')}.") from e
+    return _asked(name, "gives no picture", lambda: camera.async_read(timeout_ms=FRAME_MS))
 
 
 MOST_UNSEEN = 0.2  # share of a trial's images without the tip marker above which it is reported
