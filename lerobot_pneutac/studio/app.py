@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import io
 import os
 import re
@@ -67,41 +68,23 @@ class Studio:
         self._add_pages(self.server.gui.add_tab_group(), self.pages)
 
     def _add_pages(self, tabs, pages: dict) -> None:
-        twin = self.session.twin
-        if twin.device in CHAMBERS:
-            from lerobot_pneutac.studio.device_page import DevicePage
-
-            with tabs.add_tab("Device", viser.Icon.HAND_FINGER):
-                pages["Device"] = DevicePage(self)
-        if twin.device == "gel" or twin.gel:
-            from lerobot_pneutac.studio.gel_page import GelPage
-
-            with tabs.add_tab("Touch", viser.Icon.FINGERPRINT):
-                pages["Touch"] = GelPage(self)
-        if self.session.recording is not None:
-            self._add_recorded(tabs, pages, self.session.recording.device in CHAMBERS)
-        if twin.device in CHAMBERS:
-            from lerobot_pneutac.studio.world_page import WorldPage
-
-            with tabs.add_tab("World", viser.Icon.WORLD):
-                pages["World"] = WorldPage(self)
-
-    def _add_recorded(self, tabs, pages: dict, body: bool) -> None:
-        """The pages that weigh the twin against its recording, of a body or of a gel."""
-        if body:
-            from lerobot_pneutac.studio.measurement_page import MeasurementPage
-
-            with tabs.add_tab("Measurement", viser.Icon.CHART_LINE):
-                pages["Measurement"] = MeasurementPage(self, pages["Device"].scene)
-        else:
-            from lerobot_pneutac.studio.measurement_page import ImagesPage
-
-            with tabs.add_tab("Measurement", viser.Icon.PHOTO):
-                pages["Measurement"] = ImagesPage(self)
-        from lerobot_pneutac.studio.find_page import FindPage
-
-        with tabs.add_tab("Find it", viser.Icon.SEARCH):
-            pages["Find it"] = FindPage(self)
+        """Each page's module is loaded once the page before it is there."""
+        twin, recording = self.session.twin, self.session.recording
+        body, touch = twin.device in CHAMBERS, twin.device == "gel" or bool(twin.gel)
+        of = None if recording is None else "body" if recording.device in CHAMBERS else "gel"
+        icon = viser.Icon
+        for shown, title, module, name, picture in (
+            (body, "Device", "device_page", "DevicePage", icon.HAND_FINGER),
+            (touch, "Touch", "gel_page", "GelPage", icon.FINGERPRINT),
+            (of == "body", "Measurement", "measurement_page", "MeasurementPage", icon.CHART_LINE),
+            (of == "gel", "Measurement", "measurement_page", "ImagesPage", icon.PHOTO),
+            (of is not None, "Find it", "find_page", "FindPage", icon.SEARCH),
+            (body, "World", "world_page", "WorldPage", icon.WORLD),
+        ):
+            if shown:
+                made = getattr(importlib.import_module(f"lerobot_pneutac.studio.{module}"), name)
+                with tabs.add_tab(title, picture):
+                    pages[title] = made(self)
 
     def _name(self) -> None:
         s = self.session

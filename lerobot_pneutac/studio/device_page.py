@@ -112,14 +112,8 @@ class BodyScene:
                       position=(-0.2 * width, 0.0, 0.0))  # fmt: skip
         # sent again as it moves: a skinned mesh of viser 1.1.1 breaks the page when the server restarts
         self._carried = skin
-        self._skin = scene.add_mesh_simple(
-            "/skin",
-            (UNIT * skin.vertices_mm).astype(np.float32),
-            skin.faces,
-            color=SKIN,
-            opacity=0.55,
-            side="double",
-        )
+        vertices, looks = (UNIT * skin.vertices_mm).astype(np.float32), {"color": SKIN, "opacity": 0.55}
+        self._skin = scene.add_mesh_simple("/skin", vertices, skin.faces, side="double", **looks)
         straight = np.zeros((len(self._joints) + 2, 3))
         straight[1:-1, 0], straight[-1, 0] = self._joints, self._length
         self._spine = scene.add_line_segments(
@@ -289,11 +283,10 @@ class DevicePage:
                 studio, self.scene, self._drive, lambda: (self._twin, self.pressed_kpa, self.conditions())
             )
         rested.on_click(studio.safely(self._rest))
-        self._folder, self._panel = None, None
         self._series: deque = deque(maxlen=int(CHART_S * CHART_A_S))
         self.busy_s = 0.0
         self._stop, self._lock = threading.Event(), threading.Lock()
-        self._place = self._gui.add_folder("Effects of the twin", expand_by_default=False)
+        self._panel = EffectsPanel(self._gui, "Effects of the twin")
         self._changed()
         studio.driver = self.title
         studio.session.when_changed(studio.safely(self._changed))
@@ -304,12 +297,9 @@ class DevicePage:
 
     def _pressure_sliders(self, twin: Twin) -> list:
         low, high = twin.pressure_range_kpa
-        names = (
-            [f"pressure {i + 1}, kPa" for i in range(CHAMBERS[twin.device])]
-            if self._arm
-            else ["pressure, kPa"]
-        )
-        sliders = [self._gui.add_slider(n, float(low), float(high), 0.1, 0.0) for n in names]
+        numbers = [f" {i + 1}" for i in range(CHAMBERS[twin.device])] if self._arm else [""]
+        ends = float(low), float(high), 0.1, 0.0
+        sliders = [self._gui.add_slider(f"pressure{n}, kPa", *ends) for n in numbers]
         for s in sliders:
             s.on_update(self._drive)
         return sliders
@@ -396,17 +386,10 @@ class DevicePage:
 
     def _changed(self) -> None:
         twin = self._studio.session.twin
-        if self._folder is not None:
-            self._folder.remove()
         names = [*body_effects(), *(e for e in of_body(twin.effects) if e not in body_effects())]
         names = [n for n in names if n in twin.effects or not set(get_effect(n).columns) & set(OTHERS)]
-        with self._place:
-            self._folder = self._gui.add_folder("switched on here alone; nothing is written")
-        with self._folder:
-            top = max(abs(x) for x in twin.pressure_range_kpa)
-            self._panel = EffectsPanel(
-                self._gui, names, twin.effects, top, self._studio.safely(self._rebuild)
-            )
+        top = max(abs(x) for x in twin.pressure_range_kpa)
+        self._panel.fill(names, twin.effects, top, self._studio.safely(self._rebuild))
         self._rebuild()
 
     def _rebuild(self) -> None:

@@ -14,25 +14,40 @@ DECADES = 10.0  # a positive parameter may be so many times larger or smaller th
 
 
 class EffectsPanel:
-    """Switches of some effects.
+    """A folder with switches of some effects.
 
     Args:
         gui: of the viewer.
-        names: of the effects.
-        present: of the twin, name to parameters.
-        range_kpa: largest pressure, which scales bounds.
-        changed: called when a switch or a slider moves.
+        title: of the folder.
     """
 
-    def __init__(
+    def __init__(self, gui: viser.GuiApi, title: str):
+        self._gui, self._place, self._folder = gui, gui.add_folder(title, expand_by_default=False), None
+        self._rows: list[_Switch] = []
+
+    def fill(
         self,
-        gui: viser.GuiApi,
         names: Iterable[str],
         present: Mapping[str, Mapping[str, Value]],
         range_kpa: float,
         changed: Callable[[], None],
-    ):
-        self._rows = [_Switch(gui, get_effect(n), present.get(n), range_kpa, changed) for n in names]
+    ) -> None:
+        """Switches of effects for another twin, in place of those before.
+
+        Args:
+            names: of the effects.
+            present: of the twin, name to parameters.
+            range_kpa: largest pressure, which scales bounds.
+            changed: called when a switch or a slider moves.
+        """
+        if self._folder is not None:
+            self._folder.remove()
+        with self._place:
+            self._folder = self._gui.add_folder("switched on here alone; nothing is written")
+        with self._folder:
+            self._rows = [
+                _Switch(self._gui, get_effect(n), present.get(n), range_kpa, changed) for n in names
+            ]
 
     def values(self) -> dict[str, dict[str, Value]]:
         return {row.effect.name: row.values() for row in self._rows if row.on}

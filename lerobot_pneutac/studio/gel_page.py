@@ -47,8 +47,7 @@ class GelPage:
         self._y = self._gui.add_slider("y, mm", -height / 2, height / 2, 0.05, 0.0)
         self._depth = self._gui.add_slider("depth, mm", 0.0, DEEPEST_MM, 0.02, 0.6)
         self._yaw = self._gui.add_slider("turn, °", -90.0, 90.0, 1.0, 0.0)
-        self._place = self._gui.add_folder("Effects of the sensor", expand_by_default=False)
-        self._folder = None
+        self._panel = EffectsPanel(self._gui, "Effects of the sensor")
         self._draw_scene()
         self._due = threading.Event()
         for control in (self._shape, self._size, self._x, self._y, self._depth, self._yaw):
@@ -97,15 +96,9 @@ class GelPage:
 
     def _changed(self) -> None:
         twin = self._studio.session.twin
-        if self._folder is not None:
-            self._folder.remove()
-        effects = sensor_effects()
-        with self._place:
-            self._folder = self._gui.add_folder("switched on here alone; nothing is written")
-        with self._folder:
-            present = twin.effects if twin.gel else GelModel.builtin().effects
-            present = {n: p for n, p in present.items() if n in effects}
-            self._panel = EffectsPanel(self._gui, effects, present, 1.0, self._studio.safely(self._rebuild))
+        effects, present = sensor_effects(), twin.effects if twin.gel else GelModel.builtin().effects
+        present = {n: p for n, p in present.items() if n in effects}
+        self._panel.fill(effects, present, 1.0, self._studio.safely(self._rebuild))
         self._rebuild()
 
     def _rebuild(self) -> None:

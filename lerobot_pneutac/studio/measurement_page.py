@@ -84,8 +84,8 @@ class MeasurementPage:
 
     title = "Measurement"
 
-    def __init__(self, studio, scene):
-        self._studio, self._gui, self._scene = studio, studio.server.gui, scene
+    def __init__(self, studio):
+        self._studio, self._gui, self._scene = studio, studio.server.gui, studio.pages["Device"].scene
         gui = self._gui
         self.readout = gui.add_markdown("The twin is run on the recording ...")
         self.player = Player(gui, self._scrubbed)
@@ -133,12 +133,10 @@ class MeasurementPage:
             name, _, unit = c.columns[self._main].rpartition("_")
             with self._beside:
                 said = f"{name.replace('_', ' ')}, {unit}"
-                chambers = [
-                    n.replace("pressure_cmd_", "").replace("_kpa", "") for n in c.recording.pressure_columns
-                ]
-                commands = [f"command {n}".removesuffix(" kpa").removesuffix(" pressure") for n in chambers]
-                colours = (PRESSURE, FLOOR, MODEL)
-                lines = tuple(zip([f"{n}, kPa" for n in commands], colours, strict=False))
+                names = c.recording.pressure_columns
+                chambers = [n.removeprefix("pressure_cmd_").removesuffix("kpa").strip("_") for n in names]
+                commands = [f"command {n}".strip() + ", kPa" for n in chambers]
+                lines = tuple(zip(commands, (PRESSURE, FLOOR, MODEL), strict=False))
                 self._charts = [
                     Lines(gui, "time, s", (("measured", MEASURED), ("model", MODEL)), 170, said, FLOOR),
                     Lines(gui, "time, s", (("error", MODEL), ("noise", FLOOR)), 140, f"error, {c.unit}"),

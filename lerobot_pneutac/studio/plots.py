@@ -12,7 +12,7 @@ import numpy as np
 import viser
 from viser import uplot
 
-from lerobot_pneutac.reports.page import FLOOR, MODEL, cell
+from lerobot_pneutac.reports.page import FLOOR, MODEL, cell  # noqa: F401  the colours of the studio too
 
 FRAMES_A_S = 20
 SPEEDS = {"1 x": 1.0, "0.2 x": 0.2, "5 x": 5.0, "20 x": 20.0}
@@ -90,13 +90,10 @@ class Lines:
     ):
         names = [one_scale or name for name, _ in lines]
         series = [uplot.Series(label=x)]
-        for (name, colour), scale in zip(lines, names, strict=True):
-            series.append(
-                uplot.Series(label=name, stroke=colour, width=1.5, scale=scale, points={"show": False})
-            )
-        if now:
-            quiet = {"show": False}
-            series.append(uplot.Series(label="now", stroke=now, width=1.5, scale=names[0], points=quiet))
+        drawn = [(*line, scale) for line, scale in zip(lines, names, strict=True)]
+        for name, colour, scale in (*drawn, *([("now", now, names[0])] if now else [])):
+            style = {"width": 1.5, "points": {"show": False}}
+            series.append(uplot.Series(label=name, stroke=colour, scale=scale, **style))
         axes = [uplot.Axis(stroke=INK, grid={"stroke": GRID}, size=30)]
         for k, scale in enumerate(dict.fromkeys(names)):
             axes.append(uplot.Axis(
@@ -105,15 +102,8 @@ class Lines:
             ))  # fmt: skip
         data = (np.array([0.0, 1.0]), *(np.full(2, np.nan) for _ in series[1:]))
         scales = {"x": {"time": False}} | {s: {"auto": True} for s in names}
-        self._plot = gui.add_uplot(
-            data,
-            tuple(series),
-            scales=scales,
-            axes=tuple(axes),
-            height=height,
-            legend={"show": True},
-            padding=(10, 24, 0, 0),
-        )
+        looks = {"height": height, "legend": {"show": True}, "padding": (10, 24, 0, 0)}
+        self._plot = gui.add_uplot(data, tuple(series), scales=scales, axes=tuple(axes), **looks)
 
     def show(self, x: np.ndarray, *lines: np.ndarray, now: float | None = None) -> None:
         """Draws lines (n,) over x (n,), and a cursor at x = `now`."""
@@ -129,19 +119,6 @@ PRESSURE = "#2389bd"  # as that of the reports, lighter, for lines on dark
 BRAND = (12, 116, 162)  # the viewer makes it lighter on light, so that both are seen at about 3 : 1
 SKIN, BASE = (120, 170, 200), (90, 100, 112)
 SPINE, JOINTS, TRAIL = (27, 36, 48), (255, 214, 102), (209, 73, 91)
-__all__ = [
-    "BASE",
-    "BRAND",
-    "FLOOR",
-    "JOINTS",
-    "MEASURED",
-    "MODEL",
-    "PRESSURE",
-    "SKIN",
-    "SPINE",
-    "TRAIL",
-    "rgb",
-]
 
 
 def rgb(colour: str) -> tuple[int, int, int]:

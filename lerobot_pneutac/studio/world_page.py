@@ -37,11 +37,8 @@ class EpisodePanel:
             self._number = gui.add_number("episode", 0, min=0, step=1)
             replay = gui.add_button("Replay it in the twin's world", icon="repeat")
             self.readout = gui.add_markdown("The arm goes as recorded; pressure and touch are the twin's.")
-            self._picture = gui.add_image(
-                np.zeros((2, 2, 3), np.uint8),
-                label="touch: recorded, the twin's, the difference",
-                visible=False,
-            )
+            label = "touch: recorded, the twin's, the difference"
+            self._picture = gui.add_image(np.zeros((2, 2, 3), np.uint8), label=label, visible=False)
             self._beside = gui.add_folder("In time", visible=False)
             lines = (("recorded", MEASURED), ("twin", MODEL))
             commanded = (*lines, ("commanded", FLOOR))
@@ -152,9 +149,8 @@ class WorldPage:
             with hand:
                 button = gui.add_button(f"{name} ({key})")
             button.on_hold(lambda _, n=name: self._hold(n), callback_hz=10.0)
-            command = gui.add_command(
-                f"Move {name}", hotkey=key, description="World, by hand: while it is held"
-            )
+            how = "World, by hand: while it is held"
+            command = gui.add_command(f"Move {name}", hotkey=key, description=how)
             command.on_trigger(lambda _, n=name: self._hold(n))
         for key, sign in PRESSURE_KEYS.items():
             command = gui.add_command("Inflate" if sign > 0 else "Let air out", hotkey=key)

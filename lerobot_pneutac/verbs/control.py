@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from lerobot_pneutac.cli.terminal import Terminal
@@ -95,7 +94,23 @@ class Control(Result):
         return shlex.join(["pneutac", "measure", f"--program={out}/program.csv", f"--out={out}/recording"])
 
     def page(self) -> Report:
-        return _page(self)
+        page = Report(self.title)
+        page.lead(self.sentence)
+        page.table(self.rows(), "Root mean square of the bend against what was asked for.")
+        figure = make_subplots(2, 1, shared_xaxes=True, row_heights=[0.7, 0.3], vertical_spacing=0.06)
+        asked = ("asked for", self.target_rad, MEASURED)
+        for name, y, colour in (asked, ("by the twin", self.predicted_rad, MODEL)):
+            figure.add_scatter(x=self.time_s, y=y, name=name, line={"color": colour}, row=1, col=1)
+        if self.measured_rad is not None:
+            dots = {"mode": "markers", "marker": {"size": 4, "color": TRAIN}}
+            figure.add_scatter(x=self.measured_s, y=self.measured_rad, name="measured", **dots, row=1, col=1)
+        held = {"shape": "hv", "color": HELDOUT}
+        figure.add_scatter(x=self.time_s, y=self.pressure_kpa, name="command", line=held, row=2, col=1)
+        for row, title in ((1, "bend, rad"), (2, "pressure, kPa")):
+            figure.update_yaxes(title_text=title, row=row, col=1)
+        figure.update_xaxes(title_text="time, s", row=2, col=1)
+        page.figure(figure, "Above the bend, below the pressure that was commanded for it.", 520)
+        return page
 
     def report(self, out: str | Path, command: str = "") -> Path:
         """Writes `program.csv`, for `pneutac measure --program=`, too."""
@@ -231,24 +246,3 @@ def command(cfg: ControlConfig, terminal: Terminal) -> None:
     if recording is not None:
         same_body(twin, recording, "control")
     terminal.finish(control(twin, cfg.bend, cfg.hz, cfg.conditions, recording), cfg.out)
-
-
-def _page(c: Control) -> Report:
-    report = Report(c.title)
-    report.lead(c.sentence)
-    report.table(c.rows(), "Root mean square of the bend against what was asked for.")
-    figure = make_subplots(2, 1, shared_xaxes=True, row_heights=[0.7, 0.3], vertical_spacing=0.06)
-    for name, y, colour in (("asked for", c.target_rad, MEASURED), ("by the twin", c.predicted_rad, MODEL)):
-        figure.add_trace(go.Scatter(x=c.time_s, y=y, name=name, line={"color": colour}), 1, 1)
-    if c.measured_rad is not None:
-        dots = {"size": 4, "color": TRAIN}
-        figure.add_trace(
-            go.Scatter(x=c.measured_s, y=c.measured_rad, name="measured", mode="markers", marker=dots), 1, 1
-        )
-    held = {"shape": "hv", "color": HELDOUT}
-    figure.add_trace(go.Scatter(x=c.time_s, y=c.pressure_kpa, name="command", line=held), 2, 1)
-    figure.update_yaxes(title_text="bend, rad", row=1, col=1)
-    figure.update_yaxes(title_text="pressure, kPa", row=2, col=1)
-    figure.update_xaxes(title_text="time, s", row=2, col=1)
-    report.figure(figure, "Above the bend, below the pressure that was commanded for it.", 520)
-    return report

@@ -228,8 +228,7 @@ class BodyCalibration(Calibration):
         return [*self._causes(), *said[:1]]
 
     def rows(self) -> list[dict]:
-        """None: the sentence has the errors, the report the parameters."""
-        return []
+        return []  # the sentence has the errors, the report the parameters
 
     def _causes(self) -> list[str]:
         if not self.causes:
@@ -251,22 +250,18 @@ class BodyCalibration(Calibration):
         page = Report(self.title)
         page.lead(" ".join([self.sentence, *self._causes()]))
         page.text(f"{self.compliance} {range_sentence(self.twin.pressure_range_kpa)}")
-        page.table(
-            self.parameter_rows(),
-            "Intervals count neighbouring samples as the few independent ones that they are worth.",
-        )
+        worth = "Intervals count neighbouring samples as the few independent ones that they are worth."
+        page.table(self.parameter_rows(), worth)
         t = self.bench.inputs.columns["session_time_s"][self.bench.inputs.rows]
         step = max(1, len(t) // MOST_POINTS)
         for i, column in enumerate(self.bench.columns[: self.bench.counted]):
             figure = go.Figure()
             measured, residual = self.bench.measured[:, i], self.fits[-1].residual[:, i]
             lines = (("measured", measured, MEASURED), ("twin", measured - residual, MODEL))
-            for name, y, colour in lines:
-                figure.add_scattergl(
-                    x=t[::step], y=y[::step], name=name, mode="lines", line={"color": colour}
-                )
-            y = np.where(self.train, np.nan, residual)
-            figure.add_scattergl(x=t[::step], y=y[::step], name="held-out residual", line={"color": HELDOUT})
+            left = ("held-out residual", np.where(self.train, np.nan, residual), HELDOUT)
+            for name, y, colour in (*lines, left):
+                line = {"color": colour}
+                figure.add_scattergl(x=t[::step], y=y[::step], name=name, mode="lines", line=line)
             page.figure(figure.update_xaxes(title="time (s)").update_yaxes(title=column))
         return page
 
@@ -331,10 +326,9 @@ class _Judge:
         """Whether held-out squared errors (n,) rise significantly, by `WORTH_OF_CAUSE` at least."""
         if self._held is None:
             return False
-        rise = self._held.value(without) - self._held.value(squared)
-        return rise > T.WORTH_OF_CAUSE * self._held.value(squared) and self._held.significant_drop(
-            without, squared
-        )
+        before, after = self._held.value(without), self._held.value(squared)
+        enough = before - after > T.WORTH_OF_CAUSE * after
+        return enough and self._held.significant_drop(without, squared)
 
     def idle(self, twin: Twin, cause: str) -> bool:
         """Whether a cause ended where it moves nothing: a better fit with it is no merit of it."""
@@ -429,11 +423,6 @@ def _fit_stages(
     return fits
 
 
-def _shown_by(name: str) -> str:
-    effect, dot, _ = name.partition(".")
-    return get_effect(effect).experiment if dot else RECORD.get(name.partition("_")[0], ANGLES)
-
-
 def parameters(twin: Twin, fits: list[PipelineFit], bench: BodyData) -> dict[str, dict]:
     """Value, 95 % interval where it was fitted, unit, and what to know about each parameter."""
     model = Pipeline.of(twin)
@@ -446,9 +435,12 @@ def parameters(twin: Twin, fits: list[PipelineFit], bench: BodyData) -> dict[str
                 row |= {"ci95": list(f.ci95[name]), "note": ""}
             if name in f.at_bound:
                 row["note"] = LIMIT
-            if name in f.not_identified or not_identifiable(
-                row["value"], row["ci95"], spec, bench.inputs.pressure_range_kpa
-            ):
-                row["note"] = unidentified(_shown_by(name))
+            known = row["value"], row["ci95"], spec, bench.inputs.pressure_range_kpa
+            if name in f.not_identified or not_identifiable(*known):
+                effect, dot, _ = name.partition(".")
+                shown_by = (
+                    get_effect(effect).experiment if dot else RECORD.get(name.partition("_")[0], ANGLES)
+                )
+                row["note"] = unidentified(shown_by)
         out[name] = row
     return out

@@ -108,8 +108,14 @@ class GelCalibration(Calibration):
         return rows
 
     def _told_of(self) -> list[str]:
+        refined = (
+            "It was refined through the splat renderer; held-out parts of the presses confirm the refinement."
+            if self.fit.refined
+            else "Its refinement through the splat renderer was not taken: held-out parts of the presses do "
+            "not confirm it."
+        )
         through = (
-            f"The light was fitted to surfaces of material points ({self.material}). {self._refined} "
+            f"The light was fitted to surfaces of material points ({self.material}). {refined} "
             f"The twin draws by the closed form nearest to them, of decay {self.gel.decay_mm:.2f} mm; "
             f"'{MPM}' by theirs."
         )
@@ -121,18 +127,6 @@ class GelCalibration(Calibration):
         moved = moved_sentences([s.photograph for s in self.data.presses], self.fit)
         first.append(residual_sentence(self.fit))
         return [*filter(None, first), *moved, *told_sentences(self.told, self.fit.make)]
-
-    @property
-    def _refined(self) -> str:
-        if self.fit.refined:
-            return (
-                "It was refined through the splat renderer; held-out parts of the presses confirm the "
-                "refinement."
-            )
-        return (
-            "Its refinement through the splat renderer was not taken: held-out parts of the presses do not "
-            "confirm it."
-        )
 
     def save_prior(self, name: str) -> Path:
         """Keeps the sensor's lights as those of a make, for later calibrations; returns the file.
@@ -155,17 +149,15 @@ class GelCalibration(Calibration):
         out += [f"[yellow]note:[/] {sentence}" for sentence in poor_presses(self.scores, self.data)]
         names = at_bound(self.gel, list(self.gel.effects))
         out += [f"[yellow]note:[/] {name} lies at its bound." for name in names]
-        if not self.data.heldout:
-            out.append(
-                "[yellow]note:[/] there is no held-out image, so how well this generalises is unknown."
-            )
-        return out
+        unknown = "[yellow]note:[/] there is no held-out image, so how well this generalises is unknown."
+        return out + [unknown] * (not self.data.heldout)
 
     def content(self) -> dict:
-        methods = {name: _finite(self.mean(name)) for name in self.scores} if self.data.heldout else {}
-        image = None
-        if self.data.heldout:
-            image = methods[OURS] | {"rest_rmse": methods[REST]["rmse"], "n": len(self.data.heldout)}
+        n, methods = len(self.data.heldout), {}
+        for name in self.scores if n else ():  # the PSNR of equal images is infinite
+            scores = vars(self.mean(name))
+            methods[name] = {k: v if np.isfinite(v) else None for k, v in scores.items()}
+        image = methods[OURS] | {"rest_rmse": methods[REST]["rmse"], "n": n} if n else None
         return super().content() | {
             "make": self.fit.make,
             "orientation": str(self.fit.orientation) if self.fit.make else "",
@@ -259,6 +251,13 @@ def calibrate_gel(
         progress(f"material points under all {len(data.samples)} presses", 0, 1)
         images[MPM] = predict(fit.gel, data, points.surface)
     scores = {name: scores_of(data, predicted) for name, predicted in images.items()}
+    material = ""
+    if points:
+        from pneutac_sim.mpm.parameters import parameter
+
+        name = "gel_poissons_ratio"
+        assumed = "" if name in twin.parameters else ", assumed"
+        material = f"Poisson's ratio {parameter(twin, name):g}{assumed}"
     new = twin.copy()
     gel.into_twin(new)
     modulus = keep_modulus(new, data)
@@ -282,7 +281,7 @@ def calibrate_gel(
         notes=recording.meta.get("notes", ""),
         standard=names is None,
         modulus=modulus,
-        material=_material(twin) if through_mpm else "",
+        material=material,
     )
 
 
@@ -311,13 +310,6 @@ def _material_points(twin: Twin, data: GelRecording, effects: Sequence[str] | No
             "choose other effects, or omit through."
         )
     return PressedGel(GelModel(data.rest, np.zeros((3, 2)), np.zeros(3), data.px_per_mm), twin)
-
-
-def _material(twin: Twin) -> str:
-    from pneutac_sim.mpm.parameters import parameter
-
-    name = "gel_poissons_ratio"
-    return f"Poisson's ratio {parameter(twin, name):g}{'' if name in twin.parameters else ', assumed'}"
 
 
 def render(gel: GelModel, data: GelRecording) -> dict[str, list[np.ndarray]]:
@@ -360,11 +352,6 @@ def errors_of(scores: list[ImageScores], data: GelRecording) -> dict[str, float 
     squared = np.array([s.rmse**2 for s in scores])
     unseen = np.isin(np.arange(len(squared)), data.heldout)
     return {"train": rms_of(squared[~unseen]), "heldout": rms_of(squared[unseen])}
-
-
-def _finite(scores: ImageScores) -> dict:
-    """Scores as plain numbers; the PSNR of equal images, which is infinite, as None."""
-    return {k: v if np.isfinite(v) else None for k, v in vars(scores).items()}
 
 
 def _described(press: Press) -> dict:

@@ -3,7 +3,7 @@
 import time
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -66,7 +66,7 @@ class PhotoCalibration(Calibration):
 
     fitted: BodyParameters
     study: PhotoStudy
-    start: Coarse | None = None
+    start: Coarse
     search: Search
     confidence: Posterior
     objective: Objective
@@ -129,7 +129,30 @@ class PhotoCalibration(Calibration):
         }  # fmt: skip
 
     def page(self) -> Report:
-        return _page(self)
+        import plotly.graph_objects as go
+
+        page = Report(self.title)
+        page.lead(self.sentence)
+        page.table(
+            self.rows(),
+            "Intervals show how well the silhouettes determine each parameter. A body whose shape or neutral "
+            "axis is not the twin's shifts all of them together, by more than that.",
+        )
+        page.heading("Photographs and renderings")
+        page.text(
+            "Above the photograph, below the twin; then red where only the photograph, blue where only the "
+            "twin."
+        )
+        for pictures, caption in _strips(self):
+            page.image(pictures, caption)
+        page.heading("How the objective fell")
+        tried, best = self.search.objectives, {"color": AFTER}
+        figure = go.Figure()
+        figure.add_scatter(y=tried, mode="markers", name="candidates", marker={"color": OTHER})
+        figure.add_scatter(y=np.minimum.accumulate(tried), mode="lines", name="best", line=best)
+        axes = {"xaxis_title": "evaluation", "yaxis_title": "L1 + 2 (1 - IoU)", "yaxis_type": "log"}
+        page.figure(figure.update_layout(**axes))
+        return page
 
 
 def calibrate_photographs(
@@ -183,35 +206,26 @@ def calibrate_photographs(
     new = fitted.twin_at(found.x, sure.ci95)
     looks_into_twin(new, _looks(rest, everywhere, rest.state, DETAIL))
     whole = Objective(everywhere, study.photographs, looks)
-    result = _calibration(new, fitted, study, found, sure, whole, everywhere)
-    source = {"recording": str(recording.folder), "findings": (*recording.warnings, *study.findings)}
-    return replace(result, start=start, seed=seed, seconds=time.perf_counter() - began, **source)
-
-
-def _calibration(
-    twin: Twin,
-    fitted: BodyParameters,
-    study: PhotoStudy,
-    found: Search,
-    sure: Posterior,
-    objective: Objective,
-    everywhere: Equilibria,
-) -> PhotoCalibration:
-    scores, tip_error_mm = objective.scores(everywhere.first), None
+    scores, tip_error_mm = whole.scores(everywhere.first), None
     if study.markers_mm is not None:
         tip_error_mm = np.linalg.norm(1e3 * everywhere.first.tips[0] - study.markers_mm, axis=1)
     return PhotoCalibration(
-        twin=twin,
+        twin=new,
         parameters=_rows(fitted, found, sure),
         error=_parts(study, scores.rmse[0]),
         unit=PhotoStudy.unit,
         evaluations=len(found.objectives),
+        seconds=time.perf_counter() - began,
+        recording=str(recording.folder),
         change=BY_IMAGES,
+        seed=seed,
+        findings=(*recording.warnings, *study.findings),
         fitted=fitted,
         study=study,
+        start=start,
         search=found,
         confidence=sure,
-        objective=objective,
+        objective=whole,
         bodies=everywhere.first,
         scores=scores,
         tip_error_mm=tip_error_mm,
@@ -244,31 +258,6 @@ def _looks(photograph: MaskedPhotograph, equilibria: Equilibria, state: int, det
     p, first = photograph, equilibria.first
     pose = (first.positions[0, state], first.gradients[0, state])
     return fit_body_looks(equilibria.body, *pose, p.image, p.mask, p.camera, detail=detail)
-
-
-def _page(c: PhotoCalibration) -> Report:
-    import plotly.graph_objects as go
-
-    page = Report(c.title)
-    page.lead(c.sentence)
-    page.table(
-        c.rows(),
-        "Intervals show how well the silhouettes determine each parameter. A body whose shape or neutral "
-        "axis is not the twin's shifts all of them together, by more than that.",
-    )
-    page.heading("Photographs and renderings")
-    page.text(
-        "Above the photograph, below the twin; then red where only the photograph, blue where only the twin."
-    )
-    for pictures, caption in _strips(c):
-        page.image(pictures, caption)
-    page.heading("How the objective fell")
-    tried, best = c.search.objectives, {"color": AFTER}
-    figure = go.Figure()
-    figure.add_scatter(y=tried, mode="markers", name="candidates", marker={"color": OTHER})
-    figure.add_scatter(y=np.minimum.accumulate(tried), mode="lines", name="best", line=best)
-    page.figure(figure.update_xaxes(title="evaluation").update_yaxes(title="L1 + 2 (1 - IoU)", type="log"))
-    return page
 
 
 def _strips(c) -> Iterator[tuple[np.ndarray, str]]:

@@ -2,7 +2,7 @@
 
 import json
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -39,11 +39,10 @@ class RenderedFilm(Result):
     film: str | None
     stills: list[dict]
 
+    keys = ("device", "complete", "frames", "seconds", "film", "stills")
+
     def rows(self) -> list[dict]:
         return self.stills
-
-    def content(self) -> dict:
-        return asdict(self)
 
 
 def render(twin: Twin, config: RenderConfig, progress: Progress = no_progress) -> RenderedFilm:

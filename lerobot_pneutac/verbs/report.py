@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from lerobot_pneutac.reports.page import Report, span
 from lerobot_pneutac.verbs.result import Result
 from pneutac_sim.effects.registry import get_effect
-from pneutac_sim.twin import Twin, Value
+from pneutac_sim.twin import Twin
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -57,44 +57,39 @@ class TwinReport(Result):
 
     def parameters(self) -> list[dict]:
         """Every number of the body and of its effects."""
-        rows = [_row("body", k, v) for k, v in self.twin.parameters.items()]
-        return rows + [_row(e, k, v) for e, values in self.twin.effects.items() for k, v in values.items()]
+        return [
+            {"of": of, "parameter": name, "value": v.value, "95 % interval": span(v.ci95)}
+            for of, values in ({"body": self.twin.parameters} | self.twin.effects).items()
+            for name, v in values.items()
+        ]
 
     def content(self) -> dict:
         out = {"history": self.rows(), "effects": list(self.twin.effects), "parameters": self.parameters()}
         return super().content() | out
 
     def page(self) -> Report:
-        return _page(self)
+        from lerobot_pneutac.reports.compare import history  # plotly
 
-
-def _row(of: str, name: str, value: Value) -> dict:
-    return {"of": of, "parameter": name, "value": value.value, "95 % interval": span(value.ci95)}
+        page, twin = Report(self.title), self.twin
+        page.lead(self.sentence)
+        if twin.history:
+            page.heading("How it became so")
+            for unit in dict.fromkeys(e["unit"] for e in self.rows() if e["unit"]):
+                entries = [e for e in self.rows() if e["unit"] == unit]
+                if len(entries) > 1:
+                    page.figure(history(entries, unit), "Errors as each version recorded them.", 340)
+            page.table(self.rows())
+        if twin.effects:
+            page.heading("What its effects do")
+            page.text("\n\n".join(self.described()))
+        page.heading("Its numbers")
+        page.table(self.parameters(), "Units are in the names; where no interval stands, none was fitted.")
+        if "rest_image" in twin.arrays:
+            page.heading("Its touch sensor without contact")
+            page.image(twin.arrays["rest_image"], width=240)
+        return page
 
 
 def report(twin: Twin) -> TwinReport:
     """The twin with its history; nothing is changed."""
     return TwinReport(twin=twin)
-
-
-def _page(r: TwinReport) -> Report:
-    from lerobot_pneutac.reports.compare import history  # plotly
-
-    page = Report(r.title)
-    page.lead(r.sentence)
-    if r.twin.history:
-        page.heading("How it became so")
-        for unit in dict.fromkeys(e["unit"] for e in r.rows() if e["unit"]):
-            entries = [e for e in r.rows() if e["unit"] == unit]
-            if len(entries) > 1:
-                page.figure(history(entries, unit), "Errors as each version recorded them.", 340)
-        page.table(r.rows())
-    if r.twin.effects:
-        page.heading("What its effects do")
-        page.text("\n\n".join(r.described()))
-    page.heading("Its numbers")
-    page.table(r.parameters(), "Units are in the names; where no interval stands, none was fitted.")
-    if "rest_image" in r.twin.arrays:
-        page.heading("Its touch sensor without contact")
-        page.image(r.twin.arrays["rest_image"], width=240)
-    return page
