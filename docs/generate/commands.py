@@ -49,11 +49,8 @@ def page() -> str:
         lines += _table(found, "") if found else []
         if verb == "benchmark":
             for name in TABLES:
-                lines += [
-                    f"### pneutac benchmark {name}",
-                    "",
-                    *_table(options_class(f"benchmark {name}"), ""),
-                ]
+                command = f"benchmark {name}"
+                lines += [f"### pneutac {command}", "", *_table(options_class(command), "")]
     return "\n".join([*lines, "## Options of LeRobot's commands", "", *_lerobot()])
 
 
@@ -74,9 +71,7 @@ def _table(found: type, prefix: str, own: bool = False) -> list[str]:
     for option in list_options(found):
         if dataclasses.is_dataclass(option.kind) or (own and not option.text):
             continue
-        shown = option.default
-        shown = ",".join(map(str, shown)) if isinstance(shown, tuple | list) else shown
-        shown = "" if shown is None or shown == "" else f"`{shown}`"
+        default = f"`{option.shown}`" if option.shown else ""
         text = option.text.replace("|", "\\|")
-        rows.append(f"| `--{prefix}{option.name}` | {shown} | {text} |")
+        rows.append(f"| `--{prefix}{option.name}` | {default} | {text} |")
     return ["| option | default | meaning |", "|---|---|---|", *rows, ""] if rows else []

@@ -118,10 +118,8 @@ def _missing() -> tuple[str, ...]:
 def _rows() -> list[str]:
     """The commands with what they do; last those that are not installed."""
     missing, rows = _missing(), {name: f"  {name:10s} {text}" for name, text in VERBS.items()}
-    found = [row for name, row in rows.items() if name not in missing]
-    return (
-        found + ([f"\nAfter `pip install {PLUGIN}` also:\n"] if missing else []) + [rows[n] for n in missing]
-    )
+    later = [f"\nAfter `pip install {PLUGIN}` also:\n", *(rows.pop(n) for n in missing)] if missing else []
+    return [*rows.values(), *later]
 
 
 def run_verb(verb: str, argv: list[str]) -> None:

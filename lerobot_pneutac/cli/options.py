@@ -40,6 +40,13 @@ class Option:
     default: object
     text: str
 
+    @property
+    def shown(self) -> str:
+        """The default as one writes it; empty where there is none."""
+        listed = isinstance(self.default, tuple | list)
+        value = ",".join(map(str, self.default)) if listed else self.default
+        return "" if value is None or dataclasses.is_dataclass(self.kind) else str(value)
+
 
 @dataclass(kw_only=True)
 class TableOptions:
@@ -219,10 +226,8 @@ def help_text(config_class: type, what: str | None = None) -> str:
 def _help_lines(option: Option, width: int) -> list[str]:
     left = f"  --{option.name}{_placeholder(option.kind)}"
     text = option.text
-    shown = option.default
-    shown = ",".join(map(str, shown)) if isinstance(shown, tuple) else shown
-    if shown is not None and shown is not False and shown != "" and not dataclasses.is_dataclass(option.kind):
-        text = f"{text.rstrip('.')} (default {shown})."
+    if option.shown and option.default is not False:
+        text = f"{text.rstrip('.')} (default {option.shown})."
     right = textwrap.wrap(text, max(40, width - COLUMN)) or [""]
     first = [left + " " * (COLUMN - len(left)) + right.pop(0)] if len(left) < COLUMN - 1 else [left]
     return first + [" " * COLUMN + line for line in right]

@@ -114,18 +114,13 @@ def _rows(understood: plain.Understood) -> list[tuple[str, str, str]]:
 def _how(c: Column) -> str:
     if c.retained:
         return "as it is"
-    parts = []
+    unit, by_size = "", c.guess == "by size"
     if c.unit is not None and c.unit.name.lower() not in ("kpa", "mm", "s", "rad", "c", "g", "n"):
-        parts.append(f"from {c.unit.name}")
-    elif c.guess == "by size" and c.column not in ("time_s", "temperature_c"):
-        parts.append(f"{c.unit.name}")
-    if c.guess == "by size" and parts:
-        parts[-1] += " by size"
-    if c.factor != 1:
-        parts.append(f"* {c.factor:g}")
-    if c.shift:
-        parts.append(f"{c.shift:+g}")
-    return " ".join(parts)
+        unit = f"from {c.unit.name}"
+    elif by_size and c.column not in ("time_s", "temperature_c"):
+        unit = c.unit.name
+    factor, shift = f"* {c.factor:g}" * (c.factor != 1), f"{c.shift:+g}" * bool(c.shift)
+    return " ".join(filter(None, (unit, "by size" * (by_size and bool(unit)), factor, shift)))
 
 
 def _range(c: Column, recording: Recording) -> str:

@@ -75,16 +75,12 @@ def show(result, console: Console, sentence: bool = True) -> None:
             style = "yellow" if row.get("note", "held") not in ("", "held") else None
             table.add_row(*(Text(printable(cell(row[k], ""))) for k in rows[0]), style=style)
         console.print(table)
-    for remark in result.remarks():
-        console.print(_remark(printable(remark)), highlight=False)
-
-
-def _remark(text: str) -> Text:
-    """A remark may be marked up; a name in it that looks like markup is none."""
-    try:
-        return Text.from_markup(text)
-    except MarkupError:
-        return Text(text)
+    for remark in map(printable, result.remarks()):
+        try:
+            text = Text.from_markup(remark)
+        except MarkupError:  # a name in it that looks like markup
+            text = Text(remark)
+        console.print(text, highlight=False)
 
 
 @contextmanager
@@ -94,9 +90,8 @@ def progress_bar(console: Console) -> Iterator[Callable[[str, int, int], None]]:
         yield _lines(Console(stderr=True) if console.file is sys.stdout else console)
         return
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Progress(
-        *columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console, transient=True
-    ) as bar:
+    times = TimeElapsedColumn(), TimeRemainingColumn()
+    with Progress(*columns, *times, console=console, transient=True) as bar:
         task = bar.add_task("starting", total=1)
 
         def progress(text: str, done: int, total: int) -> None:

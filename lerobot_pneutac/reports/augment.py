@@ -55,27 +55,6 @@ def augment_page(new: tuple[str, Path], summary: dict, references: list[Referenc
     return report
 
 
-def augment_result(method: str, summary: dict, references: list[Reference]) -> dict:
-    """What `result.json` holds."""
-    rmse = [line["area_rmse"] for line in summary["provenance"] if "area_rmse" in line]
-    return {
-        "method": method,
-        "kept": summary["kept"],
-        "copies": summary.get("copies", 0),
-        "start_range_m": summary.get("start_range_m"),
-        "attempts": summary["attempts"],
-        "yield": summary["kept"] / summary["attempts"],
-        "rejected": summary["rejected"],
-        "onset_sigma_mm": 1e3 * onset_sigma_m(references),
-        "area_rmse": float(np.mean(rmse)) if rmse else None,
-        "wall_s": summary["wall_s"],
-        "demonstrations_per_minute": 60 * summary["kept"] / summary["wall_s"],
-        "seconds": summary["seconds"],
-        "scenes": summary["scenes"],
-        **{k: summary[k] for k in ("checks",) if k in summary},
-    }
-
-
 def _check_row(check: dict) -> dict:
     return {
         "demonstration": check["episode"],

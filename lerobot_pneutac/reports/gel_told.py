@@ -111,11 +111,6 @@ def picture_grid(data: GelRecording, ours: list[np.ndarray], first: GelSample) -
 def _column(recorded: np.ndarray, ours: np.ndarray) -> np.ndarray:
     error = np.clip(128 + 4.0 * (ours.astype(float) - recorded), 0, 255).astype(np.uint8)
     size = (round(160 * recorded.shape[1] / recorded.shape[0] * 4 / 3), round(160 * 4 / 3))
-    small = [
-        np.asarray(Image.fromarray(a).resize(size, Image.Resampling.BOX)) for a in (recorded, ours, error)
-    ]
-    return np.pad(
-        np.concatenate([np.pad(a, ((0, 4), (0, 0), (0, 0)), constant_values=255) for a in small]),
-        ((0, 0), (0, 4), (0, 0)),
-        constant_values=255,
-    )
+    small = [Image.fromarray(a).resize(size, Image.Resampling.BOX) for a in (recorded, ours, error)]
+    gaps = ((0, 4), (0, 4), (0, 0))  # below and to the right
+    return np.concatenate([np.pad(a, gaps, constant_values=255) for a in small])

@@ -87,32 +87,22 @@ class Ageing(Result):
     @property
     def sentence(self) -> str:
         first, last, (slope, half) = self.dates[0], self.dates[-1], self.slope
+        every, within = f"every {DAYS:.0f} days", f"{100 * half * DAYS:.1g} %"
+        said = f"No change of the bend is significant (within {within} {every})"
         if abs(slope) > half:
             word = "more" if slope > 0 else "less"
-            said = (
-                f"It bends {100 * abs(slope) * DAYS:.2g} % {word} every {DAYS:.0f} days"
-                f" (± {100 * half * DAYS:.1g} %)"
-            )
-        else:
-            said = (
-                f"No change of the bend is significant (within {100 * half * DAYS:.1g} % every "
-                f"{DAYS:.0f} days)"
-            )
-        errors = f"the error went from {first.error:.2g} to {last.error:.2g} {self.unit}"
+            said = f"It bends {100 * abs(slope) * DAYS:.2g} % {word} {every} (± {within})"
+        due = "no new calibration is due"
         if last.error > AGAIN * first.error:
-            return f"{said}; {errors}: calibrate it again now."
-        if self.again is None:
-            return f"{said}; {errors}: no new calibration is due."
-        return f"{said}; {errors}: calibrate it again about {self.again.isoformat()}."
+            due = "calibrate it again now"
+        elif self.again is not None:
+            due = f"calibrate it again about {self.again.isoformat()}"
+        return f"{said}; the error went from {first.error:.2g} to {last.error:.2g} {self.unit}: {due}."
 
     def rows(self) -> list[dict]:
         return [
-            {
-                "date": d.day.isoformat(),
-                "recording": d.name,
-                f"error ({self.unit})": d.error,
-                "bend, times the twin's": f"{d.bend:.3f} ± {d.half:.3f}",
-            }
+            {"date": d.day.isoformat(), "recording": d.name, f"error ({self.unit})": d.error}
+            | {"bend, times the twin's": f"{d.bend:.3f} ± {d.half:.3f}"}
             for d in self.dates
         ]
 

@@ -12,6 +12,7 @@ from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
+from pneutac_datasets.demonstrations.augment.reference import onset_sigma_m
 from pneutac_datasets.demonstrations.faults import (
     TACTILE,
     demonstration_faults,
@@ -132,14 +133,12 @@ class AugmentConfig(ExecutorOptions):
         self.check_executor()
         check_least(1, episodes=self.episodes, attempts=self.attempts)
         check_least(0, check_mpm=self.check_mpm)
-        if self.check_mpm and self.method == "naive":
-            raise InputError(
-                "check_mpm carries demonstrations out once more; naive ones have no scene. Leave it out."
-            )
-        if self.check_mpm and self.fidelity == "mpm":
-            raise InputError(
-                "check_mpm compares with material points, which fidelity=mpm is already; leave it out."
-            )
+        for useless, why in (
+            (self.method == "naive", "carries demonstrations out once more; naive ones have no scene"),
+            (self.fidelity == "mpm", "compares with material points, which fidelity=mpm is already"),
+        ):
+            if self.check_mpm and useless:
+                raise InputError(f"check_mpm {why}; leave it out.")
         if self.twin is not None and not (Path(self.twin) / "twin.yaml").is_file():
             raise InputError(f"twin is '{self.twin}', which holds no twin.yaml; give a twin's folder.")
         if self.method != "naive":
@@ -184,17 +183,14 @@ class Augmentation(Result):
 
     def remarks(self) -> list[str]:
         kept, minutes = self.summary["kept"], self.summary["wall_s"] / 60
-        checks = self.summary.get("checks", [])
-        agree = sum(c["success"] for c in checks)
-        return [
-            *[f"Material points do the task in {agree} of {len(checks)} of them too."] * bool(checks),
+        checks, out = self.summary.get("checks", []), []
+        if checks:
+            agree = sum(c["success"] for c in checks)
+            out.append(f"Material points do the task in {agree} of {len(checks)} of them too.")
+        out.append(
             f"{len(self.references)} demonstrations in, {kept} new ones in {self.config.output.root}"
-            f" ({minutes:.1f} minutes, {kept / minutes:.0f} a minute).",
-            *self._mixed(),
-        ]
-
-    def _mixed(self) -> list[str]:
-        out, copies = [], self.summary.get("copies", 0)
+            f" ({minutes:.1f} minutes, {kept / minutes:.0f} a minute)."
+        )
         if start_range := self.summary.get("start_range_m"):
             x, y, z = (1e3 * each for each in start_range)
             out.append(
@@ -206,7 +202,7 @@ class Augmentation(Result):
                 f"Who demonstrated answers a touch {late} frame{'s' * (late > 1)} late; pneutac_bc learns to"
                 " answer earlier, by at most 0.2 s (--policy.answer_delay)."
             )
-        if copies:
+        if copies := self.summary.get("copies", 0):
             times = copies // len(self.references)
             out.append(
                 f"The dataset holds the recorded ones {times} time{'s' * (times > 1)}, so that training on it"
@@ -226,10 +222,14 @@ class Augmentation(Result):
         return shlex.join(["lerobot-train", "--policy.type=pneutac_bc", *options])
 
     def content(self) -> dict:
-        from lerobot_pneutac.reports.augment import augment_result
-
-        result = augment_result(self.config.method, self.summary, self.references)
-        return result | ({"set_aside": self.failed} if self.failed else {})
+        s, rmse = self.summary, [p["area_rmse"] for p in self.summary["provenance"] if "area_rmse" in p]
+        out = {k: s[k] for k in ("kept", "attempts", "rejected", "wall_s", "seconds", "scenes")}
+        out |= {"method": self.config.method, "copies": s.get("copies", 0), "yield": self.share}
+        out |= {"start_range_m": s.get("start_range_m"), "area_rmse": float(np.mean(rmse)) if rmse else None}
+        out["onset_sigma_mm"] = 1e3 * onset_sigma_m(self.references)
+        out["demonstrations_per_minute"] = 60 * s["kept"] / s["wall_s"]
+        out |= {"checks": s["checks"]} if "checks" in s else {}
+        return out | ({"set_aside": self.failed} if self.failed else {})
 
     def page(self) -> Report:
         from lerobot_pneutac.reports.augment import augment_page
@@ -292,7 +292,6 @@ def augment(
     progress("reading the demonstrations", 0, 1)
     from pneutac_datasets.demonstrations.augment.episode import AugmentSetup
     from pneutac_datasets.demonstrations.augment.library import start_spread_m
-    from pneutac_datasets.demonstrations.augment.reference import onset_sigma_m
     from pneutac_datasets.demonstrations.augment.run import (
         augment_guided,
         augment_without_simulator,
@@ -333,24 +332,11 @@ def augment(
         task = task_to_do(config.task, [r.task for r in references], config.dataset.root)
         placed = [replace(r, flange_m=r.flange_m + base_m) for r in references]
         start_range_m = config.start_range or start_spread_m(placed)
-        setup = AugmentSetup(
-            placed,
-            task,
-            config.twin,
-            config.fidelity,
-            config.planner,
-            config.seed,
-            config.method,
-            start_range_m,
-            config.start_width,
-            attempts=config.attempts,
-            conditions=config.conditions,
-            station=file,
-            tactile_points=POINTS in further,
-            cameras={
-                key.split(".")[-1]: tuple(f["shape"][:2]) for key, f in further.items() if key != POINTS
-            },
-        )
+        cameras = {k.split(".")[-1]: tuple(f["shape"][:2]) for k, f in further.items() if k != POINTS}
+        how = (config.fidelity, config.planner, config.seed, config.method, start_range_m, config.start_width)
+        more = {"attempts": config.attempts, "conditions": config.conditions, "station": file}
+        more |= {"tactile_points": POINTS in further, "cameras": cameras}
+        setup = AugmentSetup(placed, task, config.twin, *how, **more)
         summary = augment_guided(meta, setup, *new, config, progress, config.check_mpm, config.real_share)
         summary["start_range_m"] = start_range_m if config.method != "planner" else None
     if file:

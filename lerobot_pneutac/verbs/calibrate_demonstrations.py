@@ -12,6 +12,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin
 
+COLOURS = ("red", "green", "blue")
 LEAST = 2  # episodes: one to take the light from, one to test it
 
 
@@ -45,12 +46,8 @@ class LightCalibration(Calibration):
         )
 
     def rows(self) -> list[dict]:
-        return [
-            {"colour": name, "factor": gain, "levels": level}
-            for name, gain, level in zip(
-                ("red", "green", "blue"), self.light.gain, self.light.levels, strict=True
-            )
-        ]
+        parts = zip(COLOURS, self.light.gain, self.light.levels, strict=True)
+        return [{"colour": name, "factor": gain, "levels": level} for name, gain, level in parts]
 
     def remarks(self) -> list[str]:
         out = [
@@ -99,8 +96,7 @@ def calibrate_demonstrations(twin: Twin, given: Demonstrations, seed: int = 0) -
     return LightCalibration(
         twin=out,
         parameters={
-            f"{c}_factor": {"value": g, "unit": ""}
-            for c, g in zip(("red", "green", "blue"), light.gain, strict=True)
+            f"{c}_factor": {"value": g, "unit": ""} for c, g in zip(COLOURS, light.gain, strict=True)
         },
         error={"train": off(new, used), "heldout": off(new, away)},
         unit="levels",

@@ -166,7 +166,10 @@ def _twin(path: Path) -> tuple[list[str], list[str]]:
         if missing:
             notes.append(f"The world needs {', '.join(missing)}, which `pneutac new` and `calibrate` write.")
         else:
-            notes += _networks(twin)
+            try:
+                check_networks(twin, "surrogate")
+            except InputError as e:
+                notes.append(f"{e} Until then --env.fidelity=probe works without.")
     stiffness = twin.parameters.get(WORLD[0])
     if twin.device == "arm" and stiffness == Value(PAPER_FINGER[WORLD[0]]):
         notes.append(
@@ -209,14 +212,6 @@ def _body(twin: Twin) -> None:
 
 
 WORLD = ("joint_stiffness_nm_per_rad", "joint_damping_nms_per_rad", "gain_rad_per_kpa")
-
-
-def _networks(twin: Twin) -> list[str]:
-    try:
-        check_networks(twin, "surrogate")
-    except InputError as e:
-        return [f"{e} Until then --env.fidelity=probe works without."]
-    return []
 
 
 USAGE = """usage: pneutac check PATH [PATH ...] [--twin=PATH] [--station=FILE]

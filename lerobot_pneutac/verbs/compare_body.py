@@ -217,19 +217,18 @@ class BodyComparison(Comparison):
         return worst_passages(self.recording, self.squared)
 
     def rows(self) -> list[dict]:
-
         def number(x: float | None) -> str:
             return "-" if x is None else f"{x:.3g} {self.unit}"
 
-        rows = [("simulated", self.simulated)] if self.fidelity != "pipeline" else []
+        rows = [("simulated", self.simulated)] * (self.fidelity != "pipeline")
         if self.train is None:
             rows.append(("error, all rows", number(self.heldout)))
         else:
             rows += [("held-out error", number(self.heldout)), ("training error", number(self.train))]
-        noise = (
-            self.noise.how if self.noise.value is None else f"{number(self.noise.value)} ({self.noise.how})"
+        how = self.noise.how
+        rows.append(
+            ("noise floor", how if self.noise.value is None else f"{number(self.noise.value)} ({how})")
         )
-        rows.append(("noise floor", noise))
         if self.coverage is not None:
             rows.append(("inside the 95 % band", inside_band(self)))
         if self.pressure_error:
@@ -246,11 +245,8 @@ class BodyComparison(Comparison):
         return [{"": name, "value": value} for name, value in rows]
 
     def content(self) -> dict:
-        pressure = self.pressure_error and {
-            "unit": "kPa",
-            "error": self.pressure_error,
-            "means": "measured pressure against what the twin makes of the command",
-        }
+        means = "measured pressure against what the twin makes of the command"
+        pressure = self.pressure_error and {"unit": "kPa", "error": self.pressure_error, "means": means}
         residual = self.measured - self.model
         return super().content() | {
             "noise": {n: getattr(self.noise, n) for n in ("session", "how", "by_column")},
@@ -276,13 +272,11 @@ def compare_body(twin: Twin, recording: Recording) -> BodyComparison:
     findings += moved
     findings += [f"Effect '{name}' could not act: {why}." for name, why in prediction.left_out.items()]
     bench = prediction.data
-    outside, range_finding = None, None
-    if twin.networks:
-        outside, range_finding = out_of_range(twin, bench)
+    outside, range_finding = out_of_range(twin, bench)
     rate, noise = motion(clean)[0], noise_floor(clean)
     return BodyComparison(
         recording=clean,
-        findings=(*findings, *([range_finding] if range_finding else [])),
+        findings=(*findings, *filter(None, [range_finding])),
         columns=bench.columns,
         counted=bench.counted,
         measured=bench.measured,
@@ -328,13 +322,8 @@ def by_axis(axis: Axis, squared: np.ndarray, train: np.ndarray) -> list[dict]:
         row = {"value": label}
         if axis.value is not None:
             row |= {"from": float(axis.value[at].min()), "to": float(axis.value[at].max())}
-        row |= {
-            "error": rms_of(squared[at]),
-            "heldout": rms_of(squared[at & ~train]),
-            "n": int(at.sum()),
-            "share": float(squared[at].sum() / total),
-        }
-        rows.append(row)
+        row |= {"error": rms_of(squared[at]), "heldout": rms_of(squared[at & ~train])}
+        rows.append(row | {"n": int(at.sum()), "share": float(squared[at].sum() / total)})
     return rows
 
 

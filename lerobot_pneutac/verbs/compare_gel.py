@@ -1,6 +1,7 @@
 """Compares a gel twin with recorded images: scores, also of the contact alone, and the worst images."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -78,10 +79,15 @@ class GelComparison(Comparison):
         psnr = {"psnr": min(mean.psnr, 99.0)}
         return vars(mean) | psnr | {"rest_rmse": rest.rmse, "n": len(self.data.heldout)}
 
-    @property
+    @cached_property
     def noise_floor(self) -> float:
-        """What the picture changes where nothing touches: light, noise and compression."""
-        return _floor(self.data)
+        """What the picture changes where nothing touches, levels: light, noise and compression."""
+        squares = []
+        for s in self.data.samples:
+            quiet = ~disc(s.rest.shape, s.x_px, s.y_px, QUIET_RADII * s.radius_px)
+            if quiet.any():
+                squares.append(np.mean((s.image[quiet].astype(float) - s.rest[quiet]) ** 2))
+        return float(np.sqrt(np.mean(squares))) if squares else 0.0
 
     @property
     def by(self) -> dict[str, list[dict]]:
@@ -94,14 +100,8 @@ class GelComparison(Comparison):
     @property
     def worst(self) -> list[dict]:
         order = sorted(range(len(self.scores)), key=lambda i: -self.scores[i].contact_rmse)
-        return [
-            {
-                "image": self.data.samples[i].name,
-                "error": self.scores[i].rmse,
-                "contact_rmse": self.scores[i].contact_rmse,
-            }
-            for i in order[:WORST]
-        ]
+        found = [(self.data.samples[i].name, self.scores[i]) for i in order[:WORST]]
+        return [{"image": name, "error": s.rmse, "contact_rmse": s.contact_rmse} for name, s in found]
 
     @property
     def touch_error(self) -> dict | None:
@@ -225,13 +225,3 @@ def _by(scores: list[ImageScores], labels: list[str]) -> list[dict]:
         row = {"value": label, "error": mean.rmse, "n": labels.count(label)}
         rows.append(row | {"contact_rmse": mean.contact_rmse, "contact_dncc": mean.contact_dncc})
     return rows
-
-
-def _floor(data: GelRecording) -> float:
-    """What the picture changes where nothing touches, levels: light, noise and compression."""
-    squares = []
-    for s in data.samples:
-        quiet = ~disc(s.rest.shape, s.x_px, s.y_px, QUIET_RADII * s.radius_px)
-        if quiet.any():
-            squares.append(np.mean((s.image[quiet].astype(float) - s.rest[quiet]) ** 2))
-    return float(np.sqrt(np.mean(squares))) if squares else 0.0

@@ -102,10 +102,8 @@ def markers_by_mpm(
     bend = np.zeros((len(samples), 2))
     bend[:, :axes] = joints.reshape(len(samples), -1, axes).sum(1)
     seen = _observed(pipeline, run, bench.inputs.thin(samples), np.hstack([1e3 * tips, bend]))
-    pressure = run.pressure_kpa[samples]
-    return pipeline.outputs(
-        replace(run, pressure_kpa=pressure, joints=joints, markers=seen), bench.columns
-    ), len(targets)
+    shown = replace(run, pressure_kpa=run.pressure_kpa[samples], joints=joints, markers=seen)
+    return pipeline.outputs(shown, bench.columns), len(targets)
 
 
 def _at_rest(solver: TotalLagrangian, targets: np.ndarray, progress) -> tuple[np.ndarray, np.ndarray]:

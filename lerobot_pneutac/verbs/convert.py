@@ -162,8 +162,8 @@ def _convert_tables(config: ConvertConfig, show: Callable[[Understood], None]) -
         if len(base) != 3:
             raise InputError(f"base is '{config.base}'; of a table give three mm, such as 10,20,5.")
     given = Given.load(config.mapping) if config.mapping is not None else Given()
-    said = {"base_mm": base, "base_x": config.base_x, "base_z": config.base_z, "length_mm": config.length_mm}
-    said |= {"rate_hz": config.rate_hz, "date": config.date}
+    names = ("base_x", "base_z", "length_mm", "rate_hz", "date")
+    said = {"base_mm": base} | {name: getattr(config, name) for name in names}
     said = {n: v for n, v in said.items() if v != Given.__dataclass_fields__[n].default}
     given = replace(given, columns=given.columns | columns, **said)
     understood = plain.understand_files(files, given, time=config.time)

@@ -23,14 +23,12 @@ def check_packages() -> list[Check]:
     rows = [("Python", OK if sys.version_info >= (3, 12) else FAIL, platform.python_version(), "")]
     for name in ("lerobot", "torch", "mujoco", "numba", "gymnasium", "numpy", "pyserial"):
         try:
-            version = importlib.metadata.version(name)
+            version, remedy = importlib.metadata.version(name), ""
             if name == "lerobot" and not version.startswith(f"{LEROBOT}."):
                 remedy = f"PneuTac is made for LeRobot {LEROBOT}: uv pip install 'lerobot=={LEROBOT}.*'"
-                rows.append((name, FAIL, version, remedy))
-            else:
-                rows.append((name, OK, version, ""))
         except importlib.metadata.PackageNotFoundError:
-            rows.append((name, FAIL, "not installed", f"uv pip install {name}"))
+            version, remedy = "not installed", f"uv pip install {name}"
+        rows.append((name, FAIL if remedy else OK, version, remedy))
     return rows
 
 

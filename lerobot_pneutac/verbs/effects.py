@@ -87,10 +87,9 @@ def show_effect(name: str) -> ShownEffect:
 
 def list_effects() -> list[dict]:
     """All effects and laws: name, stage, family and equation."""
-    found = [*all_effects().values(), *map(get_effect, law_names())]
     return [
         {"name": e.name, "stage": e.stage, "family": family(e.name), "equation": plain_equation(e.equation)}
-        for e in found
+        for e in [*all_effects().values(), *map(get_effect, law_names())]
     ]
 
 
@@ -221,12 +220,8 @@ def command(argv: list[str], terminal: Terminal) -> None:
             raise InputError(f"--out={cfg.out} is a file; give a folder.")
         terminal.finish(show_effect(names[0]), cfg.out)
     else:
-        _export(names[0], cfg.out or Path(f"{file_name(names[0])}.py"), terminal)
-
-
-def _export(name: str, out: Path, terminal: Terminal) -> None:
-    text = effect_source(name)
-    if out.suffix != ".py" or out.exists():
-        raise InputError(f"--out={out} must name a new file that ends in .py.")
-    write_text(out, text)
-    terminal.say(f"effect: {out}; its first lines explain how a package offers it")
+        text, out = effect_source(names[0]), cfg.out or Path(f"{file_name(names[0])}.py")
+        if out.suffix != ".py" or out.exists():
+            raise InputError(f"--out={out} must name a new file that ends in .py.")
+        write_text(out, text)
+        terminal.say(f"effect: {out}; its first lines explain how a package offers it")

@@ -94,7 +94,8 @@ def _links(model: Pipeline, source: Source) -> list[str]:
     out = []
     for link in model.chain:
         if isinstance(link, EffectLink):
-            out.append(_effect(link, model, source, _kind(link)))
+            signal = link.effect.signal
+            out.append(_effect(link, model, source, "markers" if signal == "mount" else signal))
         elif isinstance(link, LoadLink):
             out += [_effect(e, model, source, "load") for e in link.effects]
             stiffness, size = (model.names[link.stiffness],), model.geometry.n_joints * model.geometry.axes
@@ -112,11 +113,6 @@ def _place(model: Pipeline, index: int) -> int:
     """What `model.chain[index]` is in the file, where effects of the load are links of their own."""
     loads = [len(link.effects) for link in model.chain[:index] if isinstance(link, LoadLink)]
     return index + sum(loads)
-
-
-def _kind(link: EffectLink) -> str:
-    signal = link.effect.signal
-    return "markers" if signal == "mount" else signal
 
 
 def _effect(link: EffectLink, model: Pipeline, source: Source, kind: str) -> str:
@@ -179,8 +175,7 @@ def _wrapped(text: str) -> str:
 
 
 def _needed(model: Pipeline) -> list[str]:
-    found = {c for e in model.effects for c in e.columns if c not in COMPUTED}
-    return sorted(found)
+    return sorted({c for e in model.effects for c in e.columns if c not in COMPUTED})
 
 
 def _call(model: Pipeline) -> str:

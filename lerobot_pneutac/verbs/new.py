@@ -52,18 +52,15 @@ def new_twin(
     joints = (recording.spine_joint_positions_mm if recording and not length_mm else None) or []
     start = Twin.builtin() if device == "finger" and recording is None else Twin(device=device)
     twin = Twin(device, length or USUAL_LENGTH_MM, list(joints), parameters=start.parameters)
-    if recording is not None:
-        twin.pressure_range_kpa = measured_range(recording) or twin.pressure_range_kpa
+    measured = None if recording is None else measured_range(recording)
+    twin.pressure_range_kpa = measured or twin.pressure_range_kpa
     if body is not None:
         from pneutac_sim.mpm.user_mesh import store_mesh
 
         store_mesh(twin, body.mesh)
     if start.parameters:
         return twin
-    top_kpa = 0.0
-    if recording is not None:
-        top_kpa = max(map(abs, measured_range(recording) or (0.0,)))
-    pipeline = Pipeline.of(twin)
+    pipeline, top_kpa = Pipeline.of(twin), max(map(abs, measured or (0.0,)))
     twin = pipeline.update(twin, pipeline.theta(twin, top_kpa or USUAL_RANGE_KPA))
     if device == "finger":  # no recording has it, and the world needs it
         twin.parameters["joint_damping_nms_per_rad"] = Value(PAPER_FINGER["joint_damping_nms_per_rad"])
@@ -190,16 +187,12 @@ def command(config: NewConfig, terminal: Terminal) -> None:
         raise InputError(
             f"--device is '{config.device}', but {config.recording} is of {an(recording.device)}; omit one."
         )
-    if (
-        recording is not None
-        and recording.meta.get("source")
-        and not (recording.length_mm or config.length_mm)
-    ):
+    converted = recording is not None and recording.meta.get("source")
+    if converted and not (recording.length_mm or config.length_mm):
         raise InputError(f"Give --length_mm: {config.recording} does not state the length of the device.")
     device = config.device or (recording.device if recording else "finger")
-    body = None
-    if config.mesh is not None:
-        body = read_body(config.mesh, device, recording, config.mesh_unit, config.mesh_axis)
+    how = (device, recording, config.mesh_unit, config.mesh_axis)
+    body = None if config.mesh is None else read_body(config.mesh, *how)
     twin = new_twin(device, recording, config.length_mm, body)
     write_geometry(twin, twin.save(config.twin))
     if body is not None:

@@ -90,11 +90,9 @@ def _globals(function) -> dict:
         functions = [f for f in functions if f.__code__.co_filename == inspect.getfile(function)]
     found = {}
     for f in functions:
-        names = sorted(_names(f.__code__))
-        found |= {
-            n: f.__globals__[n] for n in names if n in f.__globals__ and f.__globals__[n] is not function
-        }
-        unknown = [n for n in names if n not in f.__globals__ and not hasattr(builtins, n)]
+        names, there = sorted(_names(f.__code__)), f.__globals__
+        found |= {n: there[n] for n in names if n in there and there[n] is not function}
+        unknown = [n for n in names if n not in there and not hasattr(builtins, n)]
         if unknown:
             raise InputError(f"{f.__module__}.{f.__name__} uses '{unknown[0]}', which does not exist.")
     return found
@@ -108,13 +106,9 @@ def _names(code: CodeType) -> set[str]:
 def _rename(text: str, name: str, renamed: dict[str, str], decorated: bool) -> str:
     """The source of one definition under a name, with others for what it uses."""
     node = ast.parse(text).body[0]
-    places = [
-        (n.lineno - 1, n.col_offset, n.id)
-        for n in ast.walk(node)
-        if isinstance(n, ast.Name) and n.id in renamed
-    ]
+    names = (n for n in ast.walk(node) if isinstance(n, ast.Name) and n.id in renamed)
     lines = text.splitlines()
-    for row, column, old in sorted(places, reverse=True):
+    for row, column, old in sorted(((n.lineno - 1, n.col_offset, n.id) for n in names), reverse=True):
         line = lines[row].encode()  # columns count bytes
         lines[row] = (line[:column] + renamed[old].encode() + line[column + len(old.encode()) :]).decode()
     first = node.lineno - 1
