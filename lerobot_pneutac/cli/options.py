@@ -188,7 +188,9 @@ def list_options(config_class: type, group: str = "") -> Iterator[Option]:
 def _fields(config_class: type, group: str) -> Iterator[Option]:
     hints, texts = typing.get_type_hints(config_class), attribute_texts(config_class)
     for field in dataclasses.fields(config_class):
-        kind = _without_none(hints[field.name])
+        kind = hints[field.name]
+        kinds = [k for k in typing.get_args(kind) if k is not type(None)]
+        kind = kinds[0] if len(kinds) == 1 and type(None) in typing.get_args(kind) else kind
         default = None if field.default is dataclasses.MISSING else field.default
         yield Option(group + field.name, kind, default, texts.get(field.name, ""))
         if dataclasses.is_dataclass(kind):
@@ -233,14 +235,11 @@ def _help_lines(option: Option, width: int) -> list[str]:
     return first + [" " * COLUMN + line for line in right]
 
 
-def _is_list(kind: type) -> bool:
-    return typing.get_origin(kind) in (tuple, list)
-
-
-def _holds_a_list(kind: type) -> bool:
-    """Whether a value may be a list, be it as one of several kinds, such as a number or one for each."""
+def _lists(kind: type) -> tuple[bool, bool]:
+    """Whether a value is a list, and whether it may be one, as one of several kinds."""
     several = typing.get_origin(kind) in (types.UnionType, typing.Union)
-    return _is_list(kind) or (several and any(map(_is_list, typing.get_args(kind))))
+    kinds = [typing.get_origin(k) in (tuple, list) for k in (typing.get_args(kind) if several else (kind,))]
+    return all(kinds), any(kinds)
 
 
 def _placeholder(kind: type) -> str:
@@ -248,9 +247,10 @@ def _placeholder(kind: type) -> str:
         return ""
     if dataclasses.is_dataclass(kind):
         return ".*"
-    if _is_list(kind):
+    always, sometimes = _lists(kind)
+    if always:
         return "=A,B"
-    if float in typing.get_args(kind) and _holds_a_list(kind):
+    if float in typing.get_args(kind) and sometimes:
         return "=NUMBER"
     return "=" + PLACEHOLDERS.get(kind, "VALUE")
 
@@ -278,7 +278,8 @@ def _completed(options: dict[str, Option], argv: list[str], aliases: dict[str, s
         if dataclasses.is_dataclass(kind) and not value.startswith("{"):
             inside = [f"--{o}" for o in options if o.startswith(f"{name}.")]
             raise InputError(f"--{name}={value} names none of its options; give {' or '.join(inside)}.")
-        if _holds_a_list(kind) and value and value[0] not in "[{" and ("," in value or _is_list(kind)):
+        always, sometimes = _lists(kind)
+        if sometimes and value and value[0] not in "[{" and ("," in value or always):
             value = f"[{value}]"
         if kind in (str, Path) and not re.fullmatch(r"[\w./~+-]*", value):
             value = json.dumps(value, ensure_ascii=False)  # draccus takes brackets, stars and colons for YAML
@@ -293,8 +294,3 @@ def _unknown(name: str, options: dict[str, Option]) -> str:
         return f"There is no option --{name}; did you mean {' or '.join('--' + o for o in close)}?"
     known = (o.name for o in options.values() if not dataclasses.is_dataclass(o.kind))
     return f"There is no option --{name}; the options are {', '.join('--' + o for o in known)}."
-
-
-def _without_none(kind: type) -> type:
-    kinds = [k for k in typing.get_args(kind) if k is not type(None)]
-    return kinds[0] if len(kinds) == 1 and type(None) in typing.get_args(kind) else kind

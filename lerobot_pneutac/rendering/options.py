@@ -11,13 +11,13 @@ import numpy as np
 from pneutac_datasets.recording.wording import an
 from pneutac_sim.effects.registry import get_effect, of_body
 from pneutac_sim.errors import InputError, check_least
+from pneutac_sim.finger.online import COMPUTED
 from pneutac_sim.gel.figure import AnyFigure, Figure, Outline
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin
 
 FPS = 15
-COMPUTED = ("session_time_s", "length_mm", "bending_pressure_kpa")  # columns of effects that nobody gives
 
 # What a device takes, and what it is where it is not given.
 SEEN = {"recording": None, "camera": None, "view": None}

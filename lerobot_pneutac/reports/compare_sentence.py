@@ -69,12 +69,8 @@ def phrase(axis: Axis, i: int) -> str:
     label = axis.labels[i]
     if axis.name == "rate" and label != "hold":
         moving = [x for x in axis.labels if x != "hold"]
-        how = (
-            ""
-            if len(moving) == 1
-            else {moving[0]: " slowly", moving[-1]: " fast"}.get(label, " at middle speed")
-        )
-        return f"when the pressure moves{how}"
+        how = {moving[0]: " slowly", moving[-1]: " fast"}.get(label, " at middle speed")
+        return f"when the pressure moves{how if len(moving) > 1 else ''}"
     text = _PHRASES.get((axis.name, label)) or _PHRASES.get(axis.name, "where {1} is {0}")
     return text.format(label, axis.name)
 
@@ -83,15 +79,12 @@ def _peak(c) -> str:
     """Where the error stands out most against all the rest."""
     squared = c.squared
     best, where = 1.5, ""
-    for axis in c.axes:
-        if len(axis.labels) < 2:
-            continue
+    for axis in (a for a in c.axes if len(a.labels) > 1):
         for i in range(len(axis.labels)):
             at = axis.bin == i
             if at.mean() < 0.02 or at.all():
                 continue
             ratio = np.sqrt(squared[at].mean() / max(squared[~at].mean(), 1e-300))
             if ratio > best:
-                best = ratio
-                where = phrase(axis, i)
+                best, where = ratio, phrase(axis, i)
     return where

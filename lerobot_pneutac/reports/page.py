@@ -84,19 +84,9 @@ class Report:
     ) -> None:
         """Pictures, uint8 (H, W, 3), each shown for so many seconds, as animated WebP."""
         buffer, (first, *rest) = io.BytesIO(), [Image.fromarray(f) for f in frames]
-        first.save(
-            buffer,
-            "WEBP",
-            save_all=True,
-            append_images=rest,
-            duration=round(1e3 * seconds),
-            loop=0,
-            quality=60,
-        )
+        how = {"duration": round(1e3 * seconds), "loop": 0, "quality": 60}
+        first.save(buffer, "WEBP", save_all=True, append_images=rest, **how)
         self._add("film", caption, width=width, data=_base64(buffer.getvalue()))
-
-    def video(self, path: str | Path, caption: str = "", width: int = 640) -> None:
-        self.videos([path], caption, width)
 
     def videos(self, paths: Sequence[str | Path], caption: str = "", width: int = 470) -> None:
         """MP4 files side by side, embedded."""
@@ -109,9 +99,8 @@ class Report:
         margin = {"l": 60, "r": 20, "t": 60, "b": 50}
         figure.update_layout(template="plotly_white", height=height, margin=margin)
         name = f"figure{1 + sum(s['kind'] == 'figure' for s in self._sections)}"
-        self._add(
-            "figure", caption, data=to_html(figure, include_plotlyjs=False, full_html=False, div_id=name)
-        )
+        data = to_html(figure, include_plotlyjs=False, full_html=False, div_id=name)
+        self._add("figure", caption, data=data)
 
     def fragment(self) -> str:
         """The sections without a page around them, for a notebook; figures need plotly there."""

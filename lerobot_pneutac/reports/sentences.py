@@ -1,5 +1,6 @@
 """What a diagnosis found, in words: headline, confidence, warnings, next step, all from one `State`."""
 
+from collections import Counter
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -188,13 +189,13 @@ def state_of(study: EffectStudy, outcome: Outcome) -> State:
 
 
 def _causes(study: EffectStudy, outcome: Outcome, named: list[str]) -> tuple[str, ...]:
-    kinds: dict[str, list[str]] = {}
-    for name in named:
-        kinds.setdefault(family(name), []).append(name)
-    phrases = []
-    for kind, names in kinds.items():
-        phrase = study.cause(outcome.after, names[0])
-        phrases.append(phrase if len(names) == 1 else f"{kind.replace('_', ' ')} ({len(names)} terms)")
+    count = Counter(map(family, named))
+    phrases = (
+        study.cause(outcome.after, n)
+        if count[family(n)] == 1
+        else f"{family(n).replace('_', ' ')} ({count[family(n)]} terms)"
+        for n in named
+    )
     return tuple(dict.fromkeys(phrases))
 
 
@@ -222,8 +223,6 @@ def explanation(s: State) -> str:
             return f"Explained: undetermined, since the error is known too roughly ({times})."
         case Explained.UNDETERMINED if not s.noise_measured:
             return f"Explained: undetermined, since the error is {times}."
-        case Explained.UNDETERMINED:
-            return f"Explained: undetermined. The error is {times}."
         case _:
             return f"Explained: {s.explained}. The error is {times}."
 
@@ -259,15 +258,13 @@ def _headline(s: State) -> str:
                 f"Nothing that was tested explains the test error of {error}, neither a known effect nor a "
                 "black box of the command. How much of it is noise is not known."
             )
-        case Kind.UNDECIDED if s.noise is None:
-            return (
-                f"This recording cannot decide what is missing: {joined(s.near_miss)} would lower the test "
-                f"error of {error}, but the noise {s.noise_how}."
-            )
         case Kind.UNDECIDED:
+            but = (
+                f", but the noise {s.noise_how}" if s.noise is None else f" ({noise}), but not significantly"
+            )
             return (
                 f"This recording cannot decide what is missing: {joined(s.near_miss)} would lower the test "
-                f"error of {error} ({noise}), but not significantly."
+                f"error of {error}{but}."
             )
         case Kind.UNKNOWN:
             return (
@@ -302,9 +299,7 @@ def _headline(s: State) -> str:
 
 def meaning(s: State) -> str:
     """The meaning of the confidence word for this headline."""
-    if s.kind is Kind.NOTHING:
-        return NOTHING[s.confidence]
-    return MEANING[s.confidence]
+    return (NOTHING if s.kind is Kind.NOTHING else MEANING)[s.confidence]
 
 
 def warnings(s: State) -> list[str]:
@@ -314,7 +309,7 @@ def warnings(s: State) -> list[str]:
         out += [f"A check failed: {o}." for o in s.objections]
         if s.kind is Kind.CAUSES and not s.at_noise and s.noise and not s.objections:
             out.append(f"The error that remains is {s.rest / s.noise:.2g} times the noise.")
-        out += [f"The data fit {b} about as well as {a}." for a, b in s.rivals]
+        out += _as_well(s)
         if s.black_box:
             share = f"{100 * s.black_box:.0f} %"
             out.append(f"A black box predicts {share} of the remaining error from the inputs.")
@@ -335,6 +330,10 @@ def warnings(s: State) -> list[str]:
     return out
 
 
+def _as_well(s: State) -> list[str]:
+    return [f"The data fit {b} about as well as {a}." for a, b in s.rivals]
+
+
 def do_next(s: State, command: str) -> str:
     """One command or one experiment; `command` adds the causes to the twin."""
     if s.kind is Kind.CAUSES and s.confidence is not Confidence.INCONCLUSIVE:
@@ -349,7 +348,7 @@ def alternatives(s: State) -> str:
     if not s.causes or s.poor:
         return ""
     if s.rivals:
-        return " ".join(f"The data fit {b} about as well as {a}." for a, b in s.rivals)
+        return " ".join(_as_well(s))
     if s.lower:
         return (
             f"By itself {joined(s.lower)} reaches a slightly lower test error than any cause by itself. "

@@ -225,10 +225,8 @@ class BodyComparison(Comparison):
             rows.append(("error, all rows", number(self.heldout)))
         else:
             rows += [("held-out error", number(self.heldout)), ("training error", number(self.train))]
-        how = self.noise.how
-        rows.append(
-            ("noise floor", how if self.noise.value is None else f"{number(self.noise.value)} ({how})")
-        )
+        value, how = self.noise.value, self.noise.how
+        rows.append(("noise floor", how if value is None else f"{number(value)} ({how})"))
         if self.coverage is not None:
             rows.append(("inside the 95 % band", inside_band(self)))
         if self.pressure_error:

@@ -13,7 +13,7 @@ from pathlib import Path
 from rich.markup import escape
 
 from lerobot_pneutac.diagnosis.experiment import Separation
-from lerobot_pneutac.diagnosis.result import PROFILE, Candidate, Outcome, Tested
+from lerobot_pneutac.diagnosis.result import PROFILE, Candidate, Outcome
 from lerobot_pneutac.diagnosis.verdict import Explained
 from lerobot_pneutac.reports import sentences
 from lerobot_pneutac.reports.page import Report
@@ -257,21 +257,27 @@ class Diagnosis(Result):
         return [*(["[bold]Warnings[/]", *said] if said else []), f"[bold]Do next:[/] {escape(self.do_next)}"]
 
     def content(self) -> dict:
-        o, study = self.outcome, self.study
+        o, e, study = self.outcome, self.outcome.evidence, self.study
         return super().content() | {
             "with_known_causes": None if o.baseline is None else study.errors(o.baseline),
             "reduction": self.reduction[0],
             "reduction_ci95": self.reduction[1],
-            "parameters": {e: study.as_written(study.parameters(o.after, e)) for e in o.selected},
+            "parameters": {n: study.as_written(study.parameters(o.after, n)) for n in o.selected},
             "ladder": [{"change": label, **study.errors(model)} for label, model in o.ladder],
-            "effects": [_tested(t, study) for t in o.tested] + [_untested(u) for u in study.untested],
+            "effects": [
+                {"name": t.name, **t.errors, "reduction": t.reduction, "reduction_ci95": t.ci95}
+                | {"parameters": study.as_written(t.parameters), "tested_by": t.tested_by}
+                for t in o.tested
+            ]
+            + [
+                {"name": u.name, "heldout": None, "reduction": None, "reduction_ci95": None}
+                | {"parameters": {}, "tested_by": u.reason}
+                for u in study.untested
+            ],
             "indistinguishable": [[r.effect, r.rival] for r in o.rivals],
-            "chosen_in": {e: o.chosen_in.get(e, 1.0) for e in o.selected},
-            "error_over_noise": {k: getattr(o.evidence, k) for k in ("before", "after")},
-            "black_box": {
-                "share_of_rest": o.evidence.left_to_black_box,
-                "unfinished": o.evidence.unfinished,
-            },
+            "chosen_in": {n: o.chosen_in.get(n, 1.0) for n in o.selected},
+            "error_over_noise": {"before": e.before, "after": e.after},
+            "black_box": {"share_of_rest": e.left_to_black_box, "unfinished": e.unfinished},
             **study.details(o),
         }
 
@@ -291,18 +297,3 @@ class Diagnosis(Result):
         from lerobot_pneutac.reports.diagnosis import diagnosis_page
 
         return diagnosis_page(self, self._next[1])
-
-
-def _tested(t: Tested, study: EffectStudy) -> dict:
-    interval = None if t.ci95 is None else list(t.ci95)
-    return {
-        "name": t.name, **t.errors, "reduction": t.reduction, "reduction_ci95": interval,
-        "parameters": study.as_written(t.parameters), "tested_by": t.tested_by,
-    }  # fmt: skip
-
-
-def _untested(u) -> dict:
-    return {
-        "name": u.name, "heldout": None, "reduction": None, "reduction_ci95": None, "parameters": {},
-        "tested_by": u.reason,
-    }  # fmt: skip

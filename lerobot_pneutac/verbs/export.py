@@ -13,6 +13,7 @@ from pneutac_sim.effects.registry import of_sensor
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole, write_text
 from pneutac_sim.finger.equilibrium import solve
+from pneutac_sim.finger.online import COMPUTED
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.finger.stages import EffectLink, LoadLink, forward_kinematics, forward_kinematics_spatial
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
@@ -23,7 +24,6 @@ IMPORTS = {
     "@dataclass": "from dataclasses import dataclass",
     "partial(": "from functools import partial",
 }
-COMPUTED = ("session_time_s", "length_mm", "bending_pressure_kpa")
 
 
 @dataclass

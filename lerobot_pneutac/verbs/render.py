@@ -99,7 +99,7 @@ def _write(film: Film, pictures: list[np.ndarray], result: RenderedFilm, out: Pa
         report = Report(f"A {film.device} of material points")
         report.about = film.about
         report.lead(film.lead)
-        report.video(out / result.film, width=min(960, pictures[0].shape[1]))
+        report.videos([out / result.film], width=min(960, pictures[0].shape[1]))
         report.table(result.stills)
         for row in result.stills:
             report.image(np.asarray(Image.open(out / row["picture"])), row["picture"])

@@ -218,9 +218,8 @@ def write(cfg, done: dict[str, dict], failed: dict[str, str], wall_s: float, con
     if films:
         report.heading("Failed trials")
     for name, each in films:
-        report.video(
-            each["file"], f"{name.removesuffix('_films')}, start {each['start']}: {each['reason']}", 320
-        )
+        text = f"{name.removesuffix('_films')}, start {each['start']}: {each['reason']}"
+        report.videos([each["file"]], text, 320)
     report.heading("Learning curves")
     for task in cfg.tasks:
         report.figure(_curves(cfg, done, task, chosen), f"{task}: loss on the last data")
