@@ -259,9 +259,8 @@ def _headline(s: State) -> str:
                 "black box of the command. How much of it is noise is not known."
             )
         case Kind.UNDECIDED:
-            but = (
-                f", but the noise {s.noise_how}" if s.noise is None else f" ({noise}), but not significantly"
-            )
+            why = f", but the noise {s.noise_how}"
+            but = why if s.noise is None else f" ({noise}), but not significantly"
             return (
                 f"This recording cannot decide what is missing: {joined(s.near_miss)} would lower the test "
                 f"error of {error}{but}."
