@@ -1,7 +1,5 @@
 """Frames of a finger or an arm: brought to rest pressure by pressure, drawn as particles or by its looks.
 
-Photographs of a body and its renderings, and where their silhouettes differ.
-
 Frames of a gel under an indenter: the cut through its material points and the tactile image.
 """
 

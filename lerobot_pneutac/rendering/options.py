@@ -1,7 +1,4 @@
-"""`pneutac render`: draws a finger, arm or gel of material points under load, as pictures and a film.
-
-Its options, and which of them a finger, an arm or a gel takes.
-"""
+"""`pneutac render`: draws a finger, arm or gel of material points under load, as pictures and a film."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path

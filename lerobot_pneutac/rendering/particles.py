@@ -1,7 +1,4 @@
-"""Pictures of particles: lit balls sorted by depth, seen from one side, without a graphics library.
-
-What a film is made of, shared by those who draw one.
-"""
+"""Pictures of particles: lit balls sorted by depth, seen from one side, without a graphics library."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -1,7 +1,4 @@
-"""In words: the sensor model, what its presses identify, and which press to add.
-
-A gel's photographs above what a twin predicts.
-"""
+"""In words: the sensor model, what its presses identify, and which press to add."""
 
 from collections.abc import Sequence
 

@@ -1,13 +1,7 @@
 """A task for reinforcement learning: the actor feels, the critic sees the object as well.
 
-The reward of reinforcement learning: a weighted sum of named terms.
-
 Progress and approach are differences between steps, so that going to and fro earns nothing. The paper names
 progress, approach, contact, tactile depth, success and action rate; a spoilt trial costs as well.
-
-What reinforcement learning needs of a task: its progress, and where the object should be touched.
-
-Only reward and critic see this; the actor does not.
 """
 
 from dataclasses import dataclass
@@ -59,7 +53,6 @@ class TaskView:
     """Goal and privileged state of the object in one world.
 
     Attributes:
-        goal: of the task.
         size: length of `state()`.
     """
 
@@ -239,7 +232,6 @@ class PpoEnv(gymnasium.Env):
         station: likewise.
 
     Attributes:
-        world: the world inside.
         view: the task's goal and object.
 
     Raises:

@@ -35,8 +35,6 @@ class Studio:
         port: of this machine to listen on; 0 for any that is free.
 
     Attributes:
-        session: what it shows.
-        server: the viewer.
         pages: by their titles.
         driver: page that moves the body in the picture.
         address: to open in a browser.

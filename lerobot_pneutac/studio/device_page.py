@@ -1,9 +1,4 @@
-"""The device page of a finger or an arm: knobs of what acts on it, and how it bends, in real time.
-
-The picture of a finger or an arm: skin, spine, joints, the tip and where it went.
-
-The material points of a finger or an arm at rest, for the picture of the studio.
-"""
+"""The device page of a finger or an arm: knobs of what acts on it, and how it bends, in real time."""
 
 import threading
 import time

@@ -1,7 +1,4 @@
-"""`pneutac report`: a twin with its history as one page, or as a file for Rerun.
-
-A finger or an arm as a file for Rerun, the viewer that LeRobot uses.
-"""
+"""`pneutac report`: a twin with its history as one page, or as a file for Rerun."""
 
 from dataclasses import dataclass
 from pathlib import Path

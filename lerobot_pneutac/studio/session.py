@@ -34,13 +34,8 @@ class Session:
         bench: that programs may be driven at; None for none.
 
     Attributes:
-        folder: of the twin.
         twin: as it lies on the disk, or an earlier version that is looked at.
         version: number of that earlier version; None for the newest.
-        recording: None where none was given.
-        comparison: of twin and recording, once it was made.
-        diagnosis: likewise.
-        addition: the last one.
         measured: programs that were driven at the bench.
         working: what is being done; empty where nothing is.
 

@@ -1,7 +1,4 @@
-"""The world page: a task in simulation with this twin's finger, by an expert, a policy or by hand.
-
-A trained policy in a world of the studio, loaded and asked as `lerobot-eval` does, on the CPU.
-"""
+"""The world page: a task in simulation with this twin's finger, by an expert, a policy or by hand."""
 
 import threading
 import time

@@ -23,8 +23,6 @@ class Date:
     """The result for the recording of one date.
 
     Attributes:
-        day: of the measurement.
-        name: of the recording.
         error: root mean square over all of its samples.
         bend: how far it bends, as a share of what the twin says, 1 for a twin that is right.
         half: half-width of its 95 % interval.
@@ -41,14 +39,7 @@ class Date:
 
 @dataclass(frozen=True, kw_only=True)
 class Ageing(Result):
-    """One device on several dates.
-
-    Attributes:
-        dates: in order.
-        unit: of the errors.
-        twin: that was compared.
-        findings: of the recordings' checks, one sentence each.
-    """
+    """One device on several dates."""
 
     dates: tuple[Date, ...]
     unit: str

@@ -155,7 +155,6 @@ class Augmentation(Result):
     """What an augmentation came to.
 
     Attributes:
-        config: what was asked for.
         summary: `kept`, `attempts`, `rejected` (reason to number), `wall_s`, and the provenance.
         references: the recorded demonstrations that were used.
         failed: the others, number to why each was set aside.

@@ -23,7 +23,6 @@ class LightCalibration(Calibration):
     Attributes:
         light: how the light had changed since the twin was made.
         before: error of the twin's own rest image on the held-out episodes, levels.
-        task: that was shown.
         dragging: how imprints turned where the finger was dragged sideways; None where it was not.
         dragged_before: the same as the twin knew it.
     """

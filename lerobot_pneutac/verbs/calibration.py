@@ -1,7 +1,4 @@
-"""What a calibration found: the next version of a twin, its parameters and its error.
-
-The range of pressures over which a recording measures a device.
-"""
+"""What a calibration found: the next version of a twin, its parameters and its error."""
 
 import math
 from dataclasses import dataclass, replace

@@ -44,7 +44,6 @@ class Checked:
     """What was found.
 
     Attributes:
-        path: what was looked at.
         kind: `twin`, `bench recording`, `table`, `demonstrations` or `station`.
         faults: one sentence for each thing that a later verb refuses.
         notes: one for each thing that is poor but usable.

@@ -122,22 +122,15 @@ class BodyComparison(Comparison):
 
     Attributes:
         recording: without the rows that the data check left out.
-        findings: of the data check, one sentence each.
         columns: (D,) compared columns; the first `counted` make the error.
-        counted: see `columns`.
         measured: (n, D).
         model: (n, D).
-        unit: of the error.
         train_samples: (n,) mask of those that the twin was fitted to; the others are held out. None of a
             recording that it was never fitted to, which is held out as a whole.
-        noise: floor of the error.
         band: within which a measurement should lie if the twin is right; None if unknown.
-        axes: ways to sort the samples.
         rate: (n,) of the commanded pressure, kPa/s.
         still: (n,) whether it stands.
         pressure: (n,) squared error of the measured pressure, kPa^2, or None where none was measured.
-        twin: that was compared.
-        bench: what it was made from.
         simulated: by what, in words.
         fidelity: `pipeline` or `mpm`.
         out_of_range: share of the recording's samples outside what the twin's action network was trained

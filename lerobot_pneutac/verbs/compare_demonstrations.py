@@ -36,7 +36,6 @@ class DemonstrationComparison(Comparison):
 
     Attributes:
         study: the episodes as measured and replayed for the errors.
-        findings: of the checks, one sentence each.
         replayed: each episode in the twin's world, with images.
         latency_s: by which the commands acted late, from the arm; including the twin's.
         clock_s: by which touch is shown late, from the camera's clock against the robot's.

@@ -30,13 +30,10 @@ class GelComparison(Comparison):
     """A gel against photographs.
 
     Attributes:
-        data: the photographs.
         predicted: of each, uint8 (H, W, 3).
         scores: of each.
         rest_scores: of the rest image alone.
         touch: of each, what `TouchReader` reads from the photograph, and what its row states.
-        folder: of the recording.
-        twin: that was compared.
     """
 
     data: GelRecording

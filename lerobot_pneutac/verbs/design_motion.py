@@ -1,13 +1,9 @@
 """The next demonstrations: which motion of the arm, with the finger against a bar, shows what is open.
 
-Which motion of the arm, with the finger against a bar, shows what demonstrations leave open.
-
 Every motion is simulated in the twin's own world as it is, and with one thing changed: creep, the finger's
 stiffness, the gel's friction. Creep shows in the force's shape over time, stiffness in its level, friction in
 how the imprint turns under a drag (its other traces are the chatter of a rigid contact). A change is told by
 as many standard deviations as these differ relative to the error on demonstrations.
-
-Motions of the arm with the finger against a bar, in any world with the task `button`.
 
 Pressures are those of the paper's finger; another's are as large a share of its range, as of an expert's.
 """
@@ -49,7 +45,6 @@ class Motion:
     """What the arm does once the finger touches.
 
     Attributes:
-        name: of it.
         actions: (n, 4) velocity of the flange m/s and pressure of the paper's finger kPa, at `CONTROL_HZ`.
         drag_mm: how far it drags the finger sideways, to both sides.
     """
@@ -155,7 +150,6 @@ class MotionChoice:
     """A motion, and how significantly it separates each change from all others.
 
     Attributes:
-        motion: of the arm.
         sure: of `creep`, `compliance` and `gel friction`, standard deviations from what it could pass for.
         felt: of every finger, by its name, at the first place.
     """
@@ -275,9 +269,6 @@ class MotionDesign(Result):
     """Motions of the arm, and how significantly each shows which change.
 
     Attributes:
-        twin: in whose world they were simulated.
-        recording: the demonstrations that there are.
-        choices: see `lerobot_pneutac.verbs.design_motion`.
         known: whether the twin knows how strong imprints are.
     """
 

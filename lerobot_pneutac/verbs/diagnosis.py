@@ -1,7 +1,4 @@
-"""The result of a diagnosis, for every kind of device.
-
-What a diagnosis wrote to a folder, as `add` takes it up again.
-"""
+"""The result of a diagnosis, for every kind of device."""
 
 import json
 import time
@@ -36,7 +33,6 @@ class WrittenDiagnosis:
     """A diagnosis in a folder.
 
     Attributes:
-        result: its `result.json`.
         before: the twin as it was, re-fitted.
         baseline: with the known causes that the recording shows; None where there are none.
         found: the twin with all that was found.

@@ -28,11 +28,7 @@ TOP_KPA = 12.0
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class ShownEffect(Result):
-    """One effect or law.
-
-    Attributes:
-        effect: of the registry or of the table of laws.
-    """
+    """One effect or law."""
 
     effect: Effect
 

@@ -4,8 +4,6 @@ Known loads determine its stiffness first (`fit_compliance`), so that weights be
 Where the pressure was measured, pneumatic effects are fitted to it and the body is driven by it, so that a
 slow valve cannot pass for a creeping body; else everything is fitted to the pose at once.
 
-Fits a finger's modulus and its chamber's stiffness to loaded poses.
-
 What loads the tip must be known: `payload_g` with the direction of gravity, or a measured `force_x_n`,
 `force_y_n`, `force_z_n`. The finger's own weight under another direction of gravity identifies weight over
 stiffness alone; it is fitted along and not taken for either.
@@ -53,9 +51,7 @@ class Compliance:
     """What loaded poses determine.
 
     Attributes:
-        twin: with what was found.
         parameters: name to `value`, `ci95`, `unit` and `note`, of the stiffness and the modulus.
-        remark: one sentence for the report.
         evaluations: simulations made.
     """
 

@@ -50,12 +50,9 @@ class GelCalibration(Calibration):
 
     Attributes:
         gel: as the twin keeps it.
-        fit: to the presses.
         told: what they identify.
-        data: all images.
         predicted: of every image, uint8 (H, W, 3), by the model.
         scores: method to the score of every image.
-        notes: of `recording.json`.
         standard: whether nobody chose the effects.
         modulus: of the gel, by the presses with a force; None if there is none.
         material: of the material points whose surfaces the light was fitted to; empty for the closed form.

@@ -53,11 +53,7 @@ class PhotoCalibration(Calibration):
     """A body calibrated to photographs.
 
     Attributes:
-        fitted: what was fitted.
-        study: the photographs.
         start: from silhouettes alone.
-        search: all that was tried.
-        confidence: of each parameter.
         objective: of all photographs, fitted and held out.
         bodies: at rest at every pressure, with the best parameters.
         scores: of the bodies on all photographs, (1, n).

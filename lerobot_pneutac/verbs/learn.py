@@ -1,9 +1,4 @@
-"""Finds what a twin lacks at the bench: measure, search on everything, choose the next program, repeat.
-
-How well a twin predicts rows of a recording, and whether requested manual changes were made.
-
-What the bench taught, round by round.
-"""
+"""Finds what a twin lacks at the bench: measure, search on everything, choose the next program, repeat."""
 
 import json
 import shutil

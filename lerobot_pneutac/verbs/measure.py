@@ -33,7 +33,6 @@ class TrialNote:
 
     Attributes:
         number: of the trial, from 0.
-        program: its label.
         planned: samples of the program.
         taken: samples for which the cameras were quick enough.
         seen: those of them in which the tip was seen, which are stored.

@@ -24,9 +24,7 @@ class RenderedFilm(Result):
     """What was drawn.
 
     Attributes:
-        device: of the twin.
         complete: whether the film came to its end.
-        frames: pictures of the film.
         seconds: that drawing took.
         film: its file; None where not one picture was finished.
         stills: a row each: load, what was measured, and `picture`, its file.

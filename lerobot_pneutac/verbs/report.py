@@ -10,11 +10,7 @@ from pneutac_sim.twin import Twin
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class TwinReport(Result):
-    """What a twin is and how it became so.
-
-    Attributes:
-        twin: as it lies on the disk.
-    """
+    """What a twin is and how it became so."""
 
     twin: Twin
 

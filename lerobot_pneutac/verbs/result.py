@@ -1,7 +1,4 @@
-"""What the results of all verbs share: `result.json`, a report, a look in a notebook.
-
-The result of a comparison of a twin with a recording; by device in `compare_body` and `compare_gel`.
-"""
+"""What the results of all verbs share: `result.json`, a report, a look in a notebook."""
 
 import shlex
 from abc import abstractmethod
