@@ -50,9 +50,9 @@ def test_plan_has_each_policy_and_shares_what_they_share():
     names = [u.name for u in units]
     assert len(set(names)) == len(names)
     cells = 3 * 8  # tasks and seeds
-    counts = {"record": 2, "augment": 12, "scenes": 1, "naive": 1, "ppo": 1, "student": 1, "train": 14}
+    counts = {"record": 2, "augment": 12, "scenes": 1, "naive": 1, "ppo": 1, "student": 1, "train": 15}
     assert {k: len(by_kind(units, k)) for k in counts} == {k: cells * n for k, n in counts.items()}
-    assert len(by_kind(units, "evaluate")) == cells * 14 * 5  # 50 trials in tens
+    assert len(by_kind(units, "evaluate")) == cells * 15 * 5  # 50 trials in tens
     for i, unit in enumerate(units):  # what is needed comes first
         assert set(unit.needs) <= set(names[:i])
 

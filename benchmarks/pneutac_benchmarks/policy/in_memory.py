@@ -51,6 +51,7 @@ def new_policy(
     device: str,
     scaling: Scaling | None = None,
     memory: bool = False,
+    networks: int = 1,
 ) -> PneutacBCPolicy:
     """A policy with random weights and no rest image yet, scaled by data or else by the paper's ranges."""
     inputs = {OBS_STATE: PolicyFeature(FeatureType.STATE, (len(STATE_NAMES),))}
@@ -60,6 +61,7 @@ def new_policy(
         device=device,
         use_tactile=use_tactile,
         memory=memory,
+        networks=networks,
         optimizer_lr=lr,
         action_feature_names=list(ACTION_NAMES),
         input_features=inputs,

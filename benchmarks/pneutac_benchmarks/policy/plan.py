@@ -43,6 +43,7 @@ class Condition:
             both at once, the real ones by `real_share`.
         use_tactile: whether the policy feels.
         memory: whether it remembers and answers early, as by default after `augment`; the paper's does not.
+        networks: see PneutacBCConfig.
     """
 
     words: str
@@ -51,6 +52,7 @@ class Condition:
     then: bool = False
     use_tactile: bool = True
     memory: bool = False
+    networks: int = 1
 
 
 CONDITIONS = {
@@ -58,6 +60,7 @@ CONDITIONS = {
     "real_20": Condition("twenty real ones", real=2),
     "real_100": Condition("a hundred real ones", real=10),
     "library": Condition("ten real ones and the library's", "library", memory=True),
+    "library_3": Condition("the same, three networks", "library", memory=True, networks=3),
     "expert": Condition("ten real ones and the scripted expert's on the twin", "expert"),
     "planner": Condition("ten real ones and planned ones", "planner"),
     "sim_real": Condition("planned ones, then ten real ones", "planner", then=True),
@@ -104,7 +107,7 @@ class Unit:
         """Roughly, for the order of the work and the time left."""
         o = self.options
         if self.kind == "train":
-            return TRAIN_GPU_S if o["device"] == "cuda" else ONCE_S["train"]
+            return o["networks"] * (TRAIN_GPU_S if o["device"] == "cuda" else ONCE_S["train"])
         if self.kind == "scenes":
             return ONCE_S["scenes"] * o["episodes"]
         if self.kind == "evaluate":
@@ -157,6 +160,7 @@ def _of_condition(cfg, task: str, seed: int, name: str, condition: Condition) ->
     options = {
         "use_tactile": condition.use_tactile,
         "memory": condition.memory,
+        "networks": condition.networks,
         "real": len(real),  # of its needs, the last ones
         "episodes": wanted,
         "then": condition.then,

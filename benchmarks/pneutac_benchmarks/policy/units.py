@@ -193,7 +193,8 @@ def train(folder: Path, options: dict, needs: list[Path]) -> dict:
         delay = lagged_answers(known.references(np.array(Station().base_m)))[1]
         made, real = (f.answered_early(delay) for f in (made, real))
     every = Frames.joined([x for x in (made, real) if x is not None])
-    policy = new_policy(o["use_tactile"], o["lr"], seed, o["device"], every.scaling, o["memory"])
+    network = {k: o[k] for k in ("use_tactile", "memory", "networks")}
+    policy = new_policy(lr=o["lr"], seed=seed, device=o["device"], scaling=every.scaling, **network)
     result, updates, copies, last = {}, o["pretrain_updates"] + o["finetune_updates"], (), every
     if made and real and o["then"]:
         result["pretraining"] = asdict(learn(policy, made, o["pretrain_updates"], o["batch"], seed))

@@ -48,6 +48,8 @@ class PneutacBCConfig(PreTrainedConfig):
             not.
         answer_delay: frames by which the demonstrator answers a touch late; labels in touch are taken so much
             ahead, at most 0.2 s. If omitted, what `pneutac augment` wrote into the dataset, else 0.
+        networks: networks that are trained together from different initial weights; the action is the mean of
+            theirs. Training and control take as many times as long.
         control_hz: rate of the data and of the robot, which turns velocities into displacements per step;
             if omitted, the first dataset's.
         previous_action_dropout: share of training samples in which the previous action is hidden (replaced by
@@ -69,6 +71,7 @@ class PneutacBCConfig(PreTrainedConfig):
     use_tactile: bool = True
     memory: bool | None = None
     answer_delay: int | None = None
+    networks: int = 1
     control_hz: int | None = None
     previous_action_dropout: float = 0.3
     previous_action_in_data: bool = False
@@ -92,6 +95,7 @@ class PneutacBCConfig(PreTrainedConfig):
             self.answer_delay is not None and self.answer_delay < 0,
             f"--policy.answer_delay is {self.answer_delay}; it must not be negative.",
         )
+        refuse_if(self.networks < 1, f"--policy.networks is {self.networks}; it must be at least 1.")
         for name in ("pressure_noise_kpa", "brightness_noise_levels", "pixel_noise_levels"):
             refuse_if(
                 getattr(self, name) < 0, f"--policy.{name} is {getattr(self, name)}; it must not be negative."

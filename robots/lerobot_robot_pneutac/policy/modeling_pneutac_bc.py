@@ -2,7 +2,8 @@
 
 The paper's policy network and loss (Sec. "Policy training"): a 64-D embedding of the tactile difference
 with a 24-D observation {q, q', x, s/N, log(1+s), p, a_(t-1)}, two hidden layers of 256, 4-D action. Beyond
-the paper, and off with `memory=False`: what it remembers of the episode, see `memory`.
+the paper, and off with `memory=False`: what it remembers of the episode, see `memory`; and with `networks=3`
+the mean of three such networks.
 
 How the policy scales state and action: about what its demonstrations show, in units of what matters.
 
@@ -32,6 +33,7 @@ from lerobot_robot_pneutac.policy.tactile_encoder import (
     EMBEDDING,
     TactileEncoder,
     check_same_sensor,
+    layers,
     rest_image_of,
 )
 from pneutac_sim.errors import InputError
@@ -226,6 +228,14 @@ def _middle(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 HIDDEN = 256
+
+
+def _mlp(width: int, actions: int) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Linear(width, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, actions)
+    )
+
+
 REST = "encoder.rest_image"
 FIRST = "mlp.0.weight"
 SCALES = "_state_centre", "_action_centre"  # as long as state and action
@@ -283,12 +293,13 @@ class PneutacBCPolicy(PreTrainedPolicy):
         self.register_buffer("_recalled", seen, persistent=False)
         self._read(dataset_meta)
         width = len(channels) + len(self._recalled) + actions + (EMBEDDING if config.use_tactile else 0)
-        self.mlp = nn.Sequential(
-            nn.Linear(width, HIDDEN),
-            nn.ReLU(),
-            nn.Linear(HIDDEN, HIDDEN),
-            nn.ReLU(),
-            nn.Linear(HIDDEN, actions),
+        self.mlp = _mlp(width, actions)
+        self.others = nn.ModuleList(  # the first network's keys stay those of a policy of one
+            nn.ModuleDict(
+                {"mlp": _mlp(width, actions)}
+                | ({"layers": layers(config.image_shape[0])} if config.use_tactile else {})
+            )
+            for _ in range(config.networks - 1)
         )
         self._take_dataset_rest()
         self.reset()
@@ -329,7 +340,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
         if other:
             raise InputError(
                 f"'{model_file}' does not hold the weights of this policy (differs in {', '.join(other)});"
-                " its use_tactile was another, or another version trained it: train again."
+                " its use_tactile or networks were others, or another version trained it: train again."
             )
         now = [len(model.state_dict()[k]) for k in SCALES]
         if sizes != now:
@@ -474,8 +485,8 @@ class PneutacBCPolicy(PreTrainedPolicy):
         previous = torch.where(hidden[:, None], self._hold(state), previous)
         error = self._predict(state, difference, previous, recalled) - target
         # Velocity m/s to displacement per step mm.
-        motion = (error[:, :3] * (1000 / self.config.control_hz)).square().sum(1).mean()
-        pressure = error[:, PRESSURES].square().sum(1).mean()
+        motion = (error[..., :3] * (1000 / self.config.control_hz)).square().sum(-1).mean()
+        pressure = error[..., PRESSURES].square().sum(-1).mean()
         loss = motion + pressure
         if not loss.isfinite():
             raise InputError(
@@ -509,7 +520,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
         if self.config.memory and self._memory is None:
             self._memory = memory.Memory(self.config.chambers, self.config.control_hz)
         recalled = self._memory.recall(state) if self._memory else None
-        action = self._predict(state, self._difference(batch), previous, recalled)
+        action = self._predict(state, self._difference(batch), previous, recalled).mean(0)
         if not action.isfinite().all():
             raise InputError("The policy's action is not finite: its weights or an observation contain NaN.")
         return action.clamp(self._action_low, self._action_high)[:, None]
@@ -533,7 +544,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
     def _predict(
         self, state: Tensor, difference: Tensor | None, previous: Tensor, recalled: Tensor | None
     ) -> Tensor:
-        """Action (B, 3 + C), m/s and kPa, not clipped; see `loss`."""
+        """Actions (networks, B, 3 + C), m/s and kPa, not clipped; see `loss`."""
         parts = [
             ((state - self._state_centre) / self._state_scale)[:, self._channels],
             (previous - self._action_centre) / self._action_scale,
@@ -541,6 +552,10 @@ class PneutacBCPolicy(PreTrainedPolicy):
         if recalled is not None:
             kpa = self._state_scale[self._places.pressure]
             parts.append(memory.scaled(recalled, kpa)[:, self._recalled])
+        inputs = [torch.cat(parts, 1)] * self.config.networks
         if self.encoder is not None:
-            parts.insert(0, self.encoder(difference))
-        return self.mlp(torch.cat(parts, 1)) * self._action_scale + self._action_centre
+            size = difference.abs()
+            touch = [self.encoder(difference), *(other["layers"](size) for other in self.others)]
+            inputs = [torch.cat(both, 1) for both in zip(touch, inputs, strict=True)]
+        out = [mlp(x) for mlp, x in zip((self.mlp, *(o["mlp"] for o in self.others)), inputs, strict=True)]
+        return torch.stack(out) * self._action_scale + self._action_centre

@@ -33,6 +33,21 @@ def pool(image: Tensor) -> Tensor:
     return F.adaptive_avg_pool2d(image, small)
 
 
+def layers(channels: int) -> nn.Sequential:
+    """Three strided convolutions from |image - rest| (B, channels, 80, 60) to the embedding (B, 64)."""
+    return nn.Sequential(
+        nn.Conv2d(channels, 16, 5, stride=2, padding=2),
+        nn.ReLU(),
+        nn.Conv2d(16, 32, 3, stride=2, padding=1),
+        nn.ReLU(),
+        nn.Conv2d(32, 32, 3, stride=2, padding=1),
+        nn.ReLU(),
+        nn.AvgPool2d(2),  # ten demonstrations have too few touches for more weights
+        nn.Flatten(),
+        nn.Linear(32 * 5 * 4, EMBEDDING),
+    )
+
+
 class TactileEncoder(nn.Module):
     """|image - rest| at 80 x 60, through three strided convolutions to a 64-D embedding; lying at 60 x 80.
 
@@ -50,17 +65,7 @@ class TactileEncoder(nn.Module):
         c, h, w = shape
         self._small = grid(h, w)
         self.register_buffer("rest_image", torch.full((c, h, w), torch.nan))
-        self.layers = nn.Sequential(
-            nn.Conv2d(c, 16, 5, stride=2, padding=2),
-            nn.ReLU(),
-            nn.Conv2d(16, 32, 3, stride=2, padding=1),
-            nn.ReLU(),
-            nn.Conv2d(32, 32, 3, stride=2, padding=1),
-            nn.ReLU(),
-            nn.AvgPool2d(2),  # ten demonstrations have too few touches for more weights
-            nn.Flatten(),
-            nn.Linear(32 * 5 * 4, EMBEDDING),
-        )
+        self.layers = layers(c)
 
     def forward(self, difference: Tensor) -> Tensor:
         """Embedding (B, 64) of what `difference` gives."""

@@ -96,6 +96,7 @@ def test_config_survives_saving_and_loading(tmp_path):
         ({"pixel_noise_levels": -1.0}, "pixel_noise_levels is -1.0"),
         ({"optimizer_lr": 0.0}, "optimizer_lr is 0.0"),
         ({"control_hz": 0}, "control_hz is 0"),
+        ({"networks": 0}, "networks is 0"),
         ({"normalization_mapping": {"STATE": NormalizationMode.MEAN_STD}}, "must be IDENTITY"),
     ],
 )
@@ -155,7 +156,7 @@ def test_loss_is_the_papers_formula(monkeypatch):
     policy = make_ready_policy().eval()
     batch = make_batch(2)
     batch[ACTION][:, 1] = torch.tensor([[0.03, 0.0, -0.015, 5.0], [0.0, 0.0, 0.0, 2.0]])
-    predicted = torch.tensor([[0.0, 0.0, 0.0, 7.0], [0.06, 0.0, 0.0, 2.0]])
+    predicted = torch.tensor([[[0.0, 0.0, 0.0, 7.0], [0.06, 0.0, 0.0, 2.0]]])
     monkeypatch.setattr(policy, "_predict", lambda *_: predicted)
     loss, terms = policy(batch)
     # Displacements at 15 Hz in mm: (2, 0, -1) missed in the first sample, 4 too much in the second.
@@ -247,6 +248,24 @@ def test_overfits_one_batch():
         loss.backward()
         optimizer.step()
     assert policy(batch)[0].item() < 0.01 * first
+
+
+@pytest.mark.parametrize("use_tactile", [True, False])
+def test_several_networks_act_by_their_mean_and_learn_each_for_itself(tmp_path, use_tactile):
+    policy = make_ready_policy(networks=3, use_tactile=use_tactile).eval()
+    batch = make_batch()
+    state, previous = batch[OBS_STATE], batch[ACTION][:, 0]
+    each = policy._predict(state, policy._difference(batch), previous, None)
+    assert each.shape == (3, 3, 4) and each.std(0).min() > 0
+    policy._previous = previous
+    mean = each.mean(0).clamp(policy._action_low, policy._action_high)
+    torch.testing.assert_close(policy.select_action(batch), mean)
+    errors = (each - batch[ACTION][:, 1]) * torch.tensor([1000 / 15] * 3 + [1.0])
+    assert policy(batch)[0].item() == pytest.approx(errors.square().sum(-1).mean().item(), rel=1e-5)
+    policy.save_pretrained(tmp_path)
+    again = PneutacBCPolicy.from_pretrained(tmp_path)
+    again._previous = previous
+    torch.testing.assert_close(again.select_action(batch), mean)
 
 
 # ---------------------------------------------------------------- inference
