@@ -43,7 +43,11 @@ def augment_page(new: tuple[str, Path], summary: dict, references: list[Referenc
     rows += [{"variants": f"rejected: {r}", "number": n} for r, n in summary["rejected"].items()]
     report.table(rows, "Yield")
     if summary["scenes"]:
-        scenes = [_scene_row(r, s) for r, s in zip(references, summary["scenes"], strict=False)]
+        scenes = [
+            {"demonstration": r.source, "works in the twin": s["works"], "contact area RMSE": s["area_rmse"]}
+            | {"object moved (mm)": ", ".join(f"{1e3 * x:.1f}" for x in s["shift_m"][:2])}
+            for r, s in zip(references, summary["scenes"], strict=False)
+        ]
         report.table(scenes, "Where the object stood: the replay of each recorded demonstration in the twin")
     if "checks" in summary:
         report.table([_check_row(c) for c in summary["checks"]], "Carried out once more by material points")
@@ -64,15 +68,6 @@ def _check_row(check: dict) -> dict:
         "largest contact area": check["area_peak"],
         "image RMSE (levels)": check["image_rmse_levels"],
         "minutes": check["seconds"] / 60,
-    }
-
-
-def _scene_row(reference: Reference, scene: dict) -> dict:
-    return {
-        "demonstration": reference.source,
-        "works in the twin": scene["works"],
-        "contact area RMSE": scene["area_rmse"],
-        "object moved (mm)": ", ".join(f"{1e3 * x:.1f}" for x in scene["shift_m"][:2]),
     }
 
 

@@ -31,8 +31,7 @@ EACH, ALL = 60, 30_000  # of a trial at least, but where the least of all trials
 
 def comparison_page(c) -> Report:
     """The report of a `BodyComparison`."""
-    report = Report(c.title)
-    report.lead(c.sentence)
+    report = c.lead_page()
     unit = c.unit
     fitted = c.train_samples.any()
     parts = (("held out", "heldout"), ("training", "train")) if fitted else ()

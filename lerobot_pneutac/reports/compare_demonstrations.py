@@ -12,8 +12,7 @@ EVERY = 2  # frames of an episode that are shown in the film
 
 
 def demonstrations_page(c) -> Report:
-    page = Report(c.title)
-    page.lead(c.sentence)
+    page = c.lead_page()
     for remark in c.remarks():
         page.text(remark.replace("[yellow]", "").replace("[/]", ""))
     worst = c.worst[0]["trial"]

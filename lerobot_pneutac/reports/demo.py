@@ -23,8 +23,7 @@ TITLES = {
 def demo_page(result) -> Report:
     """The report of a finished demo, not yet written."""
     state, out = result.state, result.out
-    page = Report(result.title)
-    page.lead(result.sentence)
+    page = result.lead_page()
     page.heading("The error of the twin")
     page.figure(
         _errors(state, result.added),
@@ -58,8 +57,7 @@ def demo_page(result) -> Report:
 def quick_page(result, before, after) -> Report:
     """The report of a finished quick demo, not yet written, with the `BodyComparison`s of another day."""
     state = result.state
-    page = Report(result.title)
-    page.lead(result.sentence)
+    page = result.lead_page()
     page.figure(
         _another_day(before, after),
         "The tip on another day, which neither calibration nor diagnosis saw. The measurements are of a"

@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from lerobot_pneutac.diagnosis.experiment import Separation, read
-from lerobot_pneutac.diagnosis.result import Contribution, Outcome
+from lerobot_pneutac.diagnosis.result import Outcome
 from lerobot_pneutac.reports.page import (
     AFTER,
     BEFORE,
@@ -102,7 +102,9 @@ def contributions(study: EffectStudy, o: Outcome) -> go.Figure:
     shown = sorted(o.contributions, key=lambda c: c.drop[0])
     names = [c.name.replace("_", " ") for c in shown]
     rise = [c.error_without - c.error_with for c in shown]
-    ends = [[_root(c, c.drop[i]) - c.error_with for c in shown] for i in (1, 2)]
+    least, most = (  # rises of the error at the ends of the interval of the mean square's
+        [max(c.error_with**2 + c.drop[i], 0.0) ** 0.5 - c.error_with for c in shown] for i in (1, 2)
+    )
     figure = go.Figure()
     for known, colour, name in ((True, KNOWN, "known cause"), (False, AFTER, "new")):
         at = [i for i, c in enumerate(shown) if c.known == known]
@@ -110,16 +112,12 @@ def contributions(study: EffectStudy, o: Outcome) -> go.Figure:
             y=[names[i] for i in at], x=[rise[i] for i in at], orientation="h", name=name,
             marker_color=colour,
             error_x={
-                "type": "data", "array": [max(0, ends[1][i] - rise[i]) for i in at],
-                "arrayminus": [max(0, rise[i] - ends[0][i]) for i in at], "color": WHISKER,
+                "type": "data", "array": [max(0, most[i] - rise[i]) for i in at],
+                "arrayminus": [max(0, rise[i] - least[i]) for i in at], "color": WHISKER,
             },
         )  # fmt: skip
     figure.update_yaxes(categoryorder="array", categoryarray=names)
     return figure.update_xaxes(title=f"rise of the test error without it ({study.unit})")
-
-
-def _root(c: Contribution, drop: float) -> float:
-    return float(np.sqrt(max(c.error_with**2 + drop, 0.0)))
 
 
 def _candidates(page: Report, study: EffectStudy, o: Outcome, state: State) -> None:

@@ -41,8 +41,12 @@ def told_sentences(told: Told, make: str) -> list[str]:
     """Parameters that the presses do not identify, and the press to add."""
     out = []
     if told.untold:
+        colours: dict[str, list[str]] = {}  # of each parameter, from one entry a colour
+        for name, colour in (entry.split(" ", 1) for entry in told.untold):
+            colours.setdefault(name, []).append(colour.strip("()"))
+        shown = ", ".join(f"{name} ({', '.join(c)})" for name, c in colours.items())
         source = f"what other sensors of the make {make} have" if make else "its default"
-        out.append(f"The presses do not identify {_grouped(told.untold)}: each stays near {source}.")
+        out.append(f"The presses do not identify {shown}: each stays near {source}.")
     if told.open_levels < ENOUGH_LEVELS:
         out.append("Another press of this indenter would add little information.")
         return out
@@ -81,15 +85,6 @@ def residual_sentence(fit: GelFit) -> str:
             "What the model leaves over of the presses is learnt too, as far as they bear one another out."
         )
     return " ".join(out)
-
-
-def _grouped(untold: tuple[str, ...]) -> str:
-    """`near_light.distance_mm (red, blue), ...` from one entry a colour."""
-    colours: dict[str, list[str]] = {}
-    for entry in untold:
-        name, colour = entry.split(" ", 1)
-        colours.setdefault(name, []).append(colour.strip("()"))
-    return ", ".join(f"{name} ({', '.join(c)})" for name, c in colours.items())
 
 
 PICTURES = 6  # held-out images in the picture grid

@@ -17,8 +17,7 @@ from lerobot_pneutac.reports.sentences import called
 
 
 def design_page(design) -> Report:
-    report, best = Report(design.title), design.best
-    report.lead(design.sentence)
+    report, best = design.lead_page(), design.best
     figure = make_subplots(2, 1, shared_xaxes=True, row_heights=[0.7, 0.3], vertical_spacing=0.06)
     # Of the predicted columns the one in which the models differ most.
     spread = np.std(np.stack(best.predictions), axis=0).max(axis=0)
@@ -38,8 +37,7 @@ def design_page(design) -> Report:
 
 
 def motion_page(design) -> Report:
-    report = Report(design.title)
-    report.lead(design.sentence)
+    report = design.lead_page()
     for c in dict.fromkeys(design.chosen.values()):
         drags = c.motion.drag_mm > 0
         figure = go.Figure()
@@ -76,8 +74,7 @@ CURVE, COMMAND, BARS = (60, 60, 470, 270), (60, 300, 470, 370), (530, 60, 700, 3
 
 
 def learn_page(learning) -> Report:
-    report = Report(learning.title)
-    report.lead(learning.sentence)
+    report = learning.lead_page()
     report.figure(
         _foreseen(learning),
         "Error on each program before it was used for anything, by the best model until then and by the "

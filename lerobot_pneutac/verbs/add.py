@@ -193,8 +193,7 @@ class Addition(Result):
         return out
 
     def page(self) -> Report:
-        page = Report(self.title)
-        page.lead(self.sentence)
+        page = self.lead_page()
         for text in self.physics if self.accepted else ():
             page.text(text)
         if self.accepted and self.objections:

@@ -264,7 +264,9 @@ def compare_body(twin: Twin, recording: Recording) -> BodyComparison:
     findings += [f"Effect '{name}' could not act: {why}." for name, why in prediction.left_out.items()]
     bench = prediction.data
     outside, range_finding = out_of_range(twin, bench)
-    rate, noise = motion(clean)[0], noise_floor(clean)
+    rate, noise, pressure = motion(clean)[0], noise_floor(clean), None
+    if all(clean.has(n.replace("cmd_", "")) for n in clean.pressure_columns):
+        pressure = squared_distance(simulate(twin, BodyData.of(clean, twin, target="pressure")).residual)
     return BodyComparison(
         recording=clean,
         findings=(*findings, *filter(None, [range_finding])),
@@ -279,7 +281,7 @@ def compare_body(twin: Twin, recording: Recording) -> BodyComparison:
         axes=axes(clean),
         rate=rate,
         still=is_still(clean, rate),
-        pressure=_pressure_error(clean, twin),
+        pressure=pressure,
         twin=twin,
         bench=bench,
         out_of_range=outside,
@@ -295,13 +297,6 @@ def train_mask(twin: Twin, recording: Recording) -> np.ndarray:
                 return deal(recording, int(entry["seed"])).learnt
             return recording.split(int(entry["seed"]))[0]
     return np.zeros(len(recording), bool)
-
-
-def _pressure_error(recording: Recording, twin: Twin) -> np.ndarray | None:
-    measured = [n.replace("cmd_", "") for n in recording.pressure_columns]
-    if not all(map(recording.has, measured)):
-        return None
-    return squared_distance(simulate(twin, BodyData.of(recording, twin, target="pressure")).residual)
 
 
 def by_axis(axis: Axis, squared: np.ndarray, train: np.ndarray) -> list[dict]:

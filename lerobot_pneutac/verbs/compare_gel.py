@@ -135,8 +135,7 @@ class GelComparison(Comparison):
         return {"tactile.png": picture_grid(self.data, self.predicted, first)}
 
     def page(self) -> Report:
-        page = Report(self.title)
-        page.lead(self.sentence)
+        page = self.lead_page()
         page.image(
             self.pictures()["tactile.png"],
             "Above the recording, in the middle the twin, below four times the difference.",

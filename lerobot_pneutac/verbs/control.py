@@ -94,8 +94,7 @@ class Control(Result):
         return shlex.join(["pneutac", "measure", f"--program={out}/program.csv", f"--out={out}/recording"])
 
     def page(self) -> Report:
-        page = Report(self.title)
-        page.lead(self.sentence)
+        page = self.lead_page()
         page.table(self.rows(), "Root mean square of the bend against what was asked for.")
         figure = make_subplots(2, 1, shared_xaxes=True, row_heights=[0.7, 0.3], vertical_spacing=0.06)
         asked = ("asked for", self.target_rad, MEASURED)

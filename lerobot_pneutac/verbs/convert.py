@@ -123,7 +123,11 @@ def convert(config: ConvertConfig, show: Callable[[Understood], None] = lambda u
     columns = {n: n for n in log.columns} if config.log is not None else config.columns
     if film:
         tip = _of_film(config)
-        frame = BaseFrame(_upright(tip, commanded(tip, log, columns)), np.zeros(3))
+        z, kpa = tip.position_mm[:, 2], commanded(tip, log, columns)
+        seen = np.isfinite(z)
+        up = np.sum((z[seen] - np.median(z[seen])) * (kpa[seen] - kpa[seen].mean())) >= 0
+        # by half a turn about x where positive pressure bends the film's finger towards -z
+        frame = BaseFrame(np.diag([1.0, 1.0, 1.0] if up else [1.0, -1.0, -1.0]), np.zeros(3))
     elif config.tip:
         tip = source.track(config.tip, "tip")
         frame = _frame(source.track(config.base, "base"), tip, config, commanded(tip, log, columns))
@@ -230,14 +234,6 @@ def _of_film(config: ConvertConfig) -> Track:
             " --tip_rgb, --base_rgb and --dots_mm (coloured dots)."
         )
     return track_dots(config.source, config.tip_rgb, config.base_rgb, config.dots_mm, camera)
-
-
-def _upright(tip: Track, kpa: np.ndarray) -> np.ndarray:
-    """Turns by half a turn about x where positive pressure bends the film's finger towards -z."""
-    z = tip.position_mm[:, 2]
-    seen = np.isfinite(z)
-    bends = np.sum((z[seen] - np.median(z[seen])) * (kpa[seen] - kpa[seen].mean()))
-    return np.diag([1.0, 1.0, 1.0] if bends >= 0 else [1.0, -1.0, -1.0])
 
 
 def command(config: ConvertConfig, terminal: Terminal) -> None:

@@ -174,9 +174,7 @@ class GelCalibration(Calibration):
         return {"tactile.png": picture_grid(self.data, self.predicted, self.data.calibration)}
 
     def page(self) -> Report:
-        page = Report(self.title)
-        if self.sentence:
-            page.lead(self.sentence)
+        page = self.lead_page()
         page.text(f"Recording: `{self.recording}`. {self.notes}")
         page.image(
             self.pictures()["tactile.png"],

@@ -127,8 +127,7 @@ class PhotoCalibration(Calibration):
     def page(self) -> Report:
         import plotly.graph_objects as go
 
-        page = Report(self.title)
-        page.lead(self.sentence)
+        page = self.lead_page()
         page.table(
             self.rows(),
             "Intervals show how well the silhouettes determine each parameter. A body whose shape or neutral "

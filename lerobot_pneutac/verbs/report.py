@@ -66,8 +66,7 @@ class TwinReport(Result):
     def page(self) -> Report:
         from lerobot_pneutac.reports.compare import history  # plotly
 
-        page, twin = Report(self.title), self.twin
-        page.lead(self.sentence)
+        page, twin = self.lead_page(), self.twin
         if twin.history:
             page.heading("How it became so")
             for unit in dict.fromkeys(e["unit"] for e in self.rows() if e["unit"]):

@@ -72,10 +72,16 @@ class Result:
         return {key: attrgetter(attribute)(self) for key, attribute in pairs}
 
     def page(self) -> Report:
+        """The sentence and the table; a page of its own begins with `lead_page`."""
+        page = self.lead_page()
+        page.table(self.rows())
+        return page
+
+    def lead_page(self) -> Report:
+        """Heading and sentence alone."""
         page = Report(self.title)
         if self.sentence:
             page.lead(self.sentence)
-        page.table(self.rows())
         return page
 
     def pictures(self) -> dict[str, np.ndarray]:
@@ -95,7 +101,10 @@ class Result:
         page = self.page()
         page.about = about(*self.subject())
         if following := self.next_after(Path(out)):
-            page.next_command(_going_on(following, command))
+            given = [a for a in shlex.split(command) if a.startswith(("--task=", "--station="))]
+            if given and "--recording=" in command and following.startswith("pneutac"):
+                following = f"{following} {shlex.join(given)}"  # of the same demonstrations
+            page.next_command(following)
         if command:
             page.heading("Do it again")
             page.code(command)
@@ -106,9 +115,7 @@ class Result:
         return f"<{type(self).__name__}: {self.sentence or self.title}>"
 
     def _repr_html_(self) -> str:
-        page = Report(self.title)
-        page.lead(self.sentence)
-        page.table(self.rows())
+        page = Result.page(self)
         for remark in self.remarks():
             page.text(remark)
         return page.fragment()
@@ -125,13 +132,6 @@ def about(twin: Twin | None, recording: str | Path = "") -> str:
     if recording:
         parts.append(f"Recording: `{Path(recording).name}`.")
     return " ".join(parts)
-
-
-def _going_on(next_command: str, command: str) -> str:
-    """A next command on the same demonstrations, with their options: task and station."""
-    given = [a for a in shlex.split(command) if a.startswith(("--task=", "--station="))]
-    same = "--recording=" in command and next_command.startswith("pneutac")
-    return f"{next_command} {shlex.join(given)}" if given and same else next_command
 
 
 def command_on(verb: str, twin: Twin, recording: str | Path, *options: str) -> str:
