@@ -2,7 +2,7 @@
 
 from mkdocs.structure.files import File
 
-from lerobot_pneutac.verbs.effect_file import units
+from lerobot_pneutac.verbs.effects import units
 from pneutac_sim.effects.laws import family, law, law_names
 
 HELD = ("scale_kpa",)  # of every law on pressure; stated once, above the table
