@@ -111,17 +111,15 @@ class BodyScene:
         self._skin = scene.add_mesh_simple("/skin", vertices, skin.faces, side="double", **looks)
         straight = np.zeros((len(self._joints) + 2, 3))
         straight[1:-1, 0], straight[-1, 0] = self._joints, self._length
-        self._spine = scene.add_line_segments(
-            "/spine", _segments(UNIT * straight), SPINE, thickness=0.08 * width
-        )
+        spine = _segments(UNIT * straight)
+        self._spine = scene.add_line_segments("/spine", spine, SPINE, thickness=0.08 * width)
         self._dots = scene.add_point_cloud(
             "/joints", (UNIT * straight[1:-1]).astype(np.float32), JOINTS, point_size=0.14 * width,
             point_shape="circle", precision="float32",
         )  # fmt: skip
-        self._tip = scene.add_icosphere("/tip", radius=0.13 * width, color=TRAIL)
-        self._measured = scene.add_icosphere(
-            "/measured tip", radius=0.13 * width, color=rgb(MEASURED), visible=False
-        )
+        size = 0.13 * width
+        self._tip = scene.add_icosphere("/tip", radius=size, color=TRAIL)
+        self._measured = scene.add_icosphere("/measured tip", size, rgb(MEASURED), visible=False)
         self._trail = scene.add_line_segments(
             "/tip's path", np.zeros((1, 2, 3), np.float32), TRAIL, thickness=2.0, thickness_units="screen"
         )
@@ -323,11 +321,8 @@ class DevicePage:
             self._aside = gui.add_slider("gravity, ° out of the plane", -90.0, 90.0, 1.0, 0.0)
             stiffness = twin.parameter("joint_stiffness_nm_per_rad")
             most = float(f"{TWO_BENDS_RAD * stiffness / (5e-4 * twin.length_mm):.1g}")
-            step = most / 100
-            self._force = [
-                gui.add_slider(f"poke along {axis}, N", -most, most, step, 0.0)
-                for axis in ("xyz" if self._arm else "xz")
-            ]
+            axes, ends = "xyz" if self._arm else "xz", (-most, most, most / 100, 0.0)
+            self._force = [gui.add_slider(f"poke along {axis}, N", *ends) for axis in axes]
         self._began = {"temperature_c": warm, "payload_g": load, "gravity_x": 0.0}
         for s in (self._temperature, self._payload, self._down, self._aside):
             s.on_update(self._studio.safely(self._surroundings))
@@ -348,9 +343,8 @@ class DevicePage:
             for slider in self._force:
                 slider.value = 0.0
             return
-        pulled = (np.array(self._poke.position) - self._from) / (
-            0.5 * UNIT * self._studio.session.twin.length_mm
-        )
+        half = 0.5 * UNIT * self._studio.session.twin.length_mm
+        pulled = (np.array(self._poke.position) - self._from) / half
         parts = pulled if self._arm else pulled[[0, 2]]
         for slider, part in zip(self._force, np.clip(parts, -1, 1), strict=True):
             slider.value = float(self._most_n * part)
@@ -408,9 +402,8 @@ class DevicePage:
             ("gravity_x", self._down, "gravity"),
         ):
             if column not in acting and slider.value != self._began[column]:
-                raise InputError(
-                    f"This bends the body by its effect `{effect}`, which is off; switch it on below."
-                )
+                off = f"This bends the body by its effect `{effect}`, which is off"
+                raise InputError(f"{off}; switch it on below.")
         self._drive()
 
     def _rest(self) -> None:

@@ -14,12 +14,7 @@ DECADES = 10.0  # a positive parameter may be so many times larger or smaller th
 
 
 class EffectsPanel:
-    """A folder with switches of some effects.
-
-    Args:
-        gui: of the viewer.
-        title: of the folder.
-    """
+    """A folder with switches of some effects."""
 
     def __init__(self, gui: viser.GuiApi, title: str):
         self._gui, self._place, self._folder = gui, gui.add_folder(title, expand_by_default=False), None

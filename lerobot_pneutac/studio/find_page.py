@@ -23,9 +23,8 @@ class ExperimentPanel:
     def __init__(self, studio, work: Callable):
         self._studio, self._work, gui = studio, work, studio.server.gui
         self._design: Design | None = None
-        gui.add_button("Which test is most informative?", hint="pneutac design").on_click(
-            studio.safely(self.design)
-        )
+        choose = gui.add_button("Which test is most informative?", hint="pneutac design")
+        choose.on_click(studio.safely(self.design))
         self.told = gui.add_markdown("", visible=False)
         self._download = gui.add_button("Download program.csv", visible=False, icon="download")
         self._download.on_click(self._send)
@@ -102,17 +101,15 @@ class FindPage:
         gui, safely = self._gui, studio.safely
         self.error = gui.add_markdown("")
         gui.add_button("1. Compare", hint="pneutac compare").on_click(safely(self.compare))
-        gui.add_button("2. Diagnose: what is missing?", hint="pneutac diagnose").on_click(
-            safely(self.diagnose)
-        )
+        look = gui.add_button("2. Diagnose: what is missing?", hint="pneutac diagnose")
+        look.on_click(safely(self.diagnose))
         self._bar = gui.add_progress_bar(0.0, animated=True, visible=False)
         self.progress = gui.add_markdown("", visible=False)
         self.sentence = gui.add_markdown("")
         self._evidence = gui.add_folder("Evidence", visible=False, expand_by_default=False)
         self._choice = gui.add_dropdown("effect", (FOUND,), visible=False)
-        self._try = gui.add_button(
-            "3. Try it: the error before and after", visible=False, hint="pneutac add, not yet written"
-        )
+        hint = "pneutac add, not yet written"
+        self._try = gui.add_button("3. Try it: the error before and after", visible=False, hint=hint)
         self._try.on_click(safely(self.try_it))
         self.before_after = gui.add_markdown("", visible=False)
         self._keep = gui.add_button("4. Keep it", visible=False, color="green")

@@ -62,9 +62,7 @@ class GelPage:
     def _draw_scene(self) -> None:
         scene, (width, height) = self._studio.server.scene, self._sensor.model.window_mm
         self._grid = rows, cols = 80, 59
-        x, y = (
-            (np.arange(n) + 0.5) * s / n - s / 2 for n, s in zip((cols, rows), (width, height), strict=True)
-        )
+        x, y = ((np.arange(n) + 0.5) * s / n - s / 2 for n, s in ((cols, width), (rows, height)))
         self._flat = np.stack([*np.meshgrid(UNIT * x, -UNIT * y), np.zeros(self._grid)], -1).reshape(-1, 3)
         at = np.arange(rows * cols).reshape(self._grid)
         a, b, c, d = at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]
@@ -113,10 +111,8 @@ class GelPage:
         if self._depth.value <= 0:
             nothing = np.zeros(self._grid, np.float32)
             return sensor.rest_image, nothing, nothing
-        press = Press(
-            self._shape.value, self._size.value, self._x.value, self._y.value, self._depth.value,
-            np.radians(self._yaw.value),
-        )  # fmt: skip
+        place = (s.value for s in (self._shape, self._size, self._x, self._y, self._depth))
+        press = Press(*place, np.radians(self._yaw.value))
         depth = press_depth(registered(press, sensor.model), sensor.model)
         moved = sensor.displacement(depth)
         return sensor.draw(moved) if moved.any() else sensor.rest_image, depth, moved
@@ -146,13 +142,11 @@ class GelPage:
             return
         drawn = self._flat.copy()
         drawn[:, 2] = -UNIT * DEPTH_DRAWN * moved.ravel()
-        with self._studio.server.atomic():
-            self._studio.server.scene.add_mesh_simple(
-                "/gel", drawn.astype(np.float32), self._faces, color=SKIN, side="double"
-            )
-            self._handle.position = UNIT * np.array(
-                [self._x.value, -self._y.value, -DEPTH_DRAWN * self._depth.value]
-            )
+        server, place = self._studio.server, (self._x.value, -self._y.value, -DEPTH_DRAWN * self._depth.value)
+        with server.atomic():
+            looks = {"color": SKIN, "side": "double"}
+            server.scene.add_mesh_simple("/gel", drawn.astype(np.float32), self._faces, **looks)
+            self._handle.position = UNIT * np.array(place)
 
     def close(self) -> None:
         self._stop.set()

@@ -92,10 +92,6 @@ class Skin:
 class LiveBody:
     """One device that goes on in time.
 
-    Args:
-        twin: a finger or an arm.
-        conditions: what effects may ask for, such as `temperature_c`.
-
     Attributes:
         time_s: since it was made.
 

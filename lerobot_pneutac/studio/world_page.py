@@ -233,10 +233,6 @@ TOUCH = f"{OBS_IMAGES}.{IMAGE_NAME}"
 class PolicyPlayer:
     """A policy at the beginning of an episode.
 
-    Args:
-        name: folder of its weights, or its name on the Hub.
-        task: the instruction.
-
     Raises:
         InputError: there is no policy, or it wants to see what the studio's world does not show.
     """

@@ -58,12 +58,6 @@ class Band:
 def prediction_band(twin: Twin, bench: BodyData, train: np.ndarray, noise: NoiseFloor) -> Band | None:
     """Bands from the intervals of a twin's parameters and from the measurement's noise.
 
-    Args:
-        twin: of the recording's device.
-        bench: the recording as the twin reads it.
-        train: (n,) mask of samples on which the parameters were fitted.
-        noise: of the recording.
-
     Returns:
         None where the noise is unknown, or neither intervals nor noise are there.
     """

@@ -23,13 +23,7 @@ DIGITS = 6  # joint targets that agree in so many, rad, are one equilibrium
 
 
 def spread(count: int, samples: int, seed: int = 0) -> np.ndarray:
-    """Rows to simulate, rising: one anywhere in each of `samples` equal stretches, so that no period is hit.
-
-    Args:
-        count: of rows.
-        samples: at most so many.
-        seed: decides which.
-    """
+    """Rows to simulate, rising: one at random in each of `samples` equal stretches, to hit no period."""
     if count <= samples:
         return np.arange(count)
     edges = np.linspace(0, count, samples + 1)

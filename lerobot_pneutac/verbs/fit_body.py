@@ -34,6 +34,7 @@ from pneutac_sim.finger import BodyData, Pipeline, PipelineFit, fit, simulate
 from pneutac_sim.finger.equilibrium import SoftBody
 from pneutac_sim.finger.quantities import squared_distance
 from pneutac_sim.finger.stages import BODY_SHARE, FORCES
+from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.surrogate.programs import bending_range
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 
@@ -136,10 +137,8 @@ def _found(twin: Twin, found: PipelineFit, body: SoftBody) -> Compliance:
         return _held(twin, f"The loads bend the finger too little, so {_NEITHER}; {advice(twin)}.")
     new, whole = twin.copy(), found.twin.parameters[WHOLE]
     if whole.ci95[1] > WIDEST * whole.ci95[0]:
-        shown = "{:.2g} to {:.2g} N m/rad a joint".format(*whole.ci95)
-        return _held(
-            twin, f"The loads leave the stiffness anywhere from {shown}, so {_NEITHER}; {advice(twin)}."
-        )
+        shown = "anywhere from {:.2g} to {:.2g} N m/rad a joint".format(*whole.ci95)
+        return _held(twin, f"The loads leave the stiffness {shown}, so {_NEITHER}; {advice(twin)}.")
     new.parameters[WHOLE] = whole
     rows = {WHOLE: with_unit(whole, "N m/rad") | {"note": ""}}
     remark = "Joint stiffness: {:.2g} to {:.2g} N m/rad.".format(*whole.ci95)
@@ -262,7 +261,9 @@ class BodyCalibration(Calibration):
         return page
 
 
-def calibrate_body(twin: Twin, recording: Recording, seed: int = 0, progress=None) -> BodyCalibration:
+def calibrate_body(
+    twin: Twin, recording: Recording, seed: int = 0, progress: Progress = no_progress
+) -> BodyCalibration:
     """Fits all parameters of the twin and of its effects to 70 % of a recording, by whole blocks of time.
 
     Raises:
@@ -273,11 +274,10 @@ def calibrate_body(twin: Twin, recording: Recording, seed: int = 0, progress=Non
     recording, findings, train, heldout = fit_parts(twin, recording, seed)
     recording, moved = align_mounts(recording, twin.length_mm, train)
     bench, command = (BodyData.of(recording, twin, source=s) for s in ("auto", "command"))
-    report = progress or (lambda *_: None)
     told = fit_compliance(twin, recording, train, seed)
-    fits = _fit_stages(told.twin, recording, bench, train, seed, report)
+    fits = _fit_stages(told.twin, recording, bench, train, seed, progress)
     judge = _Judge(command, recording, heldout, seed)
-    fits, plain, causes, doubts = _with_known_causes(fits, recording, bench, train, judge, seed, report)
+    fits, plain, causes, doubts = _with_known_causes(fits, recording, bench, train, judge, seed, progress)
     after = replace(fits[-1].twin, fitted_to={"change": "calibrated", "recording": folder, "seed": seed})
 
     def error(model: Twin, mask: np.ndarray) -> float | None:

@@ -203,15 +203,7 @@ def calibrate_gel(
     image_size: Sequence[int] | None = None,
     progress: Progress = no_progress,
 ) -> GelCalibration:
-    """Fits light and optics to all images of role `calibration`.
-
-    Args:
-        twin: of a gel, or of a finger that gets this gel.
-        recording: of a gel, with a row of role `calibration` or more.
-        effects: see `wanted`.
-        through_mpm: whether material points give the surfaces that the light is fitted to.
-        image_size: width and height in px in which the twin has its images; None for that of the photographs.
-        progress: called with a text, the presses of material points done and all of them.
+    """Fits light and optics to all images of role `calibration`; see `calibrate`.
 
     Raises:
         InputError: an effect cannot be fitted to one pair, the images do not serve, the material points

@@ -139,11 +139,6 @@ class TrainedNetworks(Result):
 def train_networks(config: SurrogateConfig, twin: Twin, progress: Progress = no_progress) -> TrainedNetworks:
     """Trains what is missing or outdated, and writes networks and their card into the twin's folder.
 
-    Args:
-        config: what to collect and to learn from.
-        twin: of a calibrated finger; gets the networks.
-        progress: is called with a few words, what is done and of how much.
-
     Raises:
         InputError: the twin is no finger's or has not been calibrated, or too little is to be collected.
     """
