@@ -23,15 +23,11 @@ def augment_page(new: tuple[str, Path], summary: dict, references: list[Referenc
         f"{summary['attempts']} variants were tried and {summary['kept']} did the task ({100 * share:.0f} %),"
         f" in {summary['wall_s'] / 60:.1f} minutes."
     )
+    moved = "; objects and reference trajectories were moved together by as much in x and y"
     report.text(
-        "Contacts of the recorded demonstrations begin within "
-        + " / ".join(f"{s:.1f}" for s in 1e3 * onset_sigma_m(references))
-        + " mm (standard deviation in x / y / z)"
-        + (
-            "; objects and reference trajectories were moved together by as much in x and y."
-            if summary["scenes"]
-            else "."
-        )
+        f"Contacts of the recorded demonstrations begin within "
+        f"{' / '.join(f'{s:.1f}' for s in 1e3 * onset_sigma_m(references))} mm (standard deviation in "
+        f"x / y / z){moved if summary['scenes'] else ''}."
     )
     late = {line["late_commands"] for line in summary["provenance"] if "late_commands" in line}
     if late:
@@ -39,9 +35,8 @@ def augment_page(new: tuple[str, Path], summary: dict, references: list[Referenc
             "Until the touch the recorded paths fit the twin best where commands act"
             f" {max(late)} control steps late; so they do in the new demonstrations."
         )
-    rows = [{"variants": "kept", "number": summary["kept"]}]
-    rows += [{"variants": f"rejected: {r}", "number": n} for r, n in summary["rejected"].items()]
-    report.table(rows, "Yield")
+    counts = {"kept": summary["kept"]} | {f"rejected: {r}": n for r, n in summary["rejected"].items()}
+    report.table([{"variants": name, "number": n} for name, n in counts.items()], "Yield")
     if summary["scenes"]:
         scenes = [
             {"demonstration": r.source, "works in the twin": s["works"], "contact area RMSE": s["area_rmse"]}

@@ -141,10 +141,8 @@ def in_band(c) -> go.Figure:
 
 
 def over_time(c) -> go.Figure:
-    figure = make_subplots(
-        c.counted + 1, 1, shared_xaxes=True, vertical_spacing=0.03,
-        row_heights=[1.0] * c.counted + [0.6],
-    )  # fmt: skip
+    rows = {"shared_xaxes": True, "row_heights": [1.0] * c.counted + [0.6]}
+    figure = make_subplots(c.counted + 1, 1, vertical_spacing=0.03, **rows)
     t, shift = session_clock(c.recording)
     trials = [np.arange(rows.start, rows.stop) for rows in c.recording.trials().values()]
     for i in range(c.counted if c.band is not None else 0):
@@ -235,14 +233,10 @@ def residuals(c) -> go.Figure:
             x=value[some].round(4), y=y.round(4), mode="markers", visible=k == 0, showlegend=False,
             marker={"size": 3, "color": colours, "opacity": 0.6},
         )  # fmt: skip
-    buttons = [
-        {
-            "label": name,
-            "method": "update",
-            "args": [{"visible": [k == j for j in range(len(choices))]}, {"xaxis.title.text": _title(name)}],
-        }
-        for k, (name, _) in enumerate(choices)
-    ]
+    buttons = []
+    for k, (name, _) in enumerate(choices):
+        shown = {"visible": [k == j for j in range(len(choices))]}, {"xaxis.title.text": _title(name)}
+        buttons.append({"label": name, "method": "update", "args": list(shown)})
     figure.update_layout(
         xaxis_title=_title(choices[0][0]),
         yaxis_title=f"residual of {_title(c.columns[i])}",

@@ -55,11 +55,8 @@ def diagnosis_page(d, separation: Separation | None) -> Report:
         page.heading("The physics")
         page.figure(*seen, 380)
     page.heading("The error")
-    page.figure(
-        ladder(study, o),
-        "Test error as terms are added; whiskers: 95 % interval, dashed: noise.",
-        300,
-    )
+    added = "Test error as terms are added; whiskers: 95 % interval, dashed: noise."
+    page.figure(ladder(study, o), added, 300)
     _contributions(page, study, o)
     _parameters(page, study, o)
     _candidates(page, study, o, d.state)
@@ -89,13 +86,8 @@ def _contributions(page: Report, study: EffectStudy, o: Outcome) -> None:
             "whiskers: 98 % interval.",
             110 + 42 * len(o.contributions),
         )
-    if o.selected:
-        page.text(
-            "\n\n".join(
-                f"**{study.cause(o.after, e)}**: {study.describe(o.after, e)} {study.size(o.after, e)}"
-                for e in o.selected
-            )
-        )
+    for e in o.selected:
+        page.text(f"**{study.cause(o.after, e)}**: {study.describe(o.after, e)} {study.size(o.after, e)}")
 
 
 def contributions(study: EffectStudy, o: Outcome) -> go.Figure:
@@ -135,9 +127,8 @@ def _candidates(page: Report, study: EffectStudy, o: Outcome, state: State) -> N
         row |= {f"test error alone ({study.unit})": t and t.heldout, "removes alone": "not tried alone"}
         row |= {"in the contact": t.errors["heldout_contact"]} if t and "heldout_contact" in t.errors else {}
         if t is not None:
-            row["removes alone"] = (
-                "-" if t.reduction is None or t.ci95 is None else percent(t.reduction, t.ci95)
-            )
+            known = t.reduction is not None and t.ci95 is not None
+            row["removes alone"] = percent(t.reduction, t.ci95) if known else "-"
         row |= {f"test error without it ({study.unit})": without.get(name)} if without else {}
         rows.append(row | {"tested by": t.tested_by if t else "with the others"})
     page.table(rows)
@@ -159,11 +150,9 @@ def _over_time(page: Report, study: EffectStudy, o: Outcome) -> None:
     page.figure(over_time(study, o, worst), f"{caption} Below: the command.", 460)
     page.table(worst, "The worst passages after the change.")
     found = shown_axes(study)
-    page.figure(
-        by_level(study, o, found),
-        "Error at each level that was recorded; dashed: the noise.",
-        60 + 260 * ((len(found) + 1) // 2),
-    )
+    height = 60 + 260 * ((len(found) + 1) // 2)
+    levels = "Error at each level that was recorded; dashed: the noise."
+    page.figure(by_level(study, o, found), levels, height)
 
 
 def _parameters(page: Report, study: EffectStudy, o: Outcome) -> None:
@@ -194,12 +183,9 @@ def error_bars(steps: list[Step], unit: str, noise: float | None) -> go.Figure:
         "array": [max(0.0, float(band[1]) - error) for _, error, band, _ in steps],
         "arrayminus": [max(0.0, error - float(band[0])) for _, error, band, _ in steps],
     }  # fmt: skip
-    figure = go.Figure(
-        go.Bar(
-            x=[f"{name}<br>{error:.3g} {unit}" for name, error, *_ in steps], y=[s[1] for s in steps],
-            marker_color=[s[3] for s in steps], width=0.5, error_y=whisker,
-        )
-    )  # fmt: skip
+    names, looks = [f"{name}<br>{error:.3g} {unit}" for name, error, *_ in steps], [s[3] for s in steps]
+    figure = go.Figure()
+    figure.add_bar(x=names, y=[s[1] for s in steps], marker_color=looks, width=0.5, error_y=whisker)
     if noise:
         figure.add_hline(y=noise, line={"dash": "dash", "color": FLOOR}, annotation_text="noise")
     return figure.update_yaxes(title=f"test error ({unit})", rangemode="tozero")
@@ -304,9 +290,8 @@ def physics(study: EffectStudy, o: Outcome) -> tuple[go.Figure, str] | None:
 
 def _panels(x: np.ndarray, lines: dict[str, np.ndarray], x_title: str, y_title: str) -> go.Figure:
     """Left the three lines, right measured and model with the cause, both minus the model without it."""
-    figure = make_subplots(
-        1, 2, horizontal_spacing=0.1, subplot_titles=("response", "minus the model without it")
-    )
+    titles = ("response", "minus the model without it")
+    figure = make_subplots(1, 2, horizontal_spacing=0.1, subplot_titles=titles)
     for name, y in lines.items():
         label = name if name == "measured" else f"model {name} it"
         style = {"color": MEANT[name], "width": 2, "dash": "solid" if name != "without" else "dash"}

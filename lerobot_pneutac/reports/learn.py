@@ -23,15 +23,14 @@ def design_page(design) -> Report:
     spread = np.std(np.stack(best.predictions), axis=0).max(axis=0)
     for c, seen in zip(design.contenders, best.predictions, strict=True):
         name = f"{100 * c.probability:.0f} %: {' + '.join(map(called, c.terms)) or 'no effect'}"
-        figure.add_trace(go.Scatter(x=best.time_s, y=seen[:, spread.argmax()], name=name[:60]), 1, 1)
+        figure.add_scatter(x=best.time_s, y=seen[:, spread.argmax()], name=name[:60], row=1, col=1)
     for trace in pressure_traces(best.time_s, best.pressure_kpa):
         figure.add_trace(trace, 2, 1)
-    figure.update_yaxes(title_text=f"predicted, {design.unit}", row=1, col=1)
-    figure.update_yaxes(title_text="pressure, kPa", row=2, col=1)
+    for row, title in ((1, f"predicted, {design.unit}"), (2, "pressure, kPa")):
+        figure.update_yaxes(title_text=title, row=row, col=1)
     figure.update_xaxes(title_text="time, s", row=2, col=1)
-    report.figure(
-        figure, "What each model predicts, with its probability before the program, and the program.", 520
-    )
+    what = "What each model predicts, with its probability before the program, and the program."
+    report.figure(figure, what, 520)
     report.table(design.rows(), "The programs with the most information for their time.")
     return report
 
@@ -43,7 +42,7 @@ def motion_page(design) -> Report:
         figure = go.Figure()
         for name, felt in c.felt.items():
             x, y = (felt.way_mm, felt.turn_deg) if drags else (felt.time_s, felt.force_n)
-            figure.add_trace(go.Scatter(x=x, y=y, name=name))
+            figure.add_scatter(x=x, y=y, name=name)
         figure.update_xaxes(title_text="sideways path of the arm, mm" if drags else "time, s")
         figure.update_yaxes(title_text="turn of the imprint, degrees" if drags else "force on the gel, N")
         report.figure(figure, f"{c.motion.name}: the twin as it is, and with one thing changed.".capitalize())
@@ -84,12 +83,8 @@ def learn_page(learning) -> Report:
     seen = [r for r in learning.rounds if files[r.number].is_file()]
     if seen:
         frames = list(film_frames(seen, [files[r.number] for r in seen]))
-        report.film(
-            frames,
-            1 / FRAMES_HZ,
-            f"Each program as predicted before it was measured, and as measured, {FASTER:.0f} times as fast.",
-            720,
-        )
+        what = "Each program as predicted before it was measured, and as measured"
+        report.film(frames, 1 / FRAMES_HZ, f"{what}, {FASTER:.0f} times as fast.", 720)
     report.table(learning.rows(), "* confirmed by a program of another kind that was predicted with it.")
     report.figure(_programs(learning), "What was commanded.", 120 + 90 * len(learning.rounds))
     report.figure(_likely(learning), "How likely each model was after each round, by its last effects.")

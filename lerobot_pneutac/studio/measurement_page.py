@@ -33,9 +33,8 @@ class PhotographPanel:
         self._joints = np.array(twin.spine_joint_positions_mm)
         self._columns = [str(c) for c in recording.samples if re.fullmatch(r"image(_\w+)?", str(c))]
         self._cameras = {c: self._camera_of(c) for c in self._columns}
-        self._chosen = gui.add_dropdown(
-            "photograph", tuple(self._columns) or ("",), visible=len(self._columns) > 1
-        )
+        names = tuple(self._columns) or ("",)
+        self._chosen = gui.add_dropdown("photograph", names, visible=len(names) > 1)
         self._picture = gui.add_image(np.zeros((2, 2, 3), np.uint8), label="photographed", visible=False)
 
     def _camera_of(self, column: str) -> Camera | None:
@@ -147,9 +146,8 @@ class MeasurementPage:
         self._rows = []
         with self._places:
             for p in c.worst:
-                b = gui.add_button(
-                    f"{p['error']:.3g} {c.unit}: trial {p['trial']}, {p['from_s']:.1f} s to {p['to_s']:.1f} s"
-                )
+                when = f"trial {p['trial']}, {p['from_s']:.1f} s to {p['to_s']:.1f} s"
+                b = gui.add_button(f"{p['error']:.3g} {c.unit}: {when}")
                 b.on_click(lambda _, p=p: self.jump(p))
                 self._rows.append(b)
         with self._conditions:
@@ -224,9 +222,8 @@ class ImagesPage:
         self._studio, self._gui, self._c = studio, studio.server.gui, None
         self.readout = self._gui.add_markdown("The twin is run on the recording ...")
         self._number = self._gui.add_slider("image", 1, 2, 1, 1)
-        self._picture = self._gui.add_image(
-            np.zeros((2, 2, 3), np.uint8), label=f"recorded, model, {TIMES:g} times the difference"
-        )
+        label = f"recorded, model, {TIMES:g} times the difference"
+        self._picture = self._gui.add_image(np.zeros((2, 2, 3), np.uint8), label=label)
         self._worst = self._gui.add_button("The worst image")
         self._about = self._gui.add_markdown("")
         self._number.on_update(lambda _: self._draw())
