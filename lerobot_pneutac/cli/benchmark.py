@@ -16,6 +16,7 @@ TABLES = {
     "policy": "pneutac_benchmarks.policy.main",
     "diagnosis_speed": "pneutac_benchmarks.speed.diagnosis",
     "speed": "pneutac_benchmarks.speed.main",
+    "worlds": "pneutac_benchmarks.speed.worlds",
     "experiments": "pneutac_benchmarks.experiments",
     "demonstrations": "pneutac_benchmarks.demonstrations",
     "robustness": "pneutac_benchmarks.robustness.main",

@@ -16,6 +16,7 @@ def register_tasks() -> None:
         gymnasium.register(
             id=name,
             entry_point="pneutac_sim.world.env:PneutacEnv",
+            vector_entry_point="pneutac_sim.world.vector_env:BatchedEnv",
             kwargs={"task": known[name]},
             max_episode_steps=TRIAL_S * CONTROL_HZ,
         )

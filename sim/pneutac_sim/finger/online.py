@@ -34,6 +34,7 @@ class PressurePipeline:
 
     Attributes:
         pressure_kpa: (chambers,) in the chambers after the last step, as their gauge reads it.
+        gauge_kpa: (n, chambers) of all rows of the last `targets`.
         moves: whether an effect moves the tip from where the joints put it.
         measures: whether an effect changes what is read of the tip.
 
@@ -96,6 +97,15 @@ class PressurePipeline:
         new._states = {i: s.copy() for i, s in self._states.items()}
         new._given, new._began = self._given.copy(), self._began.copy()
         return new
+
+    @property
+    def remembers(self) -> bool:
+        """Whether joint targets depend on earlier commands."""
+        return any(link.remembers for _, link in self._to_joints)
+
+    def targets(self, pressure_cmd_kpa: np.ndarray) -> np.ndarray:
+        """Joint targets (n, N axes), rad, of n devices that remember nothing, at commands (n, chambers)."""
+        return self._run_rows(self._to_joints, np.asarray(pressure_cmd_kpa, float), math.inf)
 
     def rest(self) -> np.ndarray:
         """Joint targets with which a trial begins, as of `step`."""
@@ -177,7 +187,7 @@ class PressurePipeline:
 
         for i, link in links:
             if i == self._model.reads_pressure:
-                self.pressure_kpa = x[-1].copy()
+                self.pressure_kpa, self.gauge_kpa = x[-1].copy(), x
             if i == self._model.drive and self._model.asks_pressure:
                 self._given[BENDING_PRESSURE] = x.mean(axis=1)
             key, dt = -i if of_base else i, steady

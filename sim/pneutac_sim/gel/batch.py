@@ -176,11 +176,27 @@ class TactileBatch:
         return graph, given, image
 
     def _image(self, depth: torch.Tensor, deepest: float) -> torch.Tensor:
-        drawn_back = (1 - self.model.depth_scale) * depth.amax((1, 2), keepdim=True)
-        u = surfaces((depth - drawn_back).clamp(min=0), self._cell_mm, self.model.decay_mm)
-        light, shadows = self._light.of(u, deepest)
+        return self.draw(self.surface(self.imprint(depth)), deepest)
+
+    def surface(self, imprint_mm: torch.Tensor) -> torch.Tensor:
+        """The analytic surface, `gel.surface.surface`, of imprints (B, 80, 59), mm."""
+        return surfaces(imprint_mm, self._cell_mm, self.model.decay_mm)
+
+    def imprint(self, depth_mm: torch.Tensor) -> torch.Tensor:
+        """`GelModel.imprint` of probe grids (B, 80, 59), mm."""
+        drawn_back = (1 - self.model.depth_scale) * depth_mm.amax((1, 2), keepdim=True)
+        return (depth_mm - drawn_back).clamp(min=0)
+
+    def light(self, displacement_mm: torch.Tensor, deepest: float) -> torch.Tensor:
+        """Light (B, 3, 80, 59) in levels of surfaces (B, 80, 59) that are at most `deepest` mm pressed in."""
+        light, shadows = self._light.of(displacement_mm, deepest)
         for field in self._fields:
-            light += self._share * field.levels(u, shadows)
+            light += self._share * field.levels(displacement_mm, shadows)
+        return light
+
+    def draw(self, displacement_mm: torch.Tensor, deepest: float) -> torch.Tensor:
+        """Images uint8 (B, H, W, 3) of surfaces, as `light` takes them."""
+        light = self.light(displacement_mm, deepest)
         pixels = F.interpolate(
             light.contiguous(memory_format=torch.channels_last), self._rest.shape[:2], mode="bilinear"
         ).permute(0, 2, 3, 1)
