@@ -6,7 +6,7 @@ from enum import StrEnum
 
 from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.result import Outcome
-from lerobot_pneutac.diagnosis.thresholds import AS_IS_NOISE, CERTAIN
+from lerobot_pneutac.diagnosis.thresholds import AS_IS_NOISE, CERTAIN, NOISE
 from lerobot_pneutac.diagnosis.verdict import NONE, Explained, Mechanism
 from lerobot_pneutac.study.base import EffectStudy
 from pneutac_datasets.recording.wording import joined
@@ -78,6 +78,8 @@ class State:
         explained: how much of the error is explained.
         interval: 95 % interval of the error that remains, over the noise; None where the noise is unknown.
         later: error over noise of the later part, predicted from the earlier one; None where unknown.
+        learnt: error over noise of the samples that the model was fitted to; None where unknown.
+        recorded: the range of conditions for which the answers hold, such as `up to 62 kPa`.
         mechanisms: what each cause may be; empty where no probabilities are calibrated.
         objections: checks that failed, one phrase each.
         black_box: share of the remaining error that a black box predicts; 0 where it is little.
@@ -109,6 +111,8 @@ class State:
     explained: Explained = Explained.UNDETERMINED
     interval: tuple[float, float] | None = None
     later: float | None = None
+    learnt: float | None = None
+    recorded: str = ""
     mechanisms: tuple[Mechanism, ...] = ()
     objections: tuple[str, ...] = ()
     black_box: float = 0.0
@@ -177,6 +181,8 @@ def state_of(study: EffectStudy, outcome: Outcome) -> State:
         explained=o.explained,
         interval=e.interval,
         later=e.later,
+        learnt=e.learnt,
+        recorded=study.recorded,
         mechanisms=tuple(o.mechanisms) if named else (),
         objections=tuple(e.objections) if named else (),
         black_box=e.left_to_black_box if e.unfinished else 0.0,
@@ -214,10 +220,18 @@ def explanation(s: State) -> str:
     if s.interval is not None:
         times += f", 95 % interval {s.interval[0]:.2f} to {s.interval[1]:.2f}"
     match s.explained:
-        case Explained.MOSTLY if s.at_noise and s.later is not None:
+        case Explained.FULLY:
+            where = f", as far as was recorded ({s.recorded})" if s.recorded else ""
+            return f"Explained: fully{where}. The error is {times}."
+        case Explained.MOSTLY if s.at_noise and (s.later or 0.0) > NOISE:
             return (
                 f"Explained: mostly. The error is {times}, but {s.later:.2f} times the noise in the last "
                 "part, predicted from the first."
+            )
+        case Explained.MOSTLY if s.at_noise:
+            return (
+                f"Explained: mostly. The error is {times}, but {s.learnt or 0.0:.2f} times the noise in the "
+                "samples that the model was fitted to."
             )
         case Explained.UNDETERMINED if s.at_noise:
             return f"Explained: undetermined, since the error is known too roughly ({times})."
@@ -317,6 +331,10 @@ def warnings(s: State) -> list[str]:
         if s.kind is Kind.NOTHING and s.at_noise and s.noise is not None:
             least = s.noise * (AS_IS_NOISE**2 - 1) ** 0.5
             out.append(f"An effect that adds less than {least:.2g} {s.unit} to the error would not show.")
+        if s.explained is Explained.FULLY and s.recorded:
+            out.append(
+                "What changes between recordings, such as the mount or the marker's place, one cannot show."
+            )
         if s.noise is None:
             out.append(f"The noise {s.noise_how}.")
         elif not s.noise_measured:

@@ -250,6 +250,7 @@ class EffectStudy(Study, ABC):
             before=float(np.sqrt(worst)) / floor if known else None,
             after=float(np.sqrt(rest)) / floor if known else None,
             interval=(low / floor, high / floor) if known else None,
+            learnt=root_mean(squared[parts.learnt]) / floor if known else None,
             selected=selected,
             removed=float(np.clip(self.removed(worst, rest, floor), -1, 1)) if selected else 0.0,
             at_bound=[n for n in self.at_bound(after, selected) if n.rpartition(".")[0] in selected],
@@ -331,6 +332,11 @@ class EffectStudy(Study, ABC):
 
     def size(self, model: FittedModel, effect: str) -> str:
         """How much an effect moves the device, a sentence; empty where that is not known."""
+        return ""
+
+    @property
+    def recorded(self) -> str:
+        """The range of conditions of the recording, for which a diagnosis holds; empty where all are one."""
         return ""
 
     def alike(self, effects: Sequence[str]) -> str:

@@ -21,7 +21,7 @@ from pneutac_datasets.recording.mounts import align_mounts
 from pneutac_datasets.recording.noise import noise_floor
 from pneutac_datasets.recording.pressures import supply_limits
 from pneutac_datasets.recording.recording import Recording
-from pneutac_datasets.recording.wording import listed
+from pneutac_datasets.recording.wording import listed, plural
 from pneutac_sim.effects.laws import family, is_law, law, law_names
 from pneutac_sim.effects.registry import body_effects, get_effect, of_body
 from pneutac_sim.finger.confidence import Z95, confidence
@@ -240,10 +240,11 @@ class BodyBase(EffectStudy):
         ci95 = {n: (float(a), float(b)) for n, a, b in zip(names, low, high, strict=True)}
         twin = model.pipeline.update(fitter.twin_with(model.structure.joints), model.theta, ci95)
         input_model = model.structure.input_model
-        if input_model.switch is not None:
-            twin.parameters["switch_share"] = Value(
-                float(np.nanmedian(np.array(input_model.switch, dtype=float)))
-            )
+        switch = input_model.switch
+        if switch is None and "time_sent_s" in self.recording.samples:
+            switch = 0.5  # recordings without send times are read with each step at its own instant
+        if switch is not None:
+            twin.parameters["switch_share"] = Value(float(np.nanmedian(np.array(switch, dtype=float))))
         if input_model.start != "held":
             pause = RESTED_S if input_model.start == "vented" else float(input_model.start)
             twin.parameters["pause_s"] = Value(pause)
@@ -297,6 +298,20 @@ class BodyBase(EffectStudy):
 
     def cause(self, model: FittedModel, effect: str) -> str:
         return "a bend that is uneven along its length" if effect == PROFILE else super().cause(model, effect)
+
+    @property
+    def recorded(self) -> str:
+        samples = self.recording.samples
+        out = [f"up to {samples[self.recording.pressure_columns].to_numpy(float).max():.3g} kPa"]
+        axes = [f"gravity_{a}" for a in "xyz"]
+        if all(map(self.recording.has, axes)):
+            ways = len(np.unique(np.round(samples[axes].to_numpy(float), 1), axis=0))
+            out.append(f"gravity in {plural(ways, 'direction')}")
+        for name, unit in (("payload_g", "g"), ("temperature_c", "°C")):
+            if self.recording.has(name):
+                values = self.recording.column(name).astype(float)
+                out.append(f"{name.partition('_')[0]} of {values.min():.3g} to {values.max():.3g} {unit}")
+        return listed(out)
 
     def alike(self, effects: Sequence[str]) -> str:
         """The finding that lags of air and of body cannot be distinguished, where such a lag was found."""

@@ -43,19 +43,16 @@ def causes(answers: Sequence[dict]) -> list[dict]:
 
 def show(answers: Sequence[dict], console: Console) -> None:
     """Prints both answers' tables; `answers` of the sets of truths."""
-    rows = []
-    for name, chosen in (
-        ("all", answers),
-        ("nothing changes between the days", [a for a in answers if a["effects"] not in BETWEEN]),
+    rows, steady = [], [a for a in answers if a["effects"] not in BETWEEN]
+    for name, chosen, ratio in (
+        ("all", answers, "ratio"),
+        ("nothing changes between the days", steady, "ratio"),
+        ("the same, in directions of gravity of day 1", steady, "ratio_recorded"),
     ):
-        ends, called = (
-            [a for a in chosen if a["ratio"] <= ENDS],
-            [a for a in chosen if a["explained"] == "fully"],
-        )
-        recall, precision = (
-            sum(a["explained"] == "fully" for a in ends),
-            sum(a["ratio"] <= COUNTS_AS_NEAR for a in called),
-        )
+        ends = [a for a in chosen if a.get(ratio, a["ratio"]) <= ENDS]
+        called = [a for a in chosen if a["explained"] == "fully"]
+        recall = sum(a["explained"] == "fully" for a in ends)
+        precision = sum(a.get(ratio, a["ratio"]) <= COUNTS_AS_NEAR for a in called)
         rows.append((name, *_share(recall, len(ends)), *_share(precision, len(called))))
     heads = (
         "recordings", f"other day within {ENDS}: called fully explained", "95 %",

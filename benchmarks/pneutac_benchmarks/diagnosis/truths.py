@@ -88,6 +88,14 @@ class Days:
         data = read(self.judge, twin)
         return data.measured[:, : data.counted] - predict(twin, data)[0]
 
+    def recorded(self, twin: Twin) -> float:
+        """Root mean square error of day 2 in directions of gravity that day 1 had."""
+        residual, names = self.residual(twin), [f"gravity_{a}" for a in "xyz"]
+        if names[0] not in self.learn.samples:
+            return rms(residual)
+        first, second = (r.samples[names].to_numpy(float) for r in (self.learn, self.judge))
+        return rms(residual[(second @ np.unique(first, axis=0).T).max(axis=1) > 0.99])
+
     def constant(self) -> float:
         """Root mean square error of day 2's own mean."""
         from lerobot_pneutac.diagnosis.experiment import read
@@ -141,6 +149,7 @@ def scored(days: Days, d, seconds: float) -> dict:
         "test_before": d.before["heldout"], "test_after": d.after["heldout"],
         "black_box": evidence.left_to_black_box, "agreed": evidence.agreed, "forward": evidence.forward,
         "interval": evidence.interval, "later": evidence.later, "error": evidence.after,
+        "learnt": evidence.learnt, "ratio_recorded": days.recorded(d.outcome.after.twin) / floor,
         "explained": d.explained.value, "noise_known": evidence.noise_known,
         "causes": [
             {"cause": m.cause, "ranked": dict(m.ranked), "certain": m.certain, "features": m.features,

@@ -47,6 +47,8 @@ WIDE_S, WIDE_ROWS = (
     3,
 )  # half of the window in which noise that is correlated from row to row is looked for
 CORRELATED = 1.25  # ratio of the wide to the narrow contrast from which on noise counts as correlated
+REST = 0.02  # of the largest command: below, a device is at rest
+SWINGS = 1.5  # noise over that at rest from which on it is no noise of the sensor, which knows no pressure
 OUTLIER = 6.0  # robust standard deviations beyond which a contrast is a jump of the marker, not noise
 EXACT = 1e-9  # of a column's range: smaller noise is rounding of computed numbers
 LEAST_DOF = 40  # degrees of freedom of an estimate
@@ -108,7 +110,7 @@ def noise_floor(recording: Recording) -> NoiseFloor:
         pairs = []
     declared = recording.meta.get("noise") or {}
     by: dict[str, float] = {}
-    session = None
+    session, calm = None, contrasts(recording, numeric, at_rest=True)
     if pairs:
         for c in numeric:
             a = [recording.column(c)[first] - recording.column(c)[second] for first, second, _ in pairs]
@@ -129,6 +131,15 @@ def noise_floor(recording: Recording) -> NoiseFloor:
     else:
         by = contrasts(recording, numeric)
         how = "what the neighbouring rows and the commanded pressure do not predict of a row"
+    calm = {c: v for c, v in calm.items() if v > EXACT * float(np.ptp(recording.column(c)))}
+    swings = {c: by[c] / v for c, v in calm.items() if by.get(c, 0.0) > SWINGS * v}
+    times = max((swings[c] for c in columns if c in swings), default=None)
+    if times is not None:
+        by |= {c: calm[c] for c in swings}
+        how = (
+            f"what neighbouring rows at rest differ by; under pressure equal runs or rows differ {times:.1f} "
+            "times as much, which is the device or its air and not the sensor"
+        )
     exact = [c for c in by if by[c] <= EXACT * float(np.ptp(recording.column(c)))]
     by = {c: sigma for c, sigma in by.items() if c not in exact}
     value = _norm(by, columns) if columns and all(c in by for c in columns) else None
@@ -218,8 +229,14 @@ def _detrended(x: np.ndarray, window: int) -> np.ndarray:
 # ---------------------------------------------------------------- local contrasts
 
 
-def contrasts(recording: Recording, columns: list[str]) -> dict[str, float]:
-    """Standard deviation of the noise of columns; those that cannot be determined are left out."""
+def contrasts(recording: Recording, columns: list[str], at_rest: bool = False) -> dict[str, float]:
+    """Standard deviation of the noise of columns; those that cannot be determined are left out.
+
+    Args:
+        recording: of a body.
+        columns: of its samples.
+        at_rest: by rows without pressure alone, in which no regulator hunts.
+    """
     rows, trial = _pieces(recording)
     if len(rows) < LEAST_ROWS or not columns:
         return {}
@@ -232,11 +249,13 @@ def contrasts(recording: Recording, columns: list[str]) -> dict[str, float]:
     Y = recording.samples[columns].to_numpy(float)[rows]
     F = np.concatenate([_responses(c, first) for c in u.T], axis=1)
     quiet = _quiet_s(t, first, u)
+    if at_rest:
+        quiet[(np.abs(u) > REST * np.abs(u).max()).any(axis=1)] = np.nan  # no wait is over there
     wide = max(WIDE_ROWS, round(WIDE_S / float(np.median(step_s))))
     near, far = _Contrasts(t, trial, F, Y, 1), _Contrasts(t, trial, F, Y, wide)
     out = {}
     for k, name in enumerate(columns):
-        sigma = near.deviation(k, quiet, (None, *QUIET_S))
+        sigma = near.deviation(k, quiet, QUIET_S if at_rest else (None, *QUIET_S))
         slow = far.deviation(k, quiet, QUIET_S)  # contrasts this wide need rows without steps
         if sigma is not None and slow is not None and slow > CORRELATED * sigma:
             sigma = slow

@@ -18,16 +18,17 @@ _UNSEEN = 3  # commands between two samples that are searched for, besides the l
 
 
 def steps(pressure: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Rows before which a pressure (n, chambers) steps: it changes much there and little nearby.
+    """Rows before which a pressure (n, chambers) steps: a chamber's changes much there and little nearby.
 
     Args:
         pressure: commanded.
         first: (n,) True where a trial begins.
     """
-    change = np.abs(np.diff(pressure, axis=0, prepend=pressure[:1])).max(axis=1)
+    change = np.abs(np.diff(pressure, axis=0, prepend=pressure[:1]))
     change[first] = 0.0
-    beside = np.maximum(np.r_[0.0, change[:-1]], np.r_[change[1:], 0.0])
-    return np.flatnonzero((change > STEP_SHARE * np.ptp(pressure)) & (change > 3 * beside))
+    none = np.zeros((1, change.shape[1]))
+    beside = np.maximum(np.r_[none, change[:-1]], np.r_[change[1:], none])
+    return np.flatnonzero(((change > STEP_SHARE * np.ptp(pressure)) & (change > 3 * beside)).any(axis=1))
 
 
 def switches(samples, time: np.ndarray, pressure: np.ndarray, first: np.ndarray, switch):
@@ -56,9 +57,9 @@ def _sent(sent, time, pressure, first, steps):
     In a ramp a computer that is faster than the log sends commands that no row has; they lie between their
     neighbours, in time and height.
     """
-    change = np.abs(np.diff(pressure, axis=0, prepend=pressure[:1])).max(axis=1)
-    change[first] = 0.0
-    ramp = (change > 0) & (np.r_[0.0, change[:-1]] > 0)
+    moves = np.diff(pressure, axis=0, prepend=pressure[:1]) != 0
+    moves[first] = False
+    ramp = np.r_[False, (moves[1:] & moves[:-1]).any(axis=1)]  # one chamber moves twice
     held = np.union1d(steps, np.flatnonzero(ramp))
     tick = _tick(sent, time, ramp)
     none = np.zeros((0, pressure.shape[1]))

@@ -49,7 +49,7 @@ def given(selected=(LAW,), after=0.45, contributions=(), known=(), run_terms=Non
         cause=lambda model, name: law(name).as_cause(constants, "finger"), caveats=lambda outcome: [],
         alike=lambda effects: "It may be a load." if "lag(p^2)" in effects else "",
         experiment=lambda model, name: "Step and hold.", too_little=lambda: "Too short.",
-        more_data="Record longer.", repeat="Do it twice.", nothing_left="Nothing.",
+        recorded="", more_data="Record longer.", repeat="Do it twice.", nothing_left="Nothing.",
         untested=[SimpleNamespace(name="gravity", reason="record column gravity_x")],
     )  # fmt: skip
     outcome = SimpleNamespace(
@@ -179,9 +179,14 @@ def right_of(s: State) -> float | None:
     ("change", "said"),
     [
         ({}, "Explained: fully. The error is 1.05 times the noise, 95 % interval 1.00 to 1.10."),
+        ({"recorded": "up to 60 kPa"}, "fully, as far as was recorded (up to 60 kPa). The error is 1.05"),
         (
             {"later": 1.4, "explained": Explained.MOSTLY},
             "but 1.40 times the noise in the last part",
+        ),
+        (
+            {"later": 1.1, "learnt": 1.6, "explained": Explained.MOSTLY},
+            "but 1.60 times the noise in the samples that the model was fitted to",
         ),
         (
             {"explained": Explained.UNDETERMINED},

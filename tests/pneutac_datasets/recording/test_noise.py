@@ -67,6 +67,18 @@ def test_jumps_of_the_marker_are_no_noise():
     assert noise_floor(r).value == pytest.approx(0.01, rel=0.1)
 
 
+@pytest.mark.parametrize("repeated", [False, True])
+def test_a_regulator_that_hunts_under_pressure_is_no_noise_of_the_sensor(repeated):
+    r, rng = stepped(rows=2400, trials=2), np.random.default_rng(1)
+    p = np.where(np.arange(1200) // 40 % 3 == 0, 0.0, r.samples["pressure_cmd_kpa"][:1200])
+    p = np.r_[p, p if repeated else np.roll(p, 200)]
+    swing = 0.1 * np.sin(2 * np.pi * 2.3 * np.arange(2400) / 20 + rng.normal(0, 0.3, 2400).cumsum())
+    bend = 0.04 * (p + 3) + rng.normal(0, 0.01, 2400) + np.where(p > 0.5, swing, 0.0)
+    floor = noise_floor(recording(p, bend, 20, np.repeat([0, 1], 1200)))
+    assert floor.value == pytest.approx(0.01, rel=0.1) and floor.known is repeated
+    assert "rows at rest" in floor.how and "times as much" in floor.how
+
+
 def test_where_the_noise_cannot_be_determined_it_is_unknown_and_says_what_to_record():
     short = noise_floor(stepped(rows=100))
     assert short.value is None and short.floor == 0.0 and not short.known and short.by_column == {}

@@ -17,7 +17,7 @@ from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import BodyData, Inputs, Pipeline, quantities, simulate
 from pneutac_sim.finger.equilibrium import along_a_line, sensitivities, solve
-from pneutac_sim.finger.inputs import SWITCH_S
+from pneutac_sim.finger.inputs import SWITCH_S, steps
 from pneutac_sim.finger.instants import COST, StepRows, instants, step_rows
 from pneutac_sim.finger.stages import (
     forward_kinematics,
@@ -162,6 +162,25 @@ def test_each_step_may_have_its_own_instant_and_the_time_of_sending_goes_before_
     np.testing.assert_allclose(sent.dt_s, one.dt_s, atol=1e-12)
     np.testing.assert_array_equal(sent.pressure_kpa, one.pressure_kpa)
     assert one.dt_s[1:].sum() == pytest.approx(99 / 50)
+
+
+def test_chambers_that_step_one_sample_after_another_both_step_when_their_commands_were_sent():
+    p = np.zeros((40, 2))
+    p[10:, 0], p[11:, 1] = 10.0, 8.0
+    np.testing.assert_array_equal(steps(p, np.arange(40) == 0), [10, 11])
+    sent = np.where(np.arange(40) < 10, 0.0, np.where(np.arange(40) == 10, 0.47, 0.53))
+    made = Inputs.from_samples(
+        {
+            "trial": np.zeros(40, int), "time_s": np.arange(40) / 20, "time_sent_s": sent,
+            "pressure_cmd_1_kpa": p[:, 0], "pressure_cmd_2_kpa": p[:, 1],
+            "pressure_cmd_3_kpa": np.zeros(40),
+        },
+        "arm",
+    )  # fmt: skip
+    time = np.cumsum(np.where(np.isinf(made.dt_s), 0.0, made.dt_s))
+    for chamber, at in ((0, 0.47), (1, 0.53)):
+        before = made.pressure_kpa[:, chamber] == 0
+        assert time[before].max() == pytest.approx(at) and time[~before].min() == pytest.approx(at + SWITCH_S)
 
 
 @pytest.mark.parametrize("tick", (0.037, 0.05), ids=("beside the log", "each command logged"))
