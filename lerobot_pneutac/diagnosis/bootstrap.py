@@ -6,10 +6,36 @@ show in four units of thirty-six, and plain resampling would often miss all four
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import norm
 
 from lerobot_pneutac.diagnosis import thresholds as T
+
+
+@dataclass(frozen=True)
+class PairedTest:
+    """Two models on the same units of time: by how much the mean square error falls, and how certain that is.
+
+    Attributes:
+        value: fall of the mean square error.
+        low: its lower 1 % bound.
+        high: its upper 99 % bound.
+        significant: whether it falls, by `BlockBootstrap.paired`.
+        units: that were compared.
+        least: fall that is significant in `POWER` of such recordings.
+        times: how much longer a recording in which a fall of `value` is significant in `POWER` of all must
+            be; infinite where the error does not fall.
+    """
+
+    value: float
+    low: float
+    high: float
+    significant: bool
+    units: int
+    least: float
+    times: float
 
 
 class BlockBootstrap:
@@ -61,6 +87,29 @@ class BlockBootstrap:
         d = self.mse(before) - self.mse(after)
         lo, hi = np.quantile(d, [T.SIGNIFICANCE, 1 - T.SIGNIFICANCE])
         return self.value(before) - self.value(after), float(lo), float(hi)
+
+    def paired(self, before: np.ndarray, after: np.ndarray, trials: "BlockBootstrap") -> PairedTest:
+        """The paired test of squared errors (n,), with its power.
+
+        The mean square error falls significantly if its lower bound is positive, or if it falls and
+        `significant_drop` confirms that across units and, where these are enough, across whole trials:
+        sessions may differ by more than the blocks within one.
+
+        The power is that of a normal mean whose standard error is that of the lower bound and shrinks with
+        the root of the number of units: Cohen, Statistical Power Analysis (1988), section 2.
+
+        Args:
+            before: of the model without.
+            after: of the model with.
+            trials: draws of whole trials.
+        """
+        value, low, high = self.drop(before, after)
+        across = [self, *([trials] if trials.units > T.FEW_UNITS else [])]
+        sure = low > 0 or (value > 0 and all(b.significant_drop(before, after) for b in across))
+        needed = norm.ppf(1 - T.SIGNIFICANCE)
+        least = (value - low) * float(1 + norm.ppf(T.POWER) / needed)
+        times = (least / value) ** 2 if value > 0 else np.inf
+        return PairedTest(value, low, high, bool(sure), self.units, least, float(times))
 
     def significant_drop(self, before: np.ndarray, after: np.ndarray, noise_mse: float = 0.0) -> bool:
         """Whether the error falls significantly, by squared errors (n,), in one of two ways.

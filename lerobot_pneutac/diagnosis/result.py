@@ -183,6 +183,7 @@ class Outcome:
             empty for demonstrations.
         mechanisms: what each cause may be, the largest first; empty where nothing was found, where the noise
             was not measured, and for gels and demonstrations, for which nothing is calibrated.
+        not_yet: how much more to record where the error falls, but not significantly; else empty.
     """
 
     before: FittedModel
@@ -202,6 +203,7 @@ class Outcome:
     base_model: dict = field(default_factory=dict)
     contenders: list[Candidate] = field(default_factory=list)
     mechanisms: list[Mechanism] = field(default_factory=list)
+    not_yet: str = ""
 
     @property
     def explained(self) -> Explained:

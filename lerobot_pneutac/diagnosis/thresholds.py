@@ -34,6 +34,8 @@ AHEAD = (0.4, 0.6, 0.8, 1.0)  # of the rows: stretches to be predicted from all 
 
 DRAWS = 2000  # of the bootstrap: its 1 % quantile then rests on twenty draws (bootstrap)
 SIGNIFICANCE = 0.01  # one-sided: a drop counts where it holds in 99 % of the draws (bootstrap)
+POWER = 0.8  # of such recordings show a fall for which `add` says how much more to record (bootstrap)
+LEAST_MORE = 0.1  # of the recording: with less more nothing is decided (base)
 AVOIDABLE = 0.02  # of the noise: with less excess nothing can be reduced (bootstrap, body)
 VOTES = 7  # other splits in which the choice is repeated (search)
 VOTE_BLOCKS = 0.75  # of the blocks, in each of these (search)

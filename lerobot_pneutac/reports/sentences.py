@@ -399,6 +399,8 @@ def next_experiment(study: EffectStudy, outcome: Outcome) -> tuple[str, Separati
     """What to record next, and the predictions behind it where two models compete."""
     if outcome.evidence.poor:
         return study.more_data, None
+    if outcome.not_yet:
+        return outcome.not_yet, None
     if outcome.rivals:
         rival = outcome.rivals[0]
         best = study.separation(rival)

@@ -1,5 +1,6 @@
 """One device's data under judgement: what every kind of device offers to the statistics and to the verbs."""
 
+import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -10,7 +11,7 @@ import numpy as np
 
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.black_box import share_left
-from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
+from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap, PairedTest
 from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.parts import Parts
 from lerobot_pneutac.diagnosis.result import (
@@ -131,6 +132,22 @@ class EffectStudy(Study, ABC):
     more_data: str
     repeat: str
     nothing_left: str
+
+    @property
+    def across_trials(self) -> BlockBootstrap:
+        """Resamples whole trials of the test part; its units where there are none."""
+        return self.test
+
+    @abstractmethod
+    def recorded(self) -> tuple[float, str]:
+        """How much was recorded, and of what, as a noun phrase in the plural."""
+
+    def more_to_show(self, fall: PairedTest) -> str:
+        """How much more of the same makes such a fall significant with a power of `thresholds.POWER`."""
+        amount, what = self.recorded()
+        more = amount * max(fall.times - 1, T.LEAST_MORE)
+        digits = 10.0 ** max(math.floor(math.log10(more)) - 1, 0)
+        return f"{math.ceil(more / digits) * digits:.0f} more {what}"
 
     def refit(self, effects: Sequence[str], start: FittedModel | None, steps: Steps) -> FittedModel:
         """All parameters of the twin and of these effects, fitted to the training part.

@@ -161,13 +161,16 @@ def body_outcome(
     after = _after(study, done, done.model.model)
     helps = search.bootstrap.significant_drop(start.cv_squared, done.model.cv_squared, study.noise.floor**2)
     helps = helps and study.test.value(after.squared) < study.test.value(before.squared)
+    not_yet, near_miss = "" if helps else _not_yet(study, search, start, done, before, after), []
     if not helps:
+        near_miss = done.terms if not_yet else []
         after, done.terms = before, []
     runs, left = _run_terms(study, done.model.model) if helps else None, after.squared
     if runs is not None:
         left = (study.residual_with_runs(done.model.model) ** 2).sum(axis=1)
         runs["error"] = float(np.sqrt(study.test.value(left)))
     evidence = _evidence(study, before, after, done, left)
+    evidence.near_miss = near_miss
     if done.terms and evidence.at_noise:
         helps, after, near_miss, done.terms, runs = False, before, done.terms, [], None
         evidence = _evidence(study, before, after, done, after.squared)
@@ -195,6 +198,27 @@ def body_outcome(
         base_model=_base(done) if helps else {},
         contenders=models,
         mechanisms=_mechanisms(study, evidence, worth, models, found_rivals),
+        not_yet=not_yet,
+    )
+
+
+def _not_yet(
+    study: "BodyStudy",
+    search: BodySearch,
+    start: Scored,
+    done: Searched,
+    before: FittedModel,
+    after: FittedModel,
+) -> str:
+    """What to record where the error falls, but not significantly; empty where it hardly falls."""
+    fall = search.bootstrap.paired(start.cv_squared, done.model.cv_squared, search.bootstrap)
+    tested = study.test.value(before.squared) - study.test.value(after.squared)
+    if not done.terms or min(fall.value / start.value, tested / start.value) < T.WORTH_OF_CAUSE:
+        return ""
+    return (
+        f"Record about {study.more_to_show(fall)}: they show a fall of the mean square error such as this "
+        f"one, {fall.value:.3g} {study.unit}^2 [{fall.low:.3g} to {fall.high:.3g}], with a power of "
+        f"{100 * T.POWER:.0f} %."
     )
 
 

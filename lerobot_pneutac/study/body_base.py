@@ -2,11 +2,13 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from scipy.stats import linregress, ttest_1samp
 
 from lerobot_pneutac.diagnosis import thresholds as T
+from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
 from lerobot_pneutac.diagnosis.experiment import Separation, predict, read, separations
 from lerobot_pneutac.diagnosis.law_programs import law_program
 from lerobot_pneutac.diagnosis.parts import deal
@@ -180,6 +182,15 @@ class BodyBase(EffectStudy):
     @property
     def given_rows(self) -> int:
         return len(self._given)
+
+    @cached_property
+    def across_trials(self) -> BlockBootstrap:
+        trial = np.unique(np.asarray(self.recording.samples["trial"]), return_inverse=True)[1]
+        return BlockBootstrap(self.parts.test, trial, np.zeros(trial.max() + 1, int), self.seed + 2)
+
+    def recorded(self) -> tuple[float, str]:
+        time_s = self.recording.samples.groupby("trial")["time_s"]
+        return float((time_s.max() - time_s.min()).sum()) / 60, "minutes of the same programs"
 
     @property
     def air_noise(self) -> float:

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 from lerobot_pneutac.cli.options import PairOptions
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis import thresholds as T
+from lerobot_pneutac.diagnosis.bootstrap import PairedTest
 from lerobot_pneutac.diagnosis.result import Contribution, FittedModel, Refits
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.reports.page import AFTER, BEFORE, KNOWN, Report, parameter_rows, span
@@ -337,7 +338,7 @@ def _judged(
     if not reason and not decided:
         reason = (
             f"Not added: the diagnosis is inconclusive; {joined(effects)} only compensates for something "
-            f"that no known effect describes."
+            f"that no known effect describes. --anyway stores it marked as unconfirmed."
         )
     stored = not reason or anyway
     return Addition(
@@ -371,8 +372,8 @@ def _refusal(study, effects: Sequence[str], found: Refits, named: bool) -> str:
     base, after, unit = found.baseline if named else found.before, found.after, study.unit
     errors = [study.errors(m)["heldout"] for m in (base, after)]
     names = joined(effects)
-    value, low, high = study.test.drop(base.squared, after.squared)
-    if found.better is not None and low > 0 and not _nearly_as_good(study, found):
+    fall = study.test.paired(base.squared, after.squared, study.across_trials)
+    if found.better is not None and fall.significant and not _nearly_as_good(study, found):
         other, model = found.better
         return (
             f"Not added: {names} lowers the test error from {errors[0]:.4g} to {errors[1]:.4g} {unit}, but "
@@ -381,18 +382,19 @@ def _refusal(study, effects: Sequence[str], found: Refits, named: bool) -> str:
     if idle := [e for e in effects if study.idle(after, e)]:
         plural = "their constants end where they do" if len(idle) > 1 else "its constants end where it does"
         return f"Not added: {joined(idle)} changes nothing; {plural} nothing{_known_help(study, found)}."
-    if named and low > 0 and not found.significant:
+    if named and fall.significant and not found.significant:
         return (
             f"Not added: with {names} the test error falls from {errors[0]:.4g} to {errors[1]:.4g} {unit}, "
             "but cross-validation on the other blocks does not confirm it"
             f"{_known_help(study, found)}."
         )
-    if low <= 0:
+    if not fall.significant and fall.value <= 0:
         return (
-            f"Not added: with {names} the test error goes from {errors[0]:.4g} to {errors[1]:.4g} {unit}; "
-            f"the mean square error falls by {value:.3g} [{low:.3g} to {high:.3g}] {unit}^2, which is not a "
-            f"significant improvement{_known_help(study, found)}."
+            f"Not added: with {names} the test error does not fall: it goes from {errors[0]:.4g} to "
+            f"{errors[1]:.4g} {unit}{_known_help(study, found)}."
         )
+    if not fall.significant:
+        return _not_yet(study, names, errors, fall) + _known_help(study, found) + "."
     if found.doubts:
         return f"Not added: {next(iter(found.doubts.values()))}"
     useless = [c.name for c in found.contributions if c.name in effects and c.drop[1] <= 0]
@@ -401,6 +403,23 @@ def _refusal(study, effects: Sequence[str], found: Refits, named: bool) -> str:
         instead = f"; give --effect={','.join(useful)}" if useful else "; give one of them alone"
         return f"Not added: {joined(useless)} adds nothing significant to the others{instead}."
     return ""
+
+
+def _not_yet(study, names: str, errors: Sequence[float], fall: PairedTest) -> str:
+    """That an error falls, but not significantly, and how much more to record, without its full stop."""
+    square = f"{study.unit}^2"
+    text = (
+        f"with {names} the test error falls from {errors[0]:.4g} to {errors[1]:.4g} {study.unit}, the mean "
+        f"square error by {fall.value:.3g} [{fall.low:.3g} to {fall.high:.3g}] {square}"
+    )
+    if fall.value < T.WORTH_OF_CAUSE * errors[0] ** 2:
+        share = f"{100 * T.WORTH_OF_CAUSE:.0f} %"
+        return f"Not added: {text}, which is not significant and less than {share} of it"
+    return (
+        f"Not added, as it is not significant yet: {text}. {fall.units} held-out pieces show a fall of "
+        f"{fall.least:.3g} {square} with a power of {100 * T.POWER:.0f} %, so record about "
+        f"{study.more_to_show(fall)}; --anyway stores it now, marked as unconfirmed"
+    )
 
 
 def _nearly_as_good(study, found: Refits) -> bool:

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
+from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap, PairedTest
 from lerobot_pneutac.diagnosis.parts import conditions, deal, out_of_time
 from pneutac_datasets.recording.recording import Recording
 
@@ -85,6 +85,45 @@ def test_a_few_units_far_above_the_noise_decide_and_those_at_the_noise_do_not(se
     assert not judge.significant_drop(*few, 1.0), "too few"
     plain = noise * rng.uniform(0.9, 1.1, 1600), noise
     assert not judge.significant_drop(*plain, 1.0) and not judge.significant_drop(*plain[::-1], 1.0)
+
+
+def test_so_many_times_the_recording_shows_the_fall_with_the_power_that_is_stated():
+    """Falls of units are normal with a mean of 0.25 standard deviations, over errors that vary much more."""
+    rng, times, found = np.random.default_rng(4), [], []
+
+    def test(n: int) -> PairedTest:
+        judge = BlockBootstrap(np.ones(n, bool), np.arange(n), np.zeros(n, int), 0)
+        level = rng.gamma(2.0, 20.0, n) + 20.0
+        return judge.paired(level, level - rng.normal(0.25, 1.0, n), judge)
+
+    for _ in range(40):
+        t = test(40)
+        times.append((t.least / 0.25) ** 2)  # of the true fall, not of the one that this draw shows
+        assert t.significant or t.times > 1
+    n = round(40 * float(np.median(times)))
+    found = [test(n).low > 0 for _ in range(60)]
+    assert n == pytest.approx((2.326 + 0.842) ** 2 / 0.25**2, rel=0.15)
+    assert 0.65 < np.mean(found) < 0.93, "a power of 80 %, of sixty draws"
+
+
+def test_a_fall_that_few_heavy_blocks_hide_counts_if_sessions_agree():
+    """Two blocks of 96 hold most of the squared error, and vary by chance."""
+    unit, trial = np.repeat(np.arange(96), 10), np.repeat(np.arange(8), 120)
+    blocks, sessions = (
+        BlockBootstrap(np.ones(960, bool), u, np.zeros(u.max() + 1, int), 0) for u in (unit, trial)
+    )
+    before = np.repeat(np.random.default_rng(1).gamma(2.0, 1.0, 96), 10)
+    heavy = np.isin(unit, (5, 50))
+    before[heavy] = 300.0
+    by_chance = np.where(unit == 5, 220.0, 375.0)
+    everywhere = np.where(heavy, by_chance, 0.7 * before)
+    in_three = np.where(heavy, by_chance, np.where(trial > 4, 0.2, 1.02) * before)
+    all_of_them, three = (blocks.paired(before, a, sessions) for a in (everywhere, in_three))
+    assert all_of_them.low < 0 < all_of_them.value and all_of_them.significant
+    assert blocks.significant_drop(before, in_three), "as if blocks of one session were independent"
+    assert three.value > 0 and not three.significant
+    worse = blocks.paired(before, 1.1 * before, sessions)
+    assert not worse.significant and np.isinf(worse.times)
 
 
 def test_stratified_draws_never_lose_a_rare_condition():

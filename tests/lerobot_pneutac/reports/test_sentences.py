@@ -55,7 +55,7 @@ def given(selected=(LAW,), after=0.45, contributions=(), known=(), run_terms=Non
     outcome = SimpleNamespace(
         evidence=e, verdict=decide(e), selected=list(selected), before=0.8, after=after, rivals=[], tested=[],
         chosen_in=dict.fromkeys(selected, 6 / 7), known=list(known), run_terms=run_terms,
-        contributions=list(contributions), explained=explained(e), mechanisms=[creep(0.874)],
+        contributions=list(contributions), explained=explained(e), mechanisms=[creep(0.874)], not_yet="",
     )  # fmt: skip
     return study, outcome
 
@@ -130,6 +130,9 @@ def test_warnings_have_findings_of_the_data_and_what_was_not_tested():
 def test_what_to_record_next_is_the_effects_own():
     assert next_experiment(*given())[0] == "To confirm creep (lag(p)): Step and hold."
     assert next_experiment(*given(selected=(), after=0.43))[0] == "Nothing."
+    study, outcome = given(selected=(), near_miss=["creep"])
+    outcome.not_yet = "Record about 12 more minutes of the same programs."
+    assert next_experiment(study, outcome)[0] == outcome.not_yet
 
 
 CAUSES = ((), ("creep",), ("the finger's own weight", "creep"))

@@ -1,6 +1,7 @@
 """`pneutac add`: the error falls and a version is written, or nothing is written and the numbers are told."""
 
 import json
+import re
 
 import pytest
 from generated import once
@@ -94,6 +95,21 @@ def test_an_effect_that_does_not_help_is_refused_with_numbers(pair, tmp_path):
     ):
         run_verb("add", [f"--twin={twin}", f"--recording={recording}", "--effect=leak"])
     assert (twin / "twin.yaml").read_text() == before and not (twin / "history").exists()
+
+
+def test_a_fall_that_is_not_significant_says_how_much_more_to_record(tmp_path):
+    once(generate, ["creep"], tmp_path / "short", 5003, minutes=2.0, hz=10)
+    r = Recording.load(tmp_path / "short")
+    added = add(Twin("finger", r.length_mm, r.spine_joint_positions_mm), r, "friction")
+    number = r"([\d.]+)"
+    found = re.search(
+        rf"not significant yet: .* by {number} \[-.* show a fall of {number} mm\^2 with a power of 80 %, so "
+        rf"record about {number} more minutes of the same programs; --anyway stores it now",
+        added.reason,
+    )
+    assert found and not added.accepted
+    fall, least, more = map(float, found.groups())
+    assert more == pytest.approx(len(r) / 600 * ((least / fall) ** 2 - 1), abs=1.1), "600 rows a minute"
 
 
 @pytest.mark.slow
