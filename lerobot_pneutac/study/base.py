@@ -139,12 +139,12 @@ class EffectStudy(Study, ABC):
         return self.test
 
     @abstractmethod
-    def recorded(self) -> tuple[float, str]:
+    def amount_recorded(self) -> tuple[float, str]:
         """How much was recorded, and of what, as a noun phrase in the plural."""
 
     def more_to_show(self, fall: PairedTest) -> str:
         """How much more of the same makes such a fall significant with a power of `thresholds.POWER`."""
-        amount, what = self.recorded()
+        amount, what = self.amount_recorded()
         more = amount * max(fall.times - 1, T.LEAST_MORE)
         digits = 10.0 ** max(math.floor(math.log10(more)) - 1, 0)
         return f"{math.ceil(more / digits) * digits:.0f} more {what}"

@@ -188,7 +188,7 @@ class BodyBase(EffectStudy):
         trial = np.unique(np.asarray(self.recording.samples["trial"]), return_inverse=True)[1]
         return BlockBootstrap(self.parts.test, trial, np.zeros(trial.max() + 1, int), self.seed + 2)
 
-    def recorded(self) -> tuple[float, str]:
+    def amount_recorded(self) -> tuple[float, str]:
         time_s = self.recording.samples.groupby("trial")["time_s"]
         return float((time_s.max() - time_s.min()).sum()) / 60, "minutes of the same programs"
 

@@ -421,7 +421,7 @@ class DemonstrationStudy(EffectStudy):
             return "Record the finger on the bench with a known weight at its tip, in a column payload_g."
         return super().experiment(model, effect)
 
-    def recorded(self) -> tuple[float, str]:
+    def amount_recorded(self) -> tuple[float, str]:
         return float(len(self.fitter.episodes)), "demonstrations of the same task"
 
     def too_little(self) -> str:

@@ -330,7 +330,7 @@ class GelStudy(EffectStudy):
     def at_bound(self, model: FittedGel, effects: Sequence[str]) -> list[str]:
         return at_bound(model.fit.gel, effects)
 
-    def recorded(self) -> tuple[float, str]:
+    def amount_recorded(self) -> tuple[float, str]:
         return float(len(self.data.samples)), "photographs of such presses"
 
     def too_little(self) -> str:
