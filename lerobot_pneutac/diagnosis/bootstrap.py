@@ -129,7 +129,7 @@ class BlockBootstrap:
         b, a = self.sums(before), self.sums(after)
         if np.quantile(self._weight @ ((b - a) / np.maximum(b + a, 1e-300)), T.SIGNIFICANCE) > 0:
             return True
-        fall = (b - a)[np.maximum(b, a) > T.SHOWS**2 * noise_mse * self._size]
+        fall = (b - a)[np.maximum(b, a) > T.CLOSE**2 * noise_mse * self._size]
         n = len(fall)
         if noise_mse == 0 or n <= T.FEW_UNITS:
             return False

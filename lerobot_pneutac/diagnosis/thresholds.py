@@ -6,12 +6,9 @@ The excess is a mean square error less that of the noise.
 
 # ---------------------------------------------------------------- close to the noise: error over noise
 
-AS_IS_NOISE = 1.1  # below, no other actuation is tried (search) and a twin as it is lacks nothing (verdict)
-NOISE = 1.2  # below, what is left is called noise, out of time too (verdict; reports and `learn` use it too)
-GAUGE_NOISE = 1.3  # below, the measured pressure is explained and need not drive the body (body_search)
-RUNS_NOISE = 1.4  # below, runs are not tested for offsets of their own (body_search)
-CLOSE = 1.5  # above, no law is named (verdict) and a change point is looked for (data_breaks)
-SHOWS = 1.7  # above, two thirds of a unit's squared error are the model's: it judges models (bootstrap)
+AS_IS_NOISE = 1.1  # below, nothing is looked for: its estimate is off by as much (search, verdict)
+NOISE = 1.2  # below, what is left is called noise (verdict, body_search, reports, `learn`)
+CLOSE = 1.5  # above, most of the squared error is the model's (verdict, body_search, bootstrap, data_breaks)
 
 # ---------------------------------------------------------------- search
 
@@ -21,7 +18,7 @@ OTHER_ACTUATIONS = 4  # fitted well, where the actuation model is chosen again (
 COARSE, FINE = 12, 6  # additions fitted roughly, and then well, in a round (search)
 STOP_EXCESS = 0.06  # of the noise: with less excess the search ends (search)
 WORTH_OF_EXCESS = 0.04  # of the excess: least fall that is worth a term (search)
-WORTH_OF_NOISE = 0.03  # of the noise: the same where little excess is left (search, body_search)
+WORTH_OF_NOISE = 0.1  # of the noise: the same, also to keep a term; half of `AS_IS_NOISE` (search, `add`)
 WORTH_OF_START = 0.005  # of the excess of the start: the same for late terms (search)
 WORTH_OF_BASE = 0.05  # of the excess: least fall for which the costlier base is taken (search)
 SAME_ACTUATION = 0.02  # of the error or noise: actuation models that differ by less are equal (search)

@@ -6,7 +6,7 @@ from enum import StrEnum
 
 from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.result import Outcome
-from lerobot_pneutac.diagnosis.thresholds import AS_IS_NOISE, CERTAIN, NOISE
+from lerobot_pneutac.diagnosis.thresholds import AS_IS_NOISE, CERTAIN, CLOSE, NOISE
 from lerobot_pneutac.diagnosis.verdict import NONE, Explained, Mechanism
 from lerobot_pneutac.study.base import EffectStudy
 from pneutac_datasets.recording.wording import joined
@@ -79,6 +79,7 @@ class State:
         interval: 95 % interval of the error that remains, over the noise; None where the noise is unknown.
         later: error over noise of the later part, predicted from the earlier one; None where unknown.
         learnt: error over noise of the samples that the model was fitted to; None where unknown.
+        program: error over noise of the program predicted worst by a fit to all others; None where unknown.
         recorded: the range of conditions for which the answers hold, such as `up to 62 kPa`.
         mechanisms: what each cause may be; empty where no probabilities are calibrated.
         objections: checks that failed, one phrase each.
@@ -112,6 +113,7 @@ class State:
     interval: tuple[float, float] | None = None
     later: float | None = None
     learnt: float | None = None
+    program: float | None = None
     recorded: str = ""
     mechanisms: tuple[Mechanism, ...] = ()
     objections: tuple[str, ...] = ()
@@ -182,6 +184,7 @@ def state_of(study: EffectStudy, outcome: Outcome) -> State:
         interval=e.interval,
         later=e.later,
         learnt=e.learnt,
+        program=e.program,
         recorded=study.recorded,
         mechanisms=tuple(o.mechanisms) if named else (),
         objections=tuple(e.objections) if named else (),
@@ -227,6 +230,11 @@ def explanation(s: State) -> str:
             return (
                 f"Explained: mostly. The error is {times}, but {s.later:.2f} times the noise in the last "
                 "part, predicted from the first."
+            )
+        case Explained.MOSTLY if s.at_noise and (s.program or 0.0) > CLOSE:
+            return (
+                f"Explained: mostly. The error is {times}, but {s.program:.2f} times the noise in one "
+                "program, predicted from all others."
             )
         case Explained.MOSTLY if s.at_noise:
             return (

@@ -436,6 +436,7 @@ def _evidence(
         cancelling=_cancelling(study, after, done.terms),
         forward=done.forward,
         later=done.later,
+        program=done.program,
     )
 
 

@@ -39,6 +39,7 @@ class Searched:
         chosen_in: of each, share of the votes.
         forward: whether it holds for the later part when fitted to the earlier one.
         later: error over noise of the later part, fitted to the earlier one; None where there is none.
+        program: the same of the worst program, fitted to all others; None where fewer than two are named.
     """
 
     space: BodySpace
@@ -52,6 +53,7 @@ class Searched:
     chosen_in: dict[str, float] = field(default_factory=dict)
     forward: bool = True
     later: float | None = None
+    program: float | None = None
 
 
 class BodySearch:
@@ -85,7 +87,7 @@ class BodySearch:
         done = self._body(study.recording, InputModel(start=study.start), air)
         if done is None:
             return None
-        if air is not None and np.sqrt(air.final.value) > T.GAUGE_NOISE * max(study.air_noise, 1e-9):
+        if air is not None and np.sqrt(air.final.value) > T.NOISE * max(study.air_noise, 1e-9):
             driven = self._driven(air)
             other = self._body(driven, InputModel(source="measured", start=study.start), None)
             assert other is not None  # a recording is amended by what the command leaves
@@ -250,7 +252,7 @@ class BodySearch:
         """
         now, noise_mse = found.final, self.study.noise.floor**2
         if (
-            now.value < T.RUNS_NOISE**2 * noise_mse
+            now.value < T.CLOSE**2 * noise_mse
             or self.study.recording.samples["trial"].nunique() < T.FEW_RUNS
         ):
             return ()
@@ -336,11 +338,29 @@ class BodySearch:
             if t in terms
         }
         done.forward, done.later = self._out_of_time(done)
+        done.program = self._worst_program(done.model)
         return done
 
     def score(self, model: BodyModel) -> Scored:
         cv_squared = model.cv_squared(self.fold)
         return Scored(model, cv_squared, self.bootstrap.value(cv_squared))
+
+    def _worst_program(self, model: Scored) -> float | None:
+        """Error over noise of the program that a fit to all others predicts worst; None of fewer than two.
+
+        Rows of a condition, such as a load, that no other program has stay in the fit.
+        """
+        samples, noise_mse = self.study.recording.samples, self.study.noise.floor**2
+        if "program" not in samples or noise_mse == 0:
+            return None
+        fold = np.unique(samples["program"].to_numpy(str)[self.rows], return_inverse=True)[1]
+        if fold.max() == 0:
+            return None
+        seen = [np.isin(self.condition, self.condition[fold != k]) for k in range(fold.max() + 1)]
+        fold = np.where(np.array(seen)[fold, np.arange(len(fold))], fold, -1)
+        rows, squared = fold >= 0, model.model.cv_squared(fold)
+        worst = np.bincount(fold[rows], squared[rows]) / np.maximum(np.bincount(fold[rows]), 1)
+        return float(np.sqrt(worst.max(initial=0.0) / noise_mse))
 
     def _out_of_time(self, done: Searched) -> tuple[bool, float | None]:
         """How the model, fitted to the first 60 % of the rows, predicts the rest.

@@ -149,7 +149,8 @@ def scored(days: Days, d, seconds: float) -> dict:
         "test_before": d.before["heldout"], "test_after": d.after["heldout"],
         "black_box": evidence.left_to_black_box, "agreed": evidence.agreed, "forward": evidence.forward,
         "interval": evidence.interval, "later": evidence.later, "error": evidence.after,
-        "learnt": evidence.learnt, "ratio_recorded": days.recorded(d.outcome.after.twin) / floor,
+        "learnt": evidence.learnt, "program": evidence.program,
+        "ratio_recorded": days.recorded(d.outcome.after.twin) / floor,
         "explained": d.explained.value, "noise_known": evidence.noise_known,
         "causes": [
             {"cause": m.cause, "ranked": dict(m.ranked), "certain": m.certain, "features": m.features,

@@ -111,6 +111,8 @@ def test_objections_add_up():
         ({"interval": (0.9, 1.51), "later": 1.1}, "undetermined"),
         ({"interval": (1.0, 1.1), "later": 1.21}, "mostly"),
         ({"interval": (1.0, 1.1), "later": 1.1, "learnt": 1.21}, "mostly"),
+        ({"interval": (1.0, 1.1), "later": 1.1, "learnt": 1.2, "program": 1.5}, "fully"),
+        ({"interval": (1.0, 1.1), "later": 1.1, "learnt": 1.2, "program": 1.51}, "mostly"),
         ({"interval": (1.0, 1.1), "at_bound": ["a.b"], "forward": False, "later": 1.2}, "fully"),
         ({"after": 2.0, "removed": 0.875, "interval": (1.9, 2.1)}, "mostly"),
         ({"after": 3.4, "removed": 0.56, "interval": (3.0, 4.2)}, "undetermined"),

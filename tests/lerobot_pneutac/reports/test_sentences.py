@@ -188,6 +188,10 @@ def right_of(s: State) -> float | None:
             "but 1.40 times the noise in the last part",
         ),
         (
+            {"later": 1.1, "program": 1.8, "explained": Explained.MOSTLY},
+            "but 1.80 times the noise in one program, predicted from all others",
+        ),
+        (
             {"later": 1.1, "learnt": 1.6, "explained": Explained.MOSTLY},
             "but 1.60 times the noise in the samples that the model was fitted to",
         ),
