@@ -251,10 +251,7 @@ class BodySearch:
         Of the widths tried, those that predict best what no fit saw.
         """
         now, noise_mse = found.final, self.study.noise.floor**2
-        if (
-            now.value < T.CLOSE**2 * noise_mse
-            or self.study.recording.samples["trial"].nunique() < T.FEW_RUNS
-        ):
+        if now.value < T.CLOSE**2 * noise_mse or self.study.recording.samples["trial"].nunique() < T.FEW_RUNS:
             return ()
         structure, values = now.model.structure, now.model.values
         tried = self.engine(space).fits([(replace(structure, trials=w), values) for w in TRIAL_WIDTHS], 8)
