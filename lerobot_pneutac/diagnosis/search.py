@@ -278,12 +278,12 @@ class Search:
 
     def is_worth(self, now: Scored, after: Scored) -> bool:
         """Whether a step between models is significant, large enough and improves out of time."""
-        least = max(T.WORTH_OF_EXCESS * (now.value - self.noise_mse), T.WORTH_OF_NOISE * self.noise_mse)
+        least = max(T.WORTH_OF_EXCESS * (now.value - self.noise_mse), T.NEEDED_OF_NOISE * self.noise_mse)
         return self._significant(now, after, least) and self._improves_out_of_time(now, after)
 
     def is_needed(self, without: Scored, model: Scored) -> bool:
         """Whether a model is so much better than the one re-fitted without a term that the term stays."""
-        least = max(T.WORTH_KEEPING * (without.value - self.noise_mse), T.WORTH_OF_NOISE * self.noise_mse)
+        least = max(T.WORTH_KEEPING * (without.value - self.noise_mse), T.NEEDED_OF_NOISE * self.noise_mse)
         return self._significant(without, model, least)
 
     def is_significant(self, before: Scored, after: Scored) -> bool:

@@ -233,17 +233,17 @@ class BodySearch:
         return model
 
     def _refined(self, space: BodySpace, model: Scored) -> Scored:
-        """The model with its air fitted to the moments after steps, or a significantly better actuation.
+        """The model with its air fitted to the moments after steps, or another actuation if it is worth it.
 
         The actuation was chosen before all terms were known.
         """
-        best = model
-        for air in (model, *self.engine(space).other_actuations(model)[:2]):
-            refined = self.score(space.refine_air(air.model))
-            best = min(best, air, refined, key=lambda s: s.value)
-        same = best.model.structure.effects == model.model.structure.effects
-        better = same or self.engine(space).is_significant(model, best)
-        return best if better else model
+        engine = self.engine(space)
+        own, *others = (
+            min(s, self.score(space.refine_air(s.model)), key=lambda s: s.value)
+            for s in (model, *engine.other_actuations(model)[:2])
+        )
+        best = min(others, key=lambda s: s.value, default=own)
+        return best if engine.is_worth(own, best) else own
 
     def _trials_differ(self, space: BodySpace, found: Found) -> tuple[float, ...]:
         """Widths of what trials have of their own if that explains a good part of what a search leaves.

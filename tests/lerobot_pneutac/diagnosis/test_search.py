@@ -209,7 +209,7 @@ def find(rows, tell=lambda text: None, **options):
 
 def test_the_thresholds_are_those_of_the_manual():
     assert (thresholds.MOST_TERMS, thresholds.BEAM, thresholds.COARSE, thresholds.FINE) == (6, 3, 12, 6)
-    assert (thresholds.WORTH_OF_EXCESS, thresholds.WORTH_OF_NOISE) == (0.04, 0.1)
+    assert (thresholds.WORTH_OF_EXCESS, thresholds.WORTH_OF_NOISE) == (0.04, 0.03)
     assert (thresholds.WORTH_OF_START, thresholds.EQUAL) == (0.005, 0.01)
 
 

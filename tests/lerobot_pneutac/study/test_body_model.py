@@ -27,7 +27,7 @@ def test_a_trial_of_which_no_row_was_fitted_has_no_numbers_of_its_own(tmp_path):
 
 
 @pytest.mark.parametrize("effects, taken", [(("valve_lag",), True), (("orifice_flow",), False)])
-def test_a_better_fit_of_the_same_effects_needs_no_significance_and_other_effects_do(effects, taken):
+def test_a_better_fit_of_the_same_effects_needs_no_test_and_other_effects_must_be_worth_it(effects, taken):
     def scored(effects: tuple[str, ...], share: float, value: float) -> Scored:
         structure = BodyStructure(effects, InputModel(switch=(share,)))
         return Scored(SimpleNamespace(structure=structure), np.full(4, value), value)
@@ -35,9 +35,9 @@ def test_a_better_fit_of_the_same_effects_needs_no_significance_and_other_effect
     now, better = scored(("valve_lag",), 0.5, 2.0), scored(effects, 0.4, 1.0)
     search = SimpleNamespace(
         engine=lambda space: SimpleNamespace(
-            other_actuations=lambda model: [], is_significant=lambda before, after: False
+            other_actuations=lambda model: [] if taken else [better], is_worth=lambda before, after: False
         ),
-        score=lambda model: better,
+        score=lambda model: better if taken or model is better.model else now,
     )
     space = SimpleNamespace(refine_air=lambda model: model)
     assert BodySearch._refined(search, space, now) is (better if taken else now)
