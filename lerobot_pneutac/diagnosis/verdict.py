@@ -57,8 +57,8 @@ class Evidence:
         interval: 95 % interval of `after`, by resampling the blocks of the test part.
         later: error over noise of the later part, of the model fitted to the earlier part; None where there
             is no later part of the same conditions.
-        program: error over noise of the program that is predicted worst by a fit to all others; None
-            where the recording names less than two.
+        program: error over noise of programs, each predicted by a fit to all others; None where the recording
+            names less than two.
         learnt: error over noise of all samples that the model was fitted to or chosen on; None where the
             noise cannot be determined.
         agreed: share of split seeds that chose the same.
@@ -165,7 +165,7 @@ def explained(e: Evidence) -> Explained:
     low, high = e.interval or (e.after, e.after)
     if e.is_noise and high > T.CLOSE:
         return Explained.UNDETERMINED
-    if e.is_noise and max(e.later or 0.0, e.learnt or 0.0) <= T.NOISE and (e.program or 0.0) <= T.CLOSE:
+    if e.is_noise and max(x or 0.0 for x in (e.later, e.learnt, e.program)) <= T.NOISE:
         return Explained.FULLY
     if not (e.noise_known or e.is_noise) or (e.near_miss and not e.selected):
         return Explained.UNDETERMINED

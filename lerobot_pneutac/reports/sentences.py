@@ -6,7 +6,7 @@ from enum import StrEnum
 
 from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.result import Outcome
-from lerobot_pneutac.diagnosis.thresholds import AS_IS_NOISE, CERTAIN, CLOSE, NOISE
+from lerobot_pneutac.diagnosis.thresholds import AS_IS_NOISE, CERTAIN
 from lerobot_pneutac.diagnosis.verdict import NONE, Explained, Mechanism
 from lerobot_pneutac.study.base import EffectStudy
 from pneutac_datasets.recording.wording import joined
@@ -79,7 +79,7 @@ class State:
         interval: 95 % interval of the error that remains, over the noise; None where the noise is unknown.
         later: error over noise of the later part, predicted from the earlier one; None where unknown.
         learnt: error over noise of the samples that the model was fitted to; None where unknown.
-        program: error over noise of the program predicted worst by a fit to all others; None where unknown.
+        program: error over noise of programs, each predicted from all others; None where unknown.
         recorded: the range of conditions for which the answers hold, such as `up to 62 kPa`.
         mechanisms: what each cause may be; empty where no probabilities are calibrated.
         objections: checks that failed, one phrase each.
@@ -226,20 +226,16 @@ def explanation(s: State) -> str:
         case Explained.FULLY:
             where = f", as far as was recorded ({s.recorded})" if s.recorded else ""
             return f"Explained: fully{where}. The error is {times}."
-        case Explained.MOSTLY if s.at_noise and (s.later or 0.0) > NOISE:
-            return (
-                f"Explained: mostly. The error is {times}, but {s.later:.2f} times the noise in the last "
-                "part, predicted from the first."
-            )
-        case Explained.MOSTLY if s.at_noise and (s.program or 0.0) > CLOSE:
-            return (
-                f"Explained: mostly. The error is {times}, but {s.program:.2f} times the noise in one "
-                "program, predicted from all others."
-            )
         case Explained.MOSTLY if s.at_noise:
+            where = {
+                "the last part, predicted from the first": s.later,
+                "programs that are predicted from all others": s.program,
+                "the samples that the model was fitted to": s.learnt,
+            }
+            worst = max(where, key=lambda k: where[k] or 0.0)
             return (
-                f"Explained: mostly. The error is {times}, but {s.learnt or 0.0:.2f} times the noise in the "
-                "samples that the model was fitted to."
+                f"Explained: mostly. The error is {times}, but {where[worst] or 0.0:.2f} times the noise in "
+                f"{worst}."
             )
         case Explained.UNDETERMINED if s.at_noise:
             return f"Explained: undetermined, since the error is known too roughly ({times})."

@@ -39,7 +39,7 @@ class Searched:
         chosen_in: of each, share of the votes.
         forward: whether it holds for the later part when fitted to the earlier one.
         later: error over noise of the later part, fitted to the earlier one; None where there is none.
-        program: the same of the worst program, fitted to all others; None where fewer than two are named.
+        program: the same of programs, each by a fit to all others; None where fewer than two are named.
     """
 
     space: BodySpace
@@ -335,15 +335,15 @@ class BodySearch:
             if t in terms
         }
         done.forward, done.later = self._out_of_time(done)
-        done.program = self._worst_program(done.model)
+        done.program = self._other_programs(done.model)
         return done
 
     def score(self, model: BodyModel) -> Scored:
         cv_squared = model.cv_squared(self.fold)
         return Scored(model, cv_squared, self.bootstrap.value(cv_squared))
 
-    def _worst_program(self, model: Scored) -> float | None:
-        """Error over noise of the program that a fit to all others predicts worst; None of fewer than two.
+    def _other_programs(self, model: Scored) -> float | None:
+        """Error over noise of programs, each predicted by a fit to all others; None of fewer than two.
 
         Rows of a condition, such as a load, that no other program has stay in the fit.
         """
@@ -351,13 +351,10 @@ class BodySearch:
         if "program" not in samples or noise_mse == 0:
             return None
         fold = np.unique(samples["program"].to_numpy(str)[self.rows], return_inverse=True)[1]
-        if fold.max() == 0:
-            return None
         seen = [np.isin(self.condition, self.condition[fold != k]) for k in range(fold.max() + 1)]
         fold = np.where(np.array(seen)[fold, np.arange(len(fold))], fold, -1)
-        rows, squared = fold >= 0, model.model.cv_squared(fold)
-        worst = np.bincount(fold[rows], squared[rows]) / np.maximum(np.bincount(fold[rows]), 1)
-        return float(np.sqrt(worst.max(initial=0.0) / noise_mse))
+        rows = fold >= 0
+        return float(np.sqrt(model.model.cv_squared(fold)[rows].mean() / noise_mse)) if rows.any() else None
 
     def _out_of_time(self, done: Searched) -> tuple[bool, float | None]:
         """How the model, fitted to the first 60 % of the rows, predicts the rest.

@@ -189,7 +189,7 @@ def right_of(s: State) -> float | None:
         ),
         (
             {"later": 1.1, "program": 1.8, "explained": Explained.MOSTLY},
-            "but 1.80 times the noise in one program, predicted from all others",
+            "but 1.80 times the noise in programs that are predicted from all others",
         ),
         (
             {"later": 1.1, "learnt": 1.6, "explained": Explained.MOSTLY},
