@@ -127,7 +127,7 @@ def noise_floor(recording: Recording) -> NoiseFloor:
         how = f"what differs from moment to moment between equal runs, {pair} of them"
     elif all(c in declared for c in columns):
         by = {c: float(declared[c]) for c in numeric if c in declared}
-        how = "stated in recording.json"
+        how, calm = "stated in recording.json", {}  # what is stated is not judged by an estimate
     else:
         by = contrasts(recording, numeric)
         how = "what the neighbouring rows and the commanded pressure do not predict of a row"
