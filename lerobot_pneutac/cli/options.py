@@ -152,9 +152,18 @@ def _check_file(path: Path, options: dict[str, Option]) -> None:
     content = read_yaml(path)
     if not isinstance(content, dict):
         raise InputError(f"--config_path={path} must hold options, one `name: value` in each line.")
-    for name in content:
+    for name in _names(content, options):
         if name not in options:
-            raise InputError(f"{path}: {_unknown(str(name), options)}")
+            raise InputError(f"{path}: {_unknown(name, options)}")
+
+
+def _names(content: dict, options: dict[str, Option], group: str = "") -> Iterator[str]:
+    """The options that a file names, those of a group with its name."""
+    for name, value in content.items():
+        yield f"{group}{name}"
+        own = options.get(f"{group}{name}")
+        if isinstance(value, dict) and own and dataclasses.is_dataclass(own.kind):
+            yield from _names(value, options, f"{group}{name}.")
 
 
 def _in_words(text: str, options: dict[str, Option]) -> str:

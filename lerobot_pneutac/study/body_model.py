@@ -345,7 +345,8 @@ class BodyFitter:
     def start(self, structure: BodyStructure, pipeline: Pipeline, values: dict[str, float]) -> np.ndarray:
         """(P,) parameters to start from: given ones, else the twin's, else defaults."""
         theta = pipeline.theta(
-            self.twin_with(structure.joints), self.data(structure.input_model).inputs.pressure_range_kpa
+            self.twin_with(structure.joints),
+            self.data(structure.input_model).inputs.pressure_range_kpa,
         )
         return np.array([values.get(n, t) for n, t in zip(pipeline.names, theta, strict=True)])
 

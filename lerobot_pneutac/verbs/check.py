@@ -149,7 +149,8 @@ def _twin(path: Path) -> tuple[list[str], list[str]]:
     if faults:
         return faults, notes
     twin = Twin.load(path)
-    faults += [f"{path / 'twin.yaml'}: {fault}" for fault in _broken(twin)]
+    file = f"{path / 'twin.yaml'}: "
+    faults += [file + fault.removeprefix(file) for fault in _broken(twin)]
     for name in twin.effects:
         if faults:
             return faults, notes
@@ -207,7 +208,7 @@ def _body(twin: Twin) -> None:
     for name in twin.effects:
         get_effect(name)
     if twin.device != "gel":
-        Pipeline.of(twin).theta(twin)
+        Pipeline.of(twin).theta(twin, start=False)
 
 
 WORLD = ("joint_stiffness_nm_per_rad", "joint_damping_nms_per_rad", "gain_rad_per_kpa")

@@ -43,8 +43,10 @@ class ExportConfig:
 
 def command(cfg: ExportConfig, terminal: Terminal) -> None:
     """Writes a twin as one Python file that needs NumPy alone, or its body as MJCF."""
-    if cfg.out.suffix not in (".py", ".xml") or cfg.out.exists():
-        raise InputError(f"--out={cfg.out} must name a new file that ends in .py or in .xml.")
+    if cfg.out.suffix not in (".py", ".xml"):
+        raise InputError(f"--out={cfg.out} must name a file that ends in .py or in .xml.")
+    if cfg.out.exists():
+        raise InputError(f"--out={cfg.out} is there already; give a new name, or delete it.")
     twin = Twin.load(cfg.twin)
     if cfg.out.suffix == ".py":
         write_text(cfg.out, python_file(twin))
@@ -67,7 +69,7 @@ def python_file(twin: Twin) -> str:
     if twin.device == "gel":
         raise InputError("A gel has no pressure that bends it; export the twin of a finger or an arm.")
     model, source = Pipeline.of(twin), Source(compiled=False)
-    theta = model.theta(twin)
+    theta = model.theta(twin, start=False)
     for part in (Link, Pose, Finger):
         source.add(part)
     chain = "\n".join(f"    {link}," for link in _links(model, source))

@@ -100,12 +100,21 @@ class Finger:
             dt_s: length of the step, above zero.
 
         Raises:
-            ValueError: the command or the step is not a finite number.
+            ValueError: the command is not a finite number or one a chamber, or the step is not above 0.
         """
-        if not (np.isfinite(pressure_cmd_kpa).all() and 0 < dt_s < np.inf):
+        try:
+            command, dt_s = np.asarray(pressure_cmd_kpa, dtype=float), float(dt_s)
+        except (TypeError, ValueError) as e:
             raise ValueError(
-                f"The command {pressure_cmd_kpa} kPa and the step {dt_s} s must be finite numbers."
+                f"The command {pressure_cmd_kpa!r} kPa and the step {dt_s!r} s must be numbers."
+            ) from e
+        if not np.isfinite(command).all() or command.shape not in ((), (1,), (self._chambers,)):
+            raise ValueError(
+                f"The command is {pressure_cmd_kpa} kPa; give a finite number, or one for each of "
+                f"{self._chambers} chambers."
             )
+        if not 0 < dt_s < np.inf:
+            raise ValueError(f"The step dt_s is {dt_s} s; give a finite number above 0.")
         self._given["session_time_s"] += dt_s
         return self._run(pressure_cmd_kpa, dt_s)
 

@@ -19,6 +19,7 @@ from pneutac_datasets.recording.wording import an
 from pneutac_sim.errors import InputError, check_choice
 from pneutac_sim.executor import ExecutorOptions
 from pneutac_sim.files import write_text
+from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.surrogate.finger import builtin, fits
 from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
@@ -148,11 +149,7 @@ def train_networks(config: SurrogateConfig, twin: Twin, progress: Progress = no_
             f"{folder} is the twin of {an(twin.device)}, but the networks are of a finger and the gel on "
             "it; give a finger's twin."
         )
-    if "gain_rad_per_kpa" not in twin.parameters:
-        raise InputError(
-            f"{folder} has not been calibrated (no gain_rad_per_kpa); run `pneutac calibrate "
-            f"--twin={folder} --recording=DIR` first."
-        )
+    Pipeline.of(twin).theta(twin, start=False)
     config.check()
     networks, missing = {}, config.to_train(twin)
     for name in NETWORKS:

@@ -3,6 +3,7 @@
 Where a parameter is wrong the sentence begins with its name: the command line makes `--name` of it.
 """
 
+import difflib
 import re
 import shlex
 from collections.abc import Iterable, Iterator
@@ -48,6 +49,20 @@ def shown(value) -> str:
     """A value as a sentence quotes it: its beginning, where it is long."""
     text = repr(value)
     return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."
+
+
+def unknown_names(given: Iterable, known: Iterable[str], kind: str = "field") -> list[str]:
+    """`unknown field 'widht'; did you mean 'width'?` for each name that is none of these.
+
+    A name that is given already is suggested only where no other is close.
+    """
+    given, known, out = [str(g) for g in given], list(known), []
+    for name in (g for g in given if g not in known):
+        free = [k for k in known if k not in given]
+        near = difflib.get_close_matches(name, free, n=1) or difflib.get_close_matches(name, known, n=1)
+        hint = f"did you mean '{near[0]}'?" if near else f"those that exist are {', '.join(known) or 'none'}."
+        out.append(f"unknown {kind} {shown(name)}; {hint}")
+    return out
 
 
 def option(name: str, value) -> str:

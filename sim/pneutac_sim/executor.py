@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pneutac_sim.errors import InputError, check_choice, check_least
-from pneutac_sim.files import read_yaml
+from pneutac_sim.files import read_fields
 from pneutac_sim.progress import Progress, no_progress
 
 EXECUTORS = ("local", "ray", "slurm")
@@ -73,21 +73,16 @@ class ExecutorOptions:
         """What `executor_config` gives to datatrove's executor; raises InputError where that has no such."""
         if self.executor_config is None:
             return {}
-        file, known = Path(self.executor_config), {}
+        file = Path(self.executor_config)
         if self.executor == "local":
             raise InputError("executor_config is of `ray` or `slurm`; leave it out, or give --executor.")
         if not file.is_file():
             raise InputError(f"executor_config is '{file}', which is no file.")
-        given = read_yaml(file)
         from datatrove.executor import RayPipelineExecutor, SlurmPipelineExecutor
 
         engine = RayPipelineExecutor if self.executor == "ray" else SlurmPipelineExecutor
         known = [name for name in inspect.signature(engine.__init__).parameters if name not in OURS]
-        if not isinstance(given, dict) or set(given) - set(known):
-            raise InputError(
-                f"{file} must hold `name: value` lines of {', '.join(known)}; the others are options."
-            )
-        return given
+        return read_fields(file, known, ("partition", "time") if self.executor == "slurm" else (), "argument")
 
 
 @dataclass(frozen=True)

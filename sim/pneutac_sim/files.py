@@ -7,7 +7,7 @@ import math
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -16,7 +16,7 @@ import yaml
 from filelock import FileLock, Timeout
 from PIL import Image
 
-from pneutac_sim.errors import CONTROL, InputError
+from pneutac_sim.errors import CONTROL, InputError, shown, unknown_names
 
 MOST_YAML_BYTES = 2**20
 MOST_WHOLE = 10**19
@@ -41,6 +41,30 @@ def read_yaml(file: Path):
         raise InputError(f"{file}{where} is not valid YAML: {what}; correct it in a text editor.") from e
 
 
+def read_fields(file: Path, known: Iterable[str], required: Iterable[str] = (), kind: str = "field") -> dict:
+    """The fields of a YAML file that a user writes, `name: value` in each line.
+
+    Args:
+        file: to read.
+        known: names that it may have.
+        required: those that it must have.
+        kind: what a name is, in a sentence.
+
+    Raises:
+        InputError: one line: it is none, or empty, has another name, or lacks one.
+    """
+    content, known = read_yaml(file), list(known)
+    if not isinstance(content, dict):
+        what = "is empty" if content is None else f"is {shown(content)}"
+        raise InputError(f"{file} {what}; write `name: value` lines, of {', '.join(known)}.")
+    for fault in unknown_names(content, known, kind):
+        raise InputError(f"{file}: {fault}")
+    for name in required:
+        if name not in content:
+            raise InputError(f"{file}: {kind} '{name}' is missing.")
+    return content
+
+
 class _Loader(yaml.SafeLoader):
     """Safe YAML without aliases, with which a small file could stand for a huge one; dates are texts."""
 
@@ -62,6 +86,17 @@ class _Loader(yaml.SafeLoader):
         if abs(value) < MOST_WHOLE:
             return value
         return math.inf if value > 0 else -math.inf
+
+    def construct_mapping(self, node, deep=False):
+        """Names and what they are; of a name that is given twice one value would be ignored."""
+        seen = set()
+        for key in (k for k, _ in node.value if isinstance(k, yaml.ScalarNode)):
+            if key.value in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"'{key.value}' is given twice", key.start_mark
+                )
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
 
     def construct_scalar(self, node):
         value = super().construct_scalar(node)

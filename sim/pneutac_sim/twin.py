@@ -17,9 +17,10 @@ import numpy as np
 import yaml
 from safetensors.numpy import load_file, save
 
-from pneutac_sim.errors import InputError, from_hub, option, shown
+from pneutac_sim.errors import InputError, from_hub, option, shown, unknown_names
 from pneutac_sim.features import PAPER_LENGTH_MM, PAPER_RANGE_KPA
 from pneutac_sim.files import inside, locked, read_yaml, refuse_pointer, whole, write_json, write_text
+from pneutac_sim.value import Value
 
 DEVICES = ("finger", "arm", "gel")
 FORMAT = "pneutac-twin/1"
@@ -38,13 +39,43 @@ PAPER_FINGER = {
     "joint_damping_nms_per_rad": 0.006,
 }
 
-
-@dataclass
-class Value:
-    """A number with its 95 % confidence interval where it was estimated."""
-
-    value: float
-    ci95: tuple[float, float] | None = None
+# Parameters of a body that a twin may have, besides `bend_1` to `bend_N`: of the pipeline, of the soft solid,
+# of the gel's material, and what a diagnosis finds of the clock.
+_DRIVE = (
+    "gain_rad_per_kpa",
+    "gain_alpha",
+    "gain_beta",
+    "curl_rad",
+    "joint_stiffness_nm_per_rad",
+    "body_share",
+)
+_CHAMBERS = (
+    "rest_pressure_z_kpa",
+    "rest_pressure_y_kpa",
+    "chamber_angle_rad",
+    "chamber_2_gain",
+    "chamber_3_gain",
+    "chamber_handedness",
+    "chamber_2_turn_rad",
+    "chamber_3_turn_rad",
+)
+_SOLID = (
+    "joint_damping_nms_per_rad",
+    "youngs_modulus_mpa",
+    "poissons_ratio",
+    "density_kg_m3",
+    "width_mm",
+    "spine_stiffness_nm_per_rad",
+    "spine_damping_nms_per_rad",
+)
+_MATERIAL = ("gel_youngs_modulus_mpa", "gel_poissons_ratio", "gel_density_kg_m3")
+_CLOCK = ("command_latency_s", "switch_share", "pause_s")
+PARAMETERS = {
+    "finger": (*_DRIVE, "rest_pressure_kpa", *_SOLID, *_MATERIAL, *_CLOCK),
+    "arm": (*_DRIVE, *_CHAMBERS, *_SOLID, *_MATERIAL, *_CLOCK),
+    "gel": (*_DRIVE, "rest_pressure_kpa", *_SOLID, *_MATERIAL),
+}
+GEL = ("light", "depth_light", "px_per_mm", "thickness_mm", "decay_mm", "depth_scale", "threshold_levels")
 
 
 @dataclass
@@ -102,10 +133,22 @@ class Twin:
         return cls(parameters={k: Value(v) for k, v in PAPER_FINGER.items()})
 
     def parameter(self, name: str) -> float:
-        """Value of one body parameter; raises InputError naming those that exist."""
-        if name not in self.parameters:
-            raise InputError(f"The twin has no parameter '{name}'; it has {', '.join(self.parameters)}.")
+        """Value of one body parameter; raises InputError where the twin has none."""
+        self.require(name)
         return self.parameters[name].value
+
+    def require(self, *names: str) -> None:
+        """Raises InputError where a parameter of the body is missing, with the command that finds it."""
+        missing = [n for n in names if n not in self.parameters]
+        if missing:
+            several, folder = len(missing) > 1, self.folder or "FOLDER"
+            where = f"{self.folder / 'twin.yaml'}: body: " if self.folder else "The twin's body: "
+            listed = ", ".join(f"'{n}'" for n in missing)
+            raise InputError(
+                f"{where}{'parameters' if several else 'parameter'} {listed} {'are' if several else 'is'} "
+                f"missing; `pneutac calibrate {option('twin', folder)} --recording=DIR` finds "
+                f"{'them' if several else 'it'}."
+            )
 
     # ---------------------------------------------------------------- files
 
@@ -314,7 +357,7 @@ def _plain(v: Value) -> dict:
 
 def _told(d: dict) -> tuple[dict, list[str]]:
     """Fields of a `twin.yaml` as a twin takes them, and a sentence for each that is missing or malformed."""
-    told, faults = {}, []
+    told, faults = {}, unknown_names(d, ("format", *_READ, "arrays"))
     for name, read in _READ.items():
         if name not in d:
             if name != "pressure_range_kpa":  # none before 0.2
@@ -327,6 +370,10 @@ def _told(d: dict) -> tuple[dict, list[str]]:
             faults.append(str(e))
         except (TypeError, ValueError) as e:
             faults.append(f"field '{name}' is malformed ({e}).")
+    if told.keys() >= {"device", "parameters"} and told["device"] in DEVICES:
+        bends = [f"bend_{n + 1}" for n in range(len(told.get("spine_joint_positions_mm", ())))]
+        known = (*PARAMETERS[told["device"]], *bends)
+        faults += [f"body: {fault}" for fault in unknown_names(d["parameters"], known, "parameter")]
     return told, faults
 
 
@@ -350,6 +397,8 @@ def _values(d, where: str, faults: list[str]) -> dict[str, Value]:
 def _value(v, where: str) -> Value:
     if not isinstance(v, dict) or "value" not in v:
         raise InputError(f"field '{where}' is {shown(v)}; it must hold 'value', a number.")
+    for fault in unknown_names(v, ("value", "ci95")):
+        raise InputError(f"{where}: {fault}")
     try:
         ci95 = tuple(float(x) for x in v.get("ci95") or ())
         value = Value(float(v["value"]), (ci95[0], ci95[1]) if ci95 else None)
@@ -361,13 +410,31 @@ def _value(v, where: str) -> Value:
 
 
 def _effects(d, faults: list[str]) -> dict[str, dict[str, Value]]:
+    if not _mapping(d, "effects"):
+        return {}
+    from pneutac_sim.effects.registry import get_effect  # half a second, and a new twin has no effects
+
     out = {}
-    for name, e in _mapping(d, "effects").items():
+    for name, e in d.items():
         try:
-            out[name] = _values(e, f"effects.{name}", faults)
+            specs, where = [p.name for p in get_effect(str(name)).parameters], f"effects.{name}"
+            wrong = unknown_names(_mapping(e, where), specs, "parameter")
+            faults += [f"{where}: {fault}" for fault in wrong]
+            out[name] = _values({k: v for k, v in e.items() if k in specs}, where, faults)
+            missing = [p for p in specs if p not in e]
+            if missing and not wrong:
+                raise InputError(
+                    f"{where}: {', '.join(missing)} {'are' if missing[1:] else 'is'} missing; add what is "
+                    "missing, or take the effect out."
+                )
         except InputError as error:
             faults.append(str(error))
     return out
+
+
+def _gel(d, faults: list[str]) -> dict:
+    faults += [f"gel: {fault}" for fault in unknown_names(_mapping(d, "gel"), GEL)]
+    return d
 
 
 def _history(d) -> list[dict]:
@@ -383,6 +450,6 @@ _READ: dict[str, Callable[[Any, list[str]], Any]] = {
     "parameters": lambda d, faults: _values(d, "parameters", faults),
     "effects": _effects,
     "pressure_range_kpa": lambda d, _: d,
-    "gel": lambda d, _: _mapping(d, "gel"),
+    "gel": _gel,
     "history": lambda d, _: _history(d),
 }

@@ -125,7 +125,8 @@ def test_what_is_wrong_with_an_executor_is_one_sentence(tmp_path, cluster, monke
         run(tmp_path / "none", ExecutorOptions(executor="slurm", executor_config=cluster))
     assert not list((tmp_path / "none").glob("*.txt"))
     cluster.write_text("partitions: cpu\n")
-    refused("slurm.yaml must hold .* partition, ", executor="slurm", executor_config=cluster)
+    said = "slurm.yaml: unknown argument 'partitions'; did you mean 'partition'"
+    refused(said, executor="slurm", executor_config=cluster)
     monkeypatch.setenv("PATH", str(tmp_path))
     refused("no sbatch here", executor="slurm", executor_config=cluster)
     monkeypatch.setitem(sys.modules, "ray", None)

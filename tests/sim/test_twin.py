@@ -5,6 +5,8 @@ A twin's folder survives what can stop its writing, and what is wrong in it ends
 
 import errno
 import os
+import re
+from dataclasses import fields
 from pathlib import Path
 
 import huggingface_hub
@@ -20,14 +22,20 @@ from pneutac_benchmarks.robustness.twins import (
     second,
 )
 from pneutac_sim import files
+from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
-from pneutac_sim.twin import Twin, Value
+from pneutac_sim.finger import Pipeline, PressurePipeline
+from pneutac_sim.finger.stages import Geometry
+from pneutac_sim.gel.force import MATERIAL
+from pneutac_sim.gel.model import OWN_PLACE, GelModel
+from pneutac_sim.mpm.parameters import BY_DEVICE, DEFAULTS
+from pneutac_sim.twin import GEL, PARAMETERS, Twin, Value
 
 
 def test_round_trip_keeps_every_field(tmp_path):
     twin = Twin.builtin()
     twin.parameters["gain_rad_per_kpa"] = Value(0.0123, (0.012, 0.0126))
-    twin.effects["creep"] = {"fraction_1": Value(0.1, (0.08, 0.12)), "tau_1_s": Value(2.0)}
+    twin.effects["valve_lag"] = {"fill_time_s": Value(0.1, (0.08, 0.12)), "vent_time_s": Value(2.0)}
     twin.pressure_range_kpa = (-20.0, 60.0)
     twin.gel = {"px_per_mm": 20.0, "light": [[1.0, 2.0], [3.0, 4.0]]}
     twin.arrays["rest_image"] = np.random.default_rng(0).integers(0, 255, (4, 3, 3), dtype=np.uint8)
@@ -71,7 +79,7 @@ def test_a_twin_that_does_not_say_was_measured_over_the_papers_pressures(tmp_pat
 def test_versions_keep_the_earlier_twin(tmp_path):
     twin = Twin.builtin()
     twin.save_version(tmp_path, "calibrated", "bench", {"train": 2.0, "heldout": 2.2, "unit": "mm"})
-    twin.effects["creep"] = {"tau_1_s": Value(3.0)}
+    twin.effects["creep"] = get_effect("creep").start()
     twin.save_version(tmp_path, "added creep", "bench", {"train": 0.5, "heldout": 0.6, "unit": "mm"})
     assert [h["heldout"] for h in Twin.load(tmp_path).history] == [2.2, 0.6]
     assert Twin.load(tmp_path / "history" / "000").effects == {}
@@ -113,8 +121,24 @@ def test_missing_and_corrupted_files(tmp_path):
     [
         ("effects: {}", "effects: none", "field 'effects' is 'none'"),
         ("effects: {}", "effects:\n  shadow: 3", "field 'effects.shadow' is 3"),
-        ("effects: {}", "effects:\n  creep:\n    weight_1s: 0.1", "field 'effects.creep.weight_1s' is 0.1"),
+        ("effects: {}", "effects:\n  creep:\n    weight_4s: 0.1", "field 'effects.creep.weight_4s' is 0.1"),
         ("effects: {}", "", "field 'effects' is missing"),
+        ("gain_alpha", "gain_omega", "body: unknown parameter 'gain_omega'; did you mean 'gain_alpha'\\?"),
+        ("  gain_beta:", "  bend_5:", "body: unknown parameter 'bend_5'"),
+        ("value: 0.0313", "value: 0.0313\n    ci59: [0, 1]", "parameters.gain_alpha: unknown field 'ci59'"),
+        ("length_mm:", "lenght_mm:", "unknown field 'lenght_mm'; did you mean 'length_mm'\\?"),
+        (
+            "gel: {}",
+            "gel:\n  thicknes_mm: 2.5",
+            "gel: unknown field 'thicknes_mm'; did you mean 'thickness_mm'",
+        ),
+        ("effects: {}", "effects:\n  crep: {}", "There is no effect 'crep'; did you mean 'creep'\\?"),
+        (
+            "effects: {}",
+            "effects:\n  dead_time:\n    delay_sec: {value: 0.1}",
+            "effects.dead_time: unknown parameter 'delay_sec'; did you mean 'delay_s'\\?",
+        ),
+        ("effects: {}", "effects:\n  dead_time: {}", "effects.dead_time: delay_s is missing; add what is"),
     ],
 )
 def test_a_malformed_twin_names_file_and_field(old, new, said, tmp_path):
@@ -122,6 +146,35 @@ def test_a_malformed_twin_names_file_and_field(old, new, said, tmp_path):
     file.write_text(file.read_text().replace(old, new))
     with pytest.raises(InputError, match=f"twin.yaml: {said}"):
         Twin.load(tmp_path)
+    assert any(re.search(f"twin.yaml: {said}", fault) for fault in Twin.faults(tmp_path))
+
+
+def test_a_twin_may_have_the_parameters_that_the_pipeline_the_solid_and_the_gel_know():
+    for device, joints in (("finger", 4), ("arm", 6)):
+        twin = Twin(device=device)
+        pipeline = Pipeline(Geometry(device, 110.0, tuple(twin.spine_joint_positions_mm)), body=None)
+        bends = {f"bend_{n + 1}" for n in range(joints)}
+        assert set(pipeline.names) - bends <= set(PARAMETERS[device])
+        assert {*DEFAULTS, *BY_DEVICE} <= set(PARAMETERS[device])
+    assert set(MATERIAL) <= set(PARAMETERS["gel"])
+    assert {f.name for f in fields(GelModel)} == {*GEL, *OWN_PLACE}
+
+
+@pytest.mark.parametrize("name", ["gain_rad_per_kpa", "gain_beta", "rest_pressure_kpa"])
+def test_without_a_parameter_of_the_body_no_pressure_is_turned_into_a_pose_but_a_fit_starts(tmp_path, name):
+    twin = Twin.builtin()
+    del twin.parameters[name]
+    twin = Twin.load(twin.save(tmp_path))
+    says = f"twin.yaml: body: parameter '{name}' is missing; `pneutac calibrate --twin={tmp_path} --recording"
+    with pytest.raises(InputError, match=says):
+        PressurePipeline(twin)
+    assert np.isfinite(Pipeline.of(twin).theta(twin, 15.0, start=True)).all()
+
+
+def test_a_name_that_is_given_twice_is_refused(tmp_path):
+    (tmp_path / "a.yaml").write_text("day: 1\nday: 2\n")
+    with pytest.raises(InputError, match="a.yaml, line 2, .*'day' is given twice"):
+        files.read_yaml(tmp_path / "a.yaml")
 
 
 def test_an_earlier_version_has_the_arrays_of_its_time(tmp_path):

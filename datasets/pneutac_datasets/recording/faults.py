@@ -1,6 +1,5 @@
 """Everything that is wrong with a recording at once, where loading it stops at the first fault."""
 
-import difflib
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -14,24 +13,6 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import listed
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import refuse_pointer
-
-FIELDS = (
-    "device",
-    "length_mm",
-    "spine_joint_positions_mm",
-    "samples",
-    "cameras",
-    "noise",
-    "trials",
-    "obstacle",
-    "notes",
-    "rest_image",
-    "px_per_mm",
-    "gel_size_mm",
-    "date",
-    "source",
-    "length_proposed",
-)
 
 
 class _Collected(list):
@@ -58,8 +39,8 @@ def recording_faults(folder: str | Path) -> tuple[list[str], list[str]]:
     meta = found(reading.read_meta, folder)
     if meta is None:
         return list(found), []
-    found(rules.check_meta, meta, folder / "recording.json")
-    found += _misspelt(meta, folder / "recording.json")
+    for rule in (rules.check_names, rules.check_meta):
+        found(rule, meta, folder / "recording.json")
     read = found(reading.read_table, folder, meta)
     device = found(rules.device_of, meta, pd.DataFrame() if read is None else read[0], folder)
     if read is not None and device is not None:
@@ -113,14 +94,3 @@ def _look_at(samples: pd.DataFrame, device: str, meta: dict, file: Path, found: 
         found(rules.check_sent, table, file)
     gravity = [c for c in table if c.startswith("gravity_")]
     found += units.unit_faults(table if len(gravity) == 3 else table.drop(columns=gravity), meta, file)
-
-
-def _misspelt(meta: dict, file: Path) -> list[str]:
-    """Fields that nothing reads and that are nearly one that something does."""
-    unknown = [name for name in meta if name not in FIELDS]
-    close = {name: difflib.get_close_matches(name, FIELDS, n=1, cutoff=0.8) for name in unknown}
-    return [
-        f"{file}: field '{name}' is read by nothing; is '{near[0]}' meant?"
-        for name, near in close.items()
-        if near and near[0] not in meta
-    ]

@@ -46,6 +46,7 @@ class Recording:
         """
         folder = Path(path)
         meta = reading.read_meta(folder)
+        rules.check_names(meta, folder / "recording.json")
         rules.check_meta(meta, folder / "recording.json")
         if not meta.get("lerobot"):
             rules.device_of(meta, pd.DataFrame(), folder)

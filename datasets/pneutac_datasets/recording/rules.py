@@ -21,6 +21,24 @@ STARTS = ("rested", "continues", "unknown")
 DAY_S = 86400.0
 MAX_DUPLICATES = 0.01  # share of rows with a doubled stamp that a logger's rounding explains
 ROUNDED_S = 1e-3  # by which stamps of two columns may disagree
+# What is read of a `recording.json`; a lab's own further fields are left alone.
+FIELDS = (
+    "device",
+    "length_mm",
+    "spine_joint_positions_mm",
+    "samples",
+    "cameras",
+    "noise",
+    "trials",
+    "obstacle",
+    "notes",
+    "rest_image",
+    "px_per_mm",
+    "gel_size_mm",
+    "date",
+    "source",
+    "length_proposed",
+)
 EXAMPLE = '{"3": {"start": "continues", "pause_s": 12}}'
 
 
@@ -118,6 +136,14 @@ def device_of(meta: dict, samples: pd.DataFrame, folder: Path) -> str:
             f"{folder / 'recording.json'}: field 'device' {fault}; it must be one of {', '.join(DEVICES)}."
         )
     return device
+
+
+def check_names(meta: dict, file: Path) -> None:
+    """Raises InputError where a field of `recording.json` is nearly one that is read."""
+    for name in (str(n) for n in meta if n not in FIELDS):
+        close = difflib.get_close_matches(name, [f for f in FIELDS if f not in meta], n=1, cutoff=0.8)
+        if close:
+            raise InputError(f"{file}: unknown field {shown(name)}; did you mean '{close[0]}'?")
 
 
 def check_meta(meta: dict, file: Path) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.twin import Value
+from pneutac_sim.value import Value
 
 BODY_STAGES = ("pneumatics", "drive", "load", "material", "observation")
 SENSOR_STAGES = ("gel", "light")

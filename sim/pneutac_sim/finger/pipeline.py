@@ -32,7 +32,7 @@ import numpy as np
 
 from pneutac_sim.effects.effect import Parameter
 from pneutac_sim.effects.registry import get_effect, in_order, of_body
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, unknown_names
 from pneutac_sim.finger.equilibrium import SoftBody
 from pneutac_sim.finger.inputs import Inputs
 from pneutac_sim.finger.stages import (
@@ -67,6 +67,10 @@ class Run:
     pressure_kpa: np.ndarray
     joints: np.ndarray
     markers: np.ndarray
+
+
+# What every calibration of a body finds; what else a twin lacks was not known when it was made.
+CALIBRATED = ("gain_rad_per_kpa", "gain_alpha", "gain_beta", "rest_pressure_kpa")
 
 
 class Pipeline:
@@ -156,20 +160,23 @@ class Pipeline:
 
     # ---------------------------------------------------------------- parameters
 
-    def theta(self, twin: Twin, pressure_range_kpa: float = 1.0) -> np.ndarray:
-        """(P,) values in the twin; what it does not have yet starts at its default for this pressure range.
+    def theta(self, twin: Twin, pressure_range_kpa: float = 1.0, start: bool = True) -> np.ndarray:
+        """(P,) values in the twin.
+
+        Args:
+            twin: of the device.
+            pressure_range_kpa: largest pressure; an effect that the twin lacks has its defaults for it.
+            start: whether a fit starts there, so that a twin that was never calibrated has defaults.
 
         Raises:
-            InputError: the twin gives an effect a parameter that it does not have.
+            InputError: the file of the twin has no gain, or an effect a parameter too many.
         """
         for name, values in twin.effects.items():
             known = [p.name for p in get_effect(name).parameters]
-            for parameter in values:
-                if parameter not in known:
-                    raise InputError(
-                        f"The twin's effect '{name}' has no parameter '{parameter}'; "
-                        f"it has {', '.join(known)}."
-                    )
+            for fault in unknown_names(values, known, "parameter"):
+                raise InputError(f"The twin's effect '{name}': {fault}")
+        if twin.folder and not start:  # of a file that may have been edited; in a program defaults are chosen
+            twin.require(*(n for n in CALIBRATED if n in self.names))
         out = np.empty(len(self.names))
         for i, (name, spec) in enumerate(zip(self.names, self.specs, strict=True)):
             effect, _, parameter = name.rpartition(".")

@@ -18,8 +18,8 @@ import yaml
 from pneutac_sim.effects.near_light import MAKE_SD_MM
 from pneutac_sim.effects.rest_colour import MAKE_SD
 from pneutac_sim.effects.sensor_effect import CHANNELS
-from pneutac_sim.errors import InputError
-from pneutac_sim.files import read_yaml, write_text
+from pneutac_sim.errors import InputError, unknown_names
+from pneutac_sim.files import read_fields, write_text
 from pneutac_sim.gel.residual import FEATURES, Leftover, ResidualField, learn, mean
 
 # Of a prior field: a finer or stronger one holds more that is the sensor's own.
@@ -75,6 +75,7 @@ MATCH_DEG = 25.0
 # Least correlation of blurred rest images. Two DIGITs have .87 with each other and .86 and .84 with the
 # generated one, .67 at most in any other orientation, and a GelSight .5 with any of them.
 LIKE, MARGIN = 0.76, 0.1
+LIGHT = ("x_mm", "y_mm", "distance_sd_mm", "direction_sd_rad", "exponent", "exponent_sd")
 SAME = 0.95  # that of one unit with itself, upright, whatever else it looks like mirrored
 THUMB, BLUR = (24, 32), 2.0  # columns and rows to which they are shrunk, and the blur there
 
@@ -112,8 +113,12 @@ class Layout:
         Raises:
             InputError: one sentence with file, and what is missing or wrong.
         """
-        content = read_yaml(file)
+        own = ("format", "name", "proportions", *CHANNELS, "rest")
+        content = read_fields(file, (*own, "source", "units"), own)
         try:
+            for c in CHANNELS:
+                for fault in unknown_names(content[c], LIGHT):
+                    raise ValueError(f"{c}: {fault}")
             if content["format"] != FORMAT:
                 raise ValueError(f"field 'format' is not {FORMAT}")
             channels = [{k: float(v) for k, v in content[c].items()} for c in CHANNELS]

@@ -5,7 +5,7 @@ A generated DIGIT: three coloured LEDs around a grey gel, for use where no photo
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -14,14 +14,14 @@ from PIL import Image
 from pneutac_sim.effects.effect import SENSOR_STAGES
 from pneutac_sim.effects.registry import get_effect, in_order, of_sensor
 from pneutac_sim.effects.sensor_effect import SensorEffect
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, option, unknown_names
 from pneutac_sim.features import IMAGE_SHAPE
 from pneutac_sim.gel import optics
 from pneutac_sim.gel.contact import THRESHOLD_LEVELS
 from pneutac_sim.gel.probe import COLS, ROWS, THICKNESS_MM
 from pneutac_sim.gel.residual import LEAST_WEIGHT, ResidualField, levels
 from pneutac_sim.gel.surface import DECAY_MM
-from pneutac_sim.twin import Twin, Value
+from pneutac_sim.twin import GEL, Twin, Value
 
 LEAST_PX = 32  # a side of the image
 FIELDS = ("lent", "residual")
@@ -218,11 +218,14 @@ class GelModel:
                 raise InputError(
                     f"The twin is of a gel, on which its effect '{name}' does not act; take it out."
                 )
-        known = [f.name for f in fields(cls) if f.name not in OWN_PLACE]
-        for name in [*twin.gel, "light", "depth_light"]:
-            if name not in known or name not in twin.gel:
-                what = "lacks" if name in known else "has an unknown field"
-                raise InputError(f"The twin's gel {what} '{name}'; it has {', '.join(known)}.")
+        for fault in unknown_names(twin.gel, GEL):
+            raise InputError(f"The twin's gel: {fault}")
+        missing = [name for name in GEL if name not in twin.gel]
+        if missing:
+            raise InputError(
+                f"The twin's gel lacks {', '.join(missing)}; `pneutac calibrate "
+                f"{option('twin', twin.folder or 'FOLDER')} --recording=DIR` of a gel's presses finds them."
+            )
         effects = {n: {k: v.value for k, v in twin.effects[n].items()} for n in of_sensor(twin.effects)}
         learnt = {
             name: ResidualField(*(twin.arrays[array] for array in _arrays(name)))

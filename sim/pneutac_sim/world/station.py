@@ -1,10 +1,8 @@
 """Where a simulated finger works: a file `station.yaml` of a lab, the paper's station where there is none."""
 
 import dataclasses
-import difflib
 import math
 import shutil
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,9 +10,9 @@ from typing import Any
 import numpy as np
 import yaml
 
-from pneutac_sim.errors import InputError, shown
+from pneutac_sim.errors import InputError, shown, unknown_names
 from pneutac_sim.features import CONTROL_HZ, PAPER_LENGTH_MM, RATES_HZ
-from pneutac_sim.files import read_yaml, whole
+from pneutac_sim.files import read_fields, read_yaml, whole
 from pneutac_sim.world.arms import ARMS, ArmFile, joints_of, make_arm, read_arm
 from pneutac_sim.world.arms.chain import Chain
 from pneutac_sim.world.panda import Panda
@@ -124,13 +122,9 @@ class Station:
         file = Path(file)
         if not file.is_file():
             raise InputError(f"There is no file '{file}'; give a station.yaml.")
-        content = read_yaml(file)
-        if not isinstance(content, dict) or content.pop("format", None) != FORMAT:
+        content = read_fields(file, ("format", *(f.name for f in dataclasses.fields(cls))))
+        if content.pop("format", None) != FORMAT:
             raise InputError(f"{file}: field 'format' must be '{FORMAT}'.")
-        names = [f.name for f in dataclasses.fields(cls)]
-        for name in content:
-            if name not in names:
-                raise InputError(f"{file}: {unknown_field(name, names)}")
         try:
             if "arm" in content:
                 content["arm"] = read_arm(content["arm"], file.parent)
@@ -161,13 +155,6 @@ def station_file(dataset: str | Path, given: Path | None = None) -> Path | None:
     """
     left = Path(dataset) / "meta" / FILE
     return given or (left if left.is_file() else None)
-
-
-def unknown_field(name: Any, names: Sequence[str]) -> str:
-    """What is said of a field that a station has not."""
-    near = difflib.get_close_matches(str(name), names, n=1)
-    hint = f"is '{near[0]}' meant?" if near else f"the fields are {', '.join(names)}."
-    return f"there is no field '{name}'; {hint}"
 
 
 def check_corner(value, name: str) -> tuple[float, float, float]:
@@ -201,10 +188,9 @@ def station_faults(file: str | Path) -> list[str]:
     if content.pop("format", None) != FORMAT:
         found.append(f"{file}: field 'format' must be '{FORMAT}'.")
     names = [f.name for f in dataclasses.fields(Station)]
-    for name, value in content.items():
+    found += [f"{file}: {fault}" for fault in unknown_names(content, names)]
+    for name, value in ((k, v) for k, v in content.items() if k in names):
         try:
-            if name not in names:
-                raise InputError(unknown_field(name, names))
             good[name] = _alone(name, value, file.parent)
         except InputError as e:
             found.append(f"{file}: {e}")

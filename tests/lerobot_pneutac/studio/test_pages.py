@@ -20,6 +20,7 @@ from pneutac_datasets.demonstrations.replay.imprint import find_place
 from pneutac_datasets.demonstrations.replay.reading import load_demonstrations
 from pneutac_datasets.demonstrations.replay.replaying import replay
 from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.finger import Pipeline
 from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.varied import VariedWorld
 
@@ -72,6 +73,8 @@ def arm(recording: Path, folder: Path) -> Path:
     told = Recording.load(recording)
     twin = Twin("arm", told.length_mm, told.spine_joint_positions_mm)
     twin.parameters = {"gain_rad_per_kpa": Value(0.01), "joint_stiffness_nm_per_rad": Value(1.0)}
+    model = Pipeline.of(twin)
+    twin = model.update(twin, model.theta(twin))  # the other parameters at their defaults
     return twin.save(folder)
 
 

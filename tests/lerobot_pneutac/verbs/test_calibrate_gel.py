@@ -126,7 +126,7 @@ def test_lights_are_kept_and_recognised_by_the_next_calibration(generated, tmp_p
     assert result["make"] == "lab sensor" and result["make_by"] == "rest image"
     assert result["make_likeness"] > 0.99
     (tmp_path / "priors" / "lab sensor.yaml").write_text("format: pneutac-prior-1\nname: 3\n")
-    with pytest.raises(InputError, match="lab sensor.yaml is no prior of a sensor"):
+    with pytest.raises(InputError, match="lab sensor.yaml: field .proportions. is missing"):
         run(tmp_path / "three", generated)
     for name in ("../x", "DIGIT"):
         with pytest.raises(InputError, match="save_prior is"):

@@ -67,7 +67,7 @@ def test_all_faults_of_a_twin_are_told_at_once(tmp_path):
     file = Twin.builtin().save(tmp_path) / "twin.yaml"
     text = file.read_text().replace("length_mm: 110.0", "length_mm: long").replace("history: []", "")
     text = text.replace("value: 0.0313", "value: .nan").replace("value: 0.2974", "valeu: 0.2974")
-    file.write_text(text.replace("effects: {}", "effects:\n  creep: 3\n  hysteresis:\n    width: much"))
+    file.write_text(text.replace("effects: {}", "effects:\n  creep: 3\n  dead_time:\n    delay_s: much"))
     told = " ".join(check_path(tmp_path).faults)
     for said in (
         "field 'length_mm' is malformed",
@@ -75,7 +75,7 @@ def test_all_faults_of_a_twin_are_told_at_once(tmp_path):
         "'parameters.gain_alpha' is {'value': nan}; its numbers must be finite",
         "'parameters.gain_beta' is {'valeu': 0.2974}; it must hold 'value'",
         "field 'effects.creep' is 3",
-        "field 'effects.hysteresis.width' is 'much'",
+        "field 'effects.dead_time.delay_s' is 'much'",
     ):
         assert said in told
     assert len(check_path(tmp_path).faults) == 6
@@ -125,7 +125,15 @@ def test_a_station_tells_which_tasks_its_arm_does_not_reach(tmp_path):
     )
     told = check_path(file).faults
     assert len(told) == 7
-    named = ("'format'", "'base'; is 'base_m'", "mount_mm", "latency_s", "_low_m", "_high_m", "mine.urdf")
+    named = (
+        "'format'",
+        "'base'; did you mean 'base_m'",
+        "mount_mm",
+        "latency_s",
+        "_low_m",
+        "_high_m",
+        "mine.urdf",
+    )
     assert all(any(name in fault for fault in told) for name in named)
     corners = "workspace_low_m: [0.7, 0, 0.2]\nworkspace_high_m: [0.8, 0.1, 0.5]\n"  # beyond the default's
     file.write_text(f"format: pneutac-station/1\n{corners}")

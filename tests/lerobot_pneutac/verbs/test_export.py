@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from lerobot_pneutac.cli import run_verb
+from lerobot_pneutac.verbs.check import check_path
 from lerobot_pneutac.verbs.export import python_file, write_mjcf
 from pneutac_sim.effects.laws import law_names
 from pneutac_sim.effects.registry import body_effects, get_effect
@@ -112,12 +113,35 @@ def test_the_command_writes_a_file_that_runs_by_itself(tmp_path, capsys):
     assert "95 % interval 0.09 to 0.13" in text and "0.62 mm off on test blocks, of bench" in text
     run = subprocess.run([sys.executable, "-I", str(out)], capture_output=True, text=True, check=True)
     assert run.stdout.startswith("Pose(pressure_kpa=array([")
-    with pytest.raises(InputError, match="must name a new file"):
+    with pytest.raises(InputError, match="is there already; give a new name"):
         run_verb("export", [f"--twin={tmp_path / 'finger'}", f"--out={out}"])
+    with pytest.raises(InputError, match="must name a file that ends in .py or in .xml"):
+        run_verb("export", [f"--twin={tmp_path / 'finger'}", f"--out={out}.txt"])
     with pytest.raises(ValueError, match="temperature_c is None; give a finite number"):
         load(text)["finger"]()
-    with pytest.raises(ValueError, match="must be finite"):
-        load(text)["finger"](temperature_c=20.0).step(float("nan"), 0.02)
+    finger = load(text)["finger"](temperature_c=20.0)
+    for command, dt_s, says in (
+        (float("nan"), 0.02, "The command is nan kPa; give a finite number"),
+        ([1.0, 2.0], 0.02, "or one for each of 1 chambers"),
+        ("a", 0.02, "The command 'a' kPa .* must be numbers"),
+        (7.5, None, "the step None s must be numbers"),
+        (7.5, 0, "The step dt_s is 0.0 s; give a finite number above 0"),
+    ):
+        with pytest.raises(ValueError, match=says):
+            finger.step(command, dt_s)
+
+
+def test_a_file_without_the_gain_is_not_exported(tmp_path):
+    twin = Twin.builtin()
+    del twin.parameters["gain_rad_per_kpa"]
+    twin.save(tmp_path / "finger")
+    with pytest.raises(
+        InputError, match="twin.yaml: body: parameter 'gain_rad_per_kpa' is missing; `pneutac calib"
+    ):
+        run_verb("export", [f"--twin={tmp_path / 'finger'}", f"--out={tmp_path / 'finger.py'}"])
+    assert not (tmp_path / "finger.py").exists()
+    faults = check_path(tmp_path / "finger").faults
+    assert len(faults) == 1 and faults[0].count("twin.yaml") == 1 and "gain_rad_per_kpa" in faults[0]
 
 
 def test_a_gel_is_refused():

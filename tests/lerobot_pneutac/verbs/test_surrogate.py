@@ -124,7 +124,7 @@ def test_twins_that_cannot_be_trained_are_refused(tmp_path):
     twin = Twin.builtin()
     del twin.parameters["gain_rad_per_kpa"]
     twin.save(tmp_path / "finger")
-    with pytest.raises(InputError, match=r"no gain_rad_per_kpa.* run `pneutac calibrate --twin="):
+    with pytest.raises(InputError, match=r"gain_rad_per_kpa.* is missing; `pneutac calibrate --twin="):
         train(tmp_path / "finger")
     with pytest.raises(InputError, match="There is no twin"):
         train(tmp_path / "nothing")

@@ -222,7 +222,7 @@ def test_an_arm_bends_towards_the_chamber_that_is_pressed():
 def test_bad_twins_and_columns_are_refused(program):
     twin = Twin.builtin()
     twin.effects["creep"] = {"weight_9s": Value(0.1)}
-    with pytest.raises(InputError, match="no parameter 'weight_9s'; it has weight_0_4s"):
+    with pytest.raises(InputError, match="unknown parameter 'weight_9s'; did you mean 'weight_4s'"):
         Pipeline.of(twin).theta(twin)
     with pytest.raises(InputError, match="'gel' has no pressure chambers"):
         PressurePipeline(Twin(device="gel"))

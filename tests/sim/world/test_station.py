@@ -50,7 +50,7 @@ def test_a_longer_mount_keeps_the_gel_where_it_was_and_the_box_holds_world_and_p
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("mount_m: 20", "no field 'mount_m'; is 'mount_mm' meant"),
+        ("mount_m: 20", "unknown field 'mount_m'; did you mean 'mount_mm'"),
         ("mount_mm: none", "mount_mm is 'none'; give 1 to 200"),
         ("mount_mm: 0.02", "mount_mm is 0.02; give 1 to 200"),
         ("workspace_low_m: [0.3, 0.1]", "workspace_low_m is .* three finite numbers"),

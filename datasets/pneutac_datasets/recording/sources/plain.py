@@ -20,7 +20,7 @@ from pneutac_datasets.recording.sources.frame import axes_of
 from pneutac_datasets.recording.text_table import TextTable, read_text
 from pneutac_datasets.recording.wording import SourceFile, listed, plural, shown
 from pneutac_sim.errors import InputError
-from pneutac_sim.files import read_yaml, write_text
+from pneutac_sim.files import read_fields, write_text
 
 ENDING = ".recording"  # of the folder next to the files
 MAPPING = "mapping.yaml"  # there, what the columns are
@@ -62,11 +62,7 @@ class Given:
         """Of a `mapping.yaml`; raises InputError where it is none."""
         if not file.is_file():
             raise InputError(f"mapping is '{file}', which is no file; `pneutac convert` writes one.")
-        content = read_yaml(file)
-        known = cls.__dataclass_fields__
-        wrong = [k for k in content if k not in known] if isinstance(content, dict) else ["content"]
-        if wrong:
-            raise InputError(f"{file}: field {shown(wrong[0])} is none of {', '.join(known)}.")
+        content = read_fields(file, cls.__dataclass_fields__)
         given = {k: v for k, v in content.items() if v not in (None, "")}
         try:
             given |= {k: float(given[k]) for k in ("length_mm", "rate_hz") if k in given}

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pneutac_sim.errors import InputError, shown
+from pneutac_sim.errors import InputError, shown, unknown_names
 from pneutac_sim.features import PANDA_JOINTS
 from pneutac_sim.world.arms.chain import Chain
 from pneutac_sim.world.panda import Panda
@@ -65,6 +65,8 @@ def read_arm(value: Any, folder: Path) -> "ArmFile | str":
     if isinstance(value, str) and value in ARMS:
         return value
     names = [f.name for f in dataclasses.fields(ArmFile)]
+    for fault in unknown_names(value, names) if isinstance(value, dict) else ():
+        raise InputError(f"arm: {fault}")
     if not isinstance(value, dict) or set(value) != set(names):
         raise InputError(
             f"arm is {shown(value)}; give {', '.join(ARMS)}, or a mapping with exactly {', '.join(names)}."
