@@ -11,9 +11,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from PIL import Image
 
-from pneutac_datasets.generate.gel import press_row, write_session
+from pneutac_datasets.generate.gel import write_presses
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.features import AREA
 from pneutac_sim.gel.indenter import Press
@@ -56,19 +55,16 @@ def bench(folder: Path) -> Path:
 
 def sensor(folder: Path) -> Path:
     """Balls of 3 mm pressed into a gel of 18.6 x 14 mm under a camera of 640 x 480 px."""
-    window_mm, rng, rows = (18.6, 13.95), np.random.default_rng(0), []
+    window_mm, rng, photographs = (18.6, 13.95), np.random.default_rng(0), []
     gel = Gel((480, 640, 3), window_mm, modulus_kpa=120.0, dome_mm=60.0)
-    (folder / "images").mkdir(parents=True)
-    Image.fromarray(gel.rest_image).save(folder / "rest.png")
     for i in range(4):
         x, y, depth = (0.5, -0.4, 0.8) if i == 0 else rng.uniform((-6, -4, 0.4), (6, 4, 1.0))
         ball = [SPHERE], [[3.0, 0.0, 0.0]]
         touches = reach_below(*ball, np.array([x, y, 3.0]), np.eye(3), gel.xs_mm, gel.ys_mm) + gel.rest_mm
         moved, _ = gel.press(*ball, np.array([x, y, 3.0 - depth + touches.max()]), np.eye(3))
-        image = (gel.image(moved) + rng.normal(0, 1.5, gel.rest_image.shape)).clip(0, 255).round()
-        Image.fromarray(image.astype(np.uint8)).save(folder / "images" / f"{i}.png")
-        rows.append(press_row(i, f"images/{i}.png", Press("sphere", 3.0, x, y, depth)))
-    write_session(folder, rows, 640 / window_mm[0], "")
+        image = gel.image(moved) + rng.normal(0, 1.5, gel.rest_image.shape)
+        photographs.append((Press("sphere", 3.0, x, y, depth), image, {}))
+    write_presses(folder, gel.rest_image, photographs, 640 / window_mm[0], "")
     return folder
 
 

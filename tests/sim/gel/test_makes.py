@@ -122,7 +122,7 @@ def test_five_presses_save_a_field_that_others_of_the_make_are_lent(own, linear,
 def test_what_is_no_prior_gets_one_sentence(own, linear, photograph):
     own.mkdir()
     (own / "bad.yaml").write_text("format: pneutac-prior-1\nred: {x_mm: far}\n")
-    with pytest.raises(InputError, match="bad.yaml is no prior of a sensor"):
+    with pytest.raises(InputError, match="bad.yaml: field 'name' is missing"):
         library()
     DIGIT.write(own / "bad.yaml", "a test")
     (own / "bad.yaml").write_text((own / "bad.yaml").read_text().replace("field: ", "field: A"))
