@@ -48,6 +48,8 @@ MODULES = {
 }
 # What only the distribution `lerobot_robot_pneutac` installs, and the commands that do nothing without it.
 PLUGIN = "lerobot_robot_pneutac"
+# None of the packages is on PyPI yet.
+INSTALL = "in a clone: pip install . ./packages/lerobot_camera_digit ./robots"
 PLUGIN_PACKAGES = {PLUGIN, *"av datasets lerobot pyarrow quadrants rerun serial taichi torch".split()}
 PLUGIN_VERBS = ("measure", "surrogate", "augment", "ppo", "repair")
 
@@ -92,7 +94,7 @@ def _dispatch(argv: list[str]) -> None:
         hint = f"did you mean '{near[0]}'?" if near else f"the commands are {', '.join(VERBS)}."
         sys.exit(f"pneutac: There is no command '{verb}'; {hint}")
     if verb in _missing():
-        sys.exit(f"pneutac {verb}: This needs LeRobot's half of PneuTac; pip install {PLUGIN}.")
+        sys.exit(f"pneutac {verb}: This needs LeRobot's half of PneuTac; {INSTALL}")
     sys.argv = [f"pneutac {verb}", *argv[1:]]  # the usage lines name the program so
     try:
         run_verb(verb, argv[1:])
@@ -103,7 +105,7 @@ def _dispatch(argv: list[str]) -> None:
         package = (e.name or "").partition(".")[0]
         if package not in PLUGIN_PACKAGES:
             raise
-        sys.exit(f"pneutac {verb}: For this the package {package} is missing; pip install {PLUGIN}.")
+        sys.exit(f"pneutac {verb}: For this the package {package} is missing; {INSTALL}")
     except BrokenPipeError:
         raise
     except OSError as e:  # a folder that cannot be read or written, a full disk, a Hub out of reach
@@ -118,7 +120,7 @@ def _missing() -> tuple[str, ...]:
 def _rows() -> list[str]:
     """The commands with what they do; last those that are not installed."""
     missing, rows = _missing(), {name: f"  {name:10s} {text}" for name, text in VERBS.items()}
-    later = [f"\nAfter `pip install {PLUGIN}` also:\n", *(rows.pop(n) for n in missing)] if missing else []
+    later = [f"\nWith {PLUGIN} also ({INSTALL}):\n", *(rows.pop(n) for n in missing)] if missing else []
     return [*rows.values(), *later]
 
 

@@ -48,7 +48,7 @@ def command(cfg: StudioConfig, terminal: Terminal) -> None:
     except ModuleNotFoundError as e:
         if e.name != "viser":
             raise
-        raise InputError("The studio needs the package viser; `pip install 'pneutac[studio]'`.") from e
+        raise InputError("The studio needs viser; in a clone: uv pip install -e '.[studio]'") from e
     studio = Studio(cfg.port)
     terminal.say(f"The studio opens at {studio.address} (Ctrl+C ends it)")
     try:

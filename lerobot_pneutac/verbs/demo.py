@@ -486,8 +486,8 @@ def command(cfg: DemoConfig, terminal: Terminal) -> None:
     """
     if not cfg.quick and importlib.util.find_spec("lerobot_robot_pneutac") is None:
         raise InputError(
-            "The whole demo needs LeRobot's half of PneuTac: `pip install lerobot_robot_pneutac`;"
-            " the bench's half is `pneutac demo --quick`."
+            "The whole demo needs LeRobot's half of PneuTac (in a clone: pip install"
+            " ./packages/lerobot_camera_digit ./robots); the bench's half is `pneutac demo --quick`."
         )
     start = time.monotonic()
 

@@ -59,7 +59,9 @@ class ExecutorOptions:
         check_choice("executor", self.executor, EXECUTORS)
         check_least(1, tasks_per_job=self.tasks_per_job, workers=1 if self.workers is None else self.workers)
         if self.executor == "ray" and importlib.util.find_spec("ray") is None:
-            raise InputError("executor is 'ray', which is not installed; pip install 'pneutac[ray]'.")
+            raise InputError(
+                "executor is 'ray', which is not installed; in a clone: uv pip install -e '.[ray]'"
+            )
         if self.executor == "slurm" and shutil.which("sbatch") is None:
             raise InputError("executor is 'slurm', but there is no sbatch here; go to a login node of it.")
         given = self.executor_arguments()

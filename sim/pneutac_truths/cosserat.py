@@ -28,7 +28,7 @@ def elastica():
     try:
         import elastica as ea
     except ImportError as e:
-        raise ImportError("Moving rods need PyElastica; install it with: pip install 'pneutac[dev]'.") from e
+        raise ImportError("Moving rods need PyElastica; in a clone: uv pip install -e '.[dev]'") from e
     return ea
 
 

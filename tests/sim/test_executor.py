@@ -131,7 +131,7 @@ def test_what_is_wrong_with_an_executor_is_one_sentence(tmp_path, cluster, monke
     refused("no sbatch here", executor="slurm", executor_config=cluster)
     monkeypatch.setitem(sys.modules, "ray", None)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    refused("'ray', which is not installed; pip install", executor="ray")
+    refused("'ray', which is not installed; in a clone: uv pip install", executor="ray")
 
 
 def test_an_interrupt_ends_at_once_what_runs(tmp_path):

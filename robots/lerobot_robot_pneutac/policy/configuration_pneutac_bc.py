@@ -49,7 +49,7 @@ class PneutacBCConfig(PreTrainedConfig):
         answer_delay: frames by which the demonstrator answers a touch late; labels in touch are taken so much
             ahead, at most 0.2 s. If omitted, what `pneutac augment` wrote into the dataset, else 0.
         networks: networks that are trained together from different initial weights; the action is the mean of
-            theirs. Training and control take as many times as long.
+            theirs. Each costs as much as one.
         control_hz: rate of the data and of the robot, which turns velocities into displacements per step;
             if omitted, the first dataset's.
         previous_action_dropout: share of training samples in which the previous action is hidden (replaced by

@@ -41,7 +41,7 @@ try:
 except ModuleNotFoundError as e:
     raise InputError(
         f"Many worlds at once need MuJoCo Warp and PyTorch, and '{e.name}' is not installed:"
-        " `pip install 'pneutac[warp]'`."
+        " in a clone: uv pip install -e '.[warp]'"
     ) from e
 
 FIELDS = ("body_pos", "body_quat", "geom_friction", "dof_frictionloss")  # that a start decides
