@@ -8,6 +8,12 @@ from mkdocs.structure.files import File
 ROOT = Path(__file__).parents[2]
 PAGES = {"CHANGELOG.md": "changes.md", "CONTRIBUTING.md": "contributing.md"}
 PICTURES = (".png", ".webp", ".svg")
+# Pages that are made from code: in the repository, links to them lead to that code.
+SOURCES = {
+    "sim/pneutac_sim/effects": "concepts/effects.md",
+    "sim/pneutac_sim/effects/laws.py": "concepts/laws.md",
+    "generate/places.py": "concepts/places.md",
+}
 
 
 def on_files(files, config):
@@ -25,11 +31,22 @@ def on_files(files, config):
     return files
 
 
+def on_page_markdown(markdown, page, **_):
+    """Links of a page in docs/ to results and to generated pages, which resolve in the repository too."""
+    up = "../" * page.file.src_uri.count("/")
+    for source, place in SOURCES.items():
+        markdown = re.sub(rf"\]\((?:\.\./)*{source}([#)])", rf"]({up}{place}\1", markdown)
+    return _results(markdown, up)
+
+
+def _results(text: str, up: str) -> str:
+    text = re.sub(r"\]\((?:\.\./)*benchmarks/README\.md", f"]({up}results/index.md", text)
+    return re.sub(r"\]\((?:\.\./)*benchmarks/", f"]({up}results/", text)
+
+
 def _linked(text: str, place: str) -> str:
     """Links as the site has them: docs/ is its root, benchmarks/ its results, and the code is not on it."""
     up = "../" * place.count("/")
-    text = re.sub(r"\]\((?:\.\./)*docs/", f"]({up}", text)
-    text = re.sub(r"\]\((?:\.\./)*benchmarks/README\.md", f"]({up}results/index.md", text)
-    text = re.sub(r"\]\((?:\.\./)*benchmarks/", f"]({up}results/", text)
+    text = _results(re.sub(r"\]\((?:\.\./)*docs/", f"]({up}", text), up)
     text = re.sub(r"\]\((?:\.\./)*README\.md(#[\w-]+)?\)", f"]({up}index.md)", text)
-    return re.sub(r"\[([^\]]+)\]\((?:\.\./)*[\w/.]+\.(?:py|toml|cff)\)", r"\1", text)
+    return re.sub(r"\[([^\]]+)\]\((?:\.\./)*(?:[\w/.]+\.(?:py|toml|cff)|SECURITY\.md)\)", r"\1", text)

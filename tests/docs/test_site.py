@@ -9,7 +9,7 @@ import re
 
 import controller_states as states
 import pytest
-from doc_blocks import ROOT
+from doc_blocks import FENCE, ROOT
 from latex2mathml.converter import convert
 from pressure_rig import build
 
@@ -62,6 +62,17 @@ def test_every_page_is_in_the_navigation_and_the_other_way_round():
     tables = {t.replace("README.md", "index.md") for t in tables}
     notes = {t for t in tables if t.startswith("results/notes/")}  # for developers; results link to them
     assert notes and nav == pages | GENERATED | tables - notes
+
+
+def test_every_relative_link_resolves_in_the_repository():
+    pages = [*ROOT.glob("*.md"), *(p for top in ("docs", "benchmarks") for p in (ROOT / top).rglob("*.md"))]
+    links = [
+        (page.relative_to(ROOT), link)
+        for page in pages
+        for link in re.findall(r"\]\((?![a-z]+:|#)([^)\s#]+)", FENCE.sub("", page.read_text()))
+        if not (page.parent / link).exists()
+    ]
+    assert len(pages) > 60 and links == []
 
 
 PAGE = (ROOT / "docs/concepts/map.md").read_text()
