@@ -16,12 +16,11 @@ from lerobot_pneutac.diagnosis.result import (
     FittedModel,
     Outcome,
     Refits,
-    Rival,
     Tested,
 )
 from lerobot_pneutac.diagnosis.search import Found, Scored, contenders, rivals
 from lerobot_pneutac.diagnosis.steps import Steps
-from lerobot_pneutac.diagnosis.verdict import Evidence, Mechanism, alternative_families, mechanism
+from lerobot_pneutac.diagnosis.verdict import Evidence, Mechanism, mechanism
 from lerobot_pneutac.study.body_base import BodyBase, base_effects
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel
 from lerobot_pneutac.study.body_search import BodySearch, Searched
@@ -179,8 +178,6 @@ def body_outcome(
     ladder = [("as it is", before)]
     if helps:
         ladder += _ladder(study, done, after)
-    models = _contenders(study, search, start, done if helps else None)
-    found_rivals = rivals(done.found, study.noise.floor, done.terms, family, lambda s: study.fitted(s.model))
     worth = _contributions(study, search, done, after, known) if helps else []
     return study.outcome(
         began,
@@ -189,15 +186,15 @@ def body_outcome(
         evidence,
         ladder=ladder,
         tested=_tested(study, search, done, before),
-        rivals=found_rivals,
+        rivals=rivals(done.found, study.noise.floor, done.terms, family, lambda s: study.fitted(s.model)),
         known=known,
         baseline=_baseline(study, search, start, done, known) if helps else None,
         contributions=worth,
         run_terms=runs,
         chosen_in=done.chosen_in,
         base_model=_base(done) if helps else {},
-        contenders=models,
-        mechanisms=_mechanisms(study, evidence, worth, models, found_rivals),
+        contenders=_contenders(study, search, start, done if helps else None),
+        mechanisms=_mechanisms(study, evidence, worth),
         not_yet=not_yet,
     )
 
@@ -222,36 +219,15 @@ def _not_yet(
     )
 
 
-def _mechanisms(
-    study: "BodyStudy",
-    evidence: Evidence,
-    worth: Sequence[Contribution],
-    models: Sequence[Candidate],
-    rivals: Sequence[Rival],
-) -> list[Mechanism]:
+def _mechanisms(study: "BodyStudy", evidence: Evidence, worth: Sequence[Contribution]) -> list[Mechanism]:
     """What each cause may be, the largest first; none where the noise was not measured."""
     if evidence.poor or not evidence.noise_known:
         return []
-    found = dict.fromkeys(
-        family(c.name) for c in worth if c.name in evidence.selected and c.name not in NUISANCES
-    )
-    weighed = [({family(t) for t in c.terms}, c.probability) for c in models]
-    weighed += [({family(r.rival)}, 1.0) for r in rivals]
-    out = []
-    for cause in found:
-        terms = [c for c in worth if family(c.name) == cause]
-        replaced = [r for r in rivals if family(r.effect) == cause]
-        out.append(
-            mechanism(
-                cause,
-                drop=max(c.drop[0] for c in terms) / study.noise.floor**2,
-                is_law=is_law(terms[0].name),
-                removed=evidence.removed,
-                alternatives=alternative_families(cause, found, weighed),
-                has_rival=bool(replaced),
-            )
-        )
-    return out
+    drops: dict[str, float] = {}  # contributions come with the largest first
+    for c in worth:
+        if c.name in evidence.selected and c.name not in NUISANCES:
+            drops.setdefault(family(c.name), c.drop[0] / study.noise.floor**2)
+    return [mechanism(cause, drop, evidence.removed, drops) for cause, drop in drops.items()]
 
 
 def _known(study: "BodyStudy", start: Scored, done: Searched) -> list[str]:

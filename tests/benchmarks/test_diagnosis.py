@@ -26,7 +26,7 @@ from pneutac_benchmarks.diagnosis import (
     table_truths,
     truths,
 )
-from pneutac_benchmarks.diagnosis.answers import fitted, show
+from pneutac_benchmarks.diagnosis.answers import fitted, predicted, show
 from pneutac_benchmarks.diagnosis.cases import BenchmarkDiagnosisConfig, Case, diagnosed
 from pneutac_benchmarks.diagnosis.rules import COUNTS, counts
 from pneutac_benchmarks.experiments import _known_at
@@ -213,10 +213,12 @@ def test_options_are_told_what_is_right():
 
 
 def test_weights_come_back_from_answers_that_they_made():
-    rng, true = np.random.default_rng(0), np.array([-1.0, 0.5, 1.5])
+    rng, true, own = np.random.default_rng(0), np.array([-1.0, 0.5, 1.5]), {"creep": 1.0, "snap": -1.0}
     X = np.column_stack([np.ones(20_000), rng.normal(2.0, 3.0, 20_000), rng.random(20_000) < 0.5])
-    right = (rng.random(20_000) < 1 / (1 + np.exp(-X @ true))).astype(float)
-    np.testing.assert_allclose(fitted(X, right), true, atol=0.1)
+    every = [{"features": x, "cause": c} for x, c in zip(X, rng.choice([*own], len(X)), strict=True)]
+    p = predicted(every, true, own)
+    every = [c | {"right": r} for c, r in zip(every, rng.random(len(X)) < p, strict=True)]
+    np.testing.assert_allclose(predicted(every, *fitted(every)), p, atol=0.03)
 
 
 def test_recordings_and_causes_are_counted():

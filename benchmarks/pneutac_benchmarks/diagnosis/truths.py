@@ -157,6 +157,9 @@ def scored(days: Days, d, seconds: float) -> dict:
              "terms": [t for t in d.selected if family(t) == m.cause]}
             for m in d.outcome.mechanisms
         ],
+        "chosen_in": d.outcome.chosen_in,
+        "values": {t: {k: v["value"] for k, v in d.study.parameters(d.outcome.after, t).items()}
+                   for t in d.selected},
         "objections": evidence.objections, "gauge": bool(d.study.measured), "seconds": seconds,
     }  # fmt: skip
 

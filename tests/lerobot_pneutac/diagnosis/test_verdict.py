@@ -6,7 +6,6 @@ from lerobot_pneutac.diagnosis.verdict import (
     NONE,
     Evidence,
     Explained,
-    alternative_families,
     decide,
     explained,
     mechanism,
@@ -132,20 +131,17 @@ def test_how_much_is_explained_follows_error_interval_and_out_of_time_error(chan
 
 
 def test_probabilities_of_a_mechanism_sum_to_one_and_grow_with_the_evidence():
-    def of(drop=10.0, is_law=True, removed=0.95, alternatives=None, has_rival=False):
-        return mechanism("creep", drop, is_law, removed, alternatives or {}, has_rival)
+    def of(cause="creep", drop=10.0, removed=0.95, found=()):
+        return mechanism(cause, drop, removed, {cause, *found})
 
-    for m in (of(), of(alternatives={"leak": 0.2, "friction": 0.4}), of(drop=0.0, removed=0.0)):
+    for m in (of(), of("valve_lag"), of(drop=0.0, removed=0.0), of("no such family")):
         assert sum(p for _, p in m.ranked) == pytest.approx(1.0)
         assert [p for _, p in m.ranked] == sorted((p for _, p in m.ranked), reverse=True)
     assert of(drop=100.0).probability > of(drop=1.0).probability
     assert of(removed=0.99).probability > of(removed=0.5).probability
     assert of(drop=1000.0).certain and not of(drop=1e-9, removed=0.2).certain
     assert of(drop=1e-9, removed=0.2).ranked[0][0] == NONE
-    shares = dict(of(alternatives={"leak": 0.2, "friction": 0.4}).ranked)
-    assert shares["friction"] == pytest.approx(2 * shares["leak"])
-
-
-def test_alternatives_are_families_of_models_without_the_cause():
-    models = [({"creep"}, 0.6), ({"leak", "hysteresis"}, 0.3), ({"leak"}, 0.1)]
-    assert alternative_families("creep", {"creep", "hysteresis"}, models) == {"leak": pytest.approx(0.4)}
+    # A valve's lag stands for others more often than creep, and for none that was found besides.
+    assert of("valve_lag").probability < of().probability
+    assert "leak" in dict(of("valve_lag").ranked)
+    assert "leak" not in dict(of("valve_lag", found=["leak"]).ranked)
