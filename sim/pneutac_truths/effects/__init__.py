@@ -3,14 +3,4 @@
 from pneutac_truths.effects import air, command, drive, load, marker, material
 from pneutac_truths.effects.table import EFFECTS, STAGES, Effect
 
-__all__ = [
-    "EFFECTS",
-    "STAGES",
-    "Effect",
-    "air",
-    "command",
-    "drive",
-    "load",
-    "marker",
-    "material",
-]
+__all__ = ["EFFECTS", "STAGES", "Effect", "air", "command", "drive", "load", "marker", "material"]

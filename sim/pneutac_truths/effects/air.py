@@ -1,6 +1,7 @@
 """From the regulator's inlet to the pressure in the chamber. Pressures are shares of the top pressure."""
 
 import math
+from functools import partial
 
 import numpy as np
 from numba import njit
@@ -9,24 +10,29 @@ from pneutac_truths.effects.table import effect
 from pneutac_truths.programs import DT_S
 from pneutac_truths.world import World
 
+acts = partial(effect, "air")
+
 AMBIENT_KPA = 101.3
 
 
 @njit(cache=True)
-def lag(x, tau):
-    """First-order lag of the columns of x (n, c) with time constant tau in s, settled at the start."""
-    out = np.empty_like(x)
-    a = 1.0 - math.exp(-DT_S / tau)
-    for j in range(x.shape[1]):
-        y = x[0, j]
-        for i in range(len(x)):
-            y += a * (x[i, j] - y)
-            out[i, j] = y
+def _uneven_lag(u, up, down):
+    out = np.empty_like(u)
+    a, b = 1.0 - math.exp(-DT_S / up), 1.0 - math.exp(-DT_S / down)
+    for j in range(u.shape[1]):
+        x = u[0, j]
+        for i in range(len(u)):
+            x += (a if u[i, j] > x else b) * (u[i, j] - x)
+            out[i, j] = x
     return out
 
 
-@effect(
-    "air",
+def lag(x: np.ndarray, tau: float) -> np.ndarray:
+    """First-order lag of the columns of x (n, c) with time constant tau in s, settled at the start."""
+    return _uneven_lag(x, tau, tau)
+
+
+@acts(
     "Air passes an orifice, choked or subsonic, into a chamber that grows as it fills.",
     "ISO 6358-1:2013; Beater, Pneumatic Drives (2007) ch. 4",
     critical=(0.2, 0.45),
@@ -71,8 +77,7 @@ def _orifice(wanted, ambient, b, supply, growth, fill):
     return out
 
 
-@effect(
-    "air",
+@acts(
     "The proportional valve opens no faster than its slew limit, so pressure follows in ramps.",
     "Festo VPPM data sheet (rise of the set pressure); Rao and Bone, IEEE T. Control Syst. 16 (2008)",
     size=(0.05, 6.0),
@@ -93,8 +98,7 @@ def _slew(x, most):
     return out
 
 
-@effect(
-    "air",
+@acts(
     "Air in a long tube with a volume behind it swings (second order).",
     "Richer and Hurmuzlu, ASME J. Dyn. Syst. Meas. Control 122 (2000) 416; Bergh and Tijdeman, NLR (1965)",
     damping=(0.08, 0.5),
@@ -122,8 +126,7 @@ def swing(x, omega, damping):
     return out
 
 
-@effect(
-    "air",
+@acts(
     "A leak draws more the higher the pressure is, against the regulator's finite flow.",
     "Beater, Pneumatic Drives (2007) ch. 4 and 5 (leakage of seals)",
     power=(1.3, 3.0),
@@ -146,8 +149,7 @@ def _leak(u, power, lag_s, size):
     return out
 
 
-@effect(
-    "air",
+@acts(
     "The on-off regulator never settles: pressure hunts about the command in a limit cycle.",
     "van Varseveld and Bone, IEEE/ASME T. Mechatronics 2 (1997) 195",
     pace=(0.3, 1.5),
@@ -177,8 +179,7 @@ def _hunting(u, band, pace):
     return out
 
 
-@effect(
-    "air",
+@acts(
     "The supply sags while air is drawn, and recovers slowly through its own regulator.",
     "Beater, Pneumatic Drives (2007) ch. 3 (supply characteristic of regulators)",
     recover_s=(2.0, 12.0),
@@ -201,8 +202,7 @@ def _leaky_sum(x, keep):
     return out
 
 
-@effect(
-    "air",
+@acts(
     "Filled fast, the air warms and then cools at the wall, so pressure overshoots and falls back.",
     "Carneiro and de Almeida, Proc. IMechE I 221 (2007): heat transfer of air in cylinders",
     cool_s=(0.4, 4.0),
@@ -213,8 +213,7 @@ def gas_heat(w: World, cool_s: float, size: float) -> None:
     w.air = w.air + size * (w.air - lag(w.air, cool_s))
 
 
-@effect(
-    "air",
+@acts(
     "Venting through a clogged silencer is slower than filling.",
     "Joshi and Paik, Soft Robotics 8 (2021): in- and deflation through supply lines",
     fill_share=(0.1, 0.4),
@@ -225,19 +224,7 @@ def vent_slow(w: World, fill_share: float, size: float) -> None:
     w.air = _uneven_lag(w.air, size * fill_share, size)
 
 
-@njit(cache=True)
-def _uneven_lag(u, up, down):
-    out = np.empty_like(u)
-    for j in range(u.shape[1]):
-        x = u[0, j]
-        for i in range(len(u)):
-            x += (1.0 - math.exp(-DT_S / (up if u[i, j] > x else down))) * (u[i, j] - x)
-            out[i, j] = x
-    return out
-
-
-@effect(
-    "air",
+@acts(
     "Bent beyond an angle the supply tube kinks, and air passes slowly until it opens again.",
     "Brazier, Proc. R. Soc. A 116 (1927) 104: kinking of bent tubes",
     kink=(0.35, 0.65),

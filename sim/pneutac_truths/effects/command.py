@@ -1,5 +1,7 @@
 """Between the computer and the regulator's output: what reaches the tube is not what was asked for."""
 
+from functools import partial
+
 import numpy as np
 from numba import njit
 
@@ -7,9 +9,10 @@ from pneutac_truths.effects.table import effect
 from pneutac_truths.programs import DT_S
 from pneutac_truths.world import World, seconds
 
+acts = partial(effect, "command")
 
-@effect(
-    "command",
+
+@acts(
     "Commands reach the regulator late (bus and valve driver).",
     "Nilsson, Real-time control systems with delays, thesis, Lund (1998)",
     size=(0.01, 0.8),
@@ -20,8 +23,7 @@ def dead_time(w: World, size: float) -> None:
     w.sent = np.concatenate([np.zeros((k, w.sent.shape[1])), w.sent[:-k]])
 
 
-@effect(
-    "command",
+@acts(
     "The valve stays where it is until the command has moved by more than its dead band.",
     "Beater, Pneumatic Drives (2007) ch. 7 (overlap of spools); SMC ITV series catalogue (sensitivity)",
     settle=(0.05, 0.5),
@@ -48,8 +50,7 @@ def _deadband(sent, band, settle):
     return out
 
 
-@effect(
-    "command",
+@acts(
     "The regulator's zero is another in each trial.",
     "SMC ITV series catalogue (repeatability, zero drift of electro-pneumatic regulators)",
     size=(0.003, 0.12),
@@ -63,8 +64,7 @@ def regulator_zero(w: World, size: float) -> None:
     w.sent = w.sent + zero[w.plan.trial]
 
 
-@effect(
-    "command",
+@acts(
     "The regulator's characteristic is bowed between its end points.",
     "SMC ITV series catalogue (linearity error)",
     way=(-1.0, 1.0),
@@ -75,8 +75,7 @@ def regulator_bow(w: World, way: float, size: float) -> None:
     w.sent = w.sent + np.where(way > 0, 1, -1) * size * 4 * w.sent * (1 - w.sent)
 
 
-@effect(
-    "command",
+@acts(
     "The converter in front of the valve knows few steps.",
     "Widrow and Kollar, Quantization Noise (2008)",
     size=(0.01, 0.3),
@@ -86,8 +85,7 @@ def coarse_steps(w: World, size: float) -> None:
     w.sent = np.round(w.sent / size) * size
 
 
-@effect(
-    "command",
+@acts(
     "The regulator delivers less while it warms up after it was switched on.",
     "SMC ITV series catalogue (temperature characteristic)",
     minutes=(1.5, 5.0),
@@ -98,8 +96,7 @@ def regulator_warm_up(w: World, minutes: float, size: float) -> None:
     w.sent = w.sent * (1 - size * np.exp(-w.time_s / (60 * minutes)))[:, None]
 
 
-@effect(
-    "command",
+@acts(
     "A proportional spool sticks and slides: the output has play against the command.",
     "Choudhury, Thornhill and Shah, Control Eng. Practice 13 (2005) 641: valve stiction",
     jump=(0.1, 0.6),
@@ -127,8 +124,7 @@ def _stiction(sent, band, jump):
     return out
 
 
-@effect(
-    "command",
+@acts(
     "The computer stalls at times, mostly at large changes; the regulator holds the last command.",
     "Nilsson, Real-time control systems with delays, thesis, Lund (1998)",
     per_minute=(4.0, 12.0),

@@ -1,10 +1,14 @@
 """From pressure in the chamber to the bend that it drives, without memory of the material."""
 
+from functools import partial
+
 import numpy as np
 from numba import njit
 
 from pneutac_truths.effects.table import effect
 from pneutac_truths.world import World, stream
+
+acts = partial(effect, "drive")
 
 
 def _bent(w: World, share: np.ndarray) -> None:
@@ -12,8 +16,7 @@ def _bent(w: World, share: np.ndarray) -> None:
     w.drive = w.drive + w.body.bend_rad * (share - w.air)
 
 
-@effect(
-    "drive",
+@acts(
     "Bend grows with a power of pressure above one (walls unfold).",
     "Mosadegh et al., Adv. Funct. Mater. 24 (2014) 2163; Toshimitsu et al., IROS (2021)",
     size=(0.02, 0.9),
@@ -23,8 +26,7 @@ def unfolding(w: World, size: float) -> None:
     _bent(w, np.sign(w.air) * np.abs(w.air) ** (1 + size))
 
 
-@effect(
-    "drive",
+@acts(
     "Chains of the rubber reach their full length: bend saturates.",
     "Gent, Rubber Chem. Technol. 69 (1996) 59",
     size=(0.02, 0.85),
@@ -35,8 +37,7 @@ def chain_locking(w: World, size: float) -> None:
     _bent(w, (np.sqrt((1 - size) ** 2 + 4 * size * x**2) - (1 - size)) / (2 * size * x))
 
 
-@effect(
-    "drive",
+@acts(
     "The inflating rubber softens before it stiffens.",
     "Müller and Strehlow, Rubber and Rubber Balloons (2004) ch. 2; Mooney, J. Appl. Phys. 11 (1940) 582",
     knee=(0.4, 0.7),
@@ -48,8 +49,7 @@ def balloon_softening(w: World, knee: float, size: float) -> None:
     _bent(w, w.air + size * (rise(w.air) - rise(0.0)) * w.air)
 
 
-@effect(
-    "drive",
+@acts(
     "The chamber's slack must be taken up before it bends.",
     "Connolly, Walsh and Bertoldi, PNAS 114 (2017) 51 (fibre sleeves)",
     round=(0.01, 0.04),
@@ -61,8 +61,7 @@ def slack_chamber(w: World, round: float, size: float) -> None:
     _bent(w, (soft(w.air) - soft(0.0)) / (soft(1.0) - soft(0.0)))
 
 
-@effect(
-    "drive",
+@acts(
     "Neighbouring bellows touch one after the other and stiffen the body.",
     "Marchese, Katzschmann and Rus, Soft Robotics 2 (2015) 7; Johnson, Contact Mechanics (1985)",
     first=(0.3, 0.6),
@@ -76,8 +75,7 @@ def bellows_touch(w: World, first: float, spread: float, size: float) -> None:
     _bent(w, w.air - size * lost)
 
 
-@effect(
-    "drive",
+@acts(
     "A seam buckles: the bend snaps further at one pressure and back at a lower one.",
     "Overvelde et al., PNAS 112 (2015) 10863; Gorissen et al., Science Robotics 5 (2020) eabb1967",
     up=(0.45, 0.7),
@@ -103,8 +101,7 @@ def _two_states(x, up, down):
     return out
 
 
-@effect(
-    "drive",
+@acts(
     "High pressure peels the chamber off its strain-limiting layer step by step; it stays peeled.",
     "Kendall, J. Phys. D 8 (1975) 1449 (peeling); Marechal et al., Soft Robotics 8 (2021) 284",
     bond=(0.5, 0.8),
@@ -121,8 +118,7 @@ def delamination(w: World, bond: float, minutes: float, size: float) -> None:
     w.drive = w.drive * (1 + size * peeled)
 
 
-@effect(
-    "drive",
+@acts(
     "The chambers of the arm lie at uneven angles.",
     "Webster and Jones, IJRR 29 (2010) 1661; Toshimitsu et al., IROS (2021)",
     devices=("arm",),
@@ -138,8 +134,7 @@ def uneven_directions(w: World, size: float) -> None:
     w.drive = w.drive @ (np.linalg.pinv(even) @ np.stack([np.cos(turned), np.sin(turned)])).T
 
 
-@effect(
-    "drive",
+@acts(
     "The chambers of the arm have unequal gains and curves.",
     "Marchese and Rus, IJRR 35 (2016) 840; Caasenbrood, Pogromsky and Nijmeijer, Soft Robotics 10 (2023)",
     devices=("arm",),
@@ -151,8 +146,7 @@ def unequal_chambers(w: World, size: float) -> None:
     _bent(w, (1 + size * away) * np.sign(w.air) * np.abs(w.air) ** (1 + size * np.abs(away[::-1])))
 
 
-@effect(
-    "drive",
+@acts(
     "A chamber under pressure stiffens the arm against its neighbours (cross terms).",
     "Toshimitsu et al., IROS (2021); Della Santina, Duriez and Rus, IEEE Control Syst. 43 (2023) 30",
     devices=("arm",),

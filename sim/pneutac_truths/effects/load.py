@@ -4,6 +4,7 @@ Effects of a body in motion; only `pneutac_truths.cosserat` moves.
 """
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numba import njit
@@ -11,11 +12,13 @@ from numba import njit
 from pneutac_truths.effects.table import effect
 from pneutac_truths.world import World
 
+loads = partial(effect, "load")
+moves = partial(effect, "motion", devices=("cosserat",))
+
 DOWN = np.array([[1, 0, 0], [0, 0, -1], [0, 0, 1], [0, 1, 0], [0, -1, 0]], float)
 
 
-@effect(
-    "load",
+@loads(
     "The body's own weight bends it; the base is mounted in several directions.",
     "Antman, Nonlinear Problems of Elasticity (2005) ch. 4; Till, Aloi and Rucker, IJRR 38 (2019) 723",
     devices=("rod", "arm"),
@@ -34,8 +37,7 @@ def gravity(w: World, size: float) -> None:
     w.gravity = ways[np.sort(np.arange(len(w.plan.starts)) % len(ways))]
 
 
-@effect(
-    "load",
+@loads(
     "Weights are hung on the tip in some trials.",
     "Polygerinos et al., IEEE T. Robotics 31 (2015) 778 (payload tests)",
     devices=("rod", "arm"),
@@ -53,8 +55,7 @@ def payload(w: World, size: float) -> None:
         w.gravity = w.plan.conditions.get("gravity", np.tile(DOWN[1], (n, 1)))
 
 
-@effect(
-    "load",
+@loads(
     "Pressure also stretches the body.",
     "Connolly, Walsh and Bertoldi, PNAS 114 (2017) 51",
     power=(1.0, 1.6),
@@ -65,8 +66,7 @@ def stretch(w: World, power: float, size: float) -> None:
     w.stretch = w.stretch + size * np.clip(w.air.mean(1), 0, None) ** power
 
 
-@effect(
-    "load",
+@loads(
     "The bend leaves the plane as pressure rises (uneven walls).",
     "Holland et al., Soft Robotics 1 (2014) 224; Bishop-Moser and Kota, IEEE T. Robotics 31 (2015) 536",
     devices=("rod", "cosserat"),
@@ -79,8 +79,7 @@ def out_of_plane(w: World, power: float, size: float) -> None:
     w.aside = w.aside + size * w.body.bend_rad[0] * x**power
 
 
-@effect(
-    "load",
+@loads(
     "Fibres wound unevenly twist the body under pressure.",
     "Bishop-Moser and Kota, IEEE T. Robotics 31 (2015) 536; Connolly et al., Soft Robotics 2 (2015) 26",
     size=(0.03, 1.2),
@@ -90,8 +89,7 @@ def twist(w: World, size: float) -> None:
     w.twist = w.twist + size * w.air.mean(1)
 
 
-@effect(
-    "load",
+@loads(
     "The base has play in its clamp and is pushed over by the body's motion.",
     "Nordin and Gutman, Automatica 38 (2002) 1633: backlash",
     lever=(0.1, 0.4),
@@ -115,8 +113,7 @@ def _play(x, width):
     return out
 
 
-@effect(
-    "load",
+@loads(
     "The clamp is soft: the base turns with the moment that the chamber passes into it.",
     "Timoshenko, Strength of Materials (1955): elastic clamping",
     power=(1.0, 1.8),
@@ -131,8 +128,7 @@ def soft_clamp(w: World, power: float, size: float) -> None:
     w.base_turn[:, 2] -= size * (x @ np.sin(way))
 
 
-@effect(
-    "load",
+@loads(
     "The air tube trails along the body and holds it back by presliding friction.",
     "Dahl, AIAA J. 14 (1976) 1675",
     presliding=(0.05, 0.3),
@@ -156,8 +152,7 @@ def _dahl(x, length):
     return out
 
 
-@effect(
-    "load",
+@loads(
     "The tip leans on a wall that stands in its way.",
     "Signorini (1959); Wriggers, Computational Contact Mechanics (2006): penalty of a compliant wall",
     devices=("rod",),
@@ -169,8 +164,7 @@ def wall_lean(w: World, stiffness: float, size: float) -> None:
     w.contact = {"taken": size, "stiffness": stiffness, "lets_go": np.inf}
 
 
-@effect(
-    "load",
+@loads(
     "The tip catches on an edge, and snaps past it when pressed hard enough.",
     "Gorissen et al., Science Robotics 5 (2020) eabb1967; Johnson, Contact Mechanics (1985)",
     devices=("rod",),
@@ -182,11 +176,9 @@ def wall_snap(w: World, lets_go: float, size: float) -> None:
     w.contact = {"taken": size, "stiffness": 20.0, "lets_go": lets_go}
 
 
-@effect(
-    "motion",
+@moves(
     "A heavy tip and little damping: the body rings after each change.",
     "Rayleigh, Theory of Sound (1877) art. 173; Tonkens, Lorenzetti and Pavone, ICRA (2021)",
-    devices=("cosserat",),
     damping=(0.12, 0.3),
     tip_share=(0.15, 0.4),
     size=(0.18, 0.8),
@@ -196,11 +188,9 @@ def ringing(w: World, damping: float, tip_share: float, size: float) -> None:
     w.dynamics |= {"period_s": size, "damping": damping, "tip_share": tip_share}
 
 
-@effect(
-    "motion",
+@moves(
     "Foam in the body damps it so that it follows slowly.",
     "Christensen, Theory of Viscoelasticity (1982); Mac Murray et al., Adv. Mater. 27 (2015) 6334 (foams)",
-    devices=("cosserat",),
     size=(1.0, 12.0),
 )
 def overdamped(w: World, size: float) -> None:
@@ -208,11 +198,9 @@ def overdamped(w: World, size: float) -> None:
     w.dynamics |= {"damping": size}
 
 
-@effect(
-    "motion",
+@moves(
     "The tip runs into a wall in motion, is thrown back and leans on it.",
     "Johnson, Contact Mechanics (1985) ch. 11; Gazzola et al., R. Soc. Open Sci. 5 (2018) 171628",
-    devices=("cosserat",),
     stiffness=(2.0, 10.0),
     size=(0.03, 0.7),
 )
@@ -221,12 +209,10 @@ def obstacle(w: World, stiffness: float, size: float) -> None:
     w.contact = {"taken": size, "stiffness": stiffness, "lets_go": np.inf}
 
 
-@effect(
-    "motion",
+@moves(
     "A machine nearby shakes the stand.",
     "Harris and Piersol, Shock and Vibration Handbook (2002): vibration of floors",
     physics=False,
-    devices=("cosserat",),
     hz=(0.7, 2.5),
     size=(0.3, 20.0),
 )

@@ -3,6 +3,8 @@
 Faults of the pressure gauge: the air itself is as it is.
 """
 
+from functools import partial
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -10,12 +12,13 @@ from pneutac_truths.effects.air import lag
 from pneutac_truths.effects.table import effect
 from pneutac_truths.world import Seen, World, seconds
 
+marker = partial(effect, "marker", physics=False)
+gauge = partial(effect, "gauge", physics=False)
 
-@effect(
-    "marker",
+
+@marker(
     "The tracker smooths the marker's path.",
     "Welch and Foxlin, IEEE CG&A 22 (2002) 24; OptiTrack Motive manual (smoothing)",
-    physics=False,
     size=(0.02, 3.0),
 )
 def tracker_lowpass(w: World, seen: Seen, size: float) -> None:
@@ -23,11 +26,9 @@ def tracker_lowpass(w: World, seen: Seen, size: float) -> None:
     seen.path = np.concatenate([lag(np.ascontiguousarray(p), size) for p in seen.trials(seen.path)])
 
 
-@effect(
-    "marker",
+@marker(
     "The tracker's samples come late.",
     "Welch and Foxlin, IEEE CG&A 22 (2002) 24",
-    physics=False,
     size=(0.008, 0.8),
 )
 def tracker_latency(w: World, seen: Seen, size: float) -> None:
@@ -36,11 +37,9 @@ def tracker_latency(w: World, seen: Seen, size: float) -> None:
     seen.path = np.concatenate([np.vstack([np.tile(p[:1], (k, 1)), p[:-k]]) for p in seen.trials(seen.path)])
 
 
-@effect(
-    "marker",
+@marker(
     "Samples are taken off their stamps: the clocks of camera and log wander against each other.",
     "Mills, Computer Network Time Synchronization (2011); Furgale, Rehder and Siegwart, IROS (2013)",
-    physics=False,
     size=(0.01, 1.0),
 )
 def clock_jitter(w: World, seen: Seen, size: float) -> None:
@@ -54,11 +53,9 @@ def clock_jitter(w: World, seen: Seen, size: float) -> None:
     seen.late_s = seen.late_s + size * (slow + 0.25 * rng.normal(0, 1, n))
 
 
-@effect(
-    "marker",
+@marker(
     "The marker slips once on the body and stays where it is.",
     "Chiari et al., Gait & Posture 21 (2005) 197 (artefacts of markers)",
-    physics=False,
     size=(0.3, 15.0),
 )
 def marker_slip(w: World, seen: Seen, size: float) -> None:
@@ -69,11 +66,9 @@ def marker_slip(w: World, seen: Seen, size: float) -> None:
     seen.tips[int(n * rng.uniform(0.25, 0.75)) :] += size * way / np.linalg.norm(way)
 
 
-@effect(
-    "marker",
+@marker(
     "The tracker takes something else for the marker for moments.",
     "Huber, Robust Statistics (1981) ch. 1; Hampel et al., Robust Statistics (1986)",
-    physics=False,
     per_minute=(1.5, 5.0),
     size=(2.0, 80.0),
 )
@@ -85,11 +80,9 @@ def tracker_outliers(w: World, seen: Seen, per_minute: float, size: float) -> No
         seen.tips[at : at + rng.integers(1, 5)] += rng.normal(0, size / np.sqrt(3), 3)
 
 
-@effect(
-    "marker",
+@marker(
     "The tracker's axes are not square: one leaks into another.",
     "Zhang, IEEE T. PAMI 22 (2000) 1330 (skew); Hartley and Zisserman, Multiple View Geometry (2004)",
-    physics=False,
     size=(0.005, 0.25),
 )
 def tracker_crosstalk(w: World, seen: Seen, size: float) -> None:
@@ -98,11 +91,9 @@ def tracker_crosstalk(w: World, seen: Seen, size: float) -> None:
     seen.tips[:, 2] += size / 2 * w.body.length_mm  # calibrated on the straight device
 
 
-@effect(
-    "marker",
+@marker(
     "The lens bends straight lines and its calibration leaves some of it.",
     "Brown, Photogrammetric Engineering 37 (1971) 855",
-    physics=False,
     size=(0.005, 0.6),
 )
 def lens_distortion(w: World, seen: Seen, size: float) -> None:
@@ -113,11 +104,9 @@ def lens_distortion(w: World, seen: Seen, size: float) -> None:
     seen.tips = seen.tips + size * far2 * away * np.array([1, 0, 1])
 
 
-@effect(
-    "marker",
+@marker(
     "Someone knocks the mount: from then on the whole device points elsewhere.",
     "Chiari et al., Gait & Posture 21 (2005) 197",
-    physics=False,
     size=(0.004, 0.2),
 )
 def mount_knock(w: World, seen: Seen, size: float) -> None:
@@ -129,11 +118,9 @@ def mount_knock(w: World, seen: Seen, size: float) -> None:
     seen.tips[at:] = Rotation.from_rotvec(size * way / np.linalg.norm(way)).apply(seen.tips[at:])
 
 
-@effect(
-    "marker",
+@marker(
     "The device is taken off between two sessions of the recording and mounted turned about its axis.",
     "Chiari et al., Gait & Posture 21 (2005) 197 (remounting)",
-    physics=False,
     size=(0.01, 0.6),
 )
 def mount_turned(w: World, seen: Seen, size: float) -> None:
@@ -143,11 +130,9 @@ def mount_turned(w: World, seen: Seen, size: float) -> None:
     seen.tips[after] = Rotation.from_rotvec([size, 0, 0]).apply(seen.tips[after])
 
 
-@effect(
-    "marker",
+@marker(
     "The tracker loses the marker for moments, mostly in motion, and repeats the last position.",
     "OptiTrack Motive manual (gap filling); Welch and Foxlin, IEEE CG&A 22 (2002) 24",
-    physics=False,
     per_minute=(5.0, 12.0),
     size=(0.06, 4.0),
 )
@@ -166,11 +151,9 @@ def tracker_freezes(w: World, seen: Seen, per_minute: float, size: float) -> Non
         seen.frozen[rows[trial[rows] == trial[at]][1:]] = True
 
 
-@effect(
-    "marker",
+@marker(
     "The camera warms and its scale drifts.",
     "Podbreznik and Potočnik, Machine Vision and Applications 23 (2012): camera and temperature",
-    physics=False,
     minutes=(1.0, 6.0),
     size=(0.004, 0.15),
 )
@@ -180,11 +163,9 @@ def camera_warm_up(w: World, seen: Seen, minutes: float, size: float) -> None:
     seen.tips = seen.tips * (1 + size * (1 - np.exp(-t / (60 * minutes))))[:, None]
 
 
-@effect(
-    "gauge",
+@gauge(
     "The gauge's range ends below the top pressure.",
     "Doebelin, Measurement Systems (2003) ch. 6",
-    physics=False,
     size=(0.02, 0.5),
 )
 def gauge_clipping(w: World, read: np.ndarray, size: float) -> np.ndarray:
@@ -192,11 +173,9 @@ def gauge_clipping(w: World, read: np.ndarray, size: float) -> np.ndarray:
     return np.minimum(read, 1 - size)
 
 
-@effect(
-    "gauge",
+@gauge(
     "The gauge knows few steps.",
     "Widrow and Kollar, Quantization Noise (2008)",
-    physics=False,
     size=(0.01, 0.35),
 )
 def gauge_quantised(w: World, read: np.ndarray, size: float) -> np.ndarray:
@@ -204,11 +183,9 @@ def gauge_quantised(w: World, read: np.ndarray, size: float) -> np.ndarray:
     return np.round(read / size) * size
 
 
-@effect(
-    "gauge",
+@gauge(
     "The gauge filters and sends its readings late.",
     "Bergh and Tijdeman, NLR-TR F.238 (1965) (tube and gauge); Doebelin, Measurement Systems (2003)",
-    physics=False,
     dead_share=(0.2, 0.6),
     size=(0.01, 2.0),
 )
@@ -219,11 +196,9 @@ def gauge_late(w: World, read: np.ndarray, dead_share: float, size: float) -> np
     return np.concatenate([np.tile(slow[:1], (k, 1)), slow[:-k]])
 
 
-@effect(
-    "gauge",
+@gauge(
     "The gauge's zero drifts.",
     "Doebelin, Measurement Systems (2003) ch. 6 (zero shift of piezoresistive cells)",
-    physics=False,
     minutes=(2.0, 10.0),
     size=(0.01, 0.4),
 )
@@ -232,11 +207,9 @@ def gauge_drifting(w: World, read: np.ndarray, minutes: float, size: float) -> n
     return read + _uneven(read, size) * (1 - np.exp(-w.time_s / (60 * minutes)))[:, None]
 
 
-@effect(
-    "gauge",
+@gauge(
     "The gauge's scale is off.",
     "Doebelin, Measurement Systems (2003) ch. 2 (span error)",
-    physics=False,
     size=(0.01, 0.25),
 )
 def gauge_span(w: World, read: np.ndarray, size: float) -> np.ndarray:

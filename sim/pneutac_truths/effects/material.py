@@ -4,6 +4,7 @@ Heat, moisture and wear of the material.
 """
 
 import math
+from functools import partial
 
 import numpy as np
 from numba import njit
@@ -13,6 +14,8 @@ from pneutac_truths.effects.air import lag
 from pneutac_truths.effects.table import effect
 from pneutac_truths.programs import DT_S
 from pneutac_truths.world import World, seconds
+
+acts = partial(effect, "material")
 
 
 def share_of(w: World) -> np.ndarray:
@@ -26,8 +29,7 @@ def softer(w: World, by: np.ndarray) -> None:
     w.softer = w.softer * by
 
 
-@effect(
-    "material",
+@acts(
     "Spring-pot creep: bend under held pressure grows with a power of time.",
     "Scott Blair, J. Colloid Sci. 2 (1947) 21; Mainardi, Fractional Calculus and Waves (2010)",
     order=(0.12, 0.45),
@@ -41,8 +43,7 @@ def creep_fractional(w: World, order: float, size: float) -> None:
     w.memory = w.memory + size * fftconvolve(step, grown[:, None], axes=0)[:n]
 
 
-@effect(
-    "material",
+@acts(
     "One slow relaxation (standard linear solid).",
     "Zener, Elasticity and Anelasticity of Metals (1948); Christensen, Theory of Viscoelasticity (1982)",
     relax_s=(1.0, 20.0),
@@ -53,8 +54,7 @@ def standard_solid(w: World, relax_s: float, size: float) -> None:
     w.memory = w.memory + size * lag(w.drive, relax_s)
 
 
-@effect(
-    "material",
+@acts(
     "Hysteresis of a distribution of relays between loading and unloading.",
     "Preisach, Z. Phys. 94 (1935) 277; Mayergoyz, Mathematical Models of Hysteresis (2003)",
     width=(0.1, 0.35),
@@ -99,8 +99,7 @@ def _relays(x, up, down, weight):
     return out
 
 
-@effect(
-    "material",
+@acts(
     "Dry friction of many small elements that stick, stretch and slip one after the other.",
     "Iwan, J. Appl. Mech. 33 (1966) 893; Al-Bender, Lampaert and Swevers, IEEE T. Autom. Control 50 (2005)",
     strength=(0.8, 2.0),
@@ -142,8 +141,7 @@ def _slipping(moment, slip, stiffness):
     return out
 
 
-@effect(
-    "material",
+@acts(
     "The faster it is strained, the stiffer it is: flow by thermally activated jumps.",
     "Eyring, J. Chem. Phys. 4 (1936) 283; Bergström and Boyce, J. Mech. Phys. Solids 46 (1998) 931",
     overstress=(0.05, 0.4),
@@ -169,8 +167,7 @@ def _eyring(m, tau, sigma):
     return out
 
 
-@effect(
-    "material",
+@acts(
     "Strained beyond what it knew, the silicone is stiffer; what it knew it forgets at rest (Mullins).",
     "Mullins, Rubber Chem. Technol. 42 (1969) 339; Ogden and Roxburgh, Proc. R. Soc. A 455 (1999) 2861",
     forget_s=(20.0, 200.0),
@@ -195,8 +192,7 @@ def _known(x, keep):
     return out
 
 
-@effect(
-    "material",
+@acts(
     "High pressure leaves a set by power-law flow, which heals slowly.",
     "Norton, The Creep of Steel (1929); Findley, Lai and Onaran, Creep and Relaxation (1976)",
     power=(2.0, 5.0),
@@ -209,8 +205,7 @@ def set_norton(w: World, power: float, heal_s: float, size: float) -> None:
     w.memory = w.memory + size * heal_s * w.body.bend_rad * lag(np.vstack([0 * x[:1], x[:-1]]), heal_s)
 
 
-@effect(
-    "material",
+@acts(
     "Motion breaks the filler's network, rest builds it again: softer when worked (thixotropy).",
     "Payne, J. Appl. Polym. Sci. 6 (1962) 57; Kraus, J. Appl. Polym. Sci. Symp. 39 (1984) 75",
     rest_s=(5.0, 60.0),
@@ -233,8 +228,7 @@ def _network(moved, rest, stroke):
     return out
 
 
-@effect(
-    "material",
+@acts(
     "Bend goes on for a while after a change of pressure, by a tail of stretched exponential.",
     "Kohlrausch (1854); Williams and Watts, Trans. Faraday Soc. 66 (1970) 80",
     stretch=(0.35, 0.7),
@@ -250,8 +244,7 @@ def stretched_relaxation(w: World, stretch: float, relax_s: float, size: float) 
     w.memory = w.memory + size * fftconvolve(step, grown[:, None], axes=0)[: len(w.drive)]
 
 
-@effect(
-    "material",
+@acts(
     "Work lost in cycles warms the silicone, which softens and cools slowly.",
     "Medalia, Rubber Chem. Technol. 64 (1991) 481; Katunin, Polymers 11 (2019) (self-heating)",
     cool_s=(20.0, 90.0),
@@ -278,8 +271,7 @@ def room_temperature(w: World, name: str) -> np.ndarray:
     return 22 + ramp * (t - 0.5) + 1.2 * np.sin(2 * np.pi * rng.uniform(1, 2.5) * t + phase)
 
 
-@effect(
-    "material",
+@acts(
     "Silicone softens as the room warms.",
     "Rey et al., Polymer Testing 32 (2013) 492; Treloar, The Physics of Rubber Elasticity (1975)",
     size=(0.02, 0.6),
@@ -290,8 +282,7 @@ def temperature_drift(w: World, size: float) -> None:
     softer(w, 1 + size * (w.temperature_c - 22) / 10)
 
 
-@effect(
-    "material",
+@acts(
     "The silicone softens with its own temperature, which follows the room's minutes later.",
     "Incropera et al., Fundamentals of Heat and Mass Transfer (2007) ch. 5 (lumped body); Rey et al. (2013)",
     minutes=(1.5, 5.0),
@@ -303,8 +294,7 @@ def temperature_lag(w: World, minutes: float, size: float) -> None:
     softer(w, 1 + size * (lag(w.temperature_c[:, None], 60 * minutes)[:, 0] - 22) / 10)
 
 
-@effect(
-    "material",
+@acts(
     "One face of the body takes up moisture and swells, so the rest shape creeps away.",
     "Flory, Principles of Polymer Chemistry (1953) ch. 13; Crank, The Mathematics of Diffusion (1975) ch. 4",
     minutes=(2.0, 8.0),
@@ -317,8 +307,7 @@ def humidity_swelling(w: World, minutes: float, size: float) -> None:
     w.memory[:, 0] += size * np.tanh(np.sqrt(s))
 
 
-@effect(
-    "material",
+@acts(
     "Each stroke wears the body a little: compliance grows with the logarithm of strokes.",
     "Mars and Fatemi, Int. J. Fatigue 24 (2002) 949",
     strokes=(5.0, 40.0),

@@ -69,7 +69,7 @@ class Punch:
         if self.kind == "cylinder":
             return _prism(np.hypot(x, y) - s, z, r)
         if self.kind == "cube":
-            return _prism(_rectangle(x, y, s / 2, s / 2), z, r)
+            return _prism(_corner(np.abs(x) - s / 2, np.abs(y) - s / 2), z, r)
         if self.kind == "outline":
             return _prism(polygon_distance(np.stack([x, y], 1), np.array(self.outline_mm)), z, r)
         if self.kind == "edge":
@@ -89,15 +89,14 @@ class Punch:
         return np.stack([(self.distance(p + e) - self.distance(p - e)) / (2 * h) for e in steps], 1)
 
 
-def _rectangle(x, y, a: float, b: float):
-    u, v = np.abs(x) - a, np.abs(y) - b
+def _corner(u, v):
+    """Distance to a right-angled corner, beyond whose sides a point lies by u and v."""
     return np.hypot(np.maximum(u, 0), np.maximum(v, 0)) + np.minimum(np.maximum(u, v), 0)
 
 
 def _prism(outside, z, r: float):
     """A prism that stands on z = 0, its lower edge broken by r; `outside` is the distance to its outline."""
-    u, v = outside + r, r - z
-    return np.hypot(np.maximum(u, 0), np.maximum(v, 0)) + np.minimum(np.maximum(u, v), 0) - r
+    return _corner(outside + r, r - z) - r
 
 
 def polygon_distance(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
