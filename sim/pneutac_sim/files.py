@@ -165,12 +165,7 @@ def flush(path: Path) -> None:
 
 
 def check_writable(folder: Path, what: str) -> None:
-    """Raises InputError where nothing can be written into a folder, there or yet to be made; changes nothing.
-
-    Args:
-        folder: to try.
-        what: the sentence calls it, such as `--out=results`.
-    """
+    """Raises InputError, which says `what`, where a folder cannot be written into; changes nothing."""
     made: list[Path] = []
     try:
         made = [p for p in (folder, *folder.parents) if not p.exists()]

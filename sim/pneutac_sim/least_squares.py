@@ -19,13 +19,7 @@ _PULL = 1e-4
 
 @dataclass(frozen=True)
 class Solution:
-    """Where the iteration ended.
-
-    Attributes:
-        v: (F,) parameters in [0, 1].
-        cost: sum of squares.
-        steps: number of Jacobians taken.
-    """
+    """Where the iteration ended: parameters v (F,) in [0, 1], sum of squares, number of Jacobians taken."""
 
     v: np.ndarray
     cost: float

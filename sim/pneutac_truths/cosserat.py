@@ -49,16 +49,10 @@ class Moving:
     """
 
     def __init__(self, length_m, radius_m, period_s, damping, tip_kg=0.0, elements=ELEMENTS, forces=None):
-        """Builds a straight rod at rest.
+        """A straight rod at rest, round, with a mass `tip_kg` at its free end.
 
-        Args:
-            length_m: of the rod.
-            radius_m: of its round section.
-            period_s: of its lowest bending mode, by `stiffness_of`.
-            damping: ratio of the lowest mode.
-            tip_kg: at the free end.
-            elements: of the rod.
-            forces: a class of PyElastica's forces, if any acts.
+        Its lowest bending mode has this period, by `stiffness_of`, and this ratio of damping; `forces` is a
+        class of PyElastica's, if any acts.
         """
         ea = elastica()
         mass = DENSITY * math.pi * radius_m**2 * length_m

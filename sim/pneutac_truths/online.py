@@ -32,14 +32,8 @@ class OnlineRod:
     ):
         """A rod that has long been without pressure.
 
-        Args:
-            rod: its elastic line.
-            top_kpa: pressure at which it bends by `bend_rad` at once.
-            bend_rad: see `top_kpa`.
-            moulded_rad: bend without pressure.
-            orifice: `critical`, `supply`, `growth`, `size` of `fill_orifice`.
-            creep: `order`, `size` of `creep_fractional`.
-            hysteresis: `width`, `size` of `hysteresis_preisach`.
+        At `top_kpa` it bends by `bend_rad` at once, without pressure by `moulded_rad`. Orifice, creep and
+        hysteresis are the parameters of `fill_orifice`, `creep_fractional` and `hysteresis_preisach`.
         """
         self._rod, self._top_kpa, self._bend_rad, self._moulded = rod, top_kpa, bend_rad, moulded_rad
         self._orifice = [orifice[k] for k in ("critical", "supply", "growth", "size")]

@@ -53,13 +53,9 @@ class Plan:
 
 
 def plan(rng: np.random.Generator, chambers: int, minutes: float, quiet: bool = False) -> Plan:
-    """Draws a recording of about so many minutes of trials.
+    """Draws a recording of about so many minutes of trials; at 10 there are 10 to 16 of 20 to 60 s.
 
-    Args:
-        rng: decides all.
-        chambers: commanded separately.
-        minutes: sum of the trials' durations; at 10 there are 10 to 16 trials of 20 to 60 s.
-        quiet: leaves out the fastest programs (for slow solvers).
+    `quiet` leaves out the fastest programs (for slow solvers).
     """
     n = int(np.clip(rng.integers(10, 17) * min(1.0, minutes / 7), 6, 16))
     repeats = max(1, round(n / 6))

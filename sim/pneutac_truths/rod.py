@@ -262,9 +262,8 @@ def against_wall(rod: Rod, inputs: np.ndarray, bend_rad: float, wall: dict) -> n
 def place(rod: Rod, bend_rad: float, wall: dict) -> tuple[np.ndarray, np.ndarray, float, float]:
     """Where a wall stands in the plain device's path.
 
-    Returns:
-        A point of it (3,) in mm, the way ahead (3,) into it, the tip's compliance along that way in mm^3
-        (force over bending stiffness) and the length of the path in mm.
+    Returns a point of it (3,) in mm, the way ahead (3,) into it, the tip's compliance along that way in mm^3
+    (force over bending stiffness) and the length of the path in mm.
     """
     probe = np.zeros((3, COLUMNS))
     probe[:, SOFT] = 1

@@ -106,17 +106,14 @@ class BodyEffect(Effect):
         conditions: np.ndarray | None = None,
         state: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Runs the effect on a copy of one signal; for trying it out and for tests.
+        """Runs the effect on a copy of one signal, (n,) or (n, channels); for trying it out and for tests.
 
         Args:
-            x: (n,) or (n, channels).
+            x: the signal.
             dt: (n,) seconds; the first is taken as infinite where `state` is not given.
             values: parameters; those left out take their default for a pressure range of max |x|.
             conditions: (n, k) in the order of `columns`.
             state: continues from there and is updated.
-
-        Returns:
-            The changed signal, shaped as `x`.
         """
         out = np.array(x, dtype=float).reshape(len(x), -1)
         dt = np.array(dt, dtype=float)

@@ -189,15 +189,8 @@ def _mode_weights(omega, zeta, h):
 def second_order(s, f, dt, omega, zeta):
     """Exact steps of y'' + 2 zeta omega y' + omega^2 (y - f) = 0 for f in straight lines.
 
-    Args:
-        s: rows 2 and 3 are y and y' (channels,), changed.
-        f: (n + 1, channels), first the one before.
-        dt: (n,) s.
-        omega: rad/s.
-        zeta: damping ratio.
-
-    Returns:
-        y (n, channels).
+    Returns y (n, channels). Rows 2 and 3 of s are y and y' (channels,), changed; f is (n + 1, channels),
+    first the one before.
     """
     out = np.empty((len(f) - 1, f.shape[1]))
     y, v = s[2].copy(), s[3].copy()  # arrays of its own, which the compiler knows to be no part of f

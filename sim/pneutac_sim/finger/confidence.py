@@ -33,11 +33,9 @@ class Confidence:
 
 
 def autocorrelation(residual: np.ndarray, adjacent: np.ndarray) -> float:
-    """Correlation of neighbouring residuals, within [0, 0.9999].
+    """Correlation of neighbouring residuals (n, D), within [0, 0.9999].
 
-    Args:
-        residual: (n, D).
-        adjacent: (n,) True where a sample follows the one before it.
+    `adjacent` (n,) is True where a sample follows the one before it.
     """
     at = np.flatnonzero(adjacent)
     power = (residual * residual).sum() / max(len(residual), 1)
@@ -76,14 +74,10 @@ def independent(J: np.ndarray) -> np.ndarray:
 
 
 def confidence(J: np.ndarray, residual: np.ndarray, adjacent: np.ndarray, at_bound: np.ndarray) -> Confidence:
-    """Uncertainty after a fit.
+    """Uncertainty after a fit, by the Jacobian (n D, F) of scaled residuals (n, D) of the training samples.
 
-    Args:
-        J: (n D, F) Jacobian of the scaled residuals.
-        residual: (n, D) scaled residuals of the training samples.
-        adjacent: (n,) True where a training sample directly follows another one.
-        at_bound: (F,) parameters stopped by a bound: they stay there while the others' spread is found, and
-            each gets the spread that it would have alone with those.
+    `adjacent` (n,) is True where one directly follows another. Parameters `at_bound` (F,) stay there while
+    the others' spread is found, and each gets the spread that it would have alone with those.
     """
     count = J.shape[1]
     rho = autocorrelation(residual, adjacent)

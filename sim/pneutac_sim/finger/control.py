@@ -34,10 +34,8 @@ LATE_S = 0.06  # ... unless the bend is moving and is merely so much early or la
 def bend_angle(markers: np.ndarray, by: str = "tip") -> np.ndarray:
     """Bend (...,) in rad of markers (..., 5) as the pipeline gives them.
 
-    Args:
-        markers: x, y, z of the tip in mm in the frame of the base, bend towards +z and towards +y in rad.
-        by: `tip`: that of the circular arc from the base to where the tip is, 2 atan2(z, x); `angle`: of the
-            tip's direction itself.
+    By `tip`, that of the circular arc from the base to where the tip is, 2 atan2(z, x); by `angle`, that of
+    the tip's direction itself.
     """
     markers = np.asarray(markers)
     return markers[..., 3] if by == "angle" else 2 * np.arctan2(markers[..., 2], markers[..., 0])
@@ -192,16 +190,10 @@ class BendController:
 def pressure_for(
     twin: Twin, bend_rad: np.ndarray, dt_s: float, conditions: Mapping[str, float] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The commands with which a free finger, long at rest without pressure, follows a bend known ahead.
+    """Commands (n,) in kPa with which a finger follows a bend known ahead, and the bend expected of them.
 
-    Args:
-        twin: a finger of one chamber.
-        bend_rad: (n,) wanted at the end of each control step.
-        dt_s: length of a control step.
-        conditions: what its effects ask for.
-
-    Returns:
-        Commands (n,) in kPa and the bend (n,) in rad that the twin expects of them.
+    The finger of one chamber is free and long at rest without pressure; `bend_rad` (n,) is wanted at the end
+    of each control step of `dt_s`. `conditions` are what its effects ask for.
 
     Raises:
         InputError: a bend is out of the finger's reach, or as `BendController`.

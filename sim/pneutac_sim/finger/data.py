@@ -141,12 +141,9 @@ class Prediction:
 
 
 def simulate(twin: Twin, recording, effects: Sequence[str] | None = None) -> Prediction:
-    """Runs a twin on a recording.
+    """Runs a twin on a bench recording, or a `BodyData` prepared from one.
 
-    Args:
-        twin: of the same device.
-        recording: a bench recording, or a `BodyData` prepared from one.
-        effects: these instead of the twin's own (those it does not have start at their defaults).
+    `effects` take the place of the twin's own; those it does not have start at their defaults.
     """
     data = recording if isinstance(recording, BodyData) else BodyData.of(recording, twin)
     pipeline = Pipeline.of(twin, data.inputs, effects)

@@ -109,14 +109,10 @@ def _planar(free, deflection, load, links, at, levers, A):
 
 @kernel
 def _joint(to_z, to_y, R, axes, curve):
-    """Rotation of a joint with this bend, in the frame of the link before.
+    """Rotation R (3, 3) of a joint that is bent by to_z and to_y, rad, in the frame of the link before.
 
-    Args:
-        to_z: bend, rad.
-        to_y: bend, rad.
-        R: (3, 3), becomes the rotation.
-        axes: (2, 3), becomes the axes of to_z and to_y.
-        curve: (3, 3), becomes how they turn, (d axis_j / dq_k + d axis_k / dq_j) / 2 for zz, zy and yy.
+    With the axes (2, 3) of both, and `curve` (3, 3), how these turn, (d axis_j / dq_k + d axis_k / dq_j) / 2
+    for zz, zy and yy.
     """
     angle2 = to_z * to_z + to_y * to_y
     angle = math.sqrt(angle2)
@@ -155,15 +151,9 @@ def _joint(to_z, to_y, R, axes, curve):
 
 @kernel
 def _places(free, deflection, links, at, axes, curves):
-    """Writes where joints and tip are, m, the joints' axes and how these turn, see `_joint`; base frame.
+    """Writes where joints and tip are (N + 1, 3), m, the joints' axes (2 N, 3) and how these turn (3 N, 3).
 
-    Args:
-        free: (2 N,) rad.
-        deflection: (2 N,) rad.
-        links: (N,) m, or more.
-        at: (N + 1, 3).
-        axes: (2 N, 3).
-        curves: (3 N, 3).
+    Of angles and deflections (2 N,) rad and links (N,) m, in the base frame; see `_joint`.
     """
     frame, turned, R = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     local, curve = np.empty((2, 3)), np.empty((3, 3))
@@ -431,13 +421,9 @@ class SoftBody:
         return B
 
     def alone(self, levers: np.ndarray) -> float:
-        """What joints of one stiffness would have that yield as the body does to a force across the tip.
+        """Stiffness, N m/rad per MPa, of equal joints that yield as the body does to a force across the tip.
 
-        Args:
-            levers: (N,) from each joint to the tip, in any unit.
-
-        Returns:
-            N m/rad per MPa.
+        Levers (N,) lead from each joint to the tip, in any unit.
         """
         return float(levers @ levers / (levers @ np.linalg.solve(self.resting, levers)))
 
@@ -492,15 +478,11 @@ def _resist(q, powers, weights, f, B):
 
 
 def share_of_controller(whole: float, body: np.ndarray, levers: np.ndarray) -> float:
-    """K_c in N m/rad, what is left of a finger's whole stiffness without its soft body; 0 where nothing is.
+    """K_c in N m/rad, what is left of a finger's whole stiffness K without its soft body; 0 where nothing is.
 
-    Loaded poses give the total: with the moments w of a force across the straight finger's tip it yields as
-    joints of stiffness K would, w^T (K_c + B)^-1 w = w^T w / K.
-
-    Args:
-        whole: K, N m/rad.
-        body: (N, N) B, the soft body's stiffness at rest, N m/rad.
-        levers: (N,) w, from each joint to the tip, in any unit.
+    Loaded poses give the total: with the moments w (N,) of a force across the straight finger's tip, in any
+    unit, it yields as joints of stiffness K would, w^T (K_c + B)^-1 w = w^T w / K, with B (N, N) N m/rad the
+    soft body's stiffness at rest.
     """
     values, vectors = np.linalg.eigh(body)
     share = (vectors.T @ levers) ** 2 / (levers @ levers)
@@ -522,15 +504,10 @@ def controller_stiffness(whole: float, body: np.ndarray, levers: np.ndarray) -> 
 
 
 def loaded(q_free, loads, links, controller: float, modulus: float, body: SoftBody) -> np.ndarray:
-    """Joint angles (n, N) in rad at rest under loads, by Newton's method, each from the deflection before.
+    """Joint angles (n, N) in rad at rest under loads (n, 6), by Newton's method.
 
-    Args:
-        q_free: (n, N) without loads, rad.
-        loads: (n, 6) N: tip force x, y, z, then weight of the whole body x, y, z, as in `equilibrium.solve`.
-        links: (2 N,) length of the link after each joint, m, then their share of the weight.
-        controller: K_c, N m/rad.
-        modulus: E, MPa.
-        body: its torque.
+    Each starts from the deflection before. Loads and links are as in `solve`; the controller has K_c in N
+    m/rad, the body a modulus in MPa.
     """
     q = np.array(q_free, float)
     _rest(q, np.ascontiguousarray(loads), links, controller, body.powers, modulus * body.weights)

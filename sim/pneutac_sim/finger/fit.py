@@ -30,17 +30,9 @@ _ANGLE = tuple(np.arange(-6, 6) / 12)
 def rough_drive(
     pipeline: Pipeline, data: BodyData, theta: np.ndarray, bounds: Bounds, free: np.ndarray
 ) -> np.ndarray:
-    """The best of a coarse grid over gain, rest pressure and the chambers' directions, without any effect.
+    """The best parameters (P,) of a coarse grid over gain, rest pressure and directions, without effects.
 
-    Args:
-        pipeline: with its effects.
-        data: thinned; the grid has 72 points for a finger, 264 for an arm.
-        theta: (P,) all other parameters.
-        bounds: of the pipeline.
-        free: (F,) indices of parameters that may change.
-
-    Returns:
-        (P,) parameters.
+    The grid has 72 points for a finger, 264 for an arm, so the data are thinned; those of `free` may change.
     """
     p = data.inputs.pressure_range_kpa
     tried = {

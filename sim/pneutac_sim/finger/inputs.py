@@ -18,11 +18,9 @@ _UNSEEN = 3  # commands between two samples that are searched for, besides the l
 
 
 def steps(pressure: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Rows before which a pressure (n, chambers) steps: a chamber's changes much there and little nearby.
+    """Rows before which a command (n, chambers) steps: a chamber's changes much there and little nearby.
 
-    Args:
-        pressure: commanded.
-        first: (n,) True where a trial begins.
+    `first` (n,) is True where a trial begins.
     """
     change = np.abs(np.diff(pressure, axis=0, prepend=pressure[:1]))
     change[first] = 0.0
@@ -253,13 +251,10 @@ class Inputs:
     def _with_switches(
         self, at: np.ndarray, share: np.ndarray, before: np.ndarray, after: np.ndarray
     ) -> "Inputs":
-        """The command switches within the time before rows.
+        """The command switches within the time before rows `at` (k,), at `share` (k,) of that time.
 
-        Args:
-            at: (k,) the rows, in rising order.
-            share: (k,) of that time, at which it switches; rising within one row's.
-            before: (k, chambers) command until then.
-            after: (k, chambers) and from then on.
+        Rows are in rising order. It is `before` (k, chambers) until then and `after` from then on; shares
+        rise within one row's.
         """
         whole = self.dt_s[at]
         start = _switch_start(share, whole)
@@ -276,11 +271,9 @@ class Inputs:
         )
 
     def switched_at(self, last: np.ndarray, share: float) -> "Inputs":
-        """The same inputs with the command's steps at another instant.
+        """The same inputs with the command's steps at another share of the time between two samples.
 
-        Args:
-            last: (k,) the rows before which the command steps; the two rows before each are the step.
-            share: of the time between two samples, at which it steps.
+        `last` (k,) are the rows before which the command steps; the two rows before each are the step.
         """
         dt = self.dt_s.copy()
         whole = dt[last - 2] + dt[last - 1] + dt[last]

@@ -60,13 +60,7 @@ class StepRows:
             self._data = [replace(near, inputs=inputs) for inputs in moved]
 
     def residual(self, data: BodyData, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
-        """(steps, 6, D) model - measured in these rows, in the unit of the error.
-
-        Args:
-            data: these rows of the recording.
-            pipeline: the model.
-            theta: (P,) its parameters.
-        """
+        """(steps, 6, D) model - measured in these rows of the recording, in the unit of the error."""
         run = pipeline.run(data.inputs, theta)
         r = (pipeline.outputs(run, data.columns) - data.measured) * data.scale
         return r.reshape(*self.rows.shape, -1)
@@ -76,15 +70,9 @@ class StepRows:
         return self._errors(self._residuals(pipeline, theta)).sum(axis=2)
 
     def judged(self, pipeline: Pipeline, theta: np.ndarray, variance: float) -> tuple[np.ndarray, np.ndarray]:
-        """By what a model may be compared with others.
+        """By what models are compared: residual (steps, 6, D) and what is added to its squares (steps, 6).
 
-        Args:
-            pipeline: the model.
-            theta: (P,) its parameters.
-            variance: mean square of the model's residual, summed over outputs.
-
-        Returns:
-            residual (steps, 6, D), and what is to be added to its squares (steps, 6).
+        `variance` is the mean square of the model's residual, summed over outputs.
         """
         R = self._residuals(pipeline, theta)
         E = self._errors(R)
@@ -120,14 +108,8 @@ def instants(
 ) -> np.ndarray | None:
     """The share of the time between two samples at which each step happened, as a model sees it.
 
-    Args:
-        recording: with `.samples`.
-        read: share of all steps to the recording read so.
-        pipeline: the model.
-        theta: (P,) its parameters.
-
-    Returns:
-        (n,), NaN where there is no step; None where there are none, or `time_sent_s` gives them.
+    (n,), NaN where there is no step; None where there are none, or `time_sent_s` gives them. `read` takes a
+    share of all steps to the recording read so.
     """
     if "time_sent_s" in recording.samples or not len(step_rows(recording)):
         return None

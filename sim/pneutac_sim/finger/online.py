@@ -129,14 +129,9 @@ class PressurePipeline:
         return joints.reshape(-1, 2) if self._arm else joints
 
     def predict(self, pressure_cmd_kpa: np.ndarray, dt_s: float) -> np.ndarray:
-        """Where the free tip will be after each of further control steps, none of which is done.
+        """Where the free tip will be after each of further control steps, (n, 5) as `place`.
 
-        Args:
-            pressure_cmd_kpa: commands, (n,) or (n, chambers).
-            dt_s: length of each step.
-
-        Returns:
-            (n, 5) as `place`.
+        None of them is done. Commands are (n,) or (n, chambers).
         """
         ahead = self.copy()
         if 0 not in ahead._began:
@@ -147,14 +142,9 @@ class PressurePipeline:
         return ahead._run_rows(ahead._to_tip, joints, dt_s)
 
     def place(self, joints: np.ndarray, dt_s: float) -> np.ndarray:
-        """Where the tip is.
+        """Where the tip is (5,): x, y, z in mm in the base's frame, bend towards +z and +y in rad.
 
-        Args:
-            joints: angles as `step` returns them, rad; where contact bends the body, the bent ones.
-            dt_s: length of the step.
-
-        Returns:
-            (5,) x, y, z in mm in the frame of the base, bend towards +z and towards +y in rad.
+        At joint angles as `step` returns them; where contact bends the body, the bent ones.
         """
         return self._run(self._to_tip, np.ravel(joints), dt_s)
 

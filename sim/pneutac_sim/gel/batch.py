@@ -136,13 +136,9 @@ class TactileBatch:
         self._recorded: dict[tuple[int, float], tuple] = {}
 
     def image(self, depth_mm) -> torch.Tensor:
-        """Tactile images of probe grids.
+        """Tactile images, uint8 (B, H, W, 3) on the device, of probe grids (B, 80, 59), a tensor or array.
 
-        Args:
-            depth_mm: (B, 80, 59), tensor or array.
-
-        Returns:
-            uint8 (B, H, W, 3) on the device; on CUDA the next call with a batch of this size overwrites it.
+        On CUDA the next call with a batch of this size overwrites them.
 
         Raises:
             ValueError: another shape.
@@ -259,11 +255,9 @@ class _Light:
         self._dark = torch.tensor(shadowed[:, None, None], device=device)
 
     def of(self, u: torch.Tensor, deepest: float) -> tuple[torch.Tensor, torch.Tensor]:
-        """Light and height in mm of the shadow, zero where none was asked for: (B, 3, rows, columns).
+        """Light and height in mm of the shadow, zero where none was asked for, (B, 3, rows, columns) each.
 
-        Args:
-            u: surfaces (B, rows, columns), mm.
-            deepest: of them.
+        Of surfaces (B, rows, columns) in mm that are at most `deepest` mm pressed in.
         """
         c, (gx, gy) = self._c, slopes(u, self._cell_mm)
         gx, gy, u = gx[:, None], gy[:, None], u[:, None]

@@ -24,13 +24,10 @@ Unknown = tuple[str, str]  # effect (empty for the light itself) and name withou
 def priors(
     k: int, light: np.ndarray, layout: Layout | None, effects: Sequence[SensorEffect]
 ) -> dict[Unknown, tuple[float, float, float, float]]:
-    """Unknown to its default, prior standard deviation (infinite for none), lower and upper bound.
+    """Unknown of channel k to its default, its prior's deviation (infinite for none) and its bounds.
 
-    Args:
-        k: channel.
-        light: L of this channel (2,), roughly.
-        layout: the make's lights, where it is known.
-        effects: those that are fitted with the channel.
+    `light` is L (2,) of this channel, roughly; `layout` the make's lights, where it is known; `effects` are
+    those that are fitted with the channel.
     """
     angle, sd = np.arctan2(-light[1], -light[0]), np.inf
     if layout is not None:
@@ -200,12 +197,8 @@ class Channel:
     def gram(self, displacement_mm: np.ndarray, rest: np.ndarray, mask: np.ndarray) -> np.ndarray:
         """Mean of g g^T (F, F) over a mask, g the derivatives of the predicted light by the unknowns.
 
-        With the covariance S, trace(g g^T S) is the light's variance in levels^2.
-
-        Args:
-            displacement_mm: surface (rows, columns).
-            rest: rest image there, levels.
-            mask: where, bool.
+        Under a surface (rows, columns) in mm and with a rest image in levels. With the covariance S, trace(g
+        g^T S) is the light's variance in levels^2.
         """
         u = np.ascontiguousarray(displacement_mm, np.float32)
         bright = np.maximum(rest, 1.0)

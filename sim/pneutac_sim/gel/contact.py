@@ -40,12 +40,7 @@ class ContactArea(NamedTuple):
 def contact_area(
     image: np.ndarray, rest_image: np.ndarray, threshold_levels: float = THRESHOLD_LEVELS
 ) -> ContactArea:
-    """Thresholds |image - rest|.
-
-    Args:
-        image: tactile image, uint8 (H, W, 3).
-        rest_image: the same sensor without contact, uint8, same shape.
-        threshold_levels: mean difference of R, G, B above which a pixel is in contact.
+    """Thresholds the mean over R, G, B of |image - rest|, uint8 (H, W, 3) both.
 
     Raises:
         ValueError: the images differ in shape or are not uint8.
@@ -89,10 +84,8 @@ def differing(image, rest, sum_limit):
 
 
 def quiet_threshold(difference: np.ndarray, quiet: np.ndarray) -> float:
-    """Threshold that all but 0.1 % of the pixels without contact stay below.
+    """Threshold in levels that all but 0.1 % of the pixels without contact stay below.
 
-    Args:
-        difference: image - rest, (H, W, 3), levels.
-        quiet: (H, W) bool, where nothing touches.
+    Of a difference (H, W, 3) of image and rest in levels, where nothing touches: `quiet` (H, W) bool.
     """
     return float(np.quantile(np.abs(difference).mean(2)[quiet], QUIET_SHARE))

@@ -60,18 +60,9 @@ def refine_contacts(
 ) -> dict[str, dict[str, float]]:
     """One Gauss-Newton step of effects on the contacts from what the gel has, all else as it is.
 
-    Minimises |(predicted - seen) / error|^2 + |(x - neutral) / prior_sd|^2 linearised at the present x.
-
-    Args:
-        gel: fitted with the contacts where it thinks them now.
-        effects: of the stage `gel`, with p parameters together.
-        photographs: n of them.
-        masks: (80, 59) each, where they are compared.
-        seen: (80, 59, 3) each, what the contacts change, levels.
-        rests: (80, 59, 3) each, rest images.
-
-    Returns:
-        Effect to its values.
+    Minimises |(predicted - seen) / error|^2 + |(x - neutral) / prior_sd|^2 linearised at the present x. Of
+    each photograph: where it is compared, `masks` (80, 59); what its contact changes, `seen` (80, 59, 3)
+    levels; its rest image, `rests` (80, 59, 3). Returns effect to its values.
     """
     cell = gel.window_mm[0] / COLS, gel.window_mm[1] / ROWS
     specs = [(e, p) for e in effects for p in e.parameters]
@@ -126,17 +117,11 @@ def refine_press(
     seen: np.ndarray,
     rest: np.ndarray,
 ) -> Press:
-    """One Gauss-Newton step of what is uncertain of a press, all else as it is.
+    """One Gauss-Newton step of what is uncertain of a photograph's press, all else as it is.
 
-    Minimises |(predicted - seen) / error|^2 + |(x - stated) / sd|^2; the step is halved until it does.
-
-    Args:
-        gel: fitted with the press where it is thought now.
-        photograph: of the press there, with the deviations of what is uncertain.
-        stated: the press as the recording has it.
-        mask: (80, 59), where image and prediction are compared.
-        seen: (80, 59, 3), what the contact changes, levels.
-        rest: (80, 59, 3), rest image.
+    Minimises |(predicted - seen) / error|^2 + |(x - stated) / sd|^2; the step is halved until it does. Where
+    it is compared, `mask` (80, 59); what the contact changes, `seen` (80, 59, 3) levels; and `rest` (80, 59,
+    3).
     """
     cell = gel.window_mm[0] / COLS, gel.window_mm[1] / ROWS
     now, names, sd = photograph.press, list(photograph.sd), np.array(list(photograph.sd.values()))
@@ -184,15 +169,10 @@ SHARES = (0.0, 0.25, 0.5)  # of a make's field: two DIGITs have half of what is 
 
 
 def lend(make: Layout, problem: Problem, fit: GelFit) -> None:
-    """Adds to a fit the share of its make's field that explains its presses best, with the light again.
+    """Adds to a fit, in place, the share of its make's field that explains its presses best.
 
-    The field is in proportion to the light's strength. What it explains is taken out of what the problem's
-    photographs show.
-
-    Args:
-        make: the sensor's.
-        problem: of the fit's photographs, with its gel.
-        fit: changed in place.
+    The light is fitted again. The field is in proportion to the light's strength. What it explains is taken
+    out of what the photographs of the problem show.
     """
     lent = make.lent(fit.gel.rest_image, fit.orientation)
     if lent is None:
@@ -219,13 +199,9 @@ def lend(make: Layout, problem: Problem, fit: GelFit) -> None:
 
 
 def learn_beside(problem: Problem, fit: GelFit) -> None:
-    """Adds to a fit the residual field of its presses, weighted by leave-one-out prediction.
+    """Adds to a fit, in place, the residual field of its presses, weighted by leave-one-out prediction.
 
     The light is re-fitted without the one, since it would know it too well.
-
-    Args:
-        problem: of the fit's photographs, without what its make explains.
-        fit: changed in place.
     """
     surfaces, tried = problem.surfaces(fit.gel.decay_mm, fit.gel.depth_scale), []
     for i in range(len(surfaces)):
@@ -255,16 +231,9 @@ def fit_gel(
     thickness_mm: float = THICKNESS_MM,
     makes: Sequence[Layout] = (DIGIT,),
 ) -> GelFit:
-    """Fits a gel to one pair of images.
+    """Fits a gel to one pair of images without and with contact, uint8 (H, W, 3); see `fit_presses`.
 
-    Args:
-        rest: image without contact, uint8 (H, W, 3).
-        indentation: image under the indenter, uint8, same shape.
-        press: which indenter, where and how deep.
-        px_per_mm: scale of the images.
-        effects: to fit, those of every sensor where None; with none this is the paper's linear model.
-        thickness_mm: gel thickness.
-        makes: sensors whose lights are known.
+    Without effects this is the paper's linear model.
 
     Raises:
         InputError: the pair is no rest and indentation image, see `check_pair`.

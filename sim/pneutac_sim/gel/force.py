@@ -63,14 +63,7 @@ class GelForce:
         poissons_ratio: float,
         shape: tuple[int, int] = (ROWS, COLS),
     ):
-        """A gel at rest.
-
-        Args:
-            window_mm: width (columns) and height (rows).
-            thickness_mm: t.
-            youngs_modulus_mpa: E.
-            poissons_ratio: nu.
-            shape: rows and columns of the imprints.
+        """A gel at rest, of a window (width, height), E and nu, whose imprints have `shape` (rows, columns).
 
         Raises:
             InputError: modulus or ratio are not those of a rubber.
@@ -115,10 +108,7 @@ class GelForce:
         return cls((COLS * spacing, ROWS * spacing), layers * spacing, E, nu)
 
     def force(self, depth_mm: np.ndarray) -> float:
-        """Force in N under an imprint; milliseconds.
-
-        Args:
-            depth_mm: (rows, columns) of what presses below the resting face, zero off it.
+        """Force in N under an imprint, how deep objects lie (rows, columns) in mm; milliseconds.
 
         Raises:
             InputError: the imprint has another shape.
@@ -186,17 +176,7 @@ def sticking(depth_mm: float, area_mm2: float, thickness_mm: float) -> float:
 def compliance(
     k_per_mm: np.ndarray, thickness_mm: float, poissons_ratio: float, shear_modulus_mpa: float
 ) -> np.ndarray:
-    """C(k): displacement of the face over a pressure wave of this wave number.
-
-    Args:
-        k_per_mm: wave number, rad/mm, from 0.
-        thickness_mm: t.
-        poissons_ratio: nu.
-        shear_modulus_mpa: G.
-
-    Returns:
-        mm/MPa, the shape of `k_per_mm`.
-    """
+    """C(k) in mm/MPa: displacement of the face over a pressure wave of wave number k in rad/mm."""
     nu, G, K = poissons_ratio, shear_modulus_mpa, 3 - 4 * poissons_ratio
     z = np.maximum(k_per_mm, 1e-9) * thickness_mm
     short = np.exp(-2 * z)  # both sides of the fraction times e^{-2z}: nothing overflows

@@ -104,11 +104,9 @@ class TouchReader:
         return cls(GelModel.from_twin(twin), MATERIAL[MODULUS] if known is None else known.value)
 
     def read(self, image: np.ndarray, rest: np.ndarray | None = None) -> Touch:
-        """Touch in an image.
+        """Touch in an image, uint8 (H, W, 3) of any size in the gel's proportions.
 
-        Args:
-            image: uint8 (H, W, 3), of any size in the gel's proportions.
-            rest: image without contact of the same session; the gel's own where None.
+        `rest` is the image without contact of the same session; the gel's own where None.
 
         Raises:
             ValueError: the image is no uint8 (H, W, 3).

@@ -166,11 +166,7 @@ class Layout:
     def lent(self, rest: np.ndarray, orientation: "Orientation") -> ResidualField | None:
         """The mean residual field of other sensors of the make, for a light of strength 1; None if of none.
 
-        A sensor's own is never among them: those are left out whose rest image is its own.
-
-        Args:
-            rest: the sensor's image without contact, uint8 (H, W, 3).
-            orientation: which way round its images are.
+        A sensor's own is never among them: those are left out whose rest image is its own, uint8 (H, W, 3).
         """
         seen = _blurred(rest)
         others = [u for u in self.units if (seen * _blurred(orientation.shown(u.rest))).sum() <= SAME]
@@ -240,15 +236,10 @@ def orientations() -> list[Orientation]:
 
 
 def recognise_rest(rest: np.ndarray, layout: Layout = DIGIT) -> tuple[Orientation | None, float]:
-    """Which way round a sensor's images are, if its rest image is of this make.
+    """Which way round a sensor's images are, if its rest image, uint8 (H, W, 3), is of this make.
 
-    Args:
-        rest: image without contact, uint8 (H, W, 3).
-        layout: the make.
-
-    Returns:
-        The orientation, None where it is not of this make or could be two ways round, and the correlation of
-        the blurred images in the best one.
+    Returns the orientation, None where it is not of this make or could be two ways round, and the correlation
+    of the blurred images in the best one.
     """
     if layout.rest is None or not _proportioned(rest.shape[1::-1], layout):
         return None, 0.0
@@ -276,19 +267,11 @@ def _proportioned(image_size: tuple[int, ...], layout: Layout) -> bool:
 def recognise(
     light: np.ndarray, x_mm: float, y_mm: float, image_size: tuple[int, int], layout: Layout = DIGIT
 ) -> Orientation | None:
-    """Which way round a sensor's images are, if it may be of this make.
+    """Which way round a sensor's images are, by the light of one press; None if not of this make.
 
-    Args:
-        light: L (3, 2) fitted to one indentation; the light comes from -L.
-        x_mm: where that indentation is, from the window's centre.
-        y_mm: along image rows.
-        image_size: width and height of the images.
-        layout: the make.
-
-    Returns:
-        The make's own orientation where it fits, since mirrored images with two channels swapped may fit
-        about as well; else the one that fits best; None where the directions or the proportions of the images
-        are not the make's.
+    L (3, 2) was fitted to an indentation at (x, y) mm from the window's centre; the light comes from -L. The
+    make's own orientation is taken where it fits, since mirrored images with two channels swapped may fit
+    about as well; else the one that fits best.
     """
     if not _proportioned(image_size, layout):
         return None

@@ -63,7 +63,7 @@ def light(
     further: Sequence[Further] = (),
     beside: Beside | None = None,
 ) -> np.ndarray:
-    """What the surface adds to each channel, before the weight w.
+    """What the surface adds to each channel before the weight w: s in levels, float32 (3, rows, columns).
 
     Args:
         displacement_mm: (rows, columns), positive into the gel.
@@ -71,9 +71,6 @@ def light(
         coefficients: (3, 12), see the top of this module; lengths in mm from the window's centre.
         further: what effects outside the compiled light make of it, in this order.
         beside: added at last.
-
-    Returns:
-        s in levels, float32 (3, rows, columns).
     """
     u = np.ascontiguousarray(displacement_mm, np.float32)
     if np.shape(coefficients) != (3, SIZE):
@@ -89,11 +86,8 @@ def light(
 def row(light: np.ndarray, depth_light: float, direction: np.ndarray, acting: Iterable[tuple]) -> np.ndarray:
     """Coefficients (12,) of one channel, see the top of this module.
 
-    Args:
-        light: L (2,), levels per unit slope.
-        depth_light: c_d, levels/mm.
-        direction: unit vector (2,) to the light.
-        acting: effects of the sensor with the channel's values.
+    Of L (2,) in levels per unit slope, c_d in levels/mm, the unit vector (2,) to the light, and the effects
+    of the sensor with the channel's values.
     """
     out = np.array(NEUTRAL)
     out[:2], out[2] = light, depth_light

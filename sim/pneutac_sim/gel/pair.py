@@ -297,15 +297,9 @@ def disc(shape: tuple[int, ...], x_px: float, y_px: float, radius_px: float) -> 
 def score(
     image: np.ndarray, real: np.ndarray, rest: np.ndarray, x_px: float, y_px: float, radius_px: float
 ) -> ImageScores:
-    """Scores a prediction.
+    """Scores a rendered image against a photograph; these and the rest image are (H, W, 3) levels.
 
-    Args:
-        image: rendered image (H, W, 3), levels.
-        real: photograph, same shape.
-        rest: the sensor's image without contact, same shape.
-        x_px: column of the contact centre, with the left edge of the image at 0.
-        y_px: row of the contact centre, with the upper edge at 0.
-        radius_px: contact radius.
+    The contact is a disc whose centre is (x, y) px from the image's left and upper edge.
     """
     image, real, rest = (np.asarray(a, np.float64) for a in (image, real, rest))
     m = disc(image.shape, x_px, y_px, CONTACT_DISC * radius_px)

@@ -104,11 +104,7 @@ class Residues:
         self._cell = gel.window_mm[0] / COLS, gel.window_mm[1] / ROWS
 
     def surfaces(self, gel: GelModel) -> list[np.ndarray | None]:
-        """Displacement (80, 59) in mm that is left under each photograph, None where it is none.
-
-        Args:
-            gel: gives decay and depth scale.
-        """
+        """Displacement (80, 59) in mm that is left under each photograph, None where it is none."""
         if not self._depths:
             return [None] * len(self._left)
         held = {k: surface(gel.imprint(d), self._cell, gel.decay_mm) for k, d in self._depths.items()}
@@ -135,12 +131,8 @@ def session_light(pair: PressPhotograph, px_per_mm: float) -> np.ndarray:
 def expected_drift(pairs: Sequence[PressPhotograph], rest: np.ndarray, px_per_mm: float) -> np.ndarray:
     """Change (H, W, 3) in levels from its rest image that a session's other photographs are expected to have.
 
-    Smooth where a press is near; each pixel of its own elsewhere.
-
-    Args:
-        pairs: photographs, those of the session with this rest image itself.
-        rest: of the session, uint8 (H, W, 3).
-        px_per_mm: scale of the images.
+    Smooth where a press is near; each pixel of its own elsewhere. `pairs` are the session's known photographs
+    with this rest image, uint8 (H, W, 3).
     """
     own = [(p, session_light(p, px_per_mm), ~p.near(px_per_mm)) for p in pairs if p.rest is rest]
     smooth = sum(light for _, light, _ in own) / (len(own) + 1)
@@ -206,13 +198,9 @@ class Predictor:
     def image(
         self, press: Press, rest: np.ndarray, clock: float = 0.0, earlier: Sequence[Earlier] = ()
     ) -> np.ndarray:
-        """Predicted photograph, uint8 (H, W, 3), of a press as stated and its session's rest image.
+        """Predicted photograph, uint8 (H, W, 3), of a press as stated, at a clock of its session, 0 to 1.
 
-        Args:
-            press: as the recording states it.
-            rest: of its session.
-            clock: when in the session, 0 to 1.
-            earlier: presses since the rest image.
+        `earlier` are the presses since the rest image.
         """
         if id(rest) not in self._sensors:
             self._sensors[id(rest)] = rest, TactileSensor(replace(self._gel, rest_image=rest))

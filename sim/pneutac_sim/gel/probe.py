@@ -94,20 +94,8 @@ def probe_grids(
 ) -> np.ndarray:
     """`probe_grid` of the same shapes in B states, into the first B grids of `out`, which are returned.
 
-    Args:
-        kinds: (n,).
-        sizes: (n, 3).
-        positions: (B, n, 3).
-        rotations: (B, n, 9).
-        gel_positions: (B, 3).
-        gel_rotations: (B, 9).
-        window_mm: as for `probe_grid`.
-        thickness_mm: as for `probe_grid`.
-        out: float32 (B or more, rows, columns).
-        triangles: as for `probe_grid`.
-
-    Raises:
-        ValueError: as `probe_grid`.
+    Positions are (B, n, 3) and rotations (B, n, 9), gel positions (B, 3) and gel rotations (B, 9); `out` is
+    float32 (B or more, rows, columns). Raises ValueError as `probe_grid`.
     """
     count, n = np.shape(positions)[:2]
     known = _probe_all(

@@ -95,16 +95,9 @@ def mean(fields: Sequence[ResidualField]) -> ResidualField:
 def levels(
     fields: Sequence[ResidualField], displacement_mm: np.ndarray, cell_mm, shadows: Sequence[np.ndarray]
 ) -> np.ndarray:
-    """What fields add together where w is not small.
+    """What fields of one sensor add together where w is not small, levels, float32 (3, rows, columns).
 
-    Args:
-        fields: of one sensor.
-        displacement_mm: (rows, columns) float32.
-        cell_mm: grid spacing.
-        shadows: height in mm of each channel's shadow over the surface, (rows, columns) float32.
-
-    Returns:
-        Levels, float32 (3, rows, columns).
+    Of a displacement (rows, columns) float32 mm, and of the height in mm of each channel's shadow over it.
     """
     u, shadows = displacement_mm, np.asarray(shadows, np.float32)
     out = np.zeros((3, *u.shape), np.float32)

@@ -13,11 +13,10 @@ from pneutac_sim.twin import Twin
 
 
 def centre_mm(pressed: np.ndarray, window_mm: tuple[float, float]) -> np.ndarray:
-    """Centre of gravity (2,) of a picture (rows, columns) of the gel, mm along columns and rows.
+    """Centre of gravity (2,) of weights over a picture of a gel, mm along columns and rows.
 
-    Args:
-        pressed: weights from 0 on, such as imprint depths; NaN comes of none at all.
-        window_mm: width and height of the picture.
+    Weights (rows, columns) are 0 or more; `window_mm` is width and height of the picture; NaN where all
+    weights are 0.
     """
     total = pressed.sum()
     if not total:
@@ -79,11 +78,9 @@ class TactileSensor:
         )
 
     def displacement(self, depth_mm: np.ndarray, left_mm: np.ndarray | None = None) -> np.ndarray:
-        """Displacement of the gel surface in mm under a probe grid, float32 (80, 59).
+        """Displacement of the gel surface in mm under a probe grid (80, 59), float32 (80, 59).
 
-        Args:
-            depth_mm: (80, 59).
-            left_mm: (80, 59) that earlier presses left, see `gel.late`; None for a gel at rest.
+        `left_mm` (80, 59) is what earlier presses left, see `gel.late`; None for a gel at rest.
         """
         if depth_mm.shape != (ROWS, COLS):
             raise ValueError(f"a probe grid has shape {(ROWS, COLS)}; got {depth_mm.shape}")

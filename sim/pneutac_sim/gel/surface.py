@@ -20,15 +20,10 @@ DECAY_MM = 1.2  # found on two real DIGITs: 1.17 and 1.31
 def surface(
     depth_mm: np.ndarray, cell_mm: tuple[float, float] = (12 / 59, 16 / 80), decay_mm: float = DECAY_MM
 ) -> np.ndarray:
-    """Displacement of the gel surface under an indentation depth.
+    """Displacement of the gel surface in mm, float32 (rows, columns), nowhere less than `depth_mm`.
 
-    Args:
-        depth_mm: (rows, columns) depth of the pressing objects below the resting surface, zero off them.
-        cell_mm: grid spacing along columns (x) and rows (y).
-        decay_mm: length l over which the surface recovers around a contact.
-
-    Returns:
-        Displacement in mm, float32, same shape, nowhere less than `depth_mm`.
+    `depth_mm` (rows, columns) is how deep objects lie below the resting surface, zero off them; `cell_mm` the
+    grid spacing along columns (x) and rows (y); `decay_mm` the length l.
     """
     return _solve(np.ascontiguousarray(depth_mm, np.float32), cell_mm[0], cell_mm[1], decay_mm)
 

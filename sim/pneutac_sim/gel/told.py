@@ -57,13 +57,7 @@ class Told:
 
 
 def told(gel: GelModel, channels: Sequence[Channel], photographs: Sequence[PressPhotograph]) -> Told:
-    """What the presses identify of a gel's light.
-
-    Args:
-        gel: as fitted.
-        channels: of red, green and blue, as solved.
-        photographs: that it was fitted to.
-    """
+    """What the presses of a fit, with its channels as solved, identify of a gel's light."""
     deepest = max((p.press for p in photographs), key=lambda p: p.depth_mm)
     depth = max(min(DEEPER * deepest.depth_mm, DEEPEST * gel.thickness_mm), deepest.depth_mm)
     width, height = gel.window_mm
@@ -86,15 +80,9 @@ def told(gel: GelModel, channels: Sequence[Channel], photographs: Sequence[Press
 def open_levels(
     gel: GelModel, channels: Sequence[Channel], presses: Sequence[Press]
 ) -> tuple[float, np.ndarray]:
-    """Standard deviation that a fit leaves to the light of these presses, their root mean square.
+    """Standard deviation in levels that a fit leaves to the light of n presses, their root mean square.
 
-    Args:
-        gel: as fitted.
-        channels: of red, green and blue, as solved.
-        presses: n of them.
-
-    Returns:
-        As it is, and (n,) with each press added.
+    Returns it as it is, and (n,) with each press added.
     """
     grams = np.array([_grams(gel, channels, press) for press in presses])  # (presses, channels, F, F)
     now = [c.covariance for c in channels]
@@ -163,20 +151,11 @@ def check_name(name: str) -> None:
 def save(
     name: str, gel: GelModel, channels: Sequence[Channel], source: str, leftovers: Sequence[Leftover] = ()
 ) -> Path:
-    """Keeps a calibrated sensor's lights as a prior for others of its make; an earlier one is replaced.
+    """Keeps a calibrated sensor's lights as a prior for others of its make; returns its file.
 
     Each number is stored with the deviation that its calibration left, and never less than that between
-    sensors of one make.
-
-    Args:
-        name: of the make.
-        gel: as calibrated.
-        channels: of that fit, red, green and blue.
-        source: where it is from.
-        leftovers: what its light left over of each press, from which its prior field is learnt.
-
-    Returns:
-        Its file.
+    sensors of one make. The prior field is learnt from the leftovers of each press; an earlier prior is
+    replaced.
 
     Raises:
         InputError: the name will not do, or the fit knows no near lights or no rest colour.

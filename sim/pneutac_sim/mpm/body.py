@@ -78,16 +78,7 @@ class Body:
 
     @staticmethod
     def box(name, counts, spacing_m, material, origin_m=(0.0, 0.0, 0.0), clamp="") -> "Body":
-        """A block of `counts` particles.
-
-        Args:
-            name: shown in errors.
-            counts: (3,) particles along x, y, z.
-            spacing_m: m.
-            material: neo-Hookean solid.
-            origin_m: its least corner, m.
-            clamp: side that is held, `x-`, `y-` or `z-`; empty for none.
-        """
+        """A block of `counts` (3,) particles along x, y, z with its least corner at `origin_m`."""
         counts = np.asarray(counts, int)
         if counts.shape != (3,) or (counts < 1).any():
             raise InputError(f"Body '{name}': counts is {counts.tolist()}; give three positive numbers.")
@@ -96,15 +87,7 @@ class Body:
 
     @staticmethod
     def from_mesh(name, mesh, material, particles: int = 4000, spacing_m=None, clamp="") -> "Body":
-        """Fills a closed mesh.
-
-        Args:
-            name: shown in errors.
-            mesh: `trimesh.Trimesh` in m.
-            material: neo-Hookean solid.
-            particles: about how many; ignored where `spacing_m` is given.
-            spacing_m: of the lattice, m.
-            clamp: side that is held, `x-`, `y-` or `z-`; empty for none.
+        """Fills a closed `trimesh.Trimesh` in m with about so many particles, or at a spacing.
 
         Raises:
             InputError: the mesh is open, turned inside out, or holds no particle.

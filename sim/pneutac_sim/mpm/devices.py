@@ -135,18 +135,12 @@ def gel(
 
 
 def surface_displacement(solver: TotalLagrangian, window_mm: tuple[float, float] | None = None) -> np.ndarray:
-    """How far each point of the gel's face has moved into the gel.
+    """How far a resting gel's face has moved into the gel, (B, 80, 59) mm on the probe grid.
 
-    The face lies half a spacing above the uppermost particles and moves with their deformation. A point
-    keeps its place in the grid, also where it moves sideways.
-
-    Args:
-        solver: a gel, at rest under load.
-        window_mm: width and height that the grid covers; None for all of the gel's width, and the same
-            spacing along rows and columns where the gel is as tall as its window asks.
-
-    Returns:
-        (B, 80, 59) mm, in the frame of the probe grid.
+    The face lies half a spacing above the uppermost particles and moves with their deformation. A point keeps
+    its place in the grid, also where it moves sideways. The grid covers the window's width and height; None
+    for all of the gel's width, and the same spacing along rows and columns where the gel is as tall as its
+    window asks.
     """
     body = solver.body
     positions, gradients = solver.particles()
@@ -175,7 +169,7 @@ def _places(points: int, extent: float, count: int, spacing: float) -> np.ndarra
 def joint_targets(
     twin: Twin, pressure_kpa, time_s=None, conditions: Mapping[str, float] | None = None
 ) -> np.ndarray:
-    """Joint targets from the twin's own pipeline: pneumatics, drive, and what loads do to the joints.
+    """Joint targets (T, H) in rad, hinge by hinge as in `Spine`, from the twin's own pipeline.
 
     Weight and payload bend the joints by their torque over the twin's `joint_stiffness_nm_per_rad`, as in the
     skeleton; the spine's controller is a stiff servo and not what yields to them.
@@ -185,9 +179,6 @@ def joint_targets(
         pressure_kpa: (T,) commands for a finger, (T, 3) for an arm.
         time_s: (T,) rising; None where each pressure has been held for long by itself.
         conditions: what effects ask for, such as `temperature_c`, `gravity_x` or `payload_g`.
-
-    Returns:
-        (T, H) rad, hinge by hinge as in `Spine`.
 
     Raises:
         InputError: a pressure is not a finite number; an effect of the twin cannot act here.
@@ -279,13 +270,9 @@ TOLERANCE = 1e-3  # of unbalanced forces
 def measure(
     twin: Twin, pressures_kpa: tuple[float, float], particles: int = 4000, device: str = "auto"
 ) -> SoftBody:
-    """Holds the finger bent by pressures from least to largest, each joint slightly perturbed, and fits.
+    """Holds a finger bent by pressures, each joint slightly perturbed, and fits its torque.
 
-    Args:
-        twin: of a finger; its modulus does not count, for torques are proportional to it.
-        pressures_kpa: the least and the largest of use.
-        particles: about how many.
-        device: see `pneutac_sim.mpm.runtime.start`.
+    The twin's modulus does not count, for torques are proportional to it.
     """
     n = len(twin.spine_joint_positions_mm)
     poses, rng = POSES_A_JOINT * n, np.random.default_rng(0)

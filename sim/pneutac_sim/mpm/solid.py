@@ -40,12 +40,7 @@ def body_mesh(twin: Twin) -> trimesh.Trimesh:
 
 
 def finger_mesh(length_m: float, width_m: float) -> trimesh.Trimesh:
-    """A bar with a rounded square section, bellows above and on its sides, and a flat spine below (-z).
-
-    Args:
-        length_m: of the straight finger.
-        width_m: outer width and height.
-    """
+    """A bar with a rounded square section, `width_m` wide: bellows above and beside, flat below (-z)."""
     angle = np.linspace(0, 2 * np.pi, ANGLES, endpoint=False)
     y, z = np.cos(angle), np.sin(angle)
     rounded = 0.5 * width_m / (y**4 + z**4) ** 0.25
@@ -54,12 +49,7 @@ def finger_mesh(length_m: float, width_m: float) -> trimesh.Trimesh:
 
 
 def arm_mesh(length_m: float, width_m: float) -> trimesh.Trimesh:
-    """Three bellows side by side round the axis: a section with three lobes, the first towards +z.
-
-    Args:
-        length_m: of the straight arm.
-        width_m: diameter of the circle round the lobes.
-    """
+    """Three bellows round the axis: a section of three lobes, `width_m` across, the first towards +z."""
     angle = np.linspace(0, 2 * np.pi, ANGLES, endpoint=False)
     lobes = np.cos(3 * (angle - np.pi / 2))
     section = 0.5 * width_m * (0.9 + 0.1 * lobes)[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
@@ -67,12 +57,7 @@ def arm_mesh(length_m: float, width_m: float) -> trimesh.Trimesh:
 
 
 def digit_mount_mesh(length_m: float, width_m: float) -> trimesh.Trimesh:
-    """A rigid channel under the last 12 mm of a finger's flat spine and a DIGIT's housing beyond its tip.
-
-    Args:
-        length_m: of the straight finger.
-        width_m: of the finger.
-    """
+    """A rigid channel under the last 12 mm of a finger's flat spine and a DIGIT's housing beyond its tip."""
     inner = width_m / 2 + MOUNT_PLAY_M
     outer = inner + MOUNT_WALL_M
     floor, top = -inner, DIGIT_HALF_HEIGHT_M - inner
@@ -123,13 +108,7 @@ def filled_body(name: str, mesh: trimesh.Trimesh, material: Material, particles:
     """A body held at its least x, on the lattice that errs least in number of particles and in volume.
 
     Both jump with the spacing, as a section is so many whole particles wide: spacings, and one particle more
-    or less across, are tried, the nearest spacing first.
-
-    Args:
-        name: shown in errors.
-        mesh: closed, outward, m.
-        material: neo-Hookean solid.
-        particles: about how many.
+    or less across, are tried, the nearest spacing first. The mesh is in m, closed and turned outward.
 
     Raises:
         InputError: the mesh is open, or no particle lies inside.
@@ -199,11 +178,9 @@ class Links:
 
     @classmethod
     def of(cls, body: Body, joints_m) -> "Links":
-        """Each particle, a cube of its spacing, goes with its nearest link.
+        """Each particle of a straight body along x, a cube of its spacing, goes with its nearest link.
 
-        Args:
-            body: straight, along x.
-            joints_m: (N,) places of the joints along x, ascending, m.
+        The joints lie at (N,) ascending places along x, m.
 
         Raises:
             InputError: a link that moves carries no particle.

@@ -129,13 +129,9 @@ class Spine:
         return out
 
     def skin(self, q: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """(..., P, 3) rest points carried along smoothly by the links: a start for the search of equilibrium.
+        """(..., P, 3) rest points (P, 3), m, carried along smoothly by the links at angles (..., H) rad.
 
-        Between the middles of two neighbouring links poses are blended linearly.
-
-        Args:
-            q: (..., H) rad.
-            points: (P, 3) at rest, m.
+        It starts the search of equilibrium. Between the middles of two links poses are blended linearly.
         """
         poses = self.poses(q)[..., :: self.axes, :, :]
         ends = np.concatenate([[0.0], self.joint_positions_m, [self.length_m]])

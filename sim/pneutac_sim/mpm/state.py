@@ -137,13 +137,8 @@ def contents(
 ) -> dict:
     """Everything in `State` for bodies at rest, arrays still on the host.
 
-    Args:
-        grid: of the bodies.
-        spine: of every body.
-        link: (N,) that carries each node, -1 for none.
-        load: (B, LOAD).
-        table: (n, n, n) signed distances of the indenter, m.
-        soa: whether cells and nodes are the fastest index.
+    With the link that carries each node, (N,), -1 for none, loads (B, LOAD), the indenter's table (n, n, n)
+    of signed distances in m, and whether cells and nodes are the fastest index (`soa`).
     """
     b, n, c, s = len(load), len(grid.nodes), len(grid.cell_mask), len(grid.surface_cell)
     hinges = spine.hinges if spine else 0

@@ -117,13 +117,13 @@ class TotalLagrangian:
             steps.pose(self.state, self.soa)
 
     def apply(self, loads: Loads, damping=0.0, dt=None, contact_rate=0.0, drift_m=None) -> None:
-        """Sets what acts from now on.
+        """Sets the loads of every body from now on; numbers may be (B,), one a body.
 
         Args:
             loads: of every body.
-            damping: of the momentum, 1/s, or (B,).
-            dt: step in s, or (B,); None for the largest stable one of each body.
-            contact_rate: how fast penetration is pushed out, 1/s, or (B,).
+            damping: of the momentum, 1/s.
+            dt: step in s; None for the largest stable one of each body.
+            contact_rate: how fast penetration is pushed out, 1/s.
             drift_m: (B, 3) by which the indenter moves in each substep, m.
         """
         row = self.load

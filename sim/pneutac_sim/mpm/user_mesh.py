@@ -24,13 +24,10 @@ STATIONS = 64  # sections, evenly spread
 
 
 def neutral_axis(mesh: trimesh.Trimesh) -> tuple[np.ndarray, ...]:
-    """Area centroids of cross-sections, by Green's theorem over each section's outline.
+    """Area centroids of cross-sections of a closed mesh along x.
 
-    Args:
-        mesh: closed, its normals outward, x along the device.
-
-    Returns:
-        x (S,), centroids in y and z (S, 2) and areas (S,), in the mesh's unit.
+    By Green's theorem over each section's outline. Returns x (S,), centroids in y and z (S, 2) and areas
+    (S,), in the mesh's unit.
     """
     low, high = mesh.bounds[:, 0]
     # A little off the round numbers at which a mesh has its vertices.
@@ -55,14 +52,9 @@ def neutral_axis(mesh: trimesh.Trimesh) -> tuple[np.ndarray, ...]:
 
 
 def is_inside(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Which points lie inside a closed surface, by its solid angle (Van Oosterom and Strackee 1983).
+    """Which points (P, 3) lie inside a closed surface of triangles (F, 3, 3), (P,) bool.
 
-    Args:
-        points: (P, 3).
-        triangles: (F, 3, 3) of the surface.
-
-    Returns:
-        (P,) bool.
+    By its solid angle (Van Oosterom and Strackee 1983).
     """
     out = []
     for point in points:
@@ -75,18 +67,10 @@ def is_inside(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 def lattice_inside(triangles: np.ndarray, origin: np.ndarray, counts: np.ndarray, h: float) -> np.ndarray:
-    """Which points of a lattice lie inside a closed mesh.
+    """Which points of a lattice lie inside a closed mesh of triangles (F, 3, 3) in m, bool of shape `counts`.
 
-    A point is inside where the line through it along z crosses the surface an odd number of times below it.
-
-    Args:
-        triangles: (F, 3, 3) m.
-        origin: (3,) m; point (i, j, k) lies at origin + (i + 1/2, j + 1/2, k + 1/2) h.
-        counts: (3,) points along x, y, z.
-        h: spacing, m.
-
-    Returns:
-        (nx, ny, nz) bool.
+    Point (i, j, k) lies at origin + (i + 1/2, j + 1/2, k + 1/2) h. It is inside where the line through it
+    along z crosses the surface an odd number of times below it.
     """
     # Lines slightly off the lattice's own meet no vertex or edge of a mesh with round numbers.
     start = origin + 0.5 * h + np.array([1.7e-5, 2.3e-5, 0.0]) * h

@@ -93,11 +93,9 @@ class Skinned:
         return self.outline.coverage(at[photograph.state], photograph.camera)
 
     def differences(self, at: np.ndarray, blur: float) -> np.ndarray:
-        """Coverage less mask of every photograph, blurred and thinned, one long vector.
+        """Coverage less mask of every photograph, blurred (see `BLURS`) and thinned, one long vector.
 
-        Args:
-            at: (T, V, 3) m of surfaces.
-            blur: see `BLURS`.
+        Of surfaces at (T, V, 3) m.
         """
         parts = []
         for p in self.photographs:
@@ -133,14 +131,7 @@ def coarse_fit(
     conditions: dict | None = None,
     device: str = "auto",
 ) -> Coarse:
-    """Actuation parameters from silhouettes alone.
-
-    Args:
-        parameters: what to find, and the twin whose material stays.
-        pressures: (T, chambers) kPa.
-        photographs: with masks.
-        conditions: what effects of the twin ask for.
-        device: see `mpm.runtime.start`.
+    """Actuation parameters from silhouettes at pressures (T, chambers) kPa; the material stays.
 
     Raises:
         InputError: a photograph shows no such body.

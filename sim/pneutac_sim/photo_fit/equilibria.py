@@ -78,14 +78,10 @@ class BodyParameters:
 
 
 def body_parameters(twin: Twin, pressure_range_kpa: float) -> BodyParameters:
-    """The drive parameters that data identify, and the material's two.
+    """The drive parameters that data identify, and the material's two; of a recording up to this pressure.
 
     The first step is 15 % of each gain: of the overall gain by its own size, of the profile's parameters and
     the rest pressure by what changes a joint by about as much.
-
-    Args:
-        twin: a finger's or an arm's.
-        pressure_range_kpa: largest pressure in the recording.
     """
     geometry = Pipeline.of(twin).geometry
     free = [p for p in base_parameters(geometry) if not p.fixed]

@@ -25,14 +25,7 @@ SHARP = 4  # the same for silhouettes alone
 
 
 def draw_triangles(camera: Camera, vertices: np.ndarray, faces: np.ndarray, colours: np.ndarray) -> Rendering:
-    """Triangles with colours between those of their vertices, on black.
-
-    Args:
-        camera: from where.
-        vertices: (V, 3) m.
-        faces: (F, 3) int.
-        colours: (V, 3), 0 to 1.
-    """
+    """Triangles (F, 3) of vertices (V, 3) m, their colours (V, 3), 0 to 1, blended between, on black."""
     pixels, depth = camera.project(vertices)
     seen = faces[(depth[faces] > 0).all(1)]
     image, nearest = canvas_of(camera)
@@ -41,13 +34,7 @@ def draw_triangles(camera: Camera, vertices: np.ndarray, faces: np.ndarray, colo
 
 
 def cover(camera: Camera, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(H, W) float32 share of each pixel that triangles cover.
-
-    Args:
-        camera: from where.
-        vertices: (V, 3) m.
-        faces: (F, 3) int.
-    """
+    """(H, W) float32 share of each pixel that triangles (F, 3) of vertices (V, 3) m cover."""
     pixels, depth = camera.project(vertices)
     seen = faces[(depth[faces] > 0).all(1)]
     canvas = np.zeros((SHARP * camera.height, SHARP * camera.width), np.uint8)
@@ -202,13 +189,9 @@ class Scores(NamedTuple):
 def score(
     drawn: np.ndarray, covered: np.ndarray, image: np.ndarray, mask: np.ndarray
 ) -> tuple[float, float, float]:
-    """Appearance, IoU and RMSE of one rendering on black.
+    """Appearance, IoU and RMSE of one rendering on black, (H, W, 3), 0 to 1, with its silhouette (H, W) bool.
 
-    Args:
-        drawn: (H, W, 3), 0 to 1.
-        covered: the body's silhouette, bool (H, W).
-        image: the photograph, RGB uint8 (H, W, 3).
-        mask: where its body is, bool (H, W), not empty.
+    Against a photograph, RGB uint8 (H, W, 3), and where its body is, `mask` (H, W) bool, not empty.
     """
     union = mask | covered
     level = drawn.clip(0, 1)[union] - np.where(mask[union][:, None], image[union] / np.float32(255), 0)

@@ -114,14 +114,10 @@ def search(
 
 
 def first_axes(parameters: BodyParameters, hessian: np.ndarray) -> np.ndarray:
-    """(P, P) square root A of the first covariance A A^T.
+    """(P, P) square root A of the first covariance A A^T, by the silhouettes' Hessian (P, P).
 
     No parameter's standard deviation exceeds its first step; along what silhouettes determine best, where the
     warm start is already near, it is `FINEST` times less.
-
-    Args:
-        parameters: first steps.
-        hessian: (P, P) of the silhouettes' difference, coordinates.
     """
     scaled = hessian * np.outer(parameters.step, parameters.step)
     value, vector = np.linalg.eigh(scaled)
@@ -187,19 +183,14 @@ class Posterior:
 
 
 def confidence(objective: Objective, x: np.ndarray) -> Posterior:
-    """Posterior of the parameters at the optimum, from how silhouettes move with each.
+    """Posterior of the parameters at the optimum x (P,), from how silhouettes move with each.
 
     Linearised: residual r is blurred coverage less mask, J its derivative by central differences through all
-    of material points and renderer. Pixels of a block err together, so information is Godambe's
-    H M^-1 H with H = J^T J, M = sum over blocks of (J_b^T r_b)(J_b^T r_b)^T. What is wrong with the body's
-    shape is so in all photographs: n of them have no more information on it than one, and M counts n times.
-        So is what
-    the lattice leaves open, by which the outline in a block is shifted along either axis: it adds to M. The
+    of material points and renderer. Pixels of a block err together, so information is Godambe's H M^-1 H with
+    H = J^T J, M = sum over blocks of (J_b^T r_b)(J_b^T r_b)^T. What is wrong with the body's shape is so in
+    all photographs: n of them have no more information on it than one, and M counts n times. So is what the
+    lattice leaves open, by which the outline in a block is shifted along either axis: it adds to M. The
     uniform prior between the bounds adds the inverse of its variance.
-
-    Args:
-        objective: of the photographs that were fitted.
-        x: (P,) coordinates of the optimum.
     """
     parameters = objective.equilibria.parameters
     n = len(parameters)

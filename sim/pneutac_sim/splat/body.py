@@ -137,12 +137,8 @@ def surroundings(
 ) -> np.ndarray:
     """(n, 3) mean colour of the photograph round each Gaussian, 0 to 1, of pixels inside the mask.
 
-    Args:
-        looks: where; colours do not matter.
-        image: RGB uint8 (H, W, 3).
-        mask: bool (H, W).
-        camera: of the photograph.
-        sigma_m: standard deviation of the surroundings, m in the body's plane.
+    The photograph is RGB uint8 (H, W, 3), the mask bool (H, W); `sigma_m` is the standard deviation of the
+    surroundings, m in the body's plane.
     """
     depth = camera.project(looks.means)[1]
     sigma = sigma_m * camera.intrinsics[0, 0] / float(np.median(depth))

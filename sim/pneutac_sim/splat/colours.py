@@ -39,21 +39,12 @@ def solve_colours(
     iterations: int = 30,
     ridge: float = RIDGE,
 ) -> np.ndarray:
-    """Colours that render best as a picture, opacities fixed.
+    """Colours (n, 3), float32, 0 to 1, that render best as a picture (H, W, 3), 0 to 1, opacities fixed.
 
-    Minimises |W c + (1 - alpha) background - target|^2 + ridge |c - prior|^2 by conjugate gradients on
-    the normal equations, scaled by the weight that each Gaussian has in the picture. The prior is the
-    picture's colour at each Gaussian's centre, so that Gaussians hidden behind others get a likely colour.
-
-    Args:
-        splats: projected Gaussians.
-        target: the picture, (H, W, 3), 0 to 1.
-        background: (3,).
-        iterations: of conjugate gradients; 5 get most of the way.
-        ridge: weight of the prior.
-
-    Returns:
-        (n, 3) float32, 0 to 1.
+    Minimises |W c + (1 - alpha) background - target|^2 + ridge |c - prior|^2 by conjugate gradients on the
+    normal equations, scaled by the weight that each Gaussian has in the picture; 5 iterations get most of the
+    way. The prior is the picture's colour at each Gaussian's centre, so that Gaussians hidden behind others
+    get a likely colour.
 
     Raises:
         InputError: a shape is wrong or a number not finite.

@@ -10,17 +10,7 @@ from pneutac_sim.splat.rasteriser import Rendering, numbers
 
 
 class CudaSplats:
-    """Gaussians on a CUDA device, ready for any colours; gsplat compiles its kernels first (minutes).
-
-    Args:
-        camera: from where.
-        means: (n, 3) m.
-        covariances: (n, 3, 3) m^2, symmetric.
-        opacities: (n,) 0 to 1.
-
-    Raises:
-        InputError: a shape is wrong or a number not finite.
-    """
+    """As `Splats`, on a CUDA device; gsplat compiles its kernels first (minutes)."""
 
     def __init__(self, camera: Camera, means, covariances, opacities):
         self.camera, self.means = camera, numbers("means", means, (-1, 3))
@@ -30,11 +20,7 @@ class CudaSplats:
         self._opacities = _sent(numbers("opacities", opacities, (n,)))
 
     def render(self, colours, background=(0.0, 0.0, 0.0)) -> Rendering:
-        """The picture with colours (n, 3) on a background (3,).
-
-        Raises:
-            InputError: a shape is wrong or a number not finite.
-        """
+        """As `Splats.render`."""
         import torch
 
         colours = _sent(numbers("colours", colours, self.means.shape))
@@ -66,16 +52,8 @@ def missing() -> str:
 def rasterise_tensors(means, covariances, colours, opacities, camera: Camera, background):
     """The same on float32 CUDA tensors; differentiable, by gsplat, by all tensors.
 
-    Args:
-        means: (n, 3) m.
-        covariances: (n, 3, 3) m^2.
-        colours: (n, 3).
-        opacities: (n,).
-        camera: from where.
-        background: (3,).
-
-    Returns:
-        Image (H, W, 3) and coverage (H, W).
+    Of means (n, 3) m, covariances (n, 3, 3) m^2, colours (n, 3), opacities (n,) and a background (3,).
+    Returns the image (H, W, 3) and coverage (H, W).
     """
     import torch
     from gsplat import isect_offset_encode, isect_tiles, rasterization, rasterize_to_pixels

@@ -21,9 +21,7 @@ MOST_DETAIL = 6
 def blank_looks(body: Body, detail: int = 1) -> Gaussians:
     """Black Gaussians of a straight body.
 
-    Args:
-        body: its particles.
-        detail: Gaussians along each edge of a particle at the surface; 1 for one a particle.
+    Along each edge of a particle at the surface there are `detail` of them; 1 for one a particle.
 
     Raises:
         InputError: `detail` is no whole number from 1 to `MOST_DETAIL`.
@@ -56,11 +54,8 @@ def blank_looks(body: Body, detail: int = 1) -> Gaussians:
 def carried(looks: Gaussians, body: Body, positions: np.ndarray, gradients: np.ndarray) -> Gaussians:
     """Gaussians of a straight body in another state of it, each carried by the nearest particle.
 
-    Args:
-        looks: of the straight body.
-        body: particles, perhaps of another lattice than the one that `looks` were made for.
-        positions: (P, 3) now, m.
-        gradients: (P, 3, 3) deformation gradients now.
+    That state is positions (P, 3) in m and deformation gradients (P, 3, 3) of the body's particles, perhaps
+    on another lattice than the one that `looks` were made for.
 
     Raises:
         InputError: a Gaussian is far from all particles: the looks are those of another body.
@@ -113,12 +108,7 @@ class Carrier:
         self._offset = points[:, None] - rest[self._index]  # (K, NEAR, 3)
 
     def __call__(self, positions: np.ndarray, gradients: np.ndarray) -> np.ndarray:
-        """(..., K, 3) m where the points are.
-
-        Args:
-            positions: (..., P, 3) particles after, m.
-            gradients: (..., P, 3, 3) deformation gradients from before to after.
-        """
+        """(..., K, 3) m where the points are, by particles (..., P, 3) m and gradients (..., P, 3, 3)."""
         there, turned = positions[..., self._index, :], gradients[..., self._index, :, :]
         mapped = there + np.einsum("...knij,knj->...kni", turned, self._offset)
         return np.einsum("kn,...kni->...ki", self._weights, mapped)

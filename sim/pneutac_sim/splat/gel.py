@@ -92,27 +92,15 @@ class SplatSensor:
         return float(255 * np.sqrt(np.mean(np.square(self._residual))))
 
     def image(self, displacement_mm: np.ndarray) -> np.ndarray:
-        """Tactile image, uint8 (H, W, 3), of a displacement (80, 59) in mm.
-
-        Raises:
-            InputError: a shape is wrong, a number not finite or a displacement too large.
-        """
+        """Tactile image, uint8 (H, W, 3), of a displacement (80, 59) in mm; raises InputError as `splats`."""
         displacement_mm = self._checked(displacement_mm)
         return self.render(displacement_mm, self.increment(displacement_mm))
 
     def render(self, displacement_mm: np.ndarray, increment: np.ndarray) -> np.ndarray:
-        """Tactile image of a displacement with any light.
+        """Tactile image, uint8 (H, W, 3), of a displacement with any light; raises InputError as `splats`.
 
-        Args:
-            displacement_mm: (80, 59), positive into the gel, less than its thickness.
-            increment: what contact adds to the picture, (H, W, 3) levels; each Gaussian takes what there is
-                where it is seen.
-
-        Returns:
-            uint8 (H, W, 3).
-
-        Raises:
-            InputError: a shape is wrong, a number not finite or a displacement too large.
+        `increment` (H, W, 3) in levels is what contact adds to the picture: each Gaussian takes what there is
+        where it is seen.
         """
         increment = numbers("increment", increment, self.model.rest_image.shape)
         splats = self.splats(displacement_mm)
@@ -123,7 +111,7 @@ class SplatSensor:
         return out
 
     def splats(self, displacement_mm: np.ndarray) -> Splats | CudaSplats:
-        """The gel's Gaussians under a displacement, ready to render.
+        """The gel's Gaussians under a displacement (80, 59), mm into the gel, ready to render.
 
         Raises:
             InputError: a shape is wrong, a number not finite or a displacement too large.
@@ -160,11 +148,9 @@ class SplatSensor:
         return u
 
     def increment(self, displacement_mm: np.ndarray, gel: GelModel | None = None) -> np.ndarray:
-        """What contact adds to the picture, (H, W, 3) float32 levels.
+        """What contact under a displacement (80, 59) mm adds to the picture, (H, W, 3) float32 levels.
 
-        Args:
-            displacement_mm: (80, 59).
-            gel: with another light than this sensor's but the same weight w; the sensor's where None.
+        `gel` has another light than this sensor's but the same weight w; the sensor's where None.
         """
         model, lighting = self.model, self._lighting if gel is None else gel.lighting
         cell_mm = model.window_mm[0] / COLS, model.window_mm[1] / ROWS

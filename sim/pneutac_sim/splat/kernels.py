@@ -49,23 +49,14 @@ def project(
 ):
     """Projects one share of the Gaussians, without the interpreter's lock.
 
-    Args:
-        share: which share of the Gaussians to do.
-        shares: how many there are.
-        means: (n, 3) float32 m.
-        covariances: (n, 3, 3) float32 m^2.
-        opacities: (n,) float32.
-        reach: (n,) float32, standard deviations at which alpha falls to 1/255; negative where it never rises.
-        K: intrinsics, as the following of `Camera`.
-        E: extrinsics.
-        lens: k1, k2, p1, p2, k3.
-        largest_r2: beyond which the lens folds over.
-        size: width and height, pixels.
-        splats: (n, 8) float32, filled: x, y [px]; a, b, c with sigma / 8 = a dx^2 + b dx dy + c dy^2;
-            opacity; first and last pixel row.
-        boxes: (n, 4) int16, filled: first and last tile column, first and last tile row; last < first off
-            the image.
-        keys: (n,) float32, filled: depth.
+    Of means (n, 3) m, covariances (n, 3, 3) m^2, opacities (n,) and `reach` (n,), the standard deviations at
+    which alpha falls to 1/255, negative where it never rises, all float32; then the numbers of a `Camera`.
+    Filled are
+
+    - splats (n, 8) float32: x, y [px]; a, b, c with sigma / 8 = a dx^2 + b dx dy + c dy^2; opacity; first and
+      last pixel row;
+    - boxes (n, 4) int16: first and last tile column, first and last tile row; last < first off the image;
+    - keys (n,) float32: depth.
     """
     width, height = size
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
@@ -121,16 +112,10 @@ def project(
 
 @njit(cache=True, nogil=True)
 def bin_tiles(boxes, bits, tiles_x, tiles):
-    """Lists of Gaussians by tile, near to far.
+    """Lists of Gaussians by tile, near to far: where each tile's starts, int64 (tiles + 1,), and they, int32.
 
-    Args:
-        boxes: (n, 4), see `project`.
-        bits: (n,) uint32, bit patterns of the depths, which order as these do; equal ones keep their order.
-        tiles_x: tiles in a row.
-        tiles: in all.
-
-    Returns:
-        Where each tile's list starts, int64 (tiles + 1,), and the lists, int32.
+    `boxes` (n, 4) as of `project`; `bits` (n,) uint32 are the bit patterns of the depths, which order as
+    these do; equal ones keep their order.
     """
     n = len(boxes)
     counts = np.zeros((3, 2049), np.int64)  # radix sort: digits of 11, 11 and 10 bits

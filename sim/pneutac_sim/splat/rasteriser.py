@@ -163,24 +163,11 @@ def pull_back(share, shares, starts, ids, splats, grad_image, tiles_x, out):
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def replay(share, shares, starts, ids, splats, colours, image, alpha, grad_image, grad_alpha, tiles_x, out):
-    """Gradients by colour and opacity: composites once more, near to far.
+    """Gradients by colour and opacity, added to `out` (n, 4): composites once more, near to far.
 
-    With r = g . (what lies behind a Gaussian, background included), g the gradient by the pixel,
-    dL/dalpha = T g . c - r / (1 - alpha); a gradient by coverage acts as a background of its negative.
-
-    Args:
-        share: which share of the tiles to do.
-        shares: how many there are.
-        starts: where each tile's list of Gaussians starts, from `kernels.bin_tiles`.
-        ids: the lists.
-        splats: (n, 8), from `kernels.project`.
-        colours: (n, 3) float32.
-        image: what `composite` gave, (H, W, 3) float32.
-        alpha: coverage that it gave, (H, W) float32.
-        grad_image: g, (H, W, 3) float32.
-        grad_alpha: gradient by the coverage, (H, W) float32.
-        tiles_x: tiles in a row.
-        out: (n, 4) float32, added to: gradients by red, green, blue, opacity.
+    With r = g . (what lies behind a Gaussian, background included), g the gradient by the pixel (H, W, 3),
+    dL/dalpha = T g . c - r / (1 - alpha); a gradient by coverage (H, W) acts as a background of its negative.
+    `image` and `alpha` are what `composite` gave. All are float32.
     """
     height, width = alpha.shape
     state = np.empty((TILE, 5 * TILE), np.float32)  # transmittance, g, r
@@ -315,32 +302,17 @@ class Splats:
         return out
 
     def transpose(self, image) -> np.ndarray:
-        """W^T times an image (H, W, 3): the gradient by colours alone, (n, 3) float32.
-
-        Raises:
-            InputError: a shape is wrong or a number not finite.
-        """
+        """W^T times an image (H, W, 3): the gradient by colours alone, (n, 3) float32; raises as `render`."""
         image = numbers("image", image, (self.camera.height, self.camera.width, 3))
         return self._gather(pull_back, 3, image)
 
     def gradients(
         self, colours, background, grad_image, grad_alpha=None, rendering: Rendering | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Gradients of a loss by colours and opacities.
+        """Gradients of a loss by colours (n, 3) and by opacities (n,), float32; raises as `render`.
 
-        Args:
-            colours: (n, 3).
-            background: (3,).
-            grad_image: gradient by the image, (H, W, 3).
-            grad_alpha: gradient by the coverage, (H, W); none where None.
-            rendering: what `render` gave for these colours and background; rendered again where None.
-
-        Returns:
-            Gradients by colours (n, 3) and by opacities (n,), float32. Geometry, and which Gaussians a pixel
-            takes, are held fixed.
-
-        Raises:
-            InputError: a shape is wrong or a number not finite.
+        Of its gradient by the image (H, W, 3) and, unless None, by the coverage (H, W). Geometry, and which
+        Gaussians a pixel takes, are held fixed. `rendering` is what `render` gave; rendered again where None.
         """
         h, w = self.camera.height, self.camera.width
         colours = numbers("colours", colours, (len(self), 3))

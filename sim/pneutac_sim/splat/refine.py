@@ -78,11 +78,8 @@ def refine_light(
 ) -> GelModel:
     """The gel with the light L and c_d of least squares through the renderer, from its own.
 
-    Args:
-        gel: as fitted to the image plane.
-        channels: of red, green and blue, which give the priors.
-        viewed: the photographs.
-        masks: pixels (H, W) to compare in each, bool; those near its contact where None.
+    It was fitted to the image plane. The channels, red, green and blue, give the priors. Compared are the
+    pixels of `masks`, bool (H, W) for each photograph; those near its contact where None.
     """
     priors = np.array([[c.prior["", name] for name in UNKNOWNS] for c in channels])  # (3, 3, 4)
     centre, (low, high) = priors[..., 0], np.moveaxis(priors[..., 2:], -1, 0)
@@ -115,12 +112,7 @@ def refine_fit(fit: GelFit, photographs: Sequence[PressPhotograph], pressed: Pre
 
     Parts are the photographs, or the quarters about the contact of a single one. Each is held out in turn,
     the light re-fitted to the others and refined there. The refinement is taken where the mean fall of the
-    squared error in the parts is more than its standard error.
-
-    Args:
-        fit: to these photographs, without residual fields.
-        photographs: that it was fitted to.
-        pressed: as the fit took it.
+    squared error in the parts is more than its standard error. The fit is without residual fields.
     """
     problem = Problem(fit.gel, photographs, in_order(fit.gel.effects), pressed)
     surfaces = problem.surfaces(fit.gel.decay_mm, fit.gel.depth_scale)

@@ -28,10 +28,7 @@ def rasterise(
 
 
 def on(device: str) -> Callable[..., Splats | CudaSplats]:
-    """What takes a camera, means, covariances and opacities to Gaussians ready to render on a device.
-
-    Args:
-        device: `cpu`, `cuda`, or `auto` for CUDA where gsplat and a device are there.
+    """`Splats` or `CudaSplats` for a device, `cpu`, `cuda`, or `auto` for CUDA where that can be used.
 
     Raises:
         InputError: there is no such device, or CUDA or gsplat is missing.

@@ -120,16 +120,8 @@ def train_action(
 def _descend(train, stop, noise, seed: int, epochs: int, report) -> tuple[np.ndarray, ...] | None:
     """Adam on the mean squared error; weights (in, out) and biases of the epoch that is best on `stop`.
 
-    Args:
-        train: inputs and outputs, of unit variance.
-        stop: the same of the trajectories of early stopping.
-        noise: (inputs,) standard deviations.
-        seed: of weights, batches and noise.
-        epochs: at most.
-        report: called now and then with the epoch and the least error so far.
-
-    Returns:
-        None where no error is a finite number.
+    `train` and `stop` are inputs and outputs of unit variance, `noise` (inputs,) standard deviations. None
+    where no error is a finite number.
     """
     import torch  # takes a second
 
@@ -160,13 +152,7 @@ def _descend(train, stop, noise, seed: int, epochs: int, report) -> tuple[np.nda
 
 
 def evaluate_action(twin: Twin, network: ActionNetwork, data_dir: str | Path) -> Evaluation:
-    """Moves the skeleton through the held-out programs, from the full finger's first state on.
-
-    Args:
-        twin: of a finger.
-        network: trained for it.
-        data_dir: folder of `collect_action`.
-    """
+    """Moves the skeleton through the held-out programs of a folder, from the full finger's first state on."""
     _, motions = read_motions(data_dir, twin)
     held_out = split(motions)[2]
     bare = without_torque(network)

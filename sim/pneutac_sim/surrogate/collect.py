@@ -168,11 +168,7 @@ def _collect(
 
 
 def read_motions(out_dir: str | Path, twin: Twin) -> tuple[Plan, list[Motion]]:
-    """Reads what `collect_action` has written.
-
-    Args:
-        out_dir: its folder.
-        twin: for which it must have been collected.
+    """Reads what `collect_action` has written for this twin.
 
     Raises:
         InputError: trajectories are missing, corrupted, or of another twin.

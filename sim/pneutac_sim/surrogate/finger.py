@@ -32,9 +32,7 @@ from pneutac_sim.twin import NETWORKS, Twin
 def controller_stiffness(twin: Twin, body: np.ndarray) -> float:
     """K_c in N m/rad: what is left of the twin's `joint_stiffness_nm_per_rad` without its soft body.
 
-    Args:
-        twin: of a finger.
-        body: (N, N) derivative J of the body's torques by the joint angles at rest, N m/rad.
+    `body` (N, N) is the derivative J of the body's torques by the joint angles at rest, N m/rad.
 
     Raises:
         InputError: the body alone is stiffer than the whole.
@@ -56,12 +54,8 @@ def network_of(twin: Twin, network: ActionNetwork) -> ActionNetwork | None:
     """The network for a twin's own Young's modulus; None where it was trained for another body.
 
     At given angles an elastic body's torque is proportional to its modulus. That f_r also holds by how much
-    the body lags behind its spine, which is not, is left aside.
-
-    Args:
-        twin: of a finger.
-        network: trained for its body, of any modulus. A file of an earlier version does not state its modulus
-            and is good for that of its training alone.
+    the body lags behind its spine, which is not, is left aside. A file of an earlier version does not state
+    its modulus and is good for that of its training alone.
     """
     if network.fingerprint != fingerprint(twin, network.modulus_mpa):
         return None
@@ -106,14 +100,9 @@ class SurrogateFinger:
         self.in_range = True
 
     def torque(self, q_free: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What the body does to the joints at `q` beyond what it does at `q_free`.
+        """Torques of the body at joint angles `q` beyond those at `q_free`, where it rests unloaded.
 
-        Args:
-            q_free: (N,) where the unloaded finger rests, rad.
-            q: (N,) joint angles, rad.
-
-        Returns:
-            (N,) torques in N m and their symmetric derivative (N, N) by `q` in N m/rad.
+        Of (N,) rad both; returns torques (N,) in N m and their symmetric derivative (N, N) by `q` in N m/rad.
 
         Raises:
             InputError: an angle is not a finite number.

@@ -27,11 +27,7 @@ def fingerprint(twin: Twin, modulus_mpa: float | None = None) -> str:
     """SHA-256 of what the action network of a finger depends on: its geometry, mesh and material.
 
     The body knows only how it is bent. Drive, effects and history decide how far, and `in_range` shows where
-    that is farther than in training.
-
-    Args:
-        twin: of a finger.
-        modulus_mpa: Young's modulus in place of the twin's.
+    that is farther than in training. `modulus_mpa` takes the place of the twin's own.
     """
     body = {n: devices.parameter(twin, n) for n in BODY}
     if modulus_mpa is not None:

@@ -224,15 +224,10 @@ def _collect(twin: Twin, files: list[Path], seed: int, device: str, number: int)
 
 
 def press(solver, contact: Contact, model: GelModel) -> Pairs:
-    """Drives an indenter in by steps of at most `STEP_MM`.
+    """Drives an indenter in by steps of at most `STEP_MM`, to a contact's full depth.
 
     Where the explicit steps of the material points turn out too long for the squeezed gel, they are halved
     once.
-
-    Args:
-        solver: of `devices.gel`, one body.
-        contact: at its full depth.
-        model: the gel's window and thickness.
 
     Raises:
         MpmDiverged: no equilibrium was found.

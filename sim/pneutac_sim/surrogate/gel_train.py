@@ -154,22 +154,16 @@ MEASURES = ("mae_mm", "around_mm", "image_rmse_levels", "area_error_px")
 
 
 def evaluate_gel(surrogate: GelSurrogate, contacts: Sequence[Pairs], twin: Twin) -> dict:
-    """Compares displacement, tactile image and contact area of contacts at their full depth.
+    """Compares displacement, tactile image and contact area of unseen contacts at their full depth.
 
-    Args:
-        surrogate: the network.
-        contacts: that it has not been trained on.
-        twin: whose gel it is.
+    Returns `rows`: one for each indenter, then one, `unseen`, over indenters that were never trained on; each
+    with `indenter`, `contacts`, `depth_mm` (mean of the deepest points) and for each of `METHODS` the means
+    over contacts of
 
-    Returns:
-        `rows`: one for each indenter, then one, `unseen`, over indenters that were never trained on; each
-        with `indenter`, `contacts`, `depth_mm` (mean of the deepest points) and for each of `METHODS` the
-        means over contacts of
-
-        - `mae_mm`: mean absolute error of the displacement where the probe grid touches;
-        - `around_mm`: the same over the rest of the window;
-        - `image_rmse_levels`: of the tactile images, over all pixels and channels;
-        - `area_error_px`: absolute error of the number of pixels in contact.
+    - `mae_mm`: mean absolute error of the displacement where the probe grid touches;
+    - `around_mm`: the same over the rest of the window;
+    - `image_rmse_levels`: of the tactile images, over all pixels and channels;
+    - `area_error_px`: absolute error of the number of pixels in contact.
 
     Raises:
         InputError: in no contact anything touches.

@@ -199,15 +199,10 @@ class ActionNetwork:
         return np.asarray(q_cmd).mean(-1) / self.drive[0] - self.drive[1]
 
     def resistance(self, q_free: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
-        """f_r(q, 0, p) - f_r(q_free, 0, p) (N,) in N m at rest, its derivative, and whether `q` is in range.
+        """f_r(q, 0, p) - f_r(q_free, 0, p) (N,) in N m, its derivative, and whether `q` is in range.
 
-        Args:
-            q_free: (N,) rad, where the body is bent by pressure alone.
-            q: (N,) rad.
-
-        Returns:
-            The torque, its symmetric derivative (N, N) by `q` in N m/rad, as that of an elastic body is, and
-            whether the state lies in the range of training.
+        The body is bent by pressure alone at `q_free` (N,) rad. The derivative (N, N) by `q`, N m/rad, is
+        symmetric, as that of an elastic body is.
         """
         J = np.empty((self.joints, self.joints))
         p, x, (h1, h2, f) = float(self.pressure_kpa(q_free)), *self._work
@@ -225,16 +220,9 @@ class ActionNetwork:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Moves the skeleton under M (q'' + d q') + c + D q' + K q = K q_target + f_r(q, q', p).
 
-        Args:
-            q: (N,) rad, where it begins.
-            q_vel: (N,) rad/s.
-            targets: (S + 1, N) rad, at equal distances over the duration, with straight lines between them.
-            pressure_kpa: (S + 1,) bending pressure, likewise.
-            duration_s: of all.
-
-        Returns:
-            q (S, N) and q' (S, N) at the targets from the second on, and (S,) whether those states were in
-            range.
+        It begins at q (N,) rad and q' (N,) rad/s. Targets (S + 1, N) rad and bending pressures (S + 1,) kPa
+        follow at equal distances over the duration, with straight lines between them. Returns q (S, N) and q'
+        (S, N) at the targets from the second on, and (S,) whether those states were in range.
         """
         s = self.skeleton
         targets = np.ascontiguousarray(targets, float)
@@ -251,12 +239,7 @@ class ActionNetwork:
         return out_q, out_v, inside
 
     def rest(self, target: np.ndarray, pressure_kpa: float) -> tuple[np.ndarray, bool]:
-        """Where the skeleton comes to rest, K q = K q_target + f_r(q, 0, p), and whether that is in range.
-
-        Args:
-            target: (N,) rad.
-            pressure_kpa: bending pressure.
-        """
+        """Where the skeleton rests, K q = K q_target + f_r(q, 0, p) (N,), and whether that is in range."""
         q = np.array(target, float)
         inside = rest(self.skeleton.stiffness_nm_per_rad, self._numbers, *self._work, q, float(pressure_kpa))
         return q, inside

@@ -57,14 +57,10 @@ class GelSurrogate:
         self.deepest_mm, self.largest_share = deepest_mm, largest_share
 
     def displacement(self, depth_mm: np.ndarray) -> np.ndarray:
-        """Displacement of the gel's face under probe grids.
+        """Displacement of the gel's face in mm under probe grids, ([B,] 80, 59), float32.
 
-        Args:
-            depth_mm: (80, 59), or (B, 80, 59) of many environments at once.
-
-        Returns:
-            Displacement in mm, float32, same shape; zero where a whole grid is. Beyond `deepest_mm` the gel
-            adds what it adds there. A grid among others is rounded otherwise than alone (1e-6 mm).
+        It is zero where a grid is. Beyond `deepest_mm` the gel adds what it adds there. A grid among others
+        is rounded otherwise than alone (1e-6 mm).
 
         Raises:
             ValueError: another shape, or a depth that is no finite number.

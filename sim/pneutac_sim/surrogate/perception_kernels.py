@@ -129,14 +129,10 @@ def _enlarge(coarse, coarse_grid, coarse_cols, fine, grid, rows, cols):
 
 @njit(cache=True)
 def added(kernels, biases, work, depth):
-    """g(d) of `perception.UNet` for some grids.
+    """g(d) of `perception.UNet` in mm, in place of some grids d (n, ROWS, COLS), n up to `BATCH`.
 
-    Args:
-        kernels: (outputs, inputs, 9) each, of the convolutions in the order down1, down2, down3, up2, up1,
-            two of each, and (4, inputs, 1) of the last one.
-        biases: (outputs,) each.
-        work: of `workspace`.
-        depth: (n, ROWS, COLS) mm, float32, n up to `BATCH`; g(d) in mm takes its place.
+    Kernels are (outputs, inputs, 9) each, of the convolutions in the order down1, down2, down3, up2, up1, two
+    of each, and (4, inputs, 1) of the last one; biases (outputs,) each.
     """
     blocks, h1, skip1, y1, p2, h2, skip2, y2, p3, h3, y3 = work
     w, b, n = kernels, biases, len(depth)

@@ -56,14 +56,9 @@ def bending_range(twin: Twin) -> tuple[float, float]:
 
 
 def program(kind: str, steps: int, low: float, high: float, rng: np.random.Generator) -> np.ndarray:
-    """Bending pressures (steps + 1,) in kPa, one a control step, to be joined by straight lines.
+    """Bending pressures (steps + 1,) in kPa from `low` to `high`, one a control step.
 
-    Args:
-        kind: one of `KINDS`.
-        steps: control steps.
-        low: kPa.
-        high: kPa.
-        rng: draws it.
+    They are to be joined by straight lines. The kind is one of `KINDS`; `rng` draws the program.
     """
     if kind == "chirp":
         t = np.arange(steps + 1) / CONTROL_HZ
@@ -85,14 +80,10 @@ def program(kind: str, steps: int, low: float, high: float, rng: np.random.Gener
 def load(twin: Twin, q_cmd: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Deflections (T, N) in rad by a force on the tip that wanders in the plane, and of each joint by itself.
 
-    The largest force bends the joint at the base by `LOAD_RAD`, the others by less as its lever is shorter.
-    Without the second part joints would always move together, and data would not show how the body
-    resists where one bends alone: its derivative would be smeared over neighbours.
-
-    Args:
-        twin: a finger's.
-        q_cmd: (T, N) joint targets, one a control step, rad.
-        rng: draws it.
+    At joint targets (T, N) in rad, one a control step. The largest force bends the joint at the base by
+    `LOAD_RAD`, the others by less as its lever is shorter. Without the second part joints would always move
+    together, and data would not show how the body resists where one bends alone: its derivative would be
+    smeared over neighbours.
     """
     joints = np.append(twin.spine_joint_positions_mm, twin.length_mm)
     heading = np.exp(1j * np.cumsum(q_cmd, axis=1))  # x + i z

@@ -48,12 +48,7 @@ class Skeleton:
 
     @classmethod
     def of(cls, body: Body, spine: Spine, loss_per_s: float = 0.0) -> "Skeleton":
-        """The skeleton of a finger of material points.
-
-        Args:
-            body: its particles.
-            spine: its hinges and their controller.
-            loss_per_s: of the momentum.
+        """The skeleton of a finger of material points that loses momentum at this rate.
 
         Raises:
             InputError: the spine bends in two planes, or a link carries no particle.
@@ -76,16 +71,10 @@ class Skeleton:
         return _dynamics(self.coupling, self.inertia, np.asarray(q, float), np.zeros(len(q)))[0]
 
     def residual_torque(self, q, q_vel, q_acc, target) -> np.ndarray:
-        """tau_r* = M (q'' + d q') + c + D q' + K q - tau_mpm, by inverse dynamics.
+        """tau_r* = M (q'' + d q') + c + D q' + K q - tau_mpm (T, N) in N m, by inverse dynamics.
 
-        Args:
-            q: (T, N) rad.
-            q_vel: (T, N) rad/s.
-            q_acc: (T, N) rad/s2.
-            target: (T, N) joint targets, rad; tau_mpm is K times them.
-
-        Returns:
-            (T, N) N m.
+        Angles, rates and accelerations are (T, N) in rad, rad/s, rad/s2; tau_mpm is K times the joint targets
+        (T, N).
         """
         out = np.empty(np.shape(q))
         for t in range(len(out)):
@@ -99,13 +88,7 @@ class Skeleton:
 
 
 def coupling(mass: np.ndarray, centre: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """A (N, N) in kg m2, see above.
-
-    Args:
-        mass: (N,) of each link, kg.
-        centre: (N,) x + i z of its centre in the straight finger, m.
-        joints: (N,) where the joints lie along it, m.
-    """
+    """A (N, N) in kg m2, see above, of masses (N,) kg, centres (N,) x + i z and joints (N,) along x, m."""
     n = len(joints)
     A = np.zeros((n, n), complex)
     for k in range(n):

@@ -54,10 +54,6 @@ def check_world(twin: Twin, fidelity: str, conditions: Conditions) -> None:
 def out_of_reach(station: Station, length_mm: float) -> dict[str, float]:
     """Tasks whose start the station's arm does not reach, and by how many metres it falls short.
 
-    Args:
-        station: with its arm.
-        length_mm: of the finger.
-
     Raises:
         InputError: the arm cannot carry a finger.
     """

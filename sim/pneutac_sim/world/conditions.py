@@ -16,12 +16,7 @@ USUAL = {"gravity_x": 1.0, "gravity_y": 0.0, "gravity_z": 0.0, "payload_g": 0.0}
 
 
 def conditions_for(twin: Twin, given: Conditions | None) -> Conditions:
-    """All conditions of a world with this twin.
-
-    Args:
-        twin: of a finger.
-        given: by the user; gravity in the frame of the finger's base and no payload are the world's own where
-            they are not given.
+    """All conditions of a world with this twin: those given, else gravity in the base's frame and no payload.
 
     Raises:
         InputError: a condition is neither a finite number nor a range [low, high] of such, or one that an

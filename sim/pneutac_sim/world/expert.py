@@ -64,14 +64,10 @@ class Lanes:
         return go_ahead(world, habits, self.height_m, speed) + self.keep(world)
 
     def withdraw(self, world: World, end: bool) -> np.ndarray:
-        """Velocity (3,) back to the near side: from the end of a lane above everything, else straight.
+        """Velocity (3,) back to the near side: from the `end` of a lane above everything, else straight.
 
-        On the way down to the next lane it moves on by one; after the last lane it goes up farther, and
-        there back to before the first.
-
-        Args:
-            world: where it is.
-            end: whether it is where a lane ends.
+        On the way down to the next lane it moves on by one; after the last lane it goes up farther, and there
+        back to before the first.
         """
         x, y, _ = world.flange_m
         rise, first, last = world.gel_m[2] - self.height_m, self.middles_m[0], self.middles_m[-1]
@@ -189,17 +185,10 @@ def pressures_of(world: World) -> Callable[[float], np.ndarray]:
 
 
 def towards_gel(twin: Twin, far_kpa: float) -> tuple[np.ndarray, float]:
-    """Pressures of several chambers that bend a body towards its gel, +z, and to no other side.
+    """Pressures (C,) in kPa that bend a body of several chambers towards its gel, +z, and by how much in rad.
 
     With the directions d_c of the pipeline's drive, sum of p_c d_c = (b, 0) with p >= 0 (p <= 0 if it bends
-    by vacuum) and no more chambers than that takes.
-
-    Args:
-        twin: of an arm.
-        far_kpa: the highest of the pressures.
-
-    Returns:
-        (C,) kPa, and by how much they bend it, rad.
+    by vacuum) and no more chambers than that takes; the highest pressure is `far_kpa`.
 
     Raises:
         InputError: its chambers bend it so by no pressures.

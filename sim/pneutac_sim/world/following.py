@@ -66,21 +66,11 @@ class Follower:
         D: np.ndarray,
         steps: int,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Torques of the substeps of one control step.
+        """Torques (S, N) in N m, of balls (S, 3 N), of S substeps of a control step, and the rate after it.
 
-        The rate goes without a jump from what it is to that of a straight line from `before` to `after`, by
-        the parabola that ends there.
-
-        Args:
-            before: (N,) angles where the path is, of balls (N, 2), rad.
-            rate: of the path there, same shape, rad/s.
-            after: angles at the end of the control step, rad.
-            K: (N, N) stiffness of the joints, N m/rad.
-            D: (N, N) their damping, N m s/rad.
-            steps: S.
-
-        Returns:
-            (S, N) in N m, of balls (S, 3 N), and the rate at the end.
+        The path goes from angles `before` to `after`, (N,) or of balls (N, 2) in rad. Its rate, rad/s, goes
+        without a jump from what it is to that of a straight line between them, by the parabola that ends
+        there. K and D are stiffness and damping of the joints, (N, N) N m/rad and N m s/rad.
         """
         slope = (after - before) / (steps * self._h)
         if self._balls is not None:
@@ -140,18 +130,10 @@ def ball_torques(mass, centre, inertia, ways, before, rate, slope, K, D, h, out)
     (M + h D) (v_k - v_{k-1}) = h (tau - K w_{k-1} - D v_{k-1} - c), as `implicitfast` has it, where v_k turns
     the joint from rotation vector w_{k-1} to w_k.
 
-    Args:
-        mass: (N,) of links, kg.
-        centre: (N, 3) of their mass, from their joint, m.
-        inertia: (N, 3, 3) about it, in the link's frame, kg m2.
-        ways: (N, 3) from each joint to the next, m; the last is not used.
-        before: (N, 2) angles towards +z and +y where the path is, rad.
-        rate: (N, 2) of the path there, rad/s.
-        slope: (N, 2) mean rate over the steps.
-        K: (N,) stiffness, N m/rad.
-        D: (N,) damping, N m s/rad.
-        h: step, s.
-        out: is written.
+    Links have masses (N,) kg, centres of mass (N, 3) m from their joints, inertias (N, 3, 3) kg m2 about
+    these in their own frames, and ways (N, 3) m from each joint to the next. The path has angles `before` (N,
+    2) towards +z and +y, a rate there and a mean slope over the steps; K and D are (N,) N m/rad and N m
+    s/rad.
     """
     steps, n, _ = out.shape
     w, new = before.copy(), np.empty((n, 2))

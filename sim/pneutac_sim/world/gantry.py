@@ -102,12 +102,7 @@ class Gantry(World):
         self._store()
 
     def stage(self, seed: int, shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
-        """Lays the objects out as `reset` does, moved by `shift_m`; the hand stays as it was mirrored.
-
-        Args:
-            seed: of the task's own start.
-            shift_m: displacement (3,) of the objects, metres.
-        """
+        """Lays the objects out as `reset` does with this seed, moved by `shift_m`; the hand stays."""
         model, here = self.model, self.data
         mujoco.mj_setState(model, here, self._state, _STATE)
         for joint, state in self._loose:

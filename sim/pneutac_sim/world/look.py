@@ -27,10 +27,8 @@ GRAIN = (2, 24)  # spots along the edge of the table's texture
 class SceneCameras:
     """Pictures of a world from the cameras around its robot.
 
-    Args:
-        world: a `World`, or another with `model`, `data` and `view`.
-        sizes: name of each camera, of `SCENE_CAMERAS`, to height and width of its picture in px.
-        randomise_look: light, colours and the table's texture are newly drawn in every episode.
+    `sizes` is each camera's name, of `SCENE_CAMERAS`, to height and width of its picture in px. With
+    `randomise_look` light, colours and the table's texture are newly drawn in every episode.
 
     Raises:
         InputError: there is no such camera, no such size, or no OpenGL.
@@ -110,14 +108,11 @@ def points_info(window_mm: tuple[float, float]) -> dict:
 
 
 def tactile_points(world) -> np.ndarray:
-    """The gel's face now, float32 `POINTS_SHAPE`: displacement in mm and force on the gel in N.
+    """The face of a world's gel now, float32 `POINTS_SHAPE`: displacement in mm and force on the gel in N.
 
     dz is the mean over a point's cell, below 0 where the face is pressed in. The contact force of the last
     physics step is shared among the points as their imprints are, so that they sum to it; outside the window
     there are no points. An image's lag is not in them.
-
-    Args:
-        world: a `World` with touch, or the stand-in.
     """
     inwards = world.touch.displacement_mm.astype(np.float32)
     rows, columns, _ = POINTS_SHAPE

@@ -96,8 +96,7 @@ class MpmGel:
     def displacement(self, depth_mm: np.ndarray) -> np.ndarray:
         """Displacement of the gel's face under the objects shown last, mm, float32 (80, 59).
 
-        Args:
-            depth_mm: their imprint (`GelModel.imprint` of the probe grid), which says how deep they lie.
+        Their imprint (`GelModel.imprint` of the probe grid) says how deep they lie.
 
         Raises:
             InputError: the gel finds no rest.
@@ -195,14 +194,9 @@ class MpmFinger:
         self._f, self._begun = np.zeros((2, len(self._J))), False
 
     def torque(self, q_free: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What the body does to the joints at `q` beyond what it does at `q_free`, and its derivative by `q`.
+        """Torques of the body at joint angles `q` beyond those at `q_free`, where it rests unloaded.
 
-        Args:
-            q_free: (N,) where the unloaded finger rests, rad.
-            q: (N,) joint angles, rad.
-
-        Returns:
-            (N,) in N m and (N, N) in N m/rad.
+        Of (N,) rad both; returns (N,) in N m and the derivative by `q` (N, N) in N m/rad.
         """
         wanted = np.stack([q, q_free]).astype(float)
         held, f = self._hold(wanted)

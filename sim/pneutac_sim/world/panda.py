@@ -41,14 +41,7 @@ _LINKS = (
 
 
 def forward_kinematics(q: np.ndarray) -> np.ndarray:
-    """Pose of the flange in the arm's base frame, the product of the seven modified DH transforms.
-
-    Args:
-        q: joint angles (7,), rad.
-
-    Returns:
-        (4, 4) homogeneous transform, metres.
-    """
+    """Pose (4, 4) of the flange in the arm's base frame, m, at joint angles (7,), by seven DH transforms."""
     T = np.eye(4)
     for a, alpha, d, theta in zip(DH_A, DH_ALPHA, DH_D, q, strict=True):
         ca, sa, ct, st = np.cos(alpha), np.sin(alpha), np.cos(theta), np.sin(theta)
@@ -167,19 +160,9 @@ class Panda:
 def _solve(q, position, rotation, a, d, ca, sa, flange_m, low, high, damping2, iterations):
     """Moves joint angles `q` (7,) by damped least squares, `dq = J^T (J J^T + damping2 I)^-1 e`.
 
-    Args:
-        q: rad; overwritten.
-        position: (3,) m, where the flange has to be.
-        rotation: (3, 3), how it has to stand.
-        a: link offsets (7,), m.
-        d: joint offsets (7,), m.
-        ca: cosines (7,) of the twists.
-        sa: their sines.
-        flange_m: from the last frame along its z.
-        low: lower limits (7,) of the joints, rad.
-        high: upper ones.
-        damping2: square of the damping.
-        iterations: number of them.
+    The flange, `flange_m` along z of the last frame, goes to a position (3,) m with a rotation (3, 3). Links
+    have offsets a and d (7,) m and cosines and sines (7,) of their twists, joints the limits low and high
+    (7,) rad.
     """
     n = len(q)
     J, A, y = np.empty((TASK, n)), np.empty((TASK, TASK)), np.empty(TASK)

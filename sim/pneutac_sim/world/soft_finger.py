@@ -102,11 +102,8 @@ MATERIALS = (
 def mjcf(twin: Twin, mount_mm: float = 20.0, axes: int | None = None, motor_gear: float = 1.0) -> Finger:
     """All of the finger of a twin, on an adapter of that length between the flange and its base.
 
-    Args:
-        twin: of the body.
-        mount_mm: length of the adapter.
-        axes: bending axes of a joint; None for those about which its chambers bend it.
-        motor_gear: torque in N m of a control of 1.
+    `axes` of bending a joint has; None for those about which its chambers bend it. `motor_gear` is the torque
+    in N m of a control of 1.
     """
     axes = axes or bending_axes(twin)
     xml = body(twin, 1e-3 * mount_mm, axes)

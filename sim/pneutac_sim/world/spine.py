@@ -146,12 +146,9 @@ class Placing:
         model.body_pos[self._ids], model.body_quat[self._ids] = poses[:, :3], poses[:, 3:]
 
     def in_base(self, point_m: np.ndarray, flange_m: np.ndarray, flange: np.ndarray) -> np.ndarray:
-        """A point (3,) of the world in mm in the frame where the base is thought to stand.
+        """A point (3,) of the world, m, in mm in the frame where the base is thought to stand.
 
-        Args:
-            point_m: m.
-            flange_m: position (3,) of the flange, m.
-            flange: its rotation (3, 3).
+        The flange's position (3,) is in m and its rotation (3, 3).
         """
         origin, R = self._mount
         return 1e3 * R.T @ (flange.T @ (point_m - flange_m) - origin)

@@ -144,14 +144,9 @@ class Station:
 
 
 def station_file(dataset: str | Path, given: Path | None = None) -> Path | None:
-    """The file of the station in which a dataset was recorded: the one that is given, or that was left in it.
+    """The station's file of a dataset's folder: the one that is given, or that its robot left in its `meta`.
 
-    Args:
-        dataset: its folder, in whose `meta` the robot that recorded it left its station.
-        given: is taken first.
-
-    Returns:
-        None where there is neither: it was the paper's.
+    None where there is neither: it was the paper's.
     """
     left = Path(dataset) / "meta" / FILE
     return given or (left if left.is_file() else None)

@@ -29,14 +29,10 @@ class Touch:
     """
 
     def __init__(self, model: mujoco.MjModel, sensor: TactileSensor, mode: str, gel=None):
-        """The touch of a world.
+        """The touch of a world in one of the `MODES`.
 
-        Args:
-            model: of the world.
-            sensor: the gel's.
-            mode: one of `MODES`.
-            gel: in place of the sensor's own formula: a `GelSurrogate`, or an `MpmGel`, which is shown the
-                objects themselves.
+        `gel` takes the place of the sensor's own formula: a `GelSurrogate`, or an `MpmGel`, which is shown
+        the objects themselves.
         """
         if mode not in MODES:
             raise InputError(f"There is no touch mode '{mode}'; the modes are {', '.join(MODES)}.")

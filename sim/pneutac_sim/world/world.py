@@ -449,13 +449,9 @@ def _deforming(twin: Twin, fidelity: str, touch: str):
 
 
 def _view(render: str, model: mujoco.MjModel, twin: Twin, sensor: TactileSensor | None) -> View:
-    """The view of a world, and its tactile images with it.
+    """The view of a world, and its tactile images where a sensor is given.
 
-    Args:
-        render: one of `features.RENDERS`.
-        model: of the world; with `splats` the geoms of the finger's skin leave its seen groups.
-        twin: of the finger.
-        sensor: the gel's; None where no images are wanted.
+    With `splats` the geoms of the finger's skin leave the seen groups of the model.
     """
     if render == "mesh":
         return View(model)

@@ -101,16 +101,10 @@ def grid(sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
 
 
 def shine(sensor: Sensor, moved_mm: np.ndarray, look: Look, seed: int = 0) -> np.ndarray:
-    """Light of each LED in the camera.
+    """(LEDs, H, W) radiance, in units of its own; linear in the LED's power.
 
-    Args:
-        sensor: what is looked through.
-        moved_mm: (rows, columns, 3) displacement of the points of `grid`.
-        look: wear, dust and tilt.
-        seed: of the rays.
-
-    Returns:
-        (LEDs, H, W) radiance, in units of its own; linear in the LED's power.
+    Of a face displaced by (rows, columns, 3) mm at the points of `grid`, with wear, dust and tilt; `seed` is
+    the rays'.
     """
     import mitsuba as mi
 

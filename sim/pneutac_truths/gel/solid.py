@@ -74,14 +74,10 @@ class Face:
 def press(
     punch: Punch, depth_mm: float, rubber: Rubber, fine_mm: float = 0.25, step_mm: float = 0.25
 ) -> Face:
-    """Presses an indenter in.
+    """Presses an indenter in by steps; by half of one where there is no equilibrium.
 
-    Args:
-        punch: what presses.
-        depth_mm: of its lowest point below the resting face.
-        rubber: what is pressed.
-        fine_mm: size of the elements under and near the contact.
-        step_mm: by how much the depth grows at once; by half of it where there is no equilibrium.
+    `depth_mm` is that of its lowest point below the resting face, `fine_mm` the size of elements near the
+    contact.
 
     Raises:
         ArithmeticError: no equilibrium was found.

@@ -69,15 +69,10 @@ def _march(kinds, sizes, places, turns, xs, ys, out):
 
 
 def reach_below(kinds, sizes_mm, places_mm, turns, xs_mm: np.ndarray, ys_mm: np.ndarray) -> np.ndarray:
-    """How far objects reach below the plane z = 0, mm, at most `REACH_MM`; negative where they end above.
+    """How far n objects reach below the plane z = 0, mm, at most `REACH_MM`; negative where they end above.
 
-    Args:
-        kinds: (n,) shape numbers.
-        sizes_mm: (n, 3).
-        places_mm: (n, 3) centres in the plane's frame.
-        turns: (n, 3, 3) shape to plane.
-        xs_mm: (columns,) of the grid.
-        ys_mm: (rows,).
+    Of shape numbers (n,), sizes (n, 3), centres (n, 3) and rotations (n, 3, 3) to the plane's frame, on a
+    grid of columns and rows.
     """
     out = np.full((len(ys_mm), len(xs_mm)), -REACH_MM)
     kinds, turns = np.asarray(kinds, np.int64), np.asarray(turns, float).reshape(-1, 3, 3)
@@ -115,13 +110,9 @@ class HalfSpace:
         return u[:rows, :columns]
 
     def press(self, below_mm: np.ndarray) -> tuple[np.ndarray, float]:
-        """What a rigid object does.
+        """Displacement (rows, columns) in mm by a rigid object, and the force in N.
 
-        Args:
-            below_mm: (rows, columns) how far its surface lies below the resting one; negative above it.
-
-        Returns:
-            Displacement (rows, columns) in mm and the force in N.
+        `below_mm` (rows, columns) is how far its surface lies below the resting one; negative above it.
         """
         inside = below_mm > LEAST_MM
         if not inside.any():
@@ -183,14 +174,9 @@ class Gel:
         dome_mm: float = 35.0,
         lamps: Lamps | None = None,
     ):
-        """A gel at rest.
+        """A gel at rest, with its modulus E / (1 - nu^2) and the radius of its bulging face.
 
-        Args:
-            image_shape: height, width and channels of its picture.
-            window_mm: width and height of what the camera sees.
-            modulus_kpa: E / (1 - nu^2).
-            dome_mm: radius of the bulging face.
-            lamps: default those of this sensor.
+        The picture has height, width and channels of `image_shape`; the window is (width, height).
         """
         rows, columns = self.shape
         self._size, self.modulus_kpa, self.dome_mm = image_shape[1::-1], modulus_kpa, dome_mm
@@ -205,14 +191,9 @@ class Gel:
         self.rest_image = self.image(np.zeros(self.shape))
 
     def press(self, kinds, sizes_mm, places_mm, turns, left_mm=0.0) -> tuple[np.ndarray, float]:
-        """Displacement (rows, columns) of the face in mm and the force in N, see `objects.reach_below`.
+        """Displacement (rows, columns) of the face in mm and the force in N under objects, see `reach_below`.
 
-        Args:
-            kinds: of the objects.
-            sizes_mm: of each.
-            places_mm: of each.
-            turns: of each.
-            left_mm: (rows, columns) displacement that is left of what came before.
+        `left_mm` (rows, columns) is displacement that is left of what came before.
         """
         reach = reach_below(kinds, sizes_mm, places_mm, turns, self.xs_mm, self.ys_mm)
         moved, force = self._body.press(reach + self.rest_mm - left_mm)

@@ -131,13 +131,7 @@ class Chain:
     root = "arm"
 
     def __init__(self, file: str, flange: str, home_rad: Sequence[float], base_m: Sequence[float]):
-        """An arm from a file.
-
-        Args:
-            file: URDF or MJCF.
-            flange: name of the link (body, site) that carries the finger.
-            home_rad: (N,) joint angles at which it points down.
-            base_m: where the base stands (3,).
+        """An arm from a URDF or MJCF whose link (body, site) `flange` points down at home.
 
         Raises:
             InputError: one sentence with file and fault.
