@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 
 from lerobot_pneutac.cli import _dispatch
+from lerobot_pneutac.verbs.new import new_twin
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
@@ -179,6 +180,8 @@ TWINS = {
     "a length in words": replaced("twin.yaml", "length_mm: 110.0", "length_mm: long"),
     "effects as a list": replaced("twin.yaml", "effects: {}", "effects: [creep]"),
     "an effect without a value": replaced("twin.yaml", "effects: {}", "effects: {creep: {weight_4s: 0.1}}"),
+    "no gain": replaced("twin.yaml", "gain_rad_per_kpa:", "curl_rad:"),
+    "a version that is misspelt": replaced("twin.yaml", "history: []", "history: [{version: 0, chnge: new}]"),
     "broken arrays": lambda folder: (folder / "arrays.safetensors").write_bytes(b"no arrays"),
 }
 
@@ -210,7 +213,7 @@ def write_bench(folder: Path) -> None:
 def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("sentences")
     Twin.builtin().save(path / "finger")
-    Twin("arm", 200.0).save(path / "arm")
+    new_twin("arm", length_mm=200.0).save(path / "arm")
     Twin("gel", 16.0).save(path / "gel")
     write_bench(path / "bench")
     (path / "broken.yaml").write_text("twin: [a")

@@ -191,6 +191,10 @@ def run(cfg: CalibrateConfig, scratch: Path, terminal: Terminal) -> Calibration:
     twin, keep = twin_for(cfg.twin, recording), cfg.out or cfg.twin
     if not (cfg.twin / "twin.yaml").exists():
         terminal.say(f"There is no twin at {cfg.twin} yet: beginning one of a gel.")
+    if twin.missing:
+        terminal.note(
+            f"{cfg.twin / 'twin.yaml'} has no {', '.join(twin.missing)}; the fit begins at defaults."
+        )
     passed = ("by", "effects", "through", "image_size", "train_kpa", "evaluations", "particles", "seed")
     options = {name: getattr(cfg, name) for name in passed}
     try:
@@ -251,7 +255,8 @@ def twin_for(folder: Path, recording: Recording | Demonstrations) -> Twin:
             devices differ.
     """
     if (folder / "twin.yaml").exists():
-        twin = Twin.load(folder)
+        finds = isinstance(recording, Recording) and recording.device != "gel"
+        twin = Twin.load(folder, calibrated=not finds)
         if twin.device != recording.device and (twin.device, recording.device) != ("finger", "gel"):
             raise InputError(
                 f"{recording.folder} is a recording of {an(recording.device)}, but the twin at '{folder}' is "

@@ -208,7 +208,7 @@ def _body(twin: Twin) -> None:
     for name in twin.effects:
         get_effect(name)
     if twin.device != "gel":
-        Pipeline.of(twin).theta(twin, start=False)
+        Pipeline.of(twin).theta(twin)
 
 
 WORLD = ("joint_stiffness_nm_per_rad", "joint_damping_nms_per_rad", "gain_rad_per_kpa")

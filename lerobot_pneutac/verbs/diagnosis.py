@@ -65,7 +65,7 @@ def read_found(folder: str | Path, recording: Recording | Demonstrations) -> Wri
         )
     before, baseline, found = (Path(folder) / name for name in (BEFORE, BASELINE, FOUND))
     known = Twin.load(baseline) if baseline.is_dir() else None
-    return WrittenDiagnosis(result, Twin.load(before), known, Twin.load(found))
+    return WrittenDiagnosis(result, Twin.load(before, calibrated=False), known, Twin.load(found))
 
 
 def described(contenders: Sequence[Candidate]) -> list[dict]:

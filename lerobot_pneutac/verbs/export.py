@@ -69,7 +69,7 @@ def python_file(twin: Twin) -> str:
     if twin.device == "gel":
         raise InputError("A gel has no pressure that bends it; export the twin of a finger or an arm.")
     model, source = Pipeline.of(twin), Source(compiled=False)
-    theta = model.theta(twin, start=False)
+    theta = model.theta(twin)
     for part in (Link, Pose, Finger):
         source.add(part)
     chain = "\n".join(f"    {link}," for link in _links(model, source))

@@ -15,7 +15,7 @@ def restore(folder: str | Path, version: int) -> Twin:
     Raises:
         InputError: there is no such version, or it is the newest.
     """
-    newest = Twin.load(folder)
+    newest = Twin.load(folder, calibrated=False)  # going back mends one without its gain
     numbers = [e["version"] for e in newest.history]
     if version not in numbers:
         there = f"it has {', '.join(map(str, numbers))}" if numbers else "it was never fitted"
@@ -49,7 +49,10 @@ class HistoryConfig:
 
 def command(cfg: HistoryConfig, terminal: Terminal) -> None:
     """Lists the versions of a twin, and goes back to one of them."""
-    twin = Twin.load(cfg.twin) if cfg.restore is None else restore(cfg.twin, cfg.restore)
+    if cfg.restore is None:
+        twin = Twin.load(cfg.twin, calibrated=False)
+    else:
+        twin = restore(cfg.twin, cfg.restore)
     terminal.show(report(twin))
     if cfg.restore is not None:
         number = twin.history[-1]["version"]

@@ -19,7 +19,6 @@ from pneutac_datasets.recording.wording import an
 from pneutac_sim.errors import InputError, check_choice
 from pneutac_sim.executor import ExecutorOptions
 from pneutac_sim.files import write_text
-from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.surrogate.finger import builtin, fits
 from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
@@ -141,7 +140,7 @@ def train_networks(config: SurrogateConfig, twin: Twin, progress: Progress = no_
     """Trains what is missing or outdated, and writes networks and their card into the twin's folder.
 
     Raises:
-        InputError: the twin is no finger's or has not been calibrated, or too little is to be collected.
+        InputError: the twin is no finger's, or too little is to be collected.
     """
     folder = Path(config.twin)
     if twin.device != "finger":
@@ -149,7 +148,6 @@ def train_networks(config: SurrogateConfig, twin: Twin, progress: Progress = no_
             f"{folder} is the twin of {an(twin.device)}, but the networks are of a finger and the gel on "
             "it; give a finger's twin."
         )
-    Pipeline.of(twin).theta(twin, start=False)
     config.check()
     networks, missing = {}, config.to_train(twin)
     for name in NETWORKS:

@@ -39,6 +39,10 @@ PAPER_FINGER = {
     "joint_damping_nms_per_rad": 0.006,
 }
 
+# What every calibration of a body finds; of an arm the first three: its rest pressures have other names.
+# What else a twin lacks was not known when it was made.
+CALIBRATED = ("gain_rad_per_kpa", "gain_alpha", "gain_beta", "rest_pressure_kpa")
+
 # Parameters of a body that a twin may have, besides `bend_1` to `bend_N`: of the pipeline, of the soft solid,
 # of the gel's material, and what a diagnosis finds of the clock.
 _DRIVE = (
@@ -76,6 +80,18 @@ PARAMETERS = {
     "gel": (*_DRIVE, "rest_pressure_kpa", *_SOLID, *_MATERIAL),
 }
 GEL = ("light", "depth_light", "px_per_mm", "thickness_mm", "decay_mm", "depth_scale", "threshold_levels")
+
+# Fields of an entry of the history; all but the first two may be missing.
+_NUMBER = (int, float)
+_ENTRY = {
+    "version": (int,), "change": (str,), "recording": (str,), "train": _NUMBER, "heldout": _NUMBER,
+    "unit": (str,), "seed": (int,), "effects": (str,), "arm_and_gauge": _NUMBER, "touch": _NUMBER,
+    "heldout_ci95": (list,), "dragging": (dict,), "imprint": (dict,),
+}  # fmt: skip
+_KINDS = {
+    (int,): "give a whole number", (str,): "give a text", _NUMBER: "give a finite number",
+    (list,): "give a list", (dict,): "give names and what they are",
+}  # fmt: skip
 
 
 @dataclass
@@ -134,21 +150,16 @@ class Twin:
 
     def parameter(self, name: str) -> float:
         """Value of one body parameter; raises InputError where the twin has none."""
-        self.require(name)
+        if name not in self.parameters:
+            raise InputError(f"The twin has no parameter '{name}' of its body; calibrate the twin.")
         return self.parameters[name].value
 
-    def require(self, *names: str) -> None:
-        """Raises InputError where a parameter of the body is missing, with the command that finds it."""
-        missing = [n for n in names if n not in self.parameters]
-        if missing:
-            several, folder = len(missing) > 1, self.folder or "FOLDER"
-            where = f"{self.folder / 'twin.yaml'}: body: " if self.folder else "The twin's body: "
-            listed = ", ".join(f"'{n}'" for n in missing)
-            raise InputError(
-                f"{where}{'parameters' if several else 'parameter'} {listed} {'are' if several else 'is'} "
-                f"missing; `pneutac calibrate {option('twin', folder)} --recording=DIR` finds "
-                f"{'them' if several else 'it'}."
-            )
+    @property
+    def missing(self) -> list[str]:
+        """Parameters of `CALIBRATED` that the body lacks, without those that so few joints do not have."""
+        count = {"finger": len(CALIBRATED), "arm": len(CALIBRATED) - 1, "gel": 0}[self.device]
+        none = CALIBRATED[min(len(self.spine_joint_positions_mm), 3) : 3]
+        return [n for n in CALIBRATED[:count] if n not in (*self.parameters, *none)]
 
     # ---------------------------------------------------------------- files
 
@@ -190,16 +201,21 @@ class Twin:
             path: the twin's folder.
             change: what was done, e.g. `added creep`.
             recording: the recording that was used.
-            errors: `train`, `heldout` and `unit`.
+            errors: `train`, `heldout` and `unit`; and others of `_ENTRY`.
 
         Raises:
-            InputError: as `save`, or another process has saved a version since this one was loaded.
+            InputError: as `save`, an error has another name or is not finite, or another process has saved
+                a version since this one was loaded.
         """
         path = Path(path)
         number = len(self.history)
-        entry = {"version": number, "change": change, "recording": recording, **errors}
+        entry, faults = {"version": number, "change": change, "recording": recording, **errors}, []
+        _history([*self.history, entry], faults)
+        if faults:
+            raise InputError(faults[0])
         with locked(path):
-            there = Twin.load(path).history if (path / "twin.yaml").is_file() else self.history
+            exists = (path / "twin.yaml").is_file()
+            there = Twin.load(path, calibrated=False).history if exists else self.history
             if there != self.history:
                 raise InputError(
                     f"'{path}' has been changed by another process since it was read (it holds {len(there)}"
@@ -216,8 +232,17 @@ class Twin:
         return path
 
     @classmethod
-    def load(cls, path: str | Path, version: int | None = None) -> "Twin":
-        """Reads a twin's folder, or an earlier version in it; else InputError with file and field."""
+    def load(cls, path: str | Path, version: int | None = None, calibrated: bool = True) -> "Twin":
+        """Reads a twin's folder.
+
+        Args:
+            path: the folder.
+            version: an earlier version in it.
+            calibrated: whether a body without a parameter of `CALIBRATED` is refused; a fit finds them.
+
+        Raises:
+            InputError: with file and field: there is none, or something in it is missing or malformed.
+        """
         file = Path(path) / ("twin.yaml" if version is None else f"history/{version:03d}/twin.yaml")
         if not file.is_file():
             if version is not None:
@@ -229,10 +254,15 @@ class Twin:
         d = read_yaml(file)
         if not isinstance(d, dict) or d.get("format") != FORMAT:
             raise InputError(f"{file}: field 'format' must be '{FORMAT}'.")
-        told, faults = _told(d)
+        fields, faults = _fields(d)
         if faults:
             raise InputError(f"{file}: {faults[0]}")
-        twin, folder = cls(**told), Path(path)
+        twin, folder = cls(**fields), Path(path)
+        if calibrated and twin.missing:
+            raise InputError(
+                f"{file}: body: {', '.join(twin.missing)} {'are' if twin.missing[1:] else 'is'} missing; "
+                f"`pneutac calibrate {option('twin', folder)} --recording=DIR` finds what is missing."
+            )
         twin.folder = folder
         files = {name: folder / f"{name}.safetensors" for name in NETWORKS}
         twin.networks = {name: file for name, file in files.items() if file.is_file()}
@@ -262,7 +292,7 @@ class Twin:
             return [str(e)]
         d = d if isinstance(d, dict) else {}
         found = [] if d.get("format") == FORMAT else [f"field 'format' must be '{FORMAT}'."]
-        found += _told(d)[1] if d else []
+        found += _fields(d)[1] if d else []
         if found:
             return [f"{file}: {fault}" for fault in found]
         try:
@@ -355,26 +385,26 @@ def _plain(v: Value) -> dict:
     return {"value": float(v.value)} | ({"ci95": [float(x) for x in v.ci95]} if v.ci95 else {})
 
 
-def _told(d: dict) -> tuple[dict, list[str]]:
+def _fields(d: dict) -> tuple[dict, list[str]]:
     """Fields of a `twin.yaml` as a twin takes them, and a sentence for each that is missing or malformed."""
-    told, faults = {}, unknown_names(d, ("format", *_READ, "arrays"))
+    fields, faults = {}, unknown_names(d, ("format", *_READ, "arrays"))
     for name, read in _READ.items():
         if name not in d:
             if name != "pressure_range_kpa":  # none before 0.2
                 faults.append(f"field '{name}' is missing.")
             continue
         try:
-            told[name] = read(d[name], faults)
-            Twin(**{name: told[name]})
+            fields[name] = read(d[name], faults)
+            Twin(**{name: fields[name]})
         except InputError as e:
             faults.append(str(e))
         except (TypeError, ValueError) as e:
             faults.append(f"field '{name}' is malformed ({e}).")
-    if told.keys() >= {"device", "parameters"} and told["device"] in DEVICES:
-        bends = [f"bend_{n + 1}" for n in range(len(told.get("spine_joint_positions_mm", ())))]
-        known = (*PARAMETERS[told["device"]], *bends)
+    if fields.keys() >= {"device", "parameters"} and fields["device"] in DEVICES:
+        bends = [f"bend_{n + 1}" for n in range(len(fields.get("spine_joint_positions_mm", ())))]
+        known = (*PARAMETERS[fields["device"]], *bends)
         faults += [f"body: {fault}" for fault in unknown_names(d["parameters"], known, "parameter")]
-    return told, faults
+    return fields, faults
 
 
 def _mapping(d, where: str) -> dict:
@@ -437,9 +467,22 @@ def _gel(d, faults: list[str]) -> dict:
     return d
 
 
-def _history(d) -> list[dict]:
-    if not isinstance(d, list) or not all(isinstance(e, dict) and "change" in e for e in d):
-        raise InputError("field 'history' is malformed; each entry must hold 'version' and 'change'.")
+def _history(d, faults: list[str]) -> list[dict]:
+    if not isinstance(d, list):
+        raise InputError(f"field 'history' is {shown(d)}; it must hold an entry for each version.")
+    for number, e in enumerate(d):
+        where = f"history, entry {number}"
+        faults += [f"{where}: {fault}" for fault in unknown_names(_mapping(e, where), _ENTRY)]
+        for name, kinds in _ENTRY.items():
+            value, needed = e.get(name), name in ("version", "change")
+            right = isinstance(value, kinds) and not isinstance(value, bool)
+            right = right and (kinds is not _NUMBER or math.isfinite(value))
+            if needed and name not in e:
+                faults.append(f"{where}: field '{name}' is missing.")
+            elif not right and (needed or value is not None):
+                faults.append(f"{where}: field '{name}' is {shown(value)}; {_KINDS[kinds]}.")
+        if e.get("version", number) != number:
+            faults.append(f"{where}: field 'version' is {shown(e['version'])}; versions count from 0.")
     return d
 
 
@@ -451,5 +494,5 @@ _READ: dict[str, Callable[[Any, list[str]], Any]] = {
     "effects": _effects,
     "pressure_range_kpa": lambda d, _: d,
     "gel": _gel,
-    "history": lambda d, _: _history(d),
+    "history": _history,
 }

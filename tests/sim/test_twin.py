@@ -24,7 +24,7 @@ from pneutac_benchmarks.robustness.twins import (
 from pneutac_sim import files
 from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger import Pipeline, PressurePipeline
+from pneutac_sim.finger import Pipeline
 from pneutac_sim.finger.stages import Geometry
 from pneutac_sim.gel.force import MATERIAL
 from pneutac_sim.gel.model import OWN_PLACE, GelModel
@@ -139,6 +139,20 @@ def test_missing_and_corrupted_files(tmp_path):
             "effects.dead_time: unknown parameter 'delay_sec'; did you mean 'delay_s'\\?",
         ),
         ("effects: {}", "effects:\n  dead_time: {}", "effects.dead_time: delay_s is missing; add what is"),
+        ("history: []", "history: {}", "field 'history' is {}; it must hold an entry for each version"),
+        ("history: []", "history: [first]", "field 'history, entry 0' is 'first'"),
+        ("history: []", "history: [{change: new}]", "history, entry 0: field 'version' is missing"),
+        ("history: []", "history: [{version: 1, change: a}]", "history, entry 0: field 'version' is 1"),
+        (
+            "history: []",
+            "history: [{version: 0, change: a, heldot: 1}]",
+            "history, entry 0: unknown field 'heldot'; did you mean 'heldout'\\?",
+        ),
+        (
+            "history: []",
+            "history: [{version: 0, change: a, train: .nan}]",
+            "history, entry 0: field 'train' is nan; give a finite number",
+        ),
     ],
 )
 def test_a_malformed_twin_names_file_and_field(old, new, said, tmp_path):
@@ -161,14 +175,24 @@ def test_a_twin_may_have_the_parameters_that_the_pipeline_the_solid_and_the_gel_
 
 
 @pytest.mark.parametrize("name", ["gain_rad_per_kpa", "gain_beta", "rest_pressure_kpa"])
-def test_without_a_parameter_of_the_body_no_pressure_is_turned_into_a_pose_but_a_fit_starts(tmp_path, name):
+def test_a_file_without_a_parameter_of_the_body_is_read_by_a_fit_alone(tmp_path, name):
     twin = Twin.builtin()
     del twin.parameters[name]
-    twin = Twin.load(twin.save(tmp_path))
-    says = f"twin.yaml: body: parameter '{name}' is missing; `pneutac calibrate --twin={tmp_path} --recording"
+    twin.save(tmp_path)
+    says = f"twin.yaml: body: {name} is missing; `pneutac calibrate --twin={tmp_path} --recording=DIR` finds"
     with pytest.raises(InputError, match=says):
-        PressurePipeline(twin)
-    assert np.isfinite(Pipeline.of(twin).theta(twin, 15.0, start=True)).all()
+        Twin.load(tmp_path)
+    assert len(Twin.faults(tmp_path)) == 1
+    twin = Twin.load(tmp_path, calibrated=False)
+    assert np.isfinite(Pipeline.of(twin).theta(twin, 15.0)).all()
+
+
+@pytest.mark.parametrize(("device", "joints", "missing"), [("finger", 1, 2), ("finger", 2, 3), ("arm", 6, 3)])
+def test_a_body_of_few_joints_has_no_profile_to_find(device, joints, missing):
+    twin = Twin(device, spine_joint_positions_mm=list(np.linspace(10.0, 90.0, joints)))
+    assert len(twin.missing) == missing
+    pipeline = Pipeline.of(twin)
+    assert not pipeline.update(twin, pipeline.theta(twin)).missing
 
 
 def test_a_name_that_is_given_twice_is_refused(tmp_path):
@@ -272,9 +296,11 @@ def test_yaml_has_limits(tmp_path):
 
 
 def test_what_a_twin_holds_twice_is_written_twice_and_read_again(tmp_path):
-    twin, errors = Twin.builtin(), {"train": 1.0}
-    twin.save_version(tmp_path, "first", "bench", {"by": errors, "again": errors})
-    twin.save_version(tmp_path, "second", "bench", {"by": errors})
+    twin, given = Twin.builtin(), {"task": "switch"}
+    twin.save_version(tmp_path, "first", "bench", {"dragging": given, "imprint": given})
+    twin.save_version(tmp_path, "second", "bench", {"imprint": given})
+    with pytest.raises(InputError, match="history, entry 2: field 'train' is nan"):
+        twin.save_version(tmp_path, "third", "bench", {"train": float("nan")})
     assert Twin.load(tmp_path).history == twin.history
 
 

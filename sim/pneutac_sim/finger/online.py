@@ -44,7 +44,7 @@ class PressurePipeline:
 
     def __init__(self, twin: Twin, conditions: Mapping[str, float] | None = None):
         self._model = Pipeline.of(twin)
-        self._theta = self._model.theta(twin, start=False)
+        self._theta = self._model.theta(twin)
         self._arm = self._model.geometry.axes == 2
         chain, self._tip = list(enumerate(self._held())), self._model.reads_joints
         self._to_joints, self._to_read = chain[: self._tip], chain[self._model.observes :]

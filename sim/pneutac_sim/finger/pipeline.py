@@ -69,10 +69,6 @@ class Run:
     markers: np.ndarray
 
 
-# What every calibration of a body finds; what else a twin lacks was not known when it was made.
-CALIBRATED = ("gain_rad_per_kpa", "gain_alpha", "gain_beta", "rest_pressure_kpa")
-
-
 class Pipeline:
     """The model of one device with some effects switched on.
 
@@ -160,23 +156,20 @@ class Pipeline:
 
     # ---------------------------------------------------------------- parameters
 
-    def theta(self, twin: Twin, pressure_range_kpa: float = 1.0, start: bool = True) -> np.ndarray:
+    def theta(self, twin: Twin, pressure_range_kpa: float = 1.0) -> np.ndarray:
         """(P,) values in the twin.
 
         Args:
             twin: of the device.
-            pressure_range_kpa: largest pressure; an effect that the twin lacks has its defaults for it.
-            start: whether a fit starts there, so that a twin that was never calibrated has defaults.
+            pressure_range_kpa: largest pressure; what the twin lacks has its defaults for it.
 
         Raises:
-            InputError: the file of the twin has no gain, or an effect a parameter too many.
+            InputError: an effect has a parameter too many.
         """
         for name, values in twin.effects.items():
             known = [p.name for p in get_effect(name).parameters]
             for fault in unknown_names(values, known, "parameter"):
                 raise InputError(f"The twin's effect '{name}': {fault}")
-        if twin.folder and not start:  # of a file that may have been edited; in a program defaults are chosen
-            twin.require(*(n for n in CALIBRATED if n in self.names))
         out = np.empty(len(self.names))
         for i, (name, spec) in enumerate(zip(self.names, self.specs, strict=True)):
             effect, _, parameter = name.rpartition(".")

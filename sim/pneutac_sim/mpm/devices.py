@@ -206,7 +206,7 @@ def joint_targets(
         raise InputError(
             f"The twin's effect '{name}' cannot act: {why.replace('the recording has no column', 'give')}."
         )
-    return pipeline.run(inputs, pipeline.theta(twin, start=False)).joints
+    return pipeline.run(inputs, pipeline.theta(twin)).joints
 
 
 def _refuse(twin: Twin) -> None:

@@ -10,6 +10,7 @@ from lerobot_pneutac import add, compare, diagnose
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.add import Addition
 from lerobot_pneutac.verbs.diagnosis import BEFORE, FOUND
+from lerobot_pneutac.verbs.new import new_twin
 from pneutac_datasets.generate.finger import generate
 from pneutac_datasets.generate.gel import write_gel_recording
 from pneutac_datasets.recording.recording import Recording
@@ -22,8 +23,7 @@ def pair(tmp_path_factory):
     """A short recording with hidden creep, and a plain twin of the same finger."""
     folder = tmp_path_factory.mktemp("add")
     once(generate, ["creep"], folder / "recording", 5003, minutes=3.0, hz=10)
-    recording = Recording.load(folder / "recording")
-    twin = Twin("finger", recording.length_mm, recording.spine_joint_positions_mm)
+    twin = new_twin("finger", Recording.load(folder / "recording"))
     return twin.save(folder / "twin"), folder / "recording"
 
 
@@ -79,7 +79,7 @@ def test_what_the_data_check_found_is_told(pair, tmp_path, capsys):
     r = Recording.load(pair[1])
     r.samples = r.samples.drop(columns=["pressure_kpa"])
     r.write(tmp_path / "blind")
-    twin = Twin("finger", r.length_mm, r.spine_joint_positions_mm).save(tmp_path / "twin")
+    twin = new_twin("finger", r).save(tmp_path / "twin")
     run_verb("add", [f"--twin={twin}", f"--recording={tmp_path / 'blind'}", "--effect=creep"])
     said = " ".join(capsys.readouterr().out.split())
     assert "There is no measured pressure" in said and "the test error falls from" in said
@@ -88,7 +88,7 @@ def test_what_the_data_check_found_is_told(pair, tmp_path, capsys):
 def test_an_effect_that_does_not_help_is_refused_with_numbers(pair, tmp_path):
     _, recording = pair
     r = Recording.load(recording)
-    twin = Twin("finger", r.length_mm, r.spine_joint_positions_mm).save(tmp_path / "twin")
+    twin = new_twin("finger", r).save(tmp_path / "twin")
     before = (twin / "twin.yaml").read_text()
     with pytest.raises(
         InputError, match="Not added: leak changes nothing; its constants end where it does nothing"
@@ -183,7 +183,7 @@ def test_an_effect_without_its_column_is_refused(pair, tmp_path):
     r = Recording.load(recording)
     r.samples = r.samples.drop(columns=["temperature_c"])
     r.write(tmp_path / "cold")
-    twin = Twin("finger", r.length_mm, r.spine_joint_positions_mm).save(tmp_path / "twin")
+    twin = new_twin("finger", r).save(tmp_path / "twin")
     with pytest.raises(InputError, match="record column temperature_c"):
         run_verb("add", [f"--twin={twin}", f"--recording={tmp_path / 'cold'}", "--effect=thermal"])
 
@@ -192,7 +192,7 @@ def test_every_verb_sees_the_fall_of_a_pneumatic_effect(tmp_path):
     """Errors are counted from the command, so a slow valve is in them although the pressure was measured."""
     once(generate, ["valve_lag"], tmp_path / "recording", 5004, minutes=3.0, hz=10)
     recording = Recording.load(tmp_path / "recording")
-    folder = Twin("finger", recording.length_mm, recording.spine_joint_positions_mm).save(tmp_path / "twin")
+    folder = new_twin("finger", recording).save(tmp_path / "twin")
     run_verb("calibrate", [f"--twin={folder}", f"--recording={recording.folder}"])
 
     def heldout():

@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ import pandas as pd
 import pytest
 import yaml
 
-from lerobot_pneutac.cli import main
+from lerobot_pneutac.cli import main, run_verb
 from lerobot_pneutac.study import study_of
 from lerobot_pneutac.study.pair import load_pair
 from lerobot_pneutac.verbs.calibrate import calibrate
@@ -43,7 +44,7 @@ def write(folder, samples, **meta):
 @pytest.fixture(scope="module")
 def twin(tmp_path_factory):
     folder = tmp_path_factory.mktemp("twin")
-    twin = Twin("finger", 100.0)
+    twin = replace(Twin.builtin(), length_mm=100.0)
     twin.parameters["gain_rad_per_kpa"] = Value(0.005)
     return twin.save(folder)
 
@@ -94,6 +95,26 @@ def test_a_good_recording_is_refused_by_none(twin, tmp_path):
     assert check_path(folder).faults == []
     found = calibrate(*load_pair(twin, folder, "fit"))
     assert found.worse == "" and found.error["heldout"] < 0.003
+
+
+def test_a_calibration_alone_takes_a_twin_without_its_gain_and_finds_it(tmp_path, twin, capsys):
+    folder, recording = tmp_path / "twin", write(tmp_path / "bench", table())
+    without = Twin.load(twin)
+    del without.parameters["gain_rad_per_kpa"]
+    without.save(folder)
+    given = [f"--twin={folder}", f"--recording={recording}"]
+    for verb, *more in (
+        ["compare"],
+        ["diagnose"],
+        ["add", "--effect=creep"],
+        ["learn", "--bench=standin", "--out=o"],
+    ):
+        with pytest.raises(InputError, match="twin.yaml: body: gain_rad_per_kpa is missing; `pneutac cal"):
+            run_verb(verb, given[: 1 if verb == "learn" else 2] + more)
+    run_verb("calibrate", given)
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"note: {folder / 'twin.yaml'} has no gain_rad_per_kpa; the fit begins at defaults." in said
+    assert 4 * Twin.load(folder).parameter("gain_rad_per_kpa") == pytest.approx(0.02, rel=0.02)
 
 
 def test_a_fit_that_is_worse_than_the_twin_was_is_not_stored(twin, tmp_path, monkeypatch):

@@ -10,7 +10,7 @@ from pneutac_sim.twin import Twin, Value
 
 @pytest.fixture
 def folder(tmp_path):
-    twin = Twin("finger", 110.0, (13.75, 41.25, 68.75, 96.25))
+    twin = Twin.builtin()
     for version, change in enumerate(("calibrated", "added creep", "added leak (unconfirmed)")):
         twin.parameters["rest_pressure_kpa"] = Value(float(version))
         twin.save_version(
