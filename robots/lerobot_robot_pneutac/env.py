@@ -12,38 +12,11 @@ from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE, OBS_STR
 # Both register the Gymnasium ids. Workers of lerobot-eval get them by unpickling this module's config.
 import lerobot_robot_pneutac.standin  # noqa: F401
 import pneutac_sim  # noqa: F401
-from lerobot_robot_pneutac.options import (
-    chambers_of,
-    check_cameras,
-    check_choice,
-    check_conditions,
-    check_finger,
-    check_gl,
-    check_networks,
-    check_range,
-    check_start_width,
-    check_station,
-    check_twin_folder,
-    refuse_if,
-    standin_sensor,
-    station_of,
-    tactile_shape,
-)
-from pneutac_sim.features import (
-    ACTION_NAMES,
-    CAMERA_SHAPE,
-    FIDELITIES,
-    IMAGE_NAME,
-    IMAGE_SHAPE,
-    PANDA_JOINTS,
-    POINTS_KEY,
-    POINTS_SIZE,
-    RENDERS,
-    TRIAL_S,
-    action_names,
-    state_names,
-    task_names,
-)
+from lerobot_robot_pneutac import options
+from lerobot_robot_pneutac.options import refuse_if, standin_sensor, station_of
+from pneutac_sim import features as own
+from pneutac_sim.features import CAMERA_SHAPE, IMAGE_NAME, POINTS_KEY, action_names, state_names
+from pneutac_sim.twin import Twin
 
 
 @dataclass
@@ -73,9 +46,9 @@ class PneutacTaskConfig(EnvConfig):
     tactile_points: bool = False
     features: dict[str, PolicyFeature] = field(
         default_factory=lambda: {
-            ACTION: PolicyFeature(FeatureType.ACTION, (len(ACTION_NAMES),)),
-            "agent_pos": PolicyFeature(FeatureType.STATE, (len(state_names(PANDA_JOINTS)),)),
-            f"pixels/{IMAGE_NAME}": PolicyFeature(FeatureType.VISUAL, IMAGE_SHAPE),
+            ACTION: PolicyFeature(FeatureType.ACTION, (len(own.ACTION_NAMES),)),
+            "agent_pos": PolicyFeature(FeatureType.STATE, (len(own.STATE_NAMES),)),
+            f"pixels/{IMAGE_NAME}": PolicyFeature(FeatureType.VISUAL, own.IMAGE_SHAPE),
         }
     )
     features_map: dict[str, str] = field(
@@ -88,15 +61,14 @@ class PneutacTaskConfig(EnvConfig):
 
     def __post_init__(self):
         if self.task is not None or not isinstance(self, HubEnvConfig):
-            check_choice("env.task", self.task, task_names())
+            options.check_choice("env.task", self.task, own.task_names())
         refuse_if(
             self.episode_length is not None and self.episode_length < 1,
             f"--env.episode_length is {self.episode_length}; it must be at least 1 step.",
         )
-        check_start_width("env.start_width", self.start_width)
-        check_cameras("env.cameras", self._sizes)
+        options.check_scene("env", self.start_width, self._sizes)
         if self.tactile_points:
-            self.features[POINTS_KEY] = PolicyFeature(FeatureType.STATE, (POINTS_SIZE,))
+            self.features[POINTS_KEY] = PolicyFeature(FeatureType.STATE, (own.POINTS_SIZE,))
             self.features_map[POINTS_KEY] = f"{OBS_STR}.{POINTS_KEY}"
         for name, size in self._sizes.items():
             key = f"pixels/{name}"
@@ -113,12 +85,12 @@ class PneutacTaskConfig(EnvConfig):
 
     def _set_tactile(self, twin: Path | None) -> None:
         """Sets the size of the tactile image to that of the twin's sensor."""
-        shape = tactile_shape("env.twin", twin)
+        shape = options.tactile_shape("env.twin", twin)
         self.features[f"pixels/{IMAGE_NAME}"] = PolicyFeature(FeatureType.VISUAL, shape)
 
     def _set_station(self, file: Path | None, chambers: int = 1) -> None:
         """Sets the size of state and action by the station's arm and the finger, and the control rate."""
-        check_station("env.station", file)
+        options.check_station("env.station", file)
         station = station_of(file)
         size = (len(state_names(station.joints, chambers)),)
         self.features["agent_pos"] = PolicyFeature(FeatureType.STATE, size)
@@ -129,7 +101,7 @@ class PneutacTaskConfig(EnvConfig):
             f"--env.fps is {self.fps}; the simulated robot is controlled at {station.control_hz} Hz, the "
             f"control_hz of its station.",
         )
-        self.episode_length = self.episode_length or station.steps(TRIAL_S)
+        self.episode_length = self.episode_length or station.steps(own.TRIAL_S)
 
     @property
     def _sizes(self) -> dict[str, tuple[int, int]]:
@@ -167,17 +139,11 @@ class PneutacEnvConfig(PneutacTaskConfig):
 
     def __post_init__(self):
         super().__post_init__()
-        check_range("env.pressure_range_kpa", self.pressure_range_kpa)
-        check_choice("env.fidelity", self.fidelity, FIDELITIES)
-        check_twin_folder("env.twin", self.twin)
-        check_finger("env.twin", self.twin)
-        self._set_station(self.station, chambers_of("env.twin", self.twin))
-        check_conditions("env.conditions", self.twin, self.conditions)
-        check_networks("env.twin", self.twin, self.fidelity)
+        options.check_world("env", self)
+        self._set_station(self.station, options.chambers_of("env.twin", self.twin))
         self._set_tactile(self.twin)
-        check_choice("env.render", self.render, RENDERS)
         if self.render == "splats":
-            check_gl("env.render")
+            options.check_gl("env.render")
 
     @property
     def package_name(self) -> str:
@@ -185,8 +151,6 @@ class PneutacEnvConfig(PneutacTaskConfig):
 
     @property
     def gym_kwargs(self) -> dict:
-        from pneutac_sim.twin import Twin
-
         twin = {"twin": Twin.load(self.twin)} if self.twin else {}
         own = {"fidelity": self.fidelity, "conditions": self.conditions, "render": self.render}
         own |= {"pressure_range_kpa": self.pressure_range_kpa}
@@ -248,7 +212,7 @@ class PneutacStandinConfig(PneutacTaskConfig):
 
     def __post_init__(self):
         super().__post_init__()
-        check_twin_folder("env.twin", self.twin)
+        options.check_twin_folder("env.twin", self.twin)
         self._set_tactile(self.twin)
         self._set_station(self.station)
 

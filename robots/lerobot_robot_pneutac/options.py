@@ -1,4 +1,7 @@
-"""Checks of options, in the one form of error whose text LeRobot's commands show."""
+"""Checks of options, in the one form of error whose text LeRobot's commands show.
+
+What simulates is imported where it is used: LeRobot's commands import the options of every device.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,6 +12,7 @@ from draccus.utils import DecodingError
 
 from lerobot_camera_digit.parts import refuse_if
 from pneutac_sim.errors import InputError
+from pneutac_sim.features import CHAMBERS, FIDELITIES, RENDERS
 from pneutac_sim.twin import Twin, checked_range
 
 if TYPE_CHECKING:
@@ -36,18 +40,8 @@ def check_twin_folder(option: str, folder: Path | None) -> None:
     refuse_if(missing, f"--{option} is '{folder}', which holds no twin.yaml; give a twin's folder.")
 
 
-def check_finger(option: str, twin: Path | None) -> None:
-    """Refuses a twin that is damaged or of nothing that bends; None is the built-in finger."""
-    refuse_if(
-        chambers_of(option, twin) == 0,
-        f"--{option} is '{twin}', the twin of a gel; give that of a finger or an arm.",
-    )
-
-
 def chambers_of(option: str, twin: Path | None) -> int:
     """Chambers of what a twin is of; 0 of a gel, 1 of the built-in finger where there is none."""
-    from pneutac_sim.features import CHAMBERS
-
     with named(option):
         return CHAMBERS.get(Twin.load(twin).device, 0) if twin else 1
 
@@ -62,31 +56,16 @@ def check_bend(option: str, twin: Path | None) -> None:
     )
 
 
-def pressure_range(option: str, twin: Path | None) -> tuple[float, float]:
-    """Pressures that a twin was measured over, kPa; those of the built-in one where there is none."""
-    with named(option):
-        return twin_of(twin).pressure_range_kpa
-
-
 def twin_of(folder: Path | None) -> Twin:
     """The twin in a folder; the built-in one where there is none. Raises InputError where it is damaged."""
     return Twin.load(folder) if folder else Twin.builtin()
 
 
 def gel_of(twin: Path | None) -> "GelModel":
-    """The gel of a twin, which has contact threshold, size of the images and window of its sensor.
-
-    Raises:
-        InputError: the twin's folder is damaged.
-    """
+    """The gel of a twin, or the built-in one; raises InputError where the twin's folder is damaged."""
     from pneutac_sim.gel.model import GelModel
 
     return GelModel.from_twin(Twin.load(twin) if twin else None)
-
-
-def contact_threshold(twin: Path | None) -> float:
-    """Contact threshold of a twin's gel, 8-bit levels; that of the built-in twin where there is none."""
-    return gel_of(twin).threshold_levels
 
 
 def tactile_shape(option: str, twin: Path | None) -> tuple[int, int, int]:
@@ -105,40 +84,40 @@ def standin_sensor(twin: Path | None) -> dict:
     return {"contact_threshold": gel.threshold_levels, "image_shape": shape, "window_mm": gel.window_mm}
 
 
-def check_start_width(option: str, width: float) -> None:
-    """Refuses a width of random starts beyond what the arm is safe with."""
-    from pneutac_sim.world.base import MOST_WIDE
+def station_of(file: Path | None) -> "Station":
+    """The station of a file, the paper's where there is none; raises InputError where it is no station.yaml."""
+    from pneutac_sim.world.station import Station
 
-    refuse_if(not 0 <= width <= MOST_WIDE, f"--{option} is {width:g}; it must be from 0 to {MOST_WIDE:g}.")
-
-
-def check_range(option: str, pressure_range_kpa: tuple[float, float] | None) -> None:
-    """Refuses what is no range of pressures; None is none."""
-    try:
-        if pressure_range_kpa is not None:
-            checked_range(pressure_range_kpa, f"--{option}")
-    except InputError as e:
-        refuse_if(True, str(e))
+    return Station.load(file) if file is not None else Station()
 
 
 def check_station(option: str, file: Path | None) -> None:
     """Refuses what is no station.yaml, or has an arm that carries no finger; None is none."""
-    from pneutac_sim.world.station import Station
-
     if file is not None:
         with named(option):
-            Station.load(file).make_arm()
+            station_of(file).make_arm()
 
 
-def station_of(file: Path | None) -> "Station":
-    """The station of a file; the paper's where there is none.
+def check_scene(group: str, start_width: float, cameras: dict[str, tuple[int, int]]) -> None:
+    """Refuses what a scene does not have.
 
-    Raises:
-        InputError: it is no station.yaml.
+    Args:
+        group: `env` or `robot`, to which the options belong.
+        start_width: of random starts, beyond what the arm is safe with.
+        cameras: to height and width of their pictures, which need OpenGL.
     """
-    from pneutac_sim.world.station import Station
+    from pneutac_sim.world.base import MOST_WIDE
+    from pneutac_sim.world.scene import check_camera
 
-    return Station.load(file) if file is not None else Station()
+    refuse_if(
+        not 0 <= start_width <= MOST_WIDE,
+        f"--{group}.start_width is {start_width:g}; it must be from 0 to {MOST_WIDE:g}.",
+    )
+    with named(f"{group}.cameras"):
+        for name, size in cameras.items():
+            check_camera(name, size)
+    if cameras:
+        check_gl(f"{group}.cameras")
 
 
 def check_gl(option: str) -> None:
@@ -149,28 +128,30 @@ def check_gl(option: str) -> None:
         require_gl()
 
 
-def check_cameras(option: str, sizes: dict[str, tuple[int, int]]) -> None:
-    """Refuses cameras that the scene does not have, and where OpenGL does not start; none are none."""
-    from pneutac_sim.world.scene import check_camera
-
-    with named(option):
-        for name, size in sizes.items():
-            check_camera(name, size)
-    if sizes:
-        check_gl(option)
-
-
-def check_conditions(option: str, twin: Path | None, conditions: dict) -> None:
-    """Refuses conditions that are no numbers, or a twin that has an effect without its conditions."""
+def check_finger(group: str, twin: Path | None, conditions: dict) -> None:
+    """Refuses a twin of nothing that bends, and one that has an effect without its conditions."""
     from pneutac_sim.world.conditions import conditions_for
 
-    with named(option):
+    refuse_if(
+        chambers_of(f"{group}.twin", twin) == 0,
+        f"--{group}.twin is '{twin}', the twin of a gel; give that of a finger or an arm.",
+    )
+    with named(f"{group}.conditions"):
         conditions_for(twin_of(twin), conditions)
 
 
-def check_networks(option: str, twin: Path | None, fidelity: str) -> None:
-    """Refuses a twin whose networks are missing or older than it, or whose stiffness no controller holds."""
-    from pneutac_sim.world import checks
+def check_world(group: str, config) -> None:
+    """Refuses options of which no twin's world can be made: twin, fidelity, conditions, light, pressures."""
+    from pneutac_sim.world.checks import check_networks
 
-    with named(option):
-        checks.check_networks(twin_of(twin), fidelity)
+    check_choice(f"{group}.fidelity", config.fidelity, FIDELITIES)
+    check_choice(f"{group}.render", config.render, RENDERS)
+    check_twin_folder(f"{group}.twin", config.twin)
+    check_finger(group, config.twin, config.conditions)
+    with named(f"{group}.twin"):
+        check_networks(twin_of(config.twin), config.fidelity)
+    try:
+        if config.pressure_range_kpa is not None:
+            checked_range(config.pressure_range_kpa, f"--{group}.pressure_range_kpa")
+    except InputError as e:
+        raise DecodingError((), str(e)) from e

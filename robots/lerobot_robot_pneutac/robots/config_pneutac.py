@@ -9,24 +9,13 @@ from lerobot.robots import RobotConfig
 
 from lerobot_robot_pneutac.hardware.arms import ArmConfig
 from lerobot_robot_pneutac.hardware.limits import Limits
-from lerobot_robot_pneutac.options import (
-    chambers_of,
-    check_bend,
-    check_station,
-    check_twin_folder,
-    contact_threshold,
-    named,
-    pressure_range,
-    refuse_if,
-    station_of,
-    twin_of,
-)
+from lerobot_robot_pneutac import options
+from lerobot_robot_pneutac.options import named, refuse_if, station_of, twin_of
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_NAME, state_names
 
 if TYPE_CHECKING:
     from lerobot_robot_pneutac.hardware.chambers import Chambers
-    from pneutac_sim.world.station import Station
 
 
 @dataclass(kw_only=True)
@@ -159,14 +148,16 @@ class PneutacConfig(RobotConfig):
         refuse_if(bool(taken), f"--robot.cameras has '{', '.join(taken)}', which is taken; choose another.")
         self._check_contact()
         self._check_chambers()
-        self.limits = self.limits.of_twin(pressure_range("robot.twin", self.twin))
-        check_station("robot.station", self.station)
+        with named("robot.twin"):
+            self.limits = self.limits.of_twin(twin_of(self.twin).pressure_range_kpa)
+        options.check_station("robot.station", self.station)
         self._where = station_of(self.station)
         if self.station is not None and (self.limits.low_m, self.limits.high_m) == (
             Limits.low_m,
             Limits.high_m,
         ):
-            low_m, high_m = _box_m(self._where, self.twin)
+            corners = self._where.box_m(twin_of(self.twin).length_mm)  # limits are in the arm's frame
+            low_m, high_m = (tuple((corner - self._where.base_m).tolist()) for corner in corners)
             self.limits.low_m, self.limits.high_m = low_m, high_m
 
     @property
@@ -185,9 +176,8 @@ class PneutacConfig(RobotConfig):
 
     def threshold_levels(self) -> float:
         """The contact threshold, 8-bit levels; raises InputError where the twin's folder is damaged."""
-        if self.contact_threshold is not None:
-            return self.contact_threshold
-        return contact_threshold(self.twin)
+        given = self.contact_threshold
+        return options.gel_of(self.twin).threshold_levels if given is None else given
 
     def _refuse_one_sensor_twice(self) -> None:
         """Two options that name one camera would both get its images."""
@@ -206,17 +196,17 @@ class PneutacConfig(RobotConfig):
                 )
 
     def _check_chambers(self) -> None:
-        has = chambers_of("robot.twin", self.twin) if self.twin is not None else 0
+        has = options.chambers_of("robot.twin", self.twin) if self.twin is not None else 0
         refuse_if(
             has not in (0, self.chambers),
             f"--robot.twin has {has} chamber{'s' * (has > 1)} and --robot.pressure drives {self.chambers};"
             f" give {'one controller' if has == 1 else '--robot.pressure.ports, one for each chamber'}.",
         )
         if self.bend:
-            check_bend("robot", self.twin)
+            options.check_bend("robot", self.twin)
 
     def _check_contact(self) -> None:
-        check_twin_folder("robot.twin", self.twin)
+        options.check_twin_folder("robot.twin", self.twin)
         if self.contact_threshold is not None:
             refuse_if(
                 self.twin is not None,
@@ -229,10 +219,3 @@ class PneutacConfig(RobotConfig):
         if self.twin is not None:
             with named("robot.twin"):
                 self.threshold_levels()
-
-
-def _box_m(where: "Station", twin: Path | None) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Corners (3,) of a station's workspace in the arm's frame, with the finger of a twin."""
-    corners = where.box_m(twin_of(twin).length_mm)
-    low_m, high_m = (tuple((corner - where.base_m).tolist()) for corner in corners)
-    return low_m, high_m

@@ -6,22 +6,9 @@ from pathlib import Path
 from lerobot.cameras import CameraConfig
 from lerobot.robots import RobotConfig
 
-from lerobot_robot_pneutac.options import (
-    chambers_of,
-    check_bend,
-    check_cameras,
-    check_choice,
-    check_conditions,
-    check_finger,
-    check_networks,
-    check_range,
-    check_start_width,
-    check_station,
-    check_twin_folder,
-    refuse_if,
-    station_of,
-)
-from pneutac_sim.features import FIDELITIES, RENDERS, task_names
+from lerobot_robot_pneutac import options
+from lerobot_robot_pneutac.options import refuse_if, station_of
+from pneutac_sim.features import task_names
 
 
 @RobotConfig.register_subclass("pneutac_sim")
@@ -80,7 +67,7 @@ class PneutacSimConfig(RobotConfig):
     @property
     def chambers(self) -> int:
         """Chambers of the finger; of the stand-in's own, one."""
-        return 1 if self.standin else chambers_of("robot.twin", self.twin)
+        return 1 if self.standin else options.chambers_of("robot.twin", self.twin)
 
     @property
     def control_hz(self) -> int:
@@ -88,33 +75,7 @@ class PneutacSimConfig(RobotConfig):
 
     def __post_init__(self):
         super().__post_init__()
-        check_choice("robot.task", self.task, task_names())
-        check_choice("robot.fidelity", self.fidelity, FIDELITIES)
-        check_twin_folder("robot.twin", self.twin)
-        if not self.standin or self.bend:  # of the stand-in's twin the sensor alone counts
-            check_finger("robot.twin", self.twin)
-            check_conditions("robot.conditions", self.twin, self.conditions)
-        if not self.standin:  # which has no networks
-            check_networks("robot.twin", self.twin, self.fidelity)
-        check_choice("robot.render", self.render, RENDERS)
-        if self.bend:
-            check_bend("robot", self.twin)
-        refuse_if(self.spread < 0, f"--robot.spread is {self.spread}; it must not be negative.")
-        refuse_if(
-            self.bend and self.standin and self.twin is None,
-            "--robot.bend=true on the stand-in needs --robot.twin, the twin that was calibrated to it.",
-        )
-        check_start_width("robot.start_width", self.start_width)
-        check_station("robot.station", self.station)
-        self._where = station_of(self.station)
-        for name, camera in self.cameras.items():
-            refuse_if(
-                camera.type != "pneutac_scene" or camera.fps not in (0, self.control_hz),
-                f"--robot.cameras: '{name}' is of type {camera.type} at {camera.fps} fps; the simulated robot"
-                f" has cameras of type pneutac_scene at {self.control_hz} fps.",
-            )
-        check_cameras("robot.cameras", self.sizes)
-        check_range("robot.pressure_range_kpa", self.pressure_range_kpa)
+        options.check_choice("robot.task", self.task, task_names())
         refuse_if(
             self.standin
             and (self.fidelity, self.conditions, self.render, self.pressure_range_kpa)
@@ -122,6 +83,27 @@ class PneutacSimConfig(RobotConfig):
             "--robot.standin=true has a finger and a gel of its own; leave --robot.fidelity,"
             " --robot.conditions, --robot.render and --robot.pressure_range_kpa out, or the stand-in.",
         )
+        refuse_if(
+            self.bend and self.standin and self.twin is None,
+            "--robot.bend=true on the stand-in needs --robot.twin, the twin that was calibrated to it.",
+        )
+        if not self.standin:
+            options.check_world("robot", self)
+        else:  # of whose twin the sensor alone counts
+            options.check_twin_folder("robot.twin", self.twin)
+        if self.bend:
+            options.check_finger("robot", self.twin, self.conditions)
+            options.check_bend("robot", self.twin)
+        refuse_if(self.spread < 0, f"--robot.spread is {self.spread}; it must not be negative.")
+        options.check_station("robot.station", self.station)
+        self._where = station_of(self.station)
+        for name, camera in self.cameras.items():
+            refuse_if(
+                camera.type != "pneutac_scene" or camera.fps not in (0, self.control_hz),
+                f"--robot.cameras: '{name}' is of type {camera.type} at {camera.fps} fps; the simulated robot"
+                f" has cameras of type pneutac_scene at {self.control_hz} fps.",
+            )
+        options.check_scene("robot", self.start_width, self.sizes)
 
     @property
     def sizes(self) -> dict[str, tuple[int, int]]:
