@@ -85,7 +85,7 @@ def standin_sensor(twin: Path | None) -> dict:
 
 
 def station_of(file: Path | None) -> "Station":
-    """The station of a file, the paper's where there is none; raises InputError where it is no station.yaml."""
+    """The station of a file, or the paper's; raises InputError where it is no station.yaml."""
     from pneutac_sim.world.station import Station
 
     return Station.load(file) if file is not None else Station()

@@ -27,13 +27,7 @@ from pneutac_datasets.demonstrations.faults import motion_faults
 from pneutac_datasets.demonstrations.info import refuse_damaged
 from pneutac_datasets.demonstrations.save import create_dataset, written
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import (
-    PANDA_JOINTS,
-    PAPER_RANGE_KPA,
-    PRESSURES,
-    action_limits,
-    state_limits,
-)
+from pneutac_sim.features import PANDA_JOINTS, PAPER_RANGE_KPA, PRESSURES, action_limits, state_limits
 from pneutac_sim.progress import Progress, no_progress
 
 # How far each variation goes; small against the differences between phases of a demonstration.
@@ -55,20 +49,10 @@ def augment_naive(
     progress: Progress = no_progress,
     left_out: Collection[int] = (),
 ) -> Path:
-    """Writes a LeRobotDataset of varied demonstrations that merges with its source.
+    """Writes a LeRobotDataset of varied demonstrations that merges with its source; returns `out_root`.
 
-    Args:
-        dataset_root: folder of the demonstrations.
-        repo_id: their name.
-        out_root: folder of the new dataset, which must not exist.
-        out_repo_id: its name.
-        episodes: number of new demonstrations; the sources take turns.
-        seed: decides every variation.
-        progress: is called with a text, and how many of how many demonstrations are made.
-        left_out: numbers of the recorded ones that are not varied.
-
-    Returns:
-        `out_root`.
+    The recorded ones but those `left_out` take turns, and the seed decides every variation. `progress` is
+    called with a text, and how many of how many are made.
 
     Raises:
         InputError: the source is not there or has other features, or `out_root` exists.
@@ -103,15 +87,9 @@ def augment_naive(
 def varied(
     load: Callable[[int], Episode], n: int, states: np.ndarray, actions: np.ndarray, episodes: int, seed: int
 ) -> Iterator[Episode]:
-    """Yields so many varied demonstrations of `n` recorded ones, which take turns.
+    """Yields so many varied demonstrations of `n` recorded ones, which `load` gives by their numbers.
 
-    Args:
-        load: gives a recorded one by its number.
-        n: their number.
-        states: of all their frames.
-        actions: likewise.
-        episodes: number of varied ones.
-        seed: decides every variation.
+    They take turns; `states` and `actions` are those of all their frames.
     """
     slope = _joint_slope(states, load(0))
     # A recording does not say what its finger bears: no farther than the paper's, or than was demonstrated.
@@ -131,14 +109,10 @@ def vary(
     rng: np.random.Generator,
     pressure_range_kpa: tuple[float, float] = PAPER_RANGE_KPA,
 ) -> Episode:
-    """One varied demonstration.
+    """One varied demonstration, with a partner mixed in where there is one.
 
-    Args:
-        episode: the demonstration to vary.
-        partner: another one to mix in, or None.
-        slope: (3, N) change of the joint angles with the flange position, rad/m.
-        rng: decides every variation.
-        pressure_range_kpa: of the finger, which the pressures keep to.
+    `slope` (3, N) is the change of the joint angles with the flange position, rad/m; pressures keep to the
+    range.
     """
     if partner is not None:
         episode = _mix(episode, partner, rng.uniform(*MIX_WEIGHT))

@@ -35,16 +35,8 @@ from pneutac_sim.errors import InputError
 def pool_demonstrations(sources: list[Path], out: str | Path, repo_id: str) -> Path:
     """Writes the demonstrations of several datasets as one whose images are 80 x 60, lying ones 60 x 80.
 
-    Args:
-        sources: folders of LeRobotDatasets of this robot, of equal frame rate.
-        out: folder of the new dataset, which must not exist.
-        repo_id: its name.
-
-    Returns:
-        `out`.
-
     Raises:
-        InputError: a source is no such dataset, frame rates or sizes differ, or `out` exists.
+        InputError: a source is no dataset of this robot, frame rates or sizes differ, or `out` exists.
     """
     for root in sources:
         refuse_damaged(root)

@@ -41,14 +41,11 @@ def record_episodes(
         robot: the simulated robot; one that is not connected is connected for the recording only.
         teleop: its teleoperator, likewise; its `steps` are an episode's longest.
         repo_id: name of the dataset.
-        root: folder of the dataset, which must not exist.
+        root: folder of the dataset, which must not exist; it is returned.
         episodes: number of demonstrations.
         task_text: instruction stored with every frame.
         use_videos: store the tactile images as video instead of PNG.
         progress: is called with a text, and how many of how many demonstrations are recorded.
-
-    Returns:
-        `root`.
 
     Raises:
         InputError: `root` exists, or three of four demonstrations fail.

@@ -23,33 +23,16 @@ def create_dataset(
 ) -> LeRobotDataset:
     """A new LeRobotDataset for unpaced writing.
 
-    Args:
-        repo_id: name of the dataset.
-        root: its folder, which must not exist.
-        fps: frames per second that it states.
-        features: LeRobot's dictionary of features.
-        robot_type: name of the robot.
-        use_videos: whether the images become videos.
-        longest_episode: most frames that an episode will have; the video encoder drops frames that it cannot
-            queue, so its queue holds a whole episode.
+    The video encoder drops frames that it cannot queue, so its queue holds the longest episode, in frames.
 
     Raises:
         InputError: `root` exists.
     """
     if Path(root).exists():
         raise InputError(f"'{root}' exists; give a new folder for dataset '{repo_id}'.")
-    return LeRobotDataset.create(
-        repo_id,
-        fps,
-        features,
-        root=root,
-        robot_type=robot_type,
-        use_videos=use_videos,
-        image_writer_threads=2,
-        video_backend="pyav",
-        streaming_encoding=use_videos,
-        encoder_queue_maxsize=longest_episode + 1,
-    )
+    encoding = {"streaming_encoding": use_videos, "encoder_queue_maxsize": longest_episode + 1}
+    how = {"use_videos": use_videos, "image_writer_threads": 2, "video_backend": "pyav"}
+    return LeRobotDataset.create(repo_id, fps, features, root, robot_type, **how, **encoding)
 
 
 @contextlib.contextmanager

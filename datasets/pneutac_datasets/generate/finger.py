@@ -70,13 +70,9 @@ class ProgramTrial:
 
 
 def session(top: float, seconds: float, hz: float, rng: np.random.Generator) -> list[ProgramTrial]:
-    """A whole bench session of about `seconds`.
+    """A whole bench session of about `seconds`, hz samples a second; `rng` decides levels and orders.
 
-    Args:
-        top: largest pressure, kPa.
-        seconds: length of the session; 600 s runs everything at its natural pace, less shortens every part.
-        hz: samples a second.
-        rng: decides levels and orders.
+    600 s run everything at its natural pace, less shortens every part. The largest pressure is `top`, kPa.
 
     Returns:
         The main trial, two equal ones, one with the base flipped, one warm, one with a payload.

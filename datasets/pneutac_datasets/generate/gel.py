@@ -78,13 +78,7 @@ _AMBIENT, _EXPOSURE = 0.2, 100.0
 def write_gel_recording(folder: str | Path, seed: int = 0, heldout: int = 6) -> Recording:
     """Writes a rest image, one calibration and several held-out indentations by a ball of 3 mm radius.
 
-    Args:
-        folder: where the recording goes.
-        seed: decides places, depths and noise.
-        heldout: number of held-out images.
-
-    Returns:
-        The recording, as loaded from `folder`.
+    The seed decides places, depths and noise; the recording is returned as loaded from the folder.
     """
     rng = np.random.default_rng(seed)
     x, y = np.meshgrid(

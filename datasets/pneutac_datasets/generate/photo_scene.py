@@ -22,10 +22,6 @@ from pneutac_sim.world.view import gl_context
 def printed_texture(rng: np.random.Generator, length_m: float) -> np.ndarray:
     """Texture of a printed body: layers, dirty folds, a label, a tape, and a sensor's housing at its tip.
 
-    Args:
-        rng: decides colours and places.
-        length_m: of the straight body.
-
     Returns:
         uint8 (V, U, 3): columns along the body, rows round its axis from +y to +z.
     """
@@ -136,11 +132,7 @@ class Studio:
 
 
 def photograph(
-    mesh: trimesh.Trimesh | None,
-    rest: np.ndarray,
-    studio: Studio,
-    camera: Camera,
-    rng: np.random.Generator,
+    mesh: trimesh.Trimesh | None, rest: np.ndarray, studio: Studio, camera: Camera, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Photographs a body, with a backdrop behind it as seen from the camera.
 

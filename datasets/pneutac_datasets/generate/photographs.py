@@ -82,12 +82,7 @@ PRESSURES_KPA = tuple(float(p) for p in range(16))
 
 
 def hidden_twin(seed: int, device: str) -> Twin:
-    """A device with parameters around the paper's calibrated ones (Sec. IV-A).
-
-    Args:
-        seed: decides them.
-        device: `finger` or `arm`.
-    """
+    """A finger or arm with parameters around the paper's calibrated ones (Sec. IV-A), by a seed."""
     if device not in CAMERAS:
         raise InputError(f"There are no photographs of a '{device}'; choose finger or arm.")
     rng = np.random.default_rng([seed, 11])
@@ -305,12 +300,7 @@ def _empty(camera: str) -> str:
 def bent_meshes(
     twin: Twin, q_cmd: np.ndarray, particles: int = 6000
 ) -> tuple[list[trimesh.Trimesh], np.ndarray, np.ndarray, np.ndarray]:
-    """Surface meshes of a device at rest, by full material points.
-
-    Args:
-        twin: a finger's or an arm's.
-        q_cmd: (T, H) rad, joint targets.
-        particles: about how many.
+    """Surface meshes of a twin's body at rest under joint targets (T, H) rad, by full material points.
 
     Returns:
         T meshes (m), the vertices (V, 3) of the straight one, the joint angles (T, H) at rest, rad, and the

@@ -29,16 +29,10 @@ def write_finger(folder: str | Path, seed: int = 0, minutes: float = 6.0, hz: fl
     """Writes a session with the stand-in's finger: stairs, triangles, loops, holds, steps, and two repeats.
 
     Each trial begins rested. The pressure is logged by the gauge of the robot, so that air and body can be
-    told apart.
-
-    Args:
-        folder: where the recording goes.
-        seed: decides the programs' random levels and the noise.
-        minutes: length of the session.
-        hz: samples a second.
+    told apart. The seed decides the programs' random levels and the noise.
 
     Raises:
-        InputError: `minutes` or `hz` is out of its range.
+        InputError: `minutes` or `hz`, samples a second, is out of its range.
     """
     if not 1 <= minutes <= 60 or not 5 <= hz <= 50:
         raise InputError(f"minutes={minutes}, hz={hz}: minutes must be 1 to 60 and hz 5 to 50.")
@@ -116,12 +110,8 @@ def write_trials(
 ) -> Recording:
     """Writes what the stand-in's finger did, long without pressure before each of several trials.
 
-    Args:
-        folder: where the recording goes.
-        trials: each a name and commands (n,), kPa.
-        hz: samples a second.
-        seed: decides the noise.
-        conditions: direction of gravity in the base's frame, and `payload_g`.
+    A trial is a name and commands (n,), kPa; the conditions are the direction of gravity in the base's frame
+    and `payload_g`.
 
     Raises:
         InputError: a command lies beyond the finger's pressures.
@@ -167,11 +157,8 @@ def _measured(
 def write_gel(folder: str | Path, seed: int = 0) -> Recording:
     """Writes a rest image and `PRESSES` presses by balls into the stand-in's gel, the first to calibrate by.
 
-    A depth is from the first touch on, the force that of a scale under the gel.
-
-    Args:
-        folder: where the recording goes.
-        seed: decides places, depths, noise and drift of the light.
+    A depth is from the first touch on, the force that of a scale under the gel; the seed decides places,
+    depths, noise and drift of the light.
     """
     rng = np.random.default_rng([seed, 4])
     gel, scale = new_gel(), np.random.default_rng([seed, 6])

@@ -71,13 +71,8 @@ def assign(
     """Part number (n,) of each sample.
 
     Blocks are shuffled within their stratum and laid on one line; each part takes its share spread evenly
-    along it, so a stratum with as many blocks as there are parts is in every part.
-
-    Args:
-        samples: the table of samples.
-        block: block number (n,) of each sample.
-        seed: decides the shuffle.
-        fractions: share of each part, positive, summing to 1.
+    along it, so a stratum with as many blocks as there are parts is in every part. Fractions are positive and
+    sum to 1.
     """
     rng = np.random.default_rng(seed)
     share = np.asarray(fractions, float)

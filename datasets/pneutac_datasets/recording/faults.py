@@ -27,13 +27,10 @@ class _Collected(list):
 
 
 def recording_faults(folder: str | Path) -> tuple[list[str], list[str]]:
-    """All that keeps a bench recording from being read, and what is poor but usable.
-
-    Args:
-        folder: of the recording, or the root of a LeRobotDataset with its columns.
+    """All that keeps a bench recording, or a LeRobotDataset with its columns, from being read.
 
     Returns:
-        One sentence for each fault; one for each note, where there is no fault.
+        One sentence for each fault; one for each note on what is poor but usable, where there is no fault.
     """
     folder, found = Path(folder), _Collected()
     meta = found(reading.read_meta, folder)

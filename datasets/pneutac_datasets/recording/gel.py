@@ -25,15 +25,10 @@ from pneutac_sim.gel.probe import THICKNESS_MM
 
 
 def figure_of(folder: Path, row: pd.Series, indenter: str) -> AnyFigure | None:
-    """The figure of a row's indenter; None where it is one of the plain shapes.
+    """The figure of a row's indenter, of its `outline_mm` or the `indenter_file` in the recording's folder.
 
-    Args:
-        folder: of the recording, in which `indenter_file` lies.
-        row: with `outline_mm` for an `outline`, `indenter_file` for a `mesh`.
-        indenter: of the row.
-
-    Raises:
-        InputError: the column is empty, or what it names is no indenter.
+    None where it is one of the plain shapes; raises InputError where the column is empty, or names no
+    indenter.
     """
     if indenter == "outline":
         return Outline.of_text(_text(row, "outline_mm", "give its corners in mm, x y; x y; x y"))
@@ -206,7 +201,7 @@ def gel_faults(recording: Recording) -> tuple[list[str], list[str]]:
 
 
 def pair_faults(recording: Recording, data: GelRecording) -> list[str]:
-    """One sentence for each press to calibrate by that is no rest and indentation image, see `check_pair`."""
+    """One sentence for each press to calibrate by that `check_pair` refuses."""
     out = []
     for s in data.presses:
         try:
@@ -290,7 +285,7 @@ def _tell_earlier(recording: Recording, samples: list[GelSample]) -> None:
         s.earlier = tuple(Earlier(samples[k].press, float(held[k]), float(time[i] - time[k])) for k in before)
 
 
-def _misplaced(data: "GelRecording") -> list[str]:
+def _misplaced(data: GelRecording) -> list[str]:
     """A note where the images show contacts at other places, or of another size, than the rows say."""
     shown_px, stated_px, widths = [], [], []
     for s in data.samples:
@@ -338,7 +333,7 @@ def _misplaced(data: "GelRecording") -> list[str]:
     return []
 
 
-def _rest_doubts(data: "GelRecording") -> list[str]:
+def _rest_doubts(data: GelRecording) -> list[str]:
     """Notes where a rest image differs from what the presses show away from their contacts."""
     rests = {id(s.rest): [r for r in data.samples if r.rest is s.rest] for s in data.samples}
     each = (_rest_doubt(s[0].rest, s, data.px_per_mm) for s in rests.values() if len(s) >= REST_SAMPLES)
@@ -383,7 +378,7 @@ def _rest_doubt(rest: np.ndarray, samples: list[GelSample], px_per_mm: float) ->
     return out
 
 
-def _doubtful(data: "GelRecording") -> list[str]:
+def _doubtful(data: GelRecording) -> list[str]:
     """A note on the photographs to score by that show no contact where it should be, or a saturated one.
 
     Those to calibrate by are refused for it, see `pair.check_pair`.

@@ -18,13 +18,9 @@ RIDGE, DAMPING = 1e-5, 1e-4
 
 
 def static_columns(u: np.ndarray) -> np.ndarray:
-    """Constant, powers up to the fourth, and products of two chambers.
+    """(n, m): a constant first, powers up to the fourth, and products of two chambers.
 
-    Args:
-        u: pressure or drive (n, chambers), of the order of 1.
-
-    Returns:
-        (n, m), the constant first.
+    Pressures or drives `u` (n, chambers) are of the order of 1.
     """
     products = [(u[:, i] * u[:, j])[:, None] for i, j in combinations(range(u.shape[1]), 2)]
     return np.hstack([np.ones((len(u), 1)), u, u**2, u**3, u**4, *products])
@@ -86,16 +82,13 @@ class Memory:
 
 
 def history(recording: Recording, p: np.ndarray, start: str) -> np.ndarray:
-    """Lags of the pressure over a tenth of a second to minutes, its largest value yet, and drift.
+    """(j, n, chambers): lags of the pressure over 0.1 s to minutes, its largest value yet, and drift.
 
     Args:
         recording: whose trials they are.
         p: pressure (n, chambers), of the order of 1.
         start: how trials begin: `held` at their first pressure for ever, `vented` for ever, or `carried` on
             from where the trial before ended, after its pause where that is known.
-
-    Returns:
-        (j, n, chambers).
     """
     time, begun = recording.column("time_s"), recording.starts
     tau = np.array(TIMES_S)[:, None]

@@ -315,10 +315,11 @@ def align_mounts(
 ) -> tuple[Recording, list[str]]:
     """Moves trials with a significantly different mount onto the mount of the first one.
 
-    Of tip coordinates the motion turns and shifts; angles, curvatures and a single coordinate are shifted.
+    Of tip coordinates the motion turns and shifts; angles, curvatures and a single coordinate are shifted. A
+    recording of a single mount is returned as it is.
 
     Args:
-        recording: cleaned, of a finger or an arm; one of a single mount is returned as it is.
+        recording: cleaned, of a finger or an arm.
         length_mm: of the device.
         train: (n,) mask of samples to judge and fit by, others are moved too; None means all.
 

@@ -147,13 +147,7 @@ def background_of(recording: Recording, camera: str) -> str | None:
 
 
 def column_of(recording: Recording, kind: str, camera: str) -> str:
-    """Column of a camera's `image` or `mask`: `image_<camera>`, or `image` where there is no such column.
-
-    Args:
-        recording: with photographs.
-        kind: `image` or `mask`.
-        camera: its name.
-    """
+    """Column of a camera's `image` or `mask`: `image_<camera>`, or `image` where there is no such column."""
     own = f"{kind}_{camera}"
     single = not recording.has(own) and recording.has(kind) and masked_cameras(recording) == [camera]
     return kind if single else own

@@ -334,9 +334,7 @@ def _clipped(
         f"count as {level:.4g} kPa; no program should command more."
     )
     clipped = replace(
-        recording,
-        samples=recording.samples.assign(**{command: u}),
-        meta=recording.meta | {SUPPLY: limits},
+        recording, samples=recording.samples.assign(**{command: u}), meta=recording.meta | {SUPPLY: limits}
     )
     return clipped, Finding("supply_limit", text, (command,), np.flatnonzero(end.rows), {"at": level})
 

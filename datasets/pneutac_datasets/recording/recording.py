@@ -126,14 +126,9 @@ class Recording:
         return starts(self.meta, list(self.trials()))
 
     def image(self, value, plain: bool = False) -> np.ndarray:
-        """Reads an image named in a column (relative path, or bytes stored in Parquet).
+        """RGB uint8 (H, W, 3) named in a column: a relative path, or bytes stored in Parquet.
 
-        Args:
-            value: the column's entry.
-            plain: whether a file must be RGB with 8 bits a channel.
-
-        Returns:
-            RGB uint8 (H, W, 3).
+        With `plain` a file must be RGB with 8 bits a channel.
         """
         if isinstance(value, dict) and value.get("bytes"):
             return read_image(value["bytes"], f"{self.folder}: an image of the dataset")
@@ -170,10 +165,7 @@ class Recording:
         """Parts by whole blocks of time, stratified by program, orientation, temperature and payload.
 
         A gel is split by role instead where it has one: `calibration` trains, everything else is held out.
-
-        Args:
-            seed: decides which blocks go where.
-            fractions: share of each part; three numbers make train, validation and an untouched test part.
+        Three fractions make train, validation and an untouched test part.
 
         Returns:
             One boolean mask (n,) a part; every sample is in exactly one.

@@ -65,15 +65,9 @@ def jumps(recording: Recording) -> list[Finding]:
 
 
 def excursions(t: np.ndarray, y: np.ndarray, p: np.ndarray) -> list[tuple[int, int, bool]]:
-    """Sudden unexplained moves of one trial.
+    """Sudden unexplained moves of one trial: first row, row after the last, whether the position came back.
 
-    Args:
-        t: time (n,) in s.
-        y: measured position (n, k).
-        p: every pressure (n, k) in kPa.
-
-    Returns:
-        First row, row after the last, and whether the position came back within `LONGEST_EXCURSION_S`.
+    Times t (n,) are in s, positions y (n, k) measured, p (n, k) every pressure in kPa.
     """
     span = np.linalg.norm(np.quantile(y, 0.99, axis=0) - np.quantile(y, 0.01, axis=0))
     size = np.r_[0.0, np.linalg.norm(np.diff(y, axis=0), axis=1)]

@@ -83,9 +83,7 @@ class Unit:
 def unit_named(text: str, dimension: str = "") -> Unit | None:
     """The unit that a text names, such as `kPa`, `bar (abs)`, `m/s²`; None where it is none.
 
-    Args:
-        text: as in a header.
-        dimension: which is meant where a name stands for several (`m`, `c`, `g`); any where it is empty.
+    The dimension says which is meant where a name stands for several (`m`, `c`, `g`).
     """
     plain = " ".join(text.strip().lower().replace("µ", "u").replace("μ", "u").split())
     plain = plain.replace("²", "2").replace("^", "").replace("º", "°").replace("**", "").strip("[](){} ")

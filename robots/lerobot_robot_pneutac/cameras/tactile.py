@@ -33,7 +33,6 @@ class Tactile:
         gel: of the sensor's twin, with whose rest image the first frames are compared; None for none.
 
     Attributes:
-        camera, threshold_levels, shape: see above.
         rest_image: mean of the first frames, once connected.
     """
 
@@ -79,12 +78,7 @@ class Tactile:
 
 
 class LiveCamera:
-    """A camera of the robot's, read at once.
-
-    Args:
-        camera: connected and let go by whoever owns it.
-        name: of its pictures, for the sentences.
-    """
+    """A camera that is read at once, connected and let go by whoever owns it; `name` is for sentences."""
 
     def __init__(self, camera: Camera, name: str):
         self._camera, self._name = camera, name

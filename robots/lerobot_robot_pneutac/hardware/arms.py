@@ -148,7 +148,7 @@ class LeRobotArmConfig(ArmConfig):
             ImportError,
             ValueError,
             DecodingError,
-        ) as e:  # what its package is called, or its options are
+        ) as e:  # its package's name, or its options
             raise InputError(f"--robot.arm.robot: {e}") from e
         found = [n for n in robot.action_features if n.endswith(".pos")]
         motors = self.motors or [n for n in found if not n.startswith("gripper")]

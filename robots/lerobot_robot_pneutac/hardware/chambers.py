@@ -13,11 +13,8 @@ class Chambers:
 
     A command of each is void after `parts.COMMAND_S`, so all are vented also where the caller stops.
 
-    Attributes:
-        controllers: of the chambers, in their order.
-
     Args:
-        controllers: see above.
+        controllers: of the chambers, in their order.
         alike: whether another highest set-point than the first one's is a fault.
     """
 

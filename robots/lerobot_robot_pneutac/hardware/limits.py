@@ -91,8 +91,7 @@ class Limits:
             f"limits.speed_m_s is {self.speed_m_s}; actions reach {MAX_SPEED_M_S} at most.",
         )
         refuse_if(
-            self.vacuum_kpa > 0,
-            f"limits.vacuum_kpa is {self.vacuum_kpa}; it must be 0, or below for vacuum.",
+            self.vacuum_kpa > 0, f"limits.vacuum_kpa is {self.vacuum_kpa}; it must be 0, or below for vacuum."
         )
         refuse_if(
             len(self.low_m) != 3 or len(self.high_m) != 3 or not (np.less(self.low_m, self.high_m)).all(),
@@ -106,18 +105,11 @@ class Limits:
         )
 
     def velocity(self, wanted_m_s: np.ndarray, flange_m: np.ndarray) -> np.ndarray:
-        """The part of a velocity that keeps the flange in its box.
+        """The part of a velocity (3,) m/s that keeps the flange, now at `flange_m` (3,), in its box.
 
-        Towards a wall the speed is at most `distance / (COMMAND_S + STOPPING_S)`: also where this is the
-        last command ever sent, the arm has come to rest before the wall. Outside the box only the way back
-        is open.
-
-        Args:
-            wanted_m_s: (3,).
-            flange_m: present position (3,).
-
-        Returns:
-            (3,) m/s.
+        Towards a wall the speed is at most `distance / (COMMAND_S + STOPPING_S)`: also where this is the last
+        command ever sent, the arm has come to rest before the wall. Outside the box only the way back is
+        open.
         """
         room_s = COMMAND_S + STOPPING_S
         up = np.clip((np.asarray(self.high_m) - flange_m) / room_s, 0.0, self.speed_m_s)

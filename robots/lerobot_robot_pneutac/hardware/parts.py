@@ -7,16 +7,7 @@ import numpy as np
 
 from lerobot_camera_digit.parts import TICK_S, TURNS, HardwareFault, wait
 
-__all__ = [
-    "COMMAND_S",
-    "TICK_S",
-    "TURNS",
-    "Arm",
-    "ArmState",
-    "HardwareFault",
-    "PressureController",
-    "wait",
-]
+__all__ = ["COMMAND_S", "TICK_S", "TURNS", "Arm", "ArmState", "HardwareFault", "PressureController", "wait"]
 
 
 @dataclass(frozen=True)

@@ -32,11 +32,7 @@ def pressure_controller_types() -> list[str]:
 
 
 def make_pressure_controller(type: str, **options) -> PressureController:
-    """A pressure controller of a type, not yet connected.
-
-    Args:
-        type: one of `pressure_controller_types`.
-        options: the class's own, such as `port` and `max_kpa`.
+    """A pressure controller of a known type, not yet connected, made with its class's own options.
 
     Raises:
         InputError: there is no such type, an option is unknown, missing or bad, or a package's entry point is

@@ -152,18 +152,12 @@ class FrameReader:
 
 
 def hello(session: int, clear_faults: bool, nonce: int) -> bytes:
-    """Opens a session where `nonce` is the controller's present one, else asks for it.
-
-    Args:
-        session: any number from 1 to 65535 other than the last one.
-        clear_faults: whether the new session forgets faults.
-        nonce: 32 bits, from the controller's reply; 0 is none.
-    """
+    """Opens a session (1 to 65535) where `nonce` is the controller's present one, else asks for it."""
     return encode(Frame(Type.HELLO, session, 0, struct.pack("<BBI", VERSION, clear_faults, nonce)))
 
 
 def set_point(session: int, sequence: int, target_pa: int) -> bytes:
-    """Frame that commands a pressure."""
+    """Commands a pressure."""
     return encode(Frame(Type.SET_POINT, session, sequence, struct.pack("<i", target_pa)))
 
 
@@ -173,7 +167,7 @@ def vent(session: int, sequence: int) -> bytes:
 
 
 def heartbeat(session: int, sequence: int) -> bytes:
-    """Frame that shows that the host is running."""
+    """Shows that the host is running."""
     return encode(Frame(Type.HEARTBEAT, session, sequence))
 
 

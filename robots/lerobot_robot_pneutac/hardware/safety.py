@@ -5,8 +5,9 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -90,13 +91,10 @@ class Guard:
             return state, kpa
 
     def act(self, values: np.ndarray) -> np.ndarray:
-        """Carries out an action as far as the limits allow.
-
-        Args:
-            values: (3 + chambers,) flange velocity m/s and pressures kPa.
+        """Carries out an action (3 + chambers,), flange velocity m/s and pressures kPa, within the limits.
 
         Returns:
-            What was carried out (3 + chambers,): zeros, the arm at rest and the chamber vented, where it was
+            What was carried out (3 + chambers,); zeros, the arm at rest and the chamber vented, where it was
             refused.
 
         Raises:
@@ -128,13 +126,30 @@ class Guard:
             logger.error("%s The arm is stopped and the chamber vented.", fault)
         self.halt()
 
-    def failing(self, doing: str) -> "_Failing":
-        """Context in which whatever is raised halts everything at once; for all that touches a part.
+    @contextmanager
+    def failing(self, doing: str) -> Iterator[None]:
+        """While a part is used: whatever is raised halts everything at once.
 
         Raises:
             HardwareFault: in place of any other exception of the part, and on entering after a fault.
         """
-        return _Failing(self, doing)
+        if self.fault:
+            raise self.fault
+        try:
+            yield
+        except HardwareFault as fault:
+            if not self._closed.is_set():
+                self.fail(fault)
+            raise
+        except Exception as e:
+            if self._closed.is_set():
+                raise
+            fault = HardwareFault(f"{doing.capitalize()} failed: {e}.")
+            self.fail(fault)
+            raise fault from e
+        except BaseException:  # Ctrl-C: LeRobot saves its data first and only then disconnects
+            self.halt()
+            raise
 
     def halt(self) -> None:
         """Stops the arm and vents the chamber, now; never raises and does not wait for a part that hangs."""
@@ -199,14 +214,10 @@ class Guard:
                 logger.warning("No action for %.1f s: the chamber is vented.", idle_s)
                 self._inflated, self._target_kpa = False, self._vented_kpa
                 self._or_fail("Venting", self._pressure.vent)
-            elif self._inflated and idle_s > HOLD_S:
-                self._hold()
-
-    def _hold(self) -> None:
-        """Repeats the set-point, which the controller would take as void after `COMMAND_S`."""
-        self._or_fail("Holding the pressure", lambda: self._pressure.set_pressure(self._target_kpa))
-        if not self._inflated:  # vented meanwhile by another thread
-            _quietly(self._pressure.vent)
+            elif self._inflated and idle_s > HOLD_S:  # the controller would take it as void after `COMMAND_S`
+                self._or_fail("Holding the pressure", lambda: self._pressure.set_pressure(self._target_kpa))
+                if not self._inflated:  # vented meanwhile by another thread
+                    _quietly(self._pressure.vent)
 
     def _or_fail(self, doing: str, act: Callable[[], None]) -> None:
         """Makes whatever a part raises a fault: in a thread of its own nobody else would hear of it."""
@@ -222,30 +233,6 @@ class Guard:
                 self.look()
             except HardwareFault:
                 return  # made known by `look`
-
-
-class _Failing:
-    def __init__(self, guard: Guard, doing: str):
-        self._guard, self._doing = guard, doing
-
-    def __enter__(self) -> None:
-        if self._guard.fault:
-            raise self._guard.fault
-
-    def __exit__(self, kind, error, traceback) -> bool:
-        if error is None:
-            return False
-        if self._guard._closed.is_set():
-            return False
-        if isinstance(error, HardwareFault):
-            self._guard.fail(error)
-        elif isinstance(error, Exception):
-            fault = HardwareFault(f"{self._doing.capitalize()} failed: {error or kind.__name__}.")
-            self._guard.fail(fault)
-            raise fault from error
-        else:  # Ctrl-C: LeRobot saves its data first and only then disconnects
-            self._guard.halt()
-        return False
 
 
 def within(limit_s: float, who: str, call: Callable[..., Any], *args: Any) -> Any:

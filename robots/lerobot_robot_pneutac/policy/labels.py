@@ -20,11 +20,7 @@ def frames_ahead(delay: int, control_hz: int) -> int:
 def ahead(action: np.ndarray, area: np.ndarray, episode: np.ndarray, frames: int) -> np.ndarray:
     """Actions (F, 3 + C) whose labels in touch, and for as many frames after it, are those so many frames on.
 
-    Args:
-        action: (F, 3 + C) of episodes that follow one another.
-        area: (F,) contact area.
-        episode: (F,) number of each frame's episode.
-        frames: by which labels are moved, within their episode.
+    Contact areas `area` and numbers of the episodes are (F,); labels stay within their episode.
     """
     moved = action.copy()
     for k in np.unique(episode):

@@ -17,12 +17,7 @@ FAR_M, FARTHEST = 2 * POSITION_M, 3.0  # displacement that counts 1, and how muc
 
 
 class Memory:
-    """Of B episodes that go on side by side.
-
-    Args:
-        chambers: of the finger.
-        control_hz: rate of the frames.
-    """
+    """Of B episodes that go on side by side, of a finger with so many chambers and a control rate."""
 
     def __init__(self, chambers: int, control_hz: int):
         self._places, self._hz = Places.of(chambers), control_hz
@@ -92,14 +87,7 @@ def scaled(recalled: Tensor, kpa: Tensor) -> Tensor:
 
 
 def of_episodes(states: Tensor, episodes: np.ndarray, chambers: int, control_hz: int) -> Tensor:
-    """What is remembered at every frame (F, `size`) of episodes that follow one another.
-
-    Args:
-        states: (F, 2 N + 5 + C).
-        episodes: (F,) number of each frame's episode.
-        chambers: see `Memory`.
-        control_hz: see `Memory`.
-    """
+    """What is remembered at every frame (F, `size`) of states (F, 2 N + 5 + C) and their episodes (F,)."""
     found, of, memory = [], None, None
     for state, episode in zip(states.split(1), episodes, strict=True):
         if episode != of:

@@ -36,20 +36,15 @@ from lerobot_robot_pneutac.policy.tactile_encoder import (
     layers,
     rest_image_of,
 )
+from pneutac_sim import features
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
-    ACTION_HIGH,
-    ACTION_LOW,
-    CONTROL_HZ,
     PANDA_JOINTS,
     PAPER_RANGE_KPA,
     PRESSURES,
-    VELOCITY_NAMES,
     Places,
     action_limits,
     action_names,
-    joint_count,
-    pressure_names,
     state_names,
 )
 
@@ -97,20 +92,17 @@ def model_card(
     rest_level: tuple[float, float, float] | None = None,
     steps: int | None = None,
     train: TrainPipelineConfig | None = None,
-    limits: tuple[Sequence[float], Sequence[float]] = (ACTION_LOW, ACTION_HIGH),
+    limits: tuple[Sequence[float], Sequence[float]] = (features.ACTION_LOW, features.ACTION_HIGH),
 ) -> ModelCard:
     """The card of one checkpoint.
 
     Args:
         config: the policy's options.
-        demonstrations: the training data, where known.
-        rest_level: mean of the rest image's channels R, G, B, of 255; None where there is none.
-        steps: training steps, where known.
-        train: options of the whole training, where known.
+        demonstrations: the training data, where known; so are the following two.
+        rest_level: mean of the rest image's channels R, G, B, of 255.
+        steps: training steps.
+        train: options of the whole training.
         limits: lowest and highest action (3 + C,).
-
-    Returns:
-        The card; `save` writes it.
     """
     data = ModelCardData(
         license=config.license or "apache-2.0",
@@ -131,16 +123,16 @@ def model_card(
         steps=train.steps if steps is None and train is not None else steps,
         batch_size=None if train is None else train.batch_size,
         fine_tuned_from=Path(config.pretrained_path).as_posix() if known else None,
-        features=_features(config, limits),
+        features=_feature_rows(config, limits),
         rest_level=None if level is None else ", ".join(f"{v:.0f}" for v in level),
     )
 
 
-def _features(
+def _feature_rows(
     config: PneutacBCConfig, limits: tuple[Sequence[float], Sequence[float]]
 ) -> list[tuple[str, str, str]]:
     """Feature, name or shape, and unit of all that goes in or comes out."""
-    pressures = pressure_names(config.chambers)
+    pressures = features.pressure_names(config.chambers)
 
     def unit(name: str) -> str:
         if name.startswith("joint"):
@@ -197,8 +189,8 @@ class Scaling:
         """
         state, action = stats["observation.state"], stats["action"]
         middle = (np.ravel(state["min"]) + np.ravel(state["max"])) / 2
-        chambers = np.size(action["min"]) - len(VELOCITY_NAMES)
-        joints, places = joint_count(len(middle), chambers), Places.of(chambers)
+        chambers = np.size(action["min"]) - len(features.VELOCITY_NAMES)
+        joints, places = features.joint_count(len(middle), chambers), Places.of(chambers)
         low, high = action_limits(PAPER_RANGE_KPA, chambers)
         centre, scale = _state(joints, chambers)
         centre[:joints], centre[places.ee] = middle[:joints], middle[places.ee]
@@ -268,7 +260,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
         self._dataset_rest = self._demonstrations = None
         if dataset_meta is not None:
             config.check_dataset(dataset_meta)
-        config.control_hz = config.control_hz or CONTROL_HZ
+        config.control_hz = config.control_hz or features.CONTROL_HZ
         if config.memory is None:
             config.memory = dataset_meta is not None
         config.validate_features()

@@ -6,10 +6,5 @@ from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PneutacBCConfi
 
 
 def make_pneutac_bc_pre_post_processors(config: PneutacBCConfig, dataset_stats: dict | None = None):
-    """The pipelines before and after the policy.
-
-    Args:
-        config: the policy's options.
-        dataset_stats: carried along in the files; the identity does not use them.
-    """
+    """The pipelines before and after the policy; the statistics are only carried along in its files."""
     return make_default_pre_post_processors(config, dataset_stats, normalizer_device=config.device)

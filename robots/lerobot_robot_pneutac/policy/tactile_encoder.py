@@ -111,15 +111,10 @@ _FLAT = 1 / 255  # an image that varies by less shows nothing to compare
 
 
 def rest_image_of(*metas) -> torch.Tensor:
-    """Median over the first frames of up to 16 episodes, spread evenly over the data.
+    """(3, H, W) float32 in [0, 1]: the median over the first frames of up to 16 episodes, spread evenly.
 
-    A demonstration starts out of contact; the median forgives some that do not.
-
-    Args:
-        *metas: LeRobotDatasetMetadata of the dataset with tactile images, or of several as if merged.
-
-    Returns:
-        (3, H, W) float32 in [0, 1].
+    A demonstration starts out of contact; the median forgives some that do not. Of several datasets' metadata
+    it is that of the merged ones.
 
     Raises:
         InputError: an image cannot be read.
@@ -152,11 +147,7 @@ def _first_images(meta, episodes: list[int]) -> list[Tensor]:
 
 
 def likeness(a: Tensor, b: Tensor) -> float | None:
-    """Whether two rest images show the same arrangement of lights, whatever the brightness of each.
-
-    Args:
-        a: (3, H, W) in [0, 1], in colours R, G, B.
-        b: likewise.
+    """Whether two rest images (3, H, W) in [0, 1] show the same arrangement of lights, at any brightness.
 
     Returns:
         Their correlation, over cells of 10 x 10 pixels and all channels, each channel without its mean; None
@@ -172,10 +163,7 @@ def likeness(a: Tensor, b: Tensor) -> float | None:
 def check_same_sensor(known: Tensor, found: Tensor, repo_id: str) -> None:
     """Raises InputError where a dataset's rest image cannot be of the kind of sensor that a policy knows.
 
-    Args:
-        known: rest image (3, H, W) in the policy's weights; NaN where it has none.
-        found: rest image of the dataset.
-        repo_id: of the dataset.
+    The policy's own, `known`, is NaN where it has none.
     """
     if known.isnan().any():
         return

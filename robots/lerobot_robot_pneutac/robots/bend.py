@@ -14,13 +14,8 @@ logger = logging.getLogger(__name__)
 class BendCommands:
     """Turns commanded bends into pressures by the twin, and goes along with what was sent.
 
-    Args:
-        twin: of the finger, calibrated.
-        conditions: what its effects ask for.
-        dt_s: duration of a control step.
-
-    Raises:
-        InputError: as `BendController`.
+    Takes the finger's calibrated twin, the conditions of its effects and the duration of a control step;
+    raises InputError as `BendController`.
     """
 
     def __init__(self, twin: Twin, conditions: Mapping[str, float], dt_s: float):

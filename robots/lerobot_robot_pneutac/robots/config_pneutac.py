@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 from lerobot.cameras import CameraConfig
 from lerobot.robots import RobotConfig
 
+from lerobot_robot_pneutac import options
 from lerobot_robot_pneutac.hardware.arms import ArmConfig
 from lerobot_robot_pneutac.hardware.limits import Limits
-from lerobot_robot_pneutac import options
 from lerobot_robot_pneutac.options import named, refuse_if, station_of, twin_of
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_NAME, state_names

@@ -10,12 +10,7 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 
 from lerobot_robot_pneutac.cameras.tactile import LiveCamera, Tactile
 from lerobot_robot_pneutac.hardware.safety import Guard, within
-from lerobot_robot_pneutac.robots.base_robot import (
-    BEND_NAMES,
-    BaseRobot,
-    action_names,
-    pose_names,
-)
+from lerobot_robot_pneutac.robots.base_robot import BEND_NAMES, BaseRobot, action_names, pose_names
 from lerobot_robot_pneutac.robots.bend import BendCommands
 from lerobot_robot_pneutac.robots.config_pneutac import PneutacConfig
 from lerobot_robot_pneutac.robots.episode_hooks import EpisodeHooks

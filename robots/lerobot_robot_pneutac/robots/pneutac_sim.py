@@ -8,12 +8,7 @@ import numpy as np
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
 from lerobot_robot_pneutac.options import standin_sensor, station_of, tactile_shape, twin_of
-from lerobot_robot_pneutac.robots.base_robot import (
-    BEND_NAMES,
-    BaseRobot,
-    action_names,
-    pose_names,
-)
+from lerobot_robot_pneutac.robots.base_robot import BEND_NAMES, BaseRobot, action_names, pose_names
 from lerobot_robot_pneutac.robots.bend import BendCommands
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.episode_hooks import EpisodeHooks
@@ -265,22 +260,13 @@ class PneutacSim(BaseRobot):
             raise DeviceNotConnectedError(f"{self} is not connected; call connect() first.")
 
 
-def need_simulated_robot() -> None:
-    """Raises InputError where this process has no simulated robot, connected or not yet."""
-    if not _made:
-        raise InputError(
-            "pneutac_scripted sees the simulated world, and there is no simulated robot here; use"
-            " --robot.type=pneutac_sim, or another --teleop.type such as pneutac_keyboard."
-        )
-
-
 def made_robot() -> PneutacSim | None:
     """A simulated robot that exists in this process, connected or not yet."""
     return _connected[-1] if _connected else next(iter(_made), None)
 
 
 def connected_robot() -> PneutacSim:
-    """The simulated robot that is connected in this process; raises InputError where there is none."""
+    """The simulated robot that is connected in this process; raises InputError where none is."""
     if not _connected:
         raise InputError(
             "pneutac_scripted drives a simulated robot of the same process and none is connected; use"

@@ -31,11 +31,9 @@ LAMPS = Lamps(
 def new_gel(
     image_shape: tuple[int, int, int] = IMAGE_SHAPE, window_mm: tuple[float, float] = WINDOW_MM
 ) -> Gel:
-    """The gel under its light.
+    """The gel under its light, for images of a shape (H, W, 3).
 
-    Args:
-        image_shape: height, width and channels of its images.
-        window_mm: width and height of what the camera sees; lights stand as far apart as it is wide and high.
+    Lights stand as far apart as the window of the camera is wide and high, mm.
     """
     scale = np.append(np.divide(window_mm, WINDOW_MM), 1.0)
     lamps = replace(LAMPS, places=LAMPS.places * scale)

@@ -5,12 +5,7 @@ from typing import Any, override
 import numpy as np
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
-from lerobot_robot_pneutac.robots.pneutac_sim import (
-    PneutacSim,
-    connected_robot,
-    made_robot,
-    need_simulated_robot,
-)
+from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim, connected_robot, made_robot
 from lerobot_robot_pneutac.teleoperators.base_teleop import BaseTeleop, PneutacScriptedConfig
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import DEMONSTRATION_S, action_limits, action_names
@@ -49,7 +44,11 @@ class PneutacScripted(BaseTeleop):
         Raises:
             InputError: there is no simulated robot.
         """
-        need_simulated_robot()
+        if made_robot() is None:
+            raise InputError(
+                "pneutac_scripted sees the simulated world, and there is no simulated robot here; use"
+                " --robot.type=pneutac_sim, or another --teleop.type such as pneutac_keyboard."
+            )
         if self.is_connected:
             raise DeviceAlreadyConnectedError(f"{self} is already connected.")
         self._rng = np.random.default_rng(self.config.seed)

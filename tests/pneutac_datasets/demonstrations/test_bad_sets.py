@@ -285,10 +285,7 @@ def test_achieved_rates_above_and_below_are_noted(tmp_path, hz, said):
 @pytest.mark.parametrize(
     "damage,said",
     [
-        (
-            info(robot_type="so101_follower"),
-            "robot_type is 'so101_follower'; compare",
-        ),
+        (info(robot_type="so101_follower"), "robot_type is 'so101_follower'; compare"),
         (numbers(STATE, times(0, [STATE_NAMES.index("pressure.pos")])), "pressure.pos stays at 0 kPa"),
         (
             numbers(STATE, lambda s: s + 0.05 * np.outer(np.arange(len(s)) > 30, np.arange(20) == EE.start)),

@@ -1,8 +1,6 @@
 import numpy as np
 import pytest
-from lerobot.datasets import (
-    LeRobotDataset,
-)
+from lerobot.datasets import LeRobotDataset
 from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
 
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig

@@ -67,14 +67,8 @@ def test_a_recording_that_is_there_is_not_overwritten(tmp_path, capsys):
     [
         (["--effect=ghost"], "There is no hidden effect 'ghost'; there are none, "),
         (["--device=gel", "--effect=ghost"], "'ghost' is no optics effect; give one of "),
-        (
-            ["--device=gel", "--minutes=2"],
-            "--minutes is not for --device=gel, which takes --effect",
-        ),
-        (
-            ["--device=standin", "--no-measured-pressure"],
-            "--no-measured-pressure is not for",
-        ),
+        (["--device=gel", "--minutes=2"], "--minutes is not for --device=gel, which takes --effect"),
+        (["--device=standin", "--no-measured-pressure"], "--no-measured-pressure is not for"),
     ],
 )
 def test_bad_options_are_one_sentence(tmp_path, capsys, options, sentence):

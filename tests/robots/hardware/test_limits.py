@@ -125,10 +125,7 @@ def test_what_a_measurement_breaks(force_n, kpa, words):
         ({"low_m": (0.25, 0.35, 0.12)}, "low_m is .* the first below the second"),
         ({"low_m": (0.25,)}, "low_m is .* give three numbers each"),
         ({"high_m": (0.65,)}, "low_m is .* give three numbers each"),
-        (
-            {"overpressure_kpa": 14.0},
-            "overpressure_kpa is 14.0; it must be above .* set-point, 15.0",
-        ),
+        ({"overpressure_kpa": 14.0}, "overpressure_kpa is 14.0; it must be above .* set-point, 15.0"),
         ({"overpressure_kpa": 15.0}, "overpressure_kpa is 15.0; it must be above the highest set-point"),
     ],
 )

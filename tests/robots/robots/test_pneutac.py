@@ -117,12 +117,7 @@ def test_three_chambers_are_three_actions_and_readings_and_are_vented_together(t
 @pytest.mark.parametrize(
     ("device", "chambers", "bend", "sentence"),
     [
-        (
-            "arm",
-            1,
-            False,
-            "has 3 chambers and --robot.pressure drives 1; give --robot.pressure.ports",
-        ),
+        ("arm", 1, False, "has 3 chambers and --robot.pressure drives 1; give --robot.pressure.ports"),
         ("finger", 3, False, "robot.twin has 1 chamber and --robot.pressure drives 3; give one controller"),
         ("arm", 3, True, "bend=true commands the bend of one chamber and --robot.twin has 3"),
     ],

@@ -21,8 +21,7 @@ class Special:
 
 
 @pytest.mark.parametrize(
-    ("key", "axis", "sign"),
-    [("w", 0, 1), ("s", 0, -1), ("a", 1, 1), ("d", 1, -1), ("i", 2, 1), ("k", 2, -1)],
+    ("key", "axis", "sign"), [("w", 0, 1), ("s", 0, -1), ("a", 1, 1), ("d", 1, -1), ("i", 2, 1), ("k", 2, -1)]
 )
 def test_a_held_key_moves_and_its_release_stops(teleop, act, key, axis, sign):
     keyboard = teleop("pneutac_keyboard", speed_m_s=0.04)

@@ -45,13 +45,9 @@ class Agreement:
 
 
 def check(work: Work, setup: AugmentSetup, number: int, progress: Progress) -> None:
-    """Writes the agreements of the first demonstrations into their work folder; what is there stays.
+    """Writes the agreements of the first `number` demonstrations into their work folder; what is there stays.
 
-    Args:
-        work: holds the demonstrations.
-        setup: by which they were made.
-        number: of demonstrations.
-        progress: called with the minutes that are left, and how many steps of how many are done.
+    `progress` is called with the minutes that are left, and how many steps of how many are done.
     """
     missing = [k for k in range(number) if not work.check_file(k).exists()]
     attempts = {k: work.load_episode(k)[0] for k in missing}

@@ -43,15 +43,12 @@ class Course:
         self.answer = np.zeros(reference.action.shape[1])
 
     def advance(self, area: float, centre_mm: np.ndarray, flange_m: np.ndarray) -> bool:
-        """Goes on to the next frame.
+        """Goes on to the next frame; False where a demonstrated touch does not come, or does not end.
 
         Args:
             area: contact area that the gel feels.
             centre_mm: (2,) middle of the imprint; NaN without touch.
             flange_m: (3,) where the flange is.
-
-        Returns:
-            False where a touch that the demonstration had does not come, or does not end.
         """
         self.frame += 1
         if self.in_contact and not self._stay_in_contact(area):

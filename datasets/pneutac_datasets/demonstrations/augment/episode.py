@@ -149,9 +149,7 @@ class Generator:
     def episode(self, index: int, scenes: list[Scene]) -> tuple[Attempt, dict]:
         """The demonstration number `index`: variants are tried until one does the task.
 
-        Args:
-            index: number of the demonstration.
-            scenes: of the planner, one for each reference.
+        Of the planner, `scenes` are one for each reference.
 
         Returns:
             the accepted attempt, and its provenance with every rejection's reason.
@@ -204,9 +202,7 @@ class Generator:
     def find_out(self, variant: Variant, rng: np.random.Generator) -> tuple[Attempt, dict]:
         """Does the task without a reference: start and object lie anywhere.
 
-        Args:
-            variant: its source is the demonstration about whose start this one begins.
-            rng: decides start, object and controller.
+        The variant's source is the demonstration about whose start this one begins.
 
         Returns:
             the attempt, and its provenance: of the library `path`, the pieces that it consists of.

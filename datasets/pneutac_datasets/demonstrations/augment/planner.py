@@ -108,13 +108,7 @@ def demonstration_cost(
 
 
 class CemPlanner:
-    """Plans on a gantry.
-
-    Args:
-        gantry: the reduced world; `Gantry.mirror` sets where a plan starts.
-        config: options, for its control rate.
-        rng: decides the jitter.
-        control_hz: this rate.
+    """Plans on a gantry, whose `mirror` sets where a plan starts; `config` is for its control rate.
 
     Attributes:
         cost: of the last plan.
@@ -124,10 +118,8 @@ class CemPlanner:
         self, gantry: Gantry, config: PlannerConfig, rng: np.random.Generator, control_hz: int = CONTROL_HZ
     ):
         self._gantry, self._config, self._rng = gantry, config, rng
-        self._rest, self._memory = (
-            np.empty((0, len(gantry.action_limits[0]))),
-            MEMORY ** (CONTROL_HZ / control_hz),
-        )
+        self._rest = np.empty((0, len(gantry.action_limits[0])))
+        self._memory = MEMORY ** (CONTROL_HZ / control_hz)
         self.cost = 0.0
 
     def plan(

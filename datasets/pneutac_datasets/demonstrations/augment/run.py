@@ -30,11 +30,7 @@ from lerobot_robot_pneutac.policy.labels import ANSWER_DELAY
 from pneutac_datasets.demonstrations.augment.check import check
 from pneutac_datasets.demonstrations.augment.episode import LONGEST, Attempt, AugmentSetup
 from pneutac_datasets.demonstrations.augment.library import lagged_answers
-from pneutac_datasets.demonstrations.augment.reference import (
-    EXTRA_STEPS,
-    Reference,
-    onset_sigma_m,
-)
+from pneutac_datasets.demonstrations.augment.reference import EXTRA_STEPS, Reference, onset_sigma_m
 from pneutac_datasets.demonstrations.augment.scene import Scene
 from pneutac_datasets.demonstrations.augment.work import Work, make_episode, make_scene
 from pneutac_datasets.demonstrations.card import write_card
@@ -67,17 +63,12 @@ RECORDED = "recorded"  # method of the copies of recorded demonstrations
 def read_references(
     root: str | Path, repo_id: str, sensor: TactileSensor | None = None, left_out: Collection[int] = ()
 ) -> tuple[LeRobotDatasetMetadata, list[Reference]]:
-    """The recorded demonstrations, without their images.
+    """The recorded demonstrations but those `left_out`, without their images.
 
-    Args:
-        root: folder of the dataset.
-        repo_id: its name.
-        sensor: of the twin; with it the images are read, for the middles of the imprints.
-        left_out: numbers of the episodes that are not read.
+    With the twin's `sensor` the images are read, for the middles of the imprints.
 
     Raises:
-        InputError: there is no dataset, its features are not those of the robot, or an episode is
-            not finite.
+        InputError: there is no dataset, its features are not those of the robot, or an episode is not finite.
     """
     refuse_damaged(root)
     with readable(root):
@@ -245,11 +236,7 @@ def _write(
 
 
 def _mix(part: Path, repo_id: str, meta: LeRobotDatasetMetadata, used: list[int], share: float) -> list[dict]:
-    """Adds copies of the `used` episodes of the source until such a share of the frames is recorded.
-
-    Returns:
-        their provenance.
-    """
+    """Adds copies of `used` episodes until such a share of the frames is recorded; gives their provenance."""
     new = LeRobotDatasetMetadata(repo_id, part)
     frames = sum(meta.episodes[i]["length"] for i in used)
     copies = round(share / (1 - share) * new.total_frames / frames)
@@ -315,13 +302,9 @@ def _summary(provenance: list[dict], seconds: dict, scenes: list[Scene], began: 
 
 
 def finish(part: Path, out_root: Path, provenance: list[dict], answer_delay: int = 0) -> None:
-    """Adds provenance and card to a whole dataset and gives it its name, in one step.
+    """Adds provenance (a dict an episode) and card to a whole dataset and gives it its name, in one step.
 
-    Args:
-        part: the dataset.
-        out_root: its name.
-        provenance: a dict of each episode.
-        answer_delay: frames by which the demonstrator answers a touch late, for policies.
+    `answer_delay`: frames by which the demonstrator answers a touch late, for policies.
     """
     if answer_delay:
         info = load_info(part)

@@ -23,9 +23,7 @@ from pneutac_datasets.demonstrations.replay.replaying import (
     latency_s,
     smooth,
 )
-from pneutac_datasets.demonstrations.replay.replaying import (
-    late as delayed,
-)
+from pneutac_datasets.demonstrations.replay.replaying import late as delayed
 from pneutac_sim.features import PRESSURES
 from pneutac_sim.gel.sensor import centre_mm
 from pneutac_sim.world.gantry import Gantry
@@ -73,12 +71,7 @@ class Scene:
 
 
 def command_latency(world: VariedWorld, references: list[Reference]) -> int:
-    """Control steps by which commands acted too late in demonstrations, from their motion in free air.
-
-    Args:
-        world: any state; it is reset.
-        references: the demonstrations.
-    """
+    """Control steps by which commands acted too late, from the demonstrations' motion in free air."""
     errors = np.zeros(frames_at(world.station.control_hz, MOST_LATE) + 1)
     own = world.station.late_commands + world.station.steps(latency_s(world.twin))
     for r in references:
@@ -95,13 +88,8 @@ def find_scene(
 ) -> Scene:
     """The scene of a demonstration; see the module's text.
 
-    Args:
-        world: any state; it is reset.
-        gantry: its gantry.
-        reference: the demonstration.
-        seed: decides the candidates.
-        candidates: number of scenes drawn.
-        late: control steps by which commands acted too late.
+    World and gantry may be in any state. The seed decides `candidates` scenes, which are drawn; commands
+    acted `late` control steps too late.
     """
     rng = np.random.default_rng([seed, reference.source, 7])
     replays = _Replays(world, gantry, reference.prolonged(reference.frames(EXTRA_STEPS)), late)
@@ -146,13 +134,7 @@ def find_scene(
 
 
 class _Replays:
-    """A demonstration replayed where its object may have stood.
-
-    Args:
-        world: any state; it is reset.
-        gantry: its gantry.
-        reference: the demonstration.
-        late: control steps by which commands acted too late.
+    """A demonstration replayed where its object may have stood; see `find_scene`.
 
     Attributes:
         onset: first frame in contact.

@@ -21,11 +21,7 @@ MORE = "more "  # before the names of further features
 
 
 class Work:
-    """The folder.
-
-    Args:
-        folder: next to the output.
-    """
+    """The folder, next to the output."""
 
     def __init__(self, folder: Path):
         self.folder = Path(folder)
@@ -68,9 +64,6 @@ class Work:
             attempt = Attempt(d["state"], d["action"], images, None, *scores, start, more, done)
         return attempt, provenance, seconds
 
-    def save_scene(self, source: int, scene: Scene) -> None:
-        write_json(self.scene_file(source), asdict(scene))
-
     def save_episode(self, index: int, attempt: Attempt, provenance: dict, seconds: dict) -> None:
         """Writes a demonstration; images as differences from the first, which are mostly zero."""
         arrays = {
@@ -108,7 +101,7 @@ _made: tuple[Path, Generator] | None = None  # a process' generator, and for whi
 
 def make_scene(setup: AugmentSetup, folder: Path, source: int) -> None:
     """Finds and saves the scene of one reference."""
-    Work(folder).save_scene(source, _generator(setup, folder).scene(source))
+    write_json(Work(folder).scene_file(source), asdict(_generator(setup, folder).scene(source)))
 
 
 def make_episode(setup: AugmentSetup, folder: Path, scenes: list[Scene], index: int) -> None:

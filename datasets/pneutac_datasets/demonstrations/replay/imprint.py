@@ -61,10 +61,8 @@ def areas(images: np.ndarray, rest: np.ndarray) -> np.ndarray:
 def imprint_centres_mm(images: np.ndarray, area: np.ndarray, sensor: TactileSensor) -> np.ndarray:
     """Middle of the imprint in each image (T, 2), mm across and along the finger; NaN without touch.
 
-    Args:
-        images: uint8 (T, H, W, 3) of one demonstration; those before its first touch show the gel at rest.
-        area: (T,) contact areas.
-        sensor: of the twin, whose threshold and window count.
+    Images uint8 (T, H, W, 3) before the first touch show the gel at rest; threshold and window are the
+    sensor's.
     """
     untouched = np.flatnonzero(np.cumsum(area) == 0)[:CENTRE_REST_FRAMES]
     rest = images[untouched if len(untouched) else [0]].mean(0)
@@ -79,9 +77,9 @@ def imprint_centres_mm(images: np.ndarray, area: np.ndarray, sensor: TactileSens
 def strengths(images: np.ndarray, rest: np.ndarray, gain: np.ndarray | float = 1.0) -> np.ndarray:
     """How strong the imprints are (T,), levels: the mean change beyond `FAINT_LEVELS` over each image.
 
-    Contact area counts pixels above a threshold; this weighs them by their change. The light drifts
-    while a finger presses, by about as much as an imprint grows: each colour of a frame is first brought to
-    the brightness of the rest image, by the median of their ratio, as most of the gel is not touched.
+    Contact area counts pixels above a threshold; this weighs them by their change. The light drifts while a
+    finger presses, by about as much as an imprint grows: each colour of a frame is first brought to the
+    brightness of the rest image, by the median of their ratio, as most of the gel is not touched.
 
     Args:
         images: uint8 (T, H, W, 3).
@@ -92,12 +90,7 @@ def strengths(images: np.ndarray, rest: np.ndarray, gain: np.ndarray | float = 1
 
 
 def turns_deg(images: np.ndarray, rest: np.ndarray) -> np.ndarray:
-    """How imprints are turned in the image (T,), degrees: their long axis, by second moments; NaN where none.
-
-    Args:
-        images: uint8 (T, H, W, 3).
-        rest: uint8 (H, W, 3).
-    """
+    """How each image's imprint is turned (T,), degrees: its long axis, by second moments; NaN where none."""
     out = np.full(len(images), np.nan)
     for t, change in enumerate(_changes(images, rest)):
         m = cv2.moments(change)
@@ -187,12 +180,8 @@ Pose = tuple[np.ndarray, np.ndarray]  # position (3,) m and rotation (9,) of the
 def find_place(world: VariedWorld, episode: Episode) -> Place:
     """The start and displacement with which the twin first feels what the episode felt.
 
-    Args:
-        world: any state; it is reset.
-        episode: with at least one touch.
-
     Raises:
-        InputError: no object of the task comes into the gel's reach there.
+        InputError: it touches nothing, or no object of the task comes into the gel's reach there.
     """
     contact = episode.contact()
     if contact is None:

@@ -210,12 +210,7 @@ def _refuse(folder: Path, twin: Twin, station: Station) -> None:
 
 
 def task_to_do(given: str, instructions: list[str], folder: Path) -> str:
-    """The task that demonstrations are of.
-
-    Args:
-        given: by the user; empty where the instructions decide.
-        instructions: one for each demonstration.
-        folder: of the dataset.
+    """The task that demonstrations are of: the given one, or the one that their instructions name.
 
     Raises:
         InputError: the instructions name none, several, or another one of the library's than was given.

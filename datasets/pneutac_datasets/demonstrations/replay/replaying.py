@@ -64,14 +64,7 @@ class Replayed:
 
 
 def follow(action: np.ndarray, flange_m: np.ndarray, goal_m: np.ndarray, dt_s: float) -> np.ndarray:
-    """Actions (H, 3 + C), led back to the path to which they belong.
-
-    Args:
-        action: (H, 3 + C) that go along the path.
-        flange_m: (3,) where the flange is.
-        goal_m: (3,) where the path begins.
-        dt_s: duration of a control step.
-    """
+    """Actions (H, 3 + C) along a path that begins at `goal_m`, led back to it from the flange's place."""
     out = np.array(action, float)
     fade = (1 - FEEDBACK_HZ * dt_s) ** np.arange(len(out))
     out[:, :3] += FEEDBACK_HZ * fade[:, None] * (goal_m - flange_m)
@@ -110,10 +103,10 @@ def frames_of(
 def replay(
     world: VariedWorld, episode: Episode, place: Place = NOWHERE, more_rad: float = 0.0, keep: bool = False
 ) -> Replayed:
-    """Carries an episode out.
+    """Carries an episode out in a world of the twin, in any state.
 
     Args:
-        world: of the twin, in any state; its touch is `image` or, faster, `probe`.
+        world: its touch is `image` or, faster, `probe`.
         episode: as recorded.
         place: of its objects; if omitted, they are out of the way.
         more_rad: see `frames_of`.

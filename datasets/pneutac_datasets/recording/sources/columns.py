@@ -183,12 +183,7 @@ class Named:
 
 
 def read_name(name: str, unit: str = "") -> Named:
-    """What a column's name says; kind is empty where it says nothing.
-
-    Args:
-        name: as in the header.
-        unit: of a line of units, where there is one.
-    """
+    """What a column's name, and its unit in a line of units, says; kind is empty where it says nothing."""
     options = [(name, unit)] if unit else [*_with_unit(name), (name, "")]
     for base, found in options:
         kind, index = _kind(base, found)

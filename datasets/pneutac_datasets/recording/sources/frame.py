@@ -58,11 +58,7 @@ class Source:
     def table(self, names: dict[str, str]) -> pd.DataFrame:
         """Columns of a bench recording on the times of the first; commands hold, the rest is interpolated.
 
-        Args:
-            names: name in the file to column of the recording.
-
-        Raises:
-            InputError: one is missing.
+        `names`: name in the file to column of the recording. Raises InputError where one is missing.
         """
         missing = [n for n in names if n not in self.columns]
         if missing:

@@ -194,13 +194,10 @@ def read_table(file: Path, time: str = "") -> TextTable:
 
 
 def understand_files(files: Sequence[Path], given: Given, log: bool = False, time: str = "") -> Understood:
-    """Reads tables with a header, understands their columns and converts them.
+    """Reads tables with a header, in the order of their trials, understands their columns and converts them.
 
-    Args:
-        files: in the order of their trials.
-        given: what is known beforehand.
-        log: whether the pose comes from elsewhere; then no rule of a recording is applied.
-        time: name of the times in a .mat.
+    With `log` the pose comes from elsewhere, and no rule of a recording is applied; `time` names the times of
+    a .mat.
 
     Raises:
         InputError: one sentence: what cannot be read, or is open and how to say it.

@@ -33,14 +33,7 @@ from pneutac_datasets.demonstrations.replay.reading import (
 )
 from pneutac_datasets.demonstrations.replay.replaying import late, replay
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import (
-    ACTION_NAMES,
-    AREA,
-    CONTROL_HZ,
-    EE,
-    PRESSURE,
-    state_names,
-)
+from pneutac_sim.features import ACTION_NAMES, AREA, CONTROL_HZ, EE, PRESSURE, state_names
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.station import Station
