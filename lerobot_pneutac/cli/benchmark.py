@@ -17,6 +17,7 @@ TABLES = {
     "diagnosis_speed": "pneutac_benchmarks.speed.diagnosis",
     "speed": "pneutac_benchmarks.speed.main",
     "worlds": "pneutac_benchmarks.speed.worlds",
+    "rates": "pneutac_benchmarks.speed.rates",
     "experiments": "pneutac_benchmarks.experiments",
     "demonstrations": "pneutac_benchmarks.demonstrations",
     "robustness": "pneutac_benchmarks.robustness.main",

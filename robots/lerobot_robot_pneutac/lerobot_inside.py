@@ -41,20 +41,28 @@ class LeRobotHooks(logging.Handler):
         self._announced, self._write_json, self._warned = announced, write_json, False
 
     def install(self) -> bool:
-        """Whether LeRobot's datasets are in use here; they are written by `write_json` from now on."""
+        """Whether LeRobot's datasets are in use here; they are written by `write_json` from now on.
+
+        In LeRobot's client of remote inference every observation is used from now on.
+        """
         io_utils = sys.modules.get("lerobot.datasets.io_utils")
-        if io_utils is None:
+        client = sys.modules.get("lerobot.async_inference.helpers")
+        if io_utils is None and client is None:
             return False
         version = importlib.metadata.version("lerobot")
         if not version.startswith(f"{KNOWN}."):
             if not self._warned:
                 logger.warning(
                     "LeRobot %s is unknown to this version of PneuTac, so the rate of datasets is not"
-                    " checked and no station and no pace are stored with them; install LeRobot %s, or a newer"
-                    " PneuTac.",
+                    " checked, no station and no pace are stored with them, and a policy server may drop"
+                    " observations of slow changes; install LeRobot %s, or a newer PneuTac.",
                     *(version, KNOWN),
                 )
             self._warned = True
+            return False
+        if client is not None:
+            client.TimedObservation.must_go = property(lambda _: True, _must_go)
+        if io_utils is None:
             return False
         io_utils.write_json = self._write_json
         sys.modules["lerobot.datasets.dataset_reader"].load_nested_dataset = _load_episodes
@@ -73,6 +81,21 @@ class LeRobotHooks(logging.Handler):
         message = record.getMessage()
         if message.startswith((BEGINS, *ENDS)):
             self._announced(message.startswith(BEGINS))
+
+
+def _must_go(observation, _) -> None:
+    """Whatever the client sets, the server shall use an observation, and none is dropped as similar.
+
+    The server drops one whose state lies within 1 of the last that it used, by the norm over all numbers. In
+    rad, m and kPa few motions are as large, and creep is not; the robot ran out of actions and waited.
+    """
+    vars(observation)["must_go"] = True
+
+
+def paced() -> bool:
+    """Whether a command of LeRobot's runs here; those keep time by the clock."""
+    program = Path(sys.argv[0])
+    return program.name.startswith("lerobot-") or "lerobot" in program.parts
 
 
 def _load_episodes(data: Path, features=None, episodes: list[int] | None = None):

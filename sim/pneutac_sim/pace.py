@@ -15,7 +15,7 @@ from pneutac_sim.errors import InputError
 PACE_FILE = "achieved_rate.json"  # in a dataset's `meta`; LeRobot drops what it does not know from info.json
 OUTCOME_FILE = "outcomes.json"  # likewise: episode to `DONE` or why it failed
 DONE = "done"
-SHORT, FAST = 0.95, 1.05  # of the rate that was asked for: less and more are reported
+SHORT, FAST = 0.98, 1.02  # of the rate that was asked for: less and more are reported
 LATE = 1.5  # periods after which a frame is late
 
 

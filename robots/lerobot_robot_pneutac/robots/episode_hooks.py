@@ -1,4 +1,4 @@
-"""What a robot adds to the datasets that LeRobot records here: its station, and the rate of each episode.
+"""What a robot adds to LeRobot's commands: station and rate of episodes in datasets, the rate of every run.
 
 `lerobot_inside.LeRobotHooks` notices the episodes; `EpisodeHooks` says what is done then.
 """
@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from weakref import ref
 
-from lerobot_robot_pneutac.lerobot_inside import LeRobotHooks
+from lerobot_robot_pneutac.lerobot_inside import LeRobotHooks, paced
 from lerobot_robot_pneutac.options import station_of
 from lerobot_robot_pneutac.robots.base_robot import BaseRobot
 from pneutac_sim.errors import InputError
@@ -46,14 +46,35 @@ class EpisodeHooks:
     def __init__(self, control_hz: int, robot: BaseRobot, waits: bool = False):
         self._control_hz, self._robot, self._waits = control_hz, ref(robot), waits
         self._times_s: list[float] | None = None
+        self._acted_s: list[float] | None = []  # of a run without announced episodes
         self._lerobot = LeRobotHooks(self._announced, self._write_json)
         self._lerobot.install()
 
     def connect(self) -> None:
+        self._acted_s = []
         self._lerobot.listen()
 
     def disconnect(self) -> None:
+        """Logs at which rate actions came where no episode was recorded, as of lerobot-replay."""
         self._lerobot.ignore()
+        times_s, self._acted_s = self._acted_s or [], []
+        if len(times_s) <= self._control_hz or (self._waits and not paced()):
+            return  # of less than a second there is no rate; a simulated robot may go as fast as it can
+        hz, pace = self._control_hz, Pace.of(times_s, self._control_hz)
+        came = f"{len(times_s)} actions came at {pace.achieved_hz:.2f} Hz"
+        if short_of(pace, hz):
+            remedy = "free the computer, or give a station.yaml with a lower control_hz"
+            logger.warning("%s and not at %g%s; %s.", came, hz, _late(pace), remedy)
+        elif faster_than(pace, hz):
+            remedy = "or a station.yaml with the control_hz that the actions are for"
+            logger.warning("%s and not at %g%s; give --fps=%g, %s.", came, hz, _late(pace), hz, remedy)
+        else:
+            logger.info("%s%s.", came, _late(pace))
+
+    def acted(self) -> None:
+        """An action was carried out; not a pose, which LeRobot sends at a rate of its own."""
+        if self._acted_s is not None:
+            self._acted_s.append(time.perf_counter())
 
     def observed(self) -> None:
         if self._times_s is not None:
@@ -61,7 +82,7 @@ class EpisodeHooks:
 
     def _announced(self, begins: bool) -> None:
         if begins:
-            self._times_s = []
+            self._times_s, self._acted_s = [], None
         if (robot := self._robot()) is not None:
             robot.announced(begins)
 
@@ -104,23 +125,19 @@ class EpisodeHooks:
     def _store_pace(self, meta: Path, episode: int, fps: float, times_s: list[float]) -> None:
         pace = replace(Pace.of(times_s, fps), simulated=self._waits)
         short, fast = short_of(pace, fps), faster_than(pace, fps)
-        if self._waits and short:
-            logger.warning(
-                "Episode %d ran at %.1f Hz and not at %g, so its %d frames are %.1f s of the simulated world;"
-                " where that is too short, give a longer --dataset.episode_time_s.",
-                *(episode, pace.achieved_hz, fps, len(times_s), len(times_s) / fps),
-            )
-        elif self._waits and fast:
-            logger.warning(
-                "Episode %d ran at %.1f Hz and not at %g, so its %d frames are %.1f s of the simulated world,"
-                " in which the policy acted less often than at %g Hz; leave out --interpolation_multiplier.",
-                *(episode, pace.achieved_hz, fps, len(times_s), len(times_s) / fps, fps),
-            )
-        elif short or fast:
-            logger.warning(
-                "Episode %d ran at %.1f Hz and not at %g: its motions are stored as %s than they were.",
-                *(episode, pace.achieved_hz, fps, "faster" if short else "slower"),
-            )
+        ran = f"Episode {episode} ran at {pace.achieved_hz:.2f} Hz"
+        world = f"so its {len(times_s)} frames are {len(times_s) / fps:.1f} s of the simulated world"
+        if not (short or fast):
+            logger.info("%s%s.", ran, _late(pace))
+        else:
+            if not self._waits:
+                follows = f"so its motions are stored as {'faster' if short else 'slower'} than they were"
+            elif short:
+                follows = f"{world}; where that is too short, give a longer --dataset.episode_time_s"
+            else:
+                less = f"in which the policy acted less often than at {fps:g} Hz"
+                follows = f"{world}, {less}; leave out --interpolation_multiplier"
+            logger.warning("%s and not at %g%s, %s.", ran, fps, _late(pace), follows)
         if self._waits and not fast:
             return
         _add(meta / PACE_FILE, read_pace, episode, pace, vars)
@@ -131,6 +148,10 @@ class EpisodeHooks:
         if outcome != DONE:
             logger.warning("Episode %d failed: %s. `pneutac augment` sets it aside.", episode, outcome)
         _add(meta / OUTCOME_FILE, read_outcomes, episode, outcome, str)
+
+
+def _late(pace: Pace) -> str:
+    return f" ({pace.late_frames} late, the longest pause {pace.longest_s:.2f} s)"
 
 
 def _add(file: Path, read: Callable[[Path], dict], episode: int, value, plain: Callable) -> None:

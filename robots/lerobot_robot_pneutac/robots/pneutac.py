@@ -147,6 +147,8 @@ class Pneutac(BaseRobot):
             # Far away is no fault of a pose, infinitely far is.
             near = np.clip(velocity, ACTION_LOW[:3], ACTION_HIGH[:3])
             values[:3] = np.where(np.isfinite(velocity), near, velocity)
+        else:
+            self._hooks.acted()
         sent = dict(zip(features.action_names(self.chambers), guard.act(values).tolist(), strict=True))
         if self.config.bend:
             self._bend.sent(sent["pressure.pos"])

@@ -160,6 +160,7 @@ class PneutacSim(BaseRobot):
             self._go_to(np.array(values, float))
         else:
             self._step(values)
+            self._hooks.acted()
         command = np.asarray(self.world.command, float).tolist()
         sent = dict(zip(features.action_names(self.chambers), command, strict=True))
         if names == BEND_NAMES:

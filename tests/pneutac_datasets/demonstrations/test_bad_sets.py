@@ -273,7 +273,7 @@ def test_a_loop_of_another_rate_is_noted(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "hz,said", [(14.5, ""), (13.0, "fell short of 15 Hz"), (15.5, ""), (28.5, "ran faster than 15 Hz")]
+    "hz,said", [(14.8, ""), (13.0, "fell short of 15 Hz"), (15.2, ""), (28.5, "ran faster than 15 Hz")]
 )
 def test_achieved_rates_above_and_below_are_noted(tmp_path, hz, said):
     root = copied(tmp_path)

@@ -1,6 +1,7 @@
 import importlib.metadata
 import json
 import logging
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -63,7 +64,7 @@ def test_an_episode_is_what_was_observed_after_it_was_announced(keeper, monkeypa
     observe(keeper, monkeypatch, [10.41, 10.42])  # while the scene is put back
     save(tmp_path, 1, 4)
     assert read_pace(tmp_path) == {0: Pace(7.5, 1, 0.2)}
-    assert "Episode 0 ran at 7.5 Hz and not at 15" in caplog.text
+    assert "Episode 0 ran at 7.50 Hz and not at 15 (1 late, the longest pause 0.20 s)" in caplog.text
     logging.info("Recording episode 1")
     observe(keeper, monkeypatch, [20 + k / 15 for k in range(31)])
     save(tmp_path, 2, 4 + 31)
@@ -86,7 +87,8 @@ def test_a_dataset_keeps_the_station_and_what_waits_has_no_pace(keeper, monkeypa
     waiting.disconnect()
     assert robot.told == [True, False] and read_pace(tmp_path) == {}
     assert Station.load(tmp_path / "station.yaml") == Station(arm="so101", latency_s=0.1)
-    assert "ran at 5.0 Hz and not at 15, so its 3 frames are 0.2 s of the simulated world" in caplog.text
+    assert "ran at 5.00 Hz and not at 15" in caplog.text
+    assert "so its 3 frames are 0.2 s of the simulated world" in caplog.text
 
 
 def test_how_each_episode_ended_is_stored(keeper, monkeypatch, tmp_path, caplog):
@@ -130,6 +132,37 @@ def test_what_was_not_announced_has_no_rate(keeper, monkeypatch, tmp_path):
     save(tmp_path, 2, 6)
     io_utils.write_json({"total_frames": 9}, tmp_path / "stats.json")
     assert read_pace(tmp_path) == {} and pace_notes(tmp_path, 15) == []
+
+
+@pytest.mark.parametrize(
+    "waits,program,said",
+    [
+        (
+            False,
+            "mine.py",
+            "31 actions came at 7.50 Hz and not at 15 (30 late, the longest pause 0.13 s); free",
+        ),
+        (True, "lerobot-replay", "31 actions came at 7.50 Hz and not at 15"),
+        (True, "lerobot/async_inference/robot_client.py", "and not at 15"),
+        (True, "mine.py", ""),  # a simulated robot without LeRobot's clock
+    ],
+)
+def test_a_run_without_episodes_ends_with_its_rate(keeper, monkeypatch, caplog, waits, program, said):
+    monkeypatch.setattr(sys, "argv", [program])
+    keeper._waits = waits
+    for hz in (7.5, 15.1, 30):
+        keeper.connect()
+        for k in range(31):
+            monkeypatch.setattr(SECONDS, lambda at=k / hz: at)
+            keeper.acted()
+        keeper.disconnect()
+    slow, held, fast = [r.getMessage() for r in caplog.records if "actions came" in r.message] or [""] * 3
+    assert said in slow and bool(slow) == bool(said)
+    assert "and not" not in held and ("give --fps=15" in fast) == bool(said)
+    keeper.connect()
+    logging.info("Recording episode 0")  # of which another sentence is printed
+    observe(keeper, monkeypatch, [k / 15 for k in range(31)])
+    keeper.acted()
 
 
 def test_a_damaged_file_is_told_and_loses_no_episode(keeper, monkeypatch, tmp_path, caplog):
