@@ -24,11 +24,9 @@ if TYPE_CHECKING:
     from lerobot_pneutac.verbs.calibration import Calibration
     from lerobot_pneutac.verbs.compare import compare
     from lerobot_pneutac.verbs.control import Control, control
-    from lerobot_pneutac.verbs.design import Design, design
+    from lerobot_pneutac.verbs.design import Design, PressDesign, design, design_press
     from lerobot_pneutac.verbs.design_motion import MotionDesign, design_motion
-    from lerobot_pneutac.verbs.design_press import PressDesign, design_press
-    from lerobot_pneutac.verbs.diagnose import diagnose
-    from lerobot_pneutac.verbs.diagnosis import Diagnosis
+    from lerobot_pneutac.verbs.diagnose import Diagnosis, diagnose
     from lerobot_pneutac.verbs.learn import Learning, learn
     from lerobot_pneutac.verbs.result import Comparison
     from pneutac_datasets.demonstrations.replay.reading import Demonstrations, load_demonstrations
@@ -52,10 +50,10 @@ _MODULES = {
     "Design": "lerobot_pneutac.verbs.design",
     "design_motion": "lerobot_pneutac.verbs.design_motion",
     "MotionDesign": "lerobot_pneutac.verbs.design_motion",
-    "design_press": "lerobot_pneutac.verbs.design_press",
-    "PressDesign": "lerobot_pneutac.verbs.design_press",
+    "design_press": "lerobot_pneutac.verbs.design",
+    "PressDesign": "lerobot_pneutac.verbs.design",
     "diagnose": "lerobot_pneutac.verbs.diagnose",
-    "Diagnosis": "lerobot_pneutac.verbs.diagnosis",
+    "Diagnosis": "lerobot_pneutac.verbs.diagnose",
     "learn": "lerobot_pneutac.verbs.learn",
     "Learning": "lerobot_pneutac.verbs.learn",
     "add": "lerobot_pneutac.verbs.add",

@@ -55,7 +55,6 @@ PLUGIN_VERBS = ("measure", "surrogate", "augment", "ppo", "repair")
 
 
 def main() -> None:
-    """Entry point of the `pneutac` command."""
     try:
         try:
             _dispatch(sys.argv[1:])

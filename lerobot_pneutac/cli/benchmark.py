@@ -25,7 +25,6 @@ TABLES = {
 
 
 def command(argv: list[str], terminal) -> None:
-    """Runs one table."""
     name = argv[0] if argv else ""
     if name in ("-h", "--help"):
         print(f"usage: pneutac benchmark NAME [--option=value ...]\n\nNAME is {', '.join(TABLES)}.")

@@ -20,25 +20,17 @@ from pathlib import Path
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import check_writable, read_yaml
 
-PLACEHOLDERS = {str: "TEXT", int: "INT", float: "NUMBER", Path: "PATH"}
 COLUMN = 28  # where help texts begin
 
 
 @dataclass(frozen=True)
 class Option:
-    """One option of a command.
+    """One option of a command."""
 
-    Attributes:
-        name: with the groups that it is in, such as `planner.horizon`.
-        kind: type of its value, without None; a dataclass for a group of options.
-        default: None where there is none.
-        text: what it says in `--help`.
-    """
-
-    name: str
-    kind: type
-    default: object
-    text: str
+    name: str  # with the groups that it is in, such as `planner.horizon`
+    kind: type  # type of its value, without None; a dataclass for a group of options
+    default: object  # None where there is none
+    text: str  # what it says in `--help`
 
     @property
     def shown(self) -> str:
@@ -46,6 +38,13 @@ class Option:
         listed = isinstance(self.default, tuple | list)
         value = ",".join(map(str, self.default)) if listed else self.default
         return "" if value is None or dataclasses.is_dataclass(self.kind) else str(value)
+
+
+def keywords(config, function) -> dict:
+    """Those options of a verb that its function takes as keyword arguments alone, by their names."""
+    parameters = inspect.signature(function).parameters.values()
+    names = [p.name for p in parameters if p.kind is p.KEYWORD_ONLY and hasattr(config, p.name)]
+    return {name: getattr(config, name) for name in names}
 
 
 @dataclass(kw_only=True)
@@ -83,18 +82,11 @@ class PairOptions(TableOptions):
 
 
 def parse_options(config_class: type, argv: list[str], what: str | None = None):
-    """Reads `--name=value` options into a dataclass that validates itself.
+    """Reads `--name=value` options into a dataclass that validates itself; raises InputError for bad ones.
 
-    `a,b` is the list `[a,b]`, a flag may stand without its `=true`, and `--help` prints all and exits. The
-    class may name the option that the `first` argument is without its name, and `aliases` of options.
-
-    Args:
-        config_class: the dataclass.
-        argv: the arguments.
-        what: the sentence of `--help`; that of the class' module where it is None.
-
-    Raises:
-        InputError: an option is unknown or malformed, or the dataclass refuses the values.
+    `a,b` is the list `[a,b]`, a flag may stand without its `=true`, and `--help` prints all and exits, after
+    the sentence `what`, else that of the class' module. The class may name the option that the `first`
+    argument is without its name, and `aliases` of options.
     """
     options = {o.name: o for o in list_options(config_class)}
     if "-h" in argv or "--help" in argv:
@@ -140,10 +132,11 @@ def _convert_tables(config) -> None:
 def name_option(sentence: str, config_class: type) -> str:
     """A library's sentence about a parameter, `jobs=-1 must be ...`, as one about the option `--jobs`."""
     first = re.match(r"[\w.]+(?==| is | has | and )", sentence)
-    name = first[0] if first else ""
+    if first is None:
+        return sentence
     options = [o.name for o in list_options(config_class)]
-    named = [o for o in options if o == name] or [o for o in options if re.search(rf"[._]{name}$", o)]
-    return f"--{named[0]}{sentence.removeprefix(name)}" if name and len(named) == 1 else sentence
+    named = [o for o in options if o == first[0]] or [o for o in options if re.search(rf"[._]{first[0]}$", o)]
+    return f"--{named[0]}{sentence.removeprefix(first[0])}" if len(named) == 1 else sentence
 
 
 def _check_file(path: Path, options: dict[str, Option]) -> None:
@@ -207,15 +200,22 @@ def _fields(config_class: type, group: str) -> Iterator[Option]:
 
 
 def attribute_texts(config_class: type) -> dict[str, str]:
-    """Descriptions of attributes from the docstrings of a class and of those that it extends."""
-    texts = {}
+    """Descriptions of attributes from the docstrings of a class and of those that it extends.
+
+    What these leave out is described by the arguments of the verb's function, where the class names it as
+    `described_by`.
+    """
+    function = getattr(config_class, "described_by", None)
+    texts = {} if function is None else _entries(function.__doc__, "Args:")
     for base in reversed(config_class.__mro__):
-        doc = inspect.cleandoc(base.__doc__ or "").partition("Attributes:\n")[2]
-        section = re.split(r"\n(?=\S)", textwrap.dedent(doc.split("\n\n")[0]))
-        for name, found, text in (entry.partition(":") for entry in section):
-            if found:
-                texts[name.strip()] = " ".join(text.split())
+        texts |= _entries(base.__doc__, "Attributes:")
     return texts
+
+
+def _entries(doc: str | None, section: str) -> dict[str, str]:
+    entries = textwrap.dedent(inspect.cleandoc(doc or "").partition(f"{section}\n")[2].split("\n\n")[0])
+    parts = (entry.partition(":") for entry in re.split(r"\n(?=\S)", entries))
+    return {name.strip(): " ".join(text.split()) for name, found, text in parts if found}
 
 
 def help_text(config_class: type, what: str | None = None) -> str:
@@ -261,15 +261,11 @@ def _placeholder(kind: type) -> str:
         return "=A,B"
     if float in typing.get_args(kind) and sometimes:
         return "=NUMBER"
-    return "=" + PLACEHOLDERS.get(kind, "VALUE")
+    return "=" + {str: "TEXT", int: "INT", float: "NUMBER", Path: "PATH"}.get(kind, "VALUE")
 
 
 def _completed(options: dict[str, Option], argv: list[str], aliases: dict[str, str]) -> list[str]:
-    """The same arguments as draccus wants them: lists in brackets, which it would else take letter by letter.
-
-    Raises:
-        InputError: an option is unknown, has no value, or something else stands there.
-    """
+    """The same arguments as draccus wants them: with lists in brackets, which it would else take apart."""
     out, rest = [], list(argv)
     while rest:
         name, given, value = rest.pop(0).partition("=")

@@ -23,16 +23,8 @@ def recording_folder(
     """The folder of the recording that a path names: itself, or that of tables, which are converted.
 
     What was converted before is taken where neither the tables nor their mapping changed; where they did,
-    they are converted again as the mapping says.
-
-    Args:
-        path: of a folder, of a table, or of several with commas or a pattern.
-        yes: whether what is understood needs no confirmation.
-        mapping: `mapping.yaml` to go by.
-        length_mm: of the finger, where it is known.
-
-    Raises:
-        InputError: the tables cannot be understood, or nobody confirmed it.
+    they are converted again as the mapping says. Raises InputError where the tables cannot be understood, or
+    nobody confirmed it, unless `yes`.
     """
     files = plain.table_files(path)
     if not files:
@@ -60,11 +52,7 @@ def recording_folder(
 
 
 def _confirm(path: Path) -> None:
-    """Asks whether the table that was shown is right.
-
-    Raises:
-        InputError: it is not, or there is nobody to ask.
-    """
+    """Asks whether the table that was shown is right; InputError where it is not, or nobody is there."""
     change = f"`pneutac convert {shlex.quote(str(path))} --columns='NAME: COLUMN [UNIT]'` changes it"
     if not sys.stdin.isatty():
         raise InputError(f"Add --yes if this is right; {change}.")

@@ -62,7 +62,6 @@ class Terminal:
 
 
 def show(result, console: Console, sentence: bool = True) -> None:
-    """Prints notes, sentence, table and remarks of a `Result`."""
     for finding in result.findings_shown:
         console.print(f"[yellow]note:[/] {escape(printable(finding))}", highlight=False)
     if sentence and result.sentence:

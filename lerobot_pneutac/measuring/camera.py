@@ -27,19 +27,12 @@ BASE_FROM_MARKER = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """A pinhole camera.
+    """A pinhole camera."""
 
-    Attributes:
-        matrix: (3, 3), px.
-        distortion: (5,) OpenCV's k1, k2, p1, p2, k3.
-        size_px: width and height of the images that it holds for.
-        rms_px: reprojection error of the calibration.
-    """
-
-    matrix: np.ndarray
-    distortion: np.ndarray
-    size_px: tuple[int, int]
-    rms_px: float
+    matrix: np.ndarray  # (3, 3), px
+    distortion: np.ndarray  # (5,) OpenCV's k1, k2, p1, p2, k3
+    size_px: tuple[int, int]  # width and height of the images that it holds for
+    rms_px: float  # reprojection error of the calibration
 
     @classmethod
     def load(cls, path: str | Path) -> "Intrinsics":
@@ -72,15 +65,9 @@ class Intrinsics:
 def calibrate_camera(
     folder: Path, inner_corners: tuple[int, int], square_mm: float
 ) -> tuple[Intrinsics, int]:
-    """Calibrates a camera by photographs of a chessboard (Zhang 2000, as in OpenCV).
+    """Calibrates a camera by photographs of a chessboard (Zhang 2000, as in OpenCV), each of another pose.
 
-    Args:
-        folder: PNG or JPEG photographs of one camera, the board in another pose in each.
-        inner_corners: of the board, columns and rows.
-        square_mm: side of a square.
-
-    Returns:
-        The camera, and in how many photographs the whole board was found.
+    Returns the camera, and in how many photographs the whole board of `inner_corners` was found.
     """
     files = sorted(p for p in Path(folder).glob("*") if p.suffix.lower() in (".png", ".jpg", ".jpeg"))
     board = np.zeros((inner_corners[0] * inner_corners[1], 3), np.float32)
@@ -106,15 +93,8 @@ def calibrate_camera(
 class MarkerTracker:
     """Position of the tip marker in the finger's base frame, which a second marker at the base defines.
 
-    Args:
-        camera: its intrinsics.
-        marker_mm: side of the square of both markers.
-        base_id: marker at the base, of OpenCV's 4 x 4 dictionary of 50.
-        tip_id: marker at the tip.
-        base_offset_mm: vector from the finger's base to the base marker's centre, in the base frame.
-
-    Attributes:
-        camera: see above.
+    Both are of OpenCV's 4 x 4 dictionary of 50, squares of `marker_mm`. `base_offset_mm` leads from the
+    finger's base to the base marker's centre, in the base frame.
     """
 
     def __init__(
@@ -130,8 +110,7 @@ class MarkerTracker:
     def see_base(self, images: list[np.ndarray]) -> None:
         """Takes the base marker's pose from images (H, W, 3) RGB, by the mean of its corners.
 
-        Raises:
-            InputError: images have another size than the calibration's, or the marker is in less than half.
+        Raises InputError where their size is not the calibration's, or the marker is in less than half.
         """
         size = images[0].shape[1::-1]
         if size != self.camera.size_px:
@@ -174,14 +153,10 @@ class MarkerTracker:
         return None
 
     def _pose(self, corners: np.ndarray, facing: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Rotation (3, 3) and shift (3,) mm, marker to camera.
+        """Rotation (3, 3) and shift (3,) mm, marker to camera, by its corners (4, 2) px.
 
-        A square seen from the front has two solutions whose errors hardly differ.
-
-        Args:
-            corners: (4, 2) px.
-            facing: direction (3,) in the camera's frame; of the two solutions the one that faces it rather.
-                Without it the one of smaller error.
+        A square seen from the front has two solutions whose errors hardly differ: the one is taken that
+        rather faces the direction `facing` (3,) in the camera's frame, else the one of smaller error.
         """
         given = corners.astype(float), self.camera.matrix, self.camera.distortion
         _, turns, shifts, errors = cv2.solvePnPGeneric(self._square, *given, flags=cv2.SOLVEPNP_IPPE_SQUARE)
@@ -200,17 +175,10 @@ def _refined(grey: np.ndarray, found: np.ndarray) -> np.ndarray | None:
 
 
 def fit_edges(grey: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Corners of a dark square on light ground, as intersections of lines fitted to its edges.
+    """Corners (4, 2) px of a dark square on light ground, as intersections of lines fitted to its edges.
 
     Refining single corners shrinks a marker of 40 px by 1 %, which moves it away by as much; whole edges do
     not. Along profiles across an edge, brightness is read as the share of the profile outside the square.
-
-    Args:
-        grey: float32 (H, W).
-        corners: (4, 2) px in order around the square, to a pixel or so.
-
-    Returns:
-        (4, 2) px.
     """
     along = np.linspace(0.12, 0.88, 24)[:, None]
     for _ in range(3):  # each starts from the corners of the one before
@@ -290,17 +258,8 @@ def track_dots(
     """A dot at the tip in the plane of the picture, as (x, 0, z) in the base frame, z upwards in the picture.
 
     Two dots of one colour lie on the straight finger's axis: the one farther from the tip at the finger's
-    base, the other `dots_mm` ahead of it. Camera and bending plane must be parallel.
-
-    Args:
-        file: the film.
-        tip_rgb: colour of the tip's dot, 0 to 255 each.
-        base_rgb: of the two at the base; another hue.
-        dots_mm: between these two.
-        camera: takes out the lens's distortion; without it there is none.
-
-    Raises:
-        InputError: the colours are too similar or grey, or the base's dots are not seen in the first frames.
+    base, the other `dots_mm` ahead of it. Camera and bending plane must be parallel. Raises InputError where
+    the colours are too similar or grey, or the base's dots are not seen in the first frames.
     """
     tip_hue, base_hue = _hue(tip_rgb, "tip_rgb"), _hue(base_rgb, "base_rgb")
     if _apart(np.array(tip_hue), base_hue) < 2 * HUE_DEGREES:

@@ -29,20 +29,13 @@ BUILTIN = ("steps", "ramps", "holds", "loops", "all")
 
 @dataclass(frozen=True)
 class PressureTrial:
-    """One contiguous piece of a program.
+    """One contiguous piece of a program."""
 
-    Attributes:
-        program: its label.
-        time_s: (n,) of the samples, rising from 0.
-        pressure_kpa: (n, chambers) set-points.
-        sent_s: (n,) when each is sent: at its sample, or a part of a sample before.
-        conditions: that it asks for, such as `payload_g`; somebody has to see to them.
-    """
-
-    program: str
-    time_s: np.ndarray
-    pressure_kpa: np.ndarray
-    sent_s: np.ndarray
+    program: str  # its label
+    time_s: np.ndarray  # (n,) of the samples, rising from 0
+    pressure_kpa: np.ndarray  # (n, chambers) set-points
+    sent_s: np.ndarray  # (n,) when each is sent: at its sample, or a part of a sample before
+    # that it asks for, such as `payload_g`; somebody has to see to them.
     conditions: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -63,21 +56,11 @@ def read_program(
     min_kpa: float | Sequence[float] | np.ndarray = 0.0,
     chambers: int = 1,
 ) -> list[PressureTrial]:
-    """The trials of a program.
+    """The trials of a program: a name of `BUILTIN`, a CSV, or the `result.json` of a recording's diagnosis.
 
-    Args:
-        given: a name of `BUILTIN`, a CSV with `time_s` and `pressure_cmd_kpa`, or of several chambers
-            `pressure_cmd_1_kpa` and so on (and `trial`, `program`, conditions), or the `result.json` of
-            `pneutac diagnose`.
-        max_kpa: top of the built-in programs, which no program may exceed; one for all chambers or for each.
-        hz: samples per second.
-        recording: what was diagnosed, for a `result.json`.
-        min_kpa: below which no program may go, likewise.
-        chambers: that are driven.
-
-    Raises:
-        InputError: it cannot be read, lacks a chamber's commands, or a pressure lies outside `min_kpa` to
-            `max_kpa`.
+    A CSV has `time_s` and `pressure_cmd_kpa`, or of several chambers `pressure_cmd_1_kpa` and so on, and may
+    have `trial`, `program` and conditions. The built-in programs reach `max_kpa`. Raises InputError where it
+    cannot be read, lacks a chamber's commands, or a pressure lies outside `min_kpa` to `max_kpa`.
     """
     if given in BUILTIN:
         names = [name for name in BUILTIN[:-1] if given in (name, "all")]

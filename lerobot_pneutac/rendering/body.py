@@ -21,14 +21,9 @@ from lerobot_pneutac.rendering.particles import (
     Pose,
     caption,
     pressure_text,
+    view_painter,
 )
-from lerobot_pneutac.rendering.view import view_painter
-from lerobot_pneutac.study.photographs import (
-    held_levels,
-    masked_cameras,
-    mean_conditions,
-    read_held,
-)
+from lerobot_pneutac.study.photographs import held_levels, masked_cameras, mean_conditions, read_held
 from pneutac_datasets.recording.photographs import read_camera
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import an
@@ -50,10 +45,7 @@ SILHOUETTE_HEIGHT = 220  # px of a picture
 def strip(objective: Objective, positions: np.ndarray, photographs: list[MaskedPhotograph]) -> np.ndarray:
     """Photographs above, renderings below and differing silhouettes last, uint8 (H, W, 3).
 
-    Args:
-        objective: draws.
-        positions: (T, P, 3) of the particles at each pressure, m.
-        photographs: their `state` counts `positions`.
+    `positions` are (T, P, 3) m of the particles at each pressure, counted by the photographs' `state`.
     """
     columns = []
     low, high = _crop(photographs)
@@ -70,11 +62,7 @@ def strip(objective: Objective, positions: np.ndarray, photographs: list[MaskedP
 
 
 def differing(photograph: np.ndarray, drawn: np.ndarray) -> np.ndarray:
-    """Two silhouettes, bool (H, W): grey where both are, red where the photograph's alone, blue the other's.
-
-    Returns:
-        uint8 (H, W, 3), on white.
-    """
+    """Silhouettes, bool (H, W), as uint8 (H, W, 3): grey where both are, red and blue where only one is."""
     image = np.full((*photograph.shape, 3), 255, np.uint8)
     image[photograph & drawn] = (222, 226, 230)
     image[photograph & ~drawn] = (194, 65, 12)
@@ -100,27 +88,16 @@ LEAD = (
 
 @dataclass(frozen=True)
 class Recorded:
-    """What one camera of a recording saw.
+    """What one camera of a recording saw."""
 
-    Attributes:
-        pressures: (T, chambers) kPa, rising.
-        photographs: (T,) the last one at each.
-        camera: from where.
-        conditions: means of the recording's other columns.
-    """
-
-    pressures: np.ndarray
-    photographs: list[MaskedPhotograph]
-    camera: Camera
-    conditions: dict[str, float]
+    pressures: np.ndarray  # (T, chambers) kPa, rising
+    photographs: list[MaskedPhotograph]  # (T,) the last one at each
+    camera: Camera  # from where
+    conditions: dict[str, float]  # means of the recording's other columns
 
 
 def read_recorded(twin: Twin, config: RenderConfig) -> Recorded:
-    """Reads the photographs of the chosen camera, the first one where none is chosen.
-
-    Raises:
-        InputError: another device's recording, a camera that it does not have, a twin without looks.
-    """
+    """Reads the photographs of the chosen camera, the first one where none is chosen."""
     recording = Recording.load(config.recording)
     if recording.device != twin.device:
         raise InputError(
@@ -151,17 +128,7 @@ def read_recorded(twin: Twin, config: RenderConfig) -> Recorded:
 
 
 def photograph_painter(twin: Twin, body: Body, recorded: Recorded, spines: np.ndarray) -> tuple[Painter, str]:
-    """Draws poses next to photographs, and describes them.
-
-    Args:
-        twin: with looks.
-        body: its straight particles.
-        recorded: the photographs.
-        spines: (T, K, 3) about where the spine will be, m.
-
-    Raises:
-        InputError: the camera sees nothing of the spine.
-    """
+    """Draws poses next to photographs, and describes them; the spine will be about `spines` (T, K, 3) m."""
     camera, looks = recorded.camera, looks_from_twin(twin)
     window = _window(recorded, spines, 1e-3 * twin.length_mm)
 
@@ -216,11 +183,6 @@ def _beside(panels, captions, window: tuple[slice, slice]) -> np.ndarray:
 
 
 def body_film(twin: Twin, config: RenderConfig) -> Film:
-    """The film of a finger or an arm.
-
-    Raises:
-        InputError: the pressures do not fit the device, an effect cannot act, or there is nothing to see.
-    """
     from pneutac_sim.mpm import devices
 
     recorded = None if config.recording is None else read_recorded(twin, config)
@@ -285,11 +247,6 @@ SIZE = {"cube": "side", "edge": "side", "outline": "reach", "mesh": "reach"}  # 
 
 
 def gel_film(twin: Twin, config: RenderConfig) -> Film:
-    """The film of a gel.
-
-    Raises:
-        InputError: the indenter goes too deep, or misses the gel.
-    """
     press = deepest_press(config, GelModel.from_twin(twin))
     lead = f"{STRETCH} Right: the tactile image, by Gaussian splats on the particles."
     return Film("gel", _press_frames(twin, config, press), PRESS_FRAMES, lead)

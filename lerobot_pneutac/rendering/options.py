@@ -111,11 +111,7 @@ class RenderConfig:
 
 
 def filled(config: RenderConfig, twin: Twin) -> RenderConfig:
-    """Options with the defaults of the twin's device.
-
-    Raises:
-        InputError: an option or a condition is given that this twin has no use for.
-    """
+    """Options with the defaults of the twin's device; raises InputError where it has no use for one."""
     own = {"finger": FINGER, "arm": ARM, "gel": GEL}[twin.device]
     for name in FINGER if own is GEL else GEL:
         if getattr(config, name) is not None:
@@ -144,11 +140,7 @@ def _pressures(twin: Twin) -> list[float]:
 
 
 def deepest_press(config: RenderConfig, gel: GelModel) -> Press:
-    """The indenter where it is deepest.
-
-    Raises:
-        InputError: it is no indenter, goes too deep, or nothing of it touches the gel's window.
-    """
+    """The indenter where it is deepest; raises InputError where it goes too deep, or touches no gel."""
     place = config.x_mm, config.y_mm, config.depth_mm, config.yaw_rad or 0.0
     press = Press(config.indenter, config.size_mm, *place, _figure(config))
     deepest = 0.8 * gel.thickness_mm

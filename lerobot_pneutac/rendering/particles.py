@@ -1,13 +1,20 @@
-"""Pictures of particles: lit balls sorted by depth, seen from one side, without a graphics library."""
+"""Pictures of bodies and gels: lit balls sorted by depth, seen from one side, or splats from any side."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from pneutac_sim.splat.follow import strain, stretch_colours
+from lerobot_pneutac.rendering.options import RenderView
+from pneutac_sim.mpm.body import Body
+from pneutac_sim.splat.body import ARRAYS, looks_from_twin
+from pneutac_sim.splat.camera import Camera
+from pneutac_sim.splat.follow import blank_looks, carried, strain, stretch_colours
+from pneutac_sim.splat.gaussians import Gaussians
+from pneutac_sim.splat.render import rasterise
+from pneutac_sim.twin import Twin
 
 STRETCH = "Colour is the largest stretch of the material, from calm to warm."
 
@@ -21,37 +28,22 @@ class FilmFrame:
 
 
 class Film(NamedTuple):
-    """A film that is yet to be drawn.
+    """A film that is yet to be drawn."""
 
-    Attributes:
-        device: of the twin.
-        frames: computed one by one.
-        count: how many there will be.
-        lead: what they show, in a sentence.
-        about: which twin and recording, for the report.
-    """
-
-    device: str
-    frames: Iterator[FilmFrame]
-    count: int
-    lead: str
-    about: str = ""
+    device: str  # of the twin
+    frames: Iterator[FilmFrame]  # computed one by one
+    count: int  # how many there will be
+    lead: str  # what they show, in a sentence
+    about: str = ""  # which twin and recording, for the report
 
 
 class Pose(NamedTuple):
-    """A body at rest.
+    """A body at rest."""
 
-    Attributes:
-        pressure: (chambers,) kPa.
-        positions: (P, 3) of the particles, m.
-        gradients: (P, 3, 3) deformation gradients.
-        spine: (K, 3) base, joints and tip, m.
-    """
-
-    pressure: np.ndarray
-    positions: np.ndarray
-    gradients: np.ndarray
-    spine: np.ndarray
+    pressure: np.ndarray  # (chambers,) kPa
+    positions: np.ndarray  # (P, 3) of the particles, m
+    gradients: np.ndarray  # (P, 3, 3) deformation gradients
+    spine: np.ndarray  # (K, 3) base, joints and tip, m
 
 
 # Draws a pose; the dictionary is what it adds to the table.
@@ -59,12 +51,10 @@ Painter = Callable[[Pose], tuple[np.ndarray, dict]]
 
 
 def pressure_text(pressure: np.ndarray) -> str:
-    """Pressures (chambers,) as a caption has them."""
     return f"{', '.join(f'{p:.1f}' for p in pressure)} kPa"
 
 
 def caption(pose: Pose) -> str:
-    """Pressure and tip of a pose."""
     tip = 1e3 * pose.spine[-1]
     return f"{pressure_text(pose.pressure)}   tip x {tip[0]:.1f}  y {tip[1]:.1f}  z {tip[2]:.1f} mm"
 
@@ -82,17 +72,10 @@ def draw_particles(
     scale: float,
     origin: tuple[float, float],
 ) -> None:
-    """Draws balls into `image`, the farthest first.
+    """Draws balls at points (P, 3) m with colours (P, 3) into an image, uint8 (H, W, 3), the farthest first.
 
-    Args:
-        image: uint8 (H, W, 3), changed in place.
-        points: (P, 3) m.
-        rgb: (P, 3) colours.
-        radius: of a ball, m.
-        view: unit vectors (3,) in the scene that point right and up in the picture; one looks from the third
-            side, against their cross product.
-        scale: px per m.
-        origin: where the scene's origin is, px right and down.
+    `view` are the unit vectors in the scene that point right and up in the picture; one looks against their
+    cross product. `scale` is in px a metre, and `origin` where the scene's origin is, px right and down.
     """
     right, up = (np.asarray(v, float) for v in view)
     at = points @ np.stack([right, -up, np.cross(right, up)], 1)  # the last grows towards the eye
@@ -108,12 +91,10 @@ def draw_particles(
 
 
 def blank(width: int, height: int) -> np.ndarray:
-    """An empty picture, uint8 (height, width, 3)."""
     return np.full((height, width, 3), PAPER, np.uint8)
 
 
 def write(image: np.ndarray, text: str, x: int, y: int, size: float = 0.5) -> None:
-    """Writes a line of text with its left end at (x, y)."""
     cv2.putText(image, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, size, INK, 1, cv2.LINE_AA)
 
 
@@ -127,13 +108,8 @@ def body_picture(
 ) -> np.ndarray:
     """A bending body from its side (x down, so that it hangs; z to the right), its spine drawn over it.
 
-    Args:
-        pose: of the body; its gradients give the colour.
-        length_m: of the straight body; sets the scale.
-        radius: of a particle, m.
-        caption: written below.
-        top_strain: strain of the warmest colour.
-        turns: one view for each angle, degrees about the body's length; a little, so that one sees its depth.
+    Colour is the strain, the warmest that of `top_strain`. There is a view for each of `turns`, degrees about
+    the body's length; a little, so that one sees its depth.
     """
     width, height = BODY_PX
     image = blank(width, height)
@@ -168,15 +144,8 @@ def gel_picture(
 ) -> np.ndarray:
     """The face of a gel from above, lit from one side, and a cut along its deepest row.
 
-    Args:
-        moved_mm: (rows, columns) how far the face has moved into the gel.
-        particles_mm: (K, 3) particles of the lattice's cut, mm in the gel frame.
-        strains: (K,) of these.
-        spacing_mm: between particles.
-        window_mm: width and height of the face.
-        top_mm: depth of the warmest colour.
-        top_strain: strain of the warmest colour in the cut.
-        caption: written below.
+    The face (rows, columns) has moved into the gel by so many mm; the cut has particles (K, 3) mm in the gel
+    frame and their strains (K,). Colours are warmest at `top_mm` and at `top_strain`.
     """
     width, height = GEL_PX
     image = blank(width, height)
@@ -213,3 +182,56 @@ def beside(picture: np.ndarray, tactile: np.ndarray) -> np.ndarray:
     panel[24 : 24 + height, :width] = cv2.resize(tactile, (width, height), interpolation=cv2.INTER_AREA)
     write(panel, "tactile image", 0, len(picture) - 22, 0.55)
     return np.concatenate([picture, panel], 1)
+
+
+CAPTION = 44  # px below the picture
+FOV_DEG = 20.0  # so that four lengths away the straight body fills seven tenths of the height
+
+
+def view_camera(view: RenderView, aim: np.ndarray, length_m: float) -> Camera:
+    """The camera of a view to `aim` (3,) m; the body hangs, and at no angle bends to the right."""
+    around, above = np.radians([view.azimuth_deg, view.elevation_deg])
+    side = np.array([0.0, -np.cos(around), np.sin(around)])
+    base = np.array([-1.0, 0.0, 0.0])
+    away = np.cos(above) * side + np.sin(above) * base
+    eye = aim + view.distance_lengths * length_m * away
+    return Camera.look_at(eye, aim, np.cos(above) * base - np.sin(above) * side, FOV_DEG, *BODY_PX)
+
+
+def view_painter(twin: Twin, body: Body, view: RenderView, spines: np.ndarray) -> tuple[Painter, str]:
+    """Draws poses from a view, and says what one sees; in the middle is that of `spines` (T, K, 3) m."""
+    points = spines.reshape(-1, 3)
+    camera = view_camera(view, (points.min(0) + points.max(0)) / 2, 1e-3 * twin.length_mm)
+    looks_of = body_looks(twin, body)
+
+    def paint(pose: Pose) -> tuple[np.ndarray, dict]:
+        now = looks_of(pose.positions, pose.gradients)
+        seen = rasterise(now, camera, np.array(PAPER) / 255)
+        width, height = BODY_PX
+        image = blank(width, height + CAPTION)
+        image[:height] = (255 * seen.image.clip(0, 1)).round()
+        write(image, caption(pose), 16, height + CAPTION - 18, 0.55)
+        return image, {}
+
+    own = "The body in its own looks, by Gaussian splats on the particles."
+    return paint, own if has_looks(twin) else STRETCH
+
+
+def has_looks(twin: Twin) -> bool:
+    """Whether a photograph gave the twin its looks."""
+    return all(array in twin.arrays for array in ARRAYS)
+
+
+def body_looks(twin: Twin, body: Body) -> Callable[[np.ndarray, np.ndarray], Gaussians]:
+    """What gives the Gaussians of a body for its particles' positions (P, 3), m, and gradients (P, 3, 3).
+
+    They are in the twin's looks, or coloured by stretch where it has none.
+    """
+    own = has_looks(twin)
+    looks = looks_from_twin(twin) if own else blank_looks(body)
+
+    def now(positions: np.ndarray, gradients: np.ndarray) -> Gaussians:
+        moved = carried(looks, body, positions, gradients)
+        return moved if own else replace(moved, colours=stretch_colours(strain(gradients)) / 255)
+
+    return now

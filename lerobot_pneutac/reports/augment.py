@@ -7,6 +7,7 @@ import plotly.graph_objects as go
 from lerobot.datasets import LeRobotDataset
 from lerobot.utils.constants import OBS_STATE
 
+from lerobot_pneutac.reports.figures import curves
 from lerobot_pneutac.reports.page import SERIES, Report
 from pneutac_datasets.demonstrations.augment.reference import Reference, onset_sigma_m
 from pneutac_sim.features import VELOCITY_NAMES, Places
@@ -16,7 +17,6 @@ SHOWN = 4  # recorded demonstrations whose touch is drawn
 
 
 def augment_page(new: tuple[str, Path], summary: dict, references: list[Reference]) -> Report:
-    """The report, not yet written."""
     share = summary["kept"] / summary["attempts"]
     report = Report(f"{summary['kept']} demonstrations from {len(references)}")
     report.lead(
@@ -79,17 +79,17 @@ def _places(references: list[Reference]) -> Places:
 
 def _touch(states: list[np.ndarray], sources: list[int], references: list[Reference]) -> go.Figure:
     places = _places(references)
-    figure = go.Figure()
+    lines = []
     for state, source in zip(states, sources, strict=True):
         if source in [r.source for r in references[:SHOWN]]:
             t = np.arange(len(state)) / references[0].control_hz
-            line = {"color": SERIES[source % len(SERIES)], "width": 0.7}
-            figure.add_scatter(x=t, y=state[:, places.area], mode="lines", line=line, showlegend=False)
+            style = {"color": SERIES[source % len(SERIES)], "width": 0.7}
+            lines.append(("", t, state[:, places.area], style))
     for r in references[:SHOWN]:
-        t, line = np.arange(len(r)) / r.control_hz, {"color": SERIES[r.source % len(SERIES)], "width": 3}
-        figure.add_scatter(x=t, y=r.area, mode="lines", line=line, name=f"demonstration {r.source}")
-    figure.update_layout(xaxis_title="time (s)", yaxis_title="contact area (share of the image)")
-    return figure
+        t, style = np.arange(len(r)) / r.control_hz, {"color": SERIES[r.source % len(SERIES)], "width": 3}
+        lines.append((f"demonstration {r.source}", t, r.area, style))
+    figure = curves(lines, "time (s)", "contact area (share of the image)")
+    return figure.for_each_trace(lambda trace: trace.update(showlegend=bool(trace.name)))
 
 
 def _paths(states: list[np.ndarray], references: list[Reference]) -> go.Figure:

@@ -5,9 +5,8 @@
 
 import numpy as np
 import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
-from lerobot_pneutac.reports.compare_sentence import inside_band
+from lerobot_pneutac.reports.figures import bar_panels, curves, name_runs, session_clock, shade, stacked
 from lerobot_pneutac.reports.page import (
     BAND,
     CHAMBERS,
@@ -16,11 +15,9 @@ from lerobot_pneutac.reports.page import (
     HELDOUT,
     MEASURED,
     MODEL,
-    SHADE,
     TRAIN,
     Report,
 )
-from lerobot_pneutac.reports.session import bar_panels, name_runs, session_clock
 from pneutac_datasets.recording.axes import numbers, unit_of
 from pneutac_sim.finger.quantities import root_mean
 
@@ -30,7 +27,6 @@ EACH, ALL = 60, 30_000  # of a trial at least, but where the least of all trials
 
 
 def comparison_page(c) -> Report:
-    """The report of a `BodyComparison`."""
     report = c.lead_page()
     unit = c.unit
     fitted = c.train_samples.any()
@@ -40,7 +36,7 @@ def comparison_page(c) -> Report:
         + [{"part": "noise", f"error, {unit}": c.noise.value if c.noise.value else "unknown"}],
         f"Root mean square distance, simulated {c.simulated}. Noise: {c.noise.how}."
         + (" The held-out part is made of whole blocks of time." if fitted else "")
-        + (f" Inside the 95 % band: {inside_band(c)}." if c.coverage is not None else ""),
+        + (f" Inside the 95 % band: {c.inside_band}." if c.coverage is not None else ""),
     )
     if c.out_of_range is not None:
         report.table(
@@ -52,7 +48,7 @@ def comparison_page(c) -> Report:
     caption += " In green the 95 % band of the held-out part." if c.coverage is not None else ""
     report.figure(over_time(c), caption, 130 + 150 * c.counted)
     if c.coverage is not None:
-        caption = f"Measured minus modelled. Inside the band lie {inside_band(c)}."
+        caption = f"Measured minus modelled. Inside the band lie {c.inside_band}."
         report.figure(in_band(c), caption, 110 + 150 * c.counted)
     report.heading("Loops")
     report.figure(loops(c), "The same against the commanded pressure: a loop shows history.", 420)
@@ -130,27 +126,25 @@ def _add_line(figure: go.Figure, i: int, t, values, parts: list[np.ndarray], nam
 
 
 def in_band(c) -> go.Figure:
-    figure = make_subplots(c.counted, 1, shared_xaxes=True, vertical_spacing=0.04)
+    figure = stacked([_title(n) for n in c.columns[: c.counted]], [1.0] * c.counted, 0.04)
     (t, _), parts = session_clock(c.recording), _heldout(c)
-    for i, name in enumerate(c.columns[: c.counted]):
+    for i in range(c.counted):
         left = c.measured[:, i] - c.model[:, i]
         _add_line(figure, i, t, left, parts, "measured minus modelled", color=MEASURED, width=1)
         _add_band(figure, c, i, t, np.zeros(len(t)))
-        figure.update_yaxes(title_text=_title(name), row=i + 1, col=1)
     return name_runs(figure, c.recording, row=c.counted)
 
 
 def over_time(c) -> go.Figure:
-    rows = {"shared_xaxes": True, "row_heights": [1.0] * c.counted + [0.6]}
-    figure = make_subplots(c.counted + 1, 1, vertical_spacing=0.03, **rows)
+    titles = [*map(_title, c.columns[: c.counted]), "kPa"]
+    figure = stacked(titles, [1.0] * c.counted + [0.6], 0.03)
     t, shift = session_clock(c.recording)
     trials = [np.arange(rows.start, rows.stop) for rows in c.recording.trials().values()]
     for i in range(c.counted if c.band is not None else 0):
         _add_band(figure, c, i, t, c.model[:, i])
-    for i, name in enumerate(c.columns[: c.counted]):
+    for i in range(c.counted):
         for values, colour, label in ((c.measured, MEASURED, "measured"), (c.model, MODEL, "model")):
             _add_line(figure, i, t, values[:, i], trials, label, color=colour, width=1.2)
-        figure.update_yaxes(title_text=_title(name), row=i + 1, col=1)
     command = c.recording.samples[c.recording.pressure_columns].to_numpy(float)
     for k, name in enumerate(c.recording.pressure_columns):
         index = _thin(np.arange(len(t)), command[:, k])
@@ -158,10 +152,7 @@ def over_time(c) -> go.Figure:
             x=t[index].round(3), y=command[index, k].round(3), name=name, mode="lines",
             line={"width": 1, "color": ((COMMAND, *CHAMBERS) * 3)[k]}, row=c.counted + 1, col=1,
         )  # fmt: skip
-    figure.update_yaxes(title_text="kPa", row=c.counted + 1, col=1)
-    for p in c.worst:
-        a, b = p["from_s"] + shift[p["trial"]], p["to_s"] + shift[p["trial"]]
-        figure.add_vrect(x0=a, x1=b, fillcolor=SHADE, line_width=0, layer="below")
+    shade(figure, c.worst, shift)
     return name_runs(figure, c.recording, row=c.counted + 1)
 
 
@@ -219,7 +210,6 @@ def by_condition(by: dict[str, list[dict]], c) -> go.Figure:
 
 
 def residuals(c) -> go.Figure:
-    """Residual of the main column against a condition that the reader picks."""
     i = _main_column(c)
     rng = np.random.default_rng(0)
     some = np.sort(rng.choice(len(c.measured), min(3000, len(c.measured)), replace=False))
@@ -255,13 +245,11 @@ def ladder(c) -> go.Figure:
 
 def history(entries: list[dict], unit: str) -> go.Figure:
     x = [f"{e['version']}: {e['change']}" for e in entries]
-    figure = go.Figure()
-    for key, colour, name in (("train", TRAIN, "train"), ("heldout", HELDOUT, "held out")):
-        figure.add_scatter(
-            x=x, y=[e[key] for e in entries], name=name, mode="lines+markers",
-            line={"color": colour, "width": 2.5, "shape": "hv"}, marker={"size": 9},
-        )  # fmt: skip
-    return figure.update_yaxes(rangemode="tozero", title_text=unit)
+    style = {"width": 2.5, "shape": "hv"}
+    kinds = (("train", "train", TRAIN), ("held out", "heldout", HELDOUT))
+    lines = [(n, x, [e[k] for e in entries], style | {"color": colour}) for n, k, colour in kinds]
+    figure = curves(lines, "", unit, mode="lines+markers", marker={"size": 9})
+    return figure.update_yaxes(rangemode="tozero")
 
 
 def _title(name: str) -> str:

@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from lerobot_pneutac.reports.diagnosis import error_bars
+from lerobot_pneutac.reports.figures import curves
 from lerobot_pneutac.reports.page import AFTER, BEFORE, MEASURED, Report
 
 FILMS = 3  # starts of which both films are shown
@@ -21,7 +23,6 @@ TITLES = {
 
 
 def demo_page(result) -> Report:
-    """The report of a finished demo, not yet written."""
     state, out = result.state, result.out
     page = result.lead_page()
     page.heading("The error of the twin")
@@ -82,37 +83,32 @@ def _with_commands(page: Report, state: dict) -> Report:
 
 def _another_day(before, after):
     """Where the tip moves most in the longest trial: measured, and by both twins."""
-    import plotly.graph_objects as go
-
     rows = max(before.recording.trials().values(), key=lambda r: r.stop - r.start)
     column = int(np.ptp(before.measured[rows, : before.counted], axis=0).argmax())
-    figure, time_s = go.Figure(), before.recording.column("time_s")[rows]
-    lines = (("measured", before.measured, MEASURED), ("before", before.model, BEFORE))
-    for name, values, colour in (*lines, ("after", after.model, AFTER)):
-        y = values[rows, column].round(3)
-        figure.add_scatter(x=time_s, y=y, name=name, mode="lines", line={"color": colour})
-    return figure.update_layout(xaxis_title="time (s)", yaxis_title=before.columns[column])
+    time_s = before.recording.column("time_s")[rows]
+    shown = (("measured", before.measured, MEASURED), ("before", before.model, BEFORE))
+    lines = (
+        (name, time_s, values[rows, column].round(3), colour)
+        for name, values, colour in (*shown, ("after", after.model, AFTER))
+    )
+    return curves(lines, "time (s)", before.columns[column])
 
 
 def _errors(state: dict, added: list[str]):
-    import plotly.graph_objects as go
 
-    names = ["calibrated", f"with {', '.join(added)}"]
-    errors = [state["twin"]["tip_error_mm"], state["add"]["tip_error_mm"]]
-    figure = go.Figure(go.Bar(x=names, y=errors, marker_color=[BEFORE, AFTER]))
-    figure.add_hline(y=state["add"]["noise_mm"], line_dash="dash", annotation_text="noise")
-    return figure.update_yaxes(title="held-out tip error (mm)", rangemode="tozero")
+    errors = (state[stage]["tip_error_mm"] for stage in ("twin", "add"))
+    names = ("calibrated", f"with {', '.join(added)}")
+    steps = [(n, e, None, c) for n, e, c in zip(names, errors, (BEFORE, AFTER), strict=True)]
+    return error_bars(steps, "mm", state["add"]["noise_mm"])
 
 
 def _losses(training: dict):
-    import plotly.graph_objects as go
 
-    figure = go.Figure()
-    for arm, name in (("augmented", "with augmentation"), ("alone", "recorded ones alone")):
-        x = (1 + np.arange(len(training[arm]))) * training["log_freq"]
-        figure.add_scatter(x=x, y=training[arm], mode="lines", name=name)
-    axes = {"xaxis_title": "step", "yaxis_title": "loss (mm² per step + kPa²)", "yaxis_type": "log"}
-    return figure.update_layout(**axes)
+    lines = (
+        (name, (1 + np.arange(len(training[arm]))) * training["log_freq"], training[arm], None)
+        for arm, name in (("augmented", "with augmentation"), ("alone", "recorded ones alone"))
+    )
+    return curves(lines, "step", "loss (mm² per step + kPa²)").update_yaxes(type="log")
 
 
 def demonstration_strip(root: Path) -> np.ndarray:

@@ -8,6 +8,16 @@ from plotly.subplots import make_subplots
 
 from lerobot_pneutac.diagnosis.experiment import Separation, read
 from lerobot_pneutac.diagnosis.result import Outcome
+from lerobot_pneutac.reports.figures import (
+    bar_panels,
+    curves,
+    name_runs,
+    session_clock,
+    shade,
+    stacked,
+    whiskers,
+    worst_passages,
+)
 from lerobot_pneutac.reports.page import (
     AFTER,
     BEFORE,
@@ -16,13 +26,10 @@ from lerobot_pneutac.reports.page import (
     KNOWN,
     MEASURED,
     OTHER,
-    SHADE,
-    WHISKER,
     Report,
     parameter_rows,
 )
 from lerobot_pneutac.reports.sentences import State, alternatives, evidence, meaning, percent
-from lerobot_pneutac.reports.session import bar_panels, name_runs, session_clock, worst_passages
 from lerobot_pneutac.study.base import EffectStudy
 from pneutac_datasets.recording.axes import Axis, axes, numbers, unit_of
 from pneutac_datasets.recording.recording import Recording
@@ -97,16 +104,14 @@ def contributions(study: EffectStudy, o: Outcome) -> go.Figure:
     least, most = (  # rises of the error at the ends of the interval of the mean square's
         [max(c.error_with**2 + c.drop[i], 0.0) ** 0.5 - c.error_with for c in shown] for i in (1, 2)
     )
+    bars = whiskers(rise, least, most)
     figure = go.Figure()
     for known, colour, name in ((True, KNOWN, "known cause"), (False, AFTER, "new")):
         at = [i for i, c in enumerate(shown) if c.known == known]
+        error_x = bars | {k: [bars[k][i] for i in at] for k in ("array", "arrayminus")}
         figure.add_bar(
             y=[names[i] for i in at], x=[rise[i] for i in at], orientation="h", name=name,
-            marker_color=colour,
-            error_x={
-                "type": "data", "array": [max(0, most[i] - rise[i]) for i in at],
-                "arrayminus": [max(0, rise[i] - least[i]) for i in at], "color": WHISKER,
-            },
+            marker_color=colour, error_x=error_x,
         )  # fmt: skip
     figure.update_yaxes(categoryorder="array", categoryarray=names)
     return figure.update_xaxes(title=f"rise of the test error without it ({study.unit})")
@@ -178,14 +183,12 @@ def ladder(study: EffectStudy, o: Outcome) -> go.Figure:
 
 def error_bars(steps: list[Step], unit: str, noise: float | None) -> go.Figure:
     """Test errors with their 95 % intervals, one bar a step, and the noise as a dashed line."""
-    whisker = {
-        "type": "data", "color": WHISKER,
-        "array": [max(0.0, float(band[1]) - error) for _, error, band, _ in steps],
-        "arrayminus": [max(0.0, error - float(band[0])) for _, error, band, _ in steps],
-    }  # fmt: skip
+    errors = [error for _, error, *_ in steps]
+    bands = [(error, error) if band is None else band for _, error, band, _ in steps]
     names, looks = [f"{name}<br>{error:.3g} {unit}" for name, error, *_ in steps], [s[3] for s in steps]
     figure = go.Figure()
-    figure.add_bar(x=names, y=[s[1] for s in steps], marker_color=looks, width=0.5, error_y=whisker)
+    whisker = whiskers(errors, *zip(*bands, strict=True))
+    figure.add_bar(x=names, y=errors, marker_color=looks, width=0.5, error_y=whisker)
     if noise:
         figure.add_hline(y=noise, line={"dash": "dash", "color": FLOOR}, annotation_text="noise")
     return figure.update_yaxes(title=f"test error ({unit})", rangemode="tozero")
@@ -195,16 +198,10 @@ def reductions(o: Outcome) -> go.Figure:
     tested = reversed(o.tested)
     shown = [(t, t.reduction, t.ci95) for t in tested if t.reduction is not None and t.ci95 is not None]
     value = [100 * share for _, share, _ in shown]
-    figure = go.Figure(
-        go.Bar(
-            y=[t.name for t, *_ in shown], x=value, orientation="h",
-            marker_color=[AFTER if t.name in o.selected else OTHER for t, *_ in shown],
-            error_x={
-                "type": "data", "array": [max(0, 100 * (ci[1] - share)) for _, share, ci in shown],
-                "arrayminus": [max(0, 100 * (share - ci[0])) for _, share, ci in shown], "color": WHISKER,
-            },
-        )
-    )  # fmt: skip
+    colours = [AFTER if t.name in o.selected else OTHER for t, *_ in shown]
+    ends = ([100 * ci[k] for *_, ci in shown] for k in (0, 1))
+    bar = go.Bar(y=[t.name for t, *_ in shown], x=value, orientation="h", marker_color=colours)
+    figure = go.Figure(bar.update(error_x=whiskers(value, *ends)))
     return figure.update_xaxes(
         title="error above the noise removed (%)", range=[min(-10, *value, 0) - 5, 105]
     )
@@ -214,7 +211,7 @@ def over_time(study: EffectStudy, o: Outcome, worst: list[dict]) -> go.Figure:
     """Error before and after, and the command below, over the runs laid end to end."""
     t, shift = session_clock(study.recording)
     step = max(1, len(t) // MOST_POINTS)
-    figure = make_subplots(2, 1, shared_xaxes=True, vertical_spacing=0.04, row_heights=[1.0, 0.4])
+    figure = stacked((f"error ({study.unit})", "kPa"), (1.0, 0.4), 0.04)
     for name, r, colour in (("before", o.before, BEFORE), ("after", o.after, AFTER)):
         y, line = np.sqrt(r.squared)[::step].round(4), {"width": 1, "color": colour}
         figure.add_scatter(x=t[::step].round(3), y=y, name=name, line=line, row=1, col=1)
@@ -223,11 +220,8 @@ def over_time(study: EffectStudy, o: Outcome, worst: list[dict]) -> go.Figure:
         x=t[::step].round(3), y=np.round(p[::step], 3), name="command", line={"width": 1, "color": COMMAND},
         row=2, col=1,
     )  # fmt: skip
-    for w in worst:
-        a, b = w["from_s"] + shift[w["trial"]], w["to_s"] + shift[w["trial"]]
-        figure.add_vrect(x0=a, x1=b, fillcolor=SHADE, line_width=0, layer="below")
-    figure.update_yaxes(title_text=f"error ({study.unit})", rangemode="tozero", row=1, col=1)
-    figure.update_yaxes(title_text="kPa", row=2, col=1)
+    shade(figure, worst, shift)
+    figure.update_yaxes(rangemode="tozero", row=1, col=1)
     return name_runs(figure, study.recording, row=2)
 
 
@@ -255,14 +249,18 @@ def by_level(study: EffectStudy, o: Outcome, found: list[Axis]) -> go.Figure:
 
 
 def proposed(s: Separation) -> go.Figure:
-    figure = go.Figure()
     spread = [float(np.abs(a - b).max()) for a, b in zip(s.predictions[0].T, s.predictions[1].T, strict=True)]
     k = int(np.argmax(spread))
-    for name, y, colour in zip(("chosen", "rival"), s.predictions, (AFTER, BEFORE), strict=True):
-        figure.add_scatter(x=s.time_s, y=np.round(y[:, k], 4), name=name, line={"color": colour})
-    apart = np.round((s.predictions[0] - s.predictions[1])[:, k], 4)
-    figure.add_scatter(x=s.time_s, y=apart, name="difference", line={"color": OTHER, "dash": "dot"})
-    return figure.update_xaxes(title="time (s)").update_yaxes(title=s.columns[min(k, len(s.columns) - 1)])
+    pair = [np.round(y[:, k], 4) for y in s.predictions]
+    lines = [
+        (name, s.time_s, y, style)
+        for name, y, style in (
+            ("chosen", pair[0], AFTER),
+            ("rival", pair[1], BEFORE),
+            ("difference", pair[0] - pair[1], {"color": OTHER, "dash": "dot"}),
+        )
+    ]
+    return curves(lines, "time (s)", s.columns[min(k, len(s.columns) - 1)])
 
 
 def physics(study: EffectStudy, o: Outcome) -> tuple[go.Figure, str] | None:
@@ -306,7 +304,6 @@ def _panels(x: np.ndarray, lines: dict[str, np.ndarray], x_title: str, y_title: 
 
 
 def _steps(recording: Recording, lines, column: str, effect: str) -> tuple[go.Figure, str] | None:
-    """Mean response to the steps of one direction, per kPa."""
     p = recording.samples[list(recording.pressure_columns)].to_numpy(float).mean(1)
     span, found = float(np.ptp(p)), []
     for rows in recording.trials().values():
@@ -339,7 +336,6 @@ def _steps(recording: Recording, lines, column: str, effect: str) -> tuple[go.Fi
 
 
 def _loop(recording: Recording, lines, column: str, effect: str) -> tuple[go.Figure, str] | None:
-    """Mean over the pressure, on the way up and on the way down."""
     p = recording.samples[list(recording.pressure_columns)].to_numpy(float).mean(1)
     way = next((a for a in axes(recording) if a.name == "direction"), None)
     if way is None or "loading" not in way.labels or "unloading" not in way.labels:

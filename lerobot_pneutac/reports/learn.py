@@ -12,13 +12,14 @@ import plotly.graph_objects as go
 from PIL import Image, ImageDraw, ImageFont
 from plotly.subplots import make_subplots
 
+from lerobot_pneutac.reports.figures import curves, stacked
 from lerobot_pneutac.reports.page import CHAMBERS, HELDOUT, INK, MEASURED, MODEL, PALE, PAPER, TRAIN, Report
 from lerobot_pneutac.reports.sentences import called
 
 
 def design_page(design) -> Report:
     report, best = design.lead_page(), design.best
-    figure = make_subplots(2, 1, shared_xaxes=True, row_heights=[0.7, 0.3], vertical_spacing=0.06)
+    figure = stacked((f"predicted, {design.unit}", "pressure, kPa"), (0.7, 0.3))
     # Of the predicted columns the one in which the models differ most.
     spread = np.std(np.stack(best.predictions), axis=0).max(axis=0)
     for c, seen in zip(design.contenders, best.predictions, strict=True):
@@ -26,9 +27,6 @@ def design_page(design) -> Report:
         figure.add_scatter(x=best.time_s, y=seen[:, spread.argmax()], name=name[:60], row=1, col=1)
     for trace in pressure_traces(best.time_s, best.pressure_kpa):
         figure.add_trace(trace, 2, 1)
-    for row, title in ((1, f"predicted, {design.unit}"), (2, "pressure, kPa")):
-        figure.update_yaxes(title_text=title, row=row, col=1)
-    figure.update_xaxes(title_text="time, s", row=2, col=1)
     what = "What each model predicts, with its probability before the program, and the program."
     report.figure(figure, what, 520)
     report.table(design.rows(), "The programs with the most information for their time.")
@@ -38,13 +36,12 @@ def design_page(design) -> Report:
 def motion_page(design) -> Report:
     report = design.lead_page()
     for c in dict.fromkeys(design.chosen.values()):
-        drags = c.motion.drag_mm > 0
-        figure = go.Figure()
-        for name, felt in c.felt.items():
-            x, y = (felt.way_mm, felt.turn_deg) if drags else (felt.time_s, felt.force_n)
-            figure.add_scatter(x=x, y=y, name=name)
-        figure.update_xaxes(title_text="sideways path of the arm, mm" if drags else "time, s")
-        figure.update_yaxes(title_text="turn of the imprint, degrees" if drags else "force on the gel, N")
+        titles, x, y = ("time, s", "force on the gel, N"), "time_s", "force_n"
+        if c.motion.drag_mm > 0:
+            titles = ("sideways path of the arm, mm", "turn of the imprint, degrees")
+            x, y = "way_mm", "turn_deg"
+        lines = ((name, getattr(felt, x), getattr(felt, y), None) for name, felt in c.felt.items())
+        figure = curves(lines, *titles)
         report.figure(figure, f"{c.motion.name}: the twin as it is, and with one thing changed.".capitalize())
     report.table(design.rows(), "Standard deviations with which each motion would show a change.")
     for remark in design.remarks():
@@ -96,17 +93,15 @@ def learn_page(learning) -> Report:
 
 def _foreseen(learning) -> go.Figure:
     rounds = learning.rounds
-    figure = go.Figure()
-    for name, errors, line in (
-        ("predicted", [r.predicted_error for r in rounds], {"color": MODEL}),
-        ("as given", [r.bare_error for r in rounds], {"color": HELDOUT}),
-        ("after", [r.error for r in rounds], {"color": TRAIN, "dash": "dot"}),
-        ("noise", [r.noise for r in rounds], {"color": MEASURED, "dash": "dash"}),
-    ):
-        mode = "lines" if "dash" in line else "lines+markers"
-        figure.add_scatter(x=[r.number for r in rounds], y=errors, name=name, mode=mode, line=line)
-    figure.update_xaxes(title_text="round", dtick=1)
-    figure.update_yaxes(title_text=f"error, {rounds[-1].unit}", rangemode="tozero")
+    at = [r.number for r in rounds]
+    lines = (
+        ("predicted", at, [r.predicted_error for r in rounds], {"color": MODEL}),
+        ("as given", at, [r.bare_error for r in rounds], {"color": HELDOUT}),
+        ("after", at, [r.error for r in rounds], {"color": TRAIN, "dash": "dot"}),
+        ("noise", at, [r.noise for r in rounds], {"color": MEASURED, "dash": "dash"}),
+    )
+    figure = curves(lines, "round", f"error, {rounds[-1].unit}", mode="lines+markers")
+    figure.update_xaxes(dtick=1).update_yaxes(rangemode="tozero")
     return figure
 
 

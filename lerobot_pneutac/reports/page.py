@@ -32,7 +32,6 @@ class Report:
         self._sections.append({"kind": kind, "text": text, **content})
 
     def lead(self, text: str) -> None:
-        """The one sentence that a reader should take away."""
         self._add("lead", text)
 
     def heading(self, text: str) -> None:
@@ -44,12 +43,10 @@ class Report:
             self._add("text", paragraph)
 
     def bullets(self, heading: str, items: Sequence[str]) -> None:
-        """A short list under a bold heading; nothing where it is empty."""
         if items:
             self._add("list", heading, entries=items)
 
     def found(self, findings: Sequence[str]) -> None:
-        """What the checks of the recording found; nothing where it is empty."""
         if findings:
             self.heading("What the checks found")
             self.text("\n\n".join(findings))
@@ -89,7 +86,6 @@ class Report:
         self._add("film", caption, width=width, data=_base64(buffer.getvalue()))
 
     def videos(self, paths: Sequence[str | Path], caption: str = "", width: int = 470) -> None:
-        """MP4 files side by side, embedded."""
         films = [_base64(Path(path).read_bytes()) for path in paths]
         self._add("video", caption, width=width, films=films)
 

@@ -54,75 +54,50 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class State:
-    """All that the sentences of a diagnosis depend on, computed once.
+    """All that the sentences of a diagnosis depend on, computed once."""
 
-    Attributes:
-        device: `finger`, `arm` or `gel`.
-        unit: of the errors.
-        verdict: one of five, see `diagnosis.verdict`.
-        poor: why the recording is too poor for any claim; empty where it is not.
-        causes: what is missing, as noun phrases, the largest first.
-        known: how many of them are known causes, such as the finger's weight.
-        before: test error of the twin as it is.
-        after: test error with all causes.
-        rest: `after` without what single runs have of their own; `after` where they have nothing.
-        noise: of the measurement; None where the recording does not determine it.
-        noise_how: how it was found, or why it was not.
-        noise_measured: whether it was declared or measured by repeats.
-        at_noise: whether what remains is called noise.
-        removed: share of the squared error above the noise that the causes remove, with its 95 % interval.
-        rivals: pairs of a cause and of another effect that explains the data as well.
-        lower: effects that alone have a lower test error than the best of the causes alone.
-        near_miss: effects that help, but not significantly.
-        agreed: share of repeated searches that found the first cause; None where none were made.
-        explained: how much of the error is explained.
-        interval: 95 % interval of the error that remains, over the noise; None where the noise is unknown.
-        later: error over noise of the later part, predicted from the earlier one; None where unknown.
-        learnt: error over noise of the samples that the model was fitted to; None where unknown.
-        program: error over noise of programs, each predicted from all others; None where unknown.
-        recorded: the range of conditions for which the answers hold, such as `up to 62 kPa`.
-        mechanisms: what each cause may be; empty where no probabilities are calibrated.
-        objections: checks that failed, one phrase each.
-        black_box: share of the remaining error that a black box predicts; 0 where it is little.
-        untested: what could not be tested, and why.
-        notes: of the recording, one sentence each.
-        confusable: whether this kind of recording cannot separate the causes from others; a note says so.
-        optimistic: whether there was no test part of its own.
-        experiment: what to record next.
-    """
-
-    device: str
-    unit: str
-    verdict: str
-    before: float
-    after: float
-    rest: float
-    noise: float | None
-    noise_how: str = ""
-    noise_measured: bool = True
-    at_noise: bool = False
-    poor: str = ""
-    causes: tuple[str, ...] = ()
-    known: int = 0
+    device: str  # `finger`, `arm` or `gel`
+    unit: str  # of the errors
+    verdict: str  # one of five, see `diagnosis.verdict`
+    before: float  # test error of the twin as it is
+    after: float  # test error with all causes
+    rest: float  # `after` without what single runs have of their own; `after` where they have nothing
+    noise: float | None  # of the measurement; None where the recording does not determine it
+    noise_how: str = ""  # how it was found, or why it was not
+    noise_measured: bool = True  # whether it was declared or measured by repeats
+    at_noise: bool = False  # whether what remains is called noise
+    poor: str = ""  # why the recording is too poor for any claim; empty where it is not
+    causes: tuple[str, ...] = ()  # what is missing, as noun phrases, the largest first
+    known: int = 0  # how many of them are known causes, such as the finger's weight
+    # share of the squared error above the noise that the causes remove, with its 95 % interval.
     removed: tuple[float, tuple[float, float]] = (0.0, (0.0, 0.0))
+    # pairs of a cause and of another effect that explains the data as well.
     rivals: tuple[tuple[str, str], ...] = ()
+    # effects that alone have a lower test error than the best of the causes alone.
     lower: tuple[str, ...] = ()
-    near_miss: tuple[str, ...] = ()
+    near_miss: tuple[str, ...] = ()  # effects that help, but not significantly
+    # share of repeated searches that found the first cause; None where none were made.
     agreed: float | None = None
-    explained: Explained = Explained.UNDETERMINED
+    explained: Explained = Explained.UNDETERMINED  # how much of the error is explained
+    # 95 % interval of the error that remains, over the noise; None where the noise is unknown.
     interval: tuple[float, float] | None = None
+    # error over noise of the later part, predicted from the earlier one; None where unknown.
     later: float | None = None
+    # error over noise of the samples that the model was fitted to; None where unknown.
     learnt: float | None = None
+    # error over noise of programs, each predicted from all others; None where unknown.
     program: float | None = None
-    recorded: str = ""
+    recorded: str = ""  # the range of conditions for which the answers hold, such as `up to 62 kPa`
+    # what each cause may be; empty where no probabilities are calibrated.
     mechanisms: tuple[Mechanism, ...] = ()
-    objections: tuple[str, ...] = ()
-    black_box: float = 0.0
-    untested: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    objections: tuple[str, ...] = ()  # checks that failed, one phrase each
+    black_box: float = 0.0  # share of the remaining error that a black box predicts; 0 where it is little
+    untested: tuple[str, ...] = ()  # what could not be tested, and why
+    notes: tuple[str, ...] = ()  # of the recording, one sentence each
+    # whether this kind of recording cannot separate the causes from others; a note says so.
     confusable: bool = False
-    optimistic: bool = False
-    experiment: str = ""
+    optimistic: bool = False  # whether there was no test part of its own
+    experiment: str = ""  # what to record next
 
     @property
     def kind(self) -> Kind:
@@ -152,7 +127,6 @@ class State:
 
 
 def state_of(study: EffectStudy, outcome: Outcome) -> State:
-    """Everything that the sentences of one diagnosis depend on."""
     o, e = outcome, outcome.evidence
     after = study.errors(o.after)["heldout"]
     order = [c.name for c in sorted(o.contributions, key=lambda c: -c.drop[0])]
@@ -315,7 +289,6 @@ def _headline(s: State) -> str:
 
 
 def meaning(s: State) -> str:
-    """The meaning of the confidence word for this headline."""
     return (NOTHING if s.kind is Kind.NOTHING else MEANING)[s.confidence]
 
 
@@ -379,7 +352,6 @@ def alternatives(s: State) -> str:
 
 
 def evidence(s: State) -> str:
-    """Numbers behind the confidence, sentences."""
     if not s.causes or s.poor:
         return ""
     out = [f"The causes remove {_removed(s)}, on test blocks."]
@@ -394,7 +366,6 @@ def _removed(s: State) -> str:
 
 
 def called(name: str) -> str:
-    """An effect by its name, a law by its family and its name."""
     kind = family(name).replace("_", " ")
     return f"{kind} ({name})" if is_law(name) else kind
 

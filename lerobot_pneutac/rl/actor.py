@@ -26,12 +26,7 @@ def layers(inputs: int, hidden: tuple[int, ...]) -> nn.Sequential:
 
 
 class Actor(nn.Module):
-    """Takes what is felt to the mean action.
-
-    Attributes:
-        card: what is known of it: task, training, success.
-        joints: of the arm.
-    """
+    """Takes what is felt to the mean action; `card` is what is known of it: task, training, success."""
 
     def __init__(self, hidden: tuple[int, ...], card: dict | None = None, joints: int = PANDA_JOINTS):
         super().__init__()
@@ -49,7 +44,6 @@ class Actor(nn.Module):
         return mean.clamp(-1, 1).double().numpy()
 
     def save(self, folder: str | Path) -> None:
-        """Writes `actor.safetensors` and `actor.json`."""
         folder = Path(folder)
         tensors = {k: v.detach().cpu().contiguous() for k, v in self.state_dict().items()}
         with whole(folder / WEIGHTS_FILE) as part:
@@ -88,11 +82,7 @@ class Actor(nn.Module):
 
 
 def try_actor(actor: Actor, env, episodes: int, seed: int) -> dict:
-    """Rolls the mean actions out.
-
-    Returns:
-        `success` (share), `episodes`, `return` (mean), `steps` (mean length), `failures` (text to count).
-    """
+    """Rolls the mean actions out: `success` (share), `episodes`, `return`, `steps` (means) and `failures`."""
     wins, returns, steps, failures = 0, 0.0, 0, Counter()
     for k in range(episodes):
         observed, _ = env.reset(seed=seed if k == 0 else None)

@@ -50,11 +50,7 @@ def goal_of(task: Task) -> Goal:
 
 
 class TaskView:
-    """Goal and privileged state of the object in one world.
-
-    Attributes:
-        size: length of `state()`.
-    """
+    """Goal and privileged state of the object in one world; `size` is the length of `state()`."""
 
     def __init__(self, world: World):
         model, name = world.model, world.task.name
@@ -79,7 +75,6 @@ class TaskView:
         return d.geom_xpos[self._geom] + d.geom_xmat[self._geom].reshape(3, 3) @ self._corner
 
     def distance_m(self) -> float:
-        """From the middle of the gel to that point, metres."""
         return float(np.linalg.norm(self.contact_point_m() - self._world.gel_m))
 
     def state(self) -> np.ndarray:
@@ -135,18 +130,10 @@ class Moment:
 def reward_terms(
     before: Moment, after: Moment, goal_depth_mm: float, previous: np.ndarray, action: np.ndarray
 ) -> dict[str, float]:
-    """The terms of one control step, before their weights.
+    """The terms of one control step, before their weights; actions (4,) have entries in [-1, 1].
 
-    Args:
-        before: the moment that the step began in.
-        after: the one that it ended in.
-        goal_depth_mm: imprint that does the task well.
-        previous: last action (4,), each entry in [-1, 1].
-        action: this action (4,).
-
-    Returns:
-        a value for every name of `WEIGHTS`: `depth` is 1 at the wanted imprint and falls to 0 at none and at
-        twice of it, `action_rate` the mean square of the change.
+    `depth` is 1 at the wanted imprint `goal_depth_mm` and falls to 0 at none and at twice of it,
+    `action_rate` is the mean square of the change.
     """
     wanted = 1 - abs(after.depth_mm - goal_depth_mm) / goal_depth_mm
     return {
@@ -161,7 +148,6 @@ def reward_terms(
 
 
 def total(terms: dict[str, float]) -> float:
-    """The reward: the terms, weighted and summed."""
     return sum(WEIGHTS[name] * value for name, value in terms.items())
 
 
@@ -193,15 +179,9 @@ def to_action(normal: np.ndarray, pressure_range_kpa: tuple[float, float]) -> np
 
 
 def actor_observation(world: World, state: np.ndarray, previous: np.ndarray) -> np.ndarray:
-    """What the actor observes: proprioception, its last action, and the probe grid.
+    """What the actor observes, (actor_size(N),) float32: proprioception, its last action, the probe grid.
 
-    Args:
-        world: whose station scales joints and places, and whose touch it is now.
-        state: (2 N + 6,) as `features.state_names`; its contact area needs an image and is left out.
-        previous: last action (4,), each entry in [-1, 1].
-
-    Returns:
-        (actor_size(N),) float32, entries of about one.
+    The state (2 N + 6,) is as `features.state_names`; its contact area needs an image and is left out.
     """
     n, (low, high) = world.arm.joints, world.pressure_range_kpa
     corners = np.array([world.station.workspace_low_m, world.station.workspace_high_m]) - world.arm.base_m
@@ -221,21 +201,9 @@ class PpoEnv(gymnasium.Env):
 
     Observation: `actor` (actor_size(N),), see `actor_observation`, and `object`, the object's state, for the
     critic alone. Action (4,) in [-1, 1], see `to_action`. `info` has `terms`, the reward's terms before
-    their weights, `is_success` and `failure`. An episode terminates on success and failure.
-
-    Args:
-        task: a task's name, see `features.task_names`.
-        twin: the finger with its gel; default the built-in one.
-        randomise: whether friction and bend of the finger change with every episode.
-        length: control steps after which a trial is cut off; if omitted, those of `EPISODE_S`.
-        conditions: of the world, see `World`.
-        station: likewise.
-
-    Attributes:
-        view: the task's goal and object.
-
-    Raises:
-        InputError: the task is unknown, the arm does not reach it, or the twin is not a finger's.
+    their weights, `is_success` and `failure`. An episode terminates on success and failure, and is cut off
+    after `length` control steps, those of `EPISODE_S` if omitted. With `randomise` friction and bend of the
+    finger change with every episode.
     """
 
     metadata = {"render_modes": []}

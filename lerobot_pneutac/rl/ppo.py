@@ -38,16 +38,13 @@ CHECKPOINT, CURVE = "checkpoint.safetensors", "curve.json"
 
 
 class Keeper(BaseCallback):
-    """Writes both after every update.
+    """Writes checkpoint and curve after every update.
 
-    Attributes:
-        curve: a row an update: `steps`, `return` and `success` (means of the last 100 episodes, None before
-            one has ended), `seconds` of all goes together, `action_std`, and `terms`, the reward's weighted
-            terms, means over the steps.
+    The `curve` has a row an update: `steps`, `return` and `success` (means of the last 100 episodes, None
+    before one has ended), `seconds` of all goes together, `action_std`, and `terms`, the weighted means.
     """
 
     def __init__(self, out: Path, run: dict, progress: Callable[[str, int], None]):
-        """A keeper."""
         super().__init__()
         self.curve: list[dict] = []
         self._out, self._run, self._progress = out, run, progress
@@ -153,19 +150,12 @@ class PpoSettings:
 
 @dataclass(frozen=True)
 class Compute:
-    """How a training is carried out; it may go on with other numbers.
+    """How a training is carried out; it may go on with other numbers."""
 
-    Attributes:
-        envs: worlds stepped together.
-        parallel: whether each has a process of its own.
-        device: `cpu` or `cuda`, of the networks.
-        tries: trials of the test after training.
-    """
-
-    envs: int = 8
-    parallel: bool = False
-    device: str = "cpu"
-    tries: int = 50
+    envs: int = 8  # worlds stepped together
+    parallel: bool = False  # whether each has a process of its own
+    device: str = "cpu"  # `cpu` or `cuda`, of the networks
+    tries: int = 50  # trials of the test after training
 
     def check(self, steps: int) -> None:
         """Raises InputError where a number is too small, or the device is missing."""
@@ -184,7 +174,6 @@ class Asymmetric(nn.Module):
         self.actor, self.critic = layers(felt, hidden), layers(inputs, hidden)
 
     def forward(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Hidden features (N, hidden) of actor and critic."""
         return self.forward_actor(features), self.forward_critic(features)
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
@@ -212,7 +201,6 @@ def make_worlds(task: str, twin: Twin | None, envs: int, parallel: bool, **optio
 def make_ppo(
     worlds: VecEnv, seed: int, device: str, settings: PpoSettings, control_hz: int = CONTROL_HZ
 ) -> PPO:
-    """The optimiser with new networks."""
     per_world = max(settings.update_steps // worlds.num_envs, 2)
     return PPO(
         AsymmetricPolicy,
@@ -247,23 +235,10 @@ def train_ppo(
     `out` gets `actor.safetensors`, `actor.json`, `curve.json` and, after every update, a checkpoint. One that
     goes on starts new episodes, so its numbers are not those that an uninterrupted one would have had.
 
-    Args:
-        task: a task's name, see `features.task_names`.
-        twin: the finger with its gel; None for the built-in one.
-        seed: decides networks and starts.
-        steps: control steps of all worlds together, at least.
-        out: folder.
-        compute: worlds, device, and trials of the test after training.
-        settings: of the optimiser.
-        progress: is called after every update with a few words, the steps done and all steps.
-        **options: of `PpoEnv`.
-
-    Returns:
-        what `actor.json` holds: `task`, `seed`, `steps`, `seconds`, `steps_per_s`, `settings`, `weights` and,
-        under `test`, the result of `try_actor` on starts that the training had not.
-
-    Raises:
-        InputError: a number is too small, the device is missing, or `out` holds another training.
+    Returns what `actor.json` holds: `task`, `seed`, `steps`, `seconds`, `steps_per_s`, `settings`, `weights`
+    and, under `test`, the result of `try_actor` on starts that the training had not. `options` are those of
+    `PpoEnv`. Raises InputError where a number is too small, the device is missing, or `out` holds another
+    training.
     """
     compute, settings, out = compute or Compute(), settings or PpoSettings(), Path(out)
     compute.check(steps)

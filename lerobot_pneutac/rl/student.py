@@ -38,14 +38,8 @@ def record_student(
     """Writes a LeRobotDataset with the features of recorded demonstrations; rollouts that fail are left out.
 
     Stored are the actor's means; the robot carries them out with noise, so that the student also sees what to
-    do off the path.
-
-    Returns:
-        How many demonstrations, all successful, of how many trials.
-
-    Raises:
-        InputError: the actor is missing, damaged or another task's, a number is out of range, the dataset's
-            folder exists, or the actor succeeds too rarely.
+    do off the path. Returns how many demonstrations of how many trials. Raises InputError where the actor is
+    missing, damaged or another task's, the dataset's folder exists, or the actor succeeds too rarely.
     """
     check_least(1, episodes=student.episodes)
     if not 0 <= student.noise <= 1:
@@ -72,11 +66,7 @@ def record_student(
 def rolled_out(
     actor_dir: str | Path, world: World, seed: int, student: StudentRef
 ) -> Iterator[Episode | None]:
-    """Yields the actor's trials, None for a failed one, until as many as are wanted have succeeded.
-
-    Raises:
-        InputError: the actor is missing, damaged, another task's or arm's, or succeeds too rarely.
-    """
+    """Yields the actor's trials, None for a failed one, until as many as are wanted have succeeded."""
     actor, rng = _loaded(actor_dir, world), np.random.default_rng(seed)
     kept = trials = 0
     while kept < student.episodes:

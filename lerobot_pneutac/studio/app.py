@@ -31,16 +31,7 @@ ORIGINS = (None, re.compile(r"http://(localhost|127\.0\.0\.1)(:\d+)?"))
 class Studio:
     """One open studio; it answers at once, and `show` fills it while the browser still loads the page.
 
-    Args:
-        port: of this machine to listen on; 0 for any that is free.
-
-    Attributes:
-        pages: by their titles.
-        driver: page that moves the body in the picture.
-        address: to open in a browser.
-
-    Raises:
-        InputError: the address cannot be had.
+    `pages` are by their titles, and `driver` is the title of the one that moves the body in the picture.
     """
 
     session: Session
@@ -111,7 +102,6 @@ class Studio:
         return run
 
     def close(self) -> None:
-        """Ends it; what was not written is lost."""
         for page in self.pages.values():
             page.close()
         with contextlib.redirect_stdout(io.StringIO()):

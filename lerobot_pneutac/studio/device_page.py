@@ -20,6 +20,7 @@ from lerobot_pneutac.studio.plots import (
     SKIN,
     SPINE,
     TRAIL,
+    Background,
     Lines,
     rgb,
 )
@@ -37,35 +38,23 @@ PARTICLES = 3000
 
 @dataclass(frozen=True)
 class Solid:
-    """Material points at rest.
+    """Material points at rest."""
 
-    Attributes:
-        points_mm: (P, 3).
-        colours: (P, 3) uint8, by how far each is stretched.
-        splats: the body's Gaussians, in the twin's own looks where it has any.
-        most_strain: largest principal strain, a share.
-        tip_mm: (3,) where the spine ends.
-    """
-
-    points_mm: np.ndarray
-    colours: np.ndarray
-    splats: Gaussians
-    most_strain: float
-    tip_mm: np.ndarray
+    points_mm: np.ndarray  # (P, 3)
+    colours: np.ndarray  # (P, 3) uint8, by how far each is stretched
+    splats: Gaussians  # the body's Gaussians, in the twin's own looks where it has any
+    most_strain: float  # largest principal strain, a share
+    tip_mm: np.ndarray  # (3,) where the spine ends
 
 
 def solve(
-    twin: Twin,
-    pressure_kpa: np.ndarray,
-    conditions: Mapping[str, float],
-    progress: Progress = no_progress,
+    twin: Twin, pressure_kpa: np.ndarray, conditions: Mapping[str, float], progress: Progress = no_progress
 ) -> Solid:
-    """Brings the body to rest at pressures (chambers,) held for long; `progress` as of `solve_equilibrium`.
+    """Brings the body to rest at pressures (chambers,) held for long.
 
-    Raises:
-        InputError: an effect of the twin moves the tip alone, which material points do not follow.
+    Raises InputError where an effect moves the tip alone, which material points do not follow.
     """
-    from lerobot_pneutac.rendering.view import body_looks
+    from lerobot_pneutac.rendering.particles import body_looks
     from pneutac_sim.mpm import devices  # brings the compiler of kernels, which takes a second
     from pneutac_sim.mpm.loads import Loads
     from pneutac_sim.mpm.solve import solve_equilibrium
@@ -249,14 +238,8 @@ GRAVITY_M_S2 = 9.81
 SPEEDS = {"1 x": 1.0, "10 x": 10.0, "100 x": 100.0}
 
 
-class DevicePage:
-    """Knobs, switches, and a body that follows them.
-
-    Attributes:
-        shape: where the body is now.
-        pressed_kpa: (chambers,) with which it came there.
-        busy_s: processor time of the last frame, s.
-    """
+class DevicePage(Background):
+    """Knobs, switches, and a body that follows them; `busy_s` is the processor time of the last frame."""
 
     title = "Device"
 
@@ -278,13 +261,12 @@ class DevicePage:
         rested.on_click(studio.safely(self._rest))
         self._series: deque = deque(maxlen=int(CHART_S * CHART_A_S))
         self.busy_s = 0.0
-        self._stop, self._lock = threading.Event(), threading.Lock()
+        self._lock = threading.Lock()
         self._panel = EffectsPanel(self._gui, "Effects of the twin")
         self._changed()
         studio.driver = self.title
         studio.session.when_changed(studio.safely(self._changed))
-        self._thread = threading.Thread(target=self._run, daemon=True, name="device page")
-        self._thread.start()
+        self.start(self._run, "device page")
 
     # ---------------------------------------------------------------- knobs
 
@@ -413,7 +395,6 @@ class DevicePage:
         self._drive()
 
     def step(self, dt_s: float) -> Shape:
-        """The body goes on for `dt_s` seconds."""
         with self._lock:
             self.pressed_kpa = self.pressure_kpa
             self.shape = self._body.step(self.pressed_kpa, self.force_n, dt_s)
@@ -449,7 +430,3 @@ class DevicePage:
             f"**Bend {shape.bend_deg:.1f}°**, tip at x {x:.1f}, y {y:.1f}, z {z:.1f} mm, "
             f"pressure {' / '.join(f'{p:.1f}' for p in self.pressed_kpa)} kPa"
         )
-
-    def close(self) -> None:
-        self._stop.set()
-        self._thread.join(timeout=2.0)

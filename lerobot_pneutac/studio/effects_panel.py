@@ -27,13 +27,9 @@ class EffectsPanel:
         range_kpa: float,
         changed: Callable[[], None],
     ) -> None:
-        """Switches of effects for another twin, in place of those before.
+        """Switches of effects for another twin, in place of those before; `changed` is called when one moves.
 
-        Args:
-            names: of the effects.
-            present: of the twin, name to parameters.
-            range_kpa: largest pressure, which scales bounds.
-            changed: called when a switch or a slider moves.
+        `present` are the twin's, name to parameters; `range_kpa`, the largest pressure, scales bounds.
         """
         if self._folder is not None:
             self._folder.remove()

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from lerobot_pneutac.reports.diagnosis import ladder, reductions, rival_rows
 from lerobot_pneutac.reports.sentences import alternatives, meaning
-from lerobot_pneutac.studio.plots import table
+from lerobot_pneutac.studio.plots import Background, table
 from lerobot_pneutac.verbs.add import add
 from lerobot_pneutac.verbs.benches import save_choice
 from lerobot_pneutac.verbs.compare import compare
@@ -88,7 +88,7 @@ NEWEST = "the newest"
 SHOWN = 10  # of the candidates
 
 
-class FindPage:
+class FindPage(Background):
     """The loop, by buttons; each does what the command of its name does."""
 
     title = "Find it"
@@ -217,9 +217,7 @@ class FindPage:
             raise InputError("Diagnose first; there is nothing to write yet.")
         if out.is_file():
             raise InputError(f"folder={out} is a file; give a folder.")
-        if diagnosis.study.recording.device != "gel":
-            diagnosis = diagnosis.save(out)
-        self._studio.say(f"Wrote {diagnosis.report(out)}.")
+        self._studio.say(f"Wrote {diagnosis.save(out).report(out)}.")
 
     # ---------------------------------------------------------------- what is shown
 
@@ -290,6 +288,3 @@ class FindPage:
         for figure in self._figures:
             figure.remove()
         self._figures = []
-
-    def close(self) -> None:
-        """Nothing of it goes on by itself."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from lerobot_pneutac.reports.page import side_by_side
 from lerobot_pneutac.studio.effects_panel import EffectsPanel
-from lerobot_pneutac.studio.plots import SKIN
+from lerobot_pneutac.studio.plots import SKIN, Background
 from pneutac_sim.effects.registry import sensor_effects
 from pneutac_sim.gel.indenter import INDENTERS, Press
 from pneutac_sim.gel.model import GelModel
@@ -23,12 +23,8 @@ PICTURE_PX = 300  # height of each of the two pictures
 DEEPEST_MM = 2.0
 
 
-class GelPage:
-    """An indenter on a gel.
-
-    Attributes:
-        busy_s: processor time of the last state, s.
-    """
+class GelPage(Background):
+    """An indenter on a gel; `busy_s` is the processor time of the last state."""
 
     title = "Touch"
 
@@ -52,12 +48,11 @@ class GelPage:
         self._due = threading.Event()
         for control in (self._shape, self._size, self._x, self._y, self._depth, self._yaw):
             control.on_update(self._moved)
-        self.busy_s, self._stop = 0.0, threading.Event()
+        self.busy_s = 0.0
         self._changed()
         studio.driver = studio.driver or self.title
         studio.session.when_changed(studio.safely(self._changed))
-        self._thread = threading.Thread(target=self._run, daemon=True, name="gel page")
-        self._thread.start()
+        self.start(self._run, "gel page")
 
     def _draw_scene(self) -> None:
         scene, (width, height) = self._studio.server.scene, self._sensor.model.window_mm
@@ -147,7 +142,3 @@ class GelPage:
             looks = {"color": SKIN, "side": "double"}
             server.scene.add_mesh_simple("/gel", drawn.astype(np.float32), self._faces, **looks)
             self._handle.position = UNIT * np.array(place)
-
-    def close(self) -> None:
-        self._stop.set()
-        self._thread.join(timeout=2.0)

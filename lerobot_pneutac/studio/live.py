@@ -14,17 +14,11 @@ from pneutac_sim.twin import Twin
 
 @dataclass(frozen=True)
 class Shape:
-    """Where a body is.
+    """Where a body is."""
 
-    Attributes:
-        turns: (N + 1, 3, 3) rotations of base and links against the straight body.
-        places_mm: (N + 1, 3) of the joint at which each begins; the base's is the origin.
-        markers: (5,) the tip, x, y, z in mm, bend towards +z and +y in rad.
-    """
-
-    turns: np.ndarray
-    places_mm: np.ndarray
-    markers: np.ndarray
+    turns: np.ndarray  # (N + 1, 3, 3) rotations of base and links against the straight body
+    places_mm: np.ndarray  # (N + 1, 3) of the joint at which each begins; the base's is the origin
+    markers: np.ndarray  # (5,) the tip, x, y, z in mm, bend towards +z and +y in rad
 
     @property
     def bend_deg(self) -> float:
@@ -39,9 +33,7 @@ class Shape:
 def links(q: np.ndarray, joints_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Turns (N + 1, 3, 3) and places (N + 1, 3) in mm of the links of a body.
 
-    Args:
-        q: (N,) towards +z, or (N, 2) towards +z and +y, rad.
-        joints_mm: (N,) along the straight body.
+    Its joints lie at (N,) mm and are bent by (N,) rad towards +z, or (N, 2) towards +z and +y.
     """
     q = np.asarray(q, float).reshape(len(joints_mm), -1)
     to_z, to_y = q[:, 0], q[:, 1] if q.shape[1] == 2 else np.zeros(len(q))
@@ -57,17 +49,11 @@ def links(q: np.ndarray, joints_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class Skin:
-    """The surface of a straight body and by which links each of its points is carried.
+    """The surface of a straight body and by which links each of its points is carried."""
 
-    Attributes:
-        vertices_mm: (V, 3).
-        faces: (F, 3).
-        weights: (V, N + 1), each row adds up to 1.
-    """
-
-    vertices_mm: np.ndarray
-    faces: np.ndarray
-    weights: np.ndarray
+    vertices_mm: np.ndarray  # (V, 3)
+    faces: np.ndarray  # (F, 3)
+    weights: np.ndarray  # (V, N + 1), each row adds up to 1
 
     @classmethod
     def of(cls, twin: Twin) -> "Skin":
@@ -90,14 +76,7 @@ class Skin:
 
 
 class LiveBody:
-    """One device that goes on in time.
-
-    Attributes:
-        time_s: since it was made.
-
-    Raises:
-        InputError: an effect asks for a condition that is not given.
-    """
+    """One device that goes on in time; raises InputError where a condition is missing."""
 
     def __init__(self, twin: Twin, conditions: Mapping[str, float]):
         self._pipeline = PressurePipeline(twin, conditions)

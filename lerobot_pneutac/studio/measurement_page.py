@@ -10,10 +10,20 @@ import cv2
 import numpy as np
 
 from lerobot_pneutac.reports.compare import by_condition
+from lerobot_pneutac.reports.figures import session_clock
 from lerobot_pneutac.reports.page import side_by_side
-from lerobot_pneutac.reports.session import session_clock
 from lerobot_pneutac.studio.live import Shape, Skin, measured_tips, shape_of
-from lerobot_pneutac.studio.plots import FLOOR, MEASURED, MODEL, PRESSURE, Lines, Player, rgb, table
+from lerobot_pneutac.studio.plots import (
+    FLOOR,
+    MEASURED,
+    MODEL,
+    PRESSURE,
+    Background,
+    Lines,
+    Player,
+    rgb,
+    table,
+)
 from lerobot_pneutac.verbs.compare import compare
 from pneutac_datasets.recording.photographs import read_camera
 from pneutac_datasets.recording.recording import Recording
@@ -78,7 +88,7 @@ MOST_POINTS = 500  # of a line: more cannot be distinguished in the panel
 WINDOWS = {"10 s": 10.0, "30 s": 30.0, "2 min": 120.0, "all": np.inf}
 
 
-class MeasurementPage:
+class MeasurementPage(Background):
     """Play, scrub, jump."""
 
     title = "Measurement"
@@ -97,8 +107,7 @@ class MeasurementPage:
         self._rows, self._lock = [], threading.RLock()
         self._window.on_update(lambda _: self._draw())
         session.when_changed(self._load)
-        self._thread = threading.Thread(target=self._load, daemon=True, name="measurement page")
-        self._thread.start()
+        self.start(self._load, "measurement page")
 
     # ---------------------------------------------------------------- what is shown
 
@@ -159,7 +168,6 @@ class MeasurementPage:
             self._rows.append(gui.add_plotly(figure, aspect=min(1.5, 3.0 / max(1, (len(shown) + 1) // 2))))
 
     def jump(self, passage: dict) -> None:
-        """Shows the beginning of a passage as `compare` names it."""
         self._scene.forget_path()
         self.player.now_s = float(passage["from_s"] + self._shift[passage["trial"]])
 
@@ -206,14 +214,14 @@ class MeasurementPage:
 
     def close(self) -> None:
         self.player.close()
-        self._thread.join(timeout=2.0)
+        super().close()
 
 
 THUMBNAIL_PX = 150  # of each picture
 TIMES = 4.0  # by which the difference is exaggerated
 
 
-class ImagesPage:
+class ImagesPage(Background):
     """Recorded, modelled, and the difference."""
 
     title = "Measurement"
@@ -229,8 +237,7 @@ class ImagesPage:
         self._number.on_update(lambda _: self._draw())
         self._worst.on_click(lambda _: self.jump())
         studio.session.when_changed(self._load)
-        self._thread = threading.Thread(target=self._load, daemon=True, name="images page")
-        self._thread.start()
+        self.start(self._load, "images page")
 
     def _load(self) -> None:
         session = self._studio.session
@@ -264,6 +271,3 @@ class ImagesPage:
             f"{p.indenter} of {p.size_mm:g} mm at {p.x_mm:.1f}, {p.y_mm:.1f} mm, {p.depth_mm:.2f} mm deep"
             f"{f' ({sample.role})' if sample.role else ''}"
         )
-
-    def close(self) -> None:
-        """Nothing of it goes on by itself."""

@@ -18,7 +18,23 @@ FRAMES_A_S = 20
 SPEEDS = {"1 x": 1.0, "0.2 x": 0.2, "5 x": 5.0, "20 x": 20.0}
 
 
-class Player:
+class Background:
+    """What goes on in a thread of its own until it is closed, and may then start again."""
+
+    _thread: threading.Thread | None = None
+
+    def start(self, run: Callable[[], None], name: str) -> None:
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=run, daemon=True, name=name)
+        self._thread.start()
+
+    def close(self) -> None:
+        if self._thread is not None:
+            self._stop.set()
+            self._thread.join(timeout=5.0)
+
+
+class Player(Background):
     """A moment that moves on by itself, or by hand."""
 
     def __init__(self, gui: viser.GuiApi, show: Callable[[], None]):
@@ -27,9 +43,7 @@ class Player:
         self._speed = gui.add_dropdown("speed", tuple(SPEEDS))
         self._show, self._ready = show, False
         self._time.on_update(lambda _: show())
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True, name="player")
-        self._thread.start()
+        self.start(self._run, "player")
 
     @property
     def now_s(self) -> float:
@@ -57,10 +71,6 @@ class Player:
                 t = self._time.value + dt * SPEEDS[self._speed.value]
                 self.now_s = t if t <= self._time.max else 0.0
 
-    def close(self) -> None:
-        self._stop.set()
-        self._thread.join(timeout=2.0)
-
 
 def table(rows: list[dict]) -> str:
     """Rows of one kind as Markdown; empty where there are none."""
@@ -74,15 +84,9 @@ GRID, INK = "rgba(122, 135, 148, 0.25)", "#7a8794"
 
 
 class Lines:
-    """Lines over a common axis, each with a scale of its own where their units differ.
+    """Lines over a common axis, each a name with unit and a colour, with a scale of its own or `one_scale`.
 
-    Args:
-        gui: of the viewer.
-        x: name of the axis, with its unit.
-        lines: name with unit, and colour, of each.
-        height: in px.
-        one_scale: name of the scale that all lines share; empty where each has its own.
-        now: colour of a cursor at the present moment; empty for none.
+    `now` is the colour of a cursor at the present moment; empty for none.
     """
 
     def __init__(

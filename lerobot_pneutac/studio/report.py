@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.reports.session import session_clock
+from lerobot_pneutac.reports.figures import session_clock
 from lerobot_pneutac.studio.live import LiveBody, Skin, measured_tips, shape_of
 from lerobot_pneutac.studio.plots import MEASURED, SKIN, TRAIL, rgb
 from lerobot_pneutac.study.pair import load_bench_pair
@@ -68,9 +68,6 @@ def write_rrd(file: Path, twin: Twin, recording: Recording | None = None) -> int
     """Writes a twin on a recording and the measurement, or up and down its pressures; returns frames.
 
     Lengths are in mm, time is that of the recording with its trials laid end to end.
-
-    Raises:
-        InputError: of a gel, or an effect of the twin needs a condition and there is no recording.
     """
     if twin.device not in CHAMBERS:
         raise InputError(f"The twin is of a {twin.device}; --rrd takes a finger or an arm.")

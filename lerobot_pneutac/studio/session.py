@@ -18,29 +18,16 @@ from pneutac_sim.twin import Twin
 if TYPE_CHECKING:
     from lerobot_pneutac.verbs.add import Addition
     from lerobot_pneutac.verbs.benches import Bench
-    from lerobot_pneutac.verbs.diagnosis import Diagnosis
+    from lerobot_pneutac.verbs.diagnose import Diagnosis
     from lerobot_pneutac.verbs.result import Comparison
     from pneutac_datasets.recording.recording import Recording
 
 
 class Session:
-    """One twin at work.
+    """One twin at work; raises InputError where twin and recording do not go together.
 
-    Args:
-        twin: folder of it.
-        recording: folder of a recording of the same device; None for none.
-        policy: folder of a trained policy, or its name on the Hub, to begin with; may be empty.
-        demonstrations: of a LeRobotDataset, likewise.
-        bench: that programs may be driven at; None for none.
-
-    Attributes:
-        twin: as it lies on the disk, or an earlier version that is looked at.
-        version: number of that earlier version; None for the newest.
-        measured: programs that were driven at the bench.
-        working: what is being done; empty where nothing is.
-
-    Raises:
-        InputError: there is no twin, or the two do not go together.
+    `twin` is as it lies on the disk, or the earlier `version` that is looked at (None for the newest);
+    `working` is what is being done, and `measured` counts the programs that were driven at the bench.
     """
 
     def __init__(
@@ -101,11 +88,7 @@ class Session:
         self.look_at(self.version)
 
     def keep(self) -> int:
-        """Writes the version that is looked at as the newest; returns its number.
-
-        Raises:
-            InputError: it is the newest already.
-        """
+        """Writes the version that is looked at as the newest; returns its number."""
         if self.version is None:
             raise InputError("The newest version is shown; choose an earlier one to go back to it.")
         twin = restore(self.folder, self.version)
@@ -115,15 +98,9 @@ class Session:
     def begin(
         self, what: str, work: Callable[[Progress], None], show: Callable[[str, int, int], None]
     ) -> None:
-        """Does a work in a thread of its own, one at a time.
+        """Does a work, called with `show`, in a thread of its own; InputError where another is under way.
 
-        Args:
-            what: it is, such as `diagnosing`.
-            work: called with `show`; it catches its own errors.
-            show: called with a text, the steps done and all of them.
-
-        Raises:
-            InputError: another work is under way.
+        It catches its own errors. `what` is such as `diagnosing`.
         """
         with self._lock:
             if self.working:

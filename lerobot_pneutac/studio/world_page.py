@@ -1,6 +1,5 @@
 """The world page: a task in simulation with this twin's finger, by an expert, a policy or by hand."""
 
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +13,7 @@ from lerobot.utils.constants import OBS_IMAGES
 from lerobot.utils.import_utils import register_third_party_plugins
 
 from lerobot_pneutac.reports.page import side_by_side
-from lerobot_pneutac.studio.plots import FLOOR, MEASURED, MODEL, Lines, Player
+from lerobot_pneutac.studio.plots import FLOOR, MEASURED, MODEL, Background, Lines, Player
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import AREA, CHAMBERS, IMAGE_NAME, PRESSURE, TRIAL_S, pressure_names, task_names
 
@@ -79,7 +78,7 @@ class EpisodePanel:
         self.readout.content = "The episode is replayed ..."
 
     def _show(self) -> None:
-        from lerobot_pneutac.reports.compare_demonstrations import beside
+        from lerobot_pneutac.verbs.compare_demonstrations import beside
 
         e, r = self._episode, self._replayed
         if e is None or r is None:
@@ -118,7 +117,7 @@ PRESSURE_STEP = 0.02  # of the range, a time that a key is sent
 EXPERT, POLICY, HAND = PLAYERS = ("the scripted expert", "a policy", "by hand")
 
 
-class WorldPage:
+class WorldPage(Background):
     """A task of the library, one control step after the other."""
 
     title = "World"
@@ -157,7 +156,6 @@ class WorldPage:
             self._policy.visible, hand.visible = self._player.value == POLICY, self._player.value == HAND
 
         self._player.on_update(chosen)
-        self._stop, self._thread = threading.Event(), None
         self.episodes = EpisodePanel(studio)
 
     def _hold(self, name: str) -> None:
@@ -169,15 +167,14 @@ class WorldPage:
             slider.value = float(np.clip(slider.value + sign * PRESSURE_STEP * (high - low), low, high))
 
     def begin(self) -> None:
-        self.close_world()
-        self._stop = threading.Event()
+        super().close()
         self.readout.content = f"The world of the task '{self._task.value}' is made ..."
-        self._thread = threading.Thread(target=self._run, args=(self._stop,), daemon=True, name="world page")
-        self._thread.start()
+        self.start(self._run, "world page")
 
-    def _run(self, stop: threading.Event) -> None:
+    def _run(self) -> None:
         from pneutac_sim.world.env import PneutacEnv  # MuJoCo, and networks where the twin has them
 
+        stop = self._stop
         try:
             env = PneutacEnv(self._task.value, twin=self._studio.session.twin)
             observation, info = env.reset(seed=int(time.time()) % 10_000)
@@ -217,13 +214,8 @@ class WorldPage:
         end = "**Done.**" if info["is_success"] else f"**{info['failure'] or 'Time is up.'}**" if done else ""
         self.readout.content = f"{self._task.value}, {time_s:.1f} s of the task. {end}"
 
-    def close_world(self) -> None:
-        self._stop.set()
-        if self._thread is not None:
-            self._thread.join(timeout=5.0)
-
     def close(self) -> None:
-        self.close_world()
+        super().close()
         self.episodes.close()
 
 
@@ -231,11 +223,7 @@ TOUCH = f"{OBS_IMAGES}.{IMAGE_NAME}"
 
 
 class PolicyPlayer:
-    """A policy at the beginning of an episode.
-
-    Raises:
-        InputError: there is no policy, or it wants to see what the studio's world does not show.
-    """
+    """A policy at the beginning of an episode; InputError where there is none, or it wants to see more."""
 
     def __init__(self, name: str, task: str):
         if not name:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
-from lerobot_pneutac.cli.options import PairOptions
+from lerobot_pneutac.cli.options import PairOptions, keywords
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.bootstrap import PairedTest
@@ -15,7 +15,7 @@ from lerobot_pneutac.reports.page import AFTER, BEFORE, KNOWN, Report, parameter
 from lerobot_pneutac.reports.sentences import percent
 from lerobot_pneutac.study import study_of
 from lerobot_pneutac.study.pair import load_pair, same_body
-from lerobot_pneutac.verbs.diagnosis import Diagnosis, read_found
+from lerobot_pneutac.verbs.diagnose import Diagnosis, read_found
 from lerobot_pneutac.verbs.result import Result, command_on
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
@@ -24,8 +24,6 @@ from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import check_writable
 from pneutac_sim.twin import Twin
-
-OF_DEMONSTRATIONS = ("late_commands", "compliance")  # parameters of a twin, no effects
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -265,10 +263,19 @@ def add(
         o = effect.outcome
         return _whole(effect.study, twin, effect.to_dict(), (o.before, o.baseline, o.after), anyway)
     if isinstance(effect, Path):
-        return _written(twin, same_body(twin, recording, "add to"), effect, anyway)
+        recording = same_body(twin, recording, "add to")
+        result, twins = read_found(effect, recording)
+        study = study_of(twin, recording, result["seed"])
+        study.prepare(result["selected"], result.get("data_breaks", ()))
+        models = [
+            t and FittedModel(effects=tuple(t.effects), residual=study.residual(t), count=0, twin=t)
+            for t in twins
+        ]
+        return _whole(study, twin, result, models, anyway)
     effects = [effect] if isinstance(effect, str) else list(effect)
     for e in effects:
-        if not (isinstance(recording, Demonstrations) and e in OF_DEMONSTRATIONS):
+        parameter = e in ("late_commands", "compliance")  # of a twin, no effects
+        if not (parameter and isinstance(recording, Demonstrations)):
             get_effect(e)
     recording, steps = same_body(twin, recording, "add to"), Steps(progress)
     given = _given(effects, recording, seed)
@@ -285,23 +292,9 @@ def _given(effects: Sequence[str], recording: Recording | Demonstrations, seed: 
     return {"effect": ", ".join(effects) or "nothing", "recording": str(recording.folder), "seed": seed}
 
 
-def _written(twin: Twin, recording: Recording | Demonstrations, folder: Path, anyway: bool) -> Addition:
-    """Everything that a diagnosis wrote to a folder, tested on its own blocks."""
-    written = read_found(folder, recording)
-    result = written.result
-    study = study_of(twin, recording, result["seed"])
-    study.prepare(result["selected"], result.get("data_breaks", ()))
-    models = [
-        t and FittedModel(effects=tuple(t.effects), residual=study.residual(t), count=0, twin=t)
-        for t in (written.before, written.baseline, written.found)
-    ]
-    return _whole(study, twin, result, models, anyway)
-
-
 def _whole(
     study, twin: Twin, result: Mapping, models: Sequence[FittedModel | None], anyway: bool
 ) -> Addition:
-    """Everything that a diagnosis found, tested on its test blocks."""
     selected = list(result["selected"])
     given = _given(selected, study.recording, study.seed)
     given |= {"objections": tuple(result.get("objections", ())), "diagnosed": True}
@@ -373,12 +366,15 @@ def _refusal(study, effects: Sequence[str], found: Refits, named: bool) -> str:
     errors = [study.errors(m)["heldout"] for m in (base, after)]
     names = joined(effects)
     fall = study.test.paired(base.squared, after.squared, study.across_trials)
-    if found.better is not None and fall.significant and not _nearly_as_good(study, found):
+    if found.better is not None and fall.significant:
         other, model = found.better
-        return (
-            f"Not added: {names} lowers the test error from {errors[0]:.4g} to {errors[1]:.4g} {unit}, but "
-            f"{other} lowers it to {study.errors(model)['heldout']:.4g} {unit} and leaves nothing to {names}."
-        )
+        without, all_in, instead = (study.test.value(m.squared) for m in (found.baseline, after, model))
+        if without - all_in <= T.NEARLY * (without - instead):  # else the effects remove nearly as much
+            return (
+                f"Not added: {names} lowers the test error from {errors[0]:.4g} to {errors[1]:.4g} {unit}, "
+                f"but {other} lowers it to {study.errors(model)['heldout']:.4g} {unit} and leaves nothing to "
+                f"{names}."
+            )
     if idle := [e for e in effects if study.idle(after, e)]:
         plural = "their constants end where they do" if len(idle) > 1 else "its constants end where it does"
         return f"Not added: {joined(idle)} changes nothing; {plural} nothing{_known_help(study, found)}."
@@ -420,14 +416,6 @@ def _not_yet(study, names: str, errors: Sequence[float], fall: PairedTest) -> st
         f"{fall.least:.3g} {square} with a power of {100 * T.POWER:.0f} %, so record about "
         f"{study.more_to_show(fall)}; --anyway stores it now, marked as unconfirmed"
     )
-
-
-def _nearly_as_good(study, found: Refits) -> bool:
-    """Whether the effects remove nearly as much of the squared error as the better one by itself."""
-    assert found.better is not None
-    models = (found.baseline, found.after, found.better[1])
-    base, after, other = (study.test.value(m.squared) for m in models)
-    return base - after > T.NEARLY * (base - other)
 
 
 def _known_help(study, found: Refits) -> str:
@@ -477,9 +465,7 @@ def command(cfg: AddConfig, terminal: Terminal) -> None:
     twin, recording = load_pair(cfg.twin, cfg.recording, "add to", cfg.task, cfg.station)
     check_writable(cfg.twin, f"--twin={cfg.twin}")
     with terminal.progress() as progress:
-        result = add(
-            twin, recording, cfg.diagnosis or effects, seed=cfg.seed, anyway=cfg.anyway, progress=progress
-        )
+        result = add(twin, recording, cfg.diagnosis or effects, **keywords(cfg, add), progress=progress)
     stored = result.accepted or result.unconfirmed
     if stored:
         result = result.save(cfg.twin)

@@ -15,26 +15,18 @@ from pneutac_sim.twin import Twin
 AGAIN = 1.5  # times the first date's error, above which a twin is calibrated again
 DRAWS = 400  # of whole blocks of time, for the interval of the bend
 DAYS = 30.0  # of changes
-FAR_DAYS = 3650
 
 
 @dataclass(frozen=True)
 class Date:
-    """The result for the recording of one date.
-
-    Attributes:
-        error: root mean square over all of its samples.
-        bend: how far it bends, as a share of what the twin says, 1 for a twin that is right.
-        half: half-width of its 95 % interval.
-        travel: root mean square of the twin's own motion about its mean, in the error's unit.
-    """
+    """The result for the recording of one date."""
 
     day: date
     name: str
-    error: float
-    bend: float
-    half: float
-    travel: float
+    error: float  # root mean square over all of its samples
+    bend: float  # how far it bends, as a share of what the twin says, 1 for a twin that is right
+    half: float  # half-width of its 95 % interval
+    travel: float  # root mean square of the twin's own motion about its mean, in the error's unit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,21 +65,20 @@ class Ageing(Result):
             return None
         wrong = (AGAIN**2 - 1) ** 0.5 * first.error / first.travel
         days = wrong / abs(slope)
-        return first.day + timedelta(days=round(days)) if days < FAR_DAYS else None
+        return first.day + timedelta(days=round(days)) if days < 3650 else None
 
     @property
     def sentence(self) -> str:
-        first, last, (slope, half) = self.dates[0], self.dates[-1], self.slope
+        first, last, (slope, half), again = self.dates[0], self.dates[-1], self.slope, self.again
         every, within = f"every {DAYS:.0f} days", f"{100 * half * DAYS:.1g} %"
         said = f"No change of the bend is significant (within {within} {every})"
         if abs(slope) > half:
             word = "more" if slope > 0 else "less"
             said = f"It bends {100 * abs(slope) * DAYS:.2g} % {word} {every} (± {within})"
         due = "no new calibration is due"
-        if last.error > AGAIN * first.error:
-            due = "calibrate it again now"
-        elif self.again is not None:
-            due = f"calibrate it again about {self.again.isoformat()}"
+        if again is not None:
+            when = "now" if last.error > AGAIN * first.error else f"about {again.isoformat()}"
+            due = f"calibrate it again {when}"
         return f"{said}; the error went from {first.error:.2g} to {last.error:.2g} {self.unit}: {due}."
 
     def rows(self) -> list[dict]:
@@ -118,15 +109,9 @@ class Ageing(Result):
 
 
 def ageing(twin: Twin, recordings: list[Recording], seed: int = 0) -> Ageing:
-    """How far a twin is from its device on several dates.
+    """How far a finger's or an arm's twin, calibrated on the first date, is from its device on several dates.
 
-    Args:
-        twin: of a finger or an arm, calibrated on the first date.
-        recordings: two or more, each with `date` in its recording.json.
-        seed: of the drawn blocks.
-
-    Raises:
-        InputError: fewer than two dates, a recording without one, or of a gel.
+    Raises InputError where there are fewer than two, a recording has no `date`, or it is of a gel.
     """
     days = [_day(r) for r in recordings]
     if len(set(days)) < 2:

@@ -152,18 +152,12 @@ class AugmentConfig(ExecutorOptions):
 
 @dataclass(frozen=True)
 class Augmentation(Result):
-    """What an augmentation came to.
-
-    Attributes:
-        summary: `kept`, `attempts`, `rejected` (reason to number), `wall_s`, and the provenance.
-        references: the recorded demonstrations that were used.
-        failed: the others, number to why each was set aside.
-    """
+    """What an augmentation came to."""
 
     config: AugmentConfig
-    summary: dict
-    references: list
-    failed: dict[int, str] = field(default_factory=dict)
+    summary: dict  # `kept`, `attempts`, `rejected` (reason to number), `wall_s`, and the provenance
+    references: list  # the recorded demonstrations that were used
+    failed: dict[int, str] = field(default_factory=dict)  # the others, number to why each was set aside
 
     @property
     def title(self) -> str:
@@ -244,10 +238,8 @@ class Augmentation(Result):
 def other_sensor(meta: "LeRobotDatasetMetadata", sensor: "TactileSensor") -> str:
     """A sentence where the twin's gel does not look at rest like that of the demonstrations; else empty.
 
-    A policy has one image at rest: what differs from it looks like a touch.
-
-    Raises:
-        InputError: they are of another kind of sensor, or turned.
+    A policy has one image at rest: what differs from it looks like a touch. Raises InputError where they are
+    of another kind of sensor, or turned.
     """
     import torch
 
@@ -278,11 +270,8 @@ def augment(
 ) -> Augmentation:
     """Augments a LeRobotDataset; writes the new one, and goes on where it was stopped.
 
-    Args:
-        config: the options.
-        progress: is called with a text, and how many of how many are done.
-        note: is called with a sentence on the failed demonstrations, and one where the twin's gel looks
-            otherwise at rest, before anything is made.
+    Before anything is made `note` is called with a sentence on the failed demonstrations, and one where the
+    twin's gel looks otherwise at rest.
 
     Raises:
         InputError: a dataset cannot be read or exists, names no task, is of another task or sensor, fewer

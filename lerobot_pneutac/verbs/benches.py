@@ -93,13 +93,8 @@ def save_program(
 ) -> None:
     """Writes a program as `pneutac measure --program=` reads it, its steps between samples (`sent_s`).
 
-    Args:
-        file: CSV with `time_s`, when a command is sent, `pressure_cmd_kpa` or of several chambers
-            `pressure_cmd_1_kpa` and so on, `program`, and conditions.
-        time_s: (n,) s of the samples.
-        pressure_kpa: (n, chambers) commanded; (n,) of one chamber.
-        kind: name of the program.
-        conditions: that it asks for, such as `payload_g`.
+    The CSV has `time_s`, when a command is sent, the commands (n,) or (n, chambers) kPa, `program`, its
+    `kind`, and the conditions that it asks for, such as `payload_g`.
     """
     commands = np.reshape(pressure_kpa, (len(time_s), -1)).T
     columns = dict(zip(command_columns(len(commands)), commands, strict=True))
@@ -110,7 +105,6 @@ def save_program(
 
 
 def save_choice(file: Path, c: Choice) -> None:
-    """Writes a program that was chosen."""
     save_program(file, c.time_s, c.pressure_kpa, c.kind, c.conditions)
 
 
@@ -130,11 +124,7 @@ def make_bench(
 ) -> tuple[Bench, dict[str, float]]:
     """The bench, and the conditions on it while no hand changes them.
 
-    Args:
-        measure: YAML file with the options of `pneutac measure`; None for the stand-in.
-        out: folder for recordings.
-        seed: of the stand-in's noise.
-        device: of which the stand-in is, `finger` or `arm`.
+    `measure` is a YAML file with the options of `pneutac measure`; None for the stand-in, of a `device`.
     """
     if measure is None and device == "arm":
         from pneutac_datasets.generate.truth_bench import standin_arm

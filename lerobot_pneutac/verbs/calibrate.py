@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import ClassVar
 
 import numpy as np
 
-from lerobot_pneutac.cli.options import PairOptions
+from lerobot_pneutac.cli.options import PairOptions, keywords
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.verbs.calibration import Calibration, measured_range
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations, is_dataset, load_demonstrations
@@ -48,17 +49,17 @@ def calibrate(
         recording: of a finger, an arm or a gel; or demonstrations, for the gel's light at rest.
         by: of a body: `images` (photographs with masks) or `markers` (markers and angles); by markers where
             the recording has them, else by images.
-        effects: of a gel: optics effects to fit, none for the paper's linear model; those once chosen for
-            the twin (this way, or by `add`), else all that the presses identify. Names, or a text with commas
-            between, `none` for none.
-        through: of a gel: `mpm` to fit its light to the surfaces that material points have under the presses
-            (minutes); None for the closed form.
-        image_size: of a gel: width and height in px in which the twin has its images; None for that of the
-            photographs.
-        train_kpa: by images: pressures to fit; all others are held out.
-        evaluations: by images: of the search.
-        particles: by images: of the body, about.
-        seed: decides every random choice.
+        effects: of a gel: optics effects to fit, names or a text with commas between, `none` for the paper's
+            linear model; if omitted, those once chosen for the twin (this way, or by `add`), else all that
+            the presses identify.
+        through: of a gel: `mpm` to fit its light to the surfaces that material points have under the presses,
+            which takes minutes; if omitted, to those of the closed form.
+        image_size: of a gel: width and height in px in which the twin has its images, such as [240,320]; if
+            omitted, those of the photographs.
+        train_kpa: by images: pressures to fit, with commas between; all others are held out.
+        evaluations: by images: number of bodies that the search tries.
+        particles: by images: number of material points of the body, about.
+        seed: seed of every random choice.
         keep: by images: folder in which the search is stored so that an interrupted one continues.
         progress: called with a text, the steps done and all of them.
 
@@ -106,14 +107,9 @@ def calibrate(
         from lerobot_pneutac.verbs.fit_body import calibrate_body
 
         result = calibrate_body(twin, recording, seed, progress)
-    return _measured(result, recording)
-
-
-def _measured(result: Calibration, recording: Recording) -> Calibration:
-    """The result, whose twin knows over which pressures it was fitted."""
-    twin = result.twin.copy()
-    twin.pressure_range_kpa = measured_range(recording) or twin.pressure_range_kpa
-    return replace(result, twin=twin)
+    fitted = result.twin.copy()  # which knows over which pressures it was fitted
+    fitted.pressure_range_kpa = measured_range(recording) or fitted.pressure_range_kpa
+    return replace(result, twin=fitted)
 
 
 def training_levels(levels: Sequence[float] | str) -> tuple[float, ...]:
@@ -138,20 +134,10 @@ class CalibrateConfig(PairOptions):
             of a gel is begun, from the DIGIT photographs in $PNEUTAC_DATA or generated images. Of a
             LeRobotDataset of demonstrations, or its name on the Hub, the gel's light at rest is taken.
         out: folder for `result.json`, `report.html` and pictures.
-        effects: optics effects of a gel to fit, with commas between, or `none` for the paper's linear model;
-            if omitted, those chosen for the twin before, else all that the presses can identify.
-        through: `mpm` to fit a gel's light to the surfaces that material points have under the presses, which
-            takes minutes; if omitted, to those of the closed form.
-        image_size: width and height in px in which the twin has a gel's images, such as [240,320]; if
-            omitted, those of the photographs.
         save_prior: name under which a gel's illumination is stored for other sensors of its model.
-        by: what a finger or an arm is fitted to: `images` (photographs with masks) or `markers` (markers and
-            angles); if omitted, markers if the recording has them, else images.
-        train_kpa: pressures to fit by images, with commas between; all others are held out.
-        evaluations: bodies that the search by images tries.
-        particles: number of material points of a body by images, about.
-        seed: seed of every random choice.
     """
+
+    described_by: ClassVar = calibrate
 
     recording: Path | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
     effects: str | None = None
@@ -195,13 +181,18 @@ def run(cfg: CalibrateConfig, scratch: Path, terminal: Terminal) -> Calibration:
         terminal.note(
             f"{cfg.twin / 'twin.yaml'} has no {', '.join(twin.missing)}; the fit begins at defaults."
         )
-    passed = ("by", "effects", "through", "image_size", "train_kpa", "evaluations", "particles", "seed")
-    options = {name: getattr(cfg, name) for name in passed}
     try:
         with terminal.progress() as progress:
-            result = calibrate(twin, recording, **options, keep=keep, progress=progress)
+            result = calibrate(twin, recording, **keywords(cfg, calibrate), keep=keep, progress=progress)
     except KeyboardInterrupt:
-        terminal.say(_stopped(keep / SEARCH))
+        file = keep / SEARCH
+        count = len(json.loads(file.read_text())["evaluations"]) if file.is_file() else 0
+        terminal.say(
+            f"Stopped after {count} evaluations, stored in {file}; the twin is unchanged, and the same "
+            "command continues from here."
+            if count
+            else "Stopped before the first candidates were evaluated; the twin is as it was."
+        )
         raise
     if result.worse:
         return result
@@ -221,10 +212,7 @@ def recording_for(cfg: CalibrateConfig, scratch: Path) -> tuple[Recording | Demo
     """The recording, and a sentence where none was given.
 
     Without one the DIGIT photographs in $PNEUTAC_DATA, or images generated in folder `scratch` where that is
-    unset.
-
-    Raises:
-        InputError: none was given for a twin that exists, which those do not measure; or as the readers.
+    unset; raises InputError where the twin exists already, which those do not measure.
     """
     folder, exists = cfg.recording, (cfg.twin / "twin.yaml").exists()
     if folder is not None and is_dataset(folder):
@@ -248,12 +236,7 @@ def recording_for(cfg: CalibrateConfig, scratch: Path) -> tuple[Recording | Demo
 
 
 def twin_for(folder: Path, recording: Recording | Demonstrations) -> Twin:
-    """The twin in a folder; a twin of a gel is begun where there is none yet.
-
-    Raises:
-        InputError: there is none and the recording is of a body, the folder holds something else, or the
-            devices differ.
-    """
+    """The twin in a folder; a twin of a gel is begun where there is none yet, any other is refused."""
     if (folder / "twin.yaml").exists():
         finds = isinstance(recording, Recording) and recording.device != "gel"
         twin = Twin.load(folder, calibrated=not finds)
@@ -271,13 +254,3 @@ def twin_for(folder: Path, recording: Recording | Demonstrations) -> Twin:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"'{folder}' holds no twin but something else; give an empty or new folder.")
     return Twin(device="gel", length_mm=16.0)
-
-
-def _stopped(search: Path) -> str:
-    count = len(json.loads(search.read_text())["evaluations"]) if search.is_file() else 0
-    if not count:
-        return "Stopped before the first candidates were evaluated; the twin is as it was."
-    return (
-        f"Stopped after {count} evaluations, stored in {search}; the twin is unchanged, and the same command "
-        f"continues from here."
-    )

@@ -18,20 +18,14 @@ LEAST = 2  # episodes: one to take the light from, one to test it
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class LightCalibration(Calibration):
-    """A twin whose gel is lit at rest as in demonstrations.
+    """A twin whose gel is lit at rest as in demonstrations."""
 
-    Attributes:
-        light: how the light had changed since the twin was made.
-        before: error of the twin's own rest image on the held-out episodes, levels.
-        dragging: how imprints turned where the finger was dragged sideways; None where it was not.
-        dragged_before: the same as the twin knew it.
-    """
-
-    light: LightDrift
-    before: float
+    light: LightDrift  # how the light had changed since the twin was made
+    before: float  # error of the twin's own rest image on the held-out episodes, levels
     task: str
+    # how imprints turned where the finger was dragged sideways; None where it was not.
     dragging: Dragging | None = None
-    dragged_before: Dragging | None = None
+    dragged_before: Dragging | None = None  # the same as the twin knew it
 
     title = "The gel's light at rest"
 

@@ -91,9 +91,6 @@ class Calibration(Result):
         return command_on("compare", self.twin, self.recording)
 
     def rows(self) -> list[dict]:
-        return self.parameter_rows()
-
-    def parameter_rows(self) -> list[dict]:
         return [
             {
                 "parameter": name,
@@ -113,9 +110,6 @@ class Calibration(Result):
         return f"; the twin at {self.saved_to} is now version {self.version}" if self.saved_to else ""
 
 
-DIGITS = 2  # the range is rounded outwards to so many: valves and programs hardly ever stop at a round number
-
-
 def measured_range(recording: Recording) -> tuple[float, float] | None:
     """Lowest and highest commanded pressure in kPa, 0 (vented) among them; None where nothing is driven.
 
@@ -129,7 +123,6 @@ def measured_range(recording: Recording) -> tuple[float, float] | None:
 
 
 def range_sentence(pressure_range_kpa: tuple[float, float]) -> str:
-    """What a range means for all that drives the twin."""
     low, high = pressure_range_kpa
     return (
         f"The twin was measured from {low:g} to {high:g} kPa; robots and environments drive it no farther "
@@ -138,8 +131,8 @@ def range_sentence(pressure_range_kpa: tuple[float, float]) -> str:
 
 
 def _outwards(value: float) -> float:
-    """The next number from `value` >= 0 on that has `DIGITS` digits."""
+    """The next number of two digits: valves and programs hardly ever stop at a round number."""
     if value == 0:
         return 0.0
-    unit = 10.0 ** (math.floor(math.log10(value)) - DIGITS + 1)
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
     return float(f"{math.ceil(value / unit - 1e-6) * unit:.6g}")

@@ -36,38 +36,26 @@ from pneutac_sim.world.checks import check_networks, check_world, out_of_reach
 from pneutac_sim.world.station import Station, station_faults, station_file
 
 SHORT = 1000  # rows: a diagnosis refuses none that is longer
+WORLD = ("joint_stiffness_nm_per_rad", "joint_damping_nms_per_rad", "gain_rad_per_kpa")
 MARKS = "twin.yaml", "recording.json", "meta/info.json"  # what is in a folder that can be looked at
 
 
 @dataclass(frozen=True)
 class Checked:
-    """What was found.
-
-    Attributes:
-        kind: `twin`, `bench recording`, `table`, `demonstrations` or `station`.
-        faults: one sentence for each thing that a later verb refuses.
-        notes: one for each thing that is poor but usable.
-        understood: of a table, what its columns were taken for.
-    """
+    """What was found."""
 
     path: Path
-    kind: str
-    faults: list[str]
-    notes: list[str]
-    understood: Understood | None = None
+    kind: str  # `twin`, `bench recording`, `table`, `demonstrations` or `station`
+    faults: list[str]  # one sentence for each thing that a later verb refuses
+    notes: list[str]  # one for each thing that is poor but usable
+    understood: Understood | None = None  # of a table, what its columns were taken for
 
 
 def check_path(path: str | Path, twin: Twin | None = None, station: Station | None = None) -> Checked:
-    """Looks at a folder, whatever it holds, or at a `station.yaml`.
+    """Looks at a folder of any kind, at tables or at a `station.yaml`; InputError where there is none.
 
-    Args:
-        path: of a twin, a bench recording or a LeRobotDataset, the file of a station, or tables as
-            `pneutac convert` reads them.
-        twin: on which demonstrations are augmented, or that works in the station; default the built-in one.
-        station: in which demonstrations were recorded; default the one left in their `meta`, or the paper's.
-
-    Raises:
-        InputError: there is no such folder, or it holds nothing but further ones.
+    Demonstrations are augmented on `twin`, default the built-in one, and were recorded in `station`, default
+    the one left in their `meta`, or the paper's.
     """
     path = Path(path)
     if path.suffix in (".yaml", ".yml") and path.is_file():
@@ -151,11 +139,10 @@ def _twin(path: Path) -> tuple[list[str], list[str]]:
     twin = Twin.load(path)
     file = f"{path / 'twin.yaml'}: "
     faults += [file + fault.removeprefix(file) for fault in _broken(twin)]
-    for name in twin.effects:
-        if faults:
-            return faults, notes
-        effect = get_effect(name)
-        asked = [c for c in effect.columns if c not in COMPUTED] if name in of_body([name]) else []
+    if faults:
+        return faults, notes
+    for name in of_body(twin.effects):
+        asked = [c for c in get_effect(name).columns if c not in COMPUTED]
         if asked:
             notes.append(
                 f"With the effect {name} robots and environments need {', '.join(asked)}: give them as "
@@ -204,14 +191,10 @@ def _broken(twin: Twin) -> list[str]:
 
 
 def _body(twin: Twin) -> None:
-    """Refuses effects that the body's pipeline does not take; a gel alone has none, which its model says."""
     for name in twin.effects:
         get_effect(name)
     if twin.device != "gel":
         Pipeline.of(twin).theta(twin)
-
-
-WORLD = ("joint_stiffness_nm_per_rad", "joint_damping_nms_per_rad", "gain_rad_per_kpa")
 
 
 USAGE = """usage: pneutac check PATH [PATH ...] [--twin=PATH] [--station=FILE]

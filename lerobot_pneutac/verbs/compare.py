@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import ClassVar
 
-from lerobot_pneutac.cli.options import PairOptions
+from lerobot_pneutac.cli.options import PairOptions, keywords
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.study.pair import load_bench_pair, load_pair, same_device, with_unit_note
 from lerobot_pneutac.verbs.result import Comparison
@@ -33,8 +34,8 @@ def compare(
             replayed in the twin's world.
         fidelity: `pipeline` (the twin's kinematics, every sample) or `mpm` (of a finger or an arm: the full
             body of material points, at samples spread over the recording).
-        samples: by mpm: at most so many, 200 where left out.
-        seed: decides which samples are simulated by mpm, and which episodes of demonstrations are held out.
+        samples: largest number of samples by mpm; if omitted, 200.
+        seed: seed of the choice of the samples by mpm, and of the demonstrations that are held out.
         progress: called with a text, the steps done and all of them.
 
     Raises:
@@ -69,7 +70,6 @@ def compare(
 
 
 def check_fidelity(fidelity: str, samples: int | None) -> None:
-    """Raises InputError where the two do not go together."""
     check_choice("fidelity", fidelity, FIDELITIES)
     if samples is not None and (samples < 2 or fidelity != "mpm"):
         raise InputError(f"samples={samples} must be 2 or more, together with fidelity=mpm.")
@@ -83,12 +83,10 @@ class CompareConfig(PairOptions):
         recording: folder of a bench recording, or tables as `pneutac convert` reads them of the same device;
             or of a LeRobotDataset of demonstrations, or its name on the Hub, which are replayed in the twin's
             world.
-        fidelity: `pipeline` (the twin's kinematics, every sample) or `mpm` (of a finger or an arm: the full
-            body of material points, at samples spread over the recording).
-        samples: largest number of samples by mpm; if omitted, 200.
         later: recordings of the same finger or arm on other dates: how it ages, when to calibrate it again.
-        seed: seed of the choice of the samples by mpm, and of the demonstrations that are held out.
     """
+
+    described_by: ClassVar = compare
 
     fidelity: str = "pipeline"
     samples: int | None = None
@@ -111,7 +109,5 @@ def command(cfg: CompareConfig, terminal: Terminal) -> None:
         return
     twin, recording = load_pair(cfg.twin, cfg.recording, "compare", cfg.task, cfg.station)
     with terminal.progress() as progress:
-        result = compare(
-            twin, recording, fidelity=cfg.fidelity, samples=cfg.samples, seed=cfg.seed, progress=progress
-        )
+        result = compare(twin, recording, **keywords(cfg, compare), progress=progress)
     terminal.finish(result, cfg.out)

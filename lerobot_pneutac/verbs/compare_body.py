@@ -9,7 +9,7 @@ put down to gain or to rest pressure. So C has the form that least squares gives
 samples, and the size from the twin's intervals.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -17,50 +17,36 @@ import numpy as np
 
 from lerobot_pneutac.diagnosis.experiment import read
 from lerobot_pneutac.diagnosis.parts import deal
-from lerobot_pneutac.reports.compare_sentence import inside_band, sentence
+from lerobot_pneutac.diagnosis.thresholds import NOISE
+from lerobot_pneutac.reports.figures import worst_passages
 from lerobot_pneutac.reports.page import Report
-from lerobot_pneutac.reports.session import worst_passages
 from lerobot_pneutac.verbs.result import Comparison, rms_of
 from pneutac_datasets.recording.axes import Axis, axes, is_still, motion
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.mounts import align_mounts
 from pneutac_datasets.recording.noise import NoiseFloor, noise_floor
 from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.wording import plural
 from pneutac_sim.errors import option
 from pneutac_sim.finger import BodyData, Pipeline, simulate
 from pneutac_sim.finger.confidence import Z95, independent
-from pneutac_sim.finger.quantities import squared_distance
+from pneutac_sim.finger.quantities import root_mean, squared_distance
 from pneutac_sim.twin import Twin
 
+FEW_ROWS = 50  # below this no place where the error is large says anything
 STEP = 0.05  # of a standard deviation: how far a parameter is moved to see what it does
 
 
 @dataclass(frozen=True)
 class Band:
-    """95 % prediction bands of the columns that count.
+    """95 % prediction bands of the columns that count."""
 
-    Attributes:
-        half: (n, k) half width, in the unit of each column.
-        how: what they are made from, in words.
-    """
-
-    half: np.ndarray
-    how: str
-
-    def inside(self, residual: np.ndarray) -> np.ndarray:
-        """(n, k) whether a residual, measured minus model, lies in the band."""
-        return np.abs(residual) <= self.half
-
-    def at(self, samples: np.ndarray) -> "Band":
-        return replace(self, half=self.half[samples])
+    half: np.ndarray  # (n, k) half width, in the unit of each column
+    how: str  # what they are made from, in words
 
 
 def prediction_band(twin: Twin, bench: BodyData, train: np.ndarray, noise: NoiseFloor) -> Band | None:
-    """Bands from the intervals of a twin's parameters and from the measurement's noise.
-
-    Returns:
-        None where the noise is unknown, or neither intervals nor noise are there.
-    """
+    """Bands from the intervals of a twin's parameters and the noise; None where these are unknown."""
     if noise.value is None:
         return None
     sensor = np.array([noise.by_column.get(c, 0.0) for c in bench.columns[: bench.counted]])
@@ -110,45 +96,58 @@ def _variance(moved: np.ndarray, train: np.ndarray) -> np.ndarray:
     return variance
 
 
+_PHRASES = {
+    ("direction", "loading"): "while the pressure rises",
+    ("direction", "unloading"): "while the pressure falls",
+    ("direction", "hold"): "while the pressure is held",
+    ("rate", "hold"): "while the pressure is held",
+    "hold_time_s": "after a hold of {0}",
+    "program": "in program '{0}'",
+    "gravity": "with gravity along ({0})",
+    "trial": "in trial {0}",
+    "pressure_cmd_kpa": "at {0} kPa",
+    "pressure_kpa": "where the measured pressure is {0} kPa",
+    "temperature_c": "at {0} °C",
+}
+
+
+def phrase(axis: Axis, i: int) -> str:
+    label = axis.labels[i]
+    if axis.name == "rate" and label != "hold":
+        moving = [x for x in axis.labels if x != "hold"]
+        how = {moving[0]: " slowly", moving[-1]: " fast"}.get(label, " at middle speed")
+        return f"when the pressure moves{how if len(moving) > 1 else ''}"
+    text = _PHRASES.get((axis.name, label)) or _PHRASES.get(axis.name, "where {1} is {0}")
+    return text.format(label, axis.name)
+
+
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class BodyComparison(Comparison):
-    """A twin against a recording, sample by sample.
+    """A twin against a recording, sample by sample."""
 
-    Attributes:
-        recording: without the rows that the data check left out.
-        columns: (D,) compared columns; the first `counted` make the error.
-        measured: (n, D).
-        model: (n, D).
-        train_samples: (n,) mask of those that the twin was fitted to; the others are held out. None of a
-            recording that it was never fitted to, which is held out as a whole.
-        band: within which a measurement should lie if the twin is right; None if unknown.
-        rate: (n,) of the commanded pressure, kPa/s.
-        still: (n,) whether it stands.
-        pressure: (n,) squared error of the measured pressure, kPa^2, or None where none was measured.
-        simulated: by what, in words.
-        fidelity: `pipeline` or `mpm`.
-        out_of_range: share of the recording's samples outside what the twin's action network was trained
-            with; None where it has none.
-    """
-
-    recording: Recording
+    recording: Recording  # without the rows that the data check left out
     findings: tuple[str, ...]
-    columns: tuple[str, ...]
+    columns: tuple[str, ...]  # (D,) compared columns; the first `counted` make the error
     counted: int
-    measured: np.ndarray
-    model: np.ndarray
+    measured: np.ndarray  # (n, D)
+    model: np.ndarray  # (n, D)
     unit: str
+    # (n,) mask of those that the twin was fitted to; the others are held out. None of a recording that it was
+    # never fitted to, which is held out as a whole.
     train_samples: np.ndarray
     noise: NoiseFloor
-    band: Band | None
+    band: Band | None  # within which a measurement should lie if the twin is right; None if unknown
     axes: list[Axis]
-    rate: np.ndarray
-    still: np.ndarray
+    rate: np.ndarray  # (n,) of the commanded pressure, kPa/s
+    still: np.ndarray  # (n,) whether it stands
+    # (n,) squared error of the measured pressure, kPa^2, or None where none was measured.
     pressure: np.ndarray | None
     twin: Twin
     bench: BodyData
-    simulated: str = "by the pipeline, at every sample"
-    fidelity: str = "pipeline"
+    simulated: str = "by the pipeline, at every sample"  # by what, in words
+    fidelity: str = "pipeline"  # `pipeline` or `mpm`
+    # share of the recording's samples outside what the twin's action network was trained with; None where it
+    # has none.
     out_of_range: float | None = None
 
     keys = (
@@ -180,8 +179,8 @@ class BodyComparison(Comparison):
         """Share of the held-out values inside their 95 % band."""
         if self.band is None or self.train_samples.all():
             return None
-        inside = self.band.inside((self.measured - self.model)[:, : self.counted])
-        return float(inside[~self.train_samples].mean())
+        left = (self.measured - self.model)[~self.train_samples, : self.counted]
+        return float((np.abs(left) <= self.band.half[~self.train_samples]).mean())
 
     @property
     def pressure_error(self) -> dict | None:
@@ -193,7 +192,51 @@ class BodyComparison(Comparison):
 
     @property
     def sentence(self) -> str:
-        return sentence(self)
+        squared, noise = self.squared, self.noise.value
+        heldout, where = squared[~self.train_samples], " where it was not fitted"
+        if not len(heldout) or len(heldout) == len(squared):
+            heldout, where = squared, ""
+        error = root_mean(heldout)
+        what = {"mm": "tip", "rad": "bend", "1/m": "curvature"}.get(self.unit, "device")
+        who = "The twin" if self.fidelity == "pipeline" else "The twin's full simulation"
+        text = f"{who} misses the measured {what} by {error:.3g} {self.unit}{where}"
+        commanded = self.recording.samples[self.recording.pressure_columns].to_numpy(float)
+        if np.ptp(commanded, axis=0).max() <= 1e-3:
+            return (
+                "The commanded pressure never moves in this recording, so nothing about bending can be "
+                f"learnt from it; record steps or ramps. {text}."
+            )
+        if noise:
+            if error / noise <= NOISE:
+                return f"{text}: at the noise ({noise:.2g} {self.unit})."
+            text += f", {error / noise:.3g} times the noise of the measurement ({noise:.2g} {self.unit})"
+        if len(squared) < FEW_ROWS:
+            few = f"{plural(len(squared), 'row')} are too few to show where it is worst"
+            return f"{text}; {few}; record longer."
+        peak = self._peak()
+        return f"{text}; it is worst {peak}." if peak else f"{text}."
+
+    def _peak(self) -> str:
+        """Where the error stands out most against all the rest; empty where it does nowhere."""
+        squared, most, where = self.squared, 1.5, ""
+        for axis in (a for a in self.axes if len(a.labels) > 1):
+            for i in range(len(axis.labels)):
+                at = axis.bin == i
+                if at.mean() < 0.02 or at.all():
+                    continue
+                ratio = np.sqrt(squared[at].mean() / max(squared[~at].mean(), 1e-300))
+                if ratio > most:
+                    most, where = ratio, phrase(axis, i)
+        return where
+
+    @property
+    def inside_band(self) -> str:
+        """The coverage, which must not be None, in words."""
+        values = "values" if self.train is None else "held-out values"
+        return (
+            f"{100 * self.coverage:.0f} % of the {values}; about 95 % is expected, less means that the model "
+            "claims to know more than it does"
+        )
 
     @property
     def by(self) -> dict[str, list[dict]]:
@@ -215,7 +258,7 @@ class BodyComparison(Comparison):
         value, how = self.noise.value, self.noise.how
         rows.append(("noise floor", how if value is None else f"{number(value)} ({how})"))
         if self.coverage is not None:
-            rows.append(("inside the 95 % band", inside_band(self)))
+            rows.append(("inside the 95 % band", self.inside_band))
         if self.pressure_error:
             e = self.pressure_error["heldout"]
             rows.append(("pressure, held out", "-" if e is None else f"{e:.3g} kPa"))
@@ -308,16 +351,9 @@ def by_axis(axis: Axis, squared: np.ndarray, train: np.ndarray) -> list[dict]:
 
 
 def out_of_range(twin: Twin, bench: BodyData) -> tuple[float | None, str | None]:
-    """Share of samples whose bending pressure or joint angles lie outside the training, and a sentence.
+    """Share of samples outside what the twin's action network was trained with, and a sentence.
 
-    Each sample's joint angles count, as in the world in free air.
-
-    Args:
-        twin: of a finger or an arm; both results are None where it has no action network of its own.
-        bench: the recording, as prepared for it.
-
-    Raises:
-        InputError: the network's file is damaged.
+    Each sample's joint angles count, as in the world in free air. Both are None where it has no network.
     """
     file = twin.networks.get("action")
     if file is None:

@@ -6,8 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from lerobot_pneutac.diagnosis.search import Structure
-from lerobot_pneutac.reports.compare_demonstrations import demonstrations_page, film_frames
-from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.reports.page import COMMAND, MEASURED, MODEL, OTHER, Report, side_by_side
 from lerobot_pneutac.study.demonstration_fit import ARM, LATE, TOUCH
 from lerobot_pneutac.study.demonstrations import UNIT, DemonstrationStudy
 from lerobot_pneutac.verbs.result import Comparison, rms_of
@@ -15,7 +14,7 @@ from pneutac_datasets.demonstrations.episodes import Episode
 from pneutac_datasets.demonstrations.replay.imprint import LightDrift, light_drift
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.demonstrations.replay.replaying import Replayed, replay
-from pneutac_sim.features import AREA, CONTROL_HZ
+from pneutac_sim.features import AREA, CONTROL_HZ, PRESSURE
 from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.progress import Progress, no_progress
@@ -32,24 +31,15 @@ LATE_S = 0.02  # from the twin's own latency: more is reported
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class DemonstrationComparison(Comparison):
-    """A twin against demonstrations.
+    """A twin against demonstrations."""
 
-    Attributes:
-        study: the episodes as measured and replayed for the errors.
-        replayed: each episode in the twin's world, with images.
-        latency_s: by which the commands acted late, from the arm; including the twin's.
-        clock_s: by which touch is shown late, from the camera's clock against the robot's.
-        drift_s: change of that from an episode's first half to its second; None if it is unknown.
-        light: how the light of the gel has changed since the twin was made.
-    """
-
-    study: DemonstrationStudy
+    study: DemonstrationStudy  # the episodes as measured and replayed for the errors
     findings: tuple[str, ...]
-    replayed: list[Replayed]
-    latency_s: float
-    clock_s: float
-    drift_s: float | None
-    light: LightDrift
+    replayed: list[Replayed]  # each episode in the twin's world, with images
+    latency_s: float  # by which the commands acted late, from the arm; including the twin's
+    clock_s: float  # by which touch is shown late, from the camera's clock against the robot's
+    drift_s: float | None  # change of that from an episode's first half to its second; None if it is unknown
+    light: LightDrift  # how the light of the gel has changed since the twin was made
 
     unit = UNIT
     keys = (
@@ -94,7 +84,6 @@ class DemonstrationComparison(Comparison):
 
     @cached_property
     def phase(self) -> np.ndarray:
-        """(N,) phase of each frame, an index of `PHASES`."""
         return np.concatenate([phases(e) for e in self.demonstrations.episodes])
 
     @cached_property
@@ -215,11 +204,7 @@ def phases(episode: Episode) -> np.ndarray:
 def compare_demonstrations(
     twin: Twin, given: Demonstrations, seed: int = 0, progress: Progress = no_progress
 ) -> DemonstrationComparison:
-    """Replays demonstrations in the twin's world and compares; neither is changed.
-
-    Raises:
-        InputError: an episode's objects cannot be placed.
-    """
+    """Replays demonstrations in the twin's world; raises InputError where objects cannot be placed."""
     study = DemonstrationStudy(twin, given, seed, (), progress)
     world, f = VariedWorld(given.task, twin, "image", "probe", station=given.station), study.fitter
     replayed = [
@@ -250,3 +235,74 @@ def _clock_drift_s(study: DemonstrationStudy) -> float | None:
             return None
         halves.append(f.lateness(kept) / CONTROL_HZ)
     return halves[1] - halves[0]
+
+
+WIDTH = 180  # of a picture of the gel, px
+GAIN = 3  # by which a change is shown larger
+SHOWN = 3  # episodes with curves
+EVERY = 2  # frames of an episode that are shown in the film
+
+
+def demonstrations_page(c) -> Report:
+    page = c.lead_page()
+    for remark in c.remarks():
+        page.text(remark.replace("[yellow]", "").replace("[/]", ""))
+    worst = c.worst[0]["trial"]
+    e = c.demonstrations.episodes[worst]
+    frames = film_frames(c, worst)
+    caption = (
+        f"Episode {worst}: the gel as recorded, as replayed, and their difference, {GAIN} times as large."
+    )
+    page.image(frames[int(np.argmax(e.state[:, AREA]))], caption, 3 * WIDTH)
+    page.film(
+        frames[::EVERY], EVERY / CONTROL_HZ, f"The same as a film, {len(e) / CONTROL_HZ:.0f} s.", 3 * WIDTH
+    )
+    page.heading("Pressure, contact area and path")
+    for row in c.worst[:SHOWN]:
+        page.figure(
+            _curves(c, row["trial"]), f"Episode {row['trial']}: recorded, and replayed by the twin.", 520
+        )
+    page.heading("Errors")
+    for axis, rows in c.by.items():
+        page.table([{axis: r.pop("bin"), **r} for r in map(dict, rows)])
+    page.text(
+        f"Error in {c.unit}: root mean square over frames; errors of gauge and touch are converted to the "
+        "bend that would cause them. Area is the share of the image that is in contact."
+    )
+    return page
+
+
+def film_frames(c, number: int) -> list[np.ndarray]:
+    """Of an episode: the gel as recorded and as replayed side by side, uint8 (H, W, 3) each."""
+    recorded, replayed = c.demonstrations.episodes[number].images, c.replayed[number].images
+    assert replayed is not None
+    return [beside(a, b) for a, b in zip(recorded, replayed, strict=True)]
+
+
+def beside(recorded: np.ndarray, replayed: np.ndarray) -> np.ndarray:
+    """Two images of the gel and their difference, `GAIN` times as large, side by side: uint8 (H, W, 3)."""
+    apart = np.clip(128 + GAIN * (recorded.astype(int) - replayed), 0, 255).astype(np.uint8)
+    return side_by_side((recorded, replayed, apart), width=WIDTH, gap=0)
+
+
+def _curves(c, number: int):
+    from plotly.subplots import make_subplots
+
+    e, r = c.demonstrations.episodes[number], c.replayed[number]
+    t = np.arange(len(e)) / CONTROL_HZ
+    figure = make_subplots(rows=3, cols=1, shared_xaxes=True, vertical_spacing=0.05)
+    ends = c.study.fitter.ends
+    off = np.linalg.norm(c.residual[ends[number] : ends[number + 1], :3], axis=1)
+    lines = (
+        (1, "commanded", t, e.action[:, 3], COMMAND),
+        (1, "recorded", t, e.state[:, PRESSURE], MEASURED),
+        (1, "replayed", t, r.pressure_kpa, MODEL),
+        (2, "recorded", t, 100 * e.state[:, AREA], MEASURED),
+        (2, "replayed", t, 100 * r.area, MODEL),
+        (3, "arm off its commands", t, off, OTHER),
+    )
+    for row, name, x, y, colour in lines:
+        figure.add_scatter(x=x, y=y, name=name, line_color=colour, showlegend=row != 2, row=row, col=1)
+    for row, title in ((1, "pressure (kPa)"), (2, "contact area (%)"), (3, "arm (mm)")):
+        figure.update_yaxes(title=title, row=row, col=1)
+    return figure.update_xaxes(title="s", row=3, col=1)

@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from lerobot_pneutac.reports.gel_told import picture_grid
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.study.gel_model import predict, seen_by
-from lerobot_pneutac.verbs.fit_gel import errors_of, scores_of
+from lerobot_pneutac.verbs.fit_gel import errors_of, picture_grid, scores_of
 from lerobot_pneutac.verbs.result import Comparison
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
@@ -27,20 +26,13 @@ WORST = 5
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class GelComparison(Comparison):
-    """A gel against photographs.
-
-    Attributes:
-        predicted: of each, uint8 (H, W, 3).
-        scores: of each.
-        rest_scores: of the rest image alone.
-        touch: of each, what `TouchReader` reads from the photograph, and what its row states.
-    """
+    """A gel against photographs."""
 
     data: GelRecording
-    predicted: list[np.ndarray]
-    scores: list[ImageScores]
-    rest_scores: list[ImageScores]
-    touch: list[dict]
+    predicted: list[np.ndarray]  # of each, uint8 (H, W, 3)
+    scores: list[ImageScores]  # of each
+    rest_scores: list[ImageScores]  # of the rest image alone
+    touch: list[dict]  # of each, what `TouchReader` reads from the photograph, and what its row states
     folder: Path
     twin: Twin
 

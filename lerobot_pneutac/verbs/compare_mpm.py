@@ -34,11 +34,6 @@ def spread(count: int, samples: int, seed: int = 0) -> np.ndarray:
 def by_mpm(
     c: BodyComparison, twin: Twin, samples: int, seed: int, progress: Progress = no_progress
 ) -> BodyComparison:
-    """A comparison at some of the samples, with a model by material points.
-
-    Raises:
-        InputError: an effect cannot act on material points, or a body finds no rest.
-    """
     bench = c.bench
     at = spread(len(bench), samples, seed)
     model, solved = markers_by_mpm(twin, bench, at, progress)
@@ -50,7 +45,7 @@ def by_mpm(
         measured=c.measured[at],
         model=model,
         train_samples=c.train_samples[at],
-        band=None if c.band is None else c.band.at(at),
+        band=None if c.band is None else replace(c.band, half=c.band.half[at]),
         axes=[axis for axis in (_thinned(a, at) for a in c.axes) if axis.labels],
         rate=c.rate[at],
         still=c.still[at],
@@ -72,19 +67,10 @@ def _thinned(axis: Axis, at: np.ndarray) -> Axis:
 def markers_by_mpm(
     twin: Twin, bench: BodyData, samples: np.ndarray, progress: Progress = no_progress
 ) -> tuple[np.ndarray, int]:
-    """Columns of a recording as a body of material points at rest would show them.
+    """Columns (k, D) of some rows of a recording as material points at rest show them, and how many rests.
 
     The pipeline gives the joint targets of all samples, so that effects with a memory miss none. At those of
     `samples` the body is brought to rest; its spine is then observed as the pipeline's is.
-
-    Args:
-        twin: a finger's or an arm's.
-        bench: the recording, whole.
-        samples: (k,) rows of it.
-        progress: called with a text, the poses done and all of them.
-
-    Returns:
-        (k, D) values of `bench.columns`, and how many equilibria it took.
     """
     solver = devices.BODIES[twin.device](twin)
     pipeline = Pipeline.of(twin, bench.inputs)

@@ -3,12 +3,13 @@
 import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
-from plotly.subplots import make_subplots
 
 from lerobot_pneutac.cli.terminal import Terminal
+from lerobot_pneutac.reports.figures import stacked
 from lerobot_pneutac.reports.page import HELDOUT, MEASURED, MODEL, TRAIN, Report
 from lerobot_pneutac.study.pair import same_body
 from lerobot_pneutac.verbs.result import Result
@@ -84,9 +85,7 @@ class Control(Result):
 
     def rows(self) -> list[dict]:
         kinds = (("by the twin", self.expected_error_rad), ("measured", self.error_rad))
-        return [
-            {"bend": name, "error, mrad": f"{1e3 * error:.1f}"} for name, error in kinds if error is not None
-        ]
+        return [{"bend": n, "error, mrad": f"{1e3 * e:.1f}"} for n, e in kinds if e is not None]
 
     def next_after(self, out: Path) -> str:
         if self.recording:
@@ -96,7 +95,7 @@ class Control(Result):
     def page(self) -> Report:
         page = self.lead_page()
         page.table(self.rows(), "Root mean square of the bend against what was asked for.")
-        figure = make_subplots(2, 1, shared_xaxes=True, row_heights=[0.7, 0.3], vertical_spacing=0.06)
+        figure = stacked(("bend, rad", "pressure, kPa"), (0.7, 0.3))
         asked = ("asked for", self.target_rad, MEASURED)
         for name, y, colour in (asked, ("by the twin", self.predicted_rad, MODEL)):
             figure.add_scatter(x=self.time_s, y=y, name=name, line={"color": colour}, row=1, col=1)
@@ -105,14 +104,10 @@ class Control(Result):
             figure.add_scatter(x=self.measured_s, y=self.measured_rad, name="measured", **dots, row=1, col=1)
         held = {"shape": "hv", "color": HELDOUT}
         figure.add_scatter(x=self.time_s, y=self.pressure_kpa, name="command", line=held, row=2, col=1)
-        for row, title in ((1, "bend, rad"), (2, "pressure, kPa")):
-            figure.update_yaxes(title_text=title, row=row, col=1)
-        figure.update_xaxes(title_text="time, s", row=2, col=1)
         page.figure(figure, "Above the bend, below the pressure that was commanded for it.", 520)
         return page
 
     def report(self, out: str | Path, command: str = "") -> Path:
-        """Writes `program.csv`, for `pneutac measure --program=`, too."""
         table = pd.DataFrame({"time_s": self.time_s, COMMAND: self.pressure_kpa, TARGET: self.target_rad})
         with whole(Path(out) / "program.csv") as part:
             table.to_csv(part, index=False, float_format="%.6g")
@@ -142,7 +137,7 @@ def control(
             bend itself (n,) in rad, at each control step. A twin that was calibrated by tips means the
             circular arc from the base to the tip, 2 atan2(z, x).
         hz: control steps a second.
-        conditions: what the twin's effects ask for, such as {"temperature_c": 22}.
+        conditions: what the twin's effects ask for, such as {temperature_c: 22}.
         recording: in which `program.csv` was driven, each trial once through; shows how well it followed.
 
     Raises:
@@ -185,9 +180,8 @@ def _shape(name: str, hz: float, rest: float, most: float) -> np.ndarray:
 
 
 def _table(path: Path, hz: float) -> np.ndarray:
-    given = path
     if path.suffix != ".csv" or not path.is_file():
-        raise InputError(f"bend={given} is neither a CSV file nor one of {', '.join(SHAPES)}.")
+        raise InputError(f"bend={path} is neither a CSV file nor one of {', '.join(SHAPES)}.")
     try:
         table = pd.read_csv(path)
         time_s, bend = (table[c].to_numpy(float) for c in ("time_s", TARGET))
@@ -224,11 +218,11 @@ class ControlConfig:
         twin: folder of a finger's calibrated twin.
         bend: `steps`, `sine` or `loops` inside the finger's reach, or a CSV with `time_s` and
             `bend_angle_rad`.
-        hz: control steps a second.
-        conditions: what the twin's effects ask for, such as {temperature_c: 22}.
         recording: folder of a recording in which the program was driven; shows how well the finger followed.
         out: folder for `program.csv`, `result.json` and `report.html`; nothing is written without it.
     """
+
+    described_by: ClassVar = control
 
     twin: Path
     bend: str = "sine"

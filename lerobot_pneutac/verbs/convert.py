@@ -113,12 +113,17 @@ def convert(config: ConvertConfig, show: Callable[[Understood], None] = lambda u
         InputError: one sentence: what is missing in which file, or a fault of the recording.
     """
     film = config.source.suffix.lower() in FILMS
-    if not (film or config.tip or _is_markers(config.source)):
+    read = None if film else _reader(config.source)
+    if not (film or config.tip or read):
         return _convert_tables(config, show)
     missing = [n for n in ("out", "length_mm") if getattr(config, n) is None]
     if missing:
         raise InputError(f"{missing[0]} is missing; markers and films need it.")
-    source = Source(config.source) if film else _read(config)
+    if not (film or read):
+        raise InputError(
+            f"{config.source} has no markers; leave out --tip, and name its columns by --columns."
+        )
+    source = read(config.source) if read else Source(config.source)
     log = shifted(source if config.log is None else _log(config), config.offset_s)
     columns = {n: n for n in log.columns} if config.log is not None else config.columns
     if film:
@@ -179,23 +184,15 @@ def _columns(config: ConvertConfig) -> dict[str, str]:
     return ({config.time: "time_s"} if config.time else {}) | config.columns
 
 
-def _is_markers(path: Path) -> bool:
+def _reader(path: Path) -> Callable[[Path], Source] | None:
+    """What reads the markers of a take or a bag; None for anything else."""
     if path.is_dir() or path.suffix.lower() in (".mcap", ".db3"):
-        return True
-    table = path.suffix.lower() == ".csv" and path.is_file()
-    return table and (mocap.is_optitrack(path) or mocap.is_vicon(path))
-
-
-def _read(config: ConvertConfig) -> Source:
-    """Markers and numbers of a take or a bag, or the numbers of a table."""
-    path = config.source
-    if path.is_dir() or path.suffix.lower() in (".mcap", ".db3"):
-        return read_rosbag(path)
-    if path.suffix.lower() == ".csv" and mocap.is_optitrack(path):
-        return mocap.read_optitrack(path)
-    if path.suffix.lower() == ".csv" and mocap.is_vicon(path):
-        return mocap.read_vicon(path)
-    raise InputError(f"{path} has no markers; leave out --tip, and name its columns by --columns.")
+        return read_rosbag
+    if path.suffix.lower() != ".csv" or not path.is_file():
+        return None
+    if mocap.is_optitrack(path):
+        return mocap.read_optitrack
+    return mocap.read_vicon if mocap.is_vicon(path) else None
 
 
 def _log(config: ConvertConfig) -> Source:

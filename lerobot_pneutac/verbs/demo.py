@@ -25,7 +25,6 @@ import numpy as np
 from scipy.stats import binomtest
 
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.reports.demo import demo_page, quick_page
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.verbs.compare import compare
 from lerobot_pneutac.verbs.result import Result
@@ -88,15 +87,10 @@ class DemoConfig:
 
 @dataclass(frozen=True)
 class QuickResult(Result):
-    """What the quick demo came to.
+    """What the quick demo came to."""
 
-    Attributes:
-        out: its folder.
-        state: stage name to its numbers, seconds and commands.
-    """
-
-    out: Path
-    state: dict
+    out: Path  # its folder
+    state: dict  # stage name to its numbers, seconds and commands
     title = "A twin learns what its finger lacked"
     measured: ClassVar = "monday"  # folder of the recording that it was fitted to
 
@@ -136,6 +130,8 @@ class QuickResult(Result):
         }
 
     def page(self) -> Report:
+        from lerobot_pneutac.reports.demo import quick_page  # plotly
+
         twins = Twin.load(self.out / "before"), Twin.load(self.out / "twin")
         return quick_page(self, *(compare(twin, Recording.load(self.out / "friday")) for twin in twins))
 
@@ -201,6 +197,8 @@ class DemoResult(QuickResult):
         }
 
     def page(self) -> Report:
+        from lerobot_pneutac.reports.demo import demo_page
+
         return demo_page(self)
 
 
@@ -220,11 +218,7 @@ Announce = Callable[[str], None]
 
 
 class Demo:
-    """One run: its folder, its stages and the commands that it ran. Finished stages are reused.
-
-    Raises:
-        InputError: the folder holds a demo with other options.
-    """
+    """One run: its folder, its stages and the commands that it ran. Finished stages are reused."""
 
     def __init__(self, cfg: DemoConfig, announce: Announce, progress: Progress):
         self.cfg, self._announce, self._progress = cfg, announce, progress
@@ -448,14 +442,7 @@ class Demo:
             return [each.result() for each in running]
 
     def _command(self, *command: str, total: int = 0, pattern: str = "") -> str:
-        """Runs one command, its output into `logs/`; each match of `pattern` is progress.
-
-        Returns:
-            All that it printed.
-
-        Raises:
-            InputError: it failed; with the end of its log.
-        """
+        """Runs a command and returns what it printed, also into `logs/`; a match of `pattern` is progress."""
         line = shlex.join(command)
         self._commands.append(line)
         self._announce(f"$ {line}")

@@ -60,17 +60,11 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Felt:
-    """What happened in a motion, from a second after the touch on.
+    """What happened in a motion, from a second after the touch on."""
 
-    Attributes:
-        force_n: (T,) on the gel.
-        turn_deg: (T,) of the bar in the gel's frame.
-        way_mm: (T,) of the flange sideways.
-    """
-
-    force_n: np.ndarray
-    turn_deg: np.ndarray
-    way_mm: np.ndarray
+    force_n: np.ndarray  # (T,) on the gel
+    turn_deg: np.ndarray  # (T,) of the bar in the gel's frame
+    way_mm: np.ndarray  # (T,) of the flange sideways
 
     @property
     def time_s(self) -> np.ndarray:
@@ -84,7 +78,6 @@ class Felt:
 
 
 def held(seconds: float, kpa: float = PRESS_KPA, velocity=(0.0, 0.0, 0.0)) -> list[np.ndarray]:
-    """Actions that hold a pressure and a velocity for a time."""
     return [np.array([*velocity, kpa])] * round(seconds * CONTROL_HZ)
 
 
@@ -109,11 +102,7 @@ MOTIONS = (
 
 
 def carried_out(world, seed: int, motion: Motion) -> Felt:
-    """What is felt in a motion, from where the finger has found the bar.
-
-    Raises:
-        InputError: the finger does not reach the bar.
-    """
+    """What is felt in a motion once the finger has found the bar; raises InputError where it does not."""
     world.reset(seed)
     pressures: Callable[[float], np.ndarray] = pressures_of(world)
     for _ in range(LONGEST):
@@ -161,17 +150,11 @@ class MotionChoice:
 
 @dataclass(frozen=True)
 class Misses:
-    """By how much a set of demonstrations misses what it shows, standard deviations.
+    """By how much a set of demonstrations misses what it shows, standard deviations."""
 
-    Attributes:
-        shape: of the force, a share of it.
-        level: of the logarithm of imprints' strength; infinite where none is known to hold it against.
-        turn: degrees a mm.
-    """
-
-    shape: float
-    level: float
-    turn: float
+    shape: float  # of the force, a share of it
+    level: float  # of the logarithm of imprints' strength; infinite where none is known to hold it against
+    turn: float  # degrees a mm
 
     @classmethod
     def of(cls, episodes: int, known_strength: bool) -> "Misses":
@@ -200,15 +183,8 @@ def motion_choices(
 ) -> list[MotionChoice]:
     """Every motion, and what it would show; none is written anywhere.
 
-    Args:
-        twin: of a finger of one chamber.
-        misses: of the demonstrations that would be recorded.
-        station: where.
-        progress: called with how many motions of all fingers have been simulated.
-        drags: how far to drag sideways, mm, pressing with what of the paper's finger, kPa.
-
-    Raises:
-        InputError: the twin has several chambers, or its finger does not find the bar.
+    Drags go so many mm sideways, pressing with so many kPa of the paper's finger. Raises InputError where
+    the twin has several chambers, or its finger does not find the bar.
     """
     motions = (*MOTIONS, *(sideways(*drag) for drag in drags))
     felt: dict[str, list[list[Felt]]] = {}

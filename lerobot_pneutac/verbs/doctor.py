@@ -15,25 +15,21 @@ from lerobot_pneutac.cli.terminal import Terminal
 OK, NOTE, FAIL = "ok", "note", "missing"
 DEV = Path("/dev")
 LEROBOT = "0.6"  # series that `lerobot_robot_pneutac` is tried on; it names the exact version
+PACKAGES = ("lerobot", "torch", "mujoco", "numba", "gymnasium", "numpy", "pyserial")
 Check = tuple[str, str, str, str]  # name, state, what was found, remedy
 
 
-def check_packages() -> list[Check]:
-    """Versions of the packages that the work rests on."""
-    rows = [("Python", OK if sys.version_info >= (3, 12) else FAIL, platform.python_version(), "")]
-    for name in ("lerobot", "torch", "mujoco", "numba", "gymnasium", "numpy", "pyserial"):
-        try:
-            version, remedy = importlib.metadata.version(name), ""
-            if name == "lerobot" and not version.startswith(f"{LEROBOT}."):
-                remedy = f"PneuTac is made for LeRobot {LEROBOT}: uv pip install 'lerobot=={LEROBOT}.*'"
-        except importlib.metadata.PackageNotFoundError:
-            version, remedy = "not installed", f"uv pip install {name}"
-        rows.append((name, FAIL if remedy else OK, version, remedy))
-    return rows
+def check_package(name: str) -> Check:
+    try:
+        version, remedy = importlib.metadata.version(name), ""
+        if name == "lerobot" and not version.startswith(f"{LEROBOT}."):
+            remedy = f"PneuTac is made for LeRobot {LEROBOT}: uv pip install 'lerobot=={LEROBOT}.*'"
+    except importlib.metadata.PackageNotFoundError:
+        version, remedy = "not installed", f"uv pip install {name}"
+    return (name, FAIL if remedy else OK, version, remedy)
 
 
 def check_plugin() -> Check:
-    """Whether LeRobot finds the plugin and can make its robot."""
     from lerobot.robots import RobotConfig
     from lerobot.utils.import_utils import register_third_party_plugins
 
@@ -53,7 +49,6 @@ def check_gpu() -> Check:
 
 
 def check_rendering() -> Check:
-    """Whether the world can be drawn without a display."""
     from pneutac_sim.world import World
 
     world = World("switch", touch="none")
@@ -88,7 +83,6 @@ def _devices(name: str, devices: list[str], group: str, use: str) -> Check:
 
 
 def check_digit() -> Check:
-    """DIGITs by the serial number that `--robot.digit.serial` takes."""
     from lerobot_camera_digit.digit import find_digits
 
     digits = find_digits()
@@ -98,7 +92,6 @@ def check_digit() -> Check:
 
 
 def check_arm() -> Check:
-    """The library that drives a Panda."""
     try:
         return ("Panda", OK, f"franky {importlib.metadata.version('franky-control')}", "")
     except importlib.metadata.PackageNotFoundError:
@@ -124,7 +117,8 @@ CHECKS = (
 
 
 def check_all() -> list[Check]:
-    rows = check_packages()
+    rows = [("Python", OK if sys.version_info >= (3, 12) else FAIL, platform.python_version(), "")]
+    rows += map(check_package, PACKAGES)
     for check in CHECKS:
         try:
             rows.append(check())

@@ -15,8 +15,8 @@ from rich.table import Table
 from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.reports.page import AFTER, BEFORE, COMMAND, MEASURED, Report
+from lerobot_pneutac.verbs.export import Source
 from lerobot_pneutac.verbs.result import Result
-from lerobot_pneutac.verbs.source import Source
 from pneutac_sim.effects.body_effect import BodyEffect
 from pneutac_sim.effects.effect import Effect, Parameter
 from pneutac_sim.effects.laws import family, is_law, law, law_names
@@ -46,7 +46,6 @@ class ShownEffect(Result):
 
     @property
     def sentence(self) -> str:
-        """Its sentence on a device at the size with which a fit starts."""
         values = {p.name: p.limits(TOP_KPA)[0] for p in self.effect.parameters}
         return self.effect.describe(values, "gel" if of_sensor([self.effect.name]) else "finger")
 
@@ -120,8 +119,7 @@ class Program:
 def tips(name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Steps and ramps of the built-in finger without and with one effect at its start of a fit.
 
-    Returns:
-        Time (n,) in s, command (n,) in kPa, tip without and with it (n, 3) in mm.
+    Returns time (n,) s, command (n,) kPa, and the tip without and with it (n, 3) mm.
     """
     from pneutac_sim.finger import simulate
 
@@ -162,7 +160,6 @@ _WORDS = {
 
 
 def plain_equation(latex: str) -> str:
-    """An equation in characters of the keyboard."""
     text = re.sub(r"\\(?:text|mathrm|mathrel)\{([^{}]*)\}", r"\1", latex)
     text = re.sub(r"\\bar\s*(\w+)", r"mean \1", text)
     text = re.sub(r"\\ddot\s*(\w+)", r"d^2\1/dt^2", text)
@@ -195,11 +192,7 @@ def file_name(name: str) -> str:
 
 
 def effect_source(name: str) -> str:
-    """A stand-alone Python file of an effect or a law, to change and to install as one of your own.
-
-    Raises:
-        InputError: there is no such effect, or it comes from another package.
-    """
+    """A stand-alone Python file of one of our effects or laws, to change and install as one of your own."""
     get_effect(name)
     if is_law(name):
         return _law_source(law(name))
@@ -214,7 +207,6 @@ def effect_source(name: str) -> str:
 
 
 def _law_source(effect: BodyEffect) -> str:
-    """The row of the catalogue, and the source of what it runs."""
     run = effect.run if isinstance(effect.run, partial) else partial(effect.run)
     source = Source()
     expression = source.add(run)

@@ -10,40 +10,26 @@ from pneutac_sim.finger.stages import drive_line, gain_profile
 
 @dataclass(frozen=True)
 class Link:
-    """One step of the way from the command to the tip.
+    """One step of the way from the command to the tip."""
 
-    Attributes:
-        name: of the effect, or what it does.
-        kind: the signal that it changes: `pressure` (chambers,) kPa, `load` (6,) N, `joints` rad less the
-            curl at rest, `markers` (5,) mm and rad; or `drive`, `equilibrium` and `kinematics`, between.
-        run: the function; None for the drive.
-        constants: names in `CONSTANTS` of what it is given, in order.
-        columns: conditions that it needs.
-        memory: numbers that it remembers.
-    """
-
-    name: str
+    name: str  # of the effect, or what it does
+    # the signal that it changes: `pressure` (chambers,) kPa, `load` (6,) N, `joints` rad less the curl at
+    # rest, `markers` (5,) mm and rad; or `drive`, `equilibrium` and `kinematics`, between.
     kind: str
-    run: Callable | None = None
-    constants: tuple[str, ...] = ()
-    columns: tuple[str, ...] = ()
-    memory: int = 0
+    run: Callable | None = None  # the function; None for the drive
+    constants: tuple[str, ...] = ()  # names in `CONSTANTS` of what it is given, in order
+    columns: tuple[str, ...] = ()  # conditions that it needs
+    memory: int = 0  # numbers that it remembers
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the finger is; frame of its base: x along the straight finger, z where pressure bends it.
+    """Where the finger is; frame of its base: x along the straight finger, z where pressure bends it."""
 
-    Attributes:
-        pressure_kpa: (chambers,) as the gauge reads it.
-        joints_rad: (N,) angles of the joints, of an arm (N, 2) towards +z and towards +y.
-        tip: (5,) x, y, z in mm, bend towards +z and towards +y in rad.
-        measured: (5,) the same as a camera or tracker reads it, with the errors that the twin knows of.
-    """
-
-    pressure_kpa: np.ndarray
-    joints_rad: np.ndarray
-    tip: np.ndarray
+    pressure_kpa: np.ndarray  # (chambers,) as the gauge reads it
+    joints_rad: np.ndarray  # (N,) angles of the joints, of an arm (N, 2) towards +z and towards +y
+    tip: np.ndarray  # (5,) x, y, z in mm, bend towards +z and towards +y in rad
+    # (5,) the same as a camera or tracker reads it, with the errors that the twin knows of.
     measured: np.ndarray
 
 

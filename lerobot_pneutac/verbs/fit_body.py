@@ -65,11 +65,7 @@ class Compliance:
 def fit_compliance(twin: Twin, recording: Recording, train: np.ndarray, seed: int = 0) -> Compliance:
     """Fits the joints' whole stiffness and the soft body's modulus where known loads bend the finger.
 
-    Args:
-        twin: of a finger or an arm; of an arm, which bends in two planes, nothing is fitted.
-        recording: of the same device.
-        train: (n,) samples to fit.
-        seed: of the starting points.
+    Only the samples `train` (n,) are fitted; of an arm, which bends in two planes, nothing is.
     """
     if twin.device != "finger":
         return _held(twin, "An arm's modulus and stiffness are not fitted to loaded poses; they stay fixed.")
@@ -171,26 +167,19 @@ MOST_POINTS = 4000  # of a line in the report
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class BodyCalibration(Calibration):
-    """A body calibrated to markers or angles.
+    """A body calibrated to markers or angles."""
 
-    Attributes:
-        fits: one fit a stage: of the measured pressure, if any, then of the pose.
-        bench: the recording as the body fit sees it, driven by the measured pressure where there is one.
-        train: (n,) mask.
-        before: held-out error of the twin as it was, from the command; None where nothing was held out.
-        without_causes: held-out error without the known causes; None where nothing was held out.
-        causes: known causes that the recording shows (weight, payload, base pose, stretch), and what each is
-            worth on the held-out part.
-        compliance: what loaded poses show of modulus and stiffness, one sentence.
-    """
-
-    fits: list[PipelineFit]
+    fits: list[PipelineFit]  # one fit a stage: of the measured pressure, if any, then of the pose
+    # the recording as the body fit sees it, driven by the measured pressure where there is one.
     bench: BodyData
-    train: np.ndarray
+    train: np.ndarray  # (n,) mask
+    # held-out error of the twin as it was, from the command; None where nothing was held out.
     before: float | None
-    without_causes: float | None
+    without_causes: float | None  # held-out error without the known causes; None where nothing was held out
+    # known causes that the recording shows (weight, payload, base pose, stretch), and what each is worth on
+    # the held-out part.
     causes: list[Contribution]
-    compliance: str
+    compliance: str  # what loaded poses show of modulus and stiffness, one sentence
 
     @property
     def title(self) -> str:
@@ -240,35 +229,28 @@ class BodyCalibration(Calibration):
         return super().content() | errors | {"known_causes": self.causes, "compliance": self.compliance}
 
     def page(self) -> Report:
-        import plotly.graph_objects as go
+
+        from lerobot_pneutac.reports.figures import curves  # plotly
 
         page = Report(self.title)
         page.lead(" ".join([self.sentence, *self._causes()]))
         page.text(f"{self.compliance} {range_sentence(self.twin.pressure_range_kpa)}")
         worth = "Intervals count neighbouring samples as the few independent ones that they are worth."
-        page.table(self.parameter_rows(), worth)
+        page.table(Calibration.rows(self), worth)
         t = self.bench.inputs.columns["session_time_s"][self.bench.inputs.rows]
         step = max(1, len(t) // MOST_POINTS)
         for i, column in enumerate(self.bench.columns[: self.bench.counted]):
-            figure = go.Figure()
             measured, residual = self.bench.measured[:, i], self.fits[-1].residual[:, i]
             lines = (("measured", measured, MEASURED), ("twin", measured - residual, MODEL))
             left = ("held-out residual", np.where(self.train, np.nan, residual), HELDOUT)
-            for name, y, colour in (*lines, left):
-                line = {"color": colour}
-                figure.add_scattergl(x=t[::step], y=y[::step], name=name, mode="lines", line=line)
-            page.figure(figure.update_xaxes(title="time (s)").update_yaxes(title=column))
+            shown = ((name, t[::step], y[::step], colour) for name, y, colour in (*lines, left))
+            page.figure(curves(shown, "time (s)", column))
         return page
 
 
 def calibrate_body(
     twin: Twin, recording: Recording, seed: int = 0, progress: Progress = no_progress
 ) -> BodyCalibration:
-    """Fits all parameters of the twin and of its effects to 70 % of a recording, by whole blocks of time.
-
-    Raises:
-        InputError: as `fit_parts`.
-    """
     began = time.perf_counter()
     folder = str(recording.folder)
     recording, findings, train, heldout = fit_parts(twin, recording, seed)

@@ -31,44 +31,28 @@ DETAIL = 2  # of the looks that the twin keeps: sharper than one Gaussian a part
 
 @dataclass(frozen=True)
 class PhotoOptions:
-    """How a body is fitted to photographs.
+    """How a body is fitted to photographs."""
 
-    Attributes:
-        levels_kpa: pressures to fit; all others are held out.
-        evaluations: of the objective.
-        particles: of the body, about.
-        seed: decides the search.
-        device: of the material points, see `mpm.runtime.start`.
-    """
-
-    levels_kpa: tuple[float, ...] = TRAIN_KPA
-    evaluations: int = EVALUATIONS
-    particles: int = PARTICLES
-    seed: int = 0
-    device: str = "auto"
+    levels_kpa: tuple[float, ...] = TRAIN_KPA  # pressures to fit; all others are held out
+    evaluations: int = EVALUATIONS  # of the objective
+    particles: int = PARTICLES  # of the body, about
+    seed: int = 0  # decides the search
+    device: str = "auto"  # of the material points, see `mpm.runtime.start`
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class PhotoCalibration(Calibration):
-    """A body calibrated to photographs.
-
-    Attributes:
-        start: from silhouettes alone.
-        objective: of all photographs, fitted and held out.
-        bodies: at rest at every pressure, with the best parameters.
-        scores: of the bodies on all photographs, (1, n).
-        tip_error_mm: (T,) distance to the markers, or None where the recording has none.
-    """
+    """A body calibrated to photographs."""
 
     fitted: BodyParameters
     study: PhotoStudy
-    start: Coarse
+    start: Coarse  # from silhouettes alone
     search: Search
     confidence: Posterior
-    objective: Objective
-    bodies: Bodies
-    scores: Scores
-    tip_error_mm: np.ndarray | None
+    objective: Objective  # of all photographs, fitted and held out
+    bodies: Bodies  # at rest at every pressure, with the best parameters
+    scores: Scores  # of the bodies on all photographs, (1, n)
+    tip_error_mm: np.ndarray | None  # (T,) distance to the markers, or None where the recording has none
 
     @property
     def title(self) -> str:
@@ -158,18 +142,9 @@ def calibrate_photographs(
     best: Path | None = None,
     progress: Progress = no_progress,
 ) -> PhotoCalibration:
-    """Fits drive and material to the photographs at the training levels.
+    """Fits drive and material to the photographs with masks at the training levels; the rest stays.
 
-    Args:
-        twin: of the recording's device; what is not fitted stays.
-        recording: with `image_<camera>` and `mask_<camera>` columns.
-        options: levels, effort and seed.
-        file: keeps the search so that an interrupted one goes on; None for nowhere.
-        best: picture of the best rendering so far; None for nowhere.
-        progress: called with a text, the evaluations done and all of them.
-
-    Raises:
-        InputError: photographs, masks, cameras or pressures do not serve.
+    `file` stores the search so that an interrupted one goes on, `best` a picture of the best rendering.
     """
     began = time.perf_counter()
     progress("silhouettes and looks", 0, options.evaluations)

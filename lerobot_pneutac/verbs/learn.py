@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -21,8 +22,7 @@ from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import called
 from lerobot_pneutac.study.pair import same_body, same_chambers
 from lerobot_pneutac.verbs.benches import Bench, check_bench, make_bench, save_choice
-from lerobot_pneutac.verbs.diagnose import diagnose
-from lerobot_pneutac.verbs.diagnosis import Diagnosis, load_contenders
+from lerobot_pneutac.verbs.diagnose import Diagnosis, diagnose, load_contenders
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.recording import Recording, joined
 from pneutac_datasets.recording.wording import joined as listed
@@ -87,7 +87,6 @@ class Round:
 
     @property
     def suffices(self) -> bool:
-        """Whether what was found explains everything measured so far."""
         return self.verdict in KNOWN and self.error <= LEFT * self.noise
 
     @property
@@ -203,11 +202,8 @@ CLEARLY = 0.7  # of the error with what was asked for: below, it was something e
 def error_of(twin: Twin, recording: Recording, rows: slice = slice(None), favour: bool = False) -> float:
     """Root mean square headline error of a twin on some rows of a recording, driven by the command.
 
-    Args:
-        twin: of the recording's device.
-        recording: of a finger, with all that came before these rows.
-        rows: that count.
-        favour: whether gains and offsets of the predicted columns are fitted to these rows.
+    The recording has all that came before these rows. With `favour` gains and offsets of the predicted
+    columns are fitted to them first.
     """
     seen, measured, _ = paths(twin, recording, rows)
     if favour:
@@ -233,15 +229,7 @@ def not_as_asked(
 ) -> str:
     """What the finger looks like instead of what was asked for, a sentence; empty where it agrees.
 
-    A twin that was not fitted to such a change does not decide.
-
-    Args:
-        twin: fitted to what came before.
-        recording: with all that came before these rows.
-        rows: of the program for which a hand was asked.
-        usual: conditions without a hand.
-        asked: conditions asked for.
-        ask_below: error up to which nothing is wrong.
+    An error up to `ask_below` agrees. A twin that was not fitted to such a change does not decide.
     """
     told = error_of(twin, recording, rows)
     if told <= ask_below:
@@ -291,8 +279,8 @@ def learn(
         out: folder of programs, recordings and the learnt twin.
         budget_s: of the programs together.
         program_s: length of a program of the common kinds.
-        seed: decides what is held out.
-        jobs: threads; 0 for all cores.
+        seed: seed of the data split; of the stand-in's noise, too.
+        jobs: number of threads of the search; 0 for all cores.
         hands: what a person may change between programs.
         progress: called with a text, the steps done and all of them.
         on_round: called after each round.
@@ -325,19 +313,16 @@ class Rounds:
         self._out, self._bench, self._hands = out, bench, hands
         self._how = {"seed": seed, "jobs": jobs, "progress": progress}
         self._base = twin
-        self._start(twin)
+        given = out / "given"
+        if not (given / "twin.yaml").is_file():
+            twin.copy().save(given)
+            replace(twin.copy(), folder=None).save(out / "twin")
+        elif _body(Twin.load(given)) != _body(twin):
+            raise InputError(f"{out} holds rounds of another twin; give another --out.")
         self.done: list[Round] = []
         while (file := self._folder(len(self.done)) / "round.json").is_file():
             self.done.append(Round(**json.loads(file.read_text())))
         self._recordings = [Recording.load(self._folder(r.number) / "recording") for r in self.done]
-
-    def _start(self, twin: Twin) -> None:
-        given = self._out / "given"
-        if not (given / "twin.yaml").is_file():
-            twin.copy().save(given)
-            replace(twin.copy(), folder=None).save(self._out / "twin")
-        elif _body(Twin.load(given)) != _body(twin):
-            raise InputError(f"{self._out} holds rounds of another twin; give another --out.")
 
     def _folder(self, number: int) -> Path:
         return self._out / f"round_{number}"
@@ -460,7 +445,6 @@ class Rounds:
         return not_as_asked(best, everything, rows, usual, asked, CONFIRMS * noise)
 
     def _keep_paths(self, file: Path, everything: Recording, rows: slice) -> None:
-        """What the best model foresaw of the newest rows, and what was measured, as a table."""
         seen, measured, names = paths(self._contenders[0].twin, everything, rows)
         entry = ["time_s", *everything.pressure_columns]
         table = everything.samples.iloc[rows][entry].reset_index(drop=True)
@@ -470,7 +454,6 @@ class Rounds:
             table.to_csv(part, index=False, float_format="%.6g")
 
     def _foreseen(self, everything: Recording, rows: slice) -> dict:
-        """Errors in these newest rows, which no model has seen: fields of `Round`."""
         if not self.done:
             return {"predicted_error": None, "bare_error": None, "without": {}}
         contenders = self._contenders
@@ -538,10 +521,9 @@ class LearnConfig:
         payload_g: weight that can be hung.
         warm_c: to which the finger can be warmed.
         budget_min: minutes of programs, together.
-        program_s: length of a program of the common kinds.
-        seed: seed of the data split and of the stand-in's noise.
-        jobs: number of threads of the search; 0 for all cores.
     """
+
+    described_by: ClassVar = learn
 
     twin: Path
     out: Path

@@ -29,20 +29,13 @@ RESTED_S = 60.0  # without pressure before the first trial: what came before the
 
 @dataclass(frozen=True)
 class TrialNote:
-    """How one trial went.
+    """How one trial went."""
 
-    Attributes:
-        number: of the trial, from 0.
-        planned: samples of the program.
-        taken: samples for which the cameras were quick enough.
-        seen: those of them in which the tip was seen, which are stored.
-    """
-
-    number: int
+    number: int  # of the trial, from 0
     program: str
-    planned: int
-    taken: int
-    seen: int
+    planned: int  # samples of the program
+    taken: int  # samples for which the cameras were quick enough
+    seen: int  # those of them in which the tip was seen, which are stored
 
 
 def measure(
@@ -52,15 +45,11 @@ def measure(
 ) -> Recording:
     """Drives the program; the recording holds every trial that was finished, however it ends.
 
-    Args:
-        config: parts, program and folder.
-        on_start: is called with the number of trials and their seconds before anything moves.
-        on_trial: is called after each trial.
+    `on_start` is called with the number of trials and their seconds before anything moves.
 
     Raises:
         InputError: program or calibration cannot be read.
-        HardwareFault: a part failed; the chamber is vented.
-        KeyboardInterrupt: as it came; the chamber is vented.
+        HardwareFault: a part failed; the chamber is vented, as after KeyboardInterrupt.
     """
     trials = program_of(config) * config.repeat
     if config.bench == STANDIN:
@@ -122,11 +111,7 @@ class BenchDriver:
     """Drives trials one by one and writes the recording after each."""
 
     def __init__(
-        self,
-        config: MeasureConfig,
-        pressure: Chambers,
-        cameras: dict[str, Camera],
-        tracker: MarkerTracker,
+        self, config: MeasureConfig, pressure: Chambers, cameras: dict[str, Camera], tracker: MarkerTracker
     ):
         self._config, self._pressure, self._cameras, self._tracker = config, pressure, cameras, tracker
         self._rows: list[dict] = []
@@ -139,8 +124,7 @@ class BenchDriver:
     def drive(self, number: int, trial: PressureTrial) -> tuple[int, int]:
         """Drives one trial at its own pace; a camera that is slower than it costs samples.
 
-        Returns:
-            Samples taken, and those of them in which the tip was seen, which are stored.
+        Returns samples taken, and those of them in which the tip was seen, which are stored.
         """
         folder = self.images(number)
         folder.mkdir(parents=True)
@@ -200,11 +184,7 @@ class BenchDriver:
     def _write(self) -> None:
         """The recording so far; the old one stays until the new one is whole."""
         camera = self._tracker.camera
-        meta = {
-            "length_mm": self._config.length_mm,
-            "notes": self._config.notes,
-            "trials": self._starts,
-        }
+        meta = {"length_mm": self._config.length_mm, "notes": self._config.notes, "trials": self._starts}
         numbers = {"intrinsics": camera.matrix, "extrinsics": self._tracker.extrinsics()}
         numbers |= {"distortion": camera.distortion}
         meta["cameras"] = {"camera": {name: array.tolist() for name, array in numbers.items()}}

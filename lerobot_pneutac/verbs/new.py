@@ -37,14 +37,9 @@ def new_twin(
 ) -> Twin:
     """A twin with starting values.
 
-    Args:
-        device: `finger` (the paper's), `arm`, or `gel` (a generated DIGIT).
-        recording: of the same device; gives length, joints and pressure range, or the gel's rest image.
-        length_mm: overrides the length.
-        body: of a finger or an arm, from `read_body`; gives the length.
-
-    Raises:
-        InputError: a gel's recording lacks its rest image or scale.
+    Length, joints and pressure range, or a gel's rest image, are the recording's; `length_mm` overrides its
+    length, and a `body` from `read_body` has its own. Raises InputError where a gel's recording lacks what
+    it needs.
     """
     if device == "gel":
         return _new_gel(recording)
@@ -89,17 +84,9 @@ def _new_gel(recording: Recording | None) -> Twin:
 def read_body(
     mesh: Path, device: str, recording: Recording | None = None, unit: str = "mm", axis: str | None = None
 ) -> UserMesh:
-    """Reads the mesh of a soft body.
+    """The mesh of a finger or an arm, in `mm` or `m`, base first along `axis` (None for its longest side).
 
-    Args:
-        mesh: STL, OBJ or PLY.
-        device: `finger` or `arm`.
-        recording: of the same device, whose length must agree.
-        unit: of its coordinates, `mm` or `m`.
-        axis: x, y or z, along which it lies, base first; None for its longest side.
-
-    Raises:
-        InputError: the device has no mesh, the lengths disagree, or the file is no usable mesh.
+    Raises InputError where a recording of the device has another length, or the file is no usable mesh.
     """
     from pneutac_sim.mpm.user_mesh import read_mesh
 

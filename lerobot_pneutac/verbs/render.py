@@ -21,21 +21,14 @@ from pneutac_sim.twin import Twin
 
 @dataclass(frozen=True)
 class RenderedFilm(Result):
-    """What was drawn.
-
-    Attributes:
-        complete: whether the film came to its end.
-        seconds: that drawing took.
-        film: its file; None where not one picture was finished.
-        stills: a row each: load, what was measured, and `picture`, its file.
-    """
+    """What was drawn."""
 
     device: str
-    complete: bool
+    complete: bool  # whether the film came to its end
     frames: int
-    seconds: float
-    film: str | None
-    stills: list[dict]
+    seconds: float  # that drawing took
+    film: str | None  # its file; None where not one picture was finished
+    stills: list[dict]  # a row each: load, what was measured, and `picture`, its file
 
     keys = ("device", "complete", "frames", "seconds", "film", "stills")
 
@@ -54,11 +47,6 @@ def render(twin: Twin, config: RenderConfig, progress: Progress = no_progress) -
 
 
 def make_film(twin: Twin, config: RenderConfig) -> Film:
-    """Builds the body; frames are computed as they are asked for.
-
-    Raises:
-        InputError: an option does not fit the twin.
-    """
     if twin.device == "gel":
         from lerobot_pneutac.rendering.body import gel_film as film_of
     else:

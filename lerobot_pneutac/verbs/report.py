@@ -44,7 +44,6 @@ class TwinReport(Result):
         return [{k: e.get(k) for k in names} for e in self.twin.history]
 
     def described(self) -> list[str]:
-        """What each effect does to this device, a sentence with its numbers."""
         device = self.twin.device
         return [
             get_effect(name).describe({k: v.value for k, v in values.items()}, device)
@@ -52,7 +51,6 @@ class TwinReport(Result):
         ]
 
     def parameters(self) -> list[dict]:
-        """Every number of the body and of its effects."""
         return [
             {"of": of, "parameter": name, "value": v.value, "95 % interval": span(v.ci95)}
             for of, values in ({"body": self.twin.parameters} | self.twin.effects).items()

@@ -78,7 +78,6 @@ class Result:
         return page
 
     def lead_page(self) -> Report:
-        """Heading and sentence alone."""
         page = Report(self.title)
         if self.sentence:
             page.lead(self.sentence)

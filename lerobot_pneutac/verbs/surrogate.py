@@ -101,16 +101,11 @@ class SurrogateConfig(ExecutorOptions):
 
 @dataclass(frozen=True)
 class TrainedNetworks(Result):
-    """What was trained.
+    """What was trained."""
 
-    Attributes:
-        twin: whose folder has the networks.
-        networks: name to `source`, `seconds` and, of those trained, `errors`.
-        errors: what was measured on motions and contacts held out: what, with the network, without.
-    """
-
-    twin: Twin
-    networks: dict
+    twin: Twin  # whose folder has the networks
+    networks: dict  # name to `source`, `seconds` and, of those trained, `errors`
+    # what was measured on motions and contacts held out: what, with the network, without.
     errors: list[tuple[str, str, str]]
 
     title = "Networks in place of material points"
@@ -139,8 +134,7 @@ class TrainedNetworks(Result):
 def train_networks(config: SurrogateConfig, twin: Twin, progress: Progress = no_progress) -> TrainedNetworks:
     """Trains what is missing or outdated, and writes networks and their card into the twin's folder.
 
-    Raises:
-        InputError: the twin is no finger's, or too little is to be collected.
+    Raises InputError where the twin is no finger's, or too little is to be collected.
     """
     folder = Path(config.twin)
     if twin.device != "finger":

@@ -98,7 +98,7 @@ def diagnosed(twin, recording, seed: int, wanted: Callable[[str], bool] | None =
     """
     from lerobot_pneutac.diagnosis.steps import Steps
     from lerobot_pneutac.study import study_of
-    from lerobot_pneutac.verbs.diagnosis import Diagnosis
+    from lerobot_pneutac.verbs.diagnose import Diagnosis
     from pneutac_sim.effects.registry import body_effects
 
     study = study_of(twin, recording, seed)

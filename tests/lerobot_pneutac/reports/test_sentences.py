@@ -66,14 +66,7 @@ def creep(right: float) -> Mechanism:
 
 def text_of(s: State) -> list[str]:
     """All sentences of one state."""
-    return [
-        headline(s),
-        meaning(s),
-        *warnings(s),
-        do_next(s, ADD),
-        alternatives(s),
-        evidence(s),
-    ]
+    return [headline(s), meaning(s), *warnings(s), do_next(s, ADD), alternatives(s), evidence(s)]
 
 
 def test_the_headline_lists_the_causes_by_size_without_equations():
@@ -183,10 +176,7 @@ def right_of(s: State) -> float | None:
     [
         ({}, "Explained: fully. The error is 1.05 times the noise, 95 % interval 1.00 to 1.10."),
         ({"recorded": "up to 60 kPa"}, "fully, as far as was recorded (up to 60 kPa). The error is 1.05"),
-        (
-            {"later": 1.4, "explained": Explained.MOSTLY},
-            "but 1.40 times the noise in the last part",
-        ),
+        ({"later": 1.4, "explained": Explained.MOSTLY}, "but 1.40 times the noise in the last part"),
         (
             {"later": 1.1, "program": 1.8, "explained": Explained.MOSTLY},
             "but 1.80 times the noise in programs that are predicted from all others",
@@ -195,14 +185,8 @@ def right_of(s: State) -> float | None:
             {"later": 1.1, "learnt": 1.6, "explained": Explained.MOSTLY},
             "but 1.60 times the noise in the samples that the model was fitted to",
         ),
-        (
-            {"explained": Explained.UNDETERMINED},
-            "undetermined, since the error is known too roughly",
-        ),
-        (
-            {"at_noise": False, "rest": 0.9, "explained": Explained.NO},
-            "Explained: no. The error is 2.00",
-        ),
+        ({"explained": Explained.UNDETERMINED}, "undetermined, since the error is known too roughly"),
+        ({"at_noise": False, "rest": 0.9, "explained": Explained.NO}, "Explained: no. The error is 2.00"),
         ({"noise": None}, "Explained: undetermined, since the noise is not known."),
         ({"noise_measured": False}, "1.05 times the estimated noise"),
         ({"poor": "Too short."}, ""),

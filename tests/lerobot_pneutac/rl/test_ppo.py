@@ -113,14 +113,7 @@ def test_a_reloaded_actor_acts_the_same(trained, tmp_path):
     ],
 )
 def test_bad_input_is_refused(trained, options, match):
-    given = {
-        "task": "switch",
-        "twin": None,
-        "seed": 1,
-        "steps": 300,
-        "compute": TWO,
-        "settings": SMALL,
-    }
+    given = {"task": "switch", "twin": None, "seed": 1, "steps": 300, "compute": TWO, "settings": SMALL}
     with pytest.raises(InputError, match=match):
         train_ppo(out=trained[0], **(given | options))
 

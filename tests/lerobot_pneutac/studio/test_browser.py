@@ -265,7 +265,7 @@ def test_a_world_is_moved_by_keys_and_an_episode_replayed(browser, tmp_path):
         seen.page.wait_for_timeout(100)
         assert world.action()[2] > 0 and world.action()[3] == pytest.approx(0.3)
         seen.page.keyboard.up("i")
-        world.close_world()
+        world.close()
         world.episodes._task.value = "switch"
         seen.button("Replay it").click()
         expect(seen.page.get_by_text("Off by ").first).to_be_visible(timeout=120_000)

@@ -9,7 +9,7 @@ from generated import once
 from lerobot_pneutac import add, compare, diagnose
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.add import Addition
-from lerobot_pneutac.verbs.diagnosis import BEFORE, FOUND
+from lerobot_pneutac.verbs.diagnose import BEFORE, FOUND
 from lerobot_pneutac.verbs.new import new_twin
 from pneutac_datasets.generate.finger import generate
 from pneutac_datasets.generate.gel import write_gel_recording

@@ -14,8 +14,7 @@ from generated import once, twin_of
 
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.reports.compare import heat_map
-from lerobot_pneutac.reports.compare_sentence import phrase
-from lerobot_pneutac.verbs.compare_body import compare_body, prediction_band, train_mask
+from lerobot_pneutac.verbs.compare_body import compare_body, phrase, prediction_band, train_mask
 from lerobot_pneutac.verbs.fit_body import calibrate_body
 from pneutac_datasets.generate.finger import generate
 from pneutac_datasets.recording.axes import Axis, axes, motion

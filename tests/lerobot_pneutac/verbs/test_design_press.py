@@ -10,7 +10,7 @@ from generated import once
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.study.gel_press import held_choice
-from lerobot_pneutac.verbs.diagnosis import save_contenders
+from lerobot_pneutac.verbs.diagnose import save_contenders
 from pneutac_datasets.generate.gel import write_gel_recording
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording

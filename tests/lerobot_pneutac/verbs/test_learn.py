@@ -18,7 +18,7 @@ from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.hands import Hands
 from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.verbs.benches import StandinBench, make_bench, save_program
-from lerobot_pneutac.verbs.diagnosis import load_contenders, save_contenders
+from lerobot_pneutac.verbs.diagnose import load_contenders, save_contenders
 from lerobot_pneutac.verbs.learn import Rounds, not_as_asked
 from lerobot_robot_pneutac.hardware.pneutac_serial import PneutacExchange
 from lerobot_robot_pneutac.hardware.serial_pressure import Command

@@ -16,8 +16,7 @@ from PIL import Image
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.rendering import particles as particle_picture
 from lerobot_pneutac.rendering.options import FPS, RenderConfig, deepest_press, filled
-from lerobot_pneutac.rendering.particles import Film, FilmFrame
-from lerobot_pneutac.rendering.view import HEIGHT
+from lerobot_pneutac.rendering.particles import BODY_PX, Film, FilmFrame
 from lerobot_pneutac.verbs.render import draw_film
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
@@ -317,7 +316,7 @@ def test_looks_are_seen_from_any_side(drawn, tmp_path):
     pictures = {}
     for azimuth in (0, 90, 180):
         view = [f"--view.azimuth_deg={azimuth}", "--view.elevation_deg=0", "--pressure_kpa=[12]"]
-        pictures[azimuth] = run(drawn, tmp_path / str(azimuth), *view)[0]["picture"][:HEIGHT]
+        pictures[azimuth] = run(drawn, tmp_path / str(azimuth), *view)[0]["picture"][: BODY_PX[1]]
     places = {}
     for azimuth, p in pictures.items():
         base, tip = p[..., 0] - p[..., 1] > 60, p[..., 1] - p[..., 0] > 60

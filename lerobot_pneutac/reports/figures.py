@@ -1,10 +1,12 @@
-"""A recording over the time of its session: one clock, names of runs, and its worst passages."""
+"""Figures of all pages, and what they show: one session clock, names of runs, the worst passages."""
+
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from lerobot_pneutac.reports.page import FLOOR
+from lerobot_pneutac.reports.page import FLOOR, SHADE, WHISKER
 
 PASSAGE_S = 2.0
 PASSAGES = 5
@@ -43,6 +45,39 @@ def name_runs(figure: go.Figure, recording, row: int | None = None) -> go.Figure
     )  # fmt: skip
 
 
+def curves(lines: Iterable[tuple], x_title: str, y_title: str, **each) -> go.Figure:
+    """A figure of lines, each a name, x, y and a colour or a whole style; `each` is said of every line."""
+    figure = go.Figure()
+    for name, x, y, style in lines:
+        line = style if isinstance(style, dict) else {"color": style}
+        figure.add_scatter(x=x, y=y, name=name, line=line, **{"mode": "lines"} | each)
+    return figure.update_layout(xaxis_title=x_title, yaxis_title=y_title)
+
+
+def stacked(titles: Sequence[str], heights: Sequence[float], spacing: float = 0.06) -> go.Figure:
+    """Panels over one time, one below the other, with titles of their y axes and heights."""
+    figure = make_subplots(
+        len(titles), 1, shared_xaxes=True, row_heights=list(heights), vertical_spacing=spacing
+    )
+    for row, title in enumerate(titles, 1):
+        figure.update_yaxes(title_text=title, row=row, col=1)
+    return figure.update_xaxes(title_text="time, s", row=len(titles), col=1)
+
+
+def whiskers(values: Sequence[float], low: Sequence[float], high: Sequence[float]) -> dict:
+    """Bars of the intervals from `low` to `high` about values."""
+    above = [max(0.0, b - x) for x, b in zip(values, high, strict=True)]
+    below = [max(0.0, x - a) for x, a in zip(values, low, strict=True)]
+    return {"type": "data", "color": WHISKER, "array": above, "arrayminus": below}
+
+
+def shade(figure: go.Figure, passages: list[dict], shift: dict) -> None:
+    """Shades passages of trials, which `session_clock` has shifted."""
+    for p in passages:
+        a, b = (p[end] + shift[p["trial"]] for end in ("from_s", "to_s"))
+        figure.add_vrect(x0=a, x1=b, fillcolor=SHADE, line_width=0, layer="below")
+
+
 def bar_panels(panels: dict[str, list[tuple]], noise: float | None) -> go.Figure:
     """Groups of bars, two panels a row: of each panel its title, and x, y, colour and name of each group."""
     rows = max(1, (len(panels) + 1) // 2)
@@ -63,12 +98,7 @@ def bar_panels(panels: dict[str, list[tuple]], noise: float | None) -> go.Figure
 def worst_passages(recording, squared: np.ndarray) -> list[dict]:
     """The passages of about `PASSAGE_S` with the largest error, at least two samples each, separated in time.
 
-    Args:
-        recording: of a body, or demonstrations.
-        squared: (n,) squared errors.
-
-    Returns:
-        Each with `trial`, `from_s`, `to_s`, `error` and, if known, `program`.
+    Each has `trial`, `from_s`, `to_s`, `error` and, if known, `program`; `squared` are the errors (n,).
     """
     found = [
         p for trial, rows in recording.trials().items() for p in _of_run(recording, trial, rows, squared)
