@@ -58,7 +58,7 @@ class EpisodeHooks:
         """Logs at which rate actions came where no episode was recorded, as of lerobot-replay."""
         self._lerobot.ignore()
         times_s, self._acted_s = self._acted_s or [], []
-        if len(times_s) <= self._control_hz or (self._waits and not paced()):
+        if not times_s or times_s[-1] - times_s[0] < 1 or (self._waits and not paced()):
             return  # of less than a second there is no rate; a simulated robot may go as fast as it can
         hz, pace = self._control_hz, Pace.of(times_s, self._control_hz)
         came = f"{len(times_s)} actions came at {pace.achieved_hz:.2f} Hz"
