@@ -196,19 +196,20 @@ run_verb("augment", sys.argv[1:])
 
 
 @pytest.mark.nightly
-def test_killed_and_resumed_on_ray_equals_uninterrupted(recorded, made, tmp_path):
+def test_killed_and_resumed_on_ray_equals_uninterrupted(recorded, made, tmp_path, monkeypatch):
     out = tmp_path / "again"
     work = tmp_path / "again.work"
-    run = subprocess.Popen(command(recorded, out), env=os.environ, stdout=subprocess.DEVNULL)
+    process = subprocess.Popen(command(recorded, out), env=os.environ, stdout=subprocess.DEVNULL)
     deadline = time.monotonic() + 600  # on a busy machine
-    while not list(work.glob("episode_*.npz")) and run.poll() is None and time.monotonic() < deadline:
+    while not list(work.glob("episode_*.npz")) and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.02)
-    run.send_signal(signal.SIGKILL)
-    run.wait()
+    process.send_signal(signal.SIGKILL)
+    process.wait()
     assert not out.exists()
     assert list(work.glob("episode_*.npz"))
     with pytest.raises(InputError, match="another seed; delete that folder"):
         run_verb("augment", options(recorded, out, "--episodes=2", "--seed=6"))
+    monkeypatch.setattr(run, "SHARD", 1)  # written by two processes
     run_verb("augment", options(recorded, out, "--episodes=2", "--seed=5", "--executor=ray"))
     for one, two in zip(table(made / "more"), table(out), strict=True):
         np.testing.assert_array_equal(one, two)

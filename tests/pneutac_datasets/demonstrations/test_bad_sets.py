@@ -378,12 +378,12 @@ def test_damaged_outcomes_are_one_error(tmp_path):
 def test_failed_demonstrations_are_not_mixed_in(tmp_path):
     """A dataset of 110 frames with half as many recorded ones, all of them of episode 1."""
     source = LeRobotDatasetMetadata("local/demos", copied(tmp_path))
-    part = Path(shutil.copytree(DEMOS, tmp_path / "new.part"))
-    lines = run._mix(part, "local/new", source, [1], 0.5)
+    shard, part = Path(shutil.copytree(DEMOS, tmp_path / "shard")), tmp_path / "new.part"
+    lines = run._merge([shard], part, "local/new", source, [1], 0.5)
     length = source.episodes[1]["length"]
     assert {line["source_episode"] for line in lines} == {1} and len(lines) == round(110 / length)
     assert LeRobotDatasetMetadata("local/new", part).total_frames == 110 + len(lines) * length
-    assert sorted(f.name for f in tmp_path.iterdir()) == ["demos", "new.part"]
+    assert sorted(f.name for f in tmp_path.iterdir()) == ["demos", "new.part", "shard"]
 
 
 def test_demonstrations_of_another_task_are_refused():

@@ -9,10 +9,8 @@ import hashlib
 import json
 import os
 import shutil
-import threading
 import time
-from collections.abc import Collection, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Collection, Sequence
 from contextlib import redirect_stderr
 from dataclasses import asdict
 from functools import partial
@@ -28,7 +26,7 @@ from lerobot.utils.constants import ACTION, OBS_STATE
 from lerobot_robot_pneutac.lerobot_inside import load_info, write_info
 from lerobot_robot_pneutac.policy.labels import ANSWER_DELAY
 from pneutac_datasets.demonstrations.augment.check import check
-from pneutac_datasets.demonstrations.augment.episode import LONGEST, Attempt, AugmentSetup
+from pneutac_datasets.demonstrations.augment.episode import LONGEST, AugmentSetup
 from pneutac_datasets.demonstrations.augment.library import lagged_answers
 from pneutac_datasets.demonstrations.augment.reference import EXTRA_STEPS, Reference, onset_sigma_m
 from pneutac_datasets.demonstrations.augment.scene import Scene
@@ -56,7 +54,7 @@ from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.progress import Progress, no_progress
 
 PROVENANCE = "provenance.jsonl"  # in the dataset's folder `meta`
-LOOK_S = 0.1  # between two looks for the next demonstration to write
+SHARD = 25  # demonstrations that one process writes as a dataset, before all of these are merged
 RECORDED = "recorded"  # method of the copies of recorded demonstrations
 
 
@@ -144,19 +142,18 @@ def augment_guided(
         return _tidy_up(work, out_root, meta, setup, episodes, began) | _checked(work, checks)
     check_new(out_root, out_repo_id)
     work.open(_run(meta, setup) | ({"real_share": real_share} if real_share else {}))
-    shutil.rmtree(part, ignore_errors=True)
     scenes = _find_scenes(work, setup, executor, progress) if setup.method == "planner" else []
-    files, ended = [work.episode_file(k) for k in range(episodes)], threading.Event()
+    files = [work.episode_file(k) for k in range(episodes)]
     make = partial(make_episode, setup, work.folder, scenes)
-    with ThreadPoolExecutor(1) as writer:
-        made = _made(work, episodes, ended)
-        written = writer.submit(_write, part, out_repo_id, meta, setup.references, made)
-        try:
-            run_pieces(make, files, work.folder / "logs", executor, progress, "making demonstrations")
-        finally:
-            ended.set()
-        provenance, seconds = written.result()
-    provenance += _mix(part, out_repo_id, meta, [r.source for r in setup.references], real_share)
+    run_pieces(make, files, work.folder / "logs", executor, progress, "making demonstrations")
+    spent = time.monotonic()
+    shards = _write(work, meta, setup.references, out_repo_id, episodes, executor, progress)
+    used = [r.source for r in setup.references]
+    copies = _merge(shards, part, out_repo_id, meta, used, real_share)
+    made = [work.load_spent(k) for k in range(episodes)]
+    provenance = [line for line, _ in made] + copies
+    seconds = {name: sum(s[name] for _, s in made) for name in made[0][1]}
+    seconds["writing"] = time.monotonic() - spent
     check(work, setup, checks, progress)
     agreements = _checked(work, checks)
     delay = lagged_answers(setup.references)[1] if setup.method == "library" else 0
@@ -198,65 +195,86 @@ def _find_scenes(
     return [work.load_scene(i) for i in range(len(files))]
 
 
-def _made(work: Work, episodes: int, ended: threading.Event) -> Iterator[tuple[Attempt, dict, dict]]:
-    """Yields the demonstrations in order, as they are made, until all are or the making has ended."""
-    for k in range(episodes):
-        while not work.episode_file(k).exists():
-            if ended.wait(LOOK_S) and not work.episode_file(k).exists():
-                return
-        yield work.load_episode(k)
-
-
 def _write(
-    part: Path,
-    repo_id: str,
+    work: Work,
     meta: LeRobotDatasetMetadata,
     references: list[Reference],
-    made: Iterator[tuple[Attempt, dict, dict]],
-) -> tuple[list[dict], dict[str, float]]:
-    """Writes the dataset into `part`; returns the provenance and the seconds spent, by part of the work."""
+    repo_id: str,
+    episodes: int,
+    executor: ExecutorOptions,
+    progress: Progress,
+) -> list[Path]:
+    """Writes the demonstrations as datasets of `SHARD` each, side by side; returns their folders in order."""
+    ranges = [(first, min(first + SHARD, episodes)) for first in range(0, episodes, SHARD)]
+    shards = [work.folder / f"shard_{first:06d}_{end:06d}" for first, end in ranges]
+    write = partial(_write_shard, work.folder, repo_id, (meta.repo_id, meta.root), references, shards, ranges)
+    if len(shards) > 1:
+        run_pieces(write, shards, work.folder / "logs", executor, progress, "writing the dataset")
+    elif not shards[0].exists():  # a process of its own takes seconds to start
+        write(0)
+    return shards
+
+
+def _write_shard(
+    folder: Path,
+    repo_id: str,
+    source: tuple[str, Path],
+    references: list[Reference],
+    shards: list[Path],
+    ranges: list[tuple[int, int]],
+    number: int,
+) -> None:
+    meta, work = LeRobotDatasetMetadata(*source), Work(folder)
     features = demonstration_features(meta)
     use_videos = features[TACTILE]["dtype"] == "video"
     features |= further_features(meta)
     longest = max(max(len(r) + r.frames(EXTRA_STEPS), r.frames(LONGEST)) for r in references)
-    provenance, seconds = [], {"writing": 0.0}
+    part = shards[number].with_suffix(".part")
+    shutil.rmtree(part, ignore_errors=True)
     with quiet_encoders():
         out = create_dataset(repo_id, part, meta.fps, features, meta.robot_type, use_videos, longest)
     with written(out):
-        for attempt, line, spent in made:
-            provenance.append(line)
-            for name, s in spent.items():
-                seconds[name] = seconds.get(name, 0.0) + s
-            start = time.perf_counter()
+        for k in range(*ranges[number]):
+            attempt, line, _ = work.load_episode(k)
             instruction = references[line["source"]].task
             episode = Episode(attempt.state, attempt.action, attempt.images, instruction, meta.fps)
             save_episode(out, episode, attempt.more)
-            seconds["writing"] += time.perf_counter() - start
-    return provenance, seconds
+    os.replace(part, shards[number])
 
 
-def _mix(part: Path, repo_id: str, meta: LeRobotDatasetMetadata, used: list[int], share: float) -> list[dict]:
-    """Adds copies of `used` episodes until such a share of the frames is recorded; gives their provenance."""
-    new = LeRobotDatasetMetadata(repo_id, part)
-    frames = sum(meta.episodes[i]["length"] for i in used)
-    copies = round(share / (1 - share) * new.total_frames / frames)
-    if not copies:
-        return []
-    alone, source = (part.with_name(f"{part.name}.{name}") for name in ("new", "source"))
-    for folder in (alone, source):
+def _merge(
+    shards: Sequence[Path],
+    part: Path,
+    repo_id: str,
+    meta: LeRobotDatasetMetadata,
+    used: list[int],
+    share: float,
+) -> list[dict]:
+    """Merges datasets into `part`, with copies of `used` episodes of the source until such a share of the frames
+    is recorded; gives the copies' provenance.
+    """
+    new = [LeRobotDatasetMetadata(repo_id, shard) for shard in shards]
+    frames, episodes = (sum(getattr(m, f"total_{of}") for m in new) for of in ("frames", "episodes"))
+    copies = round(share / (1 - share) * frames / sum(meta.episodes[i]["length"] for i in used))
+    source = part.with_name(f"{part.name}.source")
+    for folder in (part, source):
         shutil.rmtree(folder, ignore_errors=True)
-    os.replace(part, alone)
+    if len(shards) == 1 and not copies:
+        shutil.copytree(shards[0], part)
+        return []
     with quiet_encoders(), redirect_stderr(StringIO()):  # its own progress bars besides ours
         recorded = Path(meta.root)
-        if left_out := sorted(set(range(meta.total_episodes)) - set(used)):
+        left_out = sorted(set(range(meta.total_episodes)) - set(used))
+        if left_out and copies:
             whole = LeRobotDataset(meta.repo_id, recorded, video_backend="pyav")
             recorded = Path(delete_episodes(whole, left_out, source, meta.repo_id).root)
-        aggregate_datasets([repo_id, *[meta.repo_id] * copies], repo_id, [alone, *[recorded] * copies], part)
-    shutil.rmtree(alone)
+        roots = [*shards, *[recorded] * copies]
+        names = [repo_id] * len(shards) + [meta.repo_id] * copies
+        aggregate_datasets(names, repo_id, roots, part)
     shutil.rmtree(source, ignore_errors=True)
     return [
         {"episode": k, "method": RECORDED, "source_episode": source}
-        for k, source in enumerate(used * copies, new.total_episodes)
+        for k, source in enumerate(used * copies, episodes)
     ]
 
 

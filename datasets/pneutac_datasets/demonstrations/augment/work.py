@@ -52,6 +52,11 @@ class Work:
         d = json.loads(self.scene_file(source).read_text())
         return Scene(**d | {"shift_m": tuple(d["shift_m"])})
 
+    def load_spent(self, index: int) -> tuple[dict, dict]:
+        """Reads a demonstration's provenance, and the seconds that it took, alone."""
+        with np.load(self.episode_file(index)) as d:
+            return json.loads(str(d["provenance"])), json.loads(str(d["seconds"]))
+
     def load_episode(self, index: int) -> tuple[Attempt, dict, dict]:
         """Reads a demonstration, its provenance, and the seconds that it took."""
         with np.load(self.episode_file(index)) as d:
