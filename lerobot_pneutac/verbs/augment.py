@@ -87,6 +87,8 @@ class AugmentConfig(ExecutorOptions):
         attempts: number of variants tried for one demonstration before giving up.
         check_mpm: number of the new demonstrations that are carried out once more by material points; how far
             they agree goes into the report. Each takes minutes.
+        device: `cpu`, a world in each process, or `cuda`, many worlds together on a GPU, of `library` alone.
+        worlds: that are stepped together on a GPU.
         out: folder for `report.html` and `result.json`.
     """
 
@@ -106,6 +108,8 @@ class AugmentConfig(ExecutorOptions):
     real_share: float | None = None
     attempts: int = 30
     check_mpm: int = 0
+    device: str = "cpu"
+    worlds: int = 1024
     out: Path | None = None
 
     def __post_init__(self):
@@ -131,7 +135,9 @@ class AugmentConfig(ExecutorOptions):
             raise InputError(f"real_share must be 0 to {MOST_REAL:g}, and 0 with naive.")
         check_choice("fidelity", self.fidelity, FIDELITIES)
         self.check_executor()
-        check_least(1, episodes=self.episodes, attempts=self.attempts)
+        check_least(1, episodes=self.episodes, attempts=self.attempts, worlds=self.worlds)
+        if self.device != "cpu":
+            self._check_device()
         check_least(0, check_mpm=self.check_mpm)
         for useless, why in (
             (self.method == "naive", "carries demonstrations out once more; naive ones have no scene"),
@@ -148,6 +154,18 @@ class AugmentConfig(ExecutorOptions):
                 check_bends(twin, "mpm")
         if self.station is not None:
             Station.load(self.station).make_arm()
+
+    def _check_device(self) -> None:
+        check_choice("device", self.device, ("cpu", "cuda"))
+        if self.method != "library":
+            raise InputError(f"device=cuda is of method=library, not of {self.method}; leave it out.")
+        if self.executor != "local":
+            raise InputError(f"device=cuda is of executor=local, not of {self.executor}; leave one out.")
+        import torch
+
+        if not torch.cuda.is_available():
+            raise InputError("device is 'cuda', but PyTorch finds no CUDA device here; leave it out.")
+        import pneutac_sim.world.batch  # noqa: F401  refuses where MuJoCo Warp is not installed
 
 
 @dataclass(frozen=True)
@@ -317,6 +335,8 @@ def augment(
     else:
         base_m = np.array(station.base_m)  # demonstrations have positions in the arm's frame
         further = further_features(meta)
+        if further and config.device != "cpu":
+            raise InputError(f"device=cuda does not make {', '.join(further)} of {meta.root}; leave it out.")
         task = task_to_do(config.task, [r.task for r in references], config.dataset.root)
         placed = [replace(r, flange_m=r.flange_m + base_m) for r in references]
         start_range_m = config.start_range or start_spread_m(placed)
@@ -325,7 +345,9 @@ def augment(
         more = {"attempts": config.attempts, "conditions": config.conditions, "station": file}
         more |= {"tactile_points": POINTS in further, "cameras": cameras}
         setup = AugmentSetup(placed, task, config.twin, *how, **more)
-        summary = augment_guided(meta, setup, *new, config, progress, config.check_mpm, config.real_share)
+        together = (config.device, config.worlds) if config.device != "cpu" else ()
+        how = (config.check_mpm, config.real_share, *together)
+        summary = augment_guided(meta, setup, *new, config, progress, *how)
         summary["start_range_m"] = start_range_m if config.method != "planner" else None
     if file:
         station.save(config.output.root / "meta")

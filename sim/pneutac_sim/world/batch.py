@@ -55,6 +55,7 @@ HELD = (
 )
 CONTACTS, CONSTRAINTS = 40, 192  # of a world at most; with the expert 2 in the mean and 19 at most were seen
 wp.set_module_options({"enable_backward": False})
+DIVERGED = "the physics diverged"
 TOUCHED = 1024  # gels that are drawn at once, which bounds the memory
 
 
@@ -142,16 +143,17 @@ class _Rules:
     """Success and failure of one task in all worlds, as its own class has them for one.
 
     Attributes:
-        groups: beginnings of the names of geoms, a group each, whose contact force counts.
+        groups: beginnings of the names of geoms, a group each, whose contact force counts, by the attribute
+            in which the task remembers it.
         state: tensors (N, ...) that a start restores.
     """
 
-    groups: tuple[tuple[str, ...], ...]
+    groups: dict[str, tuple[str, ...]]
 
     def __init__(self, world: "BatchedWorld"):
         task, window = world.single.task, math.ceil(BUMP_S / world.dt_s - 1e-6) + 1
         self.task, self._model = task, world.single.model
-        self.state = {"forces": world._zeros(len(self.groups), window), "rested_s": world._zeros()}
+        self.state = {"forces": world._zeros(len(self.groups) + 1, window), "rested_s": world._zeros()}
 
     def _qpos(self, name: str) -> int:
         return int(self._model.joint(name).qposadr[0])
@@ -172,7 +174,7 @@ class _Rules:
 
 
 class _Switch(_Rules):
-    groups = (("switch", "bar"),)
+    groups = {"_force": ("switch", "bar")}
 
     def update(self, world):
         super().update(world)
@@ -189,7 +191,7 @@ class _Switch(_Rules):
 
 
 class _Egg(_Rules):
-    groups = (("carton",), ("carton_base",))
+    groups = {"_force": ("carton",), "_wall": ("carton_base",)}
 
     def success(self, world):
         return world.qpos[:, self._qpos("lid")] > self.task.open_rad
@@ -199,7 +201,7 @@ class _Egg(_Rules):
 
 
 class _Card(_Rules):
-    groups = (("card_1",),)
+    groups = {"_force": ("card_1",)}
 
     def __init__(self, world):
         super().__init__(world)
@@ -279,7 +281,9 @@ class BatchedWorld:
             contact), and the pressure of each chamber in kPa, behind the command where the twin has lags.
         area: (N,) contact area, share of the image.
         success, failure: (N,) bool; a world whose physics has diverged counts as failed.
-        forces: (N, G) N, contact forces between the finger and the task's groups of geoms.
+        forces: (N, G + 1) N, contact forces between the finger and the task's groups of geoms, and all geoms.
+        depth_mm: (N, 80, 59) probe grids.
+        displacement_mm: (N, 80, 59) of the gel's face; zero where nothing touches it.
         fields: model fields (N, ...) that a start decides.
         qpos, qvel: (N, nq), (N, nv) of MuJoCo.
     """
@@ -423,10 +427,10 @@ class BatchedWorld:
         self._spring = [self._zeros() for _ in range(3)]
         rules, names = RULES[g.task.name], [g.model.geom(i).name for i in range(g.model.ngeom)]
         bits = (g.model.geom_contype == 1).astype(np.int32)
-        for b, prefixes in enumerate(rules.groups):
+        for b, prefixes in enumerate((*rules.groups.values(), ("",))):
             bits |= [int(name.startswith(prefixes)) << (b + 1) for name in names]
         self._groups = wp.array(bits, dtype=int)
-        self.forces = self._zeros(len(rules.groups))
+        self.forces = self._zeros(len(rules.groups) + 1)
         self.rules = rules(self)
         self._late = torch.zeros(N, dtype=torch.long, device=self.torch_device)
         self._target = self._zeros(3)
@@ -437,7 +441,8 @@ class BatchedWorld:
         self._pipelines: list[PressurePipeline] | None = None
         self._queue = self._zeros(1, 3 + self.chambers)
         self.state, self.area = self._zeros(8 + self.chambers), self._zeros()
-        self.pressure_kpa, self._displacement = self._zeros(self.chambers), self._zeros(*touch.depth_mm.shape)
+        self.pressure_kpa = self._zeros(self.chambers)
+        self.depth_mm, self.displacement_mm = self._contact.depth_mm, self._zeros(*touch.depth_mm.shape)
         self.success, self.failure = (
             torch.zeros(N, dtype=torch.bool, device=self.torch_device) for _ in "sf"
         )
@@ -478,22 +483,46 @@ class BatchedWorld:
         variations = list(variations or [Variation()] * starts)
         if len(variations) != starts or any(v.late_touch or v.conditions for v in variations):
             raise InputError(f"{starts} starts need as many variations, without late_touch and conditions.")
-        kept: list[dict[str, torch.Tensor]] = []
         with self._on_device():
             self._queue = self._zeros(1 + max(map(self._late_of, variations)), 3 + self.chambers)
-            for first in range(0, starts, N):
-                self._lay_out(seeds[first : first + N], variations[first : first + N])
-                kept.append({k: v.clone() for k, v in self._everything().items()})
-            self._starts = {k: torch.cat([part[k] for part in kept]) for k in kept[0]}
-            if starts > N:
-                everywhere = torch.arange(N, device=self.torch_device)
-                self._restore(everywhere, everywhere)
+        parts = [self.stage(seeds[i : i + N], variations[i : i + N]) for i in range(0, starts, N)]
+        self._starts = {k: torch.cat([part[k] for part in parts]) for k in parts[0]}
+        everywhere = torch.arange(N, device=self.torch_device)
+        self.restart(everywhere, everywhere)
         return self.state
 
-    def restart(self, worlds: torch.Tensor, starts: torch.Tensor) -> None:
-        """Puts worlds (k,) back to starts (k,) of the last reset, both int64 indices."""
+    def stage(self, seeds: Sequence[int], variations: Sequence[Variation]) -> dict[str, torch.Tensor]:
+        """Draws N starts, which `restart` takes; the worlds go on as they are.
+
+        Args:
+            seeds: of the starts.
+            variations: of each, no later commands than in the last reset.
+        """
         with self._on_device():
-            self._restore(worlds, starts)
+            running = {k: v.clone() for k, v in self._everything().items()}
+            pipelines = self._pipelines
+            self._lay_out(seeds, variations)
+            staged = {k: v.clone() for k, v in self._everything().items()}
+            if pipelines is not None:
+                self._pipelines = pipelines
+            for name, tensor in self._everything().items():
+                tensor.copy_(running[name])
+            self._place()
+        return staged
+
+    def restart(
+        self, worlds: torch.Tensor, starts: torch.Tensor, staged: dict[str, torch.Tensor] | None = None
+    ) -> None:
+        """Puts worlds (k,) to starts (k,), both int64 indices, of `stage`, or else of the last reset."""
+        if not len(worlds):
+            return
+        with self._on_device():
+            for name, tensor in self._everything().items():
+                tensor[worlds] = (staged or self._starts)[name][starts]
+            if self._pipelines is not None:
+                for i in worlds.tolist():
+                    self._pipelines[i] = self._pipeline.copy()
+            self._place()
 
     def _late_of(self, variation: Variation) -> int:
         self.single.variation = variation
@@ -503,30 +532,11 @@ class BatchedWorld:
         """What differs between worlds, by name."""
         spring = {f"spring_{i}": s for i, s in enumerate(self._spring)}
         names = (
-            "qpos",
-            "qvel",
-            "_warmstart",
-            "_ctrl",
-            "_target",
-            "_begin",
-            "_drive",
-            "_rate",
-            "_rest_rad",
-            "_gain",
+            "qpos qvel _warmstart _ctrl _target _begin _drive _rate _rest_rad _gain _more _late _queue forces"
+            " state area pressure_kpa displacement_mm depth_mm success failure"
         )
-        names += ("_more", "_late", "_queue", "forces", "state", "area", "pressure_kpa", "_displacement")
-        own = {name: getattr(self, name) for name in (*names, "success", "failure")}
+        own = {name: getattr(self, name) for name in names.split()}
         return own | self.fields | self.rules.state | spring
-
-    def _restore(self, worlds: torch.Tensor, starts: torch.Tensor) -> None:
-        if not len(worlds):
-            return
-        for name, tensor in self._everything().items():
-            tensor[worlds] = self._starts[name][starts]
-        if self._pipelines is not None:
-            for i in worlds.tolist():
-                self._pipelines[i] = self._pipeline.copy()
-        self._place()
 
     def _lay_out(self, seeds: np.ndarray, variations: Sequence[Variation]) -> None:
         g, rows, targets, tasks, late = self.single, [], [], [], []
@@ -715,10 +725,10 @@ class BatchedWorld:
         """Touch and state of the present kinematics."""
         depth, pixels = self._contact.look(), self._zeros()
         (touched,) = torch.nonzero(depth.amax((1, 2)) > 0, as_tuple=True)
-        self._displacement.zero_()
+        self.displacement_mm.zero_()
         for some in touched.split(TOUCHED) if len(touched) else ():
             u = self._moved(depth[some])
-            self._displacement[some] = u
+            self.displacement_mm[some] = u
             pixels[some] = self._count.of(self.tactile.light(u, self.tactile.model.thickness_mm)).float()
         self.area.copy_(pixels / self._pixels)
         parts = (self._flange_m, self.qvel[:, :3], self.area[:, None], torch.log1p(pixels)[:, None])
@@ -738,9 +748,28 @@ class BatchedWorld:
             return torch.cat(
                 [
                     self.tactile.draw(u, self.tactile.model.thickness_mm)
-                    for u in self._displacement.split(TOUCHED)
+                    for u in self.displacement_mm.split(TOUCHED)
                 ]
             )
+
+    @property
+    def centre_mm(self) -> torch.Tensor:
+        """`gel.sensor.centre_mm` (N, 2) of the probe grids, mm; NaN without any depth."""
+        pressed, total = self.depth_mm, self.depth_mm.sum((1, 2))
+        out = []
+        for axis, size in zip((1, 2), self.tactile.model.window_mm, strict=True):
+            n = pressed.shape[3 - axis]
+            at = (torch.arange(n, device=pressed.device) + 0.5) / n - 0.5
+            out.append(size * (pressed.sum(axis) @ at) / total)
+        return torch.stack(out, 1)
+
+    def why_failed(self, world: int) -> str:
+        """Why the task has failed in a world, in the words of its own class."""
+        task, data = self.single.task, self.single.data
+        data.qpos[:] = self.qpos[world].cpu().numpy()
+        for name, forces in zip(self.rules.groups, self.rules.state["forces"][world].tolist(), strict=False):
+            setattr(task, name, tuple(forces))
+        return task.failure() or DIVERGED
 
     @property
     def press_n(self) -> torch.Tensor:

@@ -15,6 +15,7 @@ from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata, merge_datas
 from lerobot.utils.constants import ACTION, OBS_STATE
 
 from lerobot_pneutac.cli import run_verb
+from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef
 from lerobot_robot_pneutac.cameras.simulated import PneutacSceneConfig
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
@@ -187,6 +188,7 @@ def command(recorded, out) -> list[str]:
 import sys
 from functools import partialmethod
 from lerobot_pneutac.cli import run_verb
+from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef
 from pneutac_datasets.demonstrations.augment.episode import AugmentSetup
 
 AugmentSetup.__init__ = partialmethod(AugmentSetup.__init__, candidates={FEW})
@@ -239,6 +241,12 @@ def test_bad_input_is_named(recorded, made, tmp_path):
     refused("--task=bottle", match="^task is 'bottle'; it must be one of switch, egg, card")
     refused("--method=magic", match="^method is 'magic'; it must be one of library, expert, planner, naive")
     refused("--episodes=0", match="^episodes is 0; it must be 1 or more")
+    refused("--device=tpu", match="^device is 'tpu'; it must be one of cpu, cuda")
+    refused("--device=cuda", match="^device=cuda is of method=library, not of planner")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("torch.cuda.is_available", lambda: False)
+        with pytest.raises(InputError, match="finds no CUDA device here; leave it out"):
+            AugmentConfig(DatasetRef("a", recorded), DatasetRef("b", tmp_path / "o"), device="cuda")
     refused("--planner.replan=9", match="^replan is 9; it must be at most horizon")
     refused(f"--twin={tmp_path}", match="holds no twin.yaml")
     refused(f"--dataset.root={tmp_path / 'none'}", match="holds no LeRobotDataset")

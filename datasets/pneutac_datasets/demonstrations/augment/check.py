@@ -70,7 +70,9 @@ def check(work: Work, setup: AugmentSetup, number: int, progress: Progress) -> N
 def checking_world(setup: AugmentSetup, fidelity: str = "mpm") -> VariedWorld:
     """The world in which demonstrations are carried out once more."""
     twin = Twin.load(setup.twin) if setup.twin else None
-    return VariedWorld(setup.task, twin, "image", fidelity, setup.conditions, station=setup.where)
+    world = VariedWorld(setup.task, twin, "image", fidelity, setup.conditions, station=setup.where)
+    world.widen_starts(setup.start_width)
+    return world
 
 
 def agreement(world: VariedWorld, episode: int, attempt: Attempt, step=lambda: None) -> Agreement:

@@ -157,29 +157,38 @@ class Generator:
         Raises:
             InputError: none of `attempts` variants did the task.
         """
-        s = self.setup
         rejected = []
-        for number in range(s.attempts):
-            rng = np.random.default_rng([s.seed, index, number])
-            source = (index + number // TRIES) % len(s.references)
-            sigma_m = self.sigma_m if s.method == "planner" else np.zeros(3)
-            variant = Variant.draw(source, sigma_m, self.late_commands, rng, s.conditions, self.bend_gain_sd)
-            where = {"source_episode": s.references[source].source, **asdict(variant)}
-            if s.method == "planner":
-                attempt = self.carry_out(variant, scenes[source], rng)
-                scores = {
-                    "cost": attempt.cost, "area_rmse": attempt.area_rmse, "scene": asdict(scenes[source])
-                }  # fmt: skip
+        for number in range(self.setup.attempts):
+            variant, where, rng = self.variant(index, number)
+            if self.setup.method == "planner":
+                scene = scenes[variant.source]
+                attempt = self.carry_out(variant, scene, rng)
+                scores = {"cost": attempt.cost, "area_rmse": attempt.area_rmse, "scene": asdict(scene)}
             else:
                 attempt, scores = self.find_out(variant, rng)
             if attempt.reason is None:
-                kept = {"episode": index, "seed": s.seed, "method": s.method, "attempt": number, **where}
-                return attempt, {**kept, **scores, "frames": len(attempt.action), "rejected": rejected}
+                return attempt, self.provenance(index, number, where | scores, len(attempt.action), rejected)
             rejected.append({"attempt": number, "reason": attempt.reason, **where})
+        raise self.none_worked(index, rejected)
+
+    def variant(self, index: int, number: int) -> tuple[Variant, dict, np.random.Generator]:
+        """What an attempt at a demonstration varies, its provenance, and what decides all the rest."""
+        s, rng = self.setup, np.random.default_rng([self.setup.seed, index, number])
+        source = (index + number // TRIES) % len(s.references)
+        sigma_m = self.sigma_m if s.method == "planner" else np.zeros(3)
+        variant = Variant.draw(source, sigma_m, self.late_commands, rng, s.conditions, self.bend_gain_sd)
+        return variant, {"source_episode": s.references[source].source, **asdict(variant)}, rng
+
+    def provenance(self, index: int, number: int, made: dict, frames: int, rejected: list[dict]) -> dict:
+        """Of an accepted demonstration."""
+        kept = {"episode": index, "seed": self.setup.seed, "method": self.setup.method, "attempt": number}
+        return {**kept, **made, "frames": frames, "rejected": rejected}
+
+    def none_worked(self, index: int, rejected: list[dict]) -> InputError:
         reasons = ", ".join(sorted({r["reason"] for r in rejected}))
-        raise InputError(
-            f"Demonstration {index}: none of {s.attempts} variants did the task '{s.task}' ({reasons}); are"
-            " the recorded demonstrations of this task and this finger?"
+        return InputError(
+            f"Demonstration {index}: none of {self.setup.attempts} variants did the task '{self.setup.task}'"
+            f" ({reasons}); are the recorded demonstrations of this task and this finger?"
         )
 
     def carry_out(
@@ -207,15 +216,18 @@ class Generator:
         Returns:
             the attempt, and its provenance: of the library `path`, the pieces that it consists of.
         """
+        seed, self.world.variation = self.start(variant, rng)
+        self._path: list[tuple[int, int, int]] = []
+        ways = self._follow(rng) if self.setup.method == "library" else self._expert(rng)
+        noise = rng if self.setup.method == "expert" else None
+        attempt = self._carried_out(ways, seed, noise=noise)
+        return attempt, pieces(self._path)
+
+    def start(self, variant: Variant, rng: np.random.Generator) -> tuple[int, Variation]:
+        """Seed and variation of the world at the start of an attempt without a reference."""
         s = self.setup
         start_m = s.references[variant.source].flange_m[0] + rng.uniform(-1, 1, 3) * s.start_range_m
-        self.world.variation = variant.of_world(start_m)
-        self._path: list[tuple[int, int, int]] = []
-        ways = self._follow(rng) if s.method == "library" else self._expert(rng)
-        noise = rng if s.method == "expert" else None
-        attempt = self._carried_out(ways, int(rng.integers(2**31)), noise=noise)
-        pieces = [dict(zip(("frame", "source_episode", "source_frame"), p, strict=True)) for p in self._path]
-        return attempt, {"path": pieces} if pieces else {}
+        return int(rng.integers(2**31)), variant.of_world(start_m)
 
     def _follow(self, rng: np.random.Generator) -> Iterator[np.ndarray]:
         """Yields the library's actions; begins at the first, after the world was reset."""
@@ -279,13 +291,8 @@ class Generator:
             observation = self.world.step(carried_out[-1])
             missed = missed and not self.world.touch.area > 0
             self.seconds["execution"] += time.perf_counter() - began
-        reason = self.world.failure
-        if not reason and self.world.success and len(actions) < frames(SHORTEST):
-            reason = IN_THE_WAY
-        elif not reason and missed:
-            reason = "it did not touch the object"
-        elif not reason and not self.world.success:
-            reason = "the task was not done by the end"
+        early = len(actions) < frames(SHORTEST)
+        reason = rejection(self.world.failure, self.world.success, early, missed)
         return Attempt(
             np.array(states),
             np.array(actions),
@@ -362,6 +369,30 @@ class Generator:
         along = action[:, :3] / np.maximum(speed, 0.01)
         action[:, :3] += touching * along * FEED_FORWARD_M_S * (variant.friction - 1)
         return np.clip(action, *self.world.action_limits)
+
+
+def rejection(failure: str | None, success: bool, early: bool, missed: bool) -> str | None:
+    """Why an attempt is rejected that ended so; None where it is accepted.
+
+    Args:
+        failure: what has spoilt the trial.
+        success: whether the task was done.
+        early: whether it ended within `SHORTEST`.
+        missed: whether the object was not touched.
+    """
+    if failure:
+        return failure
+    if success and early:
+        return IN_THE_WAY
+    if missed:
+        return "it did not touch the object"
+    return None if success else "the task was not done by the end"
+
+
+def pieces(path: list[tuple[int, int, int]]) -> dict:
+    """Provenance of a path of `library.Follower`."""
+    named = [dict(zip(("frame", "source_episode", "source_frame"), p, strict=True)) for p in path]
+    return {"path": named} if named else {}
 
 
 def _area_rmse(area: np.ndarray, demonstrated: np.ndarray) -> float:

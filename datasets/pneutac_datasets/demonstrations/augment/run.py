@@ -110,6 +110,8 @@ def augment_guided(
     progress: Progress = no_progress,
     checks: int = 0,
     real_share: float = 0.0,
+    device: str = "cpu",
+    worlds: int = 0,
 ) -> dict:
     """Writes a LeRobotDataset of new demonstrations that merges with its source.
 
@@ -124,6 +126,8 @@ def augment_guided(
         checks: demonstrations that material points carry out once more, see `check.check`.
         real_share: share of the frames that are to be recorded ones: as many copies of the source are merged
             into the new dataset, so that a trainer that draws frames evenly mixes by it.
+        device: of PyTorch, on which `worlds` are stepped together by the library.
+        worlds: their number; 0 for a world in each process.
 
     Returns:
         `attempts`, `kept`, `rejected` (reason to count), `provenance` (a dict each), `seconds` by part,
@@ -141,18 +145,23 @@ def augment_guided(
     if out_root.exists() and work.folder.exists():
         return _tidy_up(work, out_root, meta, setup, episodes, began) | _checked(work, checks)
     check_new(out_root, out_repo_id)
-    work.open(_run(meta, setup) | ({"real_share": real_share} if real_share else {}))
+    together = {"device": device} if worlds else {}
+    work.open(_run(meta, setup) | ({"real_share": real_share} if real_share else {}) | together)
     scenes = _find_scenes(work, setup, executor, progress) if setup.method == "planner" else []
     files = [work.episode_file(k) for k in range(episodes)]
-    make = partial(make_episode, setup, work.folder, scenes)
-    run_pieces(make, files, work.folder / "logs", executor, progress, "making demonstrations")
+    parts: dict[str, float] = {}
+    if worlds:
+        parts = _make_together(setup, work, files, device, worlds, executor, progress)
+    else:
+        make = partial(make_episode, setup, work.folder, scenes)
+        run_pieces(make, files, work.folder / "logs", executor, progress, "making demonstrations")
     spent = time.monotonic()
     shards = _write(work, meta, setup.references, out_repo_id, episodes, executor, progress)
     used = [r.source for r in setup.references]
     copies = _merge(shards, part, out_repo_id, meta, used, real_share)
     made = [work.load_spent(k) for k in range(episodes)]
     provenance = [line for line, _ in made] + copies
-    seconds = {name: sum(s[name] for _, s in made) for name in made[0][1]}
+    seconds = {name: sum(s[name] for _, s in made) for name in made[0][1]} | parts
     seconds["writing"] = time.monotonic() - spent
     check(work, setup, checks, progress)
     agreements = _checked(work, checks)
@@ -193,6 +202,27 @@ def _find_scenes(
     make = partial(make_scene, setup, work.folder)
     run_pieces(make, files, work.folder / "logs", executor, progress, "finding the objects")
     return [work.load_scene(i) for i in range(len(files))]
+
+
+def _make_together(
+    setup: AugmentSetup,
+    work: Work,
+    files: list[Path],
+    device: str,
+    worlds: int,
+    executor: ExecutorOptions,
+    progress: Progress,
+) -> dict[str, float]:
+    """Makes what is missing in a batch of worlds; returns the seconds of this process by part."""
+    missing = [k for k, file in enumerate(files) if not file.exists()]
+    if not missing:
+        return {}
+    from pneutac_datasets.demonstrations.augment.lockstep import Lockstep
+
+    lockstep, began = Lockstep(setup, work, device, worlds), time.monotonic()
+    workers = min(executor.workers or len(os.sched_getaffinity(0)), len(missing))
+    lockstep.make(missing, workers, progress, len(files) - len(missing))
+    return lockstep.seconds | {"making": time.monotonic() - began}
 
 
 def _write(
@@ -250,8 +280,9 @@ def _merge(
     used: list[int],
     share: float,
 ) -> list[dict]:
-    """Merges datasets into `part`, with copies of `used` episodes of the source until such a share of the frames
-    is recorded; gives the copies' provenance.
+    """Merges datasets into `part`, with copies of `used` episodes; gives the copies' provenance.
+
+    There are as many as make that share of the frames recorded ones.
     """
     new = [LeRobotDatasetMetadata(repo_id, shard) for shard in shards]
     frames, episodes = (sum(getattr(m, f"total_{of}") for m in new) for of in ("frames", "episodes"))

@@ -6,7 +6,7 @@ workers, and pieces made twice are equal.
 
 import json
 import time
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from pneutac_datasets.demonstrations.augment.episode import Attempt, AugmentSetu
 from pneutac_datasets.demonstrations.augment.scene import Scene
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole, write_json
+from pneutac_sim.world.base import START_SOLVES
 from pneutac_sim.world.varied import Variation
 
 MORE = "more "  # before the names of further features
@@ -115,6 +116,51 @@ def make_episode(setup: AugmentSetup, folder: Path, scenes: list[Scene], index: 
     before, began = _spent(generator), time.process_time()
     attempt, provenance = generator.episode(index, scenes)
     seconds = {k: v - before[k] for k, v in _spent(generator).items()} | {"core": time.process_time() - began}
+    Work(folder).save_episode(index, attempt, provenance, seconds)
+
+
+@dataclass
+class Sensed:
+    """An attempt in a batch of worlds, which have neither the arm's joints nor images.
+
+    Attributes:
+        start: seed and variation.
+        states: of each frame, as `BatchedWorld.state`.
+        contacts: area and log(1 + pixels) of each frame.
+        shown: of each frame, the one whose touch was shown in it.
+        displacement_mm: (80, 59) of the gel's face, of the frames in which it was touched.
+        actions: (3 + C,) of each frame.
+        pressure_kpa: (C,) commanded last.
+    """
+
+    start: tuple[int, Variation]
+    states: list[np.ndarray] = field(default_factory=list)
+    contacts: list[np.ndarray] = field(default_factory=list)
+    shown: list[int] = field(default_factory=list)
+    displacement_mm: dict[int, np.ndarray] = field(default_factory=dict)
+    actions: list[np.ndarray] = field(default_factory=list)
+    pressure_kpa: np.ndarray | None = None
+
+
+def save_sensed(setup: AugmentSetup, folder: Path, index: int, sensed: Sensed, provenance: dict) -> None:
+    """Adds joints and images to an accepted attempt, and saves it as the demonstration of an index."""
+    began, world = time.process_time(), _generator(setup, folder).world
+    T, solver = len(sensed.actions), world.arm.solver()
+    states = np.array(sensed.states[:T])
+    flange_m, half_m = states[:, :3] - world.arm.base_m, states[:, 3:6] * world.dt_s / 2
+    for _ in range(START_SOLVES):
+        solver.solve(flange_m[0])
+    rows = []
+    for at, half, state, shown in zip(flange_m, half_m, states, sensed.shown, strict=False):
+        before, now, after = (solver.solve(x) for x in (at - half, at, at + half))
+        rates = (after - before) / world.dt_s  # of the joints
+        rows.append(np.concatenate([now, rates, at, sensed.contacts[shown], state[8:]]))
+    rest, moved = world.sensor.rest_image, sensed.displacement_mm
+    drawn = {t: world.sensor.draw(u) for t, u in moved.items()}
+    images = np.stack([drawn.get(shown, rest) for shown in sensed.shown[:T]])
+    state, action = np.array(rows, np.float32), np.array(sensed.actions)
+    attempt = Attempt(state, action, images, None, 0.0, 1.0, sensed.start)
+    seconds = {"core": time.process_time() - began}
     Work(folder).save_episode(index, attempt, provenance, seconds)
 
 
