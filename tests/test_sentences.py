@@ -90,6 +90,8 @@ benchmark juggling
 benchmark body --hidden=-1
 benchmark augment --tasks=[bottle]
 benchmark augment --start_width=0.5
+benchmark policy --conditions=real,pp
+benchmark policy --tasks=switch,switch
 doctor --port
 """.strip().splitlines()
 
@@ -160,6 +162,11 @@ RECORDINGS = {
     "a trial that is no number": cell("trial", 3, "first"),
     "a column twice": text("samples.csv", "trial,time_s,time_s,pressure_cmd_kpa\n0,0,0,1\n"),
     "noise of no column": field(noise={"tip_w_mm": 0.1}),
+    "a camera that is misspelt": field(cameras={"front": {"intrinsic": [[1]]}}),
+    "cameras as a list": field(cameras=["front"]),
+    "a table as recording.json": text("recording.json", "trial,time_s\n0,0\n"),
+    "a picture as recording.json": lambda folder: (folder / "recording.json").write_bytes(b"\x89PNG\r\n"),
+    "a field twice": text("recording.json", '{"device": "finger", "device": "arm"}'),
     "negative noise": field(noise={"tip_x_mm": -0.1}),
     "a trial that is not there": field(trials={"5": {"start": "rested"}}),
     "another start of a trial": field(trials={"1": {"start": "fresh"}}),

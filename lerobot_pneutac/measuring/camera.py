@@ -3,7 +3,6 @@
 The tip of a finger in a film: ArUco markers in a calibrated camera, or dots in the bending plane.
 """
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy as np
 from pneutac_datasets.recording.image_file import read_image
 from pneutac_datasets.recording.sources.frame import Track
 from pneutac_sim.errors import InputError
-from pneutac_sim.files import refuse_pointer, write_json
+from pneutac_sim.files import read_json, refuse_pointer, write_json
 
 DICTIONARY = cv2.aruco.DICT_4X4_50
 CELLS = 6  # of a marker's side, its dark rim included
@@ -38,11 +37,11 @@ class Intrinsics:
     def load(cls, path: str | Path) -> "Intrinsics":
         """Reads what `save` wrote; raises InputError where something is missing."""
         try:
-            d = json.loads(Path(path).read_text())
+            d = read_json(Path(path))
             matrix, distortion = np.array(d["intrinsics"], float), np.array(d["distortion"], float)
             size = int(d["width"]), int(d["height"])
             rms = float(d["rms_px"])
-        except (OSError, ValueError, KeyError, TypeError) as e:
+        except (ValueError, KeyError, TypeError) as e:
             raise InputError(
                 f"intrinsics={path} is no camera calibration ({e}); make one with pneutac measure"
                 " --chessboard=FOLDER."

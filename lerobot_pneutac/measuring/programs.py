@@ -3,7 +3,6 @@
 `pneutac measure`: drives a pressure program at the bench and writes what finger and gel did.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,6 +22,7 @@ from pneutac_datasets.recording.mounts import CONDITIONS
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import plural
 from pneutac_sim.errors import InputError, check_choice
+from pneutac_sim.files import read_json
 
 BUILTIN = ("steps", "ramps", "holds", "loops", "all")
 
@@ -165,11 +165,10 @@ def _table(path: Path, hz: float, chambers: int) -> list[PressureTrial]:
 
 def _proposed(path: Path, recording: Path | None, hz: float, chambers: int) -> PressureTrial:
     """The program on the diagnosis' menu that its advice names."""
-    try:
-        told = json.loads(path.read_text())
-        advice = told["next_experiment"]
-    except (ValueError, KeyError, TypeError) as e:
-        raise InputError(f"{path} is no result of pneutac diagnose: 'next_experiment' is missing.") from e
+    diagnosed = read_json(path)
+    advice = diagnosed.get("next_experiment")
+    if not isinstance(advice, str):
+        raise InputError(f"{path} is no result of pneutac diagnose: 'next_experiment' is missing.")
     if recording is None:
         raise InputError("program=result.json needs recording, the folder that was diagnosed.")
     r = Recording.load(recording)
@@ -178,7 +177,7 @@ def _proposed(path: Path, recording: Path | None, hz: float, chambers: int) -> P
             f"{recording} has {plural(len(r.pressure_columns), 'chamber')}, and {chambers} would be driven;"
             " give the bench of the device that was diagnosed."
         )
-    found = {e: {k: v["value"] for k, v in c.items()} for e, c in told.get("parameters", {}).items()}
+    found = {e: {k: v["value"] for k, v in c.items()} for e, c in diagnosed.get("parameters", {}).items()}
     for p in [*menu(r), *law_programs(r, found)]:
         if p.advice in advice:
             time_s = p.samples["time_s"].to_numpy(float)

@@ -1,6 +1,5 @@
 """Which physical effect a twin lacks, with rivals, intervals and the next experiment."""
 
-import json
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -28,7 +27,7 @@ from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.noise import noise_text
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError, option
-from pneutac_sim.files import write_json
+from pneutac_sim.files import read_json, write_json
 from pneutac_sim.twin import Twin
 
 FILE = "contenders.json"  # the models between which a diagnosis could not yet choose
@@ -247,13 +246,13 @@ def read_found(
         raise InputError(
             f"There is no diagnosis at '{folder}'; make one with `pneutac diagnose {option('out', folder)}`."
         )
-    result = json.loads(file.read_text())
+    result = read_json(file)
     if "verdict" not in result or not (folder / FOUND).is_dir():
         raise InputError(f"{file} is not the result of a body's diagnosis; give the folder that it wrote.")
-    if result["rows"] != len(recording):
+    if result.get("rows") != len(recording):
         raise InputError(
-            f"{file} is of a recording of {result['rows']} rows and {recording.folder} has {len(recording)}; "
-            "give the recording that was diagnosed."
+            f"{file} is of a recording of {result.get('rows')} rows and {recording.folder} has "
+            f"{len(recording)}; give the recording that was diagnosed."
         )
     known = Twin.load(folder / BASELINE) if (folder / BASELINE).is_dir() else None
     return result, (Twin.load(folder / BEFORE, calibrated=False), known, Twin.load(folder / FOUND))

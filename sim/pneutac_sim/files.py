@@ -18,21 +18,69 @@ from PIL import Image
 
 from pneutac_sim.errors import CONTROL, InputError, shown, unknown_names
 
-MOST_YAML_BYTES = 2**20
+MOST_YAML_BYTES, MOST_JSON_BYTES = 2**20, 2**22
 MOST_WHOLE = 10**19
 LOCK_S = 60.0  # how long another process's writing is waited for
 # How the small text files begin that stand for files which Git has not fetched, and the command that does.
 POINTERS = {b"version https://git-lfs": "git lfs pull", b"/annex/objects/": "git annex get ."}
 
 
+def _text(file: Path, most_bytes: int) -> str:
+    """Content of a text file; raises InputError, one line, where it is none, or far too large."""
+    try:
+        if file.stat().st_size > most_bytes:
+            raise InputError(f"{file} is larger than {most_bytes} bytes; it is no file of this product.")
+        refuse_pointer(file)
+        return file.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as e:
+        raise InputError(f"{file} is no text in UTF-8; give another file, or save it as UTF-8.") from e
+    except OSError as e:
+        raise InputError(f"{file} cannot be read ({e.strerror}); give another file.") from e
+
+
+def read_json[T: (dict, list)](file: Path, kind: type[T] = dict) -> T:
+    """Content of a JSON file: names and values, or a list.
+
+    Raises:
+        InputError: one line: it is none, far too large, or holds something else, a name twice or control
+            characters.
+    """
+    text = _text(file, MOST_JSON_BYTES)
+    try:
+        content = json.loads(text, parse_int=_whole, object_pairs_hook=_once)
+    except RecursionError as e:
+        raise InputError(f"{file} is not valid JSON: it is nested too deeply.") from e
+    except ValueError as e:
+        raise InputError(f"{file} is not valid JSON: {e}; correct it in a text editor.") from e
+    if not isinstance(content, kind):
+        what = "object" if kind is dict else "list"
+        raise InputError(f"{file} must hold a JSON {what}, not {shown(content)}.")
+    return content
+
+
+def _whole(digits: str) -> int | float:
+    """A whole number of JSON; one that no quantity has is infinite, which every field refuses."""
+    return int(digits) if len(digits) < 20 else float(digits)
+
+
+def _once(pairs: list[tuple[str, object]]) -> dict:
+    """An object of JSON; of a name that is given twice one value would be ignored."""
+    out: dict = {}
+    for name, value in pairs:
+        if name in out:
+            raise ValueError(f"'{name}' is given twice")
+        texts = (name, *(value if isinstance(value, list) else [value]))
+        if any(isinstance(text, str) and CONTROL.search(text) for text in texts):
+            raise ValueError(f"'{name}' holds control characters")
+        out[name] = value
+    return out
+
+
 def read_yaml(file: Path):
     """Content of a YAML file; raises InputError, one line, where it is none or far too large."""
-    if file.stat().st_size > MOST_YAML_BYTES:
-        raise InputError(f"{file} is larger than {MOST_YAML_BYTES} bytes; it is no file of this product.")
+    text = _text(file, MOST_YAML_BYTES)
     try:
-        return yaml.load(file.read_text(), _Loader)
-    except OSError as e:
-        raise InputError(f"{file} cannot be read ({e.strerror}).") from e
+        return yaml.load(text, _Loader)
     except RecursionError as e:
         raise InputError(f"{file} is nested too deeply; correct it in a text editor.") from e
     except (yaml.YAMLError, ValueError) as e:

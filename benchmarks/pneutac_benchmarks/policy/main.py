@@ -23,7 +23,7 @@ from pneutac_benchmarks.policy.plan import (
     PERSON,
     plan,
 )
-from pneutac_sim.errors import InputError, check_choice, check_least
+from pneutac_sim.errors import InputError, check_choice, check_least, unknown_names
 from pneutac_sim.executor import ExecutorOptions
 from pneutac_sim.features import FIDELITIES, TASK_NAMES, task_names
 from pneutac_sim.world.base import MOST_WIDE
@@ -145,9 +145,10 @@ class BenchmarkPolicyConfig(ExecutorOptions):
     def _check_lists(self) -> None:
         for option, known in (("tasks", task_names()), ("conditions", tuple(CONDITIONS))):
             values = getattr(self, option)
-            unknown = [v for v in values if v not in known]
-            if unknown or len(set(values)) != len(values):
-                raise InputError(f"{option} is {list(values)}; give some of {', '.join(known)}, each once.")
+            for fault in unknown_names(values, known, "name"):
+                raise InputError(f"{option} has the {fault}")
+            if len(set(values)) != len(values):
+                raise InputError(f"{option} has a name twice; give some of {', '.join(known)}, each once.")
         if not self.tasks or not (self.conditions or self.twin_before):
             raise InputError("Give at least one of the tasks and one of the conditions.")
         seeds = self.seeds

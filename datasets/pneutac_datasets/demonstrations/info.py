@@ -4,7 +4,6 @@ LeRobot looks for what is missing on the Hub, and ends in errors of its own. `da
 that LeRobot opens, and says what is wrong in sentences.
 """
 
-import json
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +13,7 @@ import numpy as np
 from pneutac_datasets.demonstrations.films import TOLERANCE_S, Film, film_of, frame_size
 from pneutac_datasets.recording.image_file import read_image
 from pneutac_sim.errors import InputError, shown
-from pneutac_sim.files import refuse_pointer
+from pneutac_sim.files import read_json, refuse_pointer
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -53,26 +52,13 @@ def _names(feature: dict) -> list:
 
 def read_info(file: Path) -> dict:
     """The content of its `meta/info.json`; raises InputError where that is damaged."""
-    info = _read_json(file)
+    info = read_json(file)
     info.setdefault("features", {})
     if not isinstance(info["features"], dict) or not all(
         isinstance(f, dict) for f in info["features"].values()
     ):
         raise InputError(f"{file}: 'features' must be an object of objects; the dataset is damaged.")
     return info
-
-
-def _read_json(file: Path) -> dict:
-    try:
-        refuse_pointer(file)
-        content = json.loads(file.read_text(encoding="utf-8"))
-    except InputError:
-        raise
-    except (OSError, ValueError, RecursionError) as e:
-        raise InputError(f"{file} is not valid JSON ({e}); the dataset is damaged.") from e
-    if not isinstance(content, dict):
-        raise InputError(f"{file} must hold a JSON object; the dataset is damaged.")
-    return content
 
 
 def refuse_version(file: Path, info: dict) -> None:
@@ -230,7 +216,7 @@ def _statistics(folder: Path, info: dict, repair: str) -> None:
     file = folder / "meta" / "stats.json"
     if not file.is_file():
         raise InputError(f"{file} is missing; run {repair}.")
-    stats = _read_json(file)
+    stats = read_json(file)
     for key in (STATE, ACTION):
         if key not in info["features"]:
             continue

@@ -1,8 +1,7 @@
 """Reads the files of a bench recording: CSV, Parquet or a LeRobotDataset, bounded in memory."""
 
-import json
 import re
-from collections.abc import Iterator, Sized
+from collections.abc import Sized
 from pathlib import Path
 
 import pandas as pd
@@ -10,11 +9,10 @@ import pandas as pd
 from pneutac_datasets.recording.text_table import MAX_COLUMNS, MAX_ROWS, TextTable, read_text
 from pneutac_datasets.recording.units import unit_named
 from pneutac_datasets.recording.wording import SourceFile, cut, shown
-from pneutac_sim.errors import CONTROL, InputError
-from pneutac_sim.files import inside, refuse_pointer
+from pneutac_sim.errors import InputError
+from pneutac_sim.files import inside, read_json, refuse_pointer
 
 MAX_CELLS = 200_000_000  # 1.6 GB of numbers: a small Parquet file may stand for far more
-MAX_META_BYTES = 2**22
 MAX_NAME = 255  # characters of a file's name
 
 
@@ -31,38 +29,10 @@ def read_meta(folder: Path) -> dict:
         raise InputError(
             f"{file} is missing; a bench recording is a folder with recording.json and samples.csv."
         )
-    try:
-        if file.stat().st_size > MAX_META_BYTES:
-            raise InputError(f"{file} is larger than {MAX_META_BYTES} bytes; samples belong into a table.")
-        meta = json.loads(file.read_text(encoding="utf-8"), parse_int=_whole)
-        if any(CONTROL.search(text) for text in _texts(meta)):
-            raise InputError(f"{file} holds control characters; correct it in a text editor.")
-    except InputError:
-        raise
-    except (ValueError, RecursionError) as e:
-        raise InputError(f"{file} is not valid JSON: {cut(str(e))}; correct it in a text editor.") from e
-    if not isinstance(meta, dict):
-        raise InputError(f"{file} must hold a JSON object with the fields device, length_mm and samples.")
+    meta = read_json(file)
     if (folder / "meta" / "info.json").is_file() and "samples" not in meta:
         meta["lerobot"] = True
     return meta
-
-
-def _whole(digits: str) -> int | float:
-    """A whole number of JSON; one that no measurement has is infinite, which every field refuses."""
-    return int(digits) if len(digits) < 20 else float(digits)
-
-
-def _texts(content) -> Iterator[str]:
-    """All names and texts of what JSON holds."""
-    if isinstance(content, str):
-        yield content
-    elif isinstance(content, list):
-        for value in content:
-            yield from _texts(value)
-    elif isinstance(content, dict):
-        yield from content
-        yield from _texts(list(content.values()))
 
 
 def read_table(folder: Path, meta: dict) -> tuple[pd.DataFrame, Path]:
@@ -142,10 +112,9 @@ def _read_lerobot(folder: Path) -> pd.DataFrame:
     `episode_index` becomes `trial` and `timestamp` becomes `time_s` where those are not features themselves.
     """
     file = folder / "meta" / "info.json"
-    try:
-        features = json.loads(file.read_text(encoding="utf-8"))["features"]
-    except (ValueError, KeyError, TypeError) as e:
-        raise InputError(f"{file} is not a LeRobotDataset's info.json: {cut(repr(e))}.") from e
+    features = read_json(file).get("features")
+    if not isinstance(features, dict):
+        raise InputError(f"{file}: field 'features' is {shown(features)}; the LeRobotDataset is damaged.")
     parts = sorted((folder / "data").glob("**/*.parquet"))
     if not parts:
         raise InputError(

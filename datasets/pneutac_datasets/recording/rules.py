@@ -21,7 +21,8 @@ STARTS = ("rested", "continues", "unknown")
 DAY_S = 86400.0
 MAX_DUPLICATES = 0.01  # share of rows with a doubled stamp that a logger's rounding explains
 ROUNDED_S = 1e-3  # by which stamps of two columns may disagree
-# What is read of a `recording.json`; a lab's own further fields are left alone.
+# What is read of a `recording.json` and of a camera in it; a lab's own further fields are left alone.
+CAMERA = ("intrinsics", "extrinsics", "distortion", "background")
 FIELDS = (
     "device",
     "length_mm",
@@ -139,11 +140,15 @@ def device_of(meta: dict, samples: pd.DataFrame, folder: Path) -> str:
 
 
 def check_names(meta: dict, file: Path) -> None:
-    """Raises InputError where a field of `recording.json` is nearly one that is read."""
-    for name in (str(n) for n in meta if n not in FIELDS):
-        close = difflib.get_close_matches(name, [f for f in FIELDS if f not in meta], n=1, cutoff=0.8)
-        if close:
-            raise InputError(f"{file}: unknown field {shown(name)}; did you mean '{close[0]}'?")
+    """Raises InputError where a field of `recording.json` or of its cameras is nearly one that is read."""
+    cameras = meta.get("cameras")
+    described = {n: c for n, c in cameras.items() if isinstance(c, dict)} if isinstance(cameras, dict) else {}
+    groups = [("", meta, FIELDS), *((f"camera {shown(n)}: ", c, CAMERA) for n, c in described.items())]
+    for where, given, known in groups:
+        for name in (str(n) for n in given if n not in known):
+            close = difflib.get_close_matches(name, [f for f in known if f not in given], n=1, cutoff=0.8)
+            if close:
+                raise InputError(f"{file}: {where}unknown field {shown(name)}; did you mean '{close[0]}'?")
 
 
 def check_meta(meta: dict, file: Path) -> None:
@@ -183,6 +188,12 @@ def check_meta(meta: dict, file: Path) -> None:
                 f"{wrong}; give each measured column its standard deviation, a positive number, such as "
                 '{"tip_x_mm": 0.2}.'
             )
+    cameras = meta.get("cameras", {})
+    if not isinstance(cameras, dict) or not all(isinstance(c, dict) for c in cameras.values()):
+        raise InputError(
+            f"{file}: field 'cameras' is {shown(cameras)}; name each camera and what it is, as in "
+            '{"front": {"intrinsics": 3x3 in px, "extrinsics": 4x4 from base to camera in m}}.'
+        )
     check_starts(meta, file)
 
 

@@ -248,7 +248,7 @@ LONG = "x" * 5000
     [
         ("[" * 100_000, "is not valid JSON"),
         ('{"length_mm": ' + "1" * 5000 + "}", "field 'length_mm' is inf"),
-        ("\udcff", "is not valid JSON"),
+        ("\udcff", "is no text in UTF-8"),
     ],
 )
 def test_what_json_cannot_hold_is_one_short_sentence(tmp_path, monkeypatch, text, why):
