@@ -276,9 +276,12 @@ def load_contenders(folder: str | Path | Diagnosis) -> list[Candidate]:
     file = Path(folder) / FILE
     if not file.is_file():
         raise InputError(f"There is no {file}; give the folder that `pneutac diagnose --out=` wrote.")
+    stored = read_json(file, list)
+    if not all(isinstance(c, dict) and {"terms", "probability"} <= set(c) for c in stored):
+        raise InputError(f"{file} is damaged; give the folder that `pneutac diagnose` wrote.")
     return [
         Candidate(Twin.load(Path(folder) / "contenders" / str(i)), tuple(c["terms"]), c["probability"])
-        for i, c in enumerate(json.loads(file.read_text()))
+        for i, c in enumerate(stored)
     ]
 
 
