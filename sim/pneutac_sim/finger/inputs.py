@@ -270,8 +270,8 @@ class Inputs:
             np.repeat(at, 2), both.reshape(2 * len(at), self.pressure_kpa.shape[1]), steps.ravel()
         )
 
-    def switched_at(self, last: np.ndarray, share: float) -> "Inputs":
-        """The same inputs with the command's steps at another share of the time between two samples.
+    def switched_at(self, last: np.ndarray, share: float | np.ndarray) -> "Inputs":
+        """The same inputs with the command's steps at other shares (one or k) of the time between samples.
 
         `last` (k,) are the rows before which the command steps; the two rows before each are the step.
         """

@@ -16,6 +16,7 @@ import numpy as np
 from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.inputs import pressure_columns, steps
 from pneutac_sim.finger.pipeline import Pipeline
+from pneutac_sim.finger.problem import Bounds, Problem
 
 COST = (
     1.5  # of the noise's variance: what an instant of its own must gain; by fitting noise it gains up to one
@@ -53,28 +54,35 @@ class StepRows:
         end = np.r_[self.at[1:], len(trial)][: len(self.at)]
         self.own = (wanted < end[:, None]) & (trial[self.rows] == trial[self.at][:, None])
         data = read(0.5)
-        last, near = data.inputs.rows[self.at], data.thin(self.rows.ravel())
-        self._data = [near]
-        if "time_sent_s" not in recording.samples:
-            moved = [near.inputs.switched_at(last, float(share)) for share in _GRID]
-            self._data = [replace(near, inputs=inputs) for inputs in moved]
+        self._last, self._near = data.inputs.rows[self.at], data.thin(self.rows.ravel())
+        self._known = "time_sent_s" in recording.samples
+        self._data = [self.switched(share) for share in (_GRID[:1] if self._known else _GRID)]
+
+    def switched(self, share: float | np.ndarray) -> BodyData:
+        """These rows with all steps at one share of the time between two samples, or each at its own.
+
+        As they are where the recording has the times at which commands were sent.
+        """
+        if self._known:
+            return self._near
+        return replace(self._near, inputs=self._near.inputs.switched_at(self._last, share))
 
     def residual(self, data: BodyData, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
         """(steps, 6, D) model - measured in these rows of the recording, in the unit of the error."""
-        run = pipeline.run(data.inputs, theta)
+        run = pipeline.run(data.inputs, theta, until=pipeline.until(data.columns))
         r = (pipeline.outputs(run, data.columns) - data.measured) * data.scale
         return r.reshape(*self.rows.shape, -1)
 
     def errors(self, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
         """(shares, steps) sums of squares over the rows of a step."""
-        return self._errors(self._residuals(pipeline, theta)).sum(axis=2)
+        return self._errors(self.residuals(pipeline, theta)).sum(axis=2)
 
     def judged(self, pipeline: Pipeline, theta: np.ndarray, variance: float) -> tuple[np.ndarray, np.ndarray]:
         """By what models are compared: residual (steps, 6, D) and what is added to its squares (steps, 6).
 
         `variance` is the mean square of the model's residual, summed over outputs.
         """
-        R = self._residuals(pipeline, theta)
+        R = self.residuals(pipeline, theta)
         E = self._errors(R)
         total = E.sum(axis=2)
         one, best = int(total.sum(axis=1).argmin()), total.argmin(axis=0)
@@ -87,11 +95,56 @@ class StepRows:
             return R[one], np.zeros_like(cost)
         return R[best, step], cost
 
-    def _residuals(self, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
+    def residuals(self, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
+        """`residual` (shares, steps, 6, D) of all steps at each share."""
         return np.stack([self.residual(data, pipeline, theta) for data in self._data])
 
     def _errors(self, R: np.ndarray) -> np.ndarray:
         return (R**2).sum(axis=-1) * self.own
+
+
+class StepProblem:
+    """Residuals of the rows after steps as a function of free parameters, each step at its best instant.
+
+    The derivative leaves out what moving the instants does as well (variable projection, Kaufman's form:
+    Golub, Pereyra, Inverse Problems 19, 2003).
+
+    Args:
+        steps: the rows.
+        pipeline: the model.
+        theta: (P,) values of the parameters that are not free.
+        bounds: bounds of all parameters.
+        free: (F,) indices of the free ones.
+
+    Attributes:
+        theta: all parameters (P,) of scaled values (F,), see `Problem.theta`.
+    """
+
+    def __init__(self, steps: StepRows, pipeline: Pipeline, theta: np.ndarray, bounds: Bounds, free):
+        self._steps = steps
+        self._problem = lambda share: Problem(pipeline, steps.switched(share), theta, bounds, free)
+        self._best, self._along = np.zeros(0, int), np.zeros(0)
+        self.theta = self._problem(0.5).theta
+        self._residuals = lambda v: steps.residuals(pipeline, self.theta(v))
+
+    def residual(self, v: np.ndarray) -> np.ndarray:
+        """Model - measured (rows D,), in the unit of the error."""
+        R = self._residuals(v) * self._steps.own[:, :, None]
+        self._best, k = (R**2).sum(axis=(2, 3)).argmin(axis=0), np.arange(R.shape[1])
+        inner = np.clip(self._best, 1, len(R) - 2)
+        along = R[inner + 1, k] - R[inner - 1, k] if len(R) > 1 else np.zeros_like(R[0])
+        self._along = np.where((inner == self._best)[:, None, None], along, 0.0)
+        return R[self._best, k].ravel()
+
+    def jacobian(self, v: np.ndarray) -> np.ndarray:
+        """Derivative (rows D, F) of it, at the v of the last call of `residual`."""
+        shape = (len(self._best), -1, len(v))
+        J = self._problem(_GRID[self._best]).jacobian(v).reshape(*self._along.shape, -1)
+        J = (J * self._steps.own[:, :, None, None]).reshape(shape)
+        along = self._along.reshape(shape[:2])
+        along = along / (np.linalg.norm(along, axis=1, keepdims=True) + 1e-300)
+        J = J - along[:, :, None] * np.einsum("si,sif->sf", along, J)[:, None]
+        return J.reshape(-1, len(v))
 
 
 def _least(E: np.ndarray) -> np.ndarray:

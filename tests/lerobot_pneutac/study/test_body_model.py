@@ -1,3 +1,4 @@
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,8 +8,12 @@ from lerobot_pneutac.diagnosis.search import Scored
 from lerobot_pneutac.study.body_model import BodyFitter, BodyStructure, InputModel, rate
 from lerobot_pneutac.study.body_search import BodySearch
 from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.finger.instants import StepProblem, step_rows
+from pneutac_sim.least_squares import minimise
 from pneutac_sim.twin import Twin
 from pneutac_truths import generate, write
+
+COLUMNS = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
 
 
 def test_the_rate_of_the_drive_stops_at_a_trial_and_leaves_steps_out():
@@ -67,3 +72,24 @@ def test_a_dead_time_may_be_none_and_a_lag_is_no_shorter_than_the_samples_show(t
     lower = dict(zip(model.pipeline.names, model.bounds.lower, strict=True))
     assert lower["dead_time.delay_s"] == 0.0
     assert lower["valve_lag.fill_time_s"] == pytest.approx(fitter.row_s / 4)
+
+
+def test_the_air_is_found_with_steps_at_instants_that_nobody_wrote_down(tmp_path):
+    recording = Recording.load(write(generate("rod", ["plain"], 3, minutes=1.0), tmp_path / "r"))
+    twin, at = Twin("finger", recording.length_mm), step_rows(recording)
+    share = np.full(len(recording), np.nan)
+    share[at] = np.random.default_rng(0).integers(2, 22, len(at)) / 24
+    structure = BodyStructure(("valve_lag",), InputModel(switch=tuple(share)))
+    true = {"valve_lag.fill_time_s": 0.11, "valve_lag.vent_time_s": 0.17}
+    model = BodyFitter(recording, twin, np.arange(len(recording))).fit(structure, true, 0)
+    predicted = model.pipeline.outputs(
+        model.pipeline.run(model.fitter.data(structure.input_model).inputs, model.theta), COLUMNS
+    )
+    seen = recording.samples.assign(**dict(zip(COLUMNS, predicted.T, strict=True)))
+    fitter = BodyFitter(replace(recording, samples=seen), twin, np.arange(len(recording)))
+    away = fitter.fit(structure, true | {"valve_lag.fill_time_s": 0.2, "valve_lag.vent_time_s": 0.1}, 0)
+    air = [away.pipeline.names.index(name) for name in true]
+    steps = StepProblem(fitter.steps(structure.input_model), away.pipeline, away.theta, away.bounds, air)
+    best = minimise(steps.residual, steps.jacobian, away.bounds.scaled(away.theta, np.array(air)))
+    np.testing.assert_allclose(steps.theta(best.v)[air], list(true.values()), rtol=0.02)
+    assert best.steps < 12
