@@ -14,7 +14,7 @@ from pathlib import Path
 
 from pneutac_sim.errors import InputError, check_least
 
-COMMANDS = ("record", "replay", "rollout", "remote")
+COMMANDS = ("record", "record_streaming", "replay", "rollout", "remote")
 START_S = 180  # in which a command has begun, imports included
 # As robots log it: of a run without episodes, and of a recorded one.
 RATE = re.compile(r"(?:actions came|ran) at ([\d.]+) Hz.*?\((\d+) late, the longest pause ([\d.]+) s\)")
@@ -34,7 +34,8 @@ class BenchmarkRatesConfig:
 
     Attributes:
         hz: control rates.
-        commands: of `record`, `replay`, `rollout` and `remote` (LeRobot's policy server and robot client).
+        commands: of `record` (PNG files), `record_streaming` (video, encoded meanwhile), `replay`, `rollout`
+            and `remote` (LeRobot's policy server and robot client).
         robot: `standin`, or `dry`: the real robot's code with simulated parts, which cannot be recorded.
         seconds: of a run.
         runs: of each command at each rate.
@@ -54,7 +55,7 @@ class BenchmarkRatesConfig:
             raise InputError(f"commands has {', '.join(unknown)}; there are {', '.join(COMMANDS)}.")
         if self.robot not in ROBOTS:
             raise InputError(f"robot is '{self.robot}'; give one of {', '.join(ROBOTS)}.")
-        if self.robot == "dry" and "record" in self.commands:
+        if self.robot == "dry" and any(c.startswith("record") for c in self.commands):
             raise InputError(
                 'robot is dry, which nobody teleoperates; give --commands="[replay,rollout,remote]".'
             )
@@ -84,8 +85,8 @@ class Rates:
         self._demos = ("--dataset.repo_id=local/demos", f"--dataset.root={self._folder / 'demos'}")
         _prepare(self._folder)
 
-    def record(self) -> str:
-        """What lerobot-record prints; its frames are PNG files, as on the tutorial's page."""
+    def record(self, *images: str) -> str:
+        """What lerobot-record prints; by default its frames are PNG files, as on the tutorial's page."""
         root = Path(tempfile.mkdtemp(dir=self._folder)) / "recorded"
         return self._run(
             "lerobot_record",
@@ -98,10 +99,14 @@ class Rates:
             "--dataset.num_episodes=1",
             f"--dataset.episode_time_s={self._seconds}",
             "--dataset.reset_time_s=0",
-            "--dataset.video=false",
             "--dataset.push_to_hub=false",
             "--play_sounds=false",
+            *(images or ("--dataset.video=false",)),
         )
+
+    def record_streaming(self) -> str:
+        """The same with images that one thread encodes to video during the episode."""
+        return self.record("--dataset.streaming_encoding=true", "--dataset.encoder_threads=1")
 
     def replay(self) -> str:
         """What lerobot-replay prints."""

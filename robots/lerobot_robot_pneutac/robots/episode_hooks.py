@@ -133,7 +133,8 @@ class EpisodeHooks:
             if not self._waits:
                 follows = f"so its motions are stored as {'faster' if short else 'slower'} than they were"
             elif short:
-                follows = f"{world}; where that is too short, give a longer --dataset.episode_time_s"
+                remedy = "--dataset.streaming_encoding=true, or a longer --dataset.episode_time_s"
+                follows = f"{world}; give {remedy}"
             else:
                 less = f"in which the policy acted less often than at {fps:g} Hz"
                 follows = f"{world}, {less}; leave out --interpolation_multiplier"
