@@ -1,4 +1,4 @@
-"""An effect of your own: a marker that is glued beside the finger's axis swings about the tip."""
+"""An effect of your own: a marker that is glued off the finger's axis swings about the tip."""
 
 import math
 
@@ -19,18 +19,18 @@ def run(x, dt, theta, conditions, state):
 EFFECT = BodyEffect(
     name="marker_offset",
     stage="observation",
-    parameters=(Parameter("beside_mm", "mm", default=1.0, lower=-50.0, upper=50.0),),
+    parameters=(Parameter("offset_mm", "mm", default=1.0, lower=-50.0, upper=50.0),),
     run=run,
-    summary="Your marker sits {beside_mm:.0f} mm beside the axis of your {device}.",
+    summary="Your marker sits {offset_mm:.0f} mm off the axis of your {device}.",
     experiment="Glue a second marker onto the axis and record both.",
 )
 
 # Tip x, y, z in mm, bend towards +z and +y in rad, at five samples 0.1 s apart.
 bend = np.linspace(0.0, 1.0, 5)
 markers = np.column_stack([100 * np.cos(bend / 2), 0 * bend, 100 * np.sin(bend / 2), bend, 0 * bend])
-moved = EFFECT.apply(markers, np.full(5, 0.1), {"beside_mm": 3.0})
+moved = EFFECT.apply(markers, np.full(5, 0.1), {"offset_mm": 3.0})
 
-assert np.allclose(EFFECT.apply(markers, np.full(5, 0.1), {"beside_mm": 0.0}), markers)
-print(EFFECT.describe({"beside_mm": 3.0}))
+assert np.allclose(EFFECT.apply(markers, np.full(5, 0.1), {"offset_mm": 0.0}), markers)
+print(EFFECT.describe({"offset_mm": 3.0}))
 print(np.round(moved - markers, 2)[:, [0, 2]])
 # In a package of yours, an entry point makes every verb know it: docs/how_to/add_an_effect.md.

@@ -79,6 +79,9 @@ augment --task=bottle
 augment --dataset.repo_id=local/x --dataset.root=nowhere --output.repo_id=local/y --output.root=o
 augment --method=magic
 augment --planner.samples=1
+augment --dataset.repo_id=a --dataset.root=x --output.repo_id=b --output.root=y --start_range=0.02
+calibrate --twin=finger --image_size=320
+benchmark policy --seeds=1.5
 ppo --task=bottle
 ppo --steps=0
 ppo --steps=0 --out=a

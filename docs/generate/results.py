@@ -1,4 +1,4 @@
-"""Pages from files beside docs/: the tables of benchmarks/, CHANGELOG and CONTRIBUTING."""
+"""Pages from files next to docs/: the tables of benchmarks/, CHANGELOG and CONTRIBUTING."""
 
 import re
 from pathlib import Path

@@ -131,12 +131,16 @@ def _convert_tables(config) -> None:
 
 def name_option(sentence: str, config_class: type) -> str:
     """A library's sentence about a parameter, `jobs=-1 must be ...`, as one about the option `--jobs`."""
-    first = re.match(r"[\w.]+(?==| is | has | and )", sentence)
-    if first is None:
-        return sentence
     options = [o.name for o in list_options(config_class)]
-    named = [o for o in options if o == first[0]] or [o for o in options if re.search(rf"[._]{first[0]}$", o)]
-    return f"--{named[0]}{sentence.removeprefix(first[0])}" if len(named) == 1 else sentence
+
+    def named(found: re.Match) -> str:
+        name = found[0]
+        same = [o for o in options if o == name] or [o for o in options if re.search(rf"[._]{name}$", o)]
+        return f"--{same[0]}" if len(same) == 1 else name
+
+    verbs = "is|has|and|must|are|chooses|simulates"  # after a word that may begin another sentence, too
+    first = rf"^[\w.]+_\w+(?=[ =])|^[\w.]+(?==| (?:{verbs}) )"
+    return re.sub(rf"{first}|(?<![\w.=/'`-])[a-z][\w.]*(?==[\w'])", named, sentence)
 
 
 def _check_file(path: Path, options: dict[str, Option]) -> None:
@@ -168,12 +172,22 @@ def _in_words(text: str, options: dict[str, Option]) -> str:
         shown = [f"--{o.name}{_placeholder(o.kind)}" for o in asked if not dataclasses.is_dataclass(o.kind)]
         shown = [", ".join(shown[:-1]), shown[-1]] if shown[1:] else shown
         return f"Give {' and '.join(shown)}; --help lists all options."
+    text = re.sub(r"^`([\w.]+?)\.\d+`", r"`\1`", text)  # an entry of a list
     if wrong := re.match(r"`([\w.]+)`: Couldn't parse '(.*)' into an? (\w+)$", text):
         kind = {"int": "a whole number", "float": "a number", "bool": "true or false"}.get(wrong[3], wrong[3])
         return f"--{wrong[1]} is '{wrong[2]}'; it must be {kind}."
     if wrong := re.match(r"`([\w.]+)`: Could not decode the value into any of the given types", text):
-        return f"--{wrong[1]} must be a number, or several with commas, such as 15,20,15."
+        return f"--{wrong[1]} must be {_numbers(wrong[1], options[wrong[1]].kind)}."
     return text
+
+
+def _numbers(name: str, kind: type) -> str:
+    """How many numbers an option takes, and how they are written."""
+    kinds = typing.get_args(kind)
+    if typing.get_origin(kind) is tuple and Ellipsis not in kinds:
+        whole = "whole " * (kinds[0] is int)
+        return f"{len(kinds)} {whole}numbers with commas, as in --{name}={','.join('ABCDEF'[: len(kinds)])}"
+    return "a number, or several with commas, such as 15,20,15"
 
 
 def list_options(config_class: type, group: str = "") -> Iterator[Option]:

@@ -82,7 +82,7 @@ def _check_range(t: PressureTrial, min_kpa: np.ndarray, max_kpa: np.ndarray) -> 
         if low < min_kpa[i] or high > max_kpa[i]:
             where = f" in chamber {i + 1}" if len(lowest) > 1 else ""
             raise InputError(
-                f"The program '{t.program}' goes from {low:g} to {high:g} kPa{where}; min_kpa and max_kpa"
+                f"The program '{t.program}' goes from {low:g} to {high:g} kPa{where}; --min_kpa and --max_kpa"
                 f" allow {min_kpa[i]:g} to {max_kpa[i]:g}."
             )
 

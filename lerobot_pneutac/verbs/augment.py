@@ -187,7 +187,7 @@ class Augmentation(Result):
         return self.summary["kept"] / self.summary["attempts"]
 
     def rows(self) -> list[dict]:
-        counts = {"kept": self.summary["kept"]}
+        counts = {"accepted": self.summary["kept"]}
         counts |= {f"rejected: {reason}": count for reason, count in self.summary["rejected"].items()}
         counts["yield"] = f"{100 * self.share:.0f} %"
         return [{"variants": name, "number": number} for name, number in counts.items()]

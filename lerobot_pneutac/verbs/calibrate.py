@@ -166,7 +166,7 @@ def run(cfg: CalibrateConfig, scratch: Path, terminal: Terminal) -> Calibration:
     terminal.console.print(note, end="\n" if note else "", highlight=False)
     check_writable(cfg.twin, f"--twin={cfg.twin}")
     if cfg.save_prior is not None:
-        from pneutac_sim.gel.told import check_name
+        from pneutac_sim.gel.identifiability import check_name
 
         if recording.device != "gel":
             raise InputError(

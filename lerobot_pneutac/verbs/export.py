@@ -25,9 +25,10 @@ from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.finger.stages import EffectLink, LoadLink, forward_kinematics, forward_kinematics_spatial
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 
-MODULES = {"math": "import math", "numpy": "import numpy as np"}
+MODULES = {"math": "import math", "warnings": "import warnings", "numpy": "import numpy as np"}
 IMPORTS = {
     "math.": MODULES["math"],
+    "warnings.": MODULES["warnings"],
     "Callable": "from collections.abc import Callable",
     "@dataclass": "from dataclasses import dataclass",
     "partial(": "from functools import partial",
@@ -181,7 +182,7 @@ def python_file(twin: Twin) -> str:
         '    """A new device, vented; see `Finger`."""',
         f"    joints_mm = {[float(x) for x in twin.spine_joint_positions_mm]!r}",
         f"    return Finger(LINKS, CONSTANTS, {float(twin.length_mm)!r}, joints_mm, "
-        f"{model.geometry.chambers}, {reads!r}, conditions)",
+        f"{model.geometry.chambers}, {reads!r}, {tuple(map(float, twin.pressure_range_kpa))!r}, conditions)",
         "", "",
         'if __name__ == "__main__":',
         f"    print({_call(model)}.step({_pressure(twin):g}, 0.02))", "",

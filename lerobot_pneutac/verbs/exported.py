@@ -1,5 +1,6 @@
 """What `pneutac export` writes into every file of a finger: how its links are stepped one after the other."""
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -43,14 +44,16 @@ class Finger:
         joints_mm: (N,) arc length of each joint from the base.
         chambers: number of pressures.
         reads: number of links before the pressure gauge, and before the camera.
+        range_kpa: lowest and highest pressure that it was measured at; the first command beyond warns.
         conditions: what effects ask for, such as `temperature_c`; change them by `set_conditions`.
 
     Raises:
         ValueError: a condition is missing or is not a finite number.
     """
 
-    def __init__(self, links, constants, length_mm, joints_mm, chambers, reads, conditions):
+    def __init__(self, links, constants, length_mm, joints_mm, chambers, reads, range_kpa, conditions):
         self._links, self._chambers, self._reads = links, chambers, reads
+        self._range, self._warned = range_kpa, False
         self._joints, self._length = np.array(joints_mm, dtype=float), float(length_mm)
         parts = np.diff(np.append(self._joints, length_mm))
         self._parts = np.concatenate([1e-3 * parts, parts / length_mm])
@@ -101,6 +104,14 @@ class Finger:
             )
         if not 0 < dt_s < np.inf:
             raise ValueError(f"The step dt_s is {dt_s} s; give a finite number above 0.")
+        low, high = self._range
+        if not self._warned and ((command < low) | (command > high)).any():
+            self._warned = True
+            warnings.warn(
+                f"The command {pressure_cmd_kpa} kPa lies beyond {low:g} to {high:g} kPa, where it was "
+                "measured; poses there are extrapolated. This is said once.",
+                stacklevel=2,
+            )
         self._given["session_time_s"] += dt_s
         return self._run(pressure_cmd_kpa, dt_s)
 

@@ -21,13 +21,13 @@ from pneutac_sim.effects.registry import get_effect, of_sensor, sensor_effects
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.channel import ERROR_LEVELS
 from pneutac_sim.gel.fit import fit_presses
+from pneutac_sim.gel.identifiability import Identified, identify, library, save
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.layout import LIKE
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import ImageScores, Pair, RestDifference, cells, score
 from pneutac_sim.gel.photograph import PressPhotograph
 from pneutac_sim.gel.problem import GelFit
-from pneutac_sim.gel.told import Told, library, save, told
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 
@@ -49,7 +49,7 @@ class GelCalibration(Calibration):
 
     gel: GelModel  # as the twin keeps it
     fit: GelFit
-    told: Told  # what they identify
+    identified: Identified  # what they identify
     data: GelRecording
     predicted: list[np.ndarray]  # of every image, uint8 (H, W, 3), by the model
     scores: dict[str, list[ImageScores]]  # method to the score of every image
@@ -94,7 +94,7 @@ class GelCalibration(Calibration):
                 rows.append(row | {"contact": m.contact_rmse, "dNCC": m.contact_dncc})
         return rows
 
-    def _told_of(self) -> list[str]:
+    def _identified_of(self) -> list[str]:
         refined = (
             "It was refined through the splat renderer; held-out parts of the presses confirm the refinement."
             if self.fit.refined
@@ -113,7 +113,7 @@ class GelCalibration(Calibration):
         first.append(modulus_sentence(self.modulus, self.twin))
         moved = moved_sentences([s.photograph for s in self.data.presses], self.fit)
         first.append(residual_sentence(self.fit))
-        return [*filter(None, first), *moved, *told_sentences(self.told, self.fit.make)]
+        return [*filter(None, first), *moved, *identified_sentences(self.identified, self.fit.make)]
 
     def save_prior(self, name: str) -> Path:
         """Stores the sensor's lights as the prior of its model, for later calibrations; returns the file."""
@@ -125,7 +125,7 @@ class GelCalibration(Calibration):
         return "the rest image alone", errors_of(self.scores[REST], self.data)["heldout"]
 
     def remarks(self) -> list[str]:
-        out = self._told_of()
+        out = self._identified_of()
         n = len(self.data.presses)
         what = "one rest and one indentation image" if n == 1 else f"{n} indentation images"
         out.append(f"Fitted to {what} in {self.seconds:.1f} s{self._now()}.")
@@ -147,10 +147,14 @@ class GelCalibration(Calibration):
             "make_likeness": self.fit.likeness,
             "make_by": ("rest image" if self.fit.by_rest else "light") if self.fit.make else "",
             "refined": self.fit.refined,
-            "untold": list(self.told.untold),
-            "next_press": _described(self.told.add) | {"where": self.told.where, "deeper": self.told.deeper},
+            "untold": list(self.identified.unidentified),
+            "next_press": _described(self.identified.add)
+            | {"where": self.identified.where, "deeper": self.identified.deeper},
             "presses": [_described(press) for press in self.fit.presses],
-            "open_levels": {"now": self.told.open_levels, "with_next_press": self.told.then_levels},
+            "open_levels": {
+                "now": self.identified.open_levels,
+                "with_next_press": self.identified.then_levels,
+            },
             "image": image,
             "methods": methods,
             "notes": self.notes,
@@ -173,7 +177,7 @@ class GelCalibration(Calibration):
             "(image - rest) there.",
         )
         page.heading("What was fitted")
-        page.text(" ".join(self._told_of()))
+        page.text(" ".join(self._identified_of()))
         page.table(
             [{"parameter": k, **v} for k, v in self.parameters.items()],
             "Light per unit slope along x (columns) and y (rows) and per millimetre of depth",
@@ -203,26 +207,26 @@ def make_sentence(fit: GelFit) -> str:
     )
 
 
-def told_sentences(told: Told, make: str) -> list[str]:
+def identified_sentences(found: Identified, make: str) -> list[str]:
     """Parameters that the presses do not identify, and the press to add."""
     out = []
-    if told.untold:
+    if found.unidentified:
         colours: dict[str, list[str]] = {}  # of each parameter, from one entry a colour
-        for name, colour in (entry.split(" ", 1) for entry in told.untold):
+        for name, colour in (entry.split(" ", 1) for entry in found.unidentified):
             colours.setdefault(name, []).append(colour.strip("()"))
         shown = ", ".join(f"{name} ({', '.join(c)})" for name, c in colours.items())
         source = f"what other sensors of the make {make} have" if make else "its default"
         out.append(f"The presses do not identify {shown}: each stays near {source}.")
-    if told.open_levels < ENOUGH_LEVELS:
+    if found.open_levels < ENOUGH_LEVELS:
         out.append("Another press of this indenter would add little information.")
         return out
-    p = told.add
+    p = found.add
     out.append(
-        f"To know more, add a {'deeper press' if told.deeper else 'press'} at the {told.where} "
+        f"To know more, add a {'deeper press' if found.deeper else 'press'} at the {found.where} "
         f"({p.depth_mm:.2g} mm deep, x {p.x_mm:.1f}, y {p.y_mm:.1f} mm): this press would cut the "
-        f"calibration's uncertainty from {told.open_levels:.1f} to {told.then_levels:.1f} grey levels."
+        f"calibration's uncertainty from {found.open_levels:.1f} to {found.then_levels:.1f} grey levels."
     )
-    if told.deeper:
+    if found.deeper:
         out.append("Contacts deeper than the presses are extrapolated.")
     return out
 
@@ -293,10 +297,10 @@ def calibrate_gel(
         progress("material points under the presses of the calibration", 0, 1)
     given = points and points.between
     known = kept({n: {k: v.value for k, v in twin.effects[n].items()} for n in of_sensor(twin.effects)})
-    untold = [n for n in kept(dict.fromkeys(names or (), {})) if n not in known]
-    if untold and not any(p.earlier for p in presses):
+    unseen = [n for n in kept(dict.fromkeys(names or (), {})) if n not in known]
+    if unseen and not any(p.earlier for p in presses):
         raise InputError(
-            f"effects={','.join(names or ())}: '{untold[0]}' {UNHELD}, and give role 'calibration' to a "
+            f"effects={','.join(names or ())}: '{unseen[0]}' {UNHELD}, and give role 'calibration' to a "
             "press that came after another."
         )
     fit = fit_presses(presses, data.px_per_mm, names, data.thickness_mm, library(), given, known)
@@ -335,7 +339,7 @@ def calibrate_gel(
         findings=(*data.warnings, *_against_earlier(twin, data)),
         gel=gel,
         fit=fit,
-        told=told(fit.gel, fit.channels, presses),
+        identified=identify(fit.gel, fit.channels, presses),
         data=data,
         predicted=images[OURS],
         scores=scores,

@@ -76,6 +76,11 @@ class DigitConfig(CameraConfig):
 
     def __post_init__(self):
         refuse_if(
+            not self.serial.strip(),
+            "serial of the DIGIT is empty; give the number that is printed on it, such as D20001."
+            " `Digit.find_cameras()` lists those that are connected.",
+        )
+        refuse_if(
             self.resolution not in STREAMS,
             f"resolution of the DIGIT is '{self.resolution}'; it must be QVGA or VGA.",
         )

@@ -122,6 +122,8 @@ def test_a_wrong_option_is_one_sentence(argv, sentence):
         ("depth is 1; it must be 2 or more.", "depth is 1; it must be 2 or more."),
         ("outside/x.csv is empty.", "outside/x.csv is empty."),
         ("out of memory.", "out of memory."),
+        ("size=3 must go with seeds=1.", "--size=3 must go with --seeds=1."),
+        ("Run `pneutac new --size=3`, or a/size=3.", "Run `pneutac new --size=3`, or a/size=3."),
         ("planner.horizon is missing.", "--planner.horizon is missing."),
     ],
 )
@@ -136,7 +138,7 @@ def test_a_librarys_sentence_about_a_parameter_is_told_of_the_option(sentence, t
         ("- program", "must hold options"),
         ("programm: x", "no option --programm; did you mean --program?"),
         ("planner: {horizont: 3}", "horizont"),
-        ("\xff\x00", "is not valid YAML"),
+        ("\xff\x00", "is no text in UTF-8"),
     ],
 )
 def test_a_bad_file_of_options_is_one_sentence(tmp_path, content, sentence):

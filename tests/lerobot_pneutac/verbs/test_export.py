@@ -82,7 +82,7 @@ def assert_equal(twin: Twin) -> str:
 def test_the_file_steps_as_the_pipeline_does(name):
     text = assert_equal(twin_with(name))
     found = set(re.findall(r"^(?:import|from) (\S+)", text, re.M))
-    assert found <= {"__future__", "collections.abc", "dataclasses", "functools", "math", "numpy"}
+    assert found <= {"__future__", "collections.abc", "dataclasses", "functools", "math", "numpy", "warnings"}
     assert f"{name}.{get_effect(name).parameters[0].name}" in text
 
 
@@ -129,6 +129,10 @@ def test_the_command_writes_a_file_that_runs_by_itself(tmp_path, capsys):
     ):
         with pytest.raises(ValueError, match=says):
             finger.step(command, dt_s)
+    with pytest.warns(UserWarning, match=r"15.5 kPa lies beyond 0 to 15 kPa, .* extrapolated") as warned:
+        for command in (14.9, 15.5, 20.0, -1.0):
+            finger.step(command, 0.02)
+    assert len(warned) == 1 and warned[0].filename == __file__
 
 
 def test_a_file_without_the_gain_is_not_exported(tmp_path):

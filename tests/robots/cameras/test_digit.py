@@ -51,6 +51,7 @@ def test_refused_settings_and_old_firmware_are_said(sensor, connected):
     ("options", "text"),
     [
         ({"resolution": "HD"}, "'HD'; it must be QVGA or VGA"),
+        ({"serial": ""}, "serial of the DIGIT is empty; give the number that is printed on it"),
         ({"fps": 15}, "fps of the DIGIT is 15; QVGA has 30 and 60"),
         ({"fps": 60, "resolution": "VGA"}, "VGA has 15 and 30"),
         ({"led": (0, 16, 0)}, "from 0 to 15"),
@@ -61,7 +62,7 @@ def test_refused_settings_and_old_firmware_are_said(sensor, connected):
 )
 def test_bad_options_are_one_sentence(options, text):
     with pytest.raises(DecodingError, match=text):
-        DigitConfig(serial="D2", **options)
+        DigitConfig(**{"serial": "D2"} | options)
 
 
 def test_image_is_upright_rgb_as_the_simulated_one(sensor, connected):

@@ -78,7 +78,7 @@ def test_it_is_found_last_in_its_stage_and_does_nothing_at_its_neutral_point(exa
     assert list(body_effects())[-1] == "marker_offset"
     effect = all_effects()["marker_offset"]
     x = np.random.default_rng(0).normal(size=(50, 5))
-    np.testing.assert_array_equal(effect.apply(x, np.ones(50), {"beside_mm": 0.0}), x)
+    np.testing.assert_array_equal(effect.apply(x, np.ones(50), {"offset_mm": 0.0}), x)
 
 
 def test_it_is_fitted_like_any_other(example):
@@ -90,14 +90,14 @@ def test_it_is_fitted_like_any_other(example):
     recording = type("Recording", (), {"samples": empty, "device": "finger"})
     truth = twin.copy()
     truth.effects["marker_offset"] = all_effects()["marker_offset"].start(15.0)
-    truth.effects["marker_offset"]["beside_mm"].value = 12.0
+    truth.effects["marker_offset"]["offset_mm"].value = 12.0
     seen = simulate(truth, BodyData.of(recording, truth)).model
     recording.samples[["tip_x_mm", "tip_z_mm"]] = seen + 0.1 * np.random.default_rng(0).normal(
         size=seen.shape
     )
     before, after = fit(twin, recording, []), fit(twin, recording, ["marker_offset"])
     assert before.train > 1.0 and after.train < 0.15
-    low, high = after.ci95["marker_offset.beside_mm"]
+    low, high = after.ci95["marker_offset.offset_mm"]
     assert low <= 12.0 <= high
 
 

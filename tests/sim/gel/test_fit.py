@@ -1,6 +1,6 @@
 """Calibration to one pair of images: what it finds, and how well it predicts elsewhere.
 
-What presses told of a gel's light, and which one to add.
+What presses identify of a gel's light, and which one to add.
 """
 
 from dataclasses import replace
@@ -11,11 +11,11 @@ import pytest
 from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.fit import fit_gel, fit_photographs, fit_presses, standard_effects
+from pneutac_sim.gel.identifiability import DEEPEST, identify
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.layout import DIGIT, Orientation
 from pneutac_sim.gel.pair import rmse
 from pneutac_sim.gel.photograph import Predictor, PressPhotograph
-from pneutac_sim.gel.told import DEEPEST, told
 
 BALL = Press("sphere", 3.0, 0.6, -1.0, 0.9)
 ELSEWHERE = [Press("sphere", 3.0, -2.5, 3.5, 0.6), Press("sphere", 3.0, 2.5, -4.0, 1.1)]
@@ -140,7 +140,7 @@ def fitted(photograph):
     def fit(gel, *presses):
         pairs = [PressPhotograph(p, photograph(gel, p, 2, i), gel.rest_image) for i, p in enumerate(presses)]
         found = fit_presses(pairs, 20.0, ["near_light", "rest_colour"], makes=())
-        return told(found.gel, found.channels, pairs)
+        return identify(found.gel, found.channels, pairs)
 
     return fit
 
@@ -154,8 +154,8 @@ def test_the_press_to_add_lies_where_none_was_and_deeper_and_makes_it_better_kno
     assert (
         one.then_levels == pytest.approx(two.open_levels, rel=0.3) and two.open_levels < 0.7 * one.open_levels
     )
-    assert set(two.untold) < set(one.untold), "two places tell how far the lights are"
-    assert any(name.startswith("near_light.distance_mm") for name in one.untold)
+    assert set(two.unidentified) < set(one.unidentified), "two places tell how far the lights are"
+    assert any(name.startswith("near_light.distance_mm") for name in one.unidentified)
 
 
 def test_an_error_of_the_fit_is_no_larger_than_it_is_said_to_be(linear, photograph):

@@ -29,18 +29,20 @@ from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.gel.residual import ERROR_LEVELS, INDEPENDENT, Leftover
 from pneutac_sim.gel.surface import surface
 
-UNTOLD = 0.2  # of a prior's variance: a parameter of which presses removed no more stays where its prior is
+UNIDENTIFIED = (
+    0.2  # of a prior's variance: a parameter of which presses removed no more stays where its prior is
+)
 DEEPER, DEEPEST = 1.5, 0.4  # a deeper press, over the deepest so far; of the thickness at most
 PLACES = (-0.28, 0.0, 0.28)  # of the window's width and height, from its centre
 ACROSS, DOWN = ("left", "middle", "right"), ("upper", "middle", "lower")
 
 
 @dataclass(frozen=True)
-class Told:
+class Identified:
     """What presses identify.
 
     Attributes:
-        untold: parameters, `effect.name (colour)`, that stay where their priors are.
+        unidentified: parameters, `effect.name (colour)`, that stay where their priors are.
         add: the press to add, of the same indenter.
         where: of that press, such as `lower left`.
         deeper: whether it is deeper than all so far.
@@ -48,7 +50,7 @@ class Told:
         then_levels: the same with the press added.
     """
 
-    untold: tuple[str, ...]
+    unidentified: tuple[str, ...]
     add: Press
     where: str
     deeper: bool
@@ -56,7 +58,9 @@ class Told:
     then_levels: float
 
 
-def told(gel: GelModel, channels: Sequence[Channel], photographs: Sequence[PressPhotograph]) -> Told:
+def identify(
+    gel: GelModel, channels: Sequence[Channel], photographs: Sequence[PressPhotograph]
+) -> Identified:
     """What the presses of a fit, with its channels as solved, identify of a gel's light."""
     deepest = max((p.press for p in photographs), key=lambda p: p.depth_mm)
     depth = max(min(DEEPER * deepest.depth_mm, DEEPEST * gel.thickness_mm), deepest.depth_mm)
@@ -74,7 +78,7 @@ def told(gel: GelModel, channels: Sequence[Channel], photographs: Sequence[Press
     now, then = open_levels(gel, channels, [press for _, press in presses])
     where, add = presses[int(np.argmin(then))]
     deeper = add.depth_mm > deepest.depth_mm
-    return Told(_untold(channels), add, where, deeper, now, float(then.min()))
+    return Identified(_unidentified(channels), add, where, deeper, now, float(then.min()))
 
 
 def open_levels(
@@ -109,7 +113,7 @@ def _levels(grams: np.ndarray, covariances: Sequence[np.ndarray]) -> float:
     return float(np.sqrt(np.einsum("pkfg,kgf->pk", grams, np.array(covariances)).mean()))
 
 
-def _untold(channels: Sequence[Channel]) -> tuple[str, ...]:
+def _unidentified(channels: Sequence[Channel]) -> tuple[str, ...]:
     """Parameters of effects of which no channel learnt much."""
     learnt: dict[str, float] = {}
     for channel, colour in zip(channels, ("red", "green", "blue"), strict=True):
@@ -117,7 +121,7 @@ def _untold(channels: Sequence[Channel]) -> tuple[str, ...]:
             if effect:
                 key = f"{effect}.{name} ({colour})"
                 learnt[key] = max(learnt.get(key, 0.0), share)
-    return tuple(name for name, share in learnt.items() if share < UNTOLD)
+    return tuple(name for name, share in learnt.items() if share < UNIDENTIFIED)
 
 
 NAME = r"[A-Za-z0-9][A-Za-z0-9 _.-]{0,39}"
