@@ -10,7 +10,7 @@ PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses=3 --dist=load
 # Tests of the real clock, all of robots: alone, one after the other.
 REALTIME := OMP_NUM_THREADS=1 $(BIN)/python -m pytest tests/robots -m "realtime and not nightly"
 
-.PHONY: demo check lint test nightly bench docs sbom
+.PHONY: demo check lint test nightly bench docs hub-dry-run sbom
 
 demo: .venv/ready
 	$(BIN)/pneutac demo
@@ -39,6 +39,10 @@ lint: .venv/ready
 
 docs: .venv/ready
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
+# A dataset and a policy in outputs/hub, as they would be pushed.
+hub-dry-run: .venv/ready
+	HF_HUB_OFFLINE=1 $(BIN)/python examples/hub_dry_run.py
 
 # What is installed, with versions and licences, as CycloneDX.
 sbom: .venv/ready

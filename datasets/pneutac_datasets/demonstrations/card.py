@@ -15,22 +15,25 @@ UNITS = {
 }  # fmt: skip
 
 
-def write_card(folder: str | Path, licence: str = "apache-2.0") -> Path:
+def write_card(
+    folder: str | Path, licence: str = "apache-2.0", source: str = "Recorded by a teleoperator."
+) -> Path:
     """Writes `README.md` into a dataset's folder; returns it.
 
     Args:
         folder: of a LeRobotDataset.
         licence: of the data, by the Hub's identifiers.
+        source: who or what made it; of a dataset of `pneutac augment` the card says so itself.
 
     Raises:
         InputError: its `info.json` or its station is damaged.
     """
     folder = Path(folder)
-    write_text(folder / "README.md", dataset_card(folder, licence))
+    write_text(folder / "README.md", dataset_card(folder, licence, source))
     return folder / "README.md"
 
 
-def dataset_card(folder: Path, licence: str) -> str:
+def dataset_card(folder: Path, licence: str, source: str) -> str:
     """The card as Markdown with the Hub's header."""
     info = read_info(folder / "meta/info.json")
     left = station_file(folder)
@@ -39,16 +42,17 @@ def dataset_card(folder: Path, licence: str) -> str:
     low, high = (", ".join(f"{x:g}" for x in c) for c in (station.workspace_low_m, station.workspace_high_m))
     failed = [str(k) for k, why in sorted(outcomes.items()) if why != DONE]
     rows = [row for key, feature in info["features"].items() for row in _rows(key, feature)]
+    episodes = f"{info['total_episodes']} episode{'s' * (info['total_episodes'] != 1)}"
     made = (folder / "meta/provenance.jsonl").is_file()
     return "\n".join(
         [
             "---", f"license: {licence}", "task_categories: [robotics]", "tags: [LeRobot, pneutac, tactile]",
             "configs:", "- config_name: default", "  data_files: data/*/*.parquet", "---", "",
             "# Demonstrations with a soft finger and a touch sensor", "",
-            f"{info['total_episodes']} episodes, {info['total_frames']} frames at {info['fps']} Hz, robot"
+            f"{episodes}, {info['total_frames']} frames at {info['fps']} Hz, robot"
             f" type `{info.get('robot_type')}`, LeRobot dataset format {info.get('codebase_version')}.",
             "Made by `pneutac augment`; `meta/provenance.jsonl` names method and source of each episode."
-            if made else "Recorded by a teleoperator.",
+            if made else source,
             *([f"Episodes that failed: {', '.join(failed)} (`meta/{OUTCOME_FILE}`)."] if failed else []),
             "", "## Features", "", "| feature | name or shape | unit |", "|---|---|---|", *rows, "",
             "## Station", "",

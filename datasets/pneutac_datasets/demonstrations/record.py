@@ -22,6 +22,8 @@ from pneutac_sim.features import POINTS_KEY
 from pneutac_sim.gel.contact import SPECKS
 from pneutac_sim.progress import Progress, no_progress
 
+SIMULATED = "Recorded in simulation; a script played the operator."
+
 
 def record_episodes(
     robot: PneutacSim,
@@ -80,7 +82,7 @@ def record_episodes(
             dataset.finalize()
             for device in ours:
                 device.disconnect()
-    write_card(root)
+    write_card(root, source=SIMULATED)
     return Path(root)
 
 
