@@ -33,9 +33,10 @@ teleop = PneutacScripted(PneutacScriptedConfig(id="hub", seed=1))
 record_episodes(robot, teleop, options.name, dataset, options.episodes, "Flip the toggle switch.", True)
 write_card(dataset, options.licence, SIMULATED)
 
-train = f"""--policy.type=pneutac_bc --policy.device=cpu --policy.push_to_hub=false --dataset.repo_id={options.name}
- --dataset.root={dataset} --output_dir={training} --steps={options.steps} --batch_size=16 --num_workers=0
- --save_freq=0 --env_eval_freq=0 --wandb.enable=false --policy.license={options.licence}"""
+train = f"""--policy.type=pneutac_bc --policy.device=cpu --policy.push_to_hub=false
+ --policy.license={options.licence} --dataset.repo_id={options.name} --dataset.root={dataset}
+ --output_dir={training} --steps={options.steps} --batch_size=16 --num_workers=0 --save_freq=0
+ --env_eval_freq=0 --wandb.enable=false"""
 subprocess.run([sys.executable, "-m", "lerobot.scripts.lerobot_train", *train.split()], check=True)
 shutil.copytree(training / "checkpoints" / "last" / "pretrained_model", policy)
 shutil.rmtree(training)
