@@ -13,8 +13,10 @@ import multiprocessing
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -32,6 +34,7 @@ EXECUTORS = ("local", "ray", "slurm")
 OURS = ("self", "pipeline", "tasks", "workers", "tasks_per_job", "logging_dir", "skip_completed", "depends")
 LOOK_S = 1.0  # between two looks at what is done; longer where a look takes long, as on a network's disk
 LOOKING_SHARE = 0.05
+RAY_ANSWERS_S = 3.0  # how long a Ray cluster may take to answer
 ENDED = "a process ended, out of memory perhaps"
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
@@ -55,7 +58,7 @@ class ExecutorOptions:
     executor_config: Path | None = None
 
     def check_executor(self) -> None:
-        """Raises InputError where there is no such executor here, or its file has other arguments."""
+        """Raises InputError where no such executor answers here, or it refuses the arguments of its file."""
         check_choice("executor", self.executor, EXECUTORS)
         check_least(1, tasks_per_job=self.tasks_per_job, workers=1 if self.workers is None else self.workers)
         if self.executor == "ray" and importlib.util.find_spec("ray") is None:
@@ -70,6 +73,10 @@ class ExecutorOptions:
                 "executor is 'slurm', which needs --executor_config: a YAML file with its `partition` and "
                 "`time`."
             )
+        if self.executor == "ray":
+            _find_ray()
+        if self.executor == "slurm":
+            _ask_slurm(self)
 
     def executor_arguments(self) -> dict:
         """What `executor_config` gives to datatrove's executor; raises InputError where that has no such."""
@@ -227,6 +234,21 @@ def _run_task(engine, rank: int) -> None:
         engine._run_for_rank(rank, local_rank=1)
 
 
+def _find_ray() -> None:
+    """Raises InputError where nothing answers at RAY_ADDRESS; Ray itself would wait for 40 s, and log."""
+    address = os.environ.get("RAY_ADDRESS", "")
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if not host:
+        return
+    try:
+        socket.create_connection((host, int(port)), RAY_ANSWERS_S).close()
+    except (OSError, ValueError) as e:
+        raise InputError(
+            f"executor is 'ray', but RAY_ADDRESS={address} does not answer ({e}); start it there with `ray"
+            " start --head`, or unset RAY_ADDRESS, and one is started here."
+        ) from e
+
+
 def _ray(pipeline: list, tasks: int, logs: Path, options: ExecutorOptions) -> None:
     import ray
 
@@ -245,28 +267,38 @@ def _ray(pipeline: list, tasks: int, logs: Path, options: ExecutorOptions) -> No
 
 def _slurm(pipeline: list, tasks: int, logs: Path, options: ExecutorOptions) -> None:
     """Waits for the jobs, which are cancelled where this ends before them."""
-    given, activate = options.executor_arguments(), Path(sys.prefix) / "bin" / "activate"
-    name = f"pneutac-{os.getpid()}"
-    defaults = {"qos": None, "with_srun": False, "venv_path": str(activate) if activate.is_file() else None}
-    extra = {"sbatch_args": {**(given.pop("sbatch_args", None) or {}), "wait": ""}, "job_name": name}
-    engine = _quiet().SlurmPipelineExecutor(
-        pipeline, tasks, workers=options.workers or -1, logging_dir=str(logs), **defaults | given | extra
-    )
+    engine = _slurm_engine(pipeline, tasks, logs, options)
     engine.launch_merge_stats = _nothing  # a job more to wait for
-    asked = [f"--{k}={v}" if v else f"--{k}" for k, v in engine.get_sbatch_args().items() if k != "wait"]
-    tried = subprocess.run(
-        ["sbatch", "--test-only", *asked, "--wrap=true"], capture_output=True, text=True, check=False
-    )
-    if tried.returncode:
-        said = tried.stderr.strip().rpartition("\n")[2].removeprefix("sbatch: ").removeprefix("error: ")
-        raise InputError(f"{options.executor_config}: sbatch says '{said}'.")
     try:
         engine.run()
     except subprocess.CalledProcessError:  # a job has failed; what is missing is found by its file
         pass
     except BaseException:
-        subprocess.run(["scancel", f"--name={name}"], check=False)
+        subprocess.run(["scancel", f"--name={engine.job_name}"], check=False)
         raise
+
+
+def _slurm_engine(pipeline: list, tasks: int, logs: Path, options: ExecutorOptions):
+    given, activate = options.executor_arguments(), Path(sys.prefix) / "bin" / "activate"
+    defaults = {"qos": None, "with_srun": False, "venv_path": str(activate) if activate.is_file() else None}
+    extra = {"sbatch_args": {**(given.pop("sbatch_args", None) or {}), "wait": ""}}
+    extra["job_name"] = f"pneutac-{os.getpid()}"
+    return _quiet().SlurmPipelineExecutor(
+        pipeline, tasks, workers=options.workers or -1, logging_dir=str(logs), **defaults | given | extra
+    )
+
+
+def _ask_slurm(options: ExecutorOptions) -> None:
+    """Raises InputError where sbatch would refuse the jobs; none is started."""
+    with tempfile.TemporaryDirectory() as logs:
+        args = _slurm_engine([], 1, Path(logs), options).get_sbatch_args()
+        asked = [f"--{k}={v}" if v else f"--{k}" for k, v in args.items() if k != "wait"]
+        tried = subprocess.run(
+            ["sbatch", "--test-only", *asked, "--wrap=true"], capture_output=True, text=True, check=False
+        )
+    if tried.returncode:
+        reason = tried.stderr.strip().rpartition("\n")[2].removeprefix("sbatch: ").removeprefix("error: ")
+        raise InputError(f"{options.executor_config}: sbatch refuses it ({reason}).")
 
 
 def _nothing() -> None:
