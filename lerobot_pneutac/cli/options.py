@@ -1,10 +1,11 @@
 """Command line options as dataclasses: a bad one ends in one sentence, as all bad input does.
 
-Help texts are the `Attributes:` of the dataclass' docstring, so that they stand in one place.
+Help texts are the comments of the dataclass' fields, so that they stand in one place.
 """
 
 import dataclasses
 import difflib
+import functools
 import inspect
 import json
 import re
@@ -30,7 +31,14 @@ class Option:
     name: str  # with the groups that it is in, such as `planner.horizon`
     kind: type  # type of its value, without None; a dataclass for a group of options
     default: object  # None where there is none
-    text: str  # what it says in `--help`
+    text_of: type | str  # the class whose comments or docstring say what it means, or that text itself
+
+    @property
+    def text(self) -> str:
+        """What it says in `--help`."""
+        if isinstance(self.text_of, str):
+            return self.text_of
+        return attribute_texts(self.text_of).get(self.name.rpartition(".")[2], "")
 
     @property
     def shown(self) -> str:
@@ -49,36 +57,26 @@ def keywords(config, function) -> dict:
 
 @dataclass(kw_only=True)
 class TableOptions:
-    """Options of a verb that takes a lab's own table as a recording.
+    """Options of a verb that takes a lab's own table as a recording."""
 
-    Attributes:
-        yes: take a table as it is understood, without asking.
-        mapping: `mapping.yaml` of another table with the same columns, which says what they are.
-    """
-
-    yes: bool = False
+    yes: bool = False  # take a table as it is understood, without asking
+    # `mapping.yaml` of another table with the same columns, which says what they are
     mapping: Path | None = None
 
 
 @dataclass(kw_only=True)
 class PairOptions(TableOptions):
-    """Options of a verb that takes a twin and a recording.
+    """Options of a verb that takes a twin and a recording."""
 
-    Attributes:
-        twin: folder of the twin.
-        recording: folder of a bench recording, or tables as `pneutac convert` reads them of the same finger,
-            arm or gel; or of a LeRobotDataset of demonstrations, or its name on the Hub.
-        task: of demonstrations: the task in front of the robot, if their instruction does not name it.
-        station: of demonstrations: `station.yaml` of the arm and its place; if omitted, the one that their
-            robot left in them, or the paper's.
-        out: folder for `result.json` and `report.html`; nothing is written without it.
-    """
-
-    twin: Path
+    twin: Path  # folder of the twin
+    # folder of a bench recording, or tables as `pneutac convert` reads them of the same finger, arm or gel;
+    # or of a LeRobotDataset of demonstrations, or its name on the Hub
     recording: Path
-    task: str = ""
+    task: str = ""  # of demonstrations: the task in front of the robot, if their instruction does not name it
+    # of demonstrations: `station.yaml` of the arm and its place; if omitted, the one that their robot left in
+    # them, or the paper's
     station: Path | None = None
-    out: Path | None = None
+    out: Path | None = None  # folder for `result.json` and `report.html`; nothing is written without it
 
 
 def parse_options(config_class: type, argv: list[str], what: str | None = None):
@@ -202,27 +200,45 @@ def list_options(config_class: type, group: str = "") -> Iterator[Option]:
 
 
 def _fields(config_class: type, group: str) -> Iterator[Option]:
-    hints, texts = typing.get_type_hints(config_class), attribute_texts(config_class)
+    hints = typing.get_type_hints(config_class)
     for field in dataclasses.fields(config_class):
         kind = hints[field.name]
         kinds = [k for k in typing.get_args(kind) if k is not type(None)]
         kind = kinds[0] if len(kinds) == 1 and type(None) in typing.get_args(kind) else kind
         default = None if field.default is dataclasses.MISSING else field.default
-        yield Option(group + field.name, kind, default, texts.get(field.name, ""))
+        yield Option(group + field.name, kind, default, config_class)
         if dataclasses.is_dataclass(kind):
             yield from list_options(kind, f"{group}{field.name}.")
 
 
+@functools.cache
 def attribute_texts(config_class: type) -> dict[str, str]:
-    """Descriptions of attributes from the docstrings of a class and of those that it extends.
+    """What the options of a class mean, and those of the classes that it extends.
 
-    What these leave out is described by the arguments of the verb's function, where the class names it as
-    `described_by`.
+    It is said by a comment behind a field or above it, by `Attributes:` in the docstring, or by the arguments
+    of the verb's function, where the class names it as `described_by`.
     """
     function = getattr(config_class, "described_by", None)
     texts = {} if function is None else _entries(function.__doc__, "Args:")
-    for base in reversed(config_class.__mro__):
-        texts |= _entries(base.__doc__, "Attributes:")
+    for base in filter(dataclasses.is_dataclass, reversed(config_class.__mro__)):
+        texts |= _entries(base.__doc__, "Attributes:") | _comments(base)
+    return texts
+
+
+def _comments(config_class: type) -> dict[str, str]:
+    try:
+        lines = inspect.getsource(config_class).partition("\nclass ")[2].splitlines()
+    except OSError:  # a class that was made at run time
+        return {}
+    texts, above = {}, []
+    for line in lines:
+        code, found, comment = line.strip().partition("# ")
+        if code.startswith(("def ", "@")):
+            break
+        comments = above + ([comment] if found and not comment.startswith("pyright:") else [])
+        above = comments if found and not code else []
+        if (field := re.match(r"(\w+): ", code)) and comments:
+            texts[field[1]] = " ".join(comments)
     return texts
 
 
@@ -250,10 +266,10 @@ def help_text(config_class: type, what: str | None = None) -> str:
 
 def _help_lines(option: Option, width: int) -> list[str]:
     left = f"  --{option.name}{_placeholder(option.kind)}"
-    text = option.text
+    text = option.text.rstrip(".")
     if option.shown and option.default is not False:
-        text = f"{text.rstrip('.')} (default {option.shown})."
-    right = textwrap.wrap(text, max(40, width - COLUMN)) or [""]
+        text = f"{text} (default {option.shown})"
+    right = textwrap.wrap(f"{text}." if text else "", max(40, width - COLUMN)) or [""]
     first = [left + " " * (COLUMN - len(left)) + right.pop(0)] if len(left) < COLUMN - 1 else [left]
     return first + [" " * COLUMN + line for line in right]
 

@@ -193,63 +193,43 @@ OWN, STANDIN = BENCHES = ("own", "standin")
 
 @dataclass
 class MeasureConfig:
-    """Options of `pneutac measure`.
+    """Options of `pneutac measure`."""
 
-    Attributes:
-        pressure: the controller, as `--robot.pressure` of the robot.
-        camera: camera of any LeRobot type that looks at the finger's two markers.
-        intrinsics: file of the camera's calibration; with `chessboard`, the file to write.
-        digit: a tactile camera whose images are recorded too.
-        bench: `own`, or `standin` to try a program on the simulated finger that stands in for a real one, or
-            on such an arm of three chambers; the stand-in needs `program` and `out` alone.
-        seed: of the stand-in's noise.
-        program: `steps`, `ramps`, `holds`, `loops`, `all`, a CSV, or a diagnosis' `result.json`.
-        recording: folder of the recording that was diagnosed, for a `result.json` as program.
-        out: new folder of the recording.
-        length_mm: length of the straight finger, base to tip marker.
-        max_kpa: largest set-point, one for all chambers or one for each; the built-in programs reach it.
-        min_kpa: smallest set-point of a program of your own, 0 or, for a finger that vacuum bends, below;
-            likewise one for all chambers or one for each.
-        hz: samples per second.
-        repeat: number of times that the program is driven.
-        rest_s: pause without pressure before each trial.
-        marker_mm: side of both markers.
-        base_id: number of the marker at the base.
-        tip_id: number of the marker at the tip.
-        base_offset_mm: vector from the finger's base to the base marker's centre, in the base frame.
-        conditions: constant columns, such as {gravity_x: 1, gravity_y: 0, gravity_z: 0}, the
-            direction of gravity in the base's frame, {payload_g: 50}, {temperature_c: 22}; those of a program
-            take precedence.
-        notes: text to store in the recording.
-        chessboard: folder of photographs of a chessboard: calibrates the camera, and nothing else.
-        corners: number of the chessboard's inner corners, columns and rows.
-        square_mm: side of the chessboard's squares.
-    """
-
+    # the controller, as `--robot.pressure` of the robot
     pressure: PressureConfig = field(default_factory=PressureConfig)
-    camera: CameraConfig | None = None
-    intrinsics: Path | None = None
-    digit: CameraConfig | None = None
+    camera: CameraConfig | None = None  # camera of any LeRobot type that looks at the finger's two markers
+    intrinsics: Path | None = None  # file of the camera's calibration; with `chessboard`, the file to write
+    digit: CameraConfig | None = None  # a tactile camera whose images are recorded too
+    # `own`, or `standin` to try a program on the simulated finger that stands in for a real one, or on such
+    # an arm of three chambers; the stand-in needs `program` and `out` alone
     bench: str = "own"
-    seed: int = 0
-    program: str = "all"
+    seed: int = 0  # of the stand-in's noise
+    program: str = "all"  # `steps`, `ramps`, `holds`, `loops`, `all`, a CSV, or a diagnosis' `result.json`
+    # folder of the recording that was diagnosed, for a `result.json` as program
     recording: Path | None = None
-    out: Path | None = None
-    length_mm: float | None = None
+    out: Path | None = None  # new folder of the recording
+    length_mm: float | None = None  # length of the straight finger, base to tip marker
+    # largest set-point, one for all chambers or one for each; the built-in programs reach it
     max_kpa: float | tuple[float, ...] = 15.0
+    # smallest set-point of a program of your own, 0 or, for a finger that vacuum bends, below; likewise one
+    # for all chambers or one for each
     min_kpa: float | tuple[float, ...] = 0.0
-    hz: float = 15.0
-    repeat: int = 1
-    rest_s: float = 3.0
-    marker_mm: float = 12.0
-    base_id: int = 0
-    tip_id: int = 1
+    hz: float = 15.0  # samples per second
+    repeat: int = 1  # number of times that the program is driven
+    rest_s: float = 3.0  # pause without pressure before each trial
+    marker_mm: float = 12.0  # side of both markers
+    base_id: int = 0  # number of the marker at the base
+    tip_id: int = 1  # number of the marker at the tip
+    # vector from the finger's base to the base marker's centre, in the base frame
     base_offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    # constant columns, such as {gravity_x: 1, gravity_y: 0, gravity_z: 0}, the direction of gravity in the
+    # base's frame, {payload_g: 50}, {temperature_c: 22}; those of a program take precedence
     conditions: dict[str, float] = field(default_factory=dict)
-    notes: str = ""
+    notes: str = ""  # text to store in the recording
+    # folder of photographs of a chessboard: calibrates the camera, and nothing else
     chessboard: Path | None = None
-    corners: tuple[int, int] = (9, 6)
-    square_mm: float = 20.0
+    corners: tuple[int, int] = (9, 6)  # number of the chessboard's inner corners, columns and rows
+    square_mm: float = 20.0  # side of the chessboard's squares
 
     def __post_init__(self):
         check_choice("bench", self.bench, BENCHES)

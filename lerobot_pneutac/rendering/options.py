@@ -26,17 +26,12 @@ GEL |= {"indenter_file": None, "outline_mm": None}
 
 @dataclass
 class RenderView:
-    """From where a body is seen, hanging from its base.
+    """From where a body is seen, hanging from its base."""
 
-    Attributes:
-        azimuth_deg: angle round its length, from the side on which a bend goes to the right towards the bend.
-        elevation_deg: angle from below (-90) through level to above (90).
-        distance_lengths: distance from the middle of its motion, in lengths of the body.
-    """
-
+    # angle round its length, from the side on which a bend goes to the right towards the bend
     azimuth_deg: float = 30.0
-    elevation_deg: float = 10.0
-    distance_lengths: float = 4.0
+    elevation_deg: float = 10.0  # angle from below (-90) through level to above (90)
+    distance_lengths: float = 4.0  # distance from the middle of its motion, in lengths of the body
 
     def __post_init__(self):
         if not np.isfinite([self.azimuth_deg, self.elevation_deg]).all() or abs(self.elevation_deg) > 90:
@@ -53,50 +48,37 @@ class RenderView:
 
 @dataclass
 class RenderConfig:
-    """Options of `pneutac render`; those of another device are refused, so they are None where not given.
+    """Options of `pneutac render`; those of another device are refused, so they are None where not given."""
 
-    Attributes:
-        twin: folder of the twin.
-        pressure_kpa: pressures of a finger, one after the other; of an arm three numbers for each pose. If
-            omitted, those of the recording; without one four from rest to the end of the range that the twin
-            was measured over, for an arm at rest, then two thirds of it in one chamber after the other.
-        seconds: time of each pressure in the film, half to get there, half to stay; if omitted, 1.
-        conditions: values that the twin's effects ask for, such as {temperature_c: 30}.
-        recording: folder of photographs to show next to a finger or an arm calibrated by images.
-        camera: name of one of the recording's cameras; if omitted, the first.
-        view: direction of view without a recording, in the twin's looks where it has them.
-        indenter: indenter of a gel: `sphere`, `cylinder`, `cube`, `edge`, `cone`, `outline` or `mesh`; if
-            omitted, a sphere.
-        size_mm: radius of the indenter, or side of cube and edge; if omitted, 4.
-        indenter_file: STL of a `mesh` in mm, its tip down, the contact's centre at x = y = 0.
-        outline_mm: corners of an `outline` in mm from the contact's centre, as in "0 2; 2 -1; -2 -1".
-        depth_mm: depth of the press into the gel; if omitted, 1.4.
-        x_mm: place along image columns, from the middle; if omitted, 0.
-        y_mm: place along image rows, from the middle; if omitted, 0.
-        yaw_rad: turn of the indenter, from columns towards rows; if omitted, 0.
-        particles: number of material points of a finger or an arm, about; if omitted, 4000.
-        device: `auto`, `cpu` or `cuda`.
-        out: folder for pictures, film.mp4, `report.html` and `result.json`.
-    """
-
-    twin: Path
+    twin: Path  # folder of the twin
+    # pressures of a finger, one after the other; of an arm three numbers for each pose. If omitted, those of
+    # the recording; without one four from rest to the end of the range that the twin was measured over, for
+    # an arm at rest, then two thirds of it in one chamber after the other
     pressure_kpa: list[float] | None = None
+    # time of each pressure in the film, half to get there, half to stay; if omitted, 1
     seconds: float | None = None
+    # values that the twin's effects ask for, such as {temperature_c: 30}
     conditions: dict[str, float] = field(default_factory=dict)
+    # folder of photographs to show next to a finger or an arm calibrated by images
     recording: Path | None = None
-    camera: str | None = None
+    camera: str | None = None  # name of one of the recording's cameras; if omitted, the first
+    # direction of view without a recording, in the twin's looks where it has them
     view: RenderView | None = None
+    # indenter of a gel: `sphere`, `cylinder`, `cube`, `edge`, `cone`, `outline` or `mesh`; if omitted, a
+    # sphere
     indenter: str | None = None
-    size_mm: float | None = None
-    depth_mm: float | None = None
-    x_mm: float | None = None
-    y_mm: float | None = None
-    yaw_rad: float | None = None
+    size_mm: float | None = None  # radius of the indenter, or side of cube and edge; if omitted, 4
+    depth_mm: float | None = None  # depth of the press into the gel; if omitted, 1.4
+    x_mm: float | None = None  # place along image columns, from the middle; if omitted, 0
+    y_mm: float | None = None  # place along image rows, from the middle; if omitted, 0
+    yaw_rad: float | None = None  # turn of the indenter, from columns towards rows; if omitted, 0
+    # STL of a `mesh` in mm, its tip down, the contact's centre at x = y = 0
     indenter_file: Path | None = None
+    # corners of an `outline` in mm from the contact's centre, as in "0 2; 2 -1; -2 -1"
     outline_mm: str | None = None
-    particles: int | None = None
-    device: str = "auto"
-    out: Path = Path("outputs/render")
+    particles: int | None = None  # number of material points of a finger or an arm, about; if omitted, 4000
+    device: str = "auto"  # `auto`, `cpu` or `cuda`
+    out: Path = Path("outputs/render")  # folder for pictures, film.mp4, `report.html` and `result.json`
 
     def __post_init__(self):
         if self.pressure_kpa is not None and not (self.pressure_kpa and np.isfinite(self.pressure_kpa).all()):

@@ -10,18 +10,20 @@ from lerobot.utils.constants import OBS_STATE
 from lerobot_pneutac.reports.figures import curves
 from lerobot_pneutac.reports.page import SERIES, Report
 from pneutac_datasets.demonstrations.augment.reference import Reference, onset_sigma_m
+from pneutac_datasets.demonstrations.faults import set_aside
 from pneutac_sim.features import VELOCITY_NAMES, Places
 from pneutac_sim.gel.contact import without_specks
 
 SHOWN = 4  # recorded demonstrations whose touch is drawn
 
 
-def augment_page(new: tuple[str, Path], summary: dict, references: list[Reference]) -> Report:
-    share = summary["kept"] / summary["attempts"]
+def augment_page(result) -> Report:
+    """The page of an `Augmentation`."""
+    summary, references, output = result.summary, result.references, result.config.output
     report = Report(f"{summary['kept']} demonstrations from {len(references)}")
     report.lead(
-        f"{summary['attempts']} variants were tried and {summary['kept']} did the task ({100 * share:.0f} %),"
-        f" in {summary['wall_s'] / 60:.1f} minutes."
+        f"{summary['attempts']} variants were tried and {summary['kept']} did the task "
+        f"({100 * result.share:.0f} %), in {summary['wall_s'] / 60:.1f} minutes."
     )
     moved = "; objects and reference trajectories were moved together by as much in x and y"
     report.text(
@@ -35,8 +37,7 @@ def augment_page(new: tuple[str, Path], summary: dict, references: list[Referenc
             "Until the touch the recorded paths fit the twin best where commands act"
             f" {max(late)} control steps late; so they do in the new demonstrations."
         )
-    counts = {"kept": summary["kept"]} | {f"rejected: {r}": n for r, n in summary["rejected"].items()}
-    report.table([{"variants": name, "number": n} for name, n in counts.items()], "Yield")
+    report.table(result.rows(), "Yield")
     if summary["scenes"]:
         scenes = [
             {"demonstration": r.source, "works in the twin": s["works"], "contact area RMSE": s["area_rmse"]}
@@ -47,10 +48,13 @@ def augment_page(new: tuple[str, Path], summary: dict, references: list[Referenc
     if "checks" in summary:
         report.table([_check_row(c) for c in summary["checks"]], "Carried out once more by material points")
     report.heading("Touch")
-    states = _states(*new)[: summary["kept"]]
+    states = _states(output.repo_id, output.root)[: summary["kept"]]
     sources = [line["source_episode"] for line in summary["provenance"]]
     report.figure(_touch(states, sources, references), "Contact area: recorded (thick) and new (thin)")
     report.figure(_paths(states, references), "Where the contacts begin, from above")
+    if result.failed:
+        recorded = len(references) + len(result.failed)
+        report.text(set_aside(result.config.dataset.root, recorded, result.failed))
     return report
 
 

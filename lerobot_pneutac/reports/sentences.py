@@ -69,33 +69,23 @@ class State:
     poor: str = ""  # why the recording is too poor for any claim; empty where it is not
     causes: tuple[str, ...] = ()  # what is missing, as noun phrases, the largest first
     known: int = 0  # how many of them are known causes, such as the finger's weight
-    # share of the squared error above the noise that the causes remove, with its 95 % interval.
-    removed: tuple[float, tuple[float, float]] = (0.0, (0.0, 0.0))
-    # pairs of a cause and of another effect that explains the data as well.
-    rivals: tuple[tuple[str, str], ...] = ()
-    # effects that alone have a lower test error than the best of the causes alone.
-    lower: tuple[str, ...] = ()
+    removed: tuple[float, tuple[float, float]] = (0.0, (0.0, 0.0))  # share of the squared error
+    rivals: tuple[tuple[str, str], ...] = ()  # pairs of a cause and of an effect that explains as much
+    lower: tuple[str, ...] = ()  # effects that alone explain more than the best of the causes
     near_miss: tuple[str, ...] = ()  # effects that help, but not significantly
-    # share of repeated searches that found the first cause; None where none were made.
-    agreed: float | None = None
+    agreed: float | None = None  # share of repeated searches that found the first cause; None for no searches
     explained: Explained = Explained.UNDETERMINED  # how much of the error is explained
-    # 95 % interval of the error that remains, over the noise; None where the noise is unknown.
-    interval: tuple[float, float] | None = None
-    # error over noise of the later part, predicted from the earlier one; None where unknown.
-    later: float | None = None
-    # error over noise of the samples that the model was fitted to; None where unknown.
-    learnt: float | None = None
-    # error over noise of programs, each predicted from all others; None where unknown.
-    program: float | None = None
+    interval: tuple[float, float] | None = None  # 95 %, of the error that remains, over the noise
+    later: float | None = None  # error over noise of the later part, predicted from the earlier one
+    learnt: float | None = None  # error over noise of the samples that the model was fitted to
+    program: float | None = None  # error over noise of programs, each predicted from all others
     recorded: str = ""  # the range of conditions for which the answers hold, such as `up to 62 kPa`
-    # what each cause may be; empty where no probabilities are calibrated.
-    mechanisms: tuple[Mechanism, ...] = ()
+    mechanisms: tuple[Mechanism, ...] = ()  # what each may be; empty without calibrated probabilities
     objections: tuple[str, ...] = ()  # checks that failed, one phrase each
     black_box: float = 0.0  # share of the remaining error that a black box predicts; 0 where it is little
     untested: tuple[str, ...] = ()  # what could not be tested, and why
     notes: tuple[str, ...] = ()  # of the recording, one sentence each
-    # whether this kind of recording cannot separate the causes from others; a note says so.
-    confusable: bool = False
+    confusable: bool = False  # whether such a recording cannot separate the causes from others
     optimistic: bool = False  # whether there was no test part of its own
     experiment: str = ""  # what to record next
 

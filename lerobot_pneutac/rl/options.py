@@ -13,56 +13,40 @@ from pneutac_sim.world.station import Station
 
 @dataclass
 class StudentRef:
-    """Demonstrations that the actor gives; none where `root` is not given.
+    """Demonstrations that the actor gives; none where `root` is not given."""
 
-    Attributes:
-        repo_id: name of the LeRobotDataset.
-        root: folder of the dataset, which must not exist.
-        episodes: number of successful demonstrations.
-        fidelity: way in which finger and gel deform in them: `surrogate`, `mpm` or `probe`.
-        noise: standard deviation of what is added to the actions that are carried out, which reach from -1
-            to 1; stored are the actions without it.
-        video: tactile images as video instead of PNG; datasets that are to be merged must agree in this.
-    """
-
-    repo_id: str = "local/ppo"
-    root: Path | None = None
-    episodes: int = 50
-    fidelity: str = "surrogate"
+    repo_id: str = "local/ppo"  # name of the LeRobotDataset
+    root: Path | None = None  # folder of the dataset, which must not exist
+    episodes: int = 50  # number of successful demonstrations
+    fidelity: str = "surrogate"  # way in which finger and gel deform in them: `surrogate`, `mpm` or `probe`
+    # standard deviation of what is added to the actions that are carried out, which reach from -1 to 1;
+    # stored are the actions without it
     noise: float = 0.05
+    # tactile images as video instead of PNG; datasets that are to be merged must agree in this
     video: bool = False
 
 
 @dataclass
 class PpoConfig:
-    """Options of `pneutac ppo`.
+    """Options of `pneutac ppo`."""
 
-    Attributes:
-        out: folder of the actor, its curve and the checkpoint.
-        task: object in front of the robot: `switch`, `egg`, `card`, `fruit`, `cable`, `button`, or your own.
-        twin: folder of the finger's twin; if omitted, the built-in one.
-        conditions: values that the twin's effects ask for, such as {temperature_c: 28}; every episode draws
-            from a range [low, high].
-        station: file `station.yaml` of arm, workspace and mount; if omitted, the paper's.
-        steps: control steps of training, of all worlds together; with more than before the training goes on.
-        seed: seed of networks and starts.
-        envs: number of worlds; if omitted, two a core, at least 8.
-        parallel: a process for each world; if omitted, on more than two cores.
-        device: device of the networks, `cpu` or `cuda`; they are small, so the CPU is seldom slower.
-        student: demonstrations of the actor, from which a policy with a tactile image learns; none unless
-            their folder is given.
-    """
-
-    out: Path
+    out: Path  # folder of the actor, its curve and the checkpoint
+    # object in front of the robot: `switch`, `egg`, `card`, `fruit`, `cable`, `button`, or your own
     task: str = "switch"
-    twin: Path | None = None
+    twin: Path | None = None  # folder of the finger's twin; if omitted, the built-in one
+    # values that the twin's effects ask for, such as {temperature_c: 28}; every episode draws from a range
+    # [low, high]
     conditions: dict[str, float | list[float]] = field(default_factory=dict)
-    station: Path | None = None
+    station: Path | None = None  # file `station.yaml` of arm, workspace and mount; if omitted, the paper's
+    # control steps of training, of all worlds together; with more than before the training goes on
     steps: int = 500_000
-    seed: int = 0
-    envs: int | None = None
-    parallel: bool | None = None
+    seed: int = 0  # seed of networks and starts
+    envs: int | None = None  # number of worlds; if omitted, two a core, at least 8
+    parallel: bool | None = None  # a process for each world; if omitted, on more than two cores
+    # device of the networks, `cpu` or `cuda`; they are small, so the CPU is seldom slower
     device: str = "cpu"
+    # demonstrations of the actor, from which a policy with a tactile image learns; none unless their folder
+    # is given
     student: StudentRef = field(default_factory=StudentRef)
 
     def __post_init__(self):

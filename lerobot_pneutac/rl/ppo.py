@@ -121,30 +121,18 @@ TEST_SEED = 1_000_000  # starts of the test are none of the training's
 
 @dataclass(frozen=True)
 class PpoSettings:
-    """Numbers of the optimiser.
+    """Numbers of the optimiser."""
 
-    Attributes:
-        hidden: sizes of the hidden layers of actor and critic.
-        update_steps: steps of all worlds together between two updates, about.
-        batch: samples of a gradient step.
-        epochs: passes over the steps of an update.
-        learning_rate: of Adam.
-        discount: of the reward, per 1/15 s.
-        trace: lambda of the generalised advantage estimate.
-        clip: how far a probability ratio may move in one update.
-        entropy: weight of the entropy bonus.
-        log_std: logarithm of the first standard deviation of the actions, which reach from -1 to 1.
-    """
-
-    hidden: tuple[int, ...] = (128, 128)
-    update_steps: int = 2048
-    batch: int = 256
-    epochs: int = 8
-    learning_rate: float = 1e-3
-    discount: float = 0.99
-    trace: float = 0.95
-    clip: float = 0.2
-    entropy: float = 0.001
+    hidden: tuple[int, ...] = (128, 128)  # sizes of the hidden layers of actor and critic
+    update_steps: int = 2048  # steps of all worlds together between two updates, about
+    batch: int = 256  # samples of a gradient step
+    epochs: int = 8  # passes over the steps of an update
+    learning_rate: float = 1e-3  # of Adam
+    discount: float = 0.99  # of the reward, per 1/15 s
+    trace: float = 0.95  # lambda of the generalised advantage estimate
+    clip: float = 0.2  # how far a probability ratio may move in one update
+    entropy: float = 0.001  # weight of the entropy bonus
+    # logarithm of the first standard deviation of the actions, which reach from -1 to 1
     log_std: float = -0.5
 
 

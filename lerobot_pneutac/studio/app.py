@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import viser
 import websockets.asyncio.server as websocket_server
 
-from lerobot_pneutac.studio.plots import BRAND
+from lerobot_pneutac.studio.plots import BRAND, tell
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CHAMBERS
 
@@ -86,7 +86,7 @@ class Studio:
 
     def say(self, text: str) -> None:
         """Shows a sentence above the pages, in every browser; empty for none."""
-        self.said.content, self.said.visible = f"> {text}" if text else "", bool(text)
+        tell(self.said, f"> {text}" if text else "")
 
     def safely(self, work: Callable) -> Callable:
         """The same as a callback of the viewer: bad input ends in the sentence above the pages."""

@@ -12,26 +12,18 @@ from pneutac_sim.twin import Twin
 
 @dataclass
 class StudioConfig:
-    """Options of `pneutac studio`.
+    """Options of `pneutac studio`."""
 
-    Attributes:
-        twin: folder of the twin; nothing is written to it unless a button that says so is pressed.
-        recording: folder of a bench recording of the same finger, arm or gel.
-        policy: folder of a trained policy, or its name on the Hub, for the world page.
-        demonstrations: folder of a LeRobotDataset, or its name on the Hub, likewise.
-        bench: where the next experiment is driven, by a button that says so: `none`, `standin`, the finger
-            that stands in for a real one, or `measure`, your bench.
-        measure: YAML file with the options of `pneutac measure` for your bench, without `program` and `out`.
-        port: of this machine to listen on; 0 for any that is free.
-    """
-
-    twin: Path
-    recording: Path | None = None
-    policy: str = ""
-    demonstrations: str = ""
+    twin: Path  # folder of the twin; nothing is written to it unless a button that says so is pressed
+    recording: Path | None = None  # folder of a bench recording of the same finger, arm or gel
+    policy: str = ""  # folder of a trained policy, or its name on the Hub, for the world page
+    demonstrations: str = ""  # folder of a LeRobotDataset, or its name on the Hub, likewise
+    # where the next experiment is driven, by a button that says so: `none`, `standin`, the finger that stands
+    # in for a real one, or `measure`, your bench
     bench: str = "none"
+    # YAML file with the options of `pneutac measure` for your bench, without `program` and `out`
     measure: Path | None = None
-    port: int = 8080
+    port: int = 8080  # of this machine to listen on; 0 for any that is free
 
     def __post_init__(self):
         if not 0 <= self.port < 65536:

@@ -23,6 +23,7 @@ from lerobot_pneutac.studio.plots import (
     Background,
     Lines,
     rgb,
+    tell,
 )
 from pneutac_sim.effects.registry import body_effects, get_effect, of_body, of_sensor
 from pneutac_sim.errors import InputError
@@ -218,7 +219,7 @@ class SolidPanel:
 
         self._begin()
         self._studio.session.begin("solving by material points", work, show)
-        self.told.content, self.told.visible = "Solving by material points ...", True
+        tell(self.told, "Solving by material points ...")
 
     def _draw(self) -> None:
         if self._solid is not None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from lerobot_pneutac.reports.diagnosis import ladder, reductions, rival_rows
 from lerobot_pneutac.reports.sentences import alternatives, meaning
-from lerobot_pneutac.studio.plots import Background, table
+from lerobot_pneutac.studio.plots import Background, table, tell
 from lerobot_pneutac.verbs.add import add
 from lerobot_pneutac.verbs.benches import save_choice
 from lerobot_pneutac.verbs.compare import compare
@@ -44,8 +44,8 @@ class ExperimentPanel:
         def work(show) -> None:
             show("choosing among programs", 0, 1)
             self._design = found = design(session.twin, recording, session.diagnosis)
-            self.told.content = f"{found.sentence}\n\n{table(found.rows())}"
-            self.told.visible = self._download.visible = True
+            tell(self.told, f"{found.sentence}\n\n{table(found.rows())}")
+            self._download.visible = True
             self._out.visible = self._drive.visible = session.bench is not None
 
         self._work("choosing the next experiment", work)
@@ -145,7 +145,7 @@ class FindPage(Background):
 
         self._studio.session.begin(what, run, self._show)
         self._bar.value, self._bar.visible = 2.0, True
-        self.progress.content, self.progress.visible = f"{what} ...", True
+        tell(self.progress, f"{what} ...")
 
     def _show(self, text: str, done: int, total: int) -> None:
         """Progress, and the candidates with the errors that they were scored with, the best first."""
@@ -204,8 +204,7 @@ class FindPage(Background):
         session.look_at()
         session.comparison = compare(session.twin, session.needs_recording())
         self._tell_error()
-        self.before_after.content = f"Kept as version {kept.twin.history[-1]['version']}. {kept.sentence}"
-        self.before_after.visible = True
+        tell(self.before_after, f"Kept as version {kept.twin.history[-1]['version']}. {kept.sentence}")
 
     def back(self) -> None:
         number = self._studio.session.keep()
@@ -253,9 +252,7 @@ class FindPage(Background):
 
     def _tell_addition(self) -> None:
         a = self._studio.session.addition
-        rows = table(a.rows())
-        self.before_after.content = f"{a.sentence}\n\n{rows}"
-        self.before_after.visible = True
+        tell(self.before_after, f"{a.sentence}\n\n{table(a.rows())}")
         number = len(self._studio.session.twin.history)
         self._keep.label = f"4. Keep it: writes version {number} of {self._studio.session.folder.name}"
         self._keep.visible = a.accepted
@@ -275,7 +272,7 @@ class FindPage(Background):
         self._clear()
         self.sentence.content = ""
         self._evidence.visible = self._choice.visible = self._try.visible = self._keep.visible = False
-        self.before_after.visible = False
+        tell(self.before_after, "")
         self._tell_error()
 
     def _look(self) -> None:

@@ -72,6 +72,11 @@ class Player(Background):
                 self.now_s = t if t <= self._time.max else 0.0
 
 
+def tell(markdown, text: str) -> None:
+    """Shows a text, or hides its place where it is empty."""
+    markdown.content, markdown.visible = text, bool(text)
+
+
 def table(rows: list[dict]) -> str:
     """Rows of one kind as Markdown; empty where there are none."""
     if not rows:

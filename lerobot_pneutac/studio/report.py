@@ -23,21 +23,15 @@ from pneutac_sim.twin import Twin
 
 @dataclass
 class ReportConfig:
-    """Options of `pneutac report`.
-
-    Attributes:
-        twin: folder of the twin; `pneutac report DIR` is the same as `--twin=DIR`.
-        out: folder for `result.json` and `report.html`; nothing is written without it.
-        rrd: file ending in .rrd to write for Rerun's viewer: the finger or arm over its pressures.
-        recording: with `rrd`: a recording of it instead, measured and modelled.
-    """
+    """Options of `pneutac report`."""
 
     first: ClassVar = "twin"
 
-    twin: Path
-    out: Path | None = None
+    twin: Path  # folder of the twin; `pneutac report DIR` is the same as `--twin=DIR`
+    out: Path | None = None  # folder for `result.json` and `report.html`; nothing is written without it
+    # file ending in .rrd to write for Rerun's viewer: the finger or arm over its pressures
     rrd: Path | None = None
-    recording: Path | None = None
+    recording: Path | None = None  # with `rrd`: a recording of it instead, measured and modelled
 
     def __post_init__(self):
         if self.rrd is not None and self.rrd.suffix != ".rrd":

@@ -436,18 +436,16 @@ class AddConfig(PairOptions):
 
     Attributes:
         twin: folder of the twin; its next version is written there if the test error falls significantly.
-        effect: names of the effects or laws to switch on, joined by commas.
-        diagnosis: folder that `pneutac diagnose` wrote; all that it found is switched on. Also `--from`.
-        anyway: stores the version although the error does not fall significantly, marked as unconfirmed.
-        seed: seed of the data split and of the bootstrap.
     """
 
     aliases: ClassVar = {"from": "diagnosis"}
 
-    effect: str = ""
+    effect: str = ""  # names of the effects or laws to switch on, joined by commas
+    # folder that `pneutac diagnose` wrote; all that it found is switched on. Also `--from`
     diagnosis: Path | None = None
+    # stores the version although the error does not fall significantly, marked as unconfirmed
     anyway: bool = False
-    seed: int = 0
+    seed: int = 0  # seed of the data split and of the bootstrap
 
     def __post_init__(self):
         if bool(self.effect) == (self.diagnosis is not None):

@@ -42,75 +42,57 @@ REAL_SHARE = 0.25  # of the frames, with which ten and a hundred new ones were t
 
 @dataclass
 class DatasetRef:
-    """A LeRobotDataset.
+    """A LeRobotDataset."""
 
-    Attributes:
-        repo_id: name of the dataset.
-        root: folder of the dataset.
-    """
-
-    repo_id: str
-    root: Path
+    repo_id: str  # name of the dataset
+    root: Path  # folder of the dataset
 
 
 @dataclass
 class AugmentConfig(ExecutorOptions):
-    """Options of `pneutac augment`.
+    """Options of `pneutac augment`."""
 
-    Attributes:
-        dataset: recorded demonstrations.
-        output: new demonstrations, whose folder must not exist.
-        task: the task in front of the robot, such as `switch`; if omitted, the one that the
-            demonstrations' instruction names.
-        method: `library` (a controller made of the demonstrations, which starts anywhere and finds the object
-            by touch), `expert` (the scripted controller that the task brings), `planner` (each is planned,
-            guided by one demonstration's touch; `tactile` is its former name), or `naive` (varied without a
-            simulator; looks at dataset, output, episodes and seed alone).
-        episodes: number of new demonstrations.
-        seed: seed of every random choice.
-        twin: folder of the finger's twin; if omitted, the built-in one.
-        fidelity: way in which finger and gel deform where the plans are carried out: `surrogate`, by
-            networks, `mpm`, by material points, or `probe`, by formulas; plans are made with the same, those
-            for material points with formulas.
-        conditions: values that the twin's effects ask for, such as {temperature_c: 28}; every demonstration
-            draws from a range [low, high].
-        station: file `station.yaml` of arm, workspace, mount and control rate in which they were recorded;
-            if omitted, the one that their robot left in them, or the paper's.
-        planner: horizon, samples and weights of the planner.
-        start_range: half widths in m along x, y and z of the starts of `library` and `expert` around recorded
-            starts; if omitted, the standard deviation of the recorded starts, 0.004 at least.
-        start_width: how much wider than the task's own the objects stand, 0 to 2, as
-            --robot.start_width of the recording.
-        real_share: share of the frames that are to be recorded ones; as many copies of the demonstrations
-            are added, so that `lerobot-train` mixes them. If omitted, 0.25 with `library` and `expert`
-            and 0 with the others.
-        attempts: number of variants tried for one demonstration before giving up.
-        check_mpm: number of the new demonstrations that are carried out once more by material points; how far
-            they agree goes into the report. Each takes minutes.
-        device: `cpu`, a world in each process, or `cuda`, many worlds together on a GPU, of `library` alone.
-        worlds: that are stepped together on a GPU.
-        out: folder for `report.html` and `result.json`.
-    """
-
-    dataset: DatasetRef
-    output: DatasetRef
+    dataset: DatasetRef  # recorded demonstrations
+    output: DatasetRef  # new demonstrations, whose folder must not exist
+    # the task in front of the robot, such as `switch`; if omitted, the one that the demonstrations'
+    # instruction names
     task: str = ""
+    # `library` (a controller made of the demonstrations, which starts anywhere and finds the object by
+    # touch), `expert` (the scripted controller that the task brings), `planner` (each is planned, guided by
+    # one demonstration's touch; `tactile` is its former name), or `naive` (varied without a simulator; looks
+    # at dataset, output, episodes and seed alone)
     method: str = "library"
-    episodes: int = 100
-    seed: int = 0
-    twin: Path | None = None
+    episodes: int = 100  # number of new demonstrations
+    seed: int = 0  # seed of every random choice
+    twin: Path | None = None  # folder of the finger's twin; if omitted, the built-in one
+    # way in which finger and gel deform where the plans are carried out: `surrogate`, by networks, `mpm`, by
+    # material points, or `probe`, by formulas; plans are made with the same, those for material points with
+    # formulas
     fidelity: str = "surrogate"
+    # values that the twin's effects ask for, such as {temperature_c: 28}; every demonstration draws from a
+    # range [low, high]
     conditions: dict[str, float | list[float]] = field(default_factory=dict)
+    # file `station.yaml` of arm, workspace, mount and control rate in which they were recorded; if omitted,
+    # the one that their robot left in them, or the paper's
     station: Path | None = None
+    # horizon, samples and weights of the planner
     planner: PlannerConfig = field(default_factory=PlannerConfig)
+    # half widths in m along x, y and z of the starts of `library` and `expert` around recorded starts; if
+    # omitted, the standard deviation of the recorded starts, 0.004 at least
     start_range: tuple[float, float, float] | None = None
+    # how much wider than the task's own the objects stand, 0 to 2, as --robot.start_width of the recording
     start_width: float = 0.0
+    # share of the frames that are to be recorded ones; as many copies of the demonstrations are added, so
+    # that `lerobot-train` mixes them. If omitted, 0.25 with `library` and `expert` and 0 with the others
     real_share: float | None = None
-    attempts: int = 30
+    attempts: int = 30  # number of variants tried for one demonstration before giving up
+    # number of the new demonstrations that are carried out once more by material points; how far they agree
+    # goes into the report. Each takes minutes
     check_mpm: int = 0
+    # `cpu`, a world in each process, or `cuda`, many worlds together on a GPU, of `library` alone
     device: str = "cpu"
-    worlds: int = 1024
-    out: Path | None = None
+    worlds: int = 1024  # that are stepped together on a GPU
+    out: Path | None = None  # folder for `report.html` and `result.json`
 
     def __post_init__(self):
         if self.task:
@@ -172,14 +154,12 @@ class AugmentConfig(ExecutorOptions):
 class Augmentation(Result):
     """What an augmentation came to."""
 
+    heading = "Augmentation of {0.config.dataset.repo_id} ({0.config.method})"
+
     config: AugmentConfig
     summary: dict  # `kept`, `attempts`, `rejected` (reason to number), `wall_s`, and the provenance
     references: list  # the recorded demonstrations that were used
     failed: dict[int, str] = field(default_factory=dict)  # the others, number to why each was set aside
-
-    @property
-    def title(self) -> str:
-        return f"Augmentation of {self.config.dataset.repo_id} ({self.config.method})"
 
     @property
     def share(self) -> float:
@@ -245,12 +225,7 @@ class Augmentation(Result):
     def page(self) -> Report:
         from lerobot_pneutac.reports.augment import augment_page
 
-        new = (self.config.output.repo_id, self.config.output.root)
-        page = augment_page(new, self.summary, self.references)
-        if self.failed:
-            recorded = len(self.references) + len(self.failed)
-            page.text(set_aside(self.config.dataset.root, recorded, self.failed))
-        return page
+        return augment_page(self)
 
 
 def other_sensor(meta: "LeRobotDatasetMetadata", sensor: "TactileSensor") -> str:

@@ -130,19 +130,19 @@ class CalibrateConfig(PairOptions):
 
     Attributes:
         twin: folder of the twin; a twin of a gel is begun where there is none.
-        recording: folder of the bench recording, or tables as `pneutac convert` reads them; without it a twin
-            of a gel is begun, from the DIGIT photographs in $PNEUTAC_DATA or generated images. Of a
-            LeRobotDataset of demonstrations, or its name on the Hub, the gel's light at rest is taken.
         out: folder for `result.json`, `report.html` and pictures.
-        save_prior: name under which a gel's illumination is stored for other sensors of its model.
     """
 
     described_by: ClassVar = calibrate
 
+    # folder of the bench recording, or tables as `pneutac convert` reads them; without it a twin of a gel is
+    # begun, from the DIGIT photographs in $PNEUTAC_DATA or generated images. Of a LeRobotDataset of
+    # demonstrations, or its name on the Hub, the gel's light at rest is taken
     recording: Path | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
     effects: str | None = None
     through: str | None = None
     image_size: tuple[int, int] | None = None
+    # name under which a gel's illumination is stored for other sensors of its model
     save_prior: str | None = None
     by: str | None = None
     train_kpa: str = "0,3,6,9,12,15"

@@ -27,7 +27,7 @@ class LightCalibration(Calibration):
     dragging: Dragging | None = None
     dragged_before: Dragging | None = None  # the same as the twin knew it
 
-    title = "The gel's light at rest"
+    heading = "The gel's light at rest"
 
     @property
     def sentence(self) -> str:

@@ -132,9 +132,7 @@ class BodyComparison(Comparison):
     measured: np.ndarray  # (n, D)
     model: np.ndarray  # (n, D)
     unit: str
-    # (n,) mask of those that the twin was fitted to; the others are held out. None of a recording that it was
-    # never fitted to, which is held out as a whole.
-    train_samples: np.ndarray
+    train_samples: np.ndarray  # (n,) mask of those that the twin was fitted to; none of a recording new to it
     noise: NoiseFloor
     band: Band | None  # within which a measurement should lie if the twin is right; None if unknown
     axes: list[Axis]
@@ -146,9 +144,7 @@ class BodyComparison(Comparison):
     bench: BodyData
     simulated: str = "by the pipeline, at every sample"  # by what, in words
     fidelity: str = "pipeline"  # `pipeline` or `mpm`
-    # share of the recording's samples outside what the twin's action network was trained with; None where it
-    # has none.
-    out_of_range: float | None = None
+    out_of_range: float | None = None  # share of samples that the twin's action network was not trained for
 
     keys = (
         "fidelity", "simulated", "unit", "sentence", "error", "noise_floor", "coverage", "out_of_range", "by",
@@ -169,10 +165,8 @@ class BodyComparison(Comparison):
 
     @property
     def error(self) -> dict[str, float | None]:
-        """Root mean square error of `all` samples and by part."""
-        train = self.train_samples
-        parts = {"train": self.squared[train], "heldout": self.squared[~train]}
-        return {"all": rms_of(self.squared)} | {k: rms_of(v) for k, v in parts.items()}
+        train, squared = self.train_samples, self.squared
+        return {"all": rms_of(squared), "train": rms_of(squared[train]), "heldout": rms_of(squared[~train])}
 
     @cached_property
     def coverage(self) -> float | None:

@@ -33,6 +33,8 @@ LATE_S = 0.02  # from the twin's own latency: more is reported
 class DemonstrationComparison(Comparison):
     """A twin against demonstrations."""
 
+    heading = "Twin against demonstrations: {0.demonstrations.folder.name}"
+
     study: DemonstrationStudy  # the episodes as measured and replayed for the errors
     findings: tuple[str, ...]
     replayed: list[Replayed]  # each episode in the twin's world, with images
@@ -58,10 +60,6 @@ class DemonstrationComparison(Comparison):
     @property
     def noise_floor(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.study.noise.floor
-
-    @property
-    def title(self) -> str:
-        return f"Twin against demonstrations: {self.demonstrations.folder.name}"
 
     def subject(self) -> tuple[Twin, str]:
         return self.twin, str(self.demonstrations.folder)

@@ -28,6 +28,8 @@ WORST = 5
 class GelComparison(Comparison):
     """A gel against photographs."""
 
+    heading = "Gel twin against recording: {0.folder.name}"
+
     data: GelRecording
     predicted: list[np.ndarray]  # of each, uint8 (H, W, 3)
     scores: list[ImageScores]  # of each
@@ -41,10 +43,6 @@ class GelComparison(Comparison):
         "unit", "error", "noise_floor", "image", "by", "worst", ("touch", "touch_error"), "history",
         ("checks", "findings"), "sentence",
     )  # fmt: skip
-
-    @property
-    def title(self) -> str:
-        return f"Gel twin against recording: {self.folder.name}"
 
     def subject(self) -> tuple[Twin, Path]:
         return self.twin, self.folder

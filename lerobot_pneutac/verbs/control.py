@@ -53,7 +53,7 @@ class Control(Result):
     measured_s: np.ndarray | None = None
     measured_rad: np.ndarray | None = None
 
-    title = "Bend as commanded"
+    heading = "Bend as commanded"
     keys = ("reach_rad", "expected_error_rad", "error_rad")
 
     @property
@@ -212,23 +212,18 @@ def _measured(recording: Recording, twin: Twin, end_s: float) -> tuple[np.ndarra
 
 @dataclass
 class ControlConfig:
-    """Options of `pneutac control`.
-
-    Attributes:
-        twin: folder of a finger's calibrated twin.
-        bend: `steps`, `sine` or `loops` inside the finger's reach, or a CSV with `time_s` and
-            `bend_angle_rad`.
-        recording: folder of a recording in which the program was driven; shows how well the finger followed.
-        out: folder for `program.csv`, `result.json` and `report.html`; nothing is written without it.
-    """
+    """Options of `pneutac control`."""
 
     described_by: ClassVar = control
 
-    twin: Path
+    twin: Path  # folder of a finger's calibrated twin
+    # `steps`, `sine` or `loops` inside the finger's reach, or a CSV with `time_s` and `bend_angle_rad`
     bend: str = "sine"
     hz: float = 20.0
     conditions: dict[str, float] = field(default_factory=dict)
+    # folder of a recording in which the program was driven; shows how well the finger followed
     recording: Path | None = None
+    # folder for `program.csv`, `result.json` and `report.html`; nothing is written without it
     out: Path | None = None
 
 

@@ -37,60 +37,44 @@ FILMS = (".mp4", ".avi", ".mov", ".mkv")
 
 @dataclass
 class ConvertConfig:
-    """Options of `pneutac convert`.
-
-    Attributes:
-        source: a table (CSV, text, Parquet, .mat), several of them (`a.csv,b.csv`, `'runs/*.csv'`) as one run
-            each, a CSV of OptiTrack (Motive) or Vicon (Nexus), the folder of a ROS 2 bag, or a film.
-            `pneutac convert FILE` is the same as `--source=FILE`.
-        out: folder of the new bench recording, which must not exist; that of tables is `NAME.recording`
-            next to them if omitted.
-        length_mm: of the straight finger, base to tip marker; of a table left out, where the tip rests.
-        log: table of the pressures, where markers or a film have none.
-        columns: what columns of a table or log are, where their names do not say it:
-            `p: pressure_cmd_kpa [bar], u: pressure_kpa * 20 - 10, note: -`; `-` leaves one out.
-        mapping: `mapping.yaml` of an earlier conversion, which is repeated.
-        time: name of the times in a table or .mat, where it does not say so.
-        rate_hz: rows or frames a second of a table without times.
-        offset_s: what the markers' clock shows when the log's shows zero.
-        tip: name of the tip's marker or topic; in a film ArUco's number or a dot, see below.
-        base: the same of a marker or body fixed at the finger's base; of a table the base's position in its
-            frame, mm, such as 10,20,5.
-        base_x: axis of the base's body, or of the table's frame, along the straight finger, such as `z` or
-            `-y`; a single marker has none and x goes to where the tip rests, z the way that it bends.
-        base_z: the same axis in the bending direction.
-        base_offset_mm: from the base marker's or body's origin to the finger's base, in the base frame; of
-            ArUco markers the other way, as for `pneutac measure`.
-        marker_mm: side of the ArUco markers in a film.
-        intrinsics: the camera's calibration of a film, from `pneutac measure --chessboard`.
-        tip_rgb: colour of the tip's dot in a film without ArUco markers.
-        base_rgb: colour of the two dots at the base.
-        dots_mm: distance of these two.
-        date: of the measurement, such as 2026-03-01, for `compare` over several dates.
-    """
+    """Options of `pneutac convert`."""
 
     first: ClassVar = "source"
 
+    # a table (CSV, text, Parquet, .mat), several of them (`a.csv,b.csv`, `'runs/*.csv'`) as one run each, a
+    # CSV of OptiTrack (Motive) or Vicon (Nexus), the folder of a ROS 2 bag, or a film. `pneutac convert FILE`
+    # is the same as `--source=FILE`
     source: Path
+    # folder of the new bench recording, which must not exist; that of tables is `NAME.recording` next to them
+    # if omitted
     out: Path | None = None
+    # of the straight finger, base to tip marker; of a table left out, where the tip rests
     length_mm: float | None = None
-    log: Path | None = None
+    log: Path | None = None  # table of the pressures, where markers or a film have none
+    # what columns of a table or log are, where their names do not say it: `p: pressure_cmd_kpa [bar], u:
+    # pressure_kpa * 20 - 10, note: -`; `-` leaves one out
     columns: str = ""
-    mapping: Path | None = None
-    time: str = ""
-    rate_hz: float | None = None
-    offset_s: float = 0.0
-    tip: str = ""
+    mapping: Path | None = None  # `mapping.yaml` of an earlier conversion, which is repeated
+    time: str = ""  # name of the times in a table or .mat, where it does not say so
+    rate_hz: float | None = None  # rows or frames a second of a table without times
+    offset_s: float = 0.0  # what the markers' clock shows when the log's shows zero
+    tip: str = ""  # name of the tip's marker or topic; in a film ArUco's number or a dot, see below
+    # the same of a marker or body fixed at the finger's base; of a table the base's position in its frame,
+    # mm, such as 10,20,5
     base: str = ""
+    # axis of the base's body, or of the table's frame, along the straight finger, such as `z` or `-y`; a
+    # single marker has none and x goes to where the tip rests, z the way that it bends
     base_x: str = "x"
-    base_z: str = "z"
+    base_z: str = "z"  # the same axis in the bending direction
+    # from the base marker's or body's origin to the finger's base, in the base frame; of ArUco markers the
+    # other way, as for `pneutac measure`
     base_offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    marker_mm: float | None = None
-    intrinsics: Path | None = None
-    tip_rgb: tuple[int, int, int] | None = None
-    base_rgb: tuple[int, int, int] | None = None
-    dots_mm: float | None = None
-    date: str = ""
+    marker_mm: float | None = None  # side of the ArUco markers in a film
+    intrinsics: Path | None = None  # the camera's calibration of a film, from `pneutac measure --chessboard`
+    tip_rgb: tuple[int, int, int] | None = None  # colour of the tip's dot in a film without ArUco markers
+    base_rgb: tuple[int, int, int] | None = None  # colour of the two dots at the base
+    dots_mm: float | None = None  # distance of these two
+    date: str = ""  # of the measurement, such as 2026-03-01, for `compare` over several dates
 
     def __post_init__(self):
         self.columns = parse_columns(self.columns)

@@ -48,31 +48,20 @@ RESAMPLED = 10_000
 
 @dataclass
 class DemoConfig:
-    """Options of `pneutac demo`.
+    """Options of `pneutac demo`."""
 
-    Attributes:
-        out: folder of everything that the demo writes; of the quick one outputs/quick, where none is given.
-        minutes: length of the session in which the finger is measured.
-        demonstrations: number of those recorded on the stand-in, one of them by lerobot-record itself.
-        augmented: number of those that `augment` makes of them on the corrected twin.
-        steps: optimiser steps of lerobot-train, of each of the two policies.
-        batch_size: frames of an optimiser step.
-        trials: randomised starts on which both policies are tried.
-        seed: seed of every random choice.
-        fresh: deletion of an earlier demo in `out`, before all else.
-        quick: the bench alone, a minute or two and without LeRobot: a rod with a hidden effect is measured,
-            compared, diagnosed and corrected, and judged on another day.
-    """
-
+    # folder of everything that the demo writes; of the quick one outputs/quick, where none is given
     out: Path = Path("outputs/demo")
-    minutes: float = 3.0
-    demonstrations: int = 10
-    augmented: int = 60
-    steps: int = 4000
-    batch_size: int = 32
-    trials: int = 40
-    seed: int = 1
-    fresh: bool = False
+    minutes: float = 3.0  # length of the session in which the finger is measured
+    demonstrations: int = 10  # number of those recorded on the stand-in, one of them by lerobot-record itself
+    augmented: int = 60  # number of those that `augment` makes of them on the corrected twin
+    steps: int = 4000  # optimiser steps of lerobot-train, of each of the two policies
+    batch_size: int = 32  # frames of an optimiser step
+    trials: int = 40  # randomised starts on which both policies are tried
+    seed: int = 1  # seed of every random choice
+    fresh: bool = False  # deletion of an earlier demo in `out`, before all else
+    # the bench alone, a minute or two and without LeRobot: a rod with a hidden effect is measured, compared,
+    # diagnosed and corrected, and judged on another day
     quick: bool = False
 
     def __post_init__(self):
@@ -91,7 +80,7 @@ class QuickResult(Result):
 
     out: Path  # its folder
     state: dict  # stage name to its numbers, seconds and commands
-    title = "A twin learns what its finger lacked"
+    heading = "A twin learns what its finger lacked"
     measured: ClassVar = "monday"  # folder of the recording that it was fitted to
 
     @property
@@ -140,7 +129,7 @@ class QuickResult(Result):
 class DemoResult(QuickResult):
     """What the whole demo came to."""
 
-    title = "A twin learns what its finger lacked, and a policy pulls a card"
+    heading = "A twin learns what its finger lacked, and a policy pulls a card"
     measured: ClassVar = "bench/finger"
 
     @property

@@ -59,7 +59,7 @@ class Design(Result):
     unit: str
     hands: Hands = NO_HANDS
 
-    title = "The next experiment"
+    heading = "The next experiment"
     keys = (
         ("program", "best.name"), ("kind", "best.kind"), ("hand", "best.hand"), ("seconds", "best.seconds"),
         ("nats_between_models", "best.rivals"), ("nats_about_constants", "best.constants"),
@@ -185,7 +185,7 @@ class PressDesign(Result):
     choices: tuple[PressChoice, ...]
     held: HeldChoice
 
-    title = "The next press"
+    heading = "The next press"
     keys = (("nats_between_models", "best.rivals"), "tells_little", "sentence")
 
     @property
@@ -299,26 +299,23 @@ class DesignConfig(PairOptions):
         twin: folder of the twin that was diagnosed.
         recording: folder of the recording that was diagnosed, or its tables; or of a LeRobotDataset of
             demonstrations, or its name on the Hub, for which the next motions of the arm are chosen.
-        diagnosis: folder that `pneutac diagnose --out=` wrote; demonstrations need none.
         out: folder for `program.csv` (of a gel `press.csv`), `result.json` and `report.html`; nothing is
             written without it.
-        hands: what may be changed for it: `none`, or `flip` (turn the base over), `payload` (hang a weight at
-            the tip) and `warm`, with commas.
-        payload_g: weight that can be hung.
-        warm_c: to which the finger can be warmed.
     """
 
     described_by: ClassVar = design
 
-    diagnosis: Path | None = None
+    diagnosis: Path | None = None  # folder that `pneutac diagnose --out=` wrote; demonstrations need none
     max_kpa: float | tuple[float, ...] | None = None
     min_kpa: float | tuple[float, ...] | None = None
     budget_s: float = 600.0
     program_s: float = 60.0
     hz: float = 20.0
+    # what may be changed for it: `none`, or `flip` (turn the base over), `payload` (hang a weight at the tip)
+    # and `warm`, with commas
     hands: str = "none"
-    payload_g: float = 20.0
-    warm_c: float = 35.0
+    payload_g: float = 20.0  # weight that can be hung
+    warm_c: float = 35.0  # to which the finger can be warmed
 
     def __post_init__(self):
         for name in ("budget_s", "program_s", "hz", "payload_g"):

@@ -253,7 +253,7 @@ class MotionDesign(Result):
     choices: tuple[MotionChoice, ...]
     known: bool
 
-    title = "The next demonstrations"
+    heading = "The next demonstrations"
     keys = (("imprints_known", "known"), "sentence")
 
     @property

@@ -33,16 +33,14 @@ TOP_KPA = 12.0
 class ShownEffect(Result):
     """One effect or law."""
 
+    heading = "{0.effect.name} ({0.effect.stage})"
+
     effect: Effect
 
     keys = (
         ("name", "effect.name"), ("stage", "effect.stage"), "sentence", ("latex", "effect.equation"),
         ("experiment", "effect.experiment"),
     )  # fmt: skip
-
-    @property
-    def title(self) -> str:
-        return f"{self.effect.name} ({self.effect.stage})"
 
     @property
     def sentence(self) -> str:
@@ -260,15 +258,12 @@ ACTIONS = "list, show NAME, export NAME --out=FILE"
 
 @dataclass
 class EffectsConfig:
-    """Options of `pneutac effects`.
-
-    Attributes:
-        out: folder for `result.json` and `report.html` (of `show`), or the Python file to write (of `export`;
-            if omitted, the effect's name here).
-    """
+    """Options of `pneutac effects`."""
 
     names_a_file: ClassVar[bool] = True
 
+    # folder for `result.json` and `report.html` (of `show`), or the Python file to write (of `export`; if
+    # omitted, the effect's name here)
     out: Path | None = None
 
 

@@ -37,17 +37,12 @@ IMPORTS = {
 
 @dataclass
 class ExportConfig:
-    """Options of `pneutac export`.
-
-    Attributes:
-        twin: folder of the twin.
-        out: new file to write: `.py`, the finger in Python with NumPy, or `.xml`, its body in MJCF.
-    """
+    """Options of `pneutac export`."""
 
     names_a_file: ClassVar[bool] = True
 
-    twin: Path
-    out: Path
+    twin: Path  # folder of the twin
+    out: Path  # new file to write: `.py`, the finger in Python with NumPy, or `.xml`, its body in MJCF
 
 
 class Source:

@@ -30,8 +30,7 @@ class Pose:
     pressure_kpa: np.ndarray  # (chambers,) as the gauge reads it
     joints_rad: np.ndarray  # (N,) angles of the joints, of an arm (N, 2) towards +z and towards +y
     tip: np.ndarray  # (5,) x, y, z in mm, bend towards +z and towards +y in rad
-    # (5,) the same as a camera or tracker reads it, with the errors that the twin knows of.
-    measured: np.ndarray
+    measured: np.ndarray  # (5,) as a camera or tracker reads it, with the errors that the twin knows of
 
 
 class Finger:

@@ -169,6 +169,8 @@ MOST_POINTS = 4000  # of a line in the report
 class BodyCalibration(Calibration):
     """A body calibrated to markers or angles."""
 
+    heading = "Calibrated {0.twin.device}"
+
     fits: list[PipelineFit]  # one fit a stage: of the measured pressure, if any, then of the pose
     # the recording as the body fit sees it, driven by the measured pressure where there is one.
     bench: BodyData
@@ -180,10 +182,6 @@ class BodyCalibration(Calibration):
     # the held-out part.
     causes: list[Contribution]
     compliance: str  # what loaded poses show of modulus and stiffness, one sentence
-
-    @property
-    def title(self) -> str:
-        return f"Calibrated {self.twin.device}"
 
     @property
     def sentence(self) -> str:
@@ -258,7 +256,7 @@ def calibrate_body(
     bench, command = (BodyData.of(recording, twin, source=s) for s in ("auto", "command"))
     told = fit_compliance(twin, recording, train, seed)
     fits = _fit_stages(told.twin, recording, bench, train, seed, progress)
-    judge = _Judge(command, recording, heldout, seed)
+    judge = _Judge(command, recording, heldout, seed) if heldout.any() else None
     fits, plain, causes, doubts = _with_known_causes(fits, recording, bench, train, judge, seed, progress)
     after = replace(fits[-1].twin, fitted_to={"change": "calibrated", "recording": folder, "seed": seed})
 
@@ -291,31 +289,22 @@ class _Judge:
 
     def __init__(self, command: BodyData, recording: Recording, heldout: np.ndarray, seed: int):
         self._command, parts = command, deal(recording, seed)
-        self._held = BlockBootstrap(heldout, parts.unit, parts.stratum, seed) if heldout.any() else None
+        self.held = BlockBootstrap(heldout, parts.unit, parts.stratum, seed)
 
     def squared(self, twin: Twin) -> np.ndarray:
         residual = simulate(twin, self._command).residual * self._command.scale
         return squared_distance(residual[:, : self._command.counted])
 
-    def error(self, squared: np.ndarray) -> float:
-        return float(np.sqrt(self._held.value(squared))) if self._held else 0.0
-
     def needs(self, without: np.ndarray, squared: np.ndarray) -> bool:
         """Whether held-out squared errors (n,) rise significantly, by `WORTH_OF_CAUSE` at least."""
-        if self._held is None:
-            return False
-        before, after = self._held.value(without), self._held.value(squared)
+        before, after = self.held.value(without), self.held.value(squared)
         enough = before - after > T.WORTH_OF_CAUSE * after
-        return enough and self._held.significant_drop(without, squared)
+        return enough and self.held.significant_drop(without, squared)
 
     def idle(self, twin: Twin, cause: str) -> bool:
         """Whether a cause ended where it moves nothing: a better fit with it is no merit of it."""
         seen, plain = (simulate(t, self._command).residual for t in (twin, twin.without(cause)))
         return self._command.error(seen - plain) < T.IDLE_OF_RESIDUAL * self._command.error(seen)
-
-    def drop(self, before: np.ndarray, after: np.ndarray) -> tuple[float, float, float]:
-        """Fall of the held-out mean square error: value, lower 1 % and upper 99 % bound."""
-        return self._held.drop(before, after) if self._held else (0.0, 0.0, 0.0)
 
 
 def _with_known_causes(
@@ -323,7 +312,7 @@ def _with_known_causes(
     recording: Recording,
     bench: BodyData,
     train: np.ndarray,
-    judge: _Judge,
+    judge: _Judge | None,
     seed: int,
     progress,
 ) -> tuple[list[PipelineFit], Twin, list[Contribution], list[str]]:
@@ -338,7 +327,7 @@ def _with_known_causes(
     def fitted(twin: Twin, effects: list[str]) -> PipelineFit:
         return fit(twin, bench, [*plain.effects, *effects], train, starts=1, seed=seed)
 
-    if not names:
+    if not names or judge is None:
         return fits, plain, [], []
     progress("fitting known causes", 0, 1 + len(names))
     now = fit(plain, bench, [*plain.effects, *names], train, seed=seed)
@@ -359,8 +348,11 @@ def _with_known_causes(
     sentences = [d for c, d in doubts.items() if c not in names]
     if not names or not judge.needs(judge.squared(plain), squared):
         return fits, plain, [], sentences
-    error = judge.error(squared)
-    causes = [Contribution(c, True, judge.error(lost[c]), error, judge.drop(lost[c], squared)) for c in names]
+    value, drop = judge.held.value, judge.held.drop
+    error = float(np.sqrt(value(squared)))
+    causes = [
+        Contribution(c, True, float(np.sqrt(value(lost[c]))), error, drop(lost[c], squared)) for c in names
+    ]
     return [*fits[:-1], now], plain, sorted(causes, key=lambda c: -c.drop[0]), sentences
 
 

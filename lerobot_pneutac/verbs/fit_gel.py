@@ -56,8 +56,7 @@ class GelCalibration(Calibration):
     notes: str = ""
     standard: bool = False  # whether nobody chose the effects
     modulus: Modulus | None = None  # of the gel, by the presses with a force; None if there is none
-    # of the material points whose surfaces the light was fitted to; empty for the closed form.
-    material: str = ""
+    material: str = ""  # of the material points that the light was fitted to; empty for the closed form
 
     def _noted(self) -> dict:
         """That the effects were no one's choice, so that the next calibration need not keep them."""
@@ -95,18 +94,16 @@ class GelCalibration(Calibration):
         return rows
 
     def _identified_of(self) -> list[str]:
-        refined = (
-            "It was refined through the splat renderer; held-out parts of the presses confirm the refinement."
-            if self.fit.refined
-            else "Its refinement through the splat renderer was not taken: held-out parts of the presses do "
-            "not confirm it."
-        )
-        through = (
-            f"The light was fitted to surfaces of material points ({self.material}). {refined} "
-            f"The twin draws by the closed form nearest to them, of decay {self.gel.decay_mm:.2f} mm; "
-            f"'{MPM}' by theirs."
-        )
-        first = [make_sentence(self.fit), through if self.material else ""]
+        first = [make_sentence(self.fit)]
+        if self.material:
+            confirm = (
+                "confirm the refinement" if self.fit.refined else "do not confirm it, so it was not taken"
+            )
+            first.append(
+                f"The light was fitted to surfaces of material points ({self.material}) and refined through "
+                f"the splat renderer; held-out parts of the presses {confirm}. The twin draws by the closed "
+                f"form nearest to them, of decay {self.gel.decay_mm:.2f} mm; '{MPM}' by theirs."
+            )
         rows, columns = self.gel.rest_image.shape[:2]
         if (rows, columns) != self.data.rest.shape[:2]:
             first.append(f"The twin's images are {columns} x {rows} px, made of the photographs'.")
@@ -312,17 +309,17 @@ def calibrate_gel(
     gel = fit.gel if image_size is None else fit.gel.resized(*image_size[::-1])
     seconds = time.monotonic() - start
     images = render(fit.gel, data)
-    if points:
-        progress(f"material points under all {len(data.samples)} presses", 0, 1)
-        images[MPM] = predict(fit.gel, data, points.surface)
-    scores = {name: scores_of(data, predicted) for name, predicted in images.items()}
     material = ""
     if points:
         from pneutac_sim.mpm.parameters import parameter
 
+        progress(f"material points under all {len(data.samples)} presses", 0, 1)
+        images[MPM] = predict(fit.gel, data, points.surface)
+
         name = "gel_poissons_ratio"
         assumed = "" if name in twin.parameters else ", assumed"
         material = f"Poisson's ratio {parameter(twin, name):g}{assumed}"
+    scores = {name: scores_of(data, predicted) for name, predicted in images.items()}
     new = twin.copy()
     gel.into_twin(new)
     modulus = keep_modulus(new, data)

@@ -44,6 +44,8 @@ class PhotoOptions:
 class PhotoCalibration(Calibration):
     """A body calibrated to photographs."""
 
+    heading = "Calibrated {0.twin.device} by images"
+
     fitted: BodyParameters
     study: PhotoStudy
     start: Coarse  # from silhouettes alone
@@ -53,10 +55,6 @@ class PhotoCalibration(Calibration):
     bodies: Bodies  # at rest at every pressure, with the best parameters
     scores: Scores  # of the bodies on all photographs, (1, n)
     tip_error_mm: np.ndarray | None  # (T,) distance to the markers, or None where the recording has none
-
-    @property
-    def title(self) -> str:
-        return f"Calibrated {self.twin.device} by images"
 
     @property
     def iou(self) -> dict[str, float | None]:

@@ -36,14 +36,10 @@ def restore(folder: str | Path, version: int) -> Twin:
 
 @dataclass
 class HistoryConfig:
-    """Options of `pneutac history`.
+    """Options of `pneutac history`."""
 
-    Attributes:
-        twin: folder of the twin.
-        restore: number of the version to go back to; it is written as the newest one, and nothing is lost.
-    """
-
-    twin: Path
+    twin: Path  # folder of the twin
+    # number of the version to go back to; it is written as the newest one, and nothing is lost
     restore: int | None = None
 
 

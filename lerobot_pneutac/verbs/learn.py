@@ -121,7 +121,7 @@ class Learning(Result):
     ended: str
     folder: Path
 
-    title = "Learnt from the bench"
+    heading = "Learnt from the bench"
     keys = (
         "confirmed", ("confirmed_by", "last.confirmed_by"), ("selected", "last.selected"),
         ("verdict", "last.verdict"), "ended", "bench_s", "sentence", "rounds",
@@ -508,31 +508,24 @@ def _body(twin: Twin) -> tuple:
 
 @dataclass
 class LearnConfig:
-    """Options of `pneutac learn`.
-
-    Attributes:
-        twin: folder of the finger's or arm's twin, which is not changed.
-        out: folder of programs, recordings and the learnt twin; a call with a folder that holds rounds
-            continues after them.
-        bench: `standin`, the finger or the arm that stands in for a real one, or `measure`, your bench.
-        measure: YAML file with the options of `pneutac measure` for your bench, without `program` and `out`.
-        hands: what a person may be asked to change: `none`, or `flip` (turn the base over), `payload` (hang a
-            weight at the tip) and `warm`, with commas; the stand-in does the first two by itself.
-        payload_g: weight that can be hung.
-        warm_c: to which the finger can be warmed.
-        budget_min: minutes of programs, together.
-    """
+    """Options of `pneutac learn`."""
 
     described_by: ClassVar = learn
 
-    twin: Path
+    twin: Path  # folder of the finger's or arm's twin, which is not changed
+    # folder of programs, recordings and the learnt twin; a call with a folder that holds rounds continues
+    # after them
     out: Path
+    # `standin`, the finger or the arm that stands in for a real one, or `measure`, your bench
     bench: str = "standin"
+    # YAML file with the options of `pneutac measure` for your bench, without `program` and `out`
     measure: Path | None = None
+    # what a person may be asked to change: `none`, or `flip` (turn the base over), `payload` (hang a weight
+    # at the tip) and `warm`, with commas; the stand-in does the first two by itself
     hands: str = "none"
-    payload_g: float = 20.0
-    warm_c: float = 35.0
-    budget_min: float = 15.0
+    payload_g: float = 20.0  # weight that can be hung
+    warm_c: float = 35.0  # to which the finger can be warmed
+    budget_min: float = 15.0  # minutes of programs, together
     program_s: float = 60.0
     seed: int = 0
     jobs: int = 0

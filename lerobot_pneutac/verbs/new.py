@@ -131,27 +131,18 @@ def write_geometry(twin: Twin, folder: Path) -> None:
 
 @dataclass
 class NewConfig(TableOptions):
-    """Options of `pneutac new`.
+    """Options of `pneutac new`."""
 
-    Attributes:
-        twin: folder to write; it must not hold a twin yet.
-        device: `finger`, `arm` or `gel`; if omitted, the recording's own, else a finger.
-        recording: bench recording whose recording.json gives the geometry, or tables as `pneutac convert`
-            reads them.
-        mesh: STL, OBJ or PLY of the soft body of a finger or an arm.
-        mesh_unit: unit of the mesh's coordinates, `mm` or `m`.
-        mesh_axis: axis along which the mesh lies, base first: `x`, `y` or `z`; if omitted, its longest
-            side. Axes are renamed in cyclic order: along z it bends towards the file's y, along y towards x,
-            along x towards z.
-        length_mm: length of the straight device, if no mesh, recording or the paper's finger gives it.
-    """
-
-    twin: Path
-    device: str | None = None
+    twin: Path  # folder to write; it must not hold a twin yet
+    device: str | None = None  # `finger`, `arm` or `gel`; if omitted, the recording's own, else a finger
+    # bench recording whose recording.json gives the geometry, or tables as `pneutac convert` reads them
     recording: Path | None = None
-    mesh: Path | None = None
-    mesh_unit: str = "mm"
+    mesh: Path | None = None  # STL, OBJ or PLY of the soft body of a finger or an arm
+    mesh_unit: str = "mm"  # unit of the mesh's coordinates, `mm` or `m`
+    # axis along which the mesh lies, base first: `x`, `y` or `z`; if omitted, its longest side. Axes are
+    # renamed in cyclic order: along z it bends towards the file's y, along y towards x, along x towards z
     mesh_axis: str | None = None
+    # length of the straight device, if no mesh, recording or the paper's finger gives it
     length_mm: float | None = None
 
     def __post_init__(self):

@@ -10,18 +10,12 @@ from lerobot_pneutac.cli.terminal import Terminal
 
 @dataclass
 class RepairConfig:
-    """Options of `pneutac repair`.
+    """Options of `pneutac repair`."""
 
-    Attributes:
-        dataset: folder of the dataset; nothing else may be writing there.
-        like: folder of an intact dataset of the same robot and frame rate, needed only if info.json is
-            damaged.
-        drop: leave out episodes whose videos are missing; their files move to the folder left_out.
-    """
-
-    dataset: Path
+    dataset: Path  # folder of the dataset; nothing else may be writing there
+    # folder of an intact dataset of the same robot and frame rate, needed only if info.json is damaged
     like: Path | None = None
-    drop: bool = False
+    drop: bool = False  # leave out episodes whose videos are missing; their files move to the folder left_out
 
 
 def command(config: RepairConfig, terminal: Terminal) -> None:

@@ -21,14 +21,18 @@ class Result:
     rows of one short table and remarks; from these come the file, the console, a notebook and the page.
 
     Attributes:
-        title: heading of table and report.
+        heading: of table and report; `{0.name}` in it is an attribute of the result.
         findings: what the checks of the recording found, one sentence each.
         keys: of `result.json`; a pair is a key and the attribute that holds its value, with dots.
     """
 
-    title: str = ""
+    heading: ClassVar[str] = ""
     findings: tuple[str, ...] = ()
     keys: ClassVar[tuple[str | tuple[str, str], ...]] = ()
+
+    @property
+    def title(self) -> str:
+        return self.heading.format(self)
 
     @property
     def findings_shown(self) -> tuple[str, ...]:

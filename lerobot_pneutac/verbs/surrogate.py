@@ -36,29 +36,18 @@ REFINED = "--trajectories=24 --seconds=1 --contacts=100"
 
 @dataclass
 class SurrogateConfig(ExecutorOptions):
-    """Options of `pneutac surrogate`; without workers or executor this process collects, on all cores.
+    """Options of `pneutac surrogate`; without workers or executor this process collects, on all cores."""
 
-    Attributes:
-        twin: folder of a finger's twin; the networks are written into it.
-        trajectories: number of motions of the full finger; two sixths of them are held out.
-        seconds: length of each motion.
-        contacts: number of presses on the full gel; of two kinds of indenter all are held out.
-        particles: number of material points of the finger, about.
-        fresh: training also where the networks that are shipped were trained for such a finger and gel.
-        device: `auto`, `cpu` or `cuda`.
-        seed: seed of programs, contacts and weights.
-        out: folder for `result.json` and `report.html`; nothing is written without it.
-    """
-
-    twin: Path
-    trajectories: int = 12
-    seconds: float = 0.5
-    contacts: int = 24
-    particles: int = 4000
+    twin: Path  # folder of a finger's twin; the networks are written into it
+    trajectories: int = 12  # number of motions of the full finger; two sixths of them are held out
+    seconds: float = 0.5  # length of each motion
+    contacts: int = 24  # number of presses on the full gel; of two kinds of indenter all are held out
+    particles: int = 4000  # number of material points of the finger, about
+    # training also where the networks that are shipped were trained for such a finger and gel
     fresh: bool = False
-    device: str = "auto"
-    seed: int = 0
-    out: Path | None = None
+    device: str = "auto"  # `auto`, `cpu` or `cuda`
+    seed: int = 0  # seed of programs, contacts and weights
+    out: Path | None = None  # folder for `result.json` and `report.html`; nothing is written without it
 
     def __post_init__(self):
         self.check_executor()
@@ -105,10 +94,9 @@ class TrainedNetworks(Result):
 
     twin: Twin  # whose folder has the networks
     networks: dict  # name to `source`, `seconds` and, of those trained, `errors`
-    # what was measured on motions and contacts held out: what, with the network, without.
-    errors: list[tuple[str, str, str]]
+    errors: list[tuple[str, str, str]]  # on what was held out: what, with the network, without
 
-    title = "Networks in place of material points"
+    heading = "Networks in place of material points"
     keys = (("twin", "twin.folder"), "networks")
 
     def rows(self) -> list[dict]:
