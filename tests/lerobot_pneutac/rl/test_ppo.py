@@ -9,7 +9,6 @@ import torch
 
 pytest.importorskip("stable_baselines3", reason="PPO needs the extra 'rl' (stable-baselines3)")
 
-from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.rl.actor import Actor, try_actor
 from lerobot_pneutac.rl.env import PpoEnv
 from lerobot_pneutac.rl.options import StudentRef
@@ -132,24 +131,6 @@ def test_damaged_files_are_refused(trained, tmp_path):
     (broken / "checkpoint.safetensors").write_bytes(b"nonsense")
     with pytest.raises(InputError, match="damaged; delete it"):
         train_ppo("switch", None, 1, 300, broken, TWO, SMALL)
-
-
-@pytest.mark.parametrize(
-    ("options", "match"),
-    [
-        ([], "--out=PATH"),
-        (["--task=door"], "^task is 'door'"),
-        (["--device=tpu"], "^device is 'tpu'"),
-        (["--steps=0"], "^steps is 0"),
-        (["--seed=-1"], "^seed is -1"),
-        (["--twin=nowhere"], "holds no twin.yaml"),
-        (["--student.fidelity=exact"], "^fidelity is 'exact'"),
-    ],
-)
-def test_bad_options_are_refused(tmp_path, options, match):
-    with pytest.raises(InputError, match=match):
-        run_verb("ppo", ([f"--out={tmp_path / 'a'}"] if options else []) + options)
-    assert not (tmp_path / "a").exists()
 
 
 @pytest.mark.nightly

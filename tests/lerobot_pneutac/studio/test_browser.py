@@ -6,7 +6,6 @@ PNEUTAC_SCREENSHOTS=docs/pictures writes the pictures and the film there.
 import io
 import os
 import re
-import shlex
 import shutil
 import signal
 import socket
@@ -21,7 +20,6 @@ from playwright.sync_api import expect, sync_playwright
 
 from lerobot_pneutac.studio.app import Studio
 from lerobot_pneutac.studio.session import Session
-from lerobot_pneutac.verbs.demo import Demo, DemoConfig, DemoResult
 from pneutac_sim.twin import Twin
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -216,37 +214,6 @@ def test_a_newcomer_finds_and_adds_what_is_missing(browser, tmp_path):
         page.close()
     finally:
         studio.close()
-
-
-@pytest.mark.nightly
-@pytest.mark.timeout(1800)  # a bench session of three minutes, measured on the stand-in
-def test_what_the_demo_leaves_is_opened_by_its_last_line_and_mended(browser, tmp_path):
-    demo = Demo(DemoConfig(tmp_path / "demo"), print, lambda *_: None)
-    demo._commands = []
-    demo._bench(), demo._calibrate()
-    before = shutil.copytree(demo.twin, tmp_path / "demo" / "before")
-    line = shlex.split(DemoResult(demo.cfg.out, demo.state).next_commands[-1])
-    command = [sys.executable, "-m", "lerobot_pneutac.cli", *line[1:], "--port=0"]
-    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        seen = Page(browser, re.search(r"http\S+", server.stdout.readline())[0])
-        expect(seen.page.get_by_text("Bend ").first).to_be_visible(timeout=60_000)
-        for tab in ("Touch", "Measurement", "World", "Find it"):
-            seen.open(tab)
-        seen.button("1. Compare").click()
-        error = seen.heldout_mm()
-        seen.button("2. Diagnose").click()
-        expect(seen.page.get_by_text("Do next.").first).to_be_visible(timeout=600_000)
-        seen.button("3. Try it").click()
-        expect(seen.button("4. Keep it")).to_be_visible(timeout=300_000)
-        assert len(Twin.load(before).history) == len(Twin.load(demo.twin).history)
-        seen.button("4. Keep it").click()
-        expect(seen.page.get_by_text("Kept as version").first).to_be_visible(timeout=60_000)
-        assert seen.heldout_mm() < 0.6 * error
-        assert Twin.load(before).effects and not seen.errors and not seen.foreign
-        seen.page.close()
-    finally:
-        server.kill()
 
 
 @pytest.mark.nightly

@@ -16,13 +16,9 @@ from lerobot_pneutac.studio.session import Session
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PneutacBCConfig
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
 from lerobot_robot_pneutac.policy.processor_pneutac_bc import make_pneutac_bc_pre_post_processors
-from pneutac_datasets.demonstrations.replay.imprint import find_place
-from pneutac_datasets.demonstrations.replay.reading import load_demonstrations
-from pneutac_datasets.demonstrations.replay.replaying import replay
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.finger import Pipeline
 from pneutac_sim.twin import Twin, Value
-from pneutac_sim.world.varied import VariedWorld
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "recordings"
 
@@ -160,21 +156,3 @@ def test_a_policy_moves_the_world_and_what_is_none_is_told(opened, tmp_path):
     page._policy.value = str(tmp_path)
     page.begin()
     until(lambda: "there is no config.json" in page.readout.content)
-
-
-@pytest.mark.nightly
-def test_an_episode_is_replayed_as_the_commands_replay_it(opened, tmp_path):
-    demos = shutil.copytree(GOLDEN / "demos", tmp_path / "demos")
-    (demos / "meta" / "station.yaml").write_text("format: pneutac-station/1\nbase_m: [0.0, 0.0, 0.03]\n")
-    studio = opened(Twin.builtin().save(tmp_path / "finger"), None, "", demos)
-    panel = studio.pages["World"].episodes
-    panel.replay()
-    until(lambda: panel.readout.content.startswith(("**Off by", ">")), 300)  # both worlds are compiled
-    assert panel.readout.content.startswith("**Off by"), panel.readout.content
-    twin, given = Twin.builtin(), load_demonstrations(demos, "switch")
-    world = VariedWorld(given.task, twin, "image", "probe", station=given.station)
-    compared = replay(world, given.episodes[0], find_place(world, given.episodes[0]), keep=True)
-    np.testing.assert_array_equal(panel._replayed.images, compared.images)
-    panel._number.value = 99
-    panel.replay()
-    until(lambda: "has no episode 99" in panel.readout.content)

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from verbs import refused
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.studio.app import Studio
 from lerobot_pneutac.studio.live import LiveBody, Shape, links
 from lerobot_pneutac.studio.session import Session
@@ -54,8 +54,7 @@ def test_looking_writes_nothing_and_going_back_loses_nothing(folder):
 
 
 def test_a_misspelt_twin_is_told_before_there_is_an_address(tmp_path, capsys):
-    with pytest.raises(InputError, match="no twin at"):
-        run_verb("studio", [f"--twin={tmp_path / 'nothing'}", "--port=0"])
+    refused("no twin at", "studio", twin=tmp_path / "nothing", port=0)
     assert capsys.readouterr().out == ""
 
 

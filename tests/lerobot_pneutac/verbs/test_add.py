@@ -5,9 +5,9 @@ import re
 
 import pytest
 from generated import once
+from verbs import refused, verb
 
 from lerobot_pneutac import add, compare, diagnose
-from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.add import Addition
 from lerobot_pneutac.verbs.diagnose import BEFORE, FOUND
 from lerobot_pneutac.verbs.new import new_twin
@@ -29,7 +29,7 @@ def pair(tmp_path_factory):
 
 def test_adding_the_hidden_effect_writes_the_next_version(pair, tmp_path):
     twin, recording = pair
-    run_verb("add", [f"--twin={twin}", f"--recording={recording}", "--effect=creep", f"--out={tmp_path}"])
+    verb("add", twin=twin, recording=recording, effect="creep", out=tmp_path)
     result = json.loads((tmp_path / "result.json").read_text())
     assert result["after"]["heldout"] < 0.5 * result["before"]["heldout"]
     assert result["after"]["heldout_ci95"][1] < result["before"]["heldout_ci95"][0]
@@ -40,8 +40,7 @@ def test_adding_the_hidden_effect_writes_the_next_version(pair, tmp_path):
     assert "creep" in new.effects and new.history[-1]["change"] == "added creep"
     assert new.history[-1]["heldout"] == pytest.approx(result["after"]["heldout"])
     assert (twin / "history" / "000" / "twin.yaml").is_file()
-    with pytest.raises(InputError, match="has the effect 'creep' already"):
-        run_verb("add", [f"--twin={twin}", f"--recording={recording}", "--effect=creep"])
+    refused("has the effect 'creep' already", "add", twin=twin, recording=recording, effect="creep")
 
 
 def test_what_speaks_against_a_diagnosis_is_told_where_its_finding_is_added(pair, tmp_path):
@@ -80,7 +79,7 @@ def test_what_the_data_check_found_is_told(pair, tmp_path, capsys):
     r.samples = r.samples.drop(columns=["pressure_kpa"])
     r.write(tmp_path / "blind")
     twin = new_twin("finger", r).save(tmp_path / "twin")
-    run_verb("add", [f"--twin={twin}", f"--recording={tmp_path / 'blind'}", "--effect=creep"])
+    verb("add", twin=twin, recording=tmp_path / "blind", effect="creep")
     said = " ".join(capsys.readouterr().out.split())
     assert "There is no measured pressure" in said and "the test error falls from" in said
 
@@ -93,7 +92,7 @@ def test_an_effect_that_does_not_help_is_refused_with_numbers(pair, tmp_path):
     with pytest.raises(
         InputError, match="Not added: leak changes nothing; its constants end where it does nothing"
     ):
-        run_verb("add", [f"--twin={twin}", f"--recording={recording}", "--effect=leak"])
+        verb("add", twin=twin, recording=recording, effect="leak")
     assert (twin / "twin.yaml").read_text() == before and not (twin / "history").exists()
 
 
@@ -159,16 +158,12 @@ def test_a_diagnosis_and_its_addition_report_the_same_errors_of_the_same_blocks(
 
 def test_unknown_effect_lists_the_valid_ones(pair):
     twin, recording = pair
-    with pytest.raises(InputError, match="no effect 'crep'.*creep"):
-        run_verb("add", [f"--twin={twin}", f"--recording={recording}", "--effect=crep"])
+    refused("no effect 'crep'.*creep", "add", twin=twin, recording=recording, effect="crep")
 
 
 def test_a_gels_diagnosis_in_a_folder_is_refused(tmp_path):
     write_gel_recording(tmp_path / "recording", seed=0, heldout=3)
-    run_verb(
-        "calibrate",
-        [f"--twin={tmp_path / 'twin'}", f"--recording={tmp_path / 'recording'}", "--effects=none"],
-    )
+    verb("calibrate", twin=tmp_path / "twin", recording=tmp_path / "recording", effects="none")
     recording, twin = Recording.load(tmp_path / "recording"), Twin.load(tmp_path / "twin")
     for name in (BEFORE, FOUND):
         twin.save(tmp_path / "d" / name)
@@ -184,8 +179,7 @@ def test_an_effect_without_its_column_is_refused(pair, tmp_path):
     r.samples = r.samples.drop(columns=["temperature_c"])
     r.write(tmp_path / "cold")
     twin = new_twin("finger", r).save(tmp_path / "twin")
-    with pytest.raises(InputError, match="record column temperature_c"):
-        run_verb("add", [f"--twin={twin}", f"--recording={tmp_path / 'cold'}", "--effect=thermal"])
+    refused("record column temperature_c", "add", twin=twin, recording=tmp_path / "cold", effect="thermal")
 
 
 def test_every_verb_sees_the_fall_of_a_pneumatic_effect(tmp_path):
@@ -193,7 +187,7 @@ def test_every_verb_sees_the_fall_of_a_pneumatic_effect(tmp_path):
     once(generate, ["valve_lag"], tmp_path / "recording", 5004, minutes=3.0, hz=10)
     recording = Recording.load(tmp_path / "recording")
     folder = new_twin("finger", recording).save(tmp_path / "twin")
-    run_verb("calibrate", [f"--twin={folder}", f"--recording={recording.folder}"])
+    verb("calibrate", twin=folder, recording=recording.folder)
 
     def heldout():
         twin = Twin.load(folder)
@@ -201,7 +195,7 @@ def test_every_verb_sees_the_fall_of_a_pneumatic_effect(tmp_path):
 
     plain = heldout()
     assert Twin.load(folder).history[-1]["heldout"] == pytest.approx(plain, rel=0.02)
-    run_verb("add", [f"--twin={folder}", f"--recording={recording.folder}", "--effect=valve_lag"])
+    verb("add", twin=folder, recording=recording.folder, effect="valve_lag")
     assert heldout() < 0.5 * plain
 
 

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from verbs import verb
 
-from lerobot_pneutac.cli import run_verb
-from lerobot_pneutac.verbs.ageing import ageing
+from lerobot_pneutac.verbs.compare import ageing
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import simulate
@@ -61,13 +61,13 @@ def test_the_command_writes_it_and_a_missing_date_is_one_sentence(tmp_path, caps
     for k in (1, 15):
         bench(tmp_path / f"{k}", f"2026-01-{k:02d}", 1.0, k)
     options = [f"--twin={tmp_path / 'twin'}", f"--recording={tmp_path / '1'}", f"--out={tmp_path / 'out'}"]
-    run_verb("compare", [*options, f"--later=[{tmp_path / '15'}]"])
+    verb("compare", *options, f"--later=[{tmp_path / '15'}]")
     assert "Ageing over 14 days" in capsys.readouterr().out
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert [d["date"] for d in result["dates"]] == ["2026-01-01", "2026-01-15"]
     assert result["calibrate_again"] is None and (tmp_path / "out" / "report.html").is_file()
     bench(tmp_path / "none", "")
     with pytest.raises(InputError, match="none/recording.json: field 'date' is None; give the day"):
-        run_verb("compare", [*options, f"--later=[{tmp_path / 'none'}]"])
+        verb("compare", *options, f"--later=[{tmp_path / 'none'}]")
     with pytest.raises(InputError, match="two dates or more"):
         ageing(Twin.builtin(), [Recording.load(tmp_path / "1")])

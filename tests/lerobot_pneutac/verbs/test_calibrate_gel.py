@@ -6,19 +6,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from verbs import verb
 
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.fit_gel import render, scores_of, wanted
+from lerobot_pneutac.verbs.new import new_twin
 from pneutac_datasets.generate.gel import HEIGHT, WIDTH, write_gel_recording
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.fit import SHADOW, fit_gel, fit_presses, standard_effects
+from pneutac_sim.gel.fit import SHADOW, fit_gel, standard_effects
 from pneutac_sim.gel.layout import Orientation
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.pair import ImageScores, score
-from pneutac_sim.gel.photograph import Predictor
+from pneutac_sim.gel.pair import ImageScores
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin
 
@@ -51,7 +52,7 @@ def recording(generated, tmp_path):
 
 
 def run(twin, recording, *more):
-    run_verb("calibrate", [f"--twin={twin}", f"--recording={recording}", *more])
+    verb("calibrate", *more, twin=twin, recording=recording)
 
 
 def test_generated_pair_beats_rest_and_pasted_difference_on_held_out_images(out):
@@ -195,7 +196,7 @@ def test_bad_recordings_get_one_sentence_and_leave_no_twin(spoil, says, recordin
 
 
 def test_a_twin_of_another_device_and_a_folder_of_other_things_are_refused(generated, tmp_path):
-    Twin(device="arm").save(tmp_path / "arm")
+    new_twin("arm").save(tmp_path / "arm")
     with pytest.raises(InputError, match="is of an arm"):
         run(tmp_path / "arm", generated)
     (tmp_path / "full").mkdir()
@@ -244,25 +245,6 @@ def test_all_rows_of_role_calibration_count(generated, twin, tmp_path, capsys):
     run(tmp_path / "one_press", tmp_path / "r")
     then = Twin.load(tmp_path / "one_press")
     assert then.effects == alone.effects and then.gel == alone.gel, "an earlier single press binds nothing"
-
-
-@pytest.mark.nightly  # every day: the errors of `test_real_sensors`
-def test_five_presses_of_a_real_sensor_predict_better_than_one():
-    if "PNEUTAC_DATA" not in os.environ:
-        pytest.skip("PNEUTAC_DATA is unset: there are no real photographs to calibrate to")
-    data = GelRecording.load(Recording.load(Path(os.environ["PNEUTAC_DATA"]) / "tactile" / "digit_fots"))
-    pairs = [s.photograph for s in data.samples[::4]][:5]
-    others = [s for i, s in enumerate(data.samples) if i % 4]
-    contact = []
-    for n in (1, 5):
-        predictor = Predictor(fit_presses(pairs[:n], data.px_per_mm, None, data.thickness_mm).gel, pairs[:n])
-        images = [predictor.image(s.press, s.rest, s.clock) for s in others]
-        scores = [
-            score(image, s.image, s.rest, s.x_px, s.y_px, s.radius_px)
-            for image, s in zip(images, others, strict=True)
-        ]
-        contact.append(ImageScores.mean(scores).contact_rmse)
-    assert contact[1] < 0.97 * contact[0]
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from demonstration_sets import write_demonstrations
 from sensors import wide_twin
+from verbs import refused, verb
 
-from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.check import check_path
 from pneutac_datasets.demonstrations.faults import demonstration_faults
 from pneutac_sim.effects import get_effect
@@ -93,21 +93,19 @@ def test_every_effect_that_does_not_fit_is_told_and_the_gel_too(tmp_path):
 
 def test_the_command_tells_each_folder_and_ends_with_one_where_there_is_a_fault(tmp_path, capsys):
     shutil.copytree(GOLDEN / "finger_creep", tmp_path / "bench")
-    run_verb("check", [str(tmp_path / "bench")])
+    verb("check", str(tmp_path / "bench"))
     assert "(bench recording): good" in capsys.readouterr().out
     with pytest.raises(SystemExit) as stopped:
-        run_verb("check", [str(tmp_path / "bench"), str(write_demonstrations(tmp_path / "d", (20.0, 9.0)))])
+        verb("check", str(tmp_path / "bench"), str(write_demonstrations(tmp_path / "d", (20.0, 9.0))))
     assert stopped.value.code == 1
     assert "fault: Episode 0 commands pressures beyond" in " ".join(capsys.readouterr().out.split())
-    with pytest.raises(InputError, match="is 'bench' meant"):
-        run_verb("check", [str(tmp_path / "bensh")])
+    refused("is 'bench' meant", "check", str(tmp_path / "bensh"))
     (tmp_path / "notes.md").touch()
     with pytest.raises(
         InputError, match="notes.md is none of .csv, .*; give a table or a recording's folder"
     ):
-        run_verb("check", [str(tmp_path / "notes.md")])
-    with pytest.raises(InputError, match="There is no option --twins=x"):
-        run_verb("check", ["bench", "--twins=x"])
+        verb("check", str(tmp_path / "notes.md"))
+    refused("There is no option --twins=x", "check", "bench", twins="x")
 
 
 def test_a_station_tells_which_tasks_its_arm_does_not_reach(tmp_path):

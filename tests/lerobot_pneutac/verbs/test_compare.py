@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from generated import once, twin_of
+from verbs import refused, verb
 
-from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.reports.compare import heat_map
 from lerobot_pneutac.verbs.compare_body import compare_body, phrase, prediction_band, train_mask
 from lerobot_pneutac.verbs.fit_body import calibrate_body
@@ -37,7 +37,7 @@ def bench(tmp_path_factory):
     root = tmp_path_factory.mktemp("bench")
     for name in ("none", "creep"):
         once(generate, name, root / name, seed=16, minutes=2, hz=20)
-    run_verb("new", [f"--twin={root / 'twin'}", f"--recording={root / 'none'}"])
+    verb("new", twin=root / "twin", recording=root / "none")
     r = Recording.load(root / "none")
     found = calibrate_body(Twin.load(root / "twin"), r)
     found.twin.save_version(
@@ -47,7 +47,7 @@ def bench(tmp_path_factory):
 
 
 def run(bench, recording, out):
-    run_verb("compare", [f"--twin={bench / 'twin'}", f"--recording={bench / recording}", f"--out={out}"])
+    verb("compare", twin=bench / "twin", recording=bench / recording, out=out)
     return json.loads((out / "result.json").read_text())
 
 
@@ -110,10 +110,7 @@ def test_samples_beyond_the_training_of_the_action_network_are_told(bench, tmp_p
         file = own.save(tmp_path / "action.safetensors")
         twin.networks = {"action": file}
         twin.save(tmp_path / "twin")
-        run_verb(
-            "compare",
-            [f"--twin={tmp_path / 'twin'}", f"--recording={bench / 'none'}", f"--out={tmp_path / 'o'}"],
-        )
+        verb("compare", twin=tmp_path / "twin", recording=bench / "none", out=tmp_path / "o")
         return json.loads((tmp_path / "o" / "result.json").read_text())
 
     assert run(bench, "none", tmp_path / "without")["out_of_range"] is None
@@ -175,35 +172,14 @@ def test_direction_rate_and_hold_time_follow_the_command(bench):
 
 
 @pytest.mark.slow
-def test_new_takes_the_geometry_and_never_overwrites(bench, tmp_path):
-    twin, meta = Twin.load(bench / "twin"), Recording.load(bench / "none").meta
-    assert twin.length_mm == meta["length_mm"]
-    assert twin.spine_joint_positions_mm == pytest.approx(meta["spine_joint_positions_mm"])
-    before = (bench / "twin" / "twin.yaml").read_bytes()
-    with pytest.raises(InputError, match="already holds a twin"):
-        run_verb("new", [f"--twin={bench / 'twin'}", "--device=finger"])
-    assert (bench / "twin" / "twin.yaml").read_bytes() == before
-    for device, joints in (("finger", 4), ("arm", 6), ("gel", 0)):
-        run_verb("new", [f"--twin={tmp_path / device}", f"--device={device}"])
-        made = Twin.load(tmp_path / device)
-        assert made.device == device and len(made.spine_joint_positions_mm) == joints
-    with pytest.raises(InputError, match="must be one of finger, arm, gel"):
-        run_verb("new", [f"--twin={tmp_path / 'x'}", "--device=claw"])
-    with pytest.raises(InputError, match="omit one"):
-        run_verb("new", [f"--twin={tmp_path / 'x'}", "--device=arm", f"--recording={bench / 'none'}"])
-
-
-@pytest.mark.slow
 def test_bad_input_is_refused_before_work_starts(bench, tmp_path):
-    run_verb("new", [f"--twin={tmp_path / 'arm'}", "--device=arm"])
+    verb("new", twin=tmp_path / "arm", device="arm")
     with pytest.raises(InputError, match="is of a finger and .* of an arm; compare .* own device"):
-        run_verb("compare", [f"--twin={tmp_path / 'arm'}", f"--recording={bench / 'none'}"])
-    with pytest.raises(InputError, match="There is no twin"):
-        run_verb("compare", [f"--twin={tmp_path / 'nothing'}", f"--recording={bench / 'none'}"])
-    with pytest.raises(InputError, match="no bench recording"):
-        run_verb("compare", [f"--twin={bench / 'twin'}", f"--recording={tmp_path / 'nothing'}"])
-    with pytest.raises(InputError, match="Give --recording=PATH; --help"):
-        run_verb("compare", [f"--twin={bench / 'twin'}"])
+        verb("compare", twin=tmp_path / "arm", recording=bench / "none")
+    refused("already holds a twin", "new", twin=bench / "twin", device="finger")
+    refused("There is no twin", "compare", twin=tmp_path / "nothing", recording=bench / "none")
+    refused("no bench recording", "compare", twin=bench / "twin", recording=tmp_path / "nothing")
+    refused("Give --recording=PATH; --help", "compare", twin=bench / "twin")
 
 
 @pytest.mark.slow
@@ -211,9 +187,7 @@ def test_bad_input_is_refused_before_work_starts(bench, tmp_path):
 def test_the_poorest_recording_still_compares(bench, tmp_path, rows):
     r = Recording.load(bench / "none")
     r.keep(np.arange(len(r)) < rows).write(tmp_path / "poor")
-    run_verb(
-        "compare", [f"--twin={bench / 'twin'}", f"--recording={tmp_path / 'poor'}", f"--out={tmp_path / 'o'}"]
-    )
+    verb("compare", twin=bench / "twin", recording=tmp_path / "poor", out=tmp_path / "o")
     result = json.loads((tmp_path / "o" / "result.json").read_text())
     assert result["samples"] == rows and any("one trial only" in s for s in result["checks"])
     assert "worst at" not in result["sentence"] and "worst where" not in result["sentence"]

@@ -7,8 +7,8 @@ import shutil
 import numpy as np
 import pytest
 from PIL import Image
+from verbs import verb
 
-from lerobot_pneutac.cli import run_verb
 from pneutac_datasets.generate.gel import write_gel_recording
 from pneutac_datasets.recording.recording import Recording
 
@@ -20,15 +20,12 @@ def bench(tmp_path_factory):
     """A recording and a twin calibrated to it."""
     folder = tmp_path_factory.mktemp("bench")
     write_gel_recording(folder / "recording", seed=0, heldout=3)
-    run_verb(
-        "calibrate",
-        [f"--twin={folder / 'twin'}", f"--recording={folder / 'recording'}", "--effects=rest_colour"],
-    )
+    verb("calibrate", twin=folder / "twin", recording=folder / "recording", effects="rest_colour")
     return folder
 
 
 def run(bench, recording, out):
-    run_verb("compare", [f"--twin={bench / 'twin'}", f"--recording={recording}", f"--out={out}"])
+    verb("compare", twin=bench / "twin", recording=recording, out=out)
     return json.loads((out / "result.json").read_text())
 
 

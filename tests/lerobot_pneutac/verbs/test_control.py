@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from verbs import verb
 
 from lerobot_pneutac import Recording, Twin, control
-from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.measuring.programs import read_program
 from pneutac_datasets.generate.standin import write_program
 from pneutac_sim.errors import InputError
@@ -23,21 +23,13 @@ def twin():
 
 def test_the_program_goes_from_the_report_to_the_bench_and_back(twin, tmp_path, capsys):
     folder = twin.save(tmp_path / "twin")
-    run_verb("control", [f"--twin={folder}", "--bend=loops", f"--out={tmp_path / 'out'}"])
+    verb("control", twin=folder, bend="loops", out=tmp_path / "out")
     program = tmp_path / "out" / "program.csv"
     (trial,) = read_program(str(program), 15.0, 20.0)
     asked = pd.read_csv(program)
     np.testing.assert_allclose(trial.pressure_kpa[:, 0], asked["pressure_cmd_kpa"])
     write_program(tmp_path / "bench", program)
-    run_verb(
-        "control",
-        [
-            f"--twin={folder}",
-            f"--bend={program}",
-            f"--recording={tmp_path / 'bench'}",
-            f"--out={tmp_path / 'after'}",
-        ],
-    )
+    verb("control", twin=folder, bend=program, recording=tmp_path / "bench", out=tmp_path / "after")
     assert "The finger followed the bend within" in " ".join(capsys.readouterr().out.split())
     found = json.loads((tmp_path / "after" / "result.json").read_text())
     tip = Recording.load(tmp_path / "bench").samples

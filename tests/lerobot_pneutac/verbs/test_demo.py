@@ -6,8 +6,8 @@ import re
 import numpy as np
 import pytest
 from rich.console import Console
+from verbs import verb
 
-from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.reports import demo as pages
 from lerobot_pneutac.verbs.demo import Demo, DemoConfig
 from pneutac_sim.effects.registry import get_effect
@@ -144,8 +144,8 @@ def test_an_interrupted_demo_goes_on_where_it_stopped(commands, tmp_path, stop, 
     again = commands.verbs()[len(before) :]
     assert [line.endswith("(done before)") for line in told] == [True] * finished + [False] * (8 - finished)
     assert again[0] == first
-    for verb in ("pneutac_datasets.generate", "pneutac diagnose", "lerobot-record"):
-        assert commands.verbs().count(verb) == 1
+    for name in ("pneutac_datasets.generate", "pneutac diagnose", "lerobot-record"):
+        assert commands.verbs().count(name) == 1
     assert len(commands.added) == 1, "what was found is added once"
     assert result.to_dict()["success_percent"] == {"augmented": 90.0, "alone": 50.0}
 
@@ -199,7 +199,7 @@ def test_the_sentence_says_what_was_found_and_the_report_is_written(commands, tm
         "lerobot_pneutac.cli.terminal.Console", lambda **options: Console(width=500, **options)
     )
     out = tmp_path / "d"
-    run_verb("demo", [f"--out={out}"])
+    verb("demo", out=out)
     result = json.loads((out / "result.json").read_text())
     assert result["trials"] == 40
     assert result["success_ci95"]["augmented"] == pytest.approx([76.95, 96.04], abs=0.01)

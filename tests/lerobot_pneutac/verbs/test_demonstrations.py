@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from lerobot_pneutac import Demonstrations, InputError, Recording, Twin, add, calibrate, compare, diagnose
-from lerobot_pneutac.cli import run_verb
 from lerobot_robot_pneutac.standin.gel import new_gel
 from lerobot_robot_pneutac.standin.world import Physics, StandinWorld
 from pneutac_datasets.demonstrations.episodes import Episode
@@ -165,4 +164,4 @@ def test_what_demonstrations_tell_does_not_spoil_the_bench(tmp_path):
 def test_what_takes_bench_recordings_alone_says_so(verb, option, tmp_path):
     twin, value = Twin.builtin().save(tmp_path / "twin"), tmp_path / "out.rrd"
     with pytest.raises(InputError, match="demos holds demonstrations; .* a bench recording of the device."):
-        run_verb(verb, [f"--twin={twin}", f"--recording={GOLDEN / 'demos'}", f"{option}={value}"])
+        verb(verb, f"{option}={value}", twin=twin, recording=GOLDEN / "demos")

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from verbs import refused
 
 from lerobot_pneutac import InputError, Twin, design_motion, load_demonstrations
-from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.design_motion import (
     COMPLIANCE,
     FRICTION,
@@ -79,8 +79,7 @@ def test_it_says_which_motions_to_record(tmp_path):
 @pytest.mark.parametrize("option", ["diagnosis", "hands"])
 def test_what_motions_do_not_take_is_said(tmp_path, option):
     twin = Twin.builtin().save(tmp_path / "twin")
-    with pytest.raises(InputError, match=f"^{option}: .* leave it out"):
-        run_verb("design", [f"--twin={twin}", f"--recording={DEMOS}", f"--{option}={tmp_path}"])
+    refused(f"^{option}: .* leave it out", "design", f"--{option}={tmp_path}", twin=twin, recording=DEMOS)
 
 
 def test_a_body_of_several_chambers_is_refused():

@@ -6,8 +6,8 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 from generated import once
+from verbs import refused, verb
 
-from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.study.gel_press import held_choice
 from lerobot_pneutac.verbs.diagnose import save_contenders
@@ -46,11 +46,11 @@ def test_models_that_predict_the_same_are_told_apart_by_none(recording, models, 
     save_contenders(tmp_path / "same", [models[0], Candidate(models[0].twin, (), 0.4)])
     twin = models[1].twin.save(tmp_path / "twin")
     common = [f"--twin={twin}", f"--recording={recording.folder}"]
-    run_verb("design", [*common, f"--diagnosis={tmp_path / 'same'}"])
+    verb("design", *common, f"--diagnosis={tmp_path / 'same'}")
     assert "No press of these indenters would distinguish" in " ".join(capsys.readouterr().out.split())
 
     save_contenders(tmp_path / "apart", models)
-    run_verb("design", [*common, f"--diagnosis={tmp_path / 'apart'}", f"--out={tmp_path / 'out'}"])
+    verb("design", *common, f"--diagnosis={tmp_path / 'apart'}", f"--out={tmp_path / 'out'}")
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert not result["tells_little"] and [c["terms"] for c in result["contenders"]] == [["shadow"], []]
     assert "data:image/png;base64" in (tmp_path / "out" / "report.html").read_text()
@@ -61,9 +61,8 @@ def test_models_that_predict_the_same_are_told_apart_by_none(recording, models, 
     assert {"x_mm": again.press.x_mm, "depth_mm": again.press.depth_mm}.items() <= result["press"].items()
 
     with pytest.raises(InputError, match="max_kpa: a press of a gel has no such option; leave it out"):
-        run_verb("design", [*common, f"--diagnosis={tmp_path / 'apart'}", "--max_kpa=10"])
-    with pytest.raises(InputError, match="contenders.json; give the folder"):
-        run_verb("design", [*common, f"--diagnosis={tmp_path / 'nothing'}"])
+        verb("design", *common, f"--diagnosis={tmp_path / 'apart'}", "--max_kpa=10")
+    refused("contenders.json; give the folder", "design", *common, f"--diagnosis={tmp_path / 'nothing'}")
 
 
 def test_two_presses_are_asked_for_where_creep_is_in_question(recording, models, tmp_path, capsys):
@@ -90,7 +89,7 @@ def test_two_presses_are_asked_for_where_creep_is_in_question(recording, models,
     assert not small.seen and "too little to see" in small.sentence
     save_contenders(tmp_path / "creep", made)
     given = [f"--twin={made[1].twin.save(tmp_path / 'twin')}", f"--recording={recording.folder}"]
-    run_verb("design", [*given, f"--diagnosis={tmp_path / 'creep'}", f"--out={tmp_path / 'out'}"])
+    verb("design", *given, f"--diagnosis={tmp_path / 'creep'}", f"--out={tmp_path / 'out'}")
     assert "for 60 s and lift it" in " ".join(capsys.readouterr().out.split())
     rows = pd.read_csv(tmp_path / "out" / "press.csv")
     samples = recording.samples.iloc[:2].reset_index(drop=True).assign(**rows)

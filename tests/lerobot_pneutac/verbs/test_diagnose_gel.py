@@ -4,8 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from generated import once
+from verbs import refused, verb
 
-from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.diagnosis.thresholds import APART, FOLDS, NEEDED
 from lerobot_pneutac.study import gel_model
@@ -14,7 +14,6 @@ from lerobot_pneutac.study.gel_model import predict
 from pneutac_datasets.generate.gel import write_gel_recording
 from pneutac_datasets.generate.hidden_gel import SIZES, write_hidden_gel
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.errors import InputError
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.problem import GelFit
 from pneutac_sim.twin import Twin
@@ -24,12 +23,12 @@ pytestmark = pytest.mark.slow
 
 def linear_twin(folder, recording):
     """The paper's linear model of a recording's sensor."""
-    run_verb("calibrate", [f"--twin={folder}", f"--recording={recording.folder}", "--effects=none"])
+    verb("calibrate", twin=folder, recording=recording.folder, effects="none")
     return folder
 
 
 def run(verb, out, twin, recording, *more):
-    run_verb(verb, [f"--twin={twin}", f"--recording={recording.folder}", f"--out={out}", *more])
+    verb(verb, *more, twin=twin, recording=recording.folder, out=out)
     return json.loads((out / "result.json").read_text())
 
 
@@ -81,8 +80,7 @@ def test_nothing_is_found_where_nothing_is_hidden(tmp_path, capsys):
     twin = linear_twin(tmp_path / "twin", recording)
     found = run("diagnose", tmp_path / "d", twin, recording)
     assert found["selected"] == [] and found["verdict"] == "adequate"
-    with pytest.raises(InputError, match="Not added"):
-        run_verb("add", [f"--twin={twin}", f"--recording={recording.folder}", "--effect=shadow"])
+    refused("Not added", "add", twin=twin, recording=recording.folder, effect="shadow")
     assert Twin.load(twin).effects == {} and len(Twin.load(twin).history) == 1
     assert "Nothing is missing" in capsys.readouterr().out
 
@@ -98,8 +96,7 @@ def test_too_few_images_are_no_verdict_and_the_sentence_says_how_many_it_takes(t
 def test_to_what_cannot_be_diagnosed_nothing_is_added(tmp_path):
     recording = once(write_hidden_gel, tmp_path / "recording", ["shadow"], images=NEEDED - 1)
     twin = linear_twin(tmp_path / "twin", recording)
-    with pytest.raises(InputError, match=f"it has {NEEDED - 1} images"):
-        run_verb("add", [f"--twin={twin}", f"--recording={recording.folder}", "--effect=shadow"])
+    refused(f"it has {NEEDED - 1} images", "add", twin=twin, recording=recording.folder, effect="shadow")
     assert Twin.load(twin).effects == {}
 
 
@@ -179,22 +176,17 @@ def test_the_report_scores_photographs_that_chose_nothing(tmp_path):
 def test_other_effects_are_refused(effect, said, tmp_path):
     recording = once(write_hidden_gel, tmp_path / "recording", [], images=2)
     Twin(device="gel", length_mm=16.0).save(tmp_path / "twin")
-    with pytest.raises(InputError, match=said):
-        run_verb(
-            "add", [f"--twin={tmp_path / 'twin'}", f"--recording={recording.folder}", f"--effect={effect}"]
-        )
+    refused(said, "add", twin=tmp_path / "twin", recording=recording.folder, effect=effect)
 
 
 def test_a_recording_of_one_pair_cannot_be_judged(tmp_path):
     recording = once(write_hidden_gel, tmp_path / "recording", [], images=2)
     recording.keep(np.array([True, False])).write(recording.folder)
     twin = linear_twin(tmp_path / "twin", recording)
-    with pytest.raises(InputError, match="no error can be computed"):
-        run_verb("diagnose", [f"--twin={twin}", f"--recording={recording.folder}"])
+    refused("no error can be computed", "diagnose", twin=twin, recording=recording.folder)
 
 
 def test_a_finger_without_a_gel_is_refused(tmp_path):
     recording = once(write_hidden_gel, tmp_path / "recording", [], images=2)
     Twin.builtin().save(tmp_path / "finger")
-    with pytest.raises(InputError, match="of a gel"):
-        run_verb("diagnose", [f"--twin={tmp_path / 'finger'}", f"--recording={recording.folder}"])
+    refused("of a gel", "diagnose", twin=tmp_path / "finger", recording=recording.folder)

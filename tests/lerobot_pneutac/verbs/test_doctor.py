@@ -6,9 +6,9 @@ import sys
 from types import SimpleNamespace
 
 import pytest
+from verbs import verb
 
 from lerobot_camera_digit import digit as digit_camera
-from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs import doctor
 from lerobot_robot_pneutac import lerobot_inside
 
@@ -48,7 +48,7 @@ def test_ports_without_permission_and_a_digit_are_told(monkeypatch, capsys, tmp_
     (node / "device").symlink_to(usb / "1-1:1.0")
     monkeypatch.setattr(digit_camera, "SYSFS", tmp_path / "class")
     with pytest.raises(SystemExit):
-        run_verb("doctor", [])
+        verb("doctor")
     said = told(capsys)
     assert "no permission on /dev/ttyACM7 sudo usermod -aG dialout" in said
     assert "D20001 at /dev/video3" in said

@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from verbs import refused, verb
 
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.effects import effect_source, file_name, list_effects, show_effect, tips
@@ -84,7 +85,7 @@ def test_an_exported_law_holds_what_it_runs_alone():
 
 @pytest.mark.parametrize("name", ["lag(p^2)", "hysteresis", "shadow"])
 def test_show_writes_a_page(name, tmp_path, capsys):
-    run_verb("effects", ["show", name, f"--out={tmp_path / 'page'}"])
+    verb("effects", "show", name, out=tmp_path / "page")
     page = (tmp_path / "page" / "report.html").read_text()
     assert ("Plotly.newPlot" in page) == (name in body_effects() or name == "lag(p^2)")
     out = capsys.readouterr().out
@@ -102,10 +103,9 @@ def test_a_late_law_makes_the_tip_late():
 
 def test_export_writes_a_new_file_once(tmp_path):
     out = tmp_path / "mine.py"
-    run_verb("effects", ["export", "lag(p^2)", f"--out={out}"])
+    verb("effects", "export", "lag(p^2)", out=out)
     assert "EFFECT = BodyEffect(" in out.read_text()
-    with pytest.raises(InputError, match="must name a new file"):
-        run_verb("effects", ["export", "lag(p^2)", f"--out={out}"])
+    refused("must name a new file", "effects", "export", "lag(p^2)", out=out)
 
 
 WRONG = (
@@ -122,7 +122,7 @@ def test_what_is_wrong_is_told(argv, sentence):
 
 
 def test_list_names_all(capsys):
-    run_verb("effects", ["list"])
+    verb("effects", "list")
     out = capsys.readouterr().out
     assert "creep" in out and "tracker_lag" in out
     assert len(list_effects()) == len(all_effects()) + len(law_names())

@@ -8,8 +8,8 @@ import types
 import mujoco
 import numpy as np
 import pytest
+from verbs import refused, verb
 
-from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.check import check_path
 from lerobot_pneutac.verbs.export import python_file, write_mjcf
 from pneutac_sim.effects.laws import law_names
@@ -108,15 +108,14 @@ def test_the_command_writes_a_file_that_runs_by_itself(tmp_path, capsys):
         tmp_path / "finger", "added creep", "bench", {"train": 0.5, "heldout": 0.62, "unit": "mm"}
     )
     out = tmp_path / "finger.py"
-    run_verb("export", [f"--twin={tmp_path / 'finger'}", f"--out={out}"])
+    verb("export", twin=tmp_path / "finger", out=out)
     text = out.read_text()
     assert "95 % interval 0.09 to 0.13" in text and "0.62 mm off on test blocks, of bench" in text
     run = subprocess.run([sys.executable, "-I", str(out)], capture_output=True, text=True, check=True)
     assert run.stdout.startswith("Pose(pressure_kpa=array([")
-    with pytest.raises(InputError, match="is there already; give a new name"):
-        run_verb("export", [f"--twin={tmp_path / 'finger'}", f"--out={out}"])
+    refused("is there already; give a new name", "export", twin=tmp_path / "finger", out=out)
     with pytest.raises(InputError, match="must name a file that ends in .py or in .xml"):
-        run_verb("export", [f"--twin={tmp_path / 'finger'}", f"--out={out}.txt"])
+        verb("export", f"--out={out}.txt", twin=tmp_path / "finger")
     with pytest.raises(ValueError, match="temperature_c is None; give a finite number"):
         load(text)["finger"]()
     finger = load(text)["finger"](temperature_c=20.0)
@@ -140,7 +139,7 @@ def test_a_file_without_the_gain_is_not_exported(tmp_path):
     del twin.parameters["gain_rad_per_kpa"]
     twin.save(tmp_path / "finger")
     with pytest.raises(InputError, match="twin.yaml: body: gain_rad_per_kpa is missing; `pneutac calib"):
-        run_verb("export", [f"--twin={tmp_path / 'finger'}", f"--out={tmp_path / 'finger.py'}"])
+        verb("export", twin=tmp_path / "finger", out=tmp_path / "finger.py")
     assert not (tmp_path / "finger.py").exists()
     faults = check_path(tmp_path / "finger").faults
     assert len(faults) == 1 and faults[0].count("twin.yaml") == 1 and "gain_rad_per_kpa" in faults[0]

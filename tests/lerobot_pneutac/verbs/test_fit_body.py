@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from verbs import verb
 
-from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.fit_body import MODULUS, WHOLE, calibrate_body, fit_compliance, known_forces
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects import get_effect
@@ -57,9 +57,7 @@ def test_calibrate_finds_the_parameters_and_writes_the_next_version(tmp_path):
     folder = write(tmp_path / "bench", truth())
     start = Twin()
     start.save(tmp_path / "twin")
-    run_verb(
-        "calibrate", [f"--twin={tmp_path / 'twin'}", f"--recording={folder}", f"--out={tmp_path / 'out'}"]
-    )
+    verb("calibrate", twin=tmp_path / "twin", recording=folder, out=tmp_path / "out")
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert result["error"]["heldout"] == pytest.approx(0.1 * np.sqrt(2), rel=0.1)
     assert result["before"]["heldout"] > 5 and result["evaluations"] > 10
@@ -131,9 +129,7 @@ def test_a_bound_is_called_out_in_table_and_result(tmp_path):
     slow.effects["dead_time"]["delay_s"].value = 1.9
     folder = write(tmp_path / "bench", slow)
     truth("dead_time").save(tmp_path / "twin")
-    run_verb(
-        "calibrate", [f"--twin={tmp_path / 'twin'}", f"--recording={folder}", f"--out={tmp_path / 'out'}"]
-    )
+    verb("calibrate", twin=tmp_path / "twin", recording=folder, out=tmp_path / "out")
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert "limit of its allowed range" in result["parameters"]["dead_time.delay_s"]["note"]
     assert "upper" in (tmp_path / "out" / "report.html").read_text()

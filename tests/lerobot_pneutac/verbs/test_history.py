@@ -1,8 +1,8 @@
 """`pneutac history`: versions are listed, and an earlier one comes back without any being lost."""
 
 import pytest
+from verbs import verb
 
-from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.history import restore
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin, Value
@@ -37,7 +37,7 @@ def test_a_version_that_cannot_be_restored_is_refused_and_nothing_changes(folder
 
 
 def test_the_command_lists_unconfirmed_versions_as_such(folder, capsys):
-    run_verb("history", [f"--twin={folder}"])
+    verb("history", twin=folder)
     assert "unconfirmed" in " ".join(capsys.readouterr().out.split())
-    run_verb("history", [f"--twin={folder}", "--restore=0"])
+    verb("history", twin=folder, restore=0)
     assert "equal to version 0" in " ".join(capsys.readouterr().out.split())

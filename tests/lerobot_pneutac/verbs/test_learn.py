@@ -12,7 +12,6 @@ from doc_blocks import blocks
 from pressure_rig import SimulatedTime, build, converse
 
 from lerobot_pneutac import design, learn
-from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.diagnosis.design import Limits, choices
 from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.hands import Hands
@@ -217,21 +216,6 @@ def test_what_a_hidden_arm_of_three_chambers_lacks_is_confirmed_and_it_ends_by_i
     assert last.predicted_error < 1.5 * last.noise and last.bare_error > 2 * last.predicted_error
     page = learnt.report(tmp_path / "report").read_text()
     assert "chamber 3" in page and "the arm shows creep" in learnt.sentence
-
-
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        (["--bench=robot"], "bench=robot must be one of standin, measure"),
-        (["--bench=measure"], "go together"),
-        (["--bench=measure", "--measure=nope.yaml"], "^measure=nope.yaml is no file"),
-        (["--program_s=1"], "program_s is 1"),
-    ],
-)
-def test_options_that_do_not_fit_are_refused(tmp_path, options, sentence):
-    folder = Twin.builtin().save(tmp_path / "twin")
-    with pytest.raises(InputError, match=sentence):
-        run_verb("learn", [f"--twin={folder}", f"--out={tmp_path / 'out'}", *options])
 
 
 def test_the_options_of_a_bench_come_from_a_file_as_the_page_shows_it(tmp_path):

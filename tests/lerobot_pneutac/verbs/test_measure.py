@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from lerobot.cameras import Camera, CameraConfig
 from lerobot.cameras import utils as camera_utils
+from verbs import refused, verb
 
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.measuring.camera import DICTIONARY, Intrinsics, MarkerTracker, calibrate_camera
@@ -262,7 +263,7 @@ def test_a_chessboard_gives_the_camera_back(tmp_path, capsys):
     ]
     chessboard(tmp_path / "board", poses)
     file = tmp_path / "camera.json"
-    run_verb("measure", [f"--chessboard={tmp_path / 'board'}", f"--intrinsics={file}"])
+    verb("measure", chessboard=tmp_path / "board", intrinsics=file)
     found = Intrinsics.load(file)
     np.testing.assert_allclose(found.matrix, K, rtol=0.01, atol=6)
     assert found.size_px == SIZE and found.rms_px < 0.2
@@ -281,7 +282,7 @@ def test_a_chessboard_gives_the_camera_back(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_a_run_is_a_recording_with_true_tips_that_compare_accepts(bench, tmp_path):
-    run_verb("measure", bench + ["--digit.type=digit_generated"])
+    verb("measure", *bench, "--digit.type=digit_generated")
     r = Recording.load(tmp_path / "run")
     assert r.device == "finger" and r.length_mm == LENGTH and not r.warnings
     assert len(r.trials()) == 3
@@ -302,11 +303,8 @@ def test_a_run_is_a_recording_with_true_tips_that_compare_accepts(bench, tmp_pat
     assert [s.start for s in r.starts.values()] == ["unknown", "continues", "continues"]
     assert all(0.3 <= r.starts[k].pause_s < 0.6 for k in (1, 2))
 
-    run_verb("new", [f"--twin={tmp_path / 'twin'}", f"--recording={tmp_path / 'run'}"])
-    run_verb(
-        "compare",
-        [f"--twin={tmp_path / 'twin'}", f"--recording={tmp_path / 'run'}", f"--out={tmp_path / 'c'}"],
-    )
+    verb("new", twin=tmp_path / "twin", recording=tmp_path / "run")
+    verb("compare", twin=tmp_path / "twin", recording=tmp_path / "run", out=tmp_path / "c")
     assert json.loads((tmp_path / "c/result.json").read_text())["unit"] == "mm"
 
 
@@ -321,22 +319,20 @@ def test_three_chambers_on_three_controllers_are_an_arm(bench, tmp_path, monkeyp
     columns = command_columns(3)
     rows = [(0, t, *p) for t, p in ((0, (0, 0, 0)), (0.3, (4, 0, 8)), (1.5, (9, 6, 3)), (3, (0, 0, 0)))]
     pd.DataFrame(rows, columns=["trial", "time_s", *columns]).to_csv(tmp_path / "stairs.csv", index=False)
-    run_verb("measure", [*bench, "--pressure.ports=/a,/b,/c", "--max_kpa=10,8,9"])
+    verb("measure", *bench, "--pressure.ports=/a,/b,/c", "--max_kpa=10,8,9")
     r = Recording.load(tmp_path / "run")
     assert r.device == "arm" and r.pressure_columns == columns
     np.testing.assert_allclose(r.samples[columns].max(), [9, 6, 8])
     assert (r.samples[measured_columns(3)].max() > [5, 3, 5]).all()
     assert [p._target_kpa for p in parts.values()] == [0.0, 0.0, 0.0]
     with pytest.raises(InputError, match="from 0 to 8 kPa in chamber 3; min_kpa and max_kpa allow 0 to 7"):
-        run_verb(
+        verb(
             "measure",
-            [
-                *bench[:4],
-                f"--out={tmp_path / 'b'}",
-                *bench[5:],
-                "--pressure.ports=/a,/b,/c",
-                "--max_kpa=10,8,7",
-            ],
+            *bench[:4],
+            f"--out={tmp_path / 'b'}",
+            *bench[5:],
+            "--pressure.ports=/a,/b,/c",
+            "--max_kpa=10,8,7",
         )
 
 
@@ -346,17 +342,15 @@ def test_the_stand_in_answers_a_program_of_three_chambers(tmp_path):
     table = pd.DataFrame({"time_s": t} | {c: 20 * (1 + np.sin(t + i)) for i, c in enumerate(columns)})
     table.to_csv(tmp_path / "p.csv", index=False)
     options = ["--bench=standin", f"--program={tmp_path / 'p.csv'}", "--max_kpa=40", "--repeat=2"]
-    run_verb("measure", [*options, f"--out={tmp_path / 'r'}"])
+    verb("measure", *options, f"--out={tmp_path / 'r'}")
     r = Recording.load(tmp_path / "r")
     assert r.device == "arm" and len(r.trials()) == 2 and r.pressure_columns == columns
     np.testing.assert_allclose(r.samples[columns].max(), table[columns].max(), rtol=0.01)
     assert 0 < compare_library(new_twin("arm", r), r).heldout < 100
     with pytest.raises(InputError, match=r"in chamber 1; min_kpa and max_kpa allow 0 to 15"):
-        run_verb("measure", [*options[:2], f"--out={tmp_path / 's'}"])
+        verb("measure", *options[:2], f"--out={tmp_path / 's'}")
     with pytest.raises(InputError, match="'steps' leaves 0 to 65.2 kPa, the range of the stand-in"):
-        run_verb(
-            "measure", ["--bench=standin", "--program=steps", "--max_kpa=70,20,20", f"--out={tmp_path / 's'}"]
-        )
+        verb("measure", bench="standin", program="steps", max_kpa="70,20,20", out=tmp_path / "s")
 
 
 @pytest.mark.slow
@@ -487,5 +481,4 @@ def test_a_pressure_far_above_the_program_ends_the_run(bench, monkeypatch):
     ],
 )
 def test_bad_options_are_one_sentence(bench, option, said):
-    with pytest.raises(InputError, match=said):
-        run_verb("measure", [*bench, option])
+    refused(said, "measure", *bench, option)

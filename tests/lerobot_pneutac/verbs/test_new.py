@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import trimesh
+from verbs import refused, verb
 
-from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.calibration import measured_range
 from lerobot_pneutac.verbs.new import new_twin
 from pneutac_datasets.recording.recording import Recording
@@ -48,7 +48,7 @@ def test_the_range_measured_is_that_of_the_commands_with_zero_rounded_outwards(c
 
 @pytest.mark.parametrize(("device", "files"), [("finger", 2), ("arm", 1), ("gel", 1)])
 def test_geometry_is_written_in_millimetres(tmp_path, device, files):
-    run_verb("new", [f"--twin={tmp_path / 'twin'}", f"--device={device}"])
+    verb("new", twin=tmp_path / "twin", device=device)
     twin = Twin.load(tmp_path / "twin")
     stl = trimesh.load_mesh(tmp_path / "twin" / "geometry.stl")
     assert stl.is_watertight
@@ -60,9 +60,9 @@ def test_geometry_is_written_in_millimetres(tmp_path, device, files):
 
 @pytest.mark.parametrize("device", ["finger", "arm"])
 def test_written_geometry_comes_back_as_the_same_body(tmp_path, device):
-    run_verb("new", [f"--twin={tmp_path / 'a'}", f"--device={device}"])
+    verb("new", twin=tmp_path / "a", device=device)
     stl = tmp_path / "a" / "geometry.stl"
-    run_verb("new", [f"--twin={tmp_path / 'b'}", f"--device={device}", f"--mesh={stl}"])
+    verb("new", twin=tmp_path / "b", device=device, mesh=stl)
     a, b = (Twin.load(tmp_path / n) for n in "ab")
     assert b.device == device and b.length_mm == a.length_mm
     assert b.spine_joint_positions_mm == pytest.approx(a.spine_joint_positions_mm)
@@ -70,7 +70,7 @@ def test_written_geometry_comes_back_as_the_same_body(tmp_path, device):
 
 
 def test_a_mesh_travels_with_its_twin_and_bends(tmp_path, capsule, capsys):
-    run_verb("new", [f"--twin={tmp_path / 'twin'}", f"--mesh={capsule}", "--mesh_unit=m", "--mesh_axis=y"])
+    verb("new", twin=tmp_path / "twin", mesh=capsule, mesh_unit="m", mesh_axis="y")
     said = " ".join(capsys.readouterr().out.split())
     assert "70 mm long with 4 spine joints" in said and "y became x" in said
     # the file's y begins at 0.1 - 0.035 m, its z (here y) is at -0.2, its x (here z) at 0.3
@@ -85,10 +85,14 @@ def test_a_mesh_travels_with_its_twin_and_bends(tmp_path, capsule, capsys):
     np.testing.assert_array_equal(stored_mesh(again).vertices, stored_mesh(twin).vertices)
     np.testing.assert_allclose(stored_mesh(again).bounds, [[0, -8e-3, -8e-3], [70e-3, 8e-3, 8e-3]], atol=1e-6)
     out = tmp_path / "out"
-    run_verb(
+    verb(
         "render",
-        [f"--twin={tmp_path / 'again'}", "--pressure_kpa=[0,12]", "--seconds=0.2", "--particles=600"]
-        + ["--device=cpu", f"--out={out}"],
+        twin=tmp_path / "again",
+        pressure_kpa="[0,12]",
+        seconds="0.2",
+        particles=600,
+        device="cpu",
+        out=out,
     )
     still = json.loads((out / "result.json").read_text())["stills"]
     tips = np.array([[r["tip_x_mm"], r["tip_z_mm"]] for r in still])
@@ -106,22 +110,21 @@ def test_a_mesh_travels_with_its_twin_and_bends(tmp_path, capsule, capsys):
     ],
 )
 def test_bad_options_are_named_and_write_nothing(tmp_path, capsule, options, said):
-    with pytest.raises(InputError, match=said):
-        run_verb("new", [f"--twin={tmp_path / 'twin'}", f"--mesh={capsule}", *options])
+    refused(said, "new", *options, twin=tmp_path / "twin", mesh=capsule)
     assert not (tmp_path / "twin").exists()
 
 
 def test_a_mesh_inside_out_makes_the_same_twin(tmp_path, capsys):
-    run_verb("new", [f"--twin={tmp_path / 'a'}"])
+    verb("new", twin=tmp_path / "a")
     stl = trimesh.load_mesh(tmp_path / "a" / "geometry.stl")
     trimesh.Trimesh(stl.vertices, stl.faces[:, ::-1], process=False).export(tmp_path / "out.stl")
     capsys.readouterr()
-    run_verb("new", [f"--twin={tmp_path / 'b'}", f"--mesh={tmp_path / 'out.stl'}"])
+    verb("new", twin=tmp_path / "b", mesh=tmp_path / "out.stl")
     said = " ".join(capsys.readouterr().out.split())
     assert "whose normals pointed inward" in said and "moved by (0.00, 0.00, 0." in said
     again = trimesh.load_mesh(tmp_path / "b" / "geometry.stl")
     assert again.volume == pytest.approx(stl.volume, rel=1e-5) and again.volume > 0
-    run_verb("new", [f"--twin={tmp_path / 'c'}", f"--mesh={tmp_path / 'b' / 'geometry.stl'}"])
+    verb("new", twin=tmp_path / "c", mesh=tmp_path / "b" / "geometry.stl")
     said = " ".join(capsys.readouterr().out.split())
     assert "as it lay in the file: base at x = 0" in said and "pointed inward" not in said
 
@@ -140,10 +143,8 @@ def recorded(folder, length_mm: float):
 
 def test_a_recording_gives_the_joints_of_a_mesh_of_its_length(tmp_path, capsule):
     mesh = [f"--mesh={capsule}", "--mesh_unit=m"]
-    run_verb("new", [f"--twin={tmp_path / 'twin'}", f"--recording={recorded(tmp_path / 'r', 70.5)}", *mesh])
+    verb("new", *mesh, twin=tmp_path / "twin", recording=recorded(tmp_path / "r", 70.5))
     twin = Twin.load(tmp_path / "twin")
     assert twin.spine_joint_positions_mm == [10.0, 25.0, 40.0, 55.0] and stored_mesh(twin) is not None
     with pytest.raises(InputError, match="is 70 mm long, but length_mm is 90 in .*recording.json"):
-        run_verb(
-            "new", [f"--twin={tmp_path / 'other'}", f"--recording={recorded(tmp_path / 's', 90.0)}", *mesh]
-        )
+        verb("new", *mesh, twin=tmp_path / "other", recording=recorded(tmp_path / "s", 90.0))

@@ -12,11 +12,12 @@ import pandas as pd
 import pytest
 import trimesh
 from PIL import Image
+from verbs import refused, verb
 
-from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.rendering import particles as particle_picture
 from lerobot_pneutac.rendering.options import FPS, RenderConfig, deepest_press, filled
 from lerobot_pneutac.rendering.particles import BODY_PX, Film, FilmFrame
+from lerobot_pneutac.verbs.new import new_twin
 from lerobot_pneutac.verbs.render import draw_film
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
@@ -48,10 +49,7 @@ def inked(path) -> np.ndarray:
 
 def test_finger_is_seen_bending(finger, tmp_path):
     out = tmp_path / "out"
-    run_verb(
-        "render",
-        [f"--twin={finger}", "--pressure_kpa=[0,15]", "--seconds=0.4", "--particles=600", f"--out={out}"],
-    )
+    verb("render", twin=finger, pressure_kpa="[0,15]", seconds="0.4", particles=600, out=out)
     result = json.loads((out / "result.json").read_text())
     assert result["complete"] and result["frames"] == 7
     still = result["stills"]
@@ -75,9 +73,7 @@ def test_gel_shows_the_imprint_where_it_is(tmp_path, monkeypatch):
     monkeypatch.setattr(devices, "gel", partial(devices.gel, counts=(30, 41, 7)))
     monkeypatch.setattr("lerobot_pneutac.rendering.body.PRESS_FRAMES", 2)
     out = tmp_path / "out"
-    run_verb(
-        "render", [f"--twin={tmp_path / 'gel'}", "--depth_mm=1.0", "--x_mm=2", "--y_mm=-3", f"--out={out}"]
-    )
+    verb("render", twin=tmp_path / "gel", depth_mm="1.0", x_mm=2, y_mm=-3, out=out)
     still = json.loads((out / "result.json").read_text())["stills"]
     assert [r["depth_mm"] for r in still] == [0.5, 1.0]
     assert still[1]["face_mm"] == pytest.approx(1.0, abs=0.06)
@@ -100,58 +96,6 @@ def test_what_is_finished_is_kept_when_interrupted(tmp_path):
     result = json.loads((tmp_path / "result.json").read_text())
     assert not result["complete"] and result["frames"] == 2 and len(result["stills"]) == 1
     assert (tmp_path / "finger_1.png").is_file() and (tmp_path / "film.mp4").is_file()
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--pressure_kpa=[]"], "finite numbers"),
-        (["--seconds=0"], "at least"),
-        (["--particles=3"], "it must be 100 or more"),
-        (["--conditions={gravity_z: .nan}"], "gravity_z: nan; give a finite number"),
-        (["--conditions={temperature_c: 30}"], "'temperature_c', which .* its effects ask for none"),
-        (["--indenter=cube"], "indenter is of a gel, but the twin at .* is of a finger; omit it"),
-        (["--size_mm=4"], "size_mm is of a gel"),
-        (["--depth_mm=1.4"], "depth_mm is of a gel"),
-        (["--x_mm=0"], "x_mm is of a gel"),
-        (["--y_mm=0"], "y_mm is of a gel"),
-        (["--camera=front"], "camera is one of a recording; give its folder too"),
-        (["--recording=x", "--view.azimuth_deg=3"], "view and recording exclude each other"),
-        (["--view.elevation_deg=91"], "between -90 and 90"),
-        (["--view.azimuth_deg=.nan"], "azimuth_deg is nan"),
-        (["--view.distance_lengths=1"], "does not see the body: give 1.5 to 100"),
-    ],
-)
-def test_bad_options_are_named_and_write_nothing(finger, tmp_path, options, said):
-    with pytest.raises(InputError, match=said):
-        run_verb("render", [f"--twin={finger}", f"--out={tmp_path / 'out'}", *options])
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_missing_twin_is_asked_for():
-    with pytest.raises(InputError, match=r"^Give --twin=PATH; --help lists all options\.$"):
-        run_verb("render", ["--pressure_kpa=[0,5]"])
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--pressure_kpa=[0,5]"], "pressure_kpa is of a finger or an arm, but the twin at .* is of a gel"),
-        (["--particles=4000"], "particles is of a finger or an arm"),
-        (["--seconds=1"], "seconds is of a finger or an arm"),
-        (["--view.azimuth_deg=3"], "view is of a finger or an arm"),
-        (["--recording=x"], "recording is of a finger or an arm"),
-        (["--conditions={temperature_c: 30}"], "'temperature_c'.*ask for none"),
-        (["--x_mm=50"], "x_mm is 50, where the sphere misses the gel's window; give a place between -"),
-        (["--y_mm=-50"], "y_mm is -50, where the sphere misses"),
-        (["--y_mm=.nan"], "y_mm is nan"),
-    ],
-)
-def test_what_a_gel_has_no_use_for_is_refused(tmp_path, options, said):
-    folder = Twin("gel", 16.0).save(tmp_path / "gel")
-    with pytest.raises(InputError, match=said):
-        run_verb("render", [f"--twin={folder}", f"--out={tmp_path / 'out'}", *options])
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("indenter", ["sphere", "cylinder", "cube", "edge", "cone"])
@@ -226,22 +170,8 @@ def test_where_no_rest_is_found_the_options_that_help_are_named(tmp_path, monkey
     monkeypatch.setattr(solve, "solve_equilibrium", partial(solve.solve_equilibrium, max_substeps=25))
     few = ["--particles=600"] if device == "finger" else []
     with pytest.raises(InputError, match=f"is not at rest after .* was asked; .*{said}") as refused:
-        run_verb("render", [f"--twin={folder}", "--device=cpu", f"--out={tmp_path / 'out'}", *few])
+        verb("render", *few, twin=folder, device="cpu", out=tmp_path / "out")
     assert "warm" not in str(refused.value) and "substeps, or" not in str(refused.value)
-
-
-def test_an_effect_without_its_condition_is_named(tmp_path):
-    twin = Twin.builtin()
-    twin.effects["payload"] = {"share": Value(1.0)}
-    folder = twin.save(tmp_path / "twin")
-    with pytest.raises(InputError, match="payload.*payload_g"):
-        run_verb("render", [f"--twin={folder}", f"--out={tmp_path / 'out'}"])
-
-
-def test_too_deep_a_press_is_refused(tmp_path):
-    folder = Twin("gel", 16.0).save(tmp_path / "gel")
-    with pytest.raises(InputError, match="2.5 mm thick"):
-        run_verb("render", [f"--twin={folder}", "--depth_mm=2.4"])
 
 
 PRESSURES = (0.0, 6.0, 12.0)
@@ -278,7 +208,7 @@ def drawn(tmp_path_factory):
 def run(drawn, out, *options, twin="twin") -> list[dict]:
     """Rows of the stills, each with its picture (H, W, 3)."""
     common = ["--particles=600", "--seconds=0.2", "--device=cpu", f"--out={out}"]
-    run_verb("render", [f"--twin={drawn / twin}", *common, *options])
+    verb("render", *common, *options, twin=drawn / twin)
     rows = json.loads((out / "result.json").read_text())["stills"]
     return [r | {"picture": np.asarray(Image.open(out / r["picture"])).astype(int)} for r in rows]
 
@@ -329,7 +259,7 @@ def test_looks_are_seen_from_any_side(drawn, tmp_path):
 def test_what_cannot_be_shown_is_told(drawn, tmp_path):
     recording = Recording.load(drawn / "recording")
     Twin.builtin().save(tmp_path / "plain")
-    Twin("arm", 200.0).save(tmp_path / "arm")
+    new_twin("arm", length_mm=200.0).save(tmp_path / "arm")
     meta = json.loads(json.dumps(recording.meta))
     meta["cameras"]["front"]["extrinsics"][0][3] += 10.0
     away = Recording(tmp_path, meta, recording.samples, "finger").write(tmp_path / "away")
@@ -341,8 +271,5 @@ def test_what_cannot_be_shown_is_told(drawn, tmp_path):
         (tmp_path / "arm", recording.folder, [], "is of a finger and .* of an arm; give a recording of"),
         (drawn / "twin", away, [], "The camera does not see the body"),
     ):
-        with pytest.raises(InputError, match=said):
-            run_verb(
-                "render", [f"--twin={twin}", f"--recording={folder}", f"--out={tmp_path / 'out'}", *options]
-            )
+        refused(said, "render", *options, twin=twin, recording=folder, out=tmp_path / "out")
     assert not (tmp_path / "out").exists()

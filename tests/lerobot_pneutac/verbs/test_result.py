@@ -3,29 +3,18 @@
 A twin with its history as one page.
 """
 
-import json
 import shlex
 from pathlib import Path
 
 import pytest
+from verbs import verb
 
 from lerobot_pneutac import add, calibrate, compare
-from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.new import new_twin
 from lerobot_pneutac.verbs.report import report
 from lerobot_pneutac.verbs.result import Result
-from pneutac_datasets.generate.hidden_gel import write_hidden_gel
 from pneutac_sim.effects.registry import get_effect
-from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
-
-PLAIN = (bool, int, float, str, type(None))
-
-
-def all_plain(x) -> bool:
-    if isinstance(x, dict):
-        return type(x) is dict and all(type(k) is str and all_plain(v) for k, v in x.items())
-    return all(map(all_plain, x)) if type(x) is list else type(x) in PLAIN
 
 
 @pytest.fixture(scope="module")
@@ -41,29 +30,6 @@ def body(bench, tmp_path_factory):
         "add": added,
         "refused": add(added.twin, recording, "creep"),
     }
-
-
-@pytest.fixture(scope="module")
-def gel(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("gel")
-    recording = write_hidden_gel(folder / "presses", ["shadow"], images=3)
-    calibrated = calibrate(new_twin("gel", recording), recording).save(folder / "twin")
-    uncalibrated = compare(new_twin("gel"), recording)
-    return {"calibrate": calibrated, "compare": compare(calibrated.twin, recording), "new": uncalibrated}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("verb", ["calibrate", "compare", "add", "refused"])
-def test_results_of_a_body_are_plain(body, verb):
-    found = body[verb].to_dict()
-    assert found and all_plain(found) and json.loads(json.dumps(found, allow_nan=False)) == found
-
-
-@pytest.mark.parametrize("verb", ["calibrate", "compare"])
-@pytest.mark.slow
-def test_results_of_a_gel_are_plain(gel, verb):
-    found = gel[verb].to_dict()
-    assert found and all_plain(found) and json.loads(json.dumps(found, allow_nan=False)) == found
 
 
 def test_what_has_no_place_in_json_is_refused():
@@ -118,20 +84,9 @@ def folder(tmp_path):
 
 def test_the_page_tells_history_effects_and_numbers_and_needs_nothing_else(folder, tmp_path, capsys):
     before = (folder / "twin.yaml").read_bytes()
-    run_verb("report", [str(folder), f"--out={tmp_path / 'out'}"])
+    verb("report", str(folder), out=tmp_path / "out")
     page = (tmp_path / "out" / "report.html").read_text()
     assert "0.61 mm off" in page and "added creep" in page and "gain_rad_per_kpa" in page
     assert 'src="http' not in page and (folder / "twin.yaml").read_bytes() == before
     found = report(Twin.load(folder)).to_dict()
     assert [e["heldout"] for e in found["history"]] == [2.2, 0.61] and found["effects"] == ["creep"]
-
-
-def test_one_that_was_never_judged_and_options_that_do_not_go_together(tmp_path):
-    Twin(device="gel").save(tmp_path / "gel")
-    assert "never tested" in report(Twin.load(tmp_path / "gel")).sentence
-    with pytest.raises(InputError, match="must end in .rrd"):
-        run_verb("report", [str(tmp_path / "gel"), "--rrd=x.txt"])
-    with pytest.raises(InputError, match="goes with --rrd"):
-        run_verb("report", [str(tmp_path / "gel"), "--recording=x"])
-    with pytest.raises(InputError, match="--rrd takes a finger or an arm"):
-        run_verb("report", [str(tmp_path / "gel"), f"--rrd={tmp_path / 'x.rrd'}"])

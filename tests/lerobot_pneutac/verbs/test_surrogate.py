@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 import pytest
+from verbs import verb
 
-from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.surrogate import CARD, DATA
 from pneutac_sim.errors import InputError
 from pneutac_sim.surrogate import collect
@@ -19,7 +19,7 @@ STIFFENING = {"linear_1_per_kpa": Value(0.02), "quadratic_1_per_kpa2": Value(0.0
 
 
 def train(twin, *options) -> None:
-    run_verb("surrogate", [f"--twin={twin}", *TINY, *options])
+    verb("surrogate", *TINY, *options, twin=twin)
 
 
 def other_body() -> Twin:
@@ -118,26 +118,8 @@ def test_a_damaged_network_of_the_twin_is_refused(tmp_path):
 
 def test_twins_that_cannot_be_trained_are_refused(tmp_path):
     for device in ("arm", "gel"):
-        run_verb("new", [f"--twin={tmp_path / device}", f"--device={device}"])
+        verb("new", twin=tmp_path / device, device=device)
         with pytest.raises(InputError, match=f"is the twin of an? {device}, .* give a finger's twin"):
             train(tmp_path / device)
     with pytest.raises(InputError, match="There is no twin"):
         train(tmp_path / "nothing")
-
-
-@pytest.mark.parametrize(
-    "option, said",
-    [
-        ("--trajectories=5", "trajectories=5 are too few to train on; give 6 or more"),
-        ("--contacts=8", "contacts=8 are too few to train on, .* give 9 or more"),
-        ("--device=tpu", "device is 'tpu'; it must be one of auto, cpu, cuda"),
-        ("--seconds=0", r"duration_s is 0.0; it must lie in \[0.02, 600\]"),
-    ],
-)
-def test_options_that_cannot_work_are_refused_before_anything_is_collected(tmp_path, option, said):
-    other_body().save(tmp_path / "twin")
-    with pytest.raises(InputError, match=said):
-        train(tmp_path / "twin", option)
-    assert not list((tmp_path / "twin").glob("**/action_*"))
-    with pytest.raises(InputError, match="Give --twin=PATH;"):
-        run_verb("surrogate", [])

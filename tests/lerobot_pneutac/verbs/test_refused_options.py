@@ -1,0 +1,104 @@
+"""Options that cannot work, and twins that a verb has no use for, are refused in one sentence."""
+
+import shlex
+
+import pytest
+
+from lerobot_pneutac.cli import run_verb
+from pneutac_sim.errors import InputError
+from pneutac_sim.gel.model import GelModel
+from pneutac_sim.twin import Twin, Value
+
+pytestmark = pytest.mark.slow
+AUGMENT = (
+    "--dataset.repo_id=local/demos --dataset.root=demos --output.repo_id=local/o --output.root=o "
+    "--fidelity=probe --planner.samples=4 "
+)
+PLANNER = AUGMENT + "--method=planner "
+
+REFUSED = (
+    ("render", "--pressure_kpa=[0,5]", r"^Give --twin=PATH; --help lists all options\.$"),
+    ("render", "--twin=finger --pressure_kpa=[]", "finite numbers"),
+    ("render", "--twin=finger --seconds=0", "at least"),
+    ("render", "--twin=finger --particles=3", "it must be 100 or more"),
+    ("render", "--twin=finger --conditions='{gravity_z: .nan}'", "gravity_z: nan; give a finite number"),
+    ("render", "--twin=finger --conditions='{temperature_c: 30}'", "which .* its effects ask for none"),
+    ("render", "--twin=loaded", "payload.*payload_g"),
+    ("render", "--twin=finger --indenter=cube", "indenter is of a gel, but .* is of a finger; omit it"),
+    ("render", "--twin=finger --size_mm=4", "size_mm is of a gel"),
+    ("render", "--twin=finger --depth_mm=1.4", "depth_mm is of a gel"),
+    ("render", "--twin=finger --x_mm=0", "x_mm is of a gel"),
+    ("render", "--twin=finger --y_mm=0", "y_mm is of a gel"),
+    ("render", "--twin=finger --camera=front", "camera is one of a recording; give its folder too"),
+    ("render", "--twin=finger --recording=x --view.azimuth_deg=3", "view and recording exclude each other"),
+    ("render", "--twin=finger --view.elevation_deg=91", "between -90 and 90"),
+    ("render", "--twin=finger --view.azimuth_deg=.nan", "azimuth_deg is nan"),
+    ("render", "--twin=finger --view.distance_lengths=1", "does not see the body: give 1.5 to 100"),
+    ("render", "--twin=gel --pressure_kpa=[0,5]", "pressure_kpa is of a finger or an arm, but .* of a gel"),
+    ("render", "--twin=gel --particles=4000", "particles is of a finger or an arm"),
+    ("render", "--twin=gel --seconds=1", "seconds is of a finger or an arm"),
+    ("render", "--twin=gel --view.azimuth_deg=3", "view is of a finger or an arm"),
+    ("render", "--twin=gel --recording=x", "recording is of a finger or an arm"),
+    ("render", "--twin=gel --conditions='{temperature_c: 30}'", "'temperature_c'.*ask for none"),
+    ("render", "--twin=gel --x_mm=50", "x_mm is 50, where the sphere misses the gel's window; give a place"),
+    ("render", "--twin=gel --y_mm=-50", "y_mm is -50, where the sphere misses"),
+    ("render", "--twin=gel --y_mm=.nan", "y_mm is nan"),
+    ("render", "--twin=gel --depth_mm=2.4", "2.5 mm thick"),
+    ("learn", "--twin=finger --out=o --bench=robot", "bench=robot must be one of standin, measure"),
+    ("learn", "--twin=finger --out=o --bench=measure", "go together"),
+    ("learn", "--twin=finger --out=o --bench=measure --measure=no.yaml", "^measure=no.yaml is no file"),
+    ("learn", "--twin=finger --out=o --program_s=1", "program_s is 1"),
+    ("ppo", "", "--out=PATH"),
+    ("ppo", "--out=o --task=door", "^task is 'door'"),
+    ("ppo", "--out=o --device=tpu", "^device is 'tpu'"),
+    ("ppo", "--out=o --steps=0", "^steps is 0"),
+    ("ppo", "--out=o --seed=-1", "^seed is -1"),
+    ("ppo", "--out=o --twin=nowhere", "holds no twin.yaml"),
+    ("ppo", "--out=o --student.fidelity=exact", "^fidelity is 'exact'"),
+    ("surrogate", "", "Give --twin=PATH;"),
+    ("surrogate", "--twin=finger --trajectories=5", "trajectories=5 are too few to train on; give 6 or more"),
+    ("surrogate", "--twin=finger --contacts=8", "contacts=8 are too few to train on, .* give 9 or more"),
+    ("surrogate", "--twin=finger --device=tpu", "device is 'tpu'; it must be one of auto, cpu, cuda"),
+    ("surrogate", "--twin=finger --fresh --seconds=0", r"duration_s is 0.0; it must lie in \[0.02, 600\]"),
+    (
+        "augment",
+        "--output.repo_id=local/o --output.root=o",
+        "^Give --dataset.repo_id=TEXT and --dataset.root",
+    ),
+    ("augment", PLANNER + "--task=bottle", "^task is 'bottle'; it must be one of switch, egg, card"),
+    ("augment", AUGMENT + "--method=magic", "^method is 'magic'; it must be one of library, expert, planner"),
+    ("augment", PLANNER + "--episodes=0", "^episodes is 0; it must be 1 or more"),
+    ("augment", PLANNER + "--device=tpu", "^device is 'tpu'; it must be one of cpu, cuda"),
+    ("augment", PLANNER + "--device=cuda", "^device=cuda is of method=library, not of planner"),
+    ("augment", PLANNER + "--planner.replan=99", "^replan is 99; it must be at most horizon"),
+    ("augment", PLANNER + "--twin=demos", "holds no twin.yaml"),
+    ("augment", PLANNER + "--dataset.root=none", "holds no LeRobotDataset"),
+    ("augment", PLANNER + "--start_range=[0,0,0]", "start_range is of library and expert, not of planner"),
+    ("augment", PLANNER + "--real_share=0.95", "real_share must be 0 to 0.9"),
+    ("augment", PLANNER + "--check_mpm=-1", "check_mpm is -1; it must be 0 or more"),
+    ("augment", AUGMENT + "--method=naive --check_mpm=1", "naive ones have no scene"),
+    ("augment", PLANNER + "--check_mpm=1 --fidelity=mpm", "which fidelity=mpm is already"),
+    ("augment", AUGMENT + "--method=library", "planner has options that library does not use"),
+    ("report", "gel --rrd=x.txt", "must end in .rrd"),
+    ("report", "gel --recording=x", "goes with --rrd"),
+    ("report", "gel --rrd=x.rrd", "--rrd takes a finger or an arm"),
+)
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory):
+    """A folder with the twins of a finger, of one that asks for a payload, and of a gel."""
+    folder, loaded, gel = tmp_path_factory.mktemp("lab"), Twin.builtin(), Twin("gel", 16.0)
+    loaded.effects["payload"] = {"share": Value(1.0)}
+    GelModel.builtin().into_twin(gel)
+    for name, twin in (("finger", Twin.builtin()), ("loaded", loaded), ("gel", gel)):
+        twin.save(folder / name)
+    return folder
+
+
+@pytest.mark.parametrize(("name", "options", "sentence"), REFUSED)
+def test_what_cannot_work_is_one_sentence_and_writes_nothing(lab, monkeypatch, name, options, sentence):
+    monkeypatch.chdir(lab)
+    with pytest.raises(InputError, match=sentence) as e:
+        run_verb(name, shlex.split(options))
+    assert "\n" not in str(e.value) and not (lab / "o").exists() and not (lab / "outputs").exists()
