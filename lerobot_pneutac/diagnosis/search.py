@@ -152,8 +152,13 @@ class Search:
 
     def fits(self, trials, steps: int, every: int = 1) -> list[Scored]:
         """Fits trials, the best first."""
-        out = [self.score(m) for m in self.run(lambda t: self.space.fit(t, steps, every), list(trials)) if m]
-        return sorted((s for s in out if np.isfinite(s.value)), key=lambda s: s.value)
+
+        def fitted(trial: Start) -> Scored | None:
+            model = self.space.fit(trial, steps, every)
+            return model and self.score(model)
+
+        out = self.run(fitted, list(trials))
+        return sorted((s for s in out if s and np.isfinite(s.value)), key=lambda s: s.value)
 
     def find(self) -> Found:
         beam = self._begin()
@@ -193,8 +198,8 @@ class Search:
             else cheap
         )
         quick = self.fits(self.space.with_actuations(chosen.model), 2, 4)
-        front = list(self.run(lambda s: self.space.refine_actuation(s.model), best_of_each(quick, 2)))
-        done = best_of_each(sorted([chosen, *map(self.score, front)], key=lambda s: s.value), 1)
+        front = self.run(self._with_refined_actuation, best_of_each(quick, 2))
+        done = best_of_each(sorted([chosen, *front], key=lambda s: s.value), 1)
         for s in done:
             self.tell(
                 f"trying {' + '.join(s.model.structure.effects) or 'the base'}: error {s.value**0.5:.3g}"
@@ -233,8 +238,11 @@ class Search:
             set(model.model.structure.effects),
         )
         others = [s for s in best_of_each(quick, 1) if set(s.model.structure.effects) != now]
-        front = self.run(lambda s: self.space.refine_actuation(s.model), others[: T.OTHER_ACTUATIONS])
-        return sorted(map(self.score, front), key=lambda s: s.value)
+        front = self.run(self._with_refined_actuation, others[: T.OTHER_ACTUATIONS])
+        return sorted(front, key=lambda s: s.value)
+
+    def _with_refined_actuation(self, scored: Scored) -> Scored:
+        return self.score(self.space.refine_actuation(scored.model))
 
     def _round(self, beam: list[Scored]) -> list[Scored]:
         """The best models with one or two terms more, fitted well."""
@@ -298,8 +306,7 @@ class Search:
             terms = self.space.removable(best.model)
             if not terms:
                 return best
-            models = self.run(self.space.without, [best.model] * len(terms), terms)
-            without = {t: self.score(m) for t, m in zip(terms, models, strict=True)}
+            without = dict(self.run(lambda t: (t, self.score(self.space.without(best.model, t))), terms))
             found.without = without
             weakest = min(without, key=lambda t: without[t].value)
             if self.is_needed(without[weakest], best):

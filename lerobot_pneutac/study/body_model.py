@@ -171,7 +171,7 @@ class BodyModel:
         free: (F,) those that were fitted.
         v: (F,) their scaled values.
         residual: (N, D) model - measured at the rows of the search, in the unit of the error.
-        jacobian: (N D, F) of it; with further columns for what each trial has of its own.
+        slope: returns `jacobian`; most models of a search are never asked for it.
         weight: (F, F) of the prior, in units of the residual's squares.
         pull: (F,) weight times the distance from the prior's centre.
         counted: columns that count in the error.
@@ -186,7 +186,7 @@ class BodyModel:
     free: np.ndarray
     v: np.ndarray
     residual: np.ndarray
-    jacobian: np.ndarray
+    slope: Callable[[], np.ndarray] = field(repr=False)
     weight: np.ndarray
     pull: np.ndarray
     counted: int
@@ -203,6 +203,13 @@ class BodyModel:
         """Number of parameters, which a simpler model has fewer of; one stuck at a bound counts twice."""
         stuck = (self.v <= T.AT_BOUND) | (self.v >= 1 - T.AT_BOUND)
         return len(self.free) + int(stuck.sum())
+
+    @property
+    def jacobian(self) -> np.ndarray:
+        """(N D, F) of the residual; with further columns for what each trial has of its own."""
+        J = self.slope()
+        self.slope = lambda: J  # and no longer the recording and the run that it came from
+        return J
 
     @cached_property
     def normal(self) -> np.ndarray:
@@ -382,7 +389,6 @@ class BodyFitter:
                 v = minimise(problem.residual, problem.jacobian, v, part, 1e-4, (centre, weight)).v
                 v = past_jumps(problem, jumps, v) if part >= MANY else v
                 r = problem.residual(v)
-        J = problem.jacobian(v)
         weight = np.diag(np.mean(r**2) * T.CORRELATED / spread**2)
         return BodyModel(
             structure=structure,
@@ -394,7 +400,7 @@ class BodyFitter:
             if structure.trials
             else np.zeros((0, 0)),
             residual=r.reshape(-1, len(data.columns)),
-            jacobian=J,
+            slope=lambda: problem.jacobian(v),
             weight=weight,
             pull=weight @ (v - centre),
             counted=data.counted,

@@ -241,14 +241,15 @@ class BodySpace(Space):
 
     def refine_actuation(self, model: BodyModel) -> BodyModel:
         """Finds the instants of steps, then fits well."""
+        if model.structure.input_model.target == "pressure":
+            return self.refine_air(self.with_instants(model, 1))
         for _ in range(5):
             before = (model.residual**2).mean()
             moved = self.with_instants(model, 2)
             model = self.fitter.fit(moved.structure, moved.values, 0)  # judged on all rows of the search
             if (model.residual**2).mean() > T.INSTANTS_AGAIN * before:
                 break
-        model = self.fitter.fit(model.structure, model.values, 8)
-        return self.refine_air(model) if model.structure.input_model.target == "pressure" else model
+        return self.fitter.fit(model.structure, model.values, 8)
 
     def refine_air(self, model: BodyModel) -> BodyModel:
         """Fits the air by the samples just after the command's steps, each step at the instant that suits it.

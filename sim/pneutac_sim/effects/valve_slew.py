@@ -11,6 +11,7 @@ from pneutac_sim.effects.body_effect import BodyEffect, kernel
 from pneutac_sim.effects.effect import Parameter
 
 _PIECES = 4
+_SETTLED = 1e-12  # of the band: nearer to its goal a pressure has arrived
 
 
 @kernel
@@ -19,21 +20,29 @@ def run(x, dt, theta, conditions, state):
     fill, vent, band, higher, scale = theta[0], theta[1], theta[2], theta[3], theta[4]
     n, channels = x.shape
     p, before = state[:channels], state[channels:]
+    known, keep_fill = -1.0, 0.0
     for t in range(n):
+        h = dt[t] / _PIECES
+        if h != known:  # most samples follow each other after the same time
+            known, keep_fill = h, math.exp(-fill * h / band)
         for c in range(channels):
             command = x[t, c]
-            if math.isinf(fill * dt[t]):
+            if math.isinf(fill * h):
                 p[c] = command
             else:
-                h = dt[t] / _PIECES
                 for i in range(_PIECES):
                     e = before[c] + (command - before[c]) * (i + 0.5) / _PIECES - p[c]
                     size = abs(e)
+                    if size < _SETTLED * band:
+                        p[c] += e
+                        continue
                     rate = fill if e > 0 else vent * (1.0 + higher * max(p[c], 0.0) / scale)
                     if size > band:
                         left = size - rate * h
                         if left < band:
                             left = band * math.exp(-(rate * h - (size - band)) / band)
+                    elif e > 0:
+                        left = size * keep_fill
                     else:
                         left = size * math.exp(-rate * h / band)
                     p[c] += e - math.copysign(left, e)

@@ -229,15 +229,17 @@ class Pipeline:
             signals = reuse.signals[: at + 1]
         if bending_pressure_kpa is not None:
             at, signals = self.drive, [*signals[: self.drive], bending_pressure_kpa]
+        computed: dict[bool, dict[str, np.ndarray]] = {}
         for i in range(at, len(self.chain) if until is None else until):
             link, x = self.chain[i], signals[-1]
             thin = i >= self.thins_at
             if i == self.thins_at:
                 x = x[inputs.rows]
-            more = self.computed(signals, inputs, thin) if i > self.drive else {}
+            if i > self.drive and thin not in computed:
+                computed[thin] = self.computed(signals, inputs, thin)
             state = np.zeros(link.state_size(x.shape[1]))
             dt = inputs.sample_dt_s if thin else inputs.dt_s
-            signals.append(link(x, dt, theta, inputs.conditions_with(more, thin), state))
+            signals.append(link(x, dt, theta, inputs.conditions_with(computed.get(thin, {}), thin), state))
 
         def at_samples(i: int) -> np.ndarray:
             if i >= len(signals):

@@ -397,8 +397,9 @@ def past_jumps(problem, jumps: np.ndarray, v: np.ndarray) -> np.ndarray:
     least, near = squares(problem.residual(v)), problem.nearby(v)
     for j in where:
         for width in jumps[j] / np.array([3, 12, 48, 192]):
-            tried = np.repeat(v[None], 6, axis=0)
-            tried[:, j] = np.clip(v[j] + width * np.array([-3, -2, -1, 1, 2, 3]), 0.0, 1.0)
+            away = np.unique(np.clip(v[j] + width * np.array([-3, -2, -1, 1, 2, 3]), 0.0, 1.0))
+            tried = np.repeat(v[None], len(away), axis=0)
+            tried[:, j] = away
             best = min(tried, key=lambda x, near=near: squares(near(x)))
             if (now := squares(problem.residual(best))) < least:
                 v, least, near = best, now, problem.nearby(best)

@@ -34,7 +34,7 @@ def linear(weight, held=()):
     v = fit(every)
     model = BodyModel(
         structure=None, pipeline=None, theta=v, free=np.arange(F), v=v, residual=(A @ v - y).reshape(N, D),
-        jacobian=A, weight=W, pull=W @ (v - centre), counted=1, bounds=SimpleNamespace(),
+        slope=lambda: A, weight=W, pull=W @ (v - centre), counted=1, bounds=SimpleNamespace(),
     )  # fmt: skip
     return model, fit, A, y
 
@@ -61,7 +61,7 @@ def test_of_numbers_that_only_their_sum_tells_none_leaves_its_bounds(bounded):
     v, noise = np.array([0.4, 0.9, 0.6, 0.5]), 0.2 * np.random.default_rng(1).normal(size=N * D)
     r = noise - A @ np.linalg.lstsq(A, noise, rcond=None)[0]  # so v is the best of all rows
     fold = np.arange(N) // 20 % 5
-    cv_squared = replace(model, v=v[:bounded], residual=r.reshape(N, D), jacobian=A).cv_squared(fold)
+    cv_squared = replace(model, v=v[:bounded], residual=r.reshape(N, D), slope=lambda: A).cv_squared(fold)
     for k in range(5):
         rows = np.repeat(fold != k, D)
         within = np.clip([v - FAR, v + FAR], 0, 1)
