@@ -36,10 +36,7 @@ ROUNDING_KPA = 0.01  # share of the range by which a command may be beyond it
 ROBOT = "pneutac"
 MOST_SPEED_M_S = 0.45  # of the flange between two frames, four times the fastest that is commanded
 LEAST_KPA = 0.5  # travel of a command of pressure that a gauge must show
-WINDOW_S, MOVES_MM = (
-    0.5,
-    3.0,
-)  # over which motion and command are compared, and the least motion that is compared
+WINDOW_S, MOVES_MM = 0.5, 3.0  # over which motion and command are compared; the least that is compared
 SLIGHT = 0.1  # ratio of motion and command below which one of the two is missing
 LEAST_FOLLOWING = 0.5  # correlation of motion and command; the stand-in's, which lags, is above 0.95
 MOST_FACTOR, NOTED_FACTOR = 3.0, 1.5  # of motion and command: more is refused, or noted
@@ -47,6 +44,7 @@ MOST_RAD = 8.0  # of a joint; robots turn by one turn and a little
 # Of a training: frames that a policy plans ahead by default (ACT), the share of episodes that may be shorter,
 # and the shares of an episode with one unchanged action and of all frames at a limit that are noted.
 CHUNK, MOST_SHORT, MOST_FROZEN, MOST_AT_LIMIT = 100, 0.1, 0.05, 0.5
+Episodes = dict[int, tuple[np.ndarray, np.ndarray]]  # number to state (T, S) and action (T, A)
 OFF_MM, MOST_POSES = 10.0, 500  # by which joints and flange may disagree, and how many frames are compared
 
 
@@ -154,7 +152,7 @@ def motion_faults(folder: str | Path) -> list[str]:
     return _of_motion(Path(folder), info, _read_episodes(Path(folder), info))[0]
 
 
-def _read_episodes(folder: Path, info: dict) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+def _read_episodes(folder: Path, info: dict) -> Episodes:
     """State (T, S) and action (T, A) of each episode."""
     import pyarrow.parquet as parquet
 
@@ -205,7 +203,7 @@ def rate_notes(folder: str | Path) -> list[str]:
     return pace_notes(meta, float(fps)) if isinstance(fps, int | float) and fps > 0 else []
 
 
-def _of_training(folder: Path, info: dict, episodes: dict[int, tuple[np.ndarray, np.ndarray]]) -> list[str]:
+def _of_training(folder: Path, info: dict, episodes: Episodes) -> list[str]:
     """What a policy may learn wrongly, by the rules of lerobot-doctor (checks `episodes`, `actions`)."""
     notes, lengths = [], [len(action) for _, action in episodes.values()]
     short = sum(n < CHUNK for n in lengths)
@@ -248,7 +246,7 @@ def _longest_run(same: np.ndarray) -> tuple[int, int]:
     return int(edges[::2][best]), int(lengths[best])
 
 
-def _unmeasured(folder: Path, info: dict, episodes: dict[int, tuple[np.ndarray, np.ndarray]]) -> list[str]:
+def _unmeasured(folder: Path, info: dict, episodes: Episodes) -> list[str]:
     """What `compare`, `diagnose` and `calibrate` refuse, which measure by demonstrations."""
     found, verbs = [], "compare, diagnose and calibrate refuse"
     if info.get("robot_type") != ROBOT:
@@ -281,9 +279,7 @@ def unmeasurable(state: np.ndarray, action: np.ndarray, fps: float) -> str:
     return ""
 
 
-def _of_motion(
-    folder: Path, info: dict, episodes: dict[int, tuple[np.ndarray, np.ndarray]]
-) -> tuple[list[str], list[str]]:
+def _of_motion(folder: Path, info: dict, episodes: Episodes) -> tuple[list[str], list[str]]:
     """Faults and notes where the flange does not move as it was commanded.
 
     Displacements in windows of half a second are compared with the integral of the commanded velocity.
@@ -342,9 +338,7 @@ def _of_motion(
     return faults, notes
 
 
-def _of_joints(
-    folder: Path, episodes: dict[int, tuple[np.ndarray, np.ndarray]], station: Station
-) -> list[str]:
+def _of_joints(folder: Path, episodes: Episodes, station: Station) -> list[str]:
     """A note where the joints of the station's arm put the flange elsewhere than the state says."""
     states = np.vstack([state for state, _ in episodes.values()])
     chambers = next(iter(episodes.values()))[1].shape[1] - len(VELOCITY_NAMES)
@@ -417,9 +411,7 @@ def _of_features(features: dict, file: Path, image_shape: tuple[int, ...], chamb
     return found
 
 
-def _of_episodes(
-    episodes: dict[int, tuple[np.ndarray, np.ndarray]], range_kpa: tuple[float, float], area: int
-) -> list[str]:
+def _of_episodes(episodes: Episodes, range_kpa: tuple[float, float], area: int) -> list[str]:
     """Faults of single episodes, those with the same fault in one sentence."""
     low, high = range_kpa
     slack = ROUNDING_KPA * (high - low)

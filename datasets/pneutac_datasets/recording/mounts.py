@@ -92,7 +92,7 @@ PIECES, FINE = 8, 64  # of a trial: for the bootstrap, and to deal into two fold
 ASTRAY = 3.0  # times the error of a static map that a motion may lie from that of the map
 MOST_ROWS = 2000  # to fit memory by
 DRAWS, SURE = 400, 0.01
-AGAINST = 0.25  # of the first mount's slope: the least by which one that is turned round moves the other way
+
 ROUNDS = 6  # of fitting map and motion in turn
 
 
@@ -163,33 +163,14 @@ class Case:
         self.error = (np.nan, np.nan)
 
     def sure(self) -> bool:
-        """Whether a motion significantly removes most of the error, early and late, memory included.
-
-        No memory turns the way round in which pressure bends a device.
-        """
+        """Whether a motion significantly removes most of the error, early and late, memory included."""
         if not self._enough:
             return False
         before, after = self._by_halves()
         self.error = tuple(float(np.sqrt(e[self._here].mean())) for e in (before, after))
         if not self._falls(before, after, self._here):
             return False
-        return self._reversed() or self._falls(*self._beside_memory(), np.ones(len(self._y), bool))
-
-    def _reversed(self) -> bool:
-        """Whether its own pressures move it against the first mount's way, early and late in its trials."""
-
-        def slope(rows: np.ndarray) -> np.ndarray:
-            design = np.c_[np.ones(rows.sum()), self._bench.p[self._rows_of][rows]]
-            kept = np.r_[True, np.ptp(design[:, 1:], axis=0) > 0]
-            out = np.zeros((design.shape[1], self._y.shape[1]))
-            out[kept] = np.linalg.lstsq(design[:, kept], self._y[rows], rcond=None)[0]
-            return out[1:][self._bench.own]
-
-        there = slope(~self._here)
-        return all(
-            (there * slope(self._here & half)).sum() < -AGAINST * (there**2).sum()
-            for half in (self._late, ~self._late)
-        )
+        return self._falls(*self._beside_memory(), np.ones(len(self._y), bool))
 
     def motions(self) -> tuple[Motion, Motion]:
         """Motions onto the first mount: by the static map, and one with memory where that is significant."""

@@ -34,18 +34,8 @@ MAX_PAIRS = 12
 LAGS_ROWS = (0.7, 1.5, 3.0, 6.0, 12.0, 25.0)  # of the responses that are regressed out
 DELAYS_ROWS = (1, 2, 3)
 PLAY_WIDTHS = (0.03, 0.1, 0.25, 0.5)  # share of the command's range
-QUIET_S = (
-    0.0,
-    0.15,
-    0.3,
-    0.6,
-    1.2,
-    2.4,
-)  # after a step: a response that no feature follows is over at one of them
-WIDE_S, WIDE_ROWS = (
-    0.2,
-    3,
-)  # half of the window in which noise that is correlated from row to row is looked for
+QUIET_S = 0.0, 0.15, 0.3, 0.6, 1.2, 2.4  # after a step, at one of which responses without a feature are over
+WIDE_S, WIDE_ROWS = 0.2, 3  # half of the window in which noise correlated from row to row is looked for
 CORRELATED = 1.25  # ratio of the wide to the narrow contrast from which on noise counts as correlated
 REST = 0.02  # of the largest command: below, a device is at rest
 SWINGS = 1.5  # noise over that at rest from which on it is no noise of the sensor, which knows no pressure

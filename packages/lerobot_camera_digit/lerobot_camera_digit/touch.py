@@ -15,7 +15,12 @@ from lerobot.processor import ObservationProcessorStep, ProcessorStepRegistry
 from lerobot_camera_digit.digit import Digit
 from lerobot_camera_digit.elastomer import Elastomer
 from lerobot_camera_digit.parts import HardwareFault
-from lerobot_camera_digit.touch_schema import SCHEMA
+
+# Names and layout of touch, to change once LeRobot decides how `observation.tactile.*` is stored; its
+# proposed tactile module, huggingface/lerobot pull request 4469, leaves it open. Points are displacements
+# (mm), stored as one vector: LeRobot 0.6 merges no datasets with other arrays.
+AREA, DEPTH, POINTS = "{sensor}.contact_area.pos", "{sensor}.depth", "{sensor}.points"
+GRID = 16, 12  # rows and columns of points, about a millimetre apart on a DIGIT
 
 THRESHOLD_LEVELS = 12.0  # 99.9 % of a real DIGIT's pixels without contact stay below it
 BLOCK_PX = 8  # blocks average the pixels' noise away: 2 levels per pixel become 1/4
@@ -110,15 +115,12 @@ def depth_m(image: np.ndarray, rest_image: np.ndarray, light: np.ndarray, px_per
 
 
 def displacement_points(depth: np.ndarray) -> np.ndarray:
-    """Displacement of the face at `SCHEMA.grid` points, float32 (rows, columns, 3), mm.
+    """Displacement of the face at `GRID` points, float32 (rows, columns, 3), mm, of a depth (H, W, 1), m.
 
     dz is the mean over a point's cell, below 0 where the face is pressed in; dx and dy are 0, since shading
     does not show them.
-
-    Args:
-        depth: (H, W, 1), m.
     """
-    rows, columns = SCHEMA.grid
+    rows, columns = GRID
     out = np.zeros((rows, columns, 3), np.float32)
     out[..., 2] = -1e3 * cv2.resize(depth[..., 0], (columns, rows), interpolation=cv2.INTER_AREA)
     return out
@@ -152,7 +154,7 @@ class DigitTouch:
     @property
     def observation_features(self) -> dict:
         """The robot's own, and a float for each sensor."""
-        names = [SCHEMA.area.format(sensor=c) for c in self._touch_cameras()]
+        names = [AREA.format(sensor=c) for c in self._touch_cameras()]
         return super().observation_features | dict.fromkeys(names, float)
 
     def connect(self, calibrate: bool = True) -> None:
@@ -173,7 +175,7 @@ class DigitTouch:
         observation = super().get_observation()
         for name, rest in self.rest_images.items():
             share = contact_share(observation[name], rest, self.touch_threshold_levels)
-            observation[SCHEMA.area.format(sensor=name)] = share
+            observation[AREA.format(sensor=name)] = share
         return observation
 
 
@@ -213,9 +215,10 @@ class DigitTouchStep(ObservationProcessorStep):
         if self.sensor not in observation:
             raise ValueError(f"The observation has no image '{self.sensor}'; name the sensor's as `sensor`.")
         depth = depth_m(np.asarray(observation[self.sensor]), self._rest, self.light, self.px_per_mm)
+        points = displacement_points(depth).ravel()
         return observation | {
-            SCHEMA.depth.format(sensor=self.sensor): depth,
-            SCHEMA.points.format(sensor=self.sensor): SCHEMA.stored(displacement_points(depth)),
+            DEPTH.format(sensor=self.sensor): depth,
+            POINTS.format(sensor=self.sensor): points,
         }
 
     def get_config(self) -> dict:
@@ -228,6 +231,6 @@ class DigitTouchStep(ObservationProcessorStep):
 
     def transform_features(self, features):
         """The features and the depth; a robot's features have no place for points."""
-        name = SCHEMA.depth.format(sensor=self.sensor)
+        name = DEPTH.format(sensor=self.sensor)
         features[PipelineFeatureType.OBSERVATION][name] = (*self._rest.shape[:2], 1)
         return features

@@ -17,9 +17,8 @@ from lerobot_camera_digit import (
     HardwareFault,
     contact_share,
     depth_m,
-    touch_schema,
 )
-from lerobot_camera_digit.touch import displacement_points
+from lerobot_camera_digit.touch import GRID, POINTS, displacement_points
 from pneutac_sim.features import POINTS_KEY, POINTS_SHAPE
 from pneutac_sim.gel.contact import contact_area, quieted
 
@@ -131,8 +130,7 @@ def test_the_step_adds_depth_and_points_and_is_stored(tmp_path):
     step = DigitTouchStep(str(file), LIGHT.tolist(), PX_PER_MM)
     out = step({TransitionKey.OBSERVATION: {"tactile": shaded(imprint(), REST)}})[TransitionKey.OBSERVATION]
     assert out["tactile.depth"].max() == pytest.approx(0.6e-3, rel=0.05)
-    rows, columns = touch_schema.SCHEMA.grid
-    assert out["tactile.points"].shape == (rows * columns * 3,)
+    assert out["tactile.points"].shape == (GRID[0] * GRID[1] * 3,)
     features = step.transform_features({PipelineFeatureType.OBSERVATION: {}})
     assert features[PipelineFeatureType.OBSERVATION] == {"tactile.depth": (320, 240, 1)}
     DataProcessorPipeline([step]).save_pretrained(tmp_path / "steps")
@@ -148,8 +146,5 @@ def test_the_step_adds_depth_and_points_and_is_stored(tmp_path):
         DigitTouchStep(str(file), [[0.0, 0.0]] * 3, PX_PER_MM)
 
 
-def test_the_schema_is_that_of_the_library():
-    schema = touch_schema.SCHEMA
-    assert schema.points.format(sensor="tactile") == POINTS_KEY and schema.grid == POINTS_SHAPE[:2]
-    whole = touch_schema.PULL_REQUEST_4469.stored(np.zeros((*schema.grid, 3)))
-    assert whole.shape == (192, 3) and schema.data_type == "displacement"
+def test_names_and_layout_are_those_of_the_library():
+    assert POINTS.format(sensor="tactile") == POINTS_KEY and GRID == POINTS_SHAPE[:2]

@@ -42,26 +42,37 @@ from pneutac_sim.gel.model import GelModel, rest_image
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin
 
+GENERATED = rest_image(IMAGE_SHAPE)
+STANDIN = new_gel().rest_image
 
-@pytest.fixture(scope="module")
-def demonstrations(tmp_path_factory):
-    root = tmp_path_factory.mktemp("card") / "demos"
+
+def write_dataset(root, image=GENERATED, spoilt=None, episodes=1, untouched=(), task="touch"):
+    """Episodes of two frames in touch; `spoilt` is (key, channel, value) of the last frame."""
     features = {
         OBS_STATE: {"dtype": "float32", "shape": (len(STATE_NAMES),), "names": list(STATE_NAMES)},
         ACTION: {"dtype": "float32", "shape": (4,), "names": list(ACTION_NAMES)},
         TACTILE: {"dtype": "image", "shape": IMAGE_SHAPE, "names": ["height", "width", "channels"]},
     }
-    dataset = create_dataset("local/demos", root, 15, features, "pneutac", False, 2)
-    colour = np.broadcast_to(np.array([90, 110, 70], np.uint8), IMAGE_SHAPE)
+    dataset = create_dataset(f"local/{root.name}", root, 15, features, "pneutac", False, 2)
     with quiet_encoders():
-        for _ in range(3):
-            for _ in range(2):
+        for episode in range(episodes):
+            for last in (False, True):
                 frame = {OBS_STATE: np.zeros(20, np.float32), ACTION: np.zeros(4, np.float32)}
-                frame[OBS_STATE][STATE_NAMES.index("contact_area.pos")] = 0.1
-                dataset.add_frame({**frame, TACTILE: colour, "task": "flip the switch"})
+                frame[OBS_STATE][STATE_NAMES.index("contact_area.pos")] = 0.1 * (episode not in untouched)
+                if spoilt and last:
+                    frame[spoilt[0]][spoilt[1]] = spoilt[2]
+                dataset.add_frame({**frame, TACTILE: np.ascontiguousarray(image), "task": task})
             dataset.save_episode()
         dataset.finalize()
     return LeRobotDatasetMetadata(dataset.repo_id, root)
+
+
+@pytest.fixture(scope="module")
+def demonstrations(tmp_path_factory):
+    colour = np.broadcast_to(np.array([90, 110, 70], np.uint8), IMAGE_SHAPE)
+    return write_dataset(
+        tmp_path_factory.mktemp("card") / "demos", colour, episodes=3, task="flip the switch"
+    )
 
 
 def test_a_checkpoint_says_what_it_is(demonstrations, tmp_path):
@@ -124,31 +135,6 @@ def test_the_cards_commands_name_options_that_exist(demonstrations):
 
 def tensor(image: np.ndarray) -> torch.Tensor:
     return torch.from_numpy(np.ascontiguousarray(image)).permute(2, 0, 1) / 255
-
-
-GENERATED = rest_image(IMAGE_SHAPE)
-STANDIN = new_gel().rest_image
-
-
-def write_dataset(root, image=GENERATED, spoilt=None, episodes=1, untouched=()):
-    """Episodes of two frames in touch; `spoilt` is (key, channel, value) of the last frame."""
-    features = {
-        OBS_STATE: {"dtype": "float32", "shape": (len(STATE_NAMES),), "names": list(STATE_NAMES)},
-        ACTION: {"dtype": "float32", "shape": (4,), "names": list(ACTION_NAMES)},
-        TACTILE: {"dtype": "image", "shape": IMAGE_SHAPE, "names": ["height", "width", "channels"]},
-    }
-    dataset = create_dataset(f"local/{root.name}", root, 15, features, "pneutac", False, 2)
-    with quiet_encoders():
-        for episode in range(episodes):
-            for last in (False, True):
-                frame = {OBS_STATE: np.zeros(20, np.float32), ACTION: np.zeros(4, np.float32)}
-                frame[OBS_STATE][STATE_NAMES.index("contact_area.pos")] = 0.1 * (episode not in untouched)
-                if spoilt and last:
-                    frame[spoilt[0]][spoilt[1]] = spoilt[2]
-                dataset.add_frame({**frame, TACTILE: np.ascontiguousarray(image), "task": "touch"})
-            dataset.save_episode()
-        dataset.finalize()
-    return LeRobotDatasetMetadata(dataset.repo_id, root)
 
 
 @pytest.fixture(scope="module")
