@@ -75,7 +75,7 @@ def motion(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     Of several chambers the rate is their sum's, since loading means more air in all.
     """
     rate, rest_s = np.zeros(len(recording)), np.zeros(len(recording))
-    p = _command(recording)
+    p = recording.commands
     quiet = 1e-3 * max(float(np.ptp(p)), 1e-9)
     for rows in recording.trials().values():
         t, q = recording.column("time_s")[rows], p[rows]
@@ -89,12 +89,7 @@ def motion(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
 
 def is_still(recording: Recording, rate: np.ndarray) -> np.ndarray:
     """Mask (n,) of samples at which the command stands."""
-    return np.abs(rate) <= STILL_1_PER_S * max(float(np.ptp(_command(recording))), 1e-9)
-
-
-def _command(recording: Recording) -> np.ndarray:
-    """Commanded pressures (n, chambers)."""
-    return recording.samples[recording.pressure_columns].to_numpy(float)
+    return np.abs(rate) <= STILL_1_PER_S * max(float(np.ptp(recording.commands)), 1e-9)
 
 
 def numbers(name: str, value: np.ndarray, bins: int) -> Axis:

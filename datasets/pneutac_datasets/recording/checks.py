@@ -6,6 +6,7 @@ Faults of pose columns: angles that wrap, axes in each other's place, drift.
 """
 
 import re
+from dataclasses import replace
 from functools import cache
 from itertools import product
 
@@ -30,25 +31,24 @@ def clock(recording: Recording) -> list[Finding]:
     """Long pauses within trials, and rows that are missing from an even clock."""
     gaps: list[int] = []
     lost: list[int] = []
-    longest, missing, even = 0.0, 0, True
+    time, missing, even = recording.column("time_s"), 0, True
     for rows in recording.trials().values():
-        t = recording.column("time_s")[rows]
-        dt = np.diff(t)
+        dt = np.diff(time[rows])
         if len(dt) < 5:
             continue
         usual = float(np.median(dt))
         even &= bool((np.abs(dt - usual) < 0.2 * usual).mean() > 0.9)
         wide = dt > max(10 * usual, 0.5)
         gaps += list(np.flatnonzero(wide) + rows.start)
-        longest = max(longest, float(dt[wide].max(initial=0)))
+
         short = (dt > 1.5 * usual) & ~wide
         lost += list(np.flatnonzero(short) + 1 + rows.start)
         missing += int(np.round(dt[short] / usual - 1).sum())
     found = []
     if gaps:
-        at = max(gaps, key=lambda i: recording.column("time_s")[i + 1] - recording.column("time_s")[i])
+        at = max(gaps, key=lambda i: time[i + 1] - time[i])
         text = (
-            f"The clock has {plural(len(gaps), 'gap')} (the longest {longest:.1f} s, in "
+            f"The clock has {plural(len(gaps), 'gap')} (the longest {time[at + 1] - time[at]:.1f} s, in "
             f"{where(recording, at)}); what happened meanwhile is unknown to a model with memory, so start a "
             "new trial there."
         )
@@ -73,11 +73,10 @@ def closed_loop(recording: Recording) -> list[Finding]:
     """
     columns, _ = headline(recording)
     gains = {"before": [0.0, 0], "same": [0.0, 0]}
-    command = recording.samples[recording.pressure_columns].to_numpy(float)
+    command = recording.commands
     pose = recording.samples[columns].to_numpy(float)
     for rows in recording.trials().values() if columns else ():
-        u = command[rows]
-        y = pose[rows]
+        u, y = command[rows], pose[rows]
         at = 1 + np.flatnonzero(np.abs(np.diff(u, axis=0)).max(1, initial=0) > 0)
         if len(at) < 200:
             continue
@@ -99,15 +98,13 @@ def closed_loop(recording: Recording) -> list[Finding]:
     before, same = (a / n if n else 0.0 for a, n in gains.values())
     if max(before, same) > ANSWERED:
         own_row = same > ANSWERED
-        late = (
-            " It answers to the pose of its own row, so it was sent after it was measured: log time_sent_s."
-            if own_row
-            else ""
-        )
         text = (
             f"The command follows the measured motion ({max(before, same):.0%} of its steps are explained by "
-            f"it): under feedback noise passes for physics; record open-loop programs.{late}"
+            "it): under feedback noise passes for physics; record open-loop programs."
         )
+        if own_row:
+            text += " It answers to the pose of its own row, so it was sent after it was measured: log "
+            text += "time_sent_s."
         numbers = {"share": max(before, same), "same_row": float(own_row)}
         found.append(Finding("closed_loop", text, tuple(recording.pressure_columns), numbers=numbers))
     return found
@@ -255,14 +252,12 @@ def unwrap(recording: Recording) -> tuple[Recording, list[Finding]]:
             samples = samples.assign(**{name: straight})
     if samples is recording.samples:
         return recording, found
-    return Recording(recording.folder, recording.meta, samples, recording.device, recording.warnings), found
+    return replace(recording, samples=samples), found
 
 
 def _drive(recording: Recording) -> np.ndarray:
     """(n, chambers) pressure of the order of 1, measured where all of it was."""
-    measured = list(measured_pressures(recording))
-    names = measured if len(measured) == len(recording.pressure_columns) else recording.pressure_columns
-    p = recording.samples[names].to_numpy(float)
+    p = recording.pressures
     return p / max(float(np.abs(p).max()), 1e-9)
 
 

@@ -22,7 +22,7 @@ def _measured(recording: Recording) -> list[str]:
 
 def saturated(recording: Recording) -> list[Finding]:
     """Columns that stick to their largest or smallest number while the command varies."""
-    command = recording.samples[recording.pressure_columns].to_numpy(float)
+    command = recording.commands
     found = []
     for name in _measured(recording):
         x = recording.column(name)
@@ -114,7 +114,7 @@ def _step(x: np.ndarray) -> float | None:
 
 def _on_ramps(recording: Recording) -> np.ndarray:
     """Mask (n,) of rows in which readings should pass every value: the command moves, and not in steps."""
-    u = recording.samples[recording.pressure_columns].to_numpy(float)
+    u = recording.commands
     out = np.zeros(len(u), bool)
     for rows in recording.trials().values():
         move = np.r_[0.0, np.abs(np.diff(u[rows], axis=0)).max(1)] / max(float(np.ptp(u)), 1e-9)

@@ -266,8 +266,8 @@ def _tell_earlier(recording: Recording, samples: list[GelSample]) -> None:
     """Fills in what came before each photograph, by `time_s` and `hold_s`; a new rest image starts again."""
     if not recording.has("hold_s"):
         return
-    where, held = recording.folder, recording.samples["hold_s"].to_numpy(float)
-    time = recording.samples["time_s"].to_numpy(float)
+    where = recording.folder
+    held, time = (recording.samples[c].to_numpy(float) for c in ("hold_s", "time_s"))
     for i, (t, hold) in enumerate(zip(time, held, strict=True)):
         if not 0 < hold < MOST_HELD_S:
             raise InputError(
@@ -291,9 +291,8 @@ def _misplaced(data: GelRecording) -> list[str]:
     for s in data.samples:
         if np.array_equal(s.image, s.rest):
             continue
-        squared = np.square(
-            cv2.GaussianBlur(s.image.astype(np.float32) - s.rest, (0, 0), s.radius_px / 3)
-        ).sum(2)
+        change = cv2.GaussianBlur(s.image.astype(np.float32) - s.rest, (0, 0), s.radius_px / 3)
+        squared = np.square(change).sum(2)
         squared[squared < 0.25 * squared.max()] = 0
         y, x = np.indices(squared.shape)
         shown_px.append([(x * squared).sum() / squared.sum(), (y * squared).sum() / squared.sum()])
@@ -302,22 +301,14 @@ def _misplaced(data: GelRecording) -> list[str]:
     if len(shown_px) < MIRROR_SAMPLES:
         return []
     seen, stated = (np.array(a) - np.mean(a, 0) for a in (shown_px, stated_px))
-    out = []
-    for axis, name in enumerate("xy"):
-        norm = np.sqrt(np.square(seen[:, axis]).sum() * np.square(stated[:, axis]).sum())
-        if norm > 0 and (seen[:, axis] * stated[:, axis]).sum() < -0.8 * norm:
-            out.append(f"the images show contacts opposite to {name}_mm: it, or they, are mirrored.")
-    if out:
-        return out
-
-    def likeness(turned: np.ndarray) -> float:
-        norm = np.sqrt(np.square(seen).sum() * np.square(turned).sum())
-        return float((seen * turned).sum() / norm) if norm > 0 else 0.0
-
-    best = max(QUARTERS, key=lambda how: likeness(stated @ QUARTERS[how]))
-    if likeness(stated @ QUARTERS[best]) > max(LIKE, likeness(stated) + 0.2):
+    mirrored = [name for i, name in enumerate("xy") if _correlation(seen[:, i], stated[:, i]) < -0.8]
+    if mirrored:
+        return [f"the images show contacts opposite to {m}_mm: it, or they, are mirrored." for m in mirrored]
+    like = {how: _correlation(seen, stated @ turn) for how, turn in QUARTERS.items()}
+    best, as_stated = max(like, key=like.__getitem__), _correlation(seen, stated)
+    if like[best] > max(LIKE, as_stated + 0.2):
         return [f"the images show contacts {best} against x_mm and y_mm; turn them, or correct the two."]
-    if likeness(stated) < LIKE:
+    if as_stated < LIKE:
         return []
     farther, wider = (seen * stated).sum() / np.square(stated).sum(), float(np.median(widths))
     if not 1 / FARTHER < farther < FARTHER:
@@ -328,9 +319,15 @@ def _misplaced(data: GelRecording) -> list[str]:
     if not WIDTHS[0] < wider < WIDTHS[1]:
         return [
             f"the contacts are {wider:.2g} times as wide as depth_mm and the indenter's size say; are both in"
-            f" millimetres?"
+            " millimetres?"
         ]
     return []
+
+
+def _correlation(a: np.ndarray, b: np.ndarray) -> float:
+    """Of two arrays without their means; 0 where one does not vary."""
+    norm = np.sqrt(np.square(a).sum() * np.square(b).sum())
+    return float((a * b).sum() / norm) if norm > 0 else 0.0
 
 
 def _rest_doubts(data: GelRecording) -> list[str]:
@@ -355,8 +352,7 @@ def _rest_doubt(rest: np.ndarray, samples: list[GelSample], px_per_mm: float) ->
     mine = cells(rest, px_per_mm)
 
     def likeness(image: np.ndarray) -> float:
-        a, b = (v[free] - v[free].mean(0) for v in (image, median))
-        return float((a * b).sum() / np.sqrt(np.square(a).sum() * np.square(b).sum() + 1e-9))
+        return _correlation(*(v[free] - v[free].mean(0) for v in (image, median)))
 
     turned = {"mirrored left to right": mine[:, ::-1], "mirrored top to bottom": mine[::-1]}
     turned["turned by half"] = mine[::-1, ::-1]

@@ -2,13 +2,10 @@
 
 Where, under equal conditions, the same pressure brings the device elsewhere from one trial on, the device was
 perhaps turned and shifted between trials, which says nothing about its physics; perhaps it remembers (creep,
-softening), which does. So data are moved only where one rigid motion of a session significantly removes most
-of the error, over whole trials, and where the history of the pressure cannot explain it as well. Every verb
-that weighs a twin against a recording looks at it through `align_mounts`.
-
-Was a session mounted differently? Asked of the error itself, over whole pieces of time.
-
-Rigid motions of what was measured: turn and shift of points, shift of anything else.
+softening), which does. So data are moved only where one rigid motion of a session (turn and shift of points,
+shift of anything else) significantly removes most of the error, over whole pieces of time, and where the
+history of the pressure cannot explain it as well. Every verb that weighs a twin against a recording looks at
+it through `align_mounts`.
 """
 
 from collections.abc import Iterator
@@ -53,7 +50,8 @@ class Motion:
         k = len(self.shift)
         turn = np.eye(k)
         if len(step) > k:
-            turn = Rotation.from_rotvec(step[k:]).as_matrix() if k == 3 else _plane(step[k])
+            axis = step[k:] if k == 3 else [0.0, 0.0, step[k]]
+            turn = Rotation.from_rotvec(axis).as_matrix()[:k, :k]
         return Motion(turn @ self.turn, turn @ self.shift + step[:k])
 
     @staticmethod
@@ -81,12 +79,6 @@ class Motion:
         return cls(turn, b - turn @ a)
 
 
-def _plane(angle: float) -> np.ndarray:
-    """Turn (2, 2) by an angle, rad."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s], [s, c]])
-
-
 LEFT = 0.5  # of the error, which a motion may leave
 PIECES, FINE = 8, 64  # of a trial: for the bootstrap, and to deal into two folds
 ASTRAY = 3.0  # times the error of a static map that a motion may lie from that of the map
@@ -94,13 +86,6 @@ MOST_ROWS = 2000  # to fit memory by
 DRAWS, SURE = 400, 0.01
 
 ROUNDS = 6  # of fitting map and motion in turn
-
-
-def pressure(recording: Recording) -> np.ndarray:
-    """(n, chambers) kPa, measured where it was logged."""
-    measured = [c.replace("cmd_", "") for c in recording.pressure_columns]
-    names = measured if all(map(recording.has, measured)) else recording.pressure_columns
-    return recording.samples[names].to_numpy(float)
 
 
 class Bench:
@@ -119,7 +104,7 @@ class Bench:
     def __init__(self, recording: Recording, columns: list[str], train: np.ndarray):
         own = {*recording.pressure_columns, *(c.replace("cmd_", "") for c in recording.pressure_columns)}
         others = [c for c in recording.samples if c.endswith("_kpa") and c not in own]  # another segment's
-        p = np.c_[pressure(recording), recording.samples[others].to_numpy(float)]
+        p = np.c_[recording.pressures, recording.samples[others].to_numpy(float)]
         self.own = np.arange(p.shape[1]) < p.shape[1] - len(others)
         self.p = p / max(float(np.abs(p).max()), 1e-9)
         self.y = recording.samples[columns].to_numpy(float)
@@ -347,7 +332,7 @@ def _sweeps(recording: Recording, columns: list[str], train: np.ndarray) -> dict
 
     Of trials that cover enough of the pressures and have the conditions of the first such trial.
     """
-    p = pressure(recording)
+    p = recording.pressures
     lowest, reach = p.min(0), np.ptp(p, axis=0).max()
     y = recording.samples[columns].to_numpy(float)
     found: dict[int, np.ndarray] = {}

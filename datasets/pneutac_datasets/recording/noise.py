@@ -163,7 +163,7 @@ def repeats(recording: Recording) -> list[tuple[np.ndarray, np.ndarray, int]]:
     """
     s = recording.samples
     time = s["time_s"].to_numpy()
-    command = s[recording.pressure_columns].to_numpy(float)
+    command = recording.commands
     tolerance = 0.01 * max(float(np.ptp(command)), 1e-9)
     runs = _runs(recording)
     found = []
@@ -235,7 +235,7 @@ def contrasts(recording: Recording, columns: list[str], at_rest: bool = False) -
     step_s = np.diff(t)[~first[1:]]
     if len(step_s) < LEAST_ROWS // 2:
         return {}
-    u = recording.samples[recording.pressure_columns].to_numpy(float)[rows]
+    u = recording.commands[rows]
     Y = recording.samples[columns].to_numpy(float)[rows]
     F = np.concatenate([_responses(c, first) for c in u.T], axis=1)
     quiet = _quiet_s(t, first, u)
@@ -256,17 +256,11 @@ def contrasts(recording: Recording, columns: list[str], at_rest: bool = False) -
 
 def _pieces(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     """Rows that are used, and a number of the trial or piece of one in which each lies."""
-    trials = list(recording.trials().values())
+    rows = [np.arange(s.start, s.stop) for s in recording.trials().values()]
     if len(recording) > MOST_ROWS:
-        cut = [
-            slice(a, min(a + PIECE_ROWS, rows.stop))
-            for rows in trials
-            for a in range(rows.start, rows.stop, PIECE_ROWS)
-        ]
-        trials = [
-            cut[i] for i in np.unique(np.linspace(0, len(cut) - 1, MOST_ROWS // PIECE_ROWS).astype(int))
-        ]
-    rows = [np.arange(s.start, s.stop) for s in trials]
+        rows = [r[a : a + PIECE_ROWS] for r in rows for a in range(0, len(r), PIECE_ROWS)]
+        every = np.linspace(0, len(rows) - 1, MOST_ROWS // PIECE_ROWS).astype(int)
+        rows = [rows[i] for i in np.unique(every)]
     return np.concatenate(rows), np.repeat(np.arange(len(rows)), [len(r) for r in rows])
 
 
@@ -277,9 +271,9 @@ def _responses(u: np.ndarray, first: np.ndarray) -> np.ndarray:
     for a, b in zip(edges[:-1], edges[1:], strict=True):
         v = x[a:b]
         columns = [v, v**2, v**3]
-        columns += [
-            np.r_[np.full(min(k, b - a), z[0]), z[:-k]][: b - a] for k in DELAYS_ROWS for z in (v, v**2)
-        ]
+        for k in DELAYS_ROWS:
+            late = v[np.maximum(np.arange(b - a) - k, 0)]
+            columns += [late, late**2]
         for lag in LAGS_ROWS:
             g = 1 - np.exp(-1 / lag)
             columns += [lfilter([g], [1, g - 1], z, zi=[(1 - g) * z[0]])[0] for z in (v, v**2)]
@@ -314,15 +308,7 @@ def _resolution(y: np.ndarray, first: np.ndarray) -> float:
 
 
 class _Contrasts:
-    """Contrasts of columns and of responses over rows i - s, i, i + s.
-
-    Args:
-        t: (n,) times.
-        trial: (n,) trial numbers.
-        F: (n, f) responses.
-        Y: (n, k) columns.
-        s: rows from the middle to either end.
-    """
+    """Contrasts of columns Y (n, k) and responses F (n, f) over rows i - s, i, i + s of one trial."""
 
     def __init__(self, t, trial, F, Y, s: int):
         i = np.arange(s, len(t) - s)
@@ -331,9 +317,8 @@ class _Contrasts:
         W = np.stack([-w, np.ones(len(i)), w - 1], axis=1)
         self.W = W / np.linalg.norm(W, axis=1, keepdims=True)
         self.i, self.s, self.t = i, s, t
-        self.X, self.c = (
-            np.sum([self.W[:, [k]] * z[i + d] for k, d in enumerate((-s, 0, s))], axis=0) for z in (F, Y)
-        )
+        ends = list(enumerate((-s, 0, s)))
+        self.X, self.c = (np.sum([self.W[:, [k]] * z[i + d] for k, d in ends], axis=0) for z in (F, Y))
         self._basis: dict[float | None, np.ndarray] = {}
 
     def deviation(self, k: int, quiet: np.ndarray, after_s: tuple[float | None, ...]) -> float | None:

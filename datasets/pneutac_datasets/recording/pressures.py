@@ -12,6 +12,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.signal import lfilter
 
+from pneutac_datasets.recording import units
 from pneutac_datasets.recording.memory import regress, static_columns
 from pneutac_datasets.recording.noise import headline
 from pneutac_datasets.recording.recording import Recording
@@ -33,13 +34,8 @@ LAGS_S = 0.0, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2  # time constants of the air th
 MOST_AHEAD = 3  # rows by which a log may write a command too late
 LATE_S = 0.15  # by which a gauge comes late, at least
 ATMOSPHERE_KPA = 90.0, 108.0  # at sea level and in the mountains
-UNITS = {  # kPa in one of them
-    "psi": 6.894757,
-    "mbar": 0.1,
-    "bar": 100.0,
-    "mmHg": 0.1333224,
-    "kgf/cm2": 98.0665,
-}
+# kPa in one of them.
+UNITS = {u: units.UNITS["pressure"][u.lower()] for u in ("psi", "mbar", "bar", "mmHg")} | {"kgf/cm2": 98.0665}
 SUPPLY = "supply_kpa"  # field of a recording's `meta` that `usable` writes
 ALONE = "fits use the command alone"
 
@@ -72,20 +68,12 @@ def supply_limits(recording: Recording) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class _Pair:
-    """A gauge and its command.
+    """A gauge and its command."""
 
-    Attributes:
-        p: (n,) measured, kPa.
-        u: (n,) commanded, kPa, behind the lag with which the gauge follows best.
-        range_kpa: of the command.
-        dt_s: usual time between two rows.
-        trials: rows of each trial.
-    """
-
-    p: np.ndarray
-    u: np.ndarray
-    range_kpa: float
-    dt_s: float
+    p: np.ndarray  # (n,) measured, kPa
+    u: np.ndarray  # (n,) commanded, kPa, behind the lag with which the gauge follows best
+    range_kpa: float  # of the command
+    dt_s: float  # usual time between two rows
     trials: tuple[slice, ...]
 
     def line(self, rows: np.ndarray) -> tuple[float, float, float]:
@@ -115,7 +103,7 @@ def _judged(recording: Recording, measured: str, command: str) -> tuple[Recordin
             f"carries no information; {ALONE}.",
             at=float(pair.p[0]),
         )
-    flat = _ends(pair)
+    flat = [end for sign in (1, -1) if (end := _end(pair, sign)) is not None]
     for end in flat:
         way = _device_goes_on(recording, pair, end.rows)
         if way is False:
@@ -133,14 +121,9 @@ def _judged(recording: Recording, measured: str, command: str) -> tuple[Recordin
     inside = ~np.any([end.rows for end in flat], axis=0) if flat else np.ones(len(pair.p), bool)
     stuck = _stuck(pair, inside)
     if len(stuck):
-        whole = len(stuck) > 0.9 * inside.sum()
-        first, n = int(stuck[0]), len(stuck)
-        trial, t = recording.column("trial")[first], recording.column("time_s")[first]
-        when = (
-            "throughout"
-            if whole
-            else f"in {n / len(pair.p):.0%} of the rows (first in trial {trial} at {t:.2f} s)"
-        )
+        trial, t = (recording.column(c)[stuck[0]] for c in ("trial", "time_s"))
+        when = f"in {len(stuck) / len(pair.p):.0%} of the rows (first in trial {trial} at {t:.2f} s)"
+        when = "throughout" if len(stuck) > 0.9 * inside.sum() else when
         return left_out(
             "gauge_stuck",
             f"Column '{measured}' stands near {np.median(pair.p[stuck]):.4g} {when} while '{command}' moves: "
@@ -178,11 +161,8 @@ def _judged(recording: Recording, measured: str, command: str) -> tuple[Recordin
     found = []
     noise = float(np.median(np.abs(np.diff(pair.p)))) if len(pair.p) > 1 else 0.0
     if abs(offset) > max(OFFSET * pair.range_kpa, 5 * noise):
-        wrong, other = (
-            (command, measured)
-            if raw.min() > -offset / 2 and _is_atmosphere(-offset)
-            else (measured, command)
-        )
+        absolute_command = raw.min() > -offset / 2 and _is_atmosphere(-offset)
+        wrong, other = (command, measured) if absolute_command else (measured, command)
         more = abs(offset) if wrong == command or offset > 0 else offset
         absolute = ": absolute?" if _is_atmosphere(more) else ": its zero is off."
         text = (
@@ -191,9 +171,8 @@ def _judged(recording: Recording, measured: str, command: str) -> tuple[Recordin
             "it in the table."
         )
         found.append(Finding("pressure_offset", text, (wrong,), numbers={"offset_kpa": float(more)}))
-        recording = replace(
-            recording, samples=recording.samples.assign(**{wrong: recording.column(wrong) - more})
-        )
+        corrected = {wrong: recording.column(wrong) - more}
+        recording = replace(recording, samples=recording.samples.assign(**corrected))
     for end in flat:
         recording, finding = _clipped(recording, command, measured, end, (slope, at_zero))
         found.append(finding)
@@ -240,15 +219,11 @@ def _behind(u: np.ndarray, trials: tuple[slice, ...], dt: float) -> Iterator[np.
     """A command behind each of some lags, and ahead by a few rows, as one that was written late."""
     for lag in LAGS_S:
         keep = np.exp(-dt / lag) if lag else 0.0
-        out = np.empty_like(u)
-        for rows in trials:
-            out[rows] = lfilter([1 - keep], [1, -keep], u[rows], zi=[keep * u[rows.start]])[0]
-        yield out
+        parts = (u[rows] for rows in trials)
+        yield np.concatenate([lfilter([1 - keep], [1, -keep], x, zi=[keep * x[0]])[0] for x in parts])
     for ahead in range(1, MOST_AHEAD + 1):
-        out = np.empty_like(u)
-        for rows in trials:
-            out[rows] = np.r_[u[rows][ahead:], np.full(min(ahead, rows.stop - rows.start), u[rows.stop - 1])]
-        yield out
+        parts = (u[rows] for rows in trials)
+        yield np.concatenate([x[np.minimum(np.arange(len(x)) + ahead, len(x) - 1)] for x in parts])
 
 
 # ---------------------------------------------------------------- where a gauge stops
@@ -256,26 +231,13 @@ def _behind(u: np.ndarray, trials: tuple[slice, ...], dt: float) -> Iterator[np.
 
 @dataclass(frozen=True)
 class _End:
-    """An end of a command's range at which the gauge stands still.
+    """An end of a command's range at which the gauge stands still."""
 
-    Attributes:
-        level: where it stands.
-        begin: command at which that begins.
-        far: command at the end.
-        rows: (n,) mask of rows beyond `begin`.
-        sign: 1 at the upper end, -1 at the lower one.
-    """
-
-    level: float
-    begin: float
-    far: float
-    rows: np.ndarray
-    sign: int
-
-
-def _ends(pair: _Pair) -> list[_End]:
-    """Both ends of the command's range, where the gauge stays while the command goes on."""
-    return [end for sign in (1, -1) if (end := _end(pair, sign)) is not None]
+    level: float  # where it stands
+    begin: float  # command at which that begins
+    far: float  # command at the end
+    rows: np.ndarray  # (n,) mask of rows beyond `begin`
+    sign: int  # 1 at the upper end, -1 at the lower one
 
 
 def _end(pair: _Pair, sign: int) -> _End | None:
@@ -312,9 +274,8 @@ def _device_goes_on(recording: Recording, pair: _Pair, beyond: np.ndarray) -> bo
     y = recording.samples[columns].to_numpy(float)
 
     def slope(rows: np.ndarray) -> np.ndarray:
-        return (
-            np.polyfit(pair.u[rows], y[rows], 1)[0] if np.ptp(pair.u[rows]) > 1e-9 else np.zeros(y.shape[1])
-        )
+        u = pair.u[rows]
+        return np.polyfit(u, y[rows], 1)[0] if np.ptp(u) > 1e-9 else np.zeros(y.shape[1])
 
     ratio = np.linalg.norm(slope(beyond)) / max(np.linalg.norm(slope(~beyond)), 1e-12)
     return False if ratio < STANDS else True if ratio > FOLLOWS else None
@@ -396,17 +357,13 @@ def _late(recording: Recording, measured: str, inside: np.ndarray) -> float:
         return 0.0
     most = min(round(2.0 / dt), 200)
     shifts = sorted({0, *np.unique(np.round(np.geomspace(1, max(most, 1), 16)).astype(int))})
+    long = [np.arange(rows.start, rows.stop - most) for rows in trials if rows.stop - rows.start > most + 20]
+    rows = np.concatenate([np.zeros(0, int), *long])
+    rows = rows[inside[rows]]
+    if len(rows) < 50:
+        return 0.0
     left = {}
     for k in shifts:
-        now = [
-            np.arange(rows.start, rows.stop - most) for rows in trials if rows.stop - rows.start > most + 20
-        ]
-        if not now:
-            return 0.0
-        rows = np.concatenate(now)
-        rows = rows[inside[rows]]
-        if len(rows) < 50:
-            return 0.0
         design = static_columns(p[rows + k, None] / max(float(np.abs(p).max()), 1e-9))
         left[k] = float(((y[rows] - design @ regress(design, y[rows])) ** 2).sum())
     best = min(left, key=left.__getitem__)

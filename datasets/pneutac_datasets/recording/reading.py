@@ -146,12 +146,7 @@ def _read_lerobot(folder: Path) -> pd.DataFrame:
                 )
             columns[entry] = raw[name].map(lambda v, i=i: v[i]) if vector else raw[name]
             source[entry] = name
-    table = pd.DataFrame(columns)
-    table = table.rename(
-        columns={
-            old: new
-            for old, new in (("episode_index", "trial"), ("timestamp", "time_s"))
-            if new not in table.columns
-        }
-    )
-    return table.drop(columns=[c for c in ("frame_index", "index", "task_index") if c in table.columns])
+    for old, new in (("episode_index", "trial"), ("timestamp", "time_s")):
+        if new not in columns and old in columns:
+            columns[new] = columns.pop(old)
+    return pd.DataFrame({c: v for c, v in columns.items() if c not in ("frame_index", "index", "task_index")})

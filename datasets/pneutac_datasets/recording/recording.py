@@ -106,7 +106,18 @@ class Recording:
     @property
     def pressure_columns(self) -> list[str]:
         """Commanded pressure, one column a chamber."""
-        return [c for c in self.samples if re.fullmatch(r"pressure_cmd_(\d+_)?kpa", c)]
+        return rules.pressure_commands(self.samples)
+
+    @property
+    def commands(self) -> np.ndarray:
+        """Commanded pressures (n, chambers), kPa."""
+        return self.samples[self.pressure_columns].to_numpy(float)
+
+    @property
+    def pressures(self) -> np.ndarray:
+        """Pressures (n, chambers), kPa, measured where all of them were logged."""
+        measured = [c.replace("cmd_", "") for c in self.pressure_columns]
+        return self.samples[measured].to_numpy(float) if all(map(self.has, measured)) else self.commands
 
     @property
     def conditions(self) -> list[str]:

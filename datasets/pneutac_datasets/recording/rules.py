@@ -24,21 +24,8 @@ ROUNDED_S = 1e-3  # by which stamps of two columns may disagree
 # What is read of a `recording.json` and of a camera in it; a lab's own further fields are left alone.
 CAMERA = ("intrinsics", "extrinsics", "distortion", "background")
 FIELDS = (
-    "device",
-    "length_mm",
-    "spine_joint_positions_mm",
-    "samples",
-    "cameras",
-    "noise",
-    "trials",
-    "obstacle",
-    "notes",
-    "rest_image",
-    "px_per_mm",
-    "gel_size_mm",
-    "date",
-    "source",
-    "length_proposed",
+    *("device", "length_mm", "spine_joint_positions_mm", "samples", "cameras", "noise", "trials", "obstacle"),
+    *("notes", "rest_image", "px_per_mm", "gel_size_mm", "date", "source", "length_proposed"),
 )
 EXAMPLE = '{"3": {"start": "continues", "pause_s": 12}}'
 
@@ -272,10 +259,10 @@ def _check_texts(samples: pd.DataFrame, file: Path) -> None:
 
 
 def _check_columns(samples: pd.DataFrame, device: str, file: Path) -> None:
-    missing = missing_columns(samples, device, file)
-    if missing:
-        others = listed(repr(name) for name in list(missing)[1:])
-        raise InputError(next(iter(missing.values())) + (f" Missing too: {others}." if others else ""))
+    if missing := missing_columns(samples, device, file):
+        (_, first), *others = missing.items()
+        also = f" Missing too: {listed(repr(name) for name, _ in others)}." if others else ""
+        raise InputError(first + also)
 
 
 def missing_columns(samples: pd.DataFrame, device: str, file: Path) -> dict[str, str]:
@@ -325,6 +312,11 @@ def observations(samples: pd.DataFrame, device: str) -> list[str]:
     return quantities.observations(samples.columns, device)
 
 
+def pressure_commands(samples: pd.DataFrame) -> list[str]:
+    """Columns of commanded pressures, one a chamber."""
+    return [c for c in samples if re.fullmatch(r"pressure_cmd_(\d+_)?kpa", str(c))]
+
+
 def clean_numbers(samples: pd.DataFrame, device: str, file: Path) -> pd.DataFrame:
     """The samples with every column but labels as float64; raises InputError at the first that is none."""
     samples = samples.copy()
@@ -341,8 +333,9 @@ def clean_numbers(samples: pd.DataFrame, device: str, file: Path) -> pd.DataFram
             bad &= column.notna().to_numpy()  # an unknown depth or radius stays empty
         if bad.any():
             row = int(np.argmax(bad))
+            value = "empty" if pd.isna(column.iloc[row]) else shown(str(column.iloc[row]))
             raise InputError(
-                f"{file}: column {shown(name)}, {row_name(row, file)} is {_shown(column.iloc[row])} "
+                f"{file}: column {shown(name)}, {row_name(row, file)} is {value} "
                 f"({plural(int(bad.sum()), 'such row')}); {_remedy(bad, column)}."
             )
         samples[name] = values
@@ -356,10 +349,6 @@ def _remedy(bad: np.ndarray, column: pd.Series) -> str:
     return "correct it, or leave out that row" if bad.sum() == 1 else "correct them, or leave out those rows"
 
 
-def _shown(value) -> str:
-    return "empty" if pd.isna(value) else shown(str(value))
-
-
 def clean_trials(trial: pd.Series, file: Path) -> np.ndarray:
     """Numbers of the trials (n,); raises InputError where they are not whole, or one comes twice."""
     t = trial.to_numpy(float)
@@ -370,15 +359,14 @@ def clean_trials(trial: pd.Series, file: Path) -> np.ndarray:
             f"{file}: column 'trial', {row_name(row, file)} is {t[row]}; number the trials 0, 1, 2, ..."
         )
     t = t.astype(np.int64)
-    starts = np.flatnonzero(np.r_[True, t[1:] != t[:-1]])
-    seen: set[int] = set()
-    for row in starts:
-        if t[row] in seen:
-            raise InputError(
-                f"{file}: column 'trial', {row_name(row, file)} goes back to trial {t[row]}; "
-                "keep the rows of a trial together, or give the second part its own number."
-            )
-        seen.add(int(t[row]))
+    begins = np.flatnonzero(np.r_[True, t[1:] != t[:-1]])
+    again = pd.Series(t[begins]).duplicated()
+    if again.any():
+        row = int(begins[again.argmax()])
+        raise InputError(
+            f"{file}: column 'trial', {row_name(row, file)} goes back to trial {t[row]}; "
+            "keep the rows of a trial together, or give the second part its own number."
+        )
     return t
 
 
@@ -390,7 +378,7 @@ def _check_poverty(samples: pd.DataFrame, file: Path, warnings: list[str]) -> No
             f"{file}: column 'tip_z_mm' is missing, so z, in which the device bends, was not measured; the "
             f"error counts {' and '.join(tips)} alone."
         )
-    pressures = [c for c in samples if re.fullmatch(r"pressure_cmd_(\d+_)?kpa", c)]
+    pressures = pressure_commands(samples)
     if all(np.ptp(samples[c].to_numpy()) < 1e-3 for c in pressures):
         warnings.append(
             f"{file}: column '{pressures[0]}' is constant at {samples[pressures[0]].iloc[0]:g} kPa in every "
@@ -462,42 +450,31 @@ def check_sent(samples: pd.DataFrame, file: Path) -> None:
         return
     sent, time = (samples[c].to_numpy(float) for c in ("time_sent_s", "time_s"))
     trial = samples["trial"].to_numpy()
-    command = samples[[c for c in samples if re.fullmatch(r"pressure_cmd_(\d+_)?kpa", c)]].to_numpy(float)
+    command = samples[pressure_commands(samples)].to_numpy(float)
     follows = np.r_[False, trial[1:] == trial[:-1]]
     step = np.r_[0.0, np.diff(sent)]
     before = np.where(follows, np.r_[-np.inf, time[:-1]], -np.inf)
     after = np.where(np.r_[follows[1:], False], np.r_[time[1:], np.inf], np.inf)
     new = ~follows | (step != 0)
     changed = np.r_[False, (np.diff(command, axis=0) != 0).any(1)]
-    clock = "give it on the clock of time_s"
-    faults = (
-        (follows & (step < 0), lambda i: f"goes back from {sent[i - 1]:g} to {sent[i]:g} s; sort the rows"),
-        (
-            follows & ~new & changed,
-            lambda i: (
-                f"is {sent[i]:g} s as in the row before, though the command is another; give each "
-                "command its own time"
-            ),
-        ),
-        (
-            sent > after + ROUNDED_S,
-            lambda i: f"is {sent[i]:g} s, later than the time {after[i]:g} s of the next row; {clock}",
-        ),
-        (
-            new & (sent < before - ROUNDED_S),
-            lambda i: (
-                f"is {sent[i]:g} s, earlier than the time {before[i]:g} s of the row before; {clock}, "
-                "and repeat it exactly where no new command was sent"
-            ),
-        ),
-    )
-    found = [(int(np.argmax(wrong)), fault) for wrong, fault in faults if wrong.any()]
-    if found:
-        i, fault = min(found, key=lambda f: f[0])
-        raise InputError(
-            f"{file}: column 'time_sent_s', {row_name(int(samples.index[i]), file)} (trial {trial[i]}) "
-            f"{fault(i)}."
-        )
+    backwards, other = follows & (step < 0), follows & ~new & changed
+    late, early = sent > after + ROUNDED_S, new & (sent < before - ROUNDED_S)
+    wrong = backwards | other | late | early
+    if not wrong.any():
+        return
+    i, clock = int(np.argmax(wrong)), "give it on the clock of time_s"
+    if backwards[i]:
+        fault = f"goes back from {sent[i - 1]:g} to {sent[i]:g} s; sort the rows"
+    elif other[i]:
+        fault = f"is {sent[i]:g} s as in the row before, though the command is another; give each command its"
+        fault += " own time"
+    elif late[i]:
+        fault = f"is {sent[i]:g} s, later than the time {after[i]:g} s of the next row; {clock}"
+    else:
+        fault = f"is {sent[i]:g} s, earlier than the time {before[i]:g} s of the row before; {clock}, and"
+        fault += " repeat it exactly where no new command was sent"
+    row = row_name(int(samples.index[i]), file)
+    raise InputError(f"{file}: column 'time_sent_s', {row} (trial {trial[i]}) {fault}.")
 
 
 def _length(samples: pd.DataFrame) -> float:
@@ -515,7 +492,7 @@ def _in_milliseconds(samples: pd.DataFrame) -> bool:
     time = samples["time_s"].to_numpy()
     if _length(samples) < DAY_S or (np.abs(time - np.round(time)) > 1e-3).any():
         return False
-    p = samples[[c for c in samples if re.fullmatch(r"pressure_cmd_(\d+_)?kpa", c)]].to_numpy(float)
+    p = samples[pressure_commands(samples)].to_numpy(float)
     move = np.abs(np.diff(p, axis=0)).max(1) / max(float(np.ptp(p)), 1e-9)
     moving = move > 1e-4
     return bool(moving.mean() > 0.1 and np.median(move[moving]) < 0.1)

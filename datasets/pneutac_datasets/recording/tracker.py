@@ -1,6 +1,7 @@
 """Faults of the tracker: jumps, slips, a picture that stands still, frames that were dropped."""
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from pneutac_datasets.recording.noise import headline
 from pneutac_datasets.recording.recording import Recording
@@ -18,21 +19,17 @@ def where(recording: Recording, row: int) -> str:
 
 def jumps(recording: Recording) -> list[Finding]:
     """Rows of excursions: the marker leaves faster than anything explains and is back within two seconds."""
-    bad = np.zeros(len(recording), bool)
     columns, _ = headline(recording)
-    # other chambers move the marker too
-    pressures = [c for c in recording.samples if c.endswith("_kpa")]
-    slips: list[int] = []
     pose = recording.samples[columns].to_numpy(float)
-    pressure = recording.samples[pressures].to_numpy(float)
+    # other chambers, also of a neighbouring device, move the marker too
+    pressure = recording.samples[[c for c in recording.samples if c.endswith("_kpa")]].to_numpy(float)
+    bad, slips = np.zeros(len(recording), bool), []
     for rows in recording.trials().values() if columns else ():
         y = pose[rows]
-        t = recording.column("time_s")[rows]
-        p = pressure[rows]
-        if len(t) < 10:
+        if len(y) < 10:
             continue
         stale = np.r_[False, (np.diff(y, axis=0) == 0).all(1)]
-        for a, b, returns in excursions(t, y, p):
+        for a, b, returns in excursions(recording.column("time_s")[rows], y, pressure[rows]):
             if stale[a - 1] and stale.mean() < 0.05:
                 continue  # a tracker that stood still for once catches up
             if returns:
@@ -40,20 +37,17 @@ def jumps(recording: Recording) -> list[Finding]:
             else:
                 slips.append(rows.start + a)
     found, at = [], np.flatnonzero(bad)
-    if bad.mean() > 0.05:
-        text = (
-            f"The tracker seems to jump in {bad.mean():.0%} of the rows (first in "
-            f"{where(recording, at[0])}); so many may be the device itself, so they were not removed: see a "
-            f"video."
-        )
-        found.append(Finding("jumps", text, tuple(columns), at, {"kept": 1}))
-    elif bad.any():
+    if bad.any():
+        first, kept = where(recording, at[0]), bool(bad.mean() > 0.05)
         runs = int(np.sum(np.diff(np.r_[0, bad.astype(int)]) == 1))
         text = (
-            f"The tracker jumps away and comes back {plural(runs, 'time')} (first in "
-            f"{where(recording, at[0])}); {_left_out(bad)}."
+            f"The tracker seems to jump in {bad.mean():.0%} of the rows (first in {first}); so many may be "
+            "the device itself, so they were not removed: see a video."
+            if kept
+            else f"The tracker jumps away and comes back {plural(runs, 'time')} (first in {first});"
+            f" {_left_out(bad)}."
         )
-        found.append(Finding("jumps", text, tuple(columns), at, {"kept": 0}))
+        found.append(Finding("jumps", text, tuple(columns), at, {"kept": int(kept)}))
     if slips:
         text = (
             f"The marker shifts suddenly {plural(len(slips), 'time')} without a change of pressure that "
@@ -127,28 +121,22 @@ def _lonely(y: np.ndarray, i: int, end: int) -> bool:
 
 
 def _local_median(x: np.ndarray, window: int) -> np.ndarray:
-    from scipy.ndimage import median_filter
-
     return median_filter(x, size=2 * window + 1, mode="nearest")
 
 
 def frozen(recording: Recording) -> list[Finding]:
     """Rows where every observed number repeats for half a second and more while the pressure moves."""
-    bad = np.zeros(len(recording), bool)
-    columns = [c for c in recording.observations if not c.startswith("image")]
-    p_span = np.ptp(recording.samples[recording.pressure_columns].to_numpy(float), axis=0).max()
-    repeated = 0
-    pose = recording.samples[columns].to_numpy(float)
-    pressure = recording.samples[recording.pressure_columns].to_numpy(float)
+    columns, pose = _pose(recording)
+    pressure, time = recording.commands, recording.column("time_s")
+    least = 0.05 * np.ptp(pressure, axis=0).max()
+    bad, repeated = np.zeros(len(recording), bool), 0
     for rows in recording.trials().values() if columns else ():
-        y = pose[rows]
-        p = pressure[rows]
-        t = recording.column("time_s")[rows]
-        same = np.r_[False, (np.diff(y, axis=0) == 0).all(1)]
+        p, t = pressure[rows], time[rows]
+        same = np.r_[False, (np.diff(pose[rows], axis=0) == 0).all(1)]
         repeated += int(same.sum())
         edges = np.flatnonzero(np.diff(np.r_[0, same.astype(int), 0]))
         for a, b in zip(edges[::2], edges[1::2], strict=True):
-            if b - a >= 8 and t[b - 1] - t[a] >= 0.5 and np.ptp(p[a:b], axis=0).max() > 0.05 * p_span:
+            if b - a >= 8 and t[b - 1] - t[a] >= 0.5 and np.ptp(p[a:b], axis=0).max() > least:
                 bad[rows.start + a : rows.start + b] = True
     # a recording without any noise repeats numbers everywhere, which says nothing about the tracker
     if repeated - bad.sum() > 0.2 * len(recording) or not bad.any():
@@ -163,13 +151,11 @@ def frozen(recording: Recording) -> list[Finding]:
 
 def stale(recording: Recording) -> list[Finding]:
     """Rows that repeat the pose of the row before to the last digit, also while it moves."""
-    columns = [c for c in recording.observations if not c.startswith("image")]
+    columns, pose = _pose(recording)
     repeats, moving = np.zeros(len(recording), bool), np.zeros(len(recording), bool)
-    pose = recording.samples[columns].to_numpy(float)
     for rows in recording.trials().values() if columns else ():
-        y = pose[rows]
-        repeats[rows] = np.r_[False, (np.diff(y, axis=0) == 0).all(1)]
-        moving[rows] = is_moving(y)
+        repeats[rows] = np.r_[False, (np.diff(pose[rows], axis=0) == 0).all(1)]
+        moving[rows] = is_moving(pose[rows])
     share = repeats[moving].mean() if moving.any() else 0.0
     if (repeats & moving).sum() < 10 or share < 0.005:
         return []
@@ -178,9 +164,14 @@ def stale(recording: Recording) -> list[Finding]:
         f"{share:.1%} of those in which it moves: frames were dropped, or the tracker is slower than the "
         "log, so such a pose is older than its time."
     )
-    return [
-        Finding("stale_pose", text, tuple(columns), np.flatnonzero(repeats), {"share": float(repeats.mean())})
-    ]
+    numbers = {"share": float(repeats.mean())}
+    return [Finding("stale_pose", text, tuple(columns), np.flatnonzero(repeats), numbers)]
+
+
+def _pose(recording: Recording) -> tuple[list[str], np.ndarray]:
+    """Observed columns but images, and their numbers (n, k)."""
+    columns = [c for c in recording.observations if not c.startswith("image")]
+    return columns, recording.samples[columns].to_numpy(float)
 
 
 def is_moving(y: np.ndarray) -> np.ndarray:

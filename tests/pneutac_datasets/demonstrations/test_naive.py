@@ -1,17 +1,17 @@
 import numpy as np
 import pytest
+from demonstration_sets import write_episodes
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata, merge_datasets
-from lerobot.utils.constants import ACTION, OBS_STATE
+from lerobot.utils.constants import OBS_STATE
 
 from pneutac_datasets.demonstrations import naive
-from pneutac_datasets.demonstrations.episodes import TACTILE, Episode, save_episode
+from pneutac_datasets.demonstrations.episodes import Episode
 from pneutac_datasets.demonstrations.naive import augment_naive, vary
-from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
+from pneutac_datasets.demonstrations.save import create_dataset
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
     ACTION_HIGH,
     ACTION_LOW,
-    ACTION_NAMES,
     AREA,
     EE,
     IMAGE_SHAPE,
@@ -50,24 +50,14 @@ def demonstration(speed=0.03, length=40, contact=(20, 30)) -> Episode:
 @pytest.fixture(scope="module")
 def source(tmp_path_factory):
     root = tmp_path_factory.mktemp("naive") / "source"
-    features = {
-        OBS_STATE: {"dtype": "float32", "shape": (20,), "names": list(STATE_NAMES)},
-        ACTION: {"dtype": "float32", "shape": (4,), "names": list(ACTION_NAMES)},
-        TACTILE: {
-            "dtype": "video",
-            "shape": IMAGE_SHAPE,
-            "names": ["height", "width", "channels"],
-            "info": {"is_depth_map": False},
-        },
-    }
-    dataset = create_dataset("local/source", root, FPS, features, "pneutac", True, 40)
-    with quiet_encoders():
-        for speed in (0.03, 0.05):
-            e = demonstration(speed)
-            e.state, e.action = e.state.astype(np.float32), e.action.astype(np.float32)
-            save_episode(dataset, e)
-        dataset.finalize()
-    return root
+    episodes = (demonstration(speed) for speed in (0.03, 0.05))
+    return write_episodes(
+        root,
+        [zip(e.state, e.action, e.images, strict=True) for e in episodes],
+        fps=FPS,
+        task="push",
+        video=True,
+    )
 
 
 def read(root, name, key):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from demonstration_sets import write_episodes
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.utils.constants import ACTION, OBS_STATE
 from lerobot.utils.feature_utils import dataset_to_policy_features
@@ -13,7 +14,6 @@ from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
 from lerobot_robot_pneutac.policy.tactile_encoder import DIFFERENCE_SCALE
 from lerobot_robot_pneutac.standin.gel import new_gel
 from pneutac_datasets.demonstrations.pool import main, pool_demonstrations
-from pneutac_datasets.demonstrations.save import create_dataset
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, IMAGE_SHAPE, STATE_NAMES
 from pneutac_sim.world.world import World
@@ -21,28 +21,15 @@ from pneutac_sim.world.world import World
 FRAMES = 4
 
 
-FEATURES = {
-    OBS_STATE: {"dtype": "float32", "shape": (len(STATE_NAMES),), "names": list(STATE_NAMES)},
-    ACTION: {"dtype": "float32", "shape": (len(ACTION_NAMES),), "names": list(ACTION_NAMES)},
-    TACTILE: {"dtype": "image", "shape": IMAGE_SHAPE, "names": ["height", "width", "channels"]},
-}
-
-
 def write(root, seed, fps=15, shape=IMAGE_SHAPE):
-    """Two demonstrations of random states and smooth random images."""
-    features = FEATURES | {TACTILE: {**FEATURES[TACTILE], "shape": shape}}
+    """Two demonstrations of random states and random images."""
     rng = np.random.default_rng(seed)
-    dataset = create_dataset(f"local/{root.name}", root, fps, features, "pneutac", False, FRAMES)
-    for _ in range(2):
-        for _ in range(FRAMES):
-            image = rng.integers(40, 200, shape, dtype=np.uint8)
-            state, action = (
-                rng.normal(size=n).astype(np.float32) for n in (len(STATE_NAMES), len(ACTION_NAMES))
-            )
-            dataset.add_frame({OBS_STATE: state, ACTION: action, TACTILE: image, "task": "flip"})
-        dataset.save_episode()
-    dataset.finalize()
-    return root
+
+    def frame():
+        image = rng.integers(40, 200, shape, dtype=np.uint8)
+        return *(rng.normal(size=n) for n in (len(STATE_NAMES), len(ACTION_NAMES))), image
+
+    return write_episodes(root, [[frame() for _ in range(FRAMES)] for _ in range(2)], fps=fps, shape=shape)
 
 
 @pytest.fixture(
@@ -121,15 +108,10 @@ def test_a_policy_on_the_twin_has_the_twins_own_image_at_rest(tmp_path):
     at_rest = torch.from_numpy(world.reset(4).tactile.copy()).permute(2, 0, 1)[None] / 255
     shown = {}
     for name, image in (("twin", world.sensor.rest_image), ("standin", new_gel().rest_image)):
-        data = create_dataset(f"local/{name}", tmp_path / name, 15, FEATURES, "pneutac", False, FRAMES)
-        for _ in range(2):
-            frame = {OBS_STATE: np.ones(20, np.float32), ACTION: np.ones(4, np.float32), "task": "flip"}
-            data.add_frame(frame | {TACTILE: np.ascontiguousarray(image)})
-        data.save_episode()
-        data.finalize()
+        write_episodes(tmp_path / name, [[(1, 1, image)] * 2])
         out = pool_demonstrations([tmp_path / name], tmp_path / f"{name}_small", f"local/{name}_small")
         meta = LeRobotDatasetMetadata(f"local/{name}_small", out)
-        features = dataset_to_policy_features({k: meta.features[k] for k in FEATURES})
+        features = dataset_to_policy_features({k: meta.features[k] for k in (OBS_STATE, ACTION, TACTILE)})
         inputs, outputs = {k: features[k] for k in (OBS_STATE, TACTILE)}, {ACTION: features[ACTION]}
         config = PneutacBCConfig(device="cpu", input_features=inputs, output_features=outputs)
         encoder = PneutacBCPolicy(config, dataset_meta=meta).encoder

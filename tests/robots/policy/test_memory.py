@@ -5,6 +5,7 @@ import shutil
 import numpy as np
 import pytest
 import torch
+from demonstration_sets import write_episodes
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.policies import make_policy
 from lerobot.utils.constants import ACTION, OBS_STATE
@@ -15,9 +16,8 @@ from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, Pneut
 from lerobot_robot_pneutac.policy.labels import ANSWER_DELAY, ahead, frames_ahead
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
 from pneutac_datasets.demonstrations.augment.run import finish
-from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_NAMES, AREA, EE, IMAGE_SHAPE, PRESSURE, STATE_NAMES
+from pneutac_sim.features import AREA, EE, PRESSURE, STATE_NAMES
 
 HZ = 15
 
@@ -35,21 +35,11 @@ def states(frames: int, touched: slice, seed: int = 0) -> np.ndarray:
 def dataset(tmp_path_factory):
     """Two demonstrations of 30 and 20 frames whose actions say where they are."""
     root = tmp_path_factory.mktemp("data") / "demos"
-    features = {
-        OBS_STATE: {"dtype": "float32", "shape": (20,), "names": list(STATE_NAMES)},
-        ACTION: {"dtype": "float32", "shape": (4,), "names": list(ACTION_NAMES)},
-        TACTILE: {"dtype": "image", "shape": IMAGE_SHAPE, "names": ["height", "width", "channels"]},
-    }
-    data = create_dataset("local/demos", root, HZ, features, "pneutac", False, 2)
-    with quiet_encoders():
-        for frames, touched in ((30, slice(10, 14)), (20, slice(5, 8))):
-            for t, state in enumerate(states(frames, touched)):
-                action = np.array([0.001 * t, 0.0, 0.0, 0.1 * t], np.float32)
-                image = np.full(IMAGE_SHAPE, 100 + t % 3, np.uint8)
-                data.add_frame({OBS_STATE: state, ACTION: action, TACTILE: image, "task": "press"})
-            data.save_episode()
-        data.finalize()
-    return root
+    episodes = []
+    for frames, touched in ((30, slice(10, 14)), (20, slice(5, 8))):
+        rows = enumerate(states(frames, touched))
+        episodes.append([(state, [0.001 * t, 0, 0, 0.1 * t], 100 + t % 3) for t, state in rows])
+    return write_episodes(root, episodes, fps=HZ)
 
 
 def test_it_remembers_where_and_when_it_touched_and_what_it_sensed_before():

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import torch
+from demonstration_sets import touching, write_episodes
 from draccus.utils import DecodingError
 from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature, PreTrainedConfig
 from lerobot.datasets import LeRobotDatasetMetadata
@@ -10,9 +11,8 @@ from safetensors.torch import load_file, save_file
 
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy, Scaling
-from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, ACTION_NAMES, IMAGE_SHAPE, STATE_NAMES
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, IMAGE_SHAPE, STATE_NAMES
 
 CONTACT = [STATE_NAMES.index("contact_area.pos"), STATE_NAMES.index("contact_pixels.pos")]
 
@@ -54,27 +54,10 @@ def make_batch(n=3) -> dict:
 
 def write_dataset(root, levels, fps=15, state_names=STATE_NAMES, shape=IMAGE_SHAPE):
     """A dataset with one episode of two frames for each level: a grey first image and a white second one."""
-    features = {
-        OBS_STATE: {"dtype": "float32", "shape": (len(state_names),), "names": list(state_names)},
-        ACTION: {"dtype": "float32", "shape": (4,), "names": list(ACTION_NAMES)},
-        TACTILE: {"dtype": "image", "shape": shape, "names": ["height", "width", "channels"]},
-    }
-    dataset = create_dataset(f"local/{root.name}", root, fps, features, "pneutac", False, 2)
-    with quiet_encoders():
-        for level in levels:
-            for value in (level, 255):
-                touched = np.array(["contact_area" in n for n in state_names], np.float32)
-                dataset.add_frame(
-                    {
-                        OBS_STATE: 0.1 * touched,
-                        ACTION: np.zeros(4, np.float32),
-                        TACTILE: np.full(shape, value, np.uint8),
-                        "task": "touch",
-                    }
-                )
-            dataset.save_episode()
-        dataset.finalize()
-    return LeRobotDatasetMetadata(dataset.repo_id, root)
+    touch = touching(0.1, state_names)
+    episodes = [[(touch, 0, level), (touch, 0, 255)] for level in levels]
+    write_episodes(root, episodes, state_names, fps, shape)
+    return LeRobotDatasetMetadata(f"local/{root.name}", root)
 
 
 # ---------------------------------------------------------------- options and features

@@ -12,6 +12,7 @@ import pyarrow
 import pyarrow.parquet as parquet
 import pytest
 import torch
+from demonstration_sets import touching, write_episodes
 from huggingface_hub import ModelCard
 from lerobot.configs import PipelineFeatureType, PreTrainedConfig
 from lerobot.configs.default import DatasetConfig, EvalConfig
@@ -34,9 +35,8 @@ from lerobot_robot_pneutac.policy.tactile_encoder import (
 from lerobot_robot_pneutac.policy.touch_processor import NAMES, TouchProcessorStep
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.standin.gel import new_gel
-from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_NAMES, IMAGE_SHAPE, STATE_NAMES
+from pneutac_sim.features import IMAGE_SHAPE
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel, rest_image
 from pneutac_sim.gel.sensor import TactileSensor
@@ -48,23 +48,15 @@ STANDIN = new_gel().rest_image
 
 def write_dataset(root, image=GENERATED, spoilt=None, episodes=1, untouched=(), task="touch"):
     """Episodes of two frames in touch; `spoilt` is (key, channel, value) of the last frame."""
-    features = {
-        OBS_STATE: {"dtype": "float32", "shape": (len(STATE_NAMES),), "names": list(STATE_NAMES)},
-        ACTION: {"dtype": "float32", "shape": (4,), "names": list(ACTION_NAMES)},
-        TACTILE: {"dtype": "image", "shape": IMAGE_SHAPE, "names": ["height", "width", "channels"]},
-    }
-    dataset = create_dataset(f"local/{root.name}", root, 15, features, "pneutac", False, 2)
-    with quiet_encoders():
-        for episode in range(episodes):
-            for last in (False, True):
-                frame = {OBS_STATE: np.zeros(20, np.float32), ACTION: np.zeros(4, np.float32)}
-                frame[OBS_STATE][STATE_NAMES.index("contact_area.pos")] = 0.1 * (episode not in untouched)
-                if spoilt and last:
-                    frame[spoilt[0]][spoilt[1]] = spoilt[2]
-                dataset.add_frame({**frame, TACTILE: np.ascontiguousarray(image), "task": task})
-            dataset.save_episode()
-        dataset.finalize()
-    return LeRobotDatasetMetadata(dataset.repo_id, root)
+
+    def frame(episode, last):
+        values = {OBS_STATE: touching(0.1 * (episode not in untouched)), ACTION: np.zeros(4)}
+        if spoilt and last:
+            values[spoilt[0]][spoilt[1]] = spoilt[2]
+        return *values.values(), image
+
+    write_episodes(root, [[frame(e, False), frame(e, True)] for e in range(episodes)], task=task)
+    return LeRobotDatasetMetadata(f"local/{root.name}", root)
 
 
 @pytest.fixture(scope="module")

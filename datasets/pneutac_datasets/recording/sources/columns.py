@@ -40,10 +40,10 @@ OWN = re.compile(
     r"trial|time_s|time_sent_s|pressure_(cmd_)?(\d+_)?kpa|tip_[xyz]_mm|bend_angle_rad|q_\d+_rad|temperature_c"
     rf"|curvature_[xy]_1_per_m|gravity_[xyz]|payload_g|force_[xyz]_n|base_[xyz]_mm|{LABELS}"
 )
-ENDINGS = {"kpa": "pressure", "mm": "length", "rad": "angle", "s": "time", "c": "temperature", "g": "mass"}
-ENDINGS |= {"n": "force"}
 BASE_UNIT = {"pressure": "kPa", "length": "mm", "angle": "rad", "time": "s", "temperature": "C", "mass": "g"}
 BASE_UNIT |= {"force": "N"}
+ENDINGS = {unit.lower(): dimension for dimension, unit in BASE_UNIT.items()}
+UNIT_BEHIND = r"(.+?)\s*/\s*(\S+)", r"(.+?)\s+in\s+(\S+)", r"(.+)[\s_.:,;-]+([^\s_]+)", r"(.+?)_(1_per_m)"
 LEAVE_OUT = "-"  # instead of a column's name
 AMBIENT_KPA = 101.325
 NEAR_AMBIENT_KPA = 85.0, 110.0  # of the air, from 1,500 m above the sea
@@ -84,13 +84,13 @@ class Column:
         """
         if text.strip() == name.strip() and not OWN.fullmatch(name):
             return cls(name, name, retained=True)
-        found = PARTS.fullmatch(text.strip()) if text.strip() != LEAVE_OUT else None
         if text.strip() == LEAVE_OUT:
             return cls(name, LEAVE_OUT)
+        found = PARTS.fullmatch(text.strip())
         wrong = (
             f"columns: {shown(name)} is {shown(text)}; write COLUMN, COLUMN [UNIT] or COLUMN [UNIT] * FACTOR"
+            " + SHIFT, such as 'pressure_cmd_kpa [bar]'."
         )
-        wrong += " + SHIFT, such as 'pressure_cmd_kpa [bar]'."
         if not found or not found["column"]:
             raise InputError(wrong)
         column, unit = found["column"], None
@@ -216,12 +216,7 @@ def _with_unit(name: str) -> list[tuple[str, str]]:
     for match in reversed(list(re.finditer(r"[\[({<]([^\])}>]*)[\])}>]", name))):
         if unit_named(match[1]) is not None or match[0].startswith("["):
             found.append((name[: match.start()] + " " + name[match.end() :], match[1].strip()))
-    for pattern in (
-        r"(.+?)\s*/\s*(\S+)",
-        r"(.+?)\s+in\s+(\S+)",
-        r"(.+)[\s_.:,;-]+([^\s_]+)",
-        r"(.+?)_(1_per_m)",
-    ):
+    for pattern in UNIT_BEHIND:
         match = re.fullmatch(pattern, name.strip())
         if match and unit_named(match[2]) is not None:
             found.append((match[1], match[2]))
@@ -233,10 +228,8 @@ def _kind(base: str, unit: str) -> tuple[str, str]:
     if re.fullmatch(r"\s*T\s*", base) and (not unit or unit_named(unit, "temperature")):
         return ("temperature", "") if unit else ("T", "")
     words, numbers = [], []
-    text = base.replace("ß", "ss")
-    for umlaut, plain in (("ä", "ae"), ("ö", "oe"), ("ü", "ue"), ("Ä", "ae"), ("Ö", "oe"), ("Ü", "ue")):
-        text = text.replace(umlaut, plain)
-    text = re.sub(r"([a-z])([A-Z])", r"\1 \2", text)
+    plain = {"ß": "ss", "ä": "ae", "ö": "oe", "ü": "ue", "Ä": "ae", "Ö": "oe", "Ü": "ue"}
+    text = re.sub(r"([a-z])([A-Z])", r"\1 \2", base.translate(str.maketrans(plain)))
     for token in re.findall(r"[A-Za-z]+|\d+", text):
         if token.isdigit():
             numbers.append(token)
@@ -246,21 +239,18 @@ def _kind(base: str, unit: str) -> tuple[str, str]:
     have = set(kinds) - {"filler"}
     axes = [w for w, k in zip(words, kinds, strict=True) if k == "axis"]
     index = numbers[0] if len(numbers) == 1 else ""
-    of_pressure = bool(unit) and unit_named(unit, "pressure") is not None
-    of_voltage = bool(unit) and unit_named(unit, "voltage") is not None
+
     if have == {"gravity", "axis"} and len(axes) == 1:
         return "gravity", axes[0]
     if len(axes) == 1 and have - {"measured"} in ({"axis"}, {"axis", "tip"}) and not numbers[1:]:
         return "tip", axes[0]
-    if have == {"axis", "base"} and len(axes) == 1:
-        return "base", axes[0]
-    if have == {"axis", "force"} and len(axes) == 1:
-        return "force", axes[0]
-    if have in ({"pressure", "command"}, {"command"}) or (
-        have == {"command"} and (of_pressure or of_voltage)
-    ):
+    for kind in ("base", "force"):
+        if have == {"axis", kind} and len(axes) == 1:
+            return kind, axes[0]
+    if have in ({"pressure", "command"}, {"command"}):
         return "command", index
-    if have == {"pressure", "measured"} or (have == {"measured"} and (of_pressure or of_voltage)):
+    gauge = bool(unit) and any(unit_named(unit, kind) is not None for kind in ("pressure", "voltage"))
+    if have == {"pressure", "measured"} or (have == {"measured"} and gauge):
         return "measured", index
     if have == {"pressure"}:
         return "pressure", index
@@ -343,10 +333,8 @@ def understand(
     targets = _targets(named, taken)
     questions = _doubled(targets)
     for name, target in targets.items():
-        column = Column(name, target, None)
-        if named[name].unit:
-            column = _with_given_unit(column, named[name].unit, file)
-        columns[name] = column
+        column = Column(name, target)
+        columns[name] = _with_given_unit(column, named[name].unit, file) if named[name].unit else column
     found = [columns.get(n) or Column(n, n, retained=True) for n in frame]
     if not questions:
         for i, column in enumerate(found):
@@ -360,9 +348,8 @@ def understand(
         questions.append((what if gauge else "no column is the commanded pressure", "NAME: pressure_cmd_kpa"))
     posed = any(re.match(r"(tip_[xz]|bend_|q_|curvature_|image)", c) for c in have)
     if not (questions or log or posed):
-        questions.append(
-            ("no column has the motion of the finger", "NAME: tip_x_mm [mm], NAME: tip_z_mm [mm]")
-        )
+        answer = "NAME: tip_x_mm [mm], NAME: tip_z_mm [mm]"
+        questions.append(("no column has the motion of the finger", answer))
     if questions:
         raise InputError(_asked(file, questions, frame))
     return found
@@ -431,11 +418,9 @@ def _targets(named: dict[str, Named], taken: set[str]) -> dict[str, str]:
         numbered = [n for n, t in out.items() if re.fullmatch(rf"pressure_{role}\d+_kpa", t)]
         if len(numbered) == 1:
             out[numbered[0]] = f"pressure_{role}kpa"
-    if (
-        not any(t.startswith("gravity") for t in taken)
-        and len([t for t in out.values() if t[:4] == "grav"]) != 3
-    ):
-        out = {n: t for n, t in out.items() if not t.startswith("gravity")}
+    gravity = [n for n, t in out.items() if t.startswith("gravity")]
+    if len(gravity) != 3 and not any(t.startswith("gravity") for t in taken):
+        out = {n: t for n, t in out.items() if n not in gravity}
     return out
 
 
@@ -510,12 +495,11 @@ def _by_size(
         tips = [c.name for c in found if re.fullmatch(r"tip_[xyz]_mm", c.column) and c.unit is None]
         places = frame[tips].apply(pd.to_numeric, errors="coerce").to_numpy(float)
         reach = float(np.nanmax(np.linalg.norm(places, axis=1))) if len(places) else 0.0
-        fits = (
-            {u: reach * UNITS["length"][u] / length_mm for u in ("m", "cm", "mm", "in")} if length_mm else {}
-        )
-        good = [u for u, ratio in fits.items() if 0.7 < ratio < 1.4]
-        if len(good) == 1:
-            return good[0]
+        if length_mm:
+            factors = {u: UNITS["length"][u] for u in ("m", "cm", "mm", "in")}
+            good = [u for u, mm in factors.items() if 0.7 < reach * mm / length_mm < 1.4]
+            if len(good) == 1:
+                return good[0]
         if 0.01 <= reach < 1 or reach >= 20:
             return "m" if reach < 1 else "mm"
         return f"{reach:.3g} from the origin", "mm", "cm", "m", "in"
@@ -562,17 +546,11 @@ def _absolute(found: list[Column], frame: pd.DataFrame, given: dict[str, str]) -
             low = seen & (driven <= np.nanquantile(driven, 0.05))
             rest = float(np.median(kpa[low])) if low.any() else rest
         near = NEAR_AMBIENT_KPA[0] < rest < NEAR_AMBIENT_KPA[1]
-        if column.unit.against == "abs":
-            ambient = rest if near else AMBIENT_KPA
-            found[i] = replace(
-                column, unit=replace(column.unit, against=""), shift=-round(ambient, 4), guess="absolute"
-            )
-        elif near and column.unit.against != "gauge":
-            unit = column.unit
-            questions.append(
-                (
-                    f"{shown(column.name)} is {rest:.4g} kPa at rest, as the air is: an absolute pressure?",
-                    f"{column.name}: {column.column} [{unit.name} abs|{unit.name} gauge]",
-                )
-            )
+        unit = column.unit
+        if unit.against == "abs":
+            ambient = round(rest if near else AMBIENT_KPA, 4)
+            found[i] = replace(column, unit=replace(unit, against=""), shift=-ambient, guess="absolute")
+        elif near and unit.against != "gauge":
+            what = f"{shown(column.name)} is {rest:.4g} kPa at rest, as the air is: an absolute pressure?"
+            questions.append((what, f"{column.name}: {column.column} [{unit.name} abs|{unit.name} gauge]"))
     return questions

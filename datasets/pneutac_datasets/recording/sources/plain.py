@@ -140,12 +140,12 @@ def table_files(path: str | Path) -> list[Path]:
             raise InputError(f"{file} is a spreadsheet; save its sheet as 'CSV UTF-8' and give that file.")
         if file.suffix.lower() not in FILES:
             raise InputError(f"{file} is none of {', '.join(FILES)}; give a table or a recording's folder.")
-    return sorted(dict.fromkeys(files), key=lambda f: [int(p) if p.isdigit() else p for p in _pieces(f)])
+    return sorted(dict.fromkeys(files), key=_in_order)
 
 
-def _pieces(file: Path) -> list[str]:
-    """Of a path, so that texts and numbers alternate: `run_2` comes before `run_10`."""
-    return re.split(r"(\d+)", str(file))
+def _in_order(file: Path) -> list[int | str]:
+    """Pieces of a path, texts and numbers in turn: `run_2` comes before `run_10`."""
+    return [int(p) if p.isdigit() else p for p in re.split(r"(\d+)", str(file))]
 
 
 def folder_of(files: Sequence[Path]) -> Path:
@@ -158,7 +158,7 @@ def is_current(folder: Path, files: Sequence[Path], mapping: Path | None = None)
     """Whether a folder holds the recording of these files as they and its mapping are now."""
     try:
         stamp = json.loads((folder / "recording.json").read_text(encoding="utf-8"))["source"]
-        same = stamp == {"files": {f.name: _digest(f) for f in files}, "mapping": _digest(folder / MAPPING)}
+        same = stamp == _stamp(folder, files)
         return same and (mapping is None or Given.load(mapping) == Given.load(folder / MAPPING))
     except (OSError, ValueError, KeyError, TypeError, InputError):
         return False
@@ -167,6 +167,11 @@ def is_current(folder: Path, files: Sequence[Path], mapping: Path | None = None)
 def is_ours(folder: Path) -> bool:
     """Whether an earlier conversion wrote this folder."""
     return (folder / MAPPING).is_file()
+
+
+def _stamp(folder: Path, files: Sequence[Path]) -> dict:
+    """Of what a recording was made, by which its age is known."""
+    return {"files": {f.name: _digest(f) for f in files}, "mapping": _digest(folder / MAPPING)}
 
 
 def _digest(file: Path) -> str:
@@ -276,12 +281,10 @@ def _converted(
             f"{read[0].file}: no column is a time; it has {listed(map(shown, frame))}. Name it by"
             " --columns='NAME: time_s', or give the rows a second by --rate_hz."
         )
-    if "time_sent_s" in found and clock is not None and found["time_sent_s"].dtype.kind in "fiu":
-        first = frame[clock.name].to_numpy()
-        if first.dtype.kind in "fiu":
-            found["time_sent_s"] = found["time_sent_s"] + (
-                found["time_s"] - clock.converted(frame[clock.name])
-            )
+    if "time_sent_s" in found and clock is not None:
+        raw = frame[clock.name]
+        if found["time_sent_s"].dtype.kind in "fiu" and raw.dtype.kind in "fiu":
+            found["time_sent_s"] = found["time_sent_s"] + (found["time_s"] - clock.converted(raw))
     trial, told = _trials(found.pop("trial", None), found["time_s"], of_file, read, log)
     notes += told
     table = {"trial": trial, "time_s": found.pop("time_s")} | found
@@ -324,13 +327,8 @@ def _stamps(raw: pd.Series, read: Sequence[TextTable], of_file: np.ndarray, sour
     german = texts.str.contains(r"^\d{1,2}\.\d{1,2}\.\d{4}", regex=True).fillna(False).mean() > 0.5
     with np.errstate(all="ignore"):
         try:
-            parsed = pd.to_datetime(
-                texts,
-                format="mixed" if german else "ISO8601",
-                dayfirst=bool(german),
-                errors="coerce",
-                utc=True,
-            )
+            how = {"format": "mixed" if german else "ISO8601", "dayfirst": bool(german)}
+            parsed = pd.to_datetime(texts, errors="coerce", utc=True, **how)
             if parsed.notna().sum() < 0.5 * texts.notna().sum():
                 parsed = pd.to_datetime(texts, format="mixed", errors="coerce", utc=True)
         except (ValueError, OverflowError, TypeError):
@@ -368,23 +366,17 @@ def _trials(
                 " row."
             )
         return pd.factorize(pairs)[0], []
-    if log or len(read) > 1 and not _restarts(time_s, of_file).any():
+    if log:
         return of_file.copy(), []
-    back = _restarts(time_s, of_file)
-    if not back.any():
+    time, other_file = time_s.to_numpy(float), np.r_[True, of_file[1:] != of_file[:-1]]
+    back = np.r_[False, np.diff(time) < 0] & ~other_file
+    begins = back | other_file
+    starts = np.flatnonzero(begins)
+    shuffled = np.diff(np.r_[starts, n]).min() < 5 or np.ptp(time[starts]) > 1.0 + 0.05 * np.ptp(time)
+    if not back.any() or shuffled:  # of shuffled rows the rules name one
         return of_file.copy(), []
-    starts = np.flatnonzero(back | np.r_[True, of_file[1:] != of_file[:-1]])
-    time = time_s.to_numpy(float)
-    length = np.diff(np.r_[starts, n]).min()
-    first = time[starts]
-    if length < 5 or np.ptp(first) > 1.0 + 0.05 * (time.max() - time.min()):
-        return of_file.copy(), []  # shuffled: the rules name the row
-    number = np.cumsum(np.isin(np.arange(n), starts)) - 1
-    return number, [f"A new run begins wherever the clock starts again: {len(starts)} runs."]
-
-
-def _restarts(time_s: pd.Series, of_file: np.ndarray) -> np.ndarray:
-    return np.r_[False, (np.diff(time_s.to_numpy(float)) < 0) & (of_file[1:] == of_file[:-1])]
+    notes = [f"A new run begins wherever the clock starts again: {len(starts)} runs."]
+    return np.cumsum(begins) - 1, notes
 
 
 def _rows_with_tip(table: pd.DataFrame, source: str, notes: list[str]) -> np.ndarray:
@@ -401,15 +393,11 @@ def _filled(
 ) -> None:
     """Fills gaps of conditions with the last value of the trial; what drives or times the device has none."""
     names = {c.column: c.name for c in columns}
-    for name in table:
-        if (
-            re.fullmatch(r"trial|time_s|time_sent_s|pressure_cmd_(\d+_)?kpa", name)
-            or not table[name].isna().any()
-        ):
-            continue
+    for name in (n for n in table if not re.fullmatch(r"trial|time(_sent)?_s|pressure_cmd_(\d+_)?kpa", n)):
         gaps = int(table[name].isna().sum())
-        trials = table.groupby("trial")[name]
-        table[name] = trials.ffill()
+        if not gaps:
+            continue
+        table[name] = table.groupby("trial")[name].ffill()
         table[name] = table.groupby("trial")[name].bfill()
         if table[name].isna().any() and table[name].dtype.kind not in "fiu":
             table[name] = table[name].fillna("none")
@@ -433,9 +421,7 @@ def _into_base(table: pd.DataFrame, given: Given, columns: Sequence[Column], sou
         have = [n for n in names if n in table]
         if not have:
             continue
-        values = np.stack(
-            [table[n].to_numpy(float) if n in table else np.zeros(len(table)) for n in names], 1
-        )
+        values = table.reindex(columns=names, fill_value=0.0).to_numpy(float)
         values = (values - base if names == TIPS else values) @ axes
         turned = np.abs(axes[[n in table for n in names]]).sum(0) > 0  # measured in the new frame
         for i, n in enumerate(names):
@@ -447,7 +433,7 @@ def _into_base(table: pd.DataFrame, given: Given, columns: Sequence[Column], sou
 
 def _at_rest(table: pd.DataFrame) -> np.ndarray | None:
     """Where the tip is (3,), mm, at the least pressures; None where it was not measured."""
-    commands = [c for c in table if re.fullmatch(r"pressure_cmd_(\d+_)?kpa", c)]
+    commands = rules.pressure_commands(table)
     if "tip_x_mm" not in table or not commands:
         return None
     try:
@@ -503,11 +489,7 @@ def _axes_notes(recording: Recording, source: str, given: Given) -> list[str]:
     spread = {a: float(np.ptp(table[f"tip_{a}_mm"])) for a in bends}
     if spread.get("y", 0) > 3 * spread.get("z", 0.0) and given.base_z == "z":
         way = "y" if bends["y"] > 0 else "-y"
-    elif (
-        "z" in bends
-        and bends["z"] < 0
-        and abs(bends["z"]) > 0.2 * len(kpa) * kpa.std() * table["tip_z_mm"].std()
-    ):
+    elif "z" in bends and bends["z"] < -0.2 * len(kpa) * kpa.std() * table["tip_z_mm"].std():
         way = given.base_z[1:] if given.base_z.startswith("-") else f"-{given.base_z}"
     else:
         return []
@@ -576,10 +558,7 @@ def write(understood: Understood, folder: Path) -> Recording:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_text(folder / MAPPING, understood.given.text(understood.columns, understood.given.length_mm))
-        stamp = {
-            "files": {f.name: _digest(f) for f in understood.files},
-            "mapping": _digest(folder / MAPPING),
-        }
+        stamp = _stamp(folder, understood.files)
         meta = recording.meta | {k: v for k, v in earlier.items() if k != "source"} | {"source": stamp}
         replace(recording, meta=meta).write(folder)
     except OSError as e:
