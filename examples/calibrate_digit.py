@@ -5,7 +5,7 @@ from PIL import Image
 
 from lerobot_pneutac import calibrate, compare
 from lerobot_pneutac.verbs.new import new_twin
-from pneutac_datasets.generate.hidden_gel import write_hidden_gel
+from pneutac_datasets.generate.gel import write_hidden_gel
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.sensor import TactileSensor
 

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch.nn import functional as F
 
-from lerobot_robot_pneutac.policy.labels import ahead, frames_ahead
+from lerobot_robot_pneutac.policy.configuration_pneutac_bc import ahead, frames_ahead
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import Scaling
 from lerobot_robot_pneutac.policy.tactile_encoder import MAX_EPISODES, pool
 from pneutac_datasets.demonstrations.augment.reference import Reference

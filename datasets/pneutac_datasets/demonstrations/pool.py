@@ -17,8 +17,7 @@ import torch
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.utils.constants import ACTION
 
-from lerobot_robot_pneutac.policy.configuration_pneutac_bc import POOLED_FROM, PREVIOUS_ACTION
-from lerobot_robot_pneutac.policy.labels import ANSWER_DELAY
+from lerobot_robot_pneutac.policy.configuration_pneutac_bc import ANSWER_DELAY, POOLED_FROM, PREVIOUS_ACTION
 from lerobot_robot_pneutac.policy.tactile_encoder import grid, pool
 from pneutac_datasets.demonstrations.episodes import (
     TACTILE,

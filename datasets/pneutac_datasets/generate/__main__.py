@@ -97,7 +97,7 @@ def _finger(
 
 
 def _gel(out: Path, effect: str = "none", **options) -> dict[str, Path]:
-    from pneutac_datasets.generate.hidden_gel import write_hidden_gel
+    from pneutac_datasets.generate.gel import write_hidden_gel
 
     write_hidden_gel(out, [] if effect == "none" else effect.split(","), **options)
     return {"recording": out, "truth": truth_file(out)}

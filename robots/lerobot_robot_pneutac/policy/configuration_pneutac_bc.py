@@ -10,12 +10,12 @@ from lerobot.optim.schedulers import CosineDecayWithWarmupSchedulerConfig
 from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
 
 from lerobot_robot_pneutac.options import refuse_if
-from lerobot_robot_pneutac.policy.labels import ANSWER_DELAY
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
     CHAMBERS,
     IMAGE_NAME,
     IMAGE_SHAPE,
+    SPECKS,
     STATE_NAMES,
     VELOCITY_NAMES,
     action_names,
@@ -29,6 +29,8 @@ from pneutac_sim.features import (
 POOLED_SHAPE = (80, 60, 3)
 POOLED_FROM = "pooled_from"  # rows and columns, in the feature's `info`
 MOST_STEPS = 10**9  # LeRobot fits the fall of the learning rate into the steps that there are
+ANSWER_DELAY = "answer_delay_frames"  # in the `info` of a dataset's action
+MOST_AHEAD_S = 0.2  # a label farther ahead is of another place
 TACTILE = f"{OBS_IMAGES}.{IMAGE_NAME}"
 PREVIOUS_ACTION = "observation.previous_action"
 
@@ -279,3 +281,27 @@ def _need_shape(features: dict, key: str, shape: tuple[int, ...]) -> None:
     if found != shape:
         hint = "; without it use --policy.use_tactile=false" if key == TACTILE else ""
         raise InputError(f"Feature '{key}' has the shape {found}; pneutac_bc needs {shape}{hint}.")
+
+
+def frames_ahead(delay: int, control_hz: int) -> int:
+    """Frames by which labels are taken ahead for a delay in frames.
+
+    A person moves 0.2 to 0.4 s after the touch that is answered, and who answers late teaches a policy to
+    answer late, too. It need not wait: its label in touch is what was done that much later.
+    """
+    return min(delay, round(MOST_AHEAD_S * control_hz))
+
+
+def ahead(action: np.ndarray, area: np.ndarray, episode: np.ndarray, frames: int) -> np.ndarray:
+    """Actions (F, 3 + C) whose labels in touch, and for as many frames after it, are those so many frames on.
+
+    Contact areas `area` and numbers of the episodes are (F,); labels stay within their episode.
+    """
+    moved = action.copy()
+    for k in np.unique(episode):
+        rows = np.flatnonzero(episode == k)
+        touch = area[rows] >= SPECKS
+        near = np.convolve(touch, np.ones(frames + 1), "full")[: len(rows)] > 0
+        later = rows[np.minimum(np.arange(len(rows)) + frames, len(rows) - 1)]
+        moved[rows[near]] = action[later[near]]
+    return moved

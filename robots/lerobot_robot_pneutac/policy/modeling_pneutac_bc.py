@@ -25,8 +25,13 @@ from safetensors import safe_open
 from torch import Tensor, nn
 
 from lerobot_robot_pneutac.policy import memory
-from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PREVIOUS_ACTION, TACTILE, PneutacBCConfig
-from lerobot_robot_pneutac.policy.labels import ahead, frames_ahead
+from lerobot_robot_pneutac.policy.configuration_pneutac_bc import (
+    PREVIOUS_ACTION,
+    TACTILE,
+    PneutacBCConfig,
+    ahead,
+    frames_ahead,
+)
 from lerobot_robot_pneutac.policy.memory import AREA, POSITION_M
 from lerobot_robot_pneutac.policy.tactile_encoder import (
     DIFFERENCE_SCALE,

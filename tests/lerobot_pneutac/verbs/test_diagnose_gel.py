@@ -11,8 +11,7 @@ from lerobot_pneutac.diagnosis.thresholds import APART, FOLDS, NEEDED
 from lerobot_pneutac.study import gel_model
 from lerobot_pneutac.study.gel import GelStudy, deal_photographs, photograph_folds
 from lerobot_pneutac.study.gel_model import predict
-from pneutac_datasets.generate.gel import write_gel_recording
-from pneutac_datasets.generate.hidden_gel import SIZES, write_hidden_gel
+from pneutac_datasets.generate.gel import SIZES, write_gel_recording, write_hidden_gel
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.problem import GelFit

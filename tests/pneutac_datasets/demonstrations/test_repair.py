@@ -33,19 +33,24 @@ def test_a_hundred_kills_lose_nothing_and_recording_goes_on(tmp_path):
     assert kill_recordings(tmp_path, kills=100, seed=1).broken == ()
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    root = tmp_path_factory.mktemp("whole") / "demo"
+def write(root, episodes, files_mb=None):
+    """Episodes of five frames, each in a video of its own where `files_mb` is tiny."""
     with quiet_encoders():
-        dataset = LeRobotDataset.create("local/demo", 15, FEATURES, root=root, video_backend="pyav")
-        for episode in range(2):
-            for _ in range(5):
-                image = np.full((64, 64, 3), 100 * episode, np.uint8)
+        dataset = LeRobotDataset.create(f"local/{root.name}", 15, FEATURES, root=root, video_backend="pyav")
+        dataset.meta.info.video_files_size_in_mb = files_mb or dataset.meta.info.video_files_size_in_mb
+        for episode in range(episodes):
+            for i in range(5):
+                image = np.full((64, 64, 3), 100 * episode + i, np.uint8)
                 action = np.full(4, episode, np.float32)
                 dataset.add_frame({"action": action, "observation.images.tactile": image, "task": "press"})
             dataset.save_episode()
         dataset.finalize()
     return root
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    return write(tmp_path_factory.mktemp("whole") / "demo", 2)
 
 
 @pytest.fixture
@@ -164,24 +169,9 @@ def test_episodes_without_video_are_dropped_when_asked_and_their_numbers_stored(
     assert numbers == [[[e] * 4] * 5 for e in (0.0, 1.0)]
 
 
-def _three(root, files_mb):
-    """Three episodes, each in a video of its own where `files_mb` is tiny."""
-    with quiet_encoders():
-        dataset = LeRobotDataset.create("local/three", 15, FEATURES, root=root, video_backend="pyav")
-        dataset.meta.info.video_files_size_in_mb = files_mb
-        for episode in range(3):
-            for i in range(5):
-                image = np.full((64, 64, 3), 40 * episode + i, np.uint8)
-                action = np.full(4, episode, np.float32)
-                dataset.add_frame({"action": action, "observation.images.tactile": image, "task": "press"})
-            dataset.save_episode()
-        dataset.finalize()
-    return root
-
-
 @pytest.mark.parametrize("gone", [0, 1, 2])
 def test_an_episode_in_the_middle_is_dropped_and_the_others_are_numbered_anew(tmp_path, gone):
-    root = _three(tmp_path / "three", 1e-6)
+    root = write(tmp_path / "three", 3, 1e-6)
     assert len(list(root.rglob("*.mp4"))) == 3
     (root / f"videos/observation.images.tactile/chunk-000/file-00{gone}.mp4").unlink()
     with pytest.raises(InputError, match=f"the videos of episode {gone} .*file-00{gone}.mp4 is missing"):
@@ -200,7 +190,7 @@ def test_an_episode_in_the_middle_is_dropped_and_the_others_are_numbered_anew(tm
 @pytest.mark.parametrize("damage", [_cut_in_half, lambda video: video.unlink()])
 def test_no_episode_is_shown_another_ones_images_after_a_damaged_file(tmp_path, damage):
     """In a killed recording nothing says how many episodes a damaged file held."""
-    root = _three(tmp_path / "three", 1e-6)
+    root = write(tmp_path / "three", 3, 1e-6)
     shutil.rmtree(root / "meta" / "episodes")
     first = root / "videos/observation.images.tactile/chunk-000/file-000.mp4"
     content = first.read_bytes()
@@ -213,7 +203,7 @@ def test_no_episode_is_shown_another_ones_images_after_a_damaged_file(tmp_path, 
 
 def test_the_episode_that_was_being_written_is_left_out_with_its_pictures(tmp_path):
     """LeRobot deletes an episode's pictures when its video is made."""
-    root = _three(tmp_path / "three", 1e-6)
+    root = write(tmp_path / "three", 3, 1e-6)
     shutil.rmtree(root / "meta" / "episodes")
     (root / "videos/observation.images.tactile/chunk-000/file-002.mp4").unlink()
     pictures = root / "images/observation.images.tactile/episode-000002"

@@ -9,7 +9,7 @@ import trimesh
 from generated import once
 from PIL import Image
 
-from pneutac_datasets.generate.hidden_gel import write_hidden_gel
+from pneutac_datasets.generate.gel import write_hidden_gel
 from pneutac_datasets.recording.gel import ASSUMED_RADIUS_MM, GelRecording, _clock
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError

@@ -12,8 +12,13 @@ from lerobot.utils.constants import ACTION, OBS_STATE
 from torch.utils.data import default_collate
 
 from lerobot_robot_pneutac.policy import memory
-from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
-from lerobot_robot_pneutac.policy.labels import ANSWER_DELAY, ahead, frames_ahead
+from lerobot_robot_pneutac.policy.configuration_pneutac_bc import (
+    ANSWER_DELAY,
+    TACTILE,
+    PneutacBCConfig,
+    ahead,
+    frames_ahead,
+)
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
 from pneutac_datasets.demonstrations.augment.run import finish
 from pneutac_sim.errors import InputError

@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 
 from lerobot_pneutac import add, calibrate, compare
-from pneutac_datasets.generate.hidden_gel import write_hidden_gel
+from pneutac_datasets.generate.gel import write_hidden_gel
 from pneutac_sim.effects import BodyEffect, Parameter, all_effects, body_effects, get_effect, in_order, kernel
 from pneutac_sim.effects.body_effect import SIGNALS
 from pneutac_sim.errors import InputError

@@ -19,7 +19,7 @@ import torch
 import trimesh
 from PIL import Image
 
-from pneutac_datasets.generate.hidden_gel import write_hidden_gel
+from pneutac_datasets.generate.gel import write_hidden_gel
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_sim.effects import get_effect, registry
 from pneutac_sim.effects.effect import Parameter

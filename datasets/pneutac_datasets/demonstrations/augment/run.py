@@ -24,7 +24,7 @@ from lerobot.datasets.dataset_tools import delete_episodes
 from lerobot.utils.constants import ACTION, OBS_STATE
 
 from lerobot_robot_pneutac.lerobot_inside import load_info, write_info
-from lerobot_robot_pneutac.policy.labels import ANSWER_DELAY
+from lerobot_robot_pneutac.policy.configuration_pneutac_bc import ANSWER_DELAY
 from pneutac_datasets.demonstrations.augment.check import check
 from pneutac_datasets.demonstrations.augment.episode import LONGEST, AugmentSetup
 from pneutac_datasets.demonstrations.augment.library import lagged_answers
