@@ -12,11 +12,19 @@ from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.standin.world import StandinWorld
 from pneutac_sim.features import PIXELS
 from pneutac_sim.twin import Twin
+from pneutac_sim.world.world import World
 
 
-def test_environment_gives_what_the_config_promises():
-    config = PneutacEnvConfig(task="switch", episode_length=3)
-    env = make_env(config, n_envs=1)["pneutac"][0]
+@pytest.mark.parametrize(
+    ("config", "world"),
+    [
+        (PneutacEnvConfig(task="switch", episode_length=3), World),
+        (PneutacStandinConfig(task="card", episode_length=3), StandinWorld),
+    ],
+)
+def test_environment_gives_what_the_config_promises(config, world):
+    env = make_env(config, n_envs=1)[config.type][0]
+    assert isinstance(env.envs[0].unwrapped.world, world)
     observation, _ = env.reset(seed=[1])
     found = {k: tuple(v.shape[1:]) for k, v in preprocess_observation(observation).items()}
     promised = {k: f.shape for k, f in env_to_policy_features(config).items()}
@@ -71,8 +79,9 @@ def test_scene_cameras_come_under_lerobots_names(config):
     ],
 )
 def test_bad_options_are_named(options, said):
-    with pytest.raises(DecodingError, match=said):
-        PneutacEnvConfig(**options)
+    for config in (PneutacEnvConfig, PneutacStandinConfig):
+        with pytest.raises(DecodingError, match=said):
+            config(**options)
 
 
 @pytest.mark.parametrize("config", [PneutacEnvConfig, PneutacSimConfig])
@@ -83,8 +92,6 @@ def test_a_gels_twin_is_no_fingers(config, tmp_path):
 
 
 def test_a_twin_folder_reaches_the_world(tmp_path):
-    from pneutac_sim.twin import Twin
-
     twin = Twin.builtin()
     twin.parameters["gain_rad_per_kpa"].value *= 0.5
     twin.save(tmp_path)
@@ -96,7 +103,6 @@ def test_a_twin_folder_reaches_the_world(tmp_path):
 
 def warm_twin(folder):
     from pneutac_sim.effects import get_effect
-    from pneutac_sim.twin import Twin
 
     twin = Twin.builtin()
     twin.effects["thermal"] = get_effect("thermal").start(15.0)
@@ -126,20 +132,3 @@ def test_an_effect_without_its_condition_is_refused_before_any_environment_is_ma
     )
     with pytest.raises(DecodingError, match="temperature_c: .3, 2.; give a finite number, or a range"):
         PneutacEnvConfig(twin=tmp_path, conditions={"temperature_c": [3, 2]})
-
-
-def test_the_standin_is_an_environment_of_its_own():
-    config = PneutacStandinConfig(task="card", episode_length=2)
-    env = make_env(config, n_envs=1)["pneutac_standin"][0]
-    assert isinstance(env.envs[0].unwrapped.world, StandinWorld)
-    observation, _ = env.reset(seed=[1])
-    found = {k: tuple(v.shape[1:]) for k, v in preprocess_observation(observation).items()}
-    promised = {k: f.shape for k, f in env_to_policy_features(config).items()}
-    assert promised.pop("action") == env.single_action_space.shape
-    assert found == promised
-    for step in range(2):
-        *_, truncated, _ = env.step(np.zeros((1, 4), np.float32))
-        assert truncated[0] == (step == 1)
-    env.close()
-    with pytest.raises(DecodingError, match="'juggle'; it must be one of"):
-        PneutacStandinConfig(task="juggle")

@@ -121,16 +121,11 @@ def session(pressure: np.ndarray, device: str, after_s: tuple[float, ...], condi
         raise InputError(
             f"pressures_kpa must be rows of {CHAMBERS[device]} finite numbers, one a chamber of the {device}."
         )
-    count = len(pressure)
+    count, each = len(pressure), max(len(times), 1)
+    table = {"trial": np.arange(count), "time_s": np.zeros(count)}
     if len(times):
-        trial, time = (
-            np.zeros(count * len(times), int),
-            (times[-1] * np.arange(count)[:, None] + times).ravel(),
-        )
-    else:
-        trial, time = np.arange(count), np.zeros(count)
-    each = max(len(times), 1)
-    table = {"trial": trial, "time_s": time}
+        began_s = times[-1] * np.arange(count)[:, None]
+        table = {"trial": np.zeros(count * each, int), "time_s": (began_s + times).ravel()}
     table |= dict(zip(pressure_columns(device)[0], np.repeat(pressure, each, 0).T, strict=True))
     for name, value in conditions.items():
         table[name] = np.repeat(np.broadcast_to(np.asarray(value, float), count), each)

@@ -39,6 +39,7 @@ NUMBER = re.compile(
     r"\s*[-+\u2212]?(\d[\d.,]*|\d{1,3}([\s'\u2019\u00a0\u202f]\d{3})+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?\s*"
 )
 WITH_UNIT = re.compile(rf"({NUMBER.pattern})([^\d\s.,+-][^\d]{{0,8}})")
+TIME_OF_DAY = re.compile(r"(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[T\s]?)?\d{1,2}:\d{2}(:\d{2})?([.,]\d+)?.*")
 SUFFIXES = "png jpg jpeg bmp tif tiff stl obj ply mp4 avi".split()  # `7.png` and `7_mask.png` are files
 HUGE = re.compile(r"[\d.,]\s*[eE][-+]?\d{4,}")  # pandas 2.3 reads beyond its memory at long exponents
 GROUPS_OF_THREE = re.compile(r"\s*[-+\u2212]?[1-9]\d{0,2}([.,]\d{3})+\s*")
@@ -336,9 +337,7 @@ def _delimiter(lines: list[str]) -> str:
             continue
         alike = [r for r in rows if len(r) == width]
         filled = [c for r in alike for c in r if c.strip()]
-        numbers = sum(bool(NUMBER.fullmatch(c) or WITH_UNIT.fullmatch(c)) for c in filled) / max(
-            len(filled), 1
-        )
+        numbers = sum(map(_is_number, filled)) / max(len(filled), 1)
         header = any(len(r) == width and 2 * _count(r) < width for r in every[: len(every) // 2 + 1])
         score = round(len(alike) / len(rows) * (0.05 + numbers) * (1.0 if header else 0.5), 2)
         if score > best:
@@ -360,11 +359,8 @@ def _cells(line: str, mark: str) -> list[str]:
 
 def _above(names: list[str], over: list[str] | None) -> list[str]:
     """Names with those of the line above where axes alone stand in the header: `Tip`, `` and `x`, `y`."""
-    if (
-        over is None
-        or len(over) != len(names)
-        or len({n for n in names if n}) == len([n for n in names if n])
-    ):
+    given = [n for n in names if n]
+    if over is None or len(over) != len(names) or len(set(given)) == len(given):
         return names
     last, joined = "", []
     for name, group in zip(names, over, strict=True):
@@ -375,8 +371,11 @@ def _above(names: list[str], over: list[str] | None) -> list[str]:
 
 def _count(cells: list[str]) -> int:
     """Numbers among cells; a time of day is one too."""
-    time = r"(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[T\s]?)?\d{1,2}:\d{2}(:\d{2})?([.,]\d+)?.*"
-    return sum(bool(NUMBER.fullmatch(c) or WITH_UNIT.fullmatch(c) or re.fullmatch(time, c)) for c in cells)
+    return sum(_is_number(c) or bool(TIME_OF_DAY.fullmatch(c)) for c in cells)
+
+
+def _is_number(cell: str) -> bool:
+    return bool(NUMBER.fullmatch(cell) or WITH_UNIT.fullmatch(cell))
 
 
 def _definite(text: str) -> str | None:

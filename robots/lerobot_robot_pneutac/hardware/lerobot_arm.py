@@ -57,8 +57,6 @@ class LeRobotArm:
 
     def state(self) -> ArmState:
         self._need()
-        if self._fault:
-            raise self._fault
         if not wait(lambda: time.monotonic() - self._read_s <= COMMAND_S, TURNS * TICK_S, TICK_S):
             raise HardwareFault(f"{self._robot} sends no new state; check its cable and its power.")
         joints = self._joints
@@ -67,8 +65,6 @@ class LeRobotArm:
     def move(self, velocity_m_s: np.ndarray) -> None:
         """Moves with this velocity (3,) from now on, for `COMMAND_S`."""
         self._need()
-        if self._fault:
-            raise self._fault
         self._velocity, self._until_s = np.array(velocity_m_s, float), time.monotonic() + COMMAND_S
 
     def stop(self) -> None:
@@ -91,11 +87,10 @@ class LeRobotArm:
             now_s = time.monotonic()
             try:
                 self._tick(now_s, min(now_s - before_s, COMMAND_S))
-            except HardwareFault as fault:
-                self._fault = fault
-                return
             except Exception as e:  # in a thread of its own nobody else would hear of it
-                self._fault = HardwareFault(f"{self._robot} failed ({e}); check its cable and its power.")
+                known = isinstance(e, HardwareFault)
+                text = f"{self._robot} failed ({e}); check its cable and its power."
+                self._fault = e if known else HardwareFault(text)
                 return
             before_s = now_s
 
@@ -132,3 +127,5 @@ class LeRobotArm:
     def _need(self) -> None:
         if self._ik is None:
             raise HardwareFault(f"{self._robot} is not connected; call connect() first.")
+        if self._fault:
+            raise self._fault

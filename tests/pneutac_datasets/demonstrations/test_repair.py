@@ -40,7 +40,7 @@ def write(root, episodes, files_mb=None):
         dataset.meta.info.video_files_size_in_mb = files_mb or dataset.meta.info.video_files_size_in_mb
         for episode in range(episodes):
             for i in range(5):
-                image = np.full((64, 64, 3), 100 * episode + i, np.uint8)
+                image = np.full((64, 64, 3), 40 * episode + i, np.uint8)
                 action = np.full(4, episode, np.float32)
                 dataset.add_frame({"action": action, "observation.images.tactile": image, "task": "press"})
             dataset.save_episode()

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from scipy.spatial.transform import Rotation
 
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
@@ -92,8 +93,6 @@ def _near(name: str, names: Iterable[str]) -> str:
 
 def rotations(quaternion_xyzw: np.ndarray) -> np.ndarray:
     """Rotations (n, 3, 3) of quaternions (n, 4) x, y, z, w; NaN where these are."""
-    from scipy.spatial.transform import Rotation
-
     R = np.full((len(quaternion_xyzw), 3, 3), np.nan)
     seen = np.isfinite(quaternion_xyzw).all(1) & (np.linalg.norm(quaternion_xyzw, axis=1) > 0.5)
     if seen.any():
@@ -153,9 +152,7 @@ def of_body(base: Track, x: str, z: str, offset_mm: np.ndarray) -> BaseFrame:
     seen = np.isfinite(base.position_mm).all(1) & np.isfinite(base.rotation).all((1, 2))
     if not seen.any():
         raise InputError("The base body is never seen; choose another --base.")
-    u, _, v = np.linalg.svd(base.rotation[seen].mean(0))
-    mean = u @ np.diag([1, 1, np.linalg.det(u @ v)]) @ v
-    rotation = mean @ axes
+    rotation = Rotation.from_matrix(base.rotation[seen]).mean().as_matrix() @ axes
     return BaseFrame(rotation, np.median(base.position_mm[seen], 0) + rotation @ offset_mm)
 
 
