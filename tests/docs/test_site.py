@@ -11,12 +11,19 @@ import controller_states as states
 import pytest
 from doc_blocks import FENCE, ROOT
 from latex2mathml.converter import convert
+from lerobot.cameras import CameraConfig
+from lerobot.configs import PreTrainedConfig
+from lerobot.envs.configs import EnvConfig
+from lerobot.robots import RobotConfig
+from lerobot.teleoperators import TeleoperatorConfig
 from pressure_rig import build
 
+import lerobot_robot_pneutac  # noqa: F401
 from lerobot_pneutac.diagnosis import thresholds
 from pneutac_sim.effects import all_effects
 from pneutac_sim.effects.laws import law_names
 from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.features import task_names
 
 GENERATED = {
     "concepts/effects.md",
@@ -73,6 +80,14 @@ def test_every_relative_link_resolves_in_the_repository():
         if not (page.parent / link).exists()
     ]
     assert len(pages) > 60 and links == []
+
+
+def test_the_page_on_lerobot_has_every_task_and_every_type():
+    page = (ROOT / "docs/lerobot.md").read_text()
+    kinds = (RobotConfig, TeleoperatorConfig, CameraConfig, EnvConfig, PreTrainedConfig)
+    ours = ("lerobot_robot_pneutac.", "lerobot_camera_digit.")
+    types = [n for k in kinds for n, c in k.get_known_choices().items() if c.__module__.startswith(ours)]
+    assert len(types) > 13 and [n for n in (*types, *task_names()) if f"`{n}`" not in page] == []
 
 
 PAGE = (ROOT / "docs/concepts/map.md").read_text()
