@@ -306,8 +306,8 @@ class Search:
             terms = self.space.removable(best.model)
             if not terms:
                 return best
-            without = dict(self.run(lambda t: (t, self.score(self.space.without(best.model, t))), terms))
-            found.without = without
+            left = self.run(lambda t, model=best.model: self.score(self.space.without(model, t)), terms)
+            found.without = without = dict(zip(terms, left, strict=True))
             weakest = min(without, key=lambda t: without[t].value)
             if self.is_needed(without[weakest], best):
                 return best
