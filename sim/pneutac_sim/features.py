@@ -150,11 +150,8 @@ def state_limits(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest state (2 N + 5 + C,) float32 as `state_names(N, C)`.
 
-    Args:
-        pressure_range_kpa: of the finger.
-        joints: lowest and highest angle (N,), rad, and highest rate (N,), rad/s, of the arm's joints.
-        pixels: of the tactile image.
-        chambers: C, of the finger.
+    Of a finger's range of pressures, an arm's joints: lowest and highest angle (N,), rad, and highest rate
+    (N,), rad/s, and the number of pixels of the tactile image.
     """
     low, high = ([pressure] * chambers for pressure in pressure_range_kpa)
     lowest = np.concatenate([joints[0], -joints[2], [-0.9, -0.9, -0.3, 0.0, 0.0, *low]])

@@ -186,8 +186,7 @@ def whole(file: Path) -> Iterator[Path]:
 
     A stop, at any moment, or a power cut leaves the old file or the new one, whole.
 
-    Raises:
-        InputError: it cannot be written, or no space is left; the old file is untouched.
+    Raises InputError where it cannot be written, or no space is left; the old file is untouched.
     """
     part = file.with_name(f"{file.name}.{os.getpid()}.part")
     with _space(file):
@@ -246,8 +245,7 @@ def _space(file: Path) -> Iterator[None]:
 def locked(folder: Path) -> Iterator[None]:
     """One process at a time writes into a folder; others wait.
 
-    Raises:
-        InputError: another process has written for `LOCK_S` seconds.
+    Raises InputError where another process has written for `LOCK_S` seconds.
     """
     with _space(folder):
         folder.mkdir(parents=True, exist_ok=True)

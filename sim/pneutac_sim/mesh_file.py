@@ -16,8 +16,7 @@ MOST_FACES = 200_000  # finer than particles resolve, and a twin should stay sma
 def load_mesh(file: Path) -> trimesh.Trimesh:
     """The triangles of an STL, OBJ or PLY file, as they are.
 
-    Raises:
-        InputError: there is none, it is no mesh, or larger than anyone needs.
+    Raises InputError where there is none, it is no mesh, or larger than anyone needs.
     """
     if not file.is_file():
         raise InputError(f"There is no mesh '{file}'; give an STL, OBJ or PLY file.")

@@ -4,9 +4,10 @@ LeRobot's times do not show a loop that falls behind, and its recorder does not 
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -56,31 +57,27 @@ def faster_than(pace: Pace, fps: float) -> bool:
 def read_pace(meta: Path) -> dict[int, Pace]:
     """Episode to pace, from a dataset's folder `meta`; empty where nothing was stored.
 
-    Raises:
-        InputError: the file is damaged.
+    Raises InputError where the file is damaged.
     """
-    file = meta / PACE_FILE
-    try:
-        content = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
-        return {int(k): Pace(**v) for k, v in content.items()}
-    except (ValueError, TypeError, AttributeError) as e:
-        raise InputError(f"{file} is damaged ({e}); delete it, the dataset does without.") from e
+    return _of_episodes(meta / PACE_FILE, lambda v: Pace(**v), "delete it, the dataset does without.")
 
 
 def read_outcomes(meta: Path) -> dict[int, str]:
     """Episode to `DONE` or the reason of its failure, from a dataset's folder `meta`; those that are known.
 
-    Raises:
-        InputError: the file is damaged.
+    Raises InputError where the file is damaged.
     """
-    file = meta / OUTCOME_FILE
+    remedy = f'write {{"0": "{DONE}", "1": "why it failed"}}, or delete it.'
+    return _of_episodes(meta / OUTCOME_FILE, str, remedy)
+
+
+def _of_episodes[T](file: Path, value: Callable[[Any], T], remedy: str) -> dict[int, T]:
+    """Episode to value, from a JSON file; empty where there is none."""
     try:
         content = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
-        return {int(k): str(v) for k, v in content.items()}
-    except (ValueError, AttributeError) as e:
-        raise InputError(
-            f'{file} is damaged ({e}); write {{"0": "{DONE}", "1": "why it failed"}}, or delete it.'
-        ) from e
+        return {int(k): value(v) for k, v in content.items()}
+    except (ValueError, TypeError, AttributeError) as e:
+        raise InputError(f"{file} is damaged ({e}); {remedy}") from e
 
 
 def pace_notes(meta: Path, fps: float) -> list[str]:

@@ -20,11 +20,7 @@ SETTLE_S = 1.5  # of motion before each trial
 
 
 def elastica():
-    """PyElastica, which only moving rods need.
-
-    Raises:
-        ImportError: it is not installed.
-    """
+    """PyElastica, which only moving rods need; raises ImportError where it is not installed."""
     try:
         import elastica as ea
     except ImportError as e:

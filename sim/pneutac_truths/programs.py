@@ -78,14 +78,10 @@ def given(
     row_s: float = ROW_S,
     conditions: dict[str, np.ndarray] | None = None,
 ) -> Plan:
-    """What somebody else commands.
+    """What somebody else commands, with a rest before each program but the first.
 
-    Args:
-        programs: name, times (n,) from 0 in s, and shares of the top pressure (n, chambers), or (n,) of one
-            chamber, held from their times on.
-        pause_s: rest before each program but the first.
-        row_s: between recorded samples.
-        conditions: see `Plan`.
+    A program is its name, times (n,) from 0 in s, and shares of the top pressure (n, chambers), or (n,) of
+    one chamber, held from their times on; `conditions` as of `Plan`.
     """
     trials = []
     for _, time_s, share in programs:

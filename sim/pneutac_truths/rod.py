@@ -63,11 +63,8 @@ class Rod:
     def solve(self, told: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Marker positions (n, 3) in mm and tangents at the tip (n, 3), each row solved on from the last.
 
-        Args:
-            told: (n, COLUMNS) bends, stretch and loads.
-
-        Raises:
-            ArithmeticError: a row has no equilibrium near the one before (the loads are beyond buckling).
+        Rows (n, COLUMNS) hold bends, stretch and loads. Raises ArithmeticError where one has no equilibrium
+        near the one before (the loads are beyond buckling).
         """
         told = np.ascontiguousarray(told, float)
         h = self.length_mm / self.shapes.shape[1]

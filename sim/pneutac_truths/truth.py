@@ -76,8 +76,7 @@ class Truth:
 def named(device: str, effects: Sequence[str], seed: int) -> tuple[str, ...]:
     """Names of single effects for names that may be pairs, `plain` or `device`.
 
-    Raises:
-        ValueError: a name is unknown, or does not apply to the device.
+    Raises ValueError where a name is unknown, or does not apply to the device.
     """
     if device not in CHAMBERS:
         raise ValueError(f"There is no device '{device}'; it must be one of {', '.join(CHAMBERS)}.")
@@ -232,8 +231,7 @@ def _conditions(w: World, samples: pd.DataFrame, rng: np.random.Generator, lab: 
 def write(truth: Truth, folder: str | Path) -> Path:
     """Writes recording.json, samples.csv and, next to them, truth.json; returns the folder.
 
-    Raises:
-        FileExistsError: something is in the folder.
+    Raises FileExistsError where something is in the folder.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)

@@ -23,14 +23,7 @@ EFFECT = BodyEffect(
     stage="drive",
     parameters=(
         Parameter(
-            "saturation_pressure_kpa",
-            "kPa",
-            default=1.2,
-            lower=0.2,
-            upper=10.0,
-            neutral=math.inf,
-            log=True,
-            range_power=1,
+            "saturation_pressure_kpa", "kPa", 1.2, 0.2, 10.0, neutral=math.inf, log=True, range_power=1
         ),
     ),
     run=run,

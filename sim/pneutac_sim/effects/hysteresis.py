@@ -36,9 +36,7 @@ EFFECT = BodyEffect(
     name="hysteresis",
     stage="drive",
     parameters=(
-        Parameter(
-            "width_kpa", "kPa", default=0.5, lower=0.01, upper=1.0, neutral=1.0, fixed=True, range_power=1
-        ),
+        Parameter("width_kpa", "kPa", 0.5, 0.01, 1.0, neutral=1.0, fixed=True, range_power=1),
         *(Parameter(f"weight_{i + 1}", "", default=0.05, lower=0.0, upper=1.5) for i in range(5)),
     ),
     run=run,

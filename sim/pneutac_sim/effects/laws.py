@@ -140,7 +140,7 @@ def _spectrum(s, f, dt, exponent):
 
 
 @kernel
-def _fill_vent(s, f, dt, times):
+def fill_vent_lag(s, f, dt, times):
     """A lag with one time on the way up and another on the way down."""
     out = np.empty((len(f) - 1, f.shape[1]))
     known, keeps, olds = -1.0, np.zeros(2), np.zeros(2)
@@ -369,7 +369,7 @@ def spectrum(f, dt, k, s, P, x, c, late):
 
 
 def fill_vent(f, dt, k, s, P, x, c, late):
-    return _fill_vent(s, f, dt, k)
+    return fill_vent_lag(s, f, dt, k)
 
 
 def mode(f, dt, k, s, P, x, c, late):
@@ -798,8 +798,7 @@ def is_law(name: str) -> bool:
 def law(name: str) -> BodyEffect:
     """The effect that a law's name says; the same structure may act twice, the second as `lag(p) #2`.
 
-    Raises:
-        KeyError: the catalogue has no such law.
+    Raises KeyError where the catalogue has no such law.
     """
     structure = name.partition(" #")[0]
     if structure != TRACKER:

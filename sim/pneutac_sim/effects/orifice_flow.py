@@ -86,12 +86,8 @@ EFFECT = BodyEffect(
     name="orifice_flow",
     stage="pneumatics",
     parameters=(
-        Parameter(
-            "fill_rate_1_per_s", "1/s", default=0.5, lower=0.02, upper=300.0, neutral=math.inf, log=True
-        ),
-        Parameter(
-            "vent_rate_1_per_s", "1/s", default=0.5, lower=0.02, upper=300.0, neutral=math.inf, log=True
-        ),
+        Parameter("fill_rate_1_per_s", "1/s", 0.5, 0.02, 300.0, neutral=math.inf, log=True),
+        Parameter("vent_rate_1_per_s", "1/s", 0.5, 0.02, 300.0, neutral=math.inf, log=True),
         Parameter("critical_ratio", "", default=0.3, lower=0.1, upper=0.528, neutral=0.3, fixed=True),
     ),
     run=run,

@@ -3,28 +3,21 @@
 The command is taken as a straight line between samples, for which the step is exact.
 """
 
+import numpy as np
+
 from pneutac_sim.effects.body_effect import BodyEffect, kernel
 from pneutac_sim.effects.effect import Parameter
-from pneutac_sim.effects.laws import lag_weights
+from pneutac_sim.effects.laws import fill_vent_lag
 
 
 @kernel
 def run(x, dt, theta, conditions, state):
-    """State = per channel the pressure and the command before."""
+    """State, a row each: nothing, the command before, the pressure."""
     n, channels = x.shape
-    p, before = state[:channels], state[channels:]
-    known, keep_fill, old_fill, keep_vent, old_vent = -1.0, 0.0, 0.0, 0.0, 0.0
-    for t in range(n):
-        if dt[t] != known:
-            known = dt[t]
-            keep_fill, old_fill = lag_weights(known / theta[0])
-            keep_vent, old_vent = lag_weights(known / theta[1])
-        for c in range(channels):
-            command = x[t, c]
-            keep, old = (keep_fill, old_fill) if command > p[c] else (keep_vent, old_vent)
-            p[c] = keep * p[c] + old * before[c] + (1.0 - keep - old) * command
-            before[c] = command
-            x[t, c] = p[c]
+    s, f = state.reshape(3, channels), np.empty((n + 1, channels))
+    f[0], f[1:] = s[1], x
+    x[:] = fill_vent_lag(s, f, dt, theta)
+    s[1] = f[n]
 
 
 EFFECT = BodyEffect(
@@ -36,7 +29,7 @@ EFFECT = BodyEffect(
     ),
     run=run,
     apart=True,
-    state_size=lambda channels: 2 * channels,
+    state_size=lambda channels: 3 * channels,
     equation=r"\tau\,\dot p = p_{cmd} - p",
     cause="a slow valve, {fill_time_s:.2g} s to fill and {vent_time_s:.2g} s to vent",
     summary="Your pressure lags its command: filling takes about {fill_time_s:.2g} s, venting "

@@ -195,8 +195,7 @@ def pressure_for(
     The finger of one chamber is free and long at rest without pressure; `bend_rad` (n,) is wanted at the end
     of each control step of `dt_s`. `conditions` are what its effects ask for.
 
-    Raises:
-        InputError: a bend is out of the finger's reach, or as `BendController`.
+    Raises InputError where a bend is out of the finger's reach, or as `BendController`.
     """
     wanted, control = np.asarray(bend_rad, float), BendController(twin, dt_s, conditions)
     low, high = control.reach_rad

@@ -391,8 +391,7 @@ class SoftBody:
     def fit(cls, q: np.ndarray, torque: np.ndarray, rest: np.ndarray) -> "SoftBody":
         """From torques (R, N) in N m per MPa at joint angles (R, N) in rad.
 
-        Raises:
-            InputError: there are too few poses.
+        Raises InputError where there are too few poses.
         """
         powers = _terms(q.shape[1])
         if q.size < len(powers):

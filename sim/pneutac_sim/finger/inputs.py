@@ -32,12 +32,8 @@ def steps(pressure: np.ndarray, first: np.ndarray) -> np.ndarray:
 def switches(samples, time: np.ndarray, pressure: np.ndarray, first: np.ndarray, switch):
     """Where the command switches between samples: arguments of `Inputs._with_switches`.
 
-    Args:
-        samples: with `time_sent_s` if the log has it.
-        time: (n,) of the samples.
-        pressure: (n, chambers) commanded.
-        first: (n,) True where a trial begins.
-        switch: see `Inputs.from_samples`.
+    By `time_sent_s` if the log has it, else by `switch`, see `Inputs.from_samples`; pressures (n, chambers)
+    are those commanded, and `first` (n,) is True where a trial begins.
     """
     at = steps(pressure, first)
     if "time_sent_s" in samples:

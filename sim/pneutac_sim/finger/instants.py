@@ -36,9 +36,7 @@ def step_rows(recording) -> np.ndarray:
 class StepRows:
     """The samples just after each step of the command, read with the step at several instants.
 
-    Args:
-        recording: with `.samples`.
-        read: share of all steps to the recording read so.
+    `read` takes the share of all steps to the recording read so.
 
     Attributes:
         at: rows before which the command steps.

@@ -233,11 +233,7 @@ def surfaces(depth_mm: torch.Tensor, cell_mm: tuple[float, float], decay_mm: flo
 class _Light:
     """`gel.optics.light` of three channels, without what effects of other packages make of it.
 
-    Args:
-        coefficients: (3, 12), see `gel.optics`.
-        cell_mm: grid spacing along x and y.
-        all_shadows: also those of channels that they do not darken, which a residual field reads.
-        device: where.
+    With `all_shadows` also those of channels that they do not darken, which a residual field reads.
     """
 
     def __init__(self, coefficients, cell_mm, all_shadows, device):

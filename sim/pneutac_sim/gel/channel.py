@@ -66,19 +66,13 @@ def effects_of(
 
 
 class Channel:
-    """One channel of some photographs on the probe grid; keeps its last solution as the next start.
+    """Channel k of some photographs on the probe grid; keeps its last solution as the next start.
 
-    Args:
-        k: channel.
-        effects: fitted with it.
-        prior: see `priors`.
-        cell_mm: grid spacing.
-        masks: one (rows, columns) a photograph, where it is fitted.
-        seen: (rows, columns, 3) what the contact changes, levels.
-        rests: (rows, columns, 3) rest image.
+    Of each photograph: where it is fitted, `masks` (rows, columns); what the contact changes, `seen` (rows,
+    columns, 3) levels; and its rest image, `rests` (rows, columns, 3).
 
     Attributes:
-        prior: as given.
+        prior: see `priors`.
     """
 
     def __init__(self, k: int, effects: Sequence[SensorEffect], prior: dict, cell_mm, masks, seen, rests):

@@ -42,8 +42,7 @@ def contact_area(
 ) -> ContactArea:
     """Thresholds the mean over R, G, B of |image - rest|, uint8 (H, W, 3) both.
 
-    Raises:
-        ValueError: the images differ in shape or are not uint8.
+    Raises ValueError where the images differ in shape or are not uint8.
     """
     if image.shape != rest_image.shape or image.dtype != np.uint8 or rest_image.dtype != np.uint8:
         raise ValueError(

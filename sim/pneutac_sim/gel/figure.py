@@ -51,8 +51,7 @@ class Outline:
     def of_text(cls, text: str) -> "Outline":
         """From `x y; x y; ...` in mm.
 
-        Raises:
-            InputError: it is no such text, or no outline.
+        Raises InputError where it is no such text, or no outline.
         """
         try:
             corners = [tuple(float(v) for v in corner.split()) for corner in text.strip(" ;").split(";")]

@@ -19,12 +19,10 @@ from pneutac_sim.effects.sensor_effect import Quiet, SensorEffect
 from pneutac_sim.effects.shadow import cast
 from pneutac_sim.gel.contact import quiet_threshold
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.late import pressed_on
 from pneutac_sim.gel.layout import DIGIT, Layout
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.optics import light
 from pneutac_sim.gel.pair import check_pair
-from pneutac_sim.gel.photograph import Pressed, PressPhotograph, Residues, press_depth, registered, to_grid
+from pneutac_sim.gel.photograph import Pressed, PressPhotograph, Residues, contact_light, to_grid
 from pneutac_sim.gel.probe import COLS, ROWS, THICKNESS_MM
 from pneutac_sim.gel.problem import GelFit, Problem
 from pneutac_sim.gel.residual import ERROR_LEVELS, INDEPENDENT, faded, learn, levels, trusted_share
@@ -64,7 +62,6 @@ def refine_contacts(
     each photograph: where it is compared, `masks` (80, 59); what its contact changes, `seen` (80, 59, 3)
     levels; its rest image, `rests` (80, 59, 3). Returns effect to its values.
     """
-    cell = gel.window_mm[0] / COLS, gel.window_mm[1] / ROWS
     specs = [(e, p) for e in effects for p in e.parameters]
     neutral = np.array([p.neutral for _, p in specs])
     now = np.array([gel.effects[e.name][p.name] for e, p in specs])
@@ -82,10 +79,7 @@ def refine_contacts(
         out = []
         for p, rest in zip(photographs, rests, strict=True):
             left = Residues(moved, [p.earlier]).surfaces(moved)[0]
-            imprint = moved.imprint(press_depth(registered(p.press, moved), moved))
-            u = pressed_on(imprint, left, cell, gel.decay_mm)
-            s = light(moved.surface(u, cell), cell, *gel.lighting)
-            out.append(s.transpose(1, 2, 0) * gel.weight_on(rest))
+            out.append(contact_light(moved, p.press, left) * gel.weight_on(rest))
         return out
 
     late = any(e.late for e in effects)
@@ -123,7 +117,6 @@ def refine_press(
     it is compared, `mask` (80, 59); what the contact changes, `seen` (80, 59, 3) levels; and `rest` (80, 59,
     3).
     """
-    cell = gel.window_mm[0] / COLS, gel.window_mm[1] / ROWS
     now, names, sd = photograph.press, list(photograph.sd), np.array(list(photograph.sd.values()))
     weight, scale = gel.weight_on(rest), np.sqrt(INDEPENDENT / max(mask.sum(), 1)) / ERROR_LEVELS
 
@@ -134,9 +127,7 @@ def refine_press(
     left = Residues(gel, [photograph.earlier]).surfaces(gel)[0]
 
     def residual(press: Press) -> np.ndarray:
-        imprint = gel.imprint(press_depth(registered(press, gel), gel))
-        u = pressed_on(imprint, left, cell, gel.decay_mm)
-        s = light(gel.surface(u, cell), cell, *gel.lighting).transpose(1, 2, 0)
+        s = contact_light(gel, press, left)
         off = np.array([getattr(press, n) - getattr(stated, n) for n in names]) / sd
         return np.concatenate([scale * (s * weight - seen)[mask].ravel(), off])
 
@@ -229,17 +220,15 @@ def fit_gel(
     px_per_mm: float,
     effects: Sequence[str] | None = None,
     thickness_mm: float = THICKNESS_MM,
-    makes: Sequence[Layout] = (DIGIT,),
 ) -> GelFit:
     """Fits a gel to one pair of images without and with contact, uint8 (H, W, 3); see `fit_presses`.
 
     Without effects this is the paper's linear model.
 
-    Raises:
-        InputError: the pair is no rest and indentation image, see `check_pair`.
+    Raises InputError where the pair is no rest and indentation image, see `check_pair`.
     """
     pair = PressPhotograph(press, indentation, rest)
-    return fit_presses([pair], px_per_mm, effects, thickness_mm, makes)
+    return fit_presses([pair], px_per_mm, effects, thickness_mm)
 
 
 def fit_presses(

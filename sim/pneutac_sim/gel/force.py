@@ -65,8 +65,7 @@ class GelForce:
     ):
         """A gel at rest, of a window (width, height), E and nu, whose imprints have `shape` (rows, columns).
 
-        Raises:
-            InputError: modulus or ratio are not those of a rubber.
+        Raises InputError where modulus or ratio are not those of a rubber.
         """
         for name, value, (low, high) in (
             (MODULUS, youngs_modulus_mpa, MODULUS_MPA),
@@ -103,15 +102,14 @@ class GelForce:
         """
         E, nu = (twin.parameters[k].value if k in twin.parameters else v for k, v in MATERIAL.items())
         model = GelModel.from_twin(twin)
-        spacing = max(model.window_mm[0] / COLS, model.window_mm[1] / ROWS)
+        spacing = max(model.cell_mm)
         layers = math.ceil(model.thickness_mm / spacing - 1e-6)
         return cls((COLS * spacing, ROWS * spacing), layers * spacing, E, nu)
 
     def force(self, depth_mm: np.ndarray) -> float:
         """Force in N under an imprint, how deep objects lie (rows, columns) in mm; milliseconds.
 
-        Raises:
-            InputError: the imprint has another shape.
+        Raises InputError where the imprint has another shape.
         """
         p, d = self.pressure(depth_mm).astype(float), np.asarray(depth_mm, float)
         if not p.any():

@@ -25,7 +25,6 @@ from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.layout import DIGIT, MAKE_SD, MAKE_SD_MM, MAKE_SD_RAD, Layout, Unit, kept
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import PressPhotograph, press_depth, to_grid
-from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.gel.residual import ERROR_LEVELS, INDEPENDENT, Leftover
 from pneutac_sim.gel.surface import surface
 
@@ -102,8 +101,8 @@ def open_levels(
 
 def _grams(gel: GelModel, channels: Sequence[Channel], press: Press) -> list[np.ndarray]:
     """`Channel.gram` of each channel in the contact of a press."""
-    cell, rest = (gel.window_mm[0] / COLS, gel.window_mm[1] / ROWS), to_grid(gel.rest_image)
-    u = gel.surface(surface(gel.imprint(press_depth(press, gel)), cell, gel.decay_mm), cell)
+    rest = to_grid(gel.rest_image)
+    u = gel.surface(surface(gel.imprint(press_depth(press, gel)), gel.cell_mm, gel.decay_mm), gel.cell_mm)
     near = to_grid(PressPhotograph(press, gel.rest_image, gel.rest_image).near(gel.px_per_mm)) > 0.5
     return [c.gram(u, rest[..., k], near) for k, c in enumerate(channels)]
 
@@ -135,11 +134,7 @@ def own_folder() -> Path:
 
 
 def library() -> tuple[Layout, ...]:
-    """All makes whose lights are known.
-
-    Raises:
-        InputError: a file of one's own is no prior.
-    """
+    """All makes whose lights are known; raises InputError where a file of one's own is no prior."""
     return DIGIT, *(Layout.read(file) for file in sorted(own_folder().glob("*.yaml")))
 
 
@@ -161,8 +156,7 @@ def save(
     sensors of one make. The prior field is learnt from the leftovers of each press; an earlier prior is
     replaced.
 
-    Raises:
-        InputError: the name will not do, or the fit knows no near lights or no rest colour.
+    Raises InputError where the name will not do, or the fit knows no near lights or no rest colour.
     """
     check_name(name)
     if not set(LENDERS) <= set(gel.effects):

@@ -84,7 +84,7 @@ class TouchReader:
 
     def __init__(self, gel: GelModel, youngs_modulus_mpa: float = MATERIAL[MODULUS]):
         self.gel, self._bed = gel, BED * youngs_modulus_mpa / gel.thickness_mm
-        self._cell = gel.window_mm[0] / COLS, gel.window_mm[1] / ROWS
+        self._cell = gel.cell_mm
         self._rest = to_grid(gel.rest_image)
         self._weight = gel.weight_on(self._rest).transpose(2, 0, 1).astype(float)
         # Residual fields double the time and make depths no truer (benchmarks/notes/tactile.md).

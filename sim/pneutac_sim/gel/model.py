@@ -103,6 +103,11 @@ class GelModel:
         return w / self.px_per_mm, h / self.px_per_mm
 
     @property
+    def cell_mm(self) -> tuple[float, float]:
+        """Spacing of the probe grid along x and y."""
+        return self.window_mm[0] / COLS, self.window_mm[1] / ROWS
+
+    @property
     def acting(self) -> list[tuple[SensorEffect, dict[str, float]]]:
         """Its effects with their values, in the order in which they act."""
         return [(e, self.effects[e.name]) for e in in_order(self.effects)]
@@ -128,17 +133,9 @@ class GelModel:
     def coefficients(self) -> np.ndarray:
         """What `optics.light` takes, (3, 12)."""
         direction = -self.light / np.maximum(np.linalg.norm(self.light, axis=1), 1e-9)[:, None]
-        return np.stack(
-            [
-                optics.row(
-                    self.light[k],
-                    self.depth_light[k],
-                    direction[k],
-                    [(e, e.channel_values(v, k)) for e, v in self.acting],
-                )
-                for k in range(3)
-            ]
-        )
+        acting = [[(e, e.channel_values(v, k)) for e, v in self.acting] for k in range(3)]
+        each = zip(self.light, self.depth_light, direction, acting, strict=True)
+        return np.stack([optics.row(*channel) for channel in each])
 
     @property
     def further(self) -> list[optics.Further]:
@@ -163,7 +160,7 @@ class GelModel:
         return self.coefficients, self.further, beside
 
     def surface(self, displacement_mm: np.ndarray, cell_mm: tuple[float, float]) -> np.ndarray:
-        """The displacement (rows, columns) in mm as effects of the gel change it."""
+        """The displacement (80, 59) in mm as effects of the gel change it."""
         for effect, values in self.acting:
             if effect.surface is not None:
                 displacement_mm = np.asarray(effect.surface(displacement_mm, cell_mm, values), np.float32)

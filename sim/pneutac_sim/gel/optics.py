@@ -132,14 +132,9 @@ def _channel(u, cell_mm, coefficients, shadow, k, further) -> np.ndarray:
 
 
 class Renderer:
-    """Renders displacement grids of one shape onto one rest image.
+    """Renders displacement grids of one shape and spacing onto one rest image, uint8 (H, W, 3).
 
-    Args:
-        rest_image: uint8 (H, W, 3).
-        weight: w, (H, W, 3).
-        cell_mm: grid spacing along x and y.
-        shape: rows and columns of the displacement grid.
-        lighting: coefficients and what follows them of `light`.
+    `weight` is w, (H, W, 3); `lighting` the coefficients and what follows them of `light`.
     """
 
     def __init__(self, rest_image, weight, cell_mm, shape, *lighting):

@@ -15,7 +15,7 @@ import numpy as np
 from pneutac_sim.effects.gel_creep import share_left
 from pneutac_sim.gel import optics
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.late import LEAST_MM, Earlier, branches_of
+from pneutac_sim.gel.late import LEAST_MM, Earlier, branches_of, pressed_on
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import disc, press_px
 from pneutac_sim.gel.probe import COLS, ROWS
@@ -81,13 +81,15 @@ def registered(press: Press, gel: GelModel) -> Press:
     return press
 
 
-class Residues:
-    """What is left under photographs, by one gel's effects.
+def contact_light(gel: GelModel, press: Press, left_mm: np.ndarray | None) -> np.ndarray:
+    """What a press changes on a face that earlier ones left uneven, (80, 59, 3) levels before the weight."""
+    imprint = gel.imprint(press_depth(registered(press, gel), gel))
+    u = gel.surface(pressed_on(imprint, left_mm, gel.cell_mm, gel.decay_mm), gel.cell_mm)
+    return optics.light(u, gel.cell_mm, *gel.lighting).transpose(1, 2, 0)
 
-    Args:
-        gel: gives effects, window and thickness.
-        earlier: of each photograph, the presses before it.
-    """
+
+class Residues:
+    """What is left under photographs, by one gel's effects, of the presses before each."""
 
     def __init__(self, gel: GelModel, earlier: Sequence[Sequence[Earlier]]):
         branches, presses = branches_of(gel), {}
@@ -101,7 +103,7 @@ class Residues:
                     row.append((id(e.press), share))
             self._left.append(row)
         self._depths = {k: press_depth(registered(p, gel), gel) for k, p in presses.items()}
-        self._cell = gel.window_mm[0] / COLS, gel.window_mm[1] / ROWS
+        self._cell = gel.cell_mm
 
     def surfaces(self, gel: GelModel) -> list[np.ndarray | None]:
         """Displacement (80, 59) in mm that is left under each photograph, None where it is none."""
@@ -174,12 +176,9 @@ def drift_known(gel: GelModel) -> bool:
 
 
 class Predictor:
-    """Predicts the photographs of one session.
+    """Predicts the photographs of one session, by photographs whose drift of light is known.
 
-    Args:
-        gel: the sensor.
-        pairs: photographs whose drift of light is known, each of the session of its rest image.
-        pressed: gives the surfaces, such as `mpm.pressed.PressedGel.surface`; None for the closed form.
+    `pressed` gives the surfaces, such as `mpm.devices.PressedGel.surface`; None for the closed form.
     """
 
     def __init__(
@@ -209,10 +208,9 @@ class Predictor:
         if self._pressed is None:
             image = sensor.image(press_depth(press, self._gel), left)
         else:
-            width, height = self._gel.window_mm
             u = self._pressed(press, self._gel.depth_scale)
             u = u if left is None else np.maximum(u, left)
-            image = sensor.draw(self._gel.surface(u, (width / COLS, height / ROWS)))
+            image = sensor.draw(self._gel.surface(u, self._gel.cell_mm))
         if drift_known(self._gel):
             image = image * gains(self._gel, clock)
         elif id(rest) in self._drifts:

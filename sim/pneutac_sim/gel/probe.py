@@ -60,23 +60,19 @@ def probe_grid(
     Raises:
         ValueError: a shape number is unknown.
     """
-    n = len(kinds)
-    depth = np.zeros(shape, np.float32)
+    n, depth = len(kinds), np.zeros(shape, np.float32)
     known = _probe(
-        np.asarray(kinds, np.int64).reshape(n),
-        np.asarray(sizes, np.float64).reshape(n, 3),
+        *_shapes(kinds, sizes),
         np.asarray(positions, np.float64).reshape(n, 3),
         np.asarray(rotations, np.float64).reshape(n, 3, 3),
         np.asarray(gel_position, np.float64),
         np.asarray(gel_rotation, np.float64).reshape(3, 3),
-        window_mm[0] * 1e-3,
-        window_mm[1] * 1e-3,
-        thickness_mm * 1e-3,
+        _metres(window_mm, thickness_mm),
         triangles,
         depth,
     )
     if not known:
-        raise ValueError(f"probe_grid knows shapes {KINDS} (MuJoCo geom types and CONE); got {list(kinds)}")
+        raise ValueError(_UNKNOWN.format(list(kinds)))
     return depth
 
 
@@ -99,21 +95,30 @@ def probe_grids(
     """
     count, n = np.shape(positions)[:2]
     known = _probe_all(
-        np.asarray(kinds, np.int64),
-        np.asarray(sizes, np.float64),
+        *_shapes(kinds, sizes),
         np.asarray(positions, np.float64),
         np.asarray(rotations, np.float64).reshape(count, n, 3, 3),
         np.asarray(gel_positions, np.float64),
         np.asarray(gel_rotations, np.float64).reshape(count, 3, 3),
-        window_mm[0] * 1e-3,
-        window_mm[1] * 1e-3,
-        thickness_mm * 1e-3,
+        _metres(window_mm, thickness_mm),
         triangles,
         out,
     )
     if not known:
-        raise ValueError(f"probe_grids knows shapes {KINDS} (MuJoCo geom types and CONE); got {list(kinds)}")
+        raise ValueError(_UNKNOWN.format(list(kinds)))
     return out[:count]
+
+
+_UNKNOWN = f"a probe grid knows shapes {KINDS} (MuJoCo geom types and CONE); got {{}}"
+
+
+def _shapes(kinds, sizes) -> tuple[np.ndarray, np.ndarray]:
+    return np.asarray(kinds, np.int64).reshape(-1), np.asarray(sizes, np.float64).reshape(-1, 3)
+
+
+def _metres(window_mm: tuple[float, float], thickness_mm: float) -> tuple[float, float, float]:
+    """Width, height and thickness of the gel in m."""
+    return window_mm[0] * 1e-3, window_mm[1] * 1e-3, thickness_mm * 1e-3
 
 
 # Each span gives the interval of t where the line o + d t (shape frame, |d| = 1, s = size) is inside the
@@ -282,23 +287,12 @@ def _sweep_mesh(triangles, c, R, width, height, thickness, depth):
 
 
 @njit(cache=True)
-def _probe(
-    kinds,
-    sizes,
-    positions,
-    rotations,
-    gel_position,
-    gel_rotation,
-    width,
-    height,
-    thickness,
-    triangles,
-    depth,
-):
+def _probe(kinds, sizes, positions, rotations, gel_position, gel_rotation, gel, triangles, depth):
     """Fills `depth` [mm] (rows, columns) with the maximum over shapes, all inputs in metres.
 
     Returns whether every shape was known.
     """
+    width, height, thickness = gel
     for k in range(len(kinds)):
         kind, s = kinds[k], sizes[k]
         if kind != CONE and not (SPHERE <= kind <= MESH):
@@ -338,23 +332,10 @@ def _probe(
 
 
 @njit(cache=True)
-def _probe_all(
-    kinds,
-    sizes,
-    positions,
-    rotations,
-    gel_positions,
-    gel_rotations,
-    width,
-    height,
-    thickness,
-    triangles,
-    out,
-):
+def _probe_all(kinds, sizes, positions, rotations, gel_positions, gel_rotations, gel, triangles, out):
     for b in range(len(positions)):
         out[b] = 0
-        gel = gel_positions[b], gel_rotations[b]
-        window = width, height, thickness
-        if not _probe(kinds, sizes, positions[b], rotations[b], *gel, *window, triangles, out[b]):
+        pose = gel_positions[b], gel_rotations[b]
+        if not _probe(kinds, sizes, positions[b], rotations[b], *pose, gel, triangles, out[b]):
             return False
     return True

@@ -27,7 +27,6 @@ from pneutac_sim.gel.photograph import (
     session_light,
     to_grid,
 )
-from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.gel.residual import Leftover
 from pneutac_sim.gel.surface import DECAY_MM
 
@@ -83,11 +82,8 @@ def slope_light(gel: GelModel, pair: PressPhotograph, pressed: Pressed | None = 
 class Problem:
     """The least-squares problem of some photographs and effects.
 
-    Args:
-        gel: gives size, scale, thickness and all that is not fitted here.
-        photographs: checked pairs of images.
-        effects: of the light, fitted with it.
-        pressed: see `fit.fit_presses`.
+    The gel gives size, scale, thickness and all that is not fitted here; effects of the light are fitted with
+    it. `pressed` is as of `fit.fit_presses`.
 
     Attributes:
         gel: as given; may be replaced by what was found.
@@ -106,7 +102,7 @@ class Problem:
     ):
         self.gel, self.photographs, self.pressed = gel, photographs, pressed
         self.effects = [e for e in effects if e.of_channels]
-        self.cell = gel.window_mm[0] / COLS, gel.window_mm[1] / ROWS
+        self.cell = gel.cell_mm
         self.depths = [press_depth(registered(p.press, gel), gel) for p in photographs]
         self._residues = Residues(gel, [p.earlier for p in photographs])
         self.masks = [to_grid(p.near(gel.px_per_mm)) > 0.5 for p in photographs]
@@ -123,7 +119,7 @@ class Problem:
     def surfaces(self, decay_mm: float, depth_scale: float) -> list[np.ndarray]:
         """Displacement (80, 59) in mm under each photograph."""
         us = self._closed(decay_mm, depth_scale) if self.pressed is None else self._given(depth_scale)
-        return [self.gel.surface(u, self.cell) for u in us]
+        return [self.gel.surface(u, self.gel.cell_mm) for u in us]
 
     def _closed(self, decay_mm: float, depth_scale: float) -> list[np.ndarray]:
         gel = replace(self.gel, depth_scale=depth_scale)

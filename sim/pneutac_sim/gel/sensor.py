@@ -54,9 +54,7 @@ class TactileSensor:
         self.surface = surface
         self.model = twin if isinstance(twin, GelModel) else GelModel.from_twin(twin)
         self.rest_image = self.model.rest_image
-        width, height = self.model.window_mm
-        self._cell_mm = (width / COLS, height / ROWS)
-        m = self.model
+        m, self._cell_mm = self.model, self.model.cell_mm
         self._renderer = Renderer(m.rest_image, m.weight, self._cell_mm, (ROWS, COLS), *m.lighting)
         self.draw = self._renderer.image
         self.triangles = NO_TRIANGLES
@@ -92,7 +90,7 @@ class TactileSensor:
         u = self._analytic(imprint) if self.surface is None else self.surface(imprint)
         if left_mm is not None:
             u = left_mm + u
-        return self.model.surface(u, self._cell_mm)
+        return self.model.surface(u, self.model.cell_mm)
 
     def _analytic(self, imprint: np.ndarray) -> np.ndarray:
         return surface(imprint, self._cell_mm, self.model.decay_mm)
@@ -123,7 +121,7 @@ class TactileSensor:
         else:
             moved = self.surface(np.stack(imprints))
         for b, u in zip(touched, moved, strict=True):
-            pixels[b] = self._pixels(self.model.surface(u, self._cell_mm))
+            pixels[b] = self._pixels(self.model.surface(u, self.model.cell_mm))
         return pixels / (self.rest_image.shape[0] * self.rest_image.shape[1])
 
     def _pixels(self, displacement_mm: np.ndarray) -> int:

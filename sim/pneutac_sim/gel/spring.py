@@ -55,12 +55,7 @@ class Spring:
 
 
 class GelSpring:
-    """Springs of one gel.
-
-    Args:
-        law: the gel's.
-        triangles: of the objects that are meshes, see `probe_grid`.
-    """
+    """Springs of a gel with this law; `triangles` are those of objects that are meshes, see `probe_grid`."""
 
     def __init__(self, law: GelForce, triangles: np.ndarray = NO_TRIANGLES):
         self._triangles = triangles

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.mpm.user_mesh import lattice_inside
+from pneutac_sim.mpm.user_mesh import lattice_inside, lattice_of
 
 
 @dataclass(frozen=True)
@@ -82,15 +82,14 @@ class Body:
         counts = np.asarray(counts, int)
         if counts.shape != (3,) or (counts < 1).any():
             raise InputError(f"Body '{name}': counts is {counts.tolist()}; give three positive numbers.")
-        grid = np.stack(np.meshgrid(*(np.arange(n) for n in counts), indexing="ij"), -1).reshape(-1, 3)
+        grid = np.argwhere(np.ones(counts, bool))
         return _make(name, grid, spacing_m, np.asarray(origin_m, float), material, clamp)
 
     @staticmethod
     def from_mesh(name, mesh, material, particles: int = 4000, spacing_m=None, clamp="") -> "Body":
         """Fills a closed `trimesh.Trimesh` in m with about so many particles, or at a spacing.
 
-        Raises:
-            InputError: the mesh is open, turned inside out, or holds no particle.
+        Raises InputError where the mesh is open, turned inside out, or holds no particle.
         """
         if not mesh.is_watertight:
             raise InputError(
@@ -103,17 +102,14 @@ class Body:
                 "mesh.invert() turns it."
             )
         h = spacing_m or float((mesh.volume / particles) ** (1 / 3))
-        low, high = mesh.bounds
-        counts = np.maximum(np.round((high - low) / h).astype(int), 1)
-        origin = (low + high) / 2 - counts * h / 2
-        grid = np.stack(np.meshgrid(*(np.arange(n) for n in counts), indexing="ij"), -1).reshape(-1, 3)
-        inside = lattice_inside(mesh.triangles, origin, counts, h)[*grid.T]
-        if not inside.any():
+        origin, counts = lattice_of(mesh, h)
+        cells = np.argwhere(lattice_inside(mesh.triangles, origin, counts, h))
+        if not len(cells):
             raise InputError(
-                f"Body '{name}': no particle lies inside the mesh; it is {high - low} m large and the "
+                f"Body '{name}': no particle lies inside the mesh; it is {mesh.extents} m large and the "
                 f"spacing {h:.3g} m: use a smaller spacing, and metres."
             )
-        return _make(name, grid[inside], h, origin, material, clamp)
+        return _make(name, cells, h, origin, material, clamp)
 
 
 def _make(name, cells, spacing_m, origin_m, material, clamp) -> Body:
@@ -122,11 +118,5 @@ def _make(name, cells, spacing_m, origin_m, material, clamp) -> Body:
     if clamp not in ("", "x-", "y-", "z-"):
         raise InputError(f"Body '{name}': clamp is '{clamp}'; choose x-, y-, z- or nothing.")
     least = cells.min(0)  # a cell of the grid must begin at the clamped side
-    return Body(
-        name,
-        (cells - least).astype(np.int32),
-        float(spacing_m),
-        origin_m + least * spacing_m,
-        clamp,
-        material,
-    )
+    origin_m = origin_m + least * spacing_m
+    return Body(name, (cells - least).astype(np.int32), float(spacing_m), origin_m, clamp, material)

@@ -36,7 +36,7 @@ from pneutac_sim.mpm.indenter import SAMPLES, centre_m, distances_m, half_edge_m
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.parameters import parameter
 from pneutac_sim.mpm.solid import bending_body
-from pneutac_sim.mpm.solve import MpmDiverged, solve_equilibrium
+from pneutac_sim.mpm.solve import MpmDiverged, halved_once, solve_equilibrium
 from pneutac_sim.mpm.spine import Spine
 from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
 from pneutac_sim.twin import Twin
@@ -107,15 +107,9 @@ def gel(
     """Gels, held at their back; gel frame of `gel.probe`: z out of the sensor, resting surface at z = 0.
 
     Particle (i, j, k) of the lattice stands for column i and row j of the probe grid (x along image columns,
-    y along rows), layer k from the back. The lattice is equal along all axes and covers the window; a
-    built-in gel is 12.0 x 16.3 x 2.6 mm.
-
-    Args:
-        twin: a gel's, or a finger's that carries one.
-        batch: how many.
-        counts: particles along x, y and z.
-        device: see `runtime.start`.
-        table: of the indenter `mesh`, see `TotalLagrangian`.
+    y along rows), layer k from the back. The lattice, `counts` particles along x, y and z, is equal along all
+    axes and covers the window; a built-in gel is 12.0 x 16.3 x 2.6 mm. `table` is that of the indenter
+    `mesh`, see `TotalLagrangian`.
     """
     if twin.device == "arm":
         raise InputError("The twin is of an arm, which carries no gel.")
@@ -298,12 +292,9 @@ SHARES = np.linspace(0.5, 1.0, 6)  # of a press's depth, between which `between`
 
 
 class PressedGel:
-    """One gel, pressed again and again, each time from rest.
+    """One gel, pressed again and again, each time from rest; the lattice is that of `devices.gel`.
 
-    Args:
-        gel: gives the window; the lattice is that of `devices.gel`.
-        twin: gives elasticity, Poisson's ratio and density, where it has them.
-        device: see `runtime.start`.
+    The gel gives the window, the twin elasticity, Poisson's ratio and density, where it has them.
     """
 
     def __init__(self, gel: GelModel, twin: Twin, device: str = "auto"):
@@ -316,8 +307,7 @@ class PressedGel:
     def surface(self, press: Press, share: float = 1.0) -> np.ndarray:
         """Displacement in mm, float32 (80, 59), under a press at a share of its depth.
 
-        Raises:
-            InputError: the gel finds no rest.
+        Raises InputError where the gel finds no rest.
         """
         return self._surfaces(press, np.array([share]))[0]
 
@@ -332,23 +322,16 @@ class PressedGel:
         return (1 - part) * found[0][k] + part * found[0][k + 1]
 
     def _surfaces(self, press: Press, shares: np.ndarray) -> np.ndarray:
-        """(K, 80, 59) on the way in; the explicit steps are halved once where they are too long."""
+        """(K, 80, 59) on the way in."""
         if press.figure is not None:
             self._solver.set_table(distances_m(press.figure))
-        longest = self._solver.stable_dt
         try:
-            return self._driven(press, shares)
-        except MpmDiverged:
-            self._solver.stable_dt = 0.5 * longest
-        try:
-            return self._driven(press, shares)
+            return halved_once(self._solver, lambda: self._driven(press, shares))
         except MpmDiverged as e:
             raise InputError(
                 f"{e.finding}, under the {press.indenter} pressed {press.depth_mm:.3g} mm deep; correct its "
                 "depth, or calibrate without through=mpm."
             ) from e
-        finally:
-            self._solver.stable_dt = longest
 
     def _driven(self, press: Press, shares: np.ndarray) -> np.ndarray:
         out, at = [], 0.0

@@ -41,11 +41,7 @@ class Loads:
         row[:, FRICTION] = self.friction
 
     def shapes(self, batch: int) -> np.ndarray:
-        """(B,) number of each body's indenter.
-
-        Raises:
-            InputError: there is no such indenter.
-        """
+        """(B,) number of each body's indenter; raises InputError where there is no such indenter."""
         names = [self.indenter] * batch if isinstance(self.indenter, str) else list(self.indenter)
         unknown = set(names) - set(SHAPES)
         if unknown:

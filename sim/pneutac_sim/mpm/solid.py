@@ -110,8 +110,7 @@ def filled_body(name: str, mesh: trimesh.Trimesh, material: Material, particles:
     Both jump with the spacing, as a section is so many whole particles wide: spacings, and one particle more
     or less across, are tried, the nearest spacing first. The mesh is in m, closed and turned outward.
 
-    Raises:
-        InputError: the mesh is open, or no particle lies inside.
+    Raises InputError where the mesh is open, or no particle lies inside.
     """
     volume = float(mesh.volume) if mesh.is_watertight else 0.0
     if not volume > 0:
@@ -182,8 +181,7 @@ class Links:
 
         The joints lie at (N,) ascending places along x, m.
 
-        Raises:
-            InputError: a link that moves carries no particle.
+        Raises InputError where a link that moves carries no particle.
         """
         link = np.searchsorted(np.asarray(joints_m, float), body.positions[:, 0])
         particle = body.material.density_kg_m3 * body.spacing_m**3

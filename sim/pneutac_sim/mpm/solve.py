@@ -99,6 +99,21 @@ def solve_equilibrium(
     )
 
 
+def halved_once[T](solver: TotalLagrangian, drive: Callable[[], T]) -> T:
+    """What `drive` gives; again with half the explicit step where that is too long for a squeezed body.
+
+    Raises MpmDiverged as `drive` does at last.
+    """
+    longest = solver.stable_dt
+    try:
+        return drive()
+    except MpmDiverged:
+        solver.stable_dt = 0.5 * longest
+        return drive()
+    finally:
+        solver.stable_dt = longest
+
+
 def _begin(solver: TotalLagrangian, loads: Loads, warm: bool) -> None:
     """Puts bodies where the search starts: at rest, or where they are, moved on by the change of targets."""
     if warm and solver.spine:

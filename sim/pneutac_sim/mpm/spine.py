@@ -74,8 +74,7 @@ class Spine:
     def bind(self, body: Body, grid: RestGrid) -> np.ndarray:
         """(N,) link that carries each node, -1 for none; link 0 stands still.
 
-        Raises:
-            InputError: a link lies outside the body.
+        Raises InputError where a link lies outside the body.
         """
         away = np.hypot(grid.nodes[:, 1] - self.y_m, grid.nodes[:, 2] - self.z_m)
         x = grid.nodes[:, 0]

@@ -79,6 +79,13 @@ def lattice_inside(triangles: np.ndarray, origin: np.ndarray, counts: np.ndarray
     return np.cumsum(crossings, 2)[..., :-1] % 2 == 1
 
 
+def lattice_of(mesh: trimesh.Trimesh, h: float) -> tuple[np.ndarray, np.ndarray]:
+    """Corner (3,) and points (3,) of the lattice of a spacing that covers a mesh, see `lattice_inside`."""
+    low, high = mesh.bounds
+    counts = np.maximum(np.round((high - low) / h).astype(int), 1)
+    return (low + high) / 2 - counts * h / 2, counts
+
+
 @njit(cache=True)
 def _cross(triangles, crossings):
     nx, ny, nz = crossings.shape
@@ -228,7 +235,8 @@ def _one_body(mesh: trimesh.Trimesh, file, notes: list[str]) -> trimesh.Trimesh:
     parts = [part for part, _ in parts]
     if not main.volume > 1e-6 * main.extents.max() ** 3:
         raise InputError(f"{file} is flat: it encloses no volume.")
-    outer = [part for part in parts[1:] if not is_inside(_some(part.vertices), main.triangles).all()]
+    some = [part.vertices[:: max(1, len(part.vertices) // 20)] for part in parts[1:]]
+    outer = [p for p, x in zip(parts[1:], some, strict=True) if not is_inside(x, main.triangles).all()]
     share = main.volume / (main.volume + sum(part.volume for part in outer))
     if share <= MAIN_SHARE:
         raise InputError(
@@ -252,10 +260,6 @@ def _outward(part: trimesh.Trimesh) -> tuple[trimesh.Trimesh, int]:
     # A new mesh: one that is turned in place may keep the normals that it had cached.
     part = trimesh.Trimesh(part.vertices, part.faces[:, ::-1] if inward else part.faces, process=False)
     return part, int((np.einsum("ij,ij->i", before, part.triangles_cross) < 0).sum())
-
-
-def _some(vertices: np.ndarray) -> np.ndarray:
-    return vertices[:: max(1, len(vertices) // 20)]
 
 
 def _place(mesh: trimesh.Trimesh, file, axis: str | None, notes: list[str]) -> np.ndarray:
@@ -301,9 +305,7 @@ def _place(mesh: trimesh.Trimesh, file, axis: str | None, notes: list[str]) -> n
 def _solid_at_axis(mesh: trimesh.Trimesh) -> float:
     """Share of the length where a usual lattice has a particle so near the axis that a spine can hold it."""
     h = (mesh.volume / USUAL_PARTICLES) ** (1 / 3)
-    low, high = mesh.bounds
-    counts = np.maximum(np.round((high - low) / h).astype(int), 1)
-    origin = (low + high) / 2 - counts * h / 2
+    origin, counts = lattice_of(mesh, h)
     y, z = (origin[k] + (np.arange(counts[k]) + 0.5) * h for k in (1, 2))
     near = np.hypot(y[:, None], z) <= 1.5 * h
     return float((lattice_inside(mesh.triangles, origin, counts, h) & near).any((1, 2)).mean())

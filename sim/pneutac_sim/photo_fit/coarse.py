@@ -45,14 +45,9 @@ class Coarse:
 
 
 class Skinned:
-    """A body's surface that is carried along by its spine's links.
+    """A body's surface that is carried along by its spine's links, at pressures (T, chambers) kPa.
 
-    Args:
-        parameters: what candidates differ in.
-        pressures: (T, chambers) kPa.
-        photographs: masks to compare with.
-        conditions: what effects of the twin ask for.
-        device: see `mpm.runtime.start`.
+    Candidates differ in `parameters`; `conditions` are what effects of the twin ask for.
     """
 
     def __init__(

@@ -138,13 +138,8 @@ class Bodies(NamedTuple):
 class Equilibria:
     """Finds bodies at rest, always from the same solved state, so that no answer depends on history.
 
-    Args:
-        parameters: what candidates differ in.
-        start: (P,) coordinates near which they lie.
-        pressures: (T, chambers) kPa.
-        conditions: what effects of the twin ask for.
-        particles: of a body, about.
-        device: see `mpm.runtime.start`.
+    That is at coordinates `start` (P,), near which candidates lie, and pressures (T, chambers) kPa;
+    `conditions` are what effects of the twin ask for.
 
     Attributes:
         body: the straight one.
@@ -160,11 +155,8 @@ class Equilibria:
         particles: int = 4000,
         device: str = "auto",
     ):
-        self.parameters, self.pressures, self.conditions = (
-            parameters,
-            np.asarray(pressures, float),
-            conditions,
-        )
+        self.parameters, self.conditions = parameters, conditions
+        self.pressures = np.asarray(pressures, float)
         one = devices.BODIES[parameters.twin.device](parameters.twin, particles=particles, device=device)
         self.body, self.spine, self.device = one.body, one.spine, one.device
         self._target = self.targets(start[None])[0]

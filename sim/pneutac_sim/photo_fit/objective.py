@@ -120,10 +120,7 @@ EDGE = 0.05  # longest edge of a triangle, over the body's length, so that the s
 
 
 class Outline:
-    """The closed mesh of a twin's body.
-
-    Args:
-        twin: of a finger or an arm.
+    """The closed mesh of the body of a twin, a finger or an arm.
 
     Attributes:
         vertices: (V, 3) of the straight body, m.
@@ -203,10 +200,8 @@ def score(
 class Objective:
     """Scores candidates by full material points: looks by splats, silhouettes by the body's surface.
 
-    Args:
-        equilibria: of the pressures that the photographs' `state` counts.
-        photographs: to compare with.
-        looks: a Gaussian for each particle, in the particles' order.
+    The photographs' `state` counts the pressures of the equilibria; looks are a Gaussian for each particle,
+    in the particles' order.
 
     Attributes:
         best: (T, P, 3) particles of the best candidate so far, m; None before the first.

@@ -91,8 +91,7 @@ class Camera:
 
         Pixels of points with a depth of 0 or less mean nothing.
 
-        Raises:
-            InputError: `points` has another shape or is not finite.
+        Raises InputError where `points` has another shape or is not finite.
         """
         points = np.ascontiguousarray(points, np.float64)
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():

@@ -1,7 +1,5 @@
 """Gives Gaussians the looks of a picture: colours by one linear solve, then colours and opacities by Adam."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from pneutac_sim.splat.rasteriser import Rendering, Splats, numbers
@@ -11,12 +9,7 @@ LEARNING_RATE = 0.01  # of the paper
 
 
 class Adam:
-    """Adam (Kingma and Ba 2015) on one array, changed in place.
-
-    Args:
-        values: what to optimise, float32 or float64.
-        rate: learning rate.
-    """
+    """Adam (Kingma and Ba 2015) on one array of float32 or float64, changed in place."""
 
     def __init__(self, values: np.ndarray, rate: float = LEARNING_RATE):
         self.values, self._rate, self._steps = values, rate, 0
@@ -46,8 +39,7 @@ def solve_colours(
     way. The prior is the picture's colour at each Gaussian's centre, so that Gaussians hidden behind others
     get a likely colour.
 
-    Raises:
-        InputError: a shape is wrong or a number not finite.
+    Raises InputError where a shape is wrong or a number not finite.
     """
     camera = splats.camera
     target = numbers("target", target, (camera.height, camera.width, 3))
@@ -83,7 +75,6 @@ def fit_looks(
     background=(0.0, 0.0, 0.0),
     iterations: int = 100,
     coverage: np.ndarray | None = None,
-    progress: Callable[[int, float], None] = lambda iteration, rmse: None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Colours and opacities that render best as a picture: `solve_colours`, then Adam on both.
 
@@ -94,7 +85,6 @@ def fit_looks(
         background: (3,).
         iterations: of Adam, at the paper's rate on colours and on logits of opacities; 0 for colours alone.
         coverage: wanted coverage, (H, W), 0 to 1, such as a silhouette; free where None.
-        progress: called with each iteration and its root mean square error, 0 to 1.
 
     Returns:
         Colours (n, 3) and opacities (n,) of the best iteration, float32.
@@ -114,7 +104,6 @@ def fit_looks(
     for iteration in range(iterations + 1):
         rendering = splats.render(colours.values, background)
         loss, grad_image, grad_alpha = _difference(rendering, target, coverage)
-        progress(iteration, float(np.sqrt(loss / target.size)))
         if loss < best[0]:
             best = (loss, colours.values.copy(), opacities)
         if iteration == iterations:

@@ -23,8 +23,7 @@ def blank_looks(body: Body, detail: int = 1) -> Gaussians:
 
     Along each edge of a particle at the surface there are `detail` of them; 1 for one a particle.
 
-    Raises:
-        InputError: `detail` is no whole number from 1 to `MOST_DETAIL`.
+    Raises InputError where `detail` is no whole number from 1 to `MOST_DETAIL`.
     """
     if isinstance(detail, bool) or not isinstance(detail, int) or not 1 <= detail <= MOST_DETAIL:
         raise InputError(f"detail is {detail!r}; it must be a whole number from 1 to {MOST_DETAIL}.")
@@ -57,8 +56,7 @@ def carried(looks: Gaussians, body: Body, positions: np.ndarray, gradients: np.n
     That state is positions (P, 3) in m and deformation gradients (P, 3, 3) of the body's particles, perhaps
     on another lattice than the one that `looks` were made for.
 
-    Raises:
-        InputError: a Gaussian is far from all particles: the looks are those of another body.
+    Raises InputError where a Gaussian is far from all particles: the looks are those of another body.
     """
     distance, owner = cKDTree(body.positions).query(looks.means)
     if distance.max() > 3 * body.spacing_m:
@@ -90,15 +88,11 @@ NEAR = 12  # particles that a point follows
 
 
 class Carrier:
-    """Points that follow a body.
+    """Points (K, 3) m that follow a body of particles `rest` (P, 3) m.
 
     Each particle maps its surroundings by x = x_p + F_p (X - X_p); a point takes the mean of its nearest
     ones, weighted by (1 - (d / R)^2)^2 over the distance d, where R lies beyond the last of them. Affine
     deformations are met exactly, also a little outside the body.
-
-    Args:
-        points: (K, 3) m, in the frame of `rest`.
-        rest: (P, 3) particles before, m.
     """
 
     def __init__(self, points: np.ndarray, rest: np.ndarray):

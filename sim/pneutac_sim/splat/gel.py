@@ -24,9 +24,7 @@ CAMERA_MM = 22.0  # a DIGIT's camera before its gel surface
 # The paper has 13. By 4, photographs of two DIGITs are met as well (0.01 levels), a GelSight's nearly so
 # (0.16 in the contact), since the gel between window and coating is clear, in a third of the time.
 LAYERS = 4
-SCALE_CELLS = (
-    0.5  # standard deviation of a Gaussian over the spacing of particles: neighbours close the surface
-)
+SCALE_CELLS = 0.5  # standard deviation over the spacing of particles: neighbours close the surface
 COATING, INSIDE = 0.95, 0.012  # opacities to start from
 ITERATIONS = 30
 
@@ -74,7 +72,7 @@ class SplatSensor:
         self.camera = Camera(K, view, width, height)
         self._means, self._fraction = particles(model, layers)
         n = len(self._means)
-        scale = SCALE_CELLS * model.window_mm[0] / COLS * 1e-3
+        scale = SCALE_CELLS * model.cell_mm[0] * 1e-3
         self._covariances = np.tile(scale**2 * np.eye(3, dtype=np.float32), (n, 1, 1))
         rest = model.rest_image.astype(np.float32) / 255
         self._background = rest.mean((0, 1))
@@ -113,8 +111,7 @@ class SplatSensor:
     def splats(self, displacement_mm: np.ndarray) -> Splats | CudaSplats:
         """The gel's Gaussians under a displacement (80, 59), mm into the gel, ready to render.
 
-        Raises:
-            InputError: a shape is wrong, a number not finite or a displacement too large.
+        Raises InputError where a shape is wrong, a number not finite or a displacement too large.
         """
         u = self._checked(displacement_mm)
         means = self._means.copy()
@@ -153,12 +150,9 @@ class SplatSensor:
         `gel` has another light than this sensor's but the same weight w; the sensor's where None.
         """
         model, lighting = self.model, self._lighting if gel is None else gel.lighting
-        cell_mm = model.window_mm[0] / COLS, model.window_mm[1] / ROWS
-        grid = light(displacement_mm, cell_mm, *lighting).transpose(1, 2, 0)
-        height, width = model.rest_image.shape[:2]
-        return self._model_weight * cv2.resize(
-            np.ascontiguousarray(grid), (width, height)
-        )  # bilinear, by centres
+        grid = light(displacement_mm, model.cell_mm, *lighting).transpose(1, 2, 0)
+        size = model.rest_image.shape[1::-1]
+        return self._model_weight * cv2.resize(np.ascontiguousarray(grid), size)  # bilinear, by centres
 
 
 def particles(model: GelModel, layers: int) -> tuple[np.ndarray, np.ndarray]:

@@ -291,8 +291,7 @@ class Splats:
     def render(self, colours, background=(0.0, 0.0, 0.0)) -> Rendering:
         """The picture with colours (n, 3) on a background (3,).
 
-        Raises:
-            InputError: a shape is wrong or a number not finite.
+        Raises InputError where a shape is wrong or a number not finite.
         """
         colours = numbers("colours", colours, (len(self), 3))
         background = numbers("background", background, (3,))
@@ -334,8 +333,7 @@ class Splats:
 def numbers(name: str, values, shape: tuple[int, ...]) -> np.ndarray:
     """`values` as contiguous float32 of `shape`, where -1 stands for any length.
 
-    Raises:
-        InputError: the shape differs or a number is not finite.
+    Raises InputError where the shape differs or a number is not finite.
     """
     try:
         array = np.ascontiguousarray(values, np.float32)

@@ -34,12 +34,7 @@ ROUNDS = 3  # of Gauss-Newton; the second changes the cost by a thousandth
 
 
 class Viewed:
-    """A photograph of a press, and the Gaussians under that press.
-
-    Args:
-        sensor: of the photograph's rest image.
-        displacement_mm: surface (80, 59) under the press.
-        photograph: of the press.
+    """A photograph of a press, and the Gaussians under that press's surface (80, 59).
 
     Attributes:
         near: pixels near the contact, (H, W) bool.

@@ -30,8 +30,7 @@ def rasterise(
 def on(device: str) -> Callable[..., Splats | CudaSplats]:
     """`Splats` or `CudaSplats` for a device, `cpu`, `cuda`, or `auto` for CUDA where that can be used.
 
-    Raises:
-        InputError: there is no such device, or CUDA or gsplat is missing.
+    Raises InputError where there is no such device, or CUDA or gsplat is missing.
     """
     if device == "cpu":
         return Splats

@@ -64,17 +64,11 @@ def train_action(
 ) -> ActionNetwork:
     """Fits f_r to the torques of inverse dynamics by mean squared error (Adam, learning rate 1e-3).
 
-    The weights with the lowest error on the trajectories of early stopping are stored.
+    On the trajectories of a folder of `collect_action`, in at most so many epochs; `seed` is of weights and
+    batches, and `progress` is given a line now and then. The weights with the lowest error on the
+    trajectories of early stopping are stored.
 
-    Args:
-        twin: of a finger.
-        data_dir: folder of `collect_action`.
-        seed: of weights and batches.
-        epochs: at most.
-        progress: is given a line now and then.
-
-    Raises:
-        InputError: too few trajectories, or those of another twin.
+    Raises InputError where there are too few trajectories, or those of another twin.
     """
     plan, motions = read_motions(data_dir, twin)
     train, stop, _ = split(motions)
@@ -180,8 +174,7 @@ def evaluate_action(twin: Twin, network: ActionNetwork, data_dir: str | Path) ->
 def split(motions: list[Motion]) -> tuple[list[Motion], list[Motion], list[Motion]]:
     """Trajectories to train on, to stop by, and to measure with; a sixth each of the last two.
 
-    Raises:
-        InputError: there are too few.
+    Raises InputError where there are too few.
     """
     if len(motions) < FEWEST:
         raise InputError(

@@ -170,8 +170,7 @@ def _collect(
 def read_motions(out_dir: str | Path, twin: Twin) -> tuple[Plan, list[Motion]]:
     """Reads what `collect_action` has written for this twin.
 
-    Raises:
-        InputError: trajectories are missing, corrupted, or of another twin.
+    Raises InputError where trajectories are missing, corrupted, or of another twin.
     """
     first = Path(out_dir) / "action_000.safetensors"
     if not first.is_file():

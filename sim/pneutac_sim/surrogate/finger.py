@@ -34,8 +34,7 @@ def controller_stiffness(twin: Twin, body: np.ndarray) -> float:
 
     `body` (N, N) is the derivative J of the body's torques by the joint angles at rest, N m/rad.
 
-    Raises:
-        InputError: the body alone is stiffer than the whole.
+    Raises InputError where the body alone is stiffer than the whole.
     """
     whole = twin.parameter("joint_stiffness_nm_per_rad")
     levers = twin.length_mm - np.asarray(twin.spine_joint_positions_mm)
@@ -68,14 +67,10 @@ def network_of(twin: Twin, network: ActionNetwork) -> ActionNetwork | None:
 
 
 class SurrogateFinger:
-    """The soft body of one finger.
-
-    Args:
-        twin: of a finger.
-        network: trained for its body, see `network_of`.
+    """The soft body of one finger, by a network that was trained for it, see `network_of`.
 
     Attributes:
-        controller_nm_per_rad: K_c, see `stiffness.controller_stiffness`.
+        controller_nm_per_rad: K_c, see `controller_stiffness`.
         in_range: whether the last step was in the range in which the network was trained. Where it was not,
             the body's torque goes on straight.
 
@@ -104,8 +99,7 @@ class SurrogateFinger:
 
         Of (N,) rad both; returns torques (N,) in N m and their symmetric derivative (N, N) by `q` in N m/rad.
 
-        Raises:
-            InputError: an angle is not a finite number.
+        Raises InputError where an angle is not a finite number.
         """
         q_free, q = np.asarray(q_free, float), np.asarray(q, float)
         if not (np.isfinite(q_free).all() and np.isfinite(q).all()):
@@ -151,8 +145,7 @@ class Networks:
     def of(cls, twin: Twin) -> "Networks":
         """The networks of a twin.
 
-        Raises:
-            InputError: it has none, they are damaged, or they were trained for another one.
+        Raises InputError where it has none, they are damaged, or they were trained for another one.
         """
         found = {}
         for name in NETWORKS:

@@ -24,7 +24,7 @@ from pneutac_sim.gel.probe import COLS, ROWS, probe_grid
 from pneutac_sim.mpm import devices, runtime
 from pneutac_sim.mpm.devices import press_loads
 from pneutac_sim.mpm.loads import Loads
-from pneutac_sim.mpm.solve import MpmDiverged, solve_equilibrium
+from pneutac_sim.mpm.solve import MpmDiverged, halved_once, solve_equilibrium
 from pneutac_sim.surrogate.fingerprint import gel_fingerprint
 from pneutac_sim.twin import Twin
 
@@ -168,18 +168,11 @@ def collect_gel(
 ) -> Collected:
     """Presses indenters into the gel of a twin; contacts that the folder holds already are reused.
 
-    Args:
-        twin: a gel's, or a finger's.
-        folder: where contacts are stored; made if there is none.
-        contacts: how many.
-        seed: of their shapes, sizes, depths and places.
-        device: see `mpm.runtime.start`.
-        progress: called after each contact with the number of those done and of all.
-        executor: where contacts are collected, each on one core; None for all cores, or the GPU, of this
-            process.
+    `seed` decides their shapes, sizes, depths and places. `progress` is called after each contact with the
+    number of those done and of all. An `executor` collects contacts each on one core; None takes all cores,
+    or the GPU, of this process.
 
-    Raises:
-        InputError: the number makes no sense, or the folder holds contacts of another gel or seed.
+    Raises InputError where the number makes no sense, or the folder holds contacts of another gel or seed.
     """
     if contacts < 1:
         raise InputError(f"contacts is {contacts}; give a number of contacts above zero.")
@@ -226,20 +219,9 @@ def _collect(twin: Twin, files: list[Path], seed: int, device: str, number: int)
 def press(solver, contact: Contact, model: GelModel) -> Pairs:
     """Drives an indenter in by steps of at most `STEP_MM`, to a contact's full depth.
 
-    Where the explicit steps of the material points turn out too long for the squeezed gel, they are halved
-    once.
-
-    Raises:
-        MpmDiverged: no equilibrium was found.
+    Raises MpmDiverged where no equilibrium was found.
     """
-    longest = solver.stable_dt
-    try:
-        return _press(solver, contact, model)
-    except MpmDiverged:
-        solver.stable_dt = 0.5 * longest
-        return _press(solver, contact, model)
-    finally:
-        solver.stable_dt = longest
+    return halved_once(solver, lambda: _press(solver, contact, model))
 
 
 def _press(solver, contact: Contact, model: GelModel) -> Pairs:
@@ -256,8 +238,7 @@ def _press(solver, contact: Contact, model: GelModel) -> Pairs:
 def read_contacts(folder: str | Path) -> list[Pairs]:
     """All contacts of a folder, in order.
 
-    Raises:
-        InputError: the folder is not of `collect_gel`, or a file in it is damaged.
+    Raises InputError where the folder is not of `collect_gel`, or a file in it is damaged.
     """
     folder = Path(folder)
     if not (folder / "collection.json").is_file():

@@ -39,8 +39,7 @@ def split(
 
     Contacts outside the window, in which nothing touches, are in neither of the first two.
 
-    Raises:
-        InputError: an indenter is unknown, or too few contacts are left to train on.
+    Raises InputError where an indenter is unknown, or too few contacts are left to train on.
     """
     for name in heldout:
         if name not in INDENTERS:

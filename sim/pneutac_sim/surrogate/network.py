@@ -281,11 +281,7 @@ class ActionNetwork:
 
     @classmethod
     def load(cls, file: str | Path) -> "ActionNetwork":
-        """Reads a network.
-
-        Raises:
-            InputError: it is missing, corrupted, or of another format.
-        """
+        """Reads a network; raises InputError where it is missing, corrupted, or of another format."""
         file = Path(file)
         if not file.is_file():
             raise InputError(f"There is no action network '{file}'; train it with `pneutac surrogate`.")

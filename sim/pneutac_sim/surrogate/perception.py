@@ -60,10 +60,8 @@ class GelSurrogate:
         """Displacement of the gel's face in mm under probe grids, ([B,] 80, 59), float32.
 
         It is zero where a grid is. Beyond `deepest_mm` the gel adds what it adds there. A grid among others
-        is rounded otherwise than alone (1e-6 mm).
-
-        Raises:
-            ValueError: another shape, or a depth that is no finite number.
+        is rounded otherwise than alone (1e-6 mm). Raises ValueError where the shape is another or a depth not
+        finite.
         """
         depth = np.asarray(depth_mm, np.float32)
         if depth.ndim not in (2, 3) or depth.shape[-2:] != (ROWS, COLS):
@@ -111,8 +109,7 @@ class GelSurrogate:
     def load(cls, path: str | Path) -> "GelSurrogate":
         """Reads what `save` wrote.
 
-        Raises:
-            InputError: there is no such file, or it is damaged or of another kind.
+        Raises InputError where there is no such file, or it is damaged or of another kind.
         """
         if not Path(path).is_file():
             raise InputError(f"There is no perception network '{path}'; train one with `pneutac surrogate`.")

@@ -50,8 +50,7 @@ class Skeleton:
     def of(cls, body: Body, spine: Spine, loss_per_s: float = 0.0) -> "Skeleton":
         """The skeleton of a finger of material points that loses momentum at this rate.
 
-        Raises:
-            InputError: the spine bends in two planes, or a link carries no particle.
+        Raises InputError where the spine bends in two planes, or a link carries no particle.
         """
         if spine.axes != 1:
             raise InputError(

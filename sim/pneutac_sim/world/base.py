@@ -5,7 +5,9 @@
 
 from abc import ABC, abstractmethod
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -90,15 +92,9 @@ class BaseWorld(ABC):
     start_width = 0.0
 
     def __init__(self, task: str, station: Station | None, length_mm: float):
-        """Builds the model.
+        """Builds the model of a task at a station, the paper's where it is None, for a finger of this length.
 
-        Args:
-            task: a task's name, see `features.task_names`.
-            station: arm, workspace and mount; default the paper's.
-            length_mm: of the finger.
-
-        Raises:
-            InputError: there is no such task, or the arm's file is wrong.
+        Raises InputError where there is no such task, or the arm's file is wrong.
         """
         self.task, self.station = make_task(task), station or Station()
         self.dt_s, self.arm = self.station.dt_s, self.station.make_arm()
@@ -107,15 +103,9 @@ class BaseWorld(ABC):
         # Tasks are laid out for the paper's finger: with a longer one the flange keeps as much higher.
         self.workspace_m = self.station.box_m(length_mm)
         self._lift_m = self.workspace_m[0] - self.station.workspace_low_m
-        self.model = mujoco.MjModel.from_xml_string(
-            scene.build(
-                self.task,
-                self._finger_mjcf(),
-                self.arm.body,
-                self.arm.servos,
-                self.station.control_hz,
-            )
-        )
+        carried = self.arm.body, self.arm.servos, self.station.control_hz
+        xml = scene.build(self.task, self._finger_mjcf(), *carried)
+        self.model = mujoco.MjModel.from_xml_string(xml)
         self.data = mujoco.MjData(self.model)
         self._ik, self._base_m = self.arm.solver(), self.arm.base_m
         self._arm = slice(0, self.arm.joints)  # its joints and servos come first in the model
@@ -133,8 +123,7 @@ class BaseWorld(ABC):
     def _start(self) -> None:
         """Draws a start from the random stream: objects, and where the flange is; it is not settled yet.
 
-        Raises:
-            InputError: the arm does not reach it.
+        Raises InputError where the arm does not reach it.
         """
         mujoco.mj_resetData(self.model, self.data)
         self._lay_out()
@@ -170,8 +159,7 @@ class BaseWorld(ABC):
     def _send(self, action) -> tuple[np.ndarray, np.ndarray]:
         """Takes an action, and gives the one that acts now: joint targets (N,) rad and pressures (C,) kPa.
 
-        Raises:
-            InputError: the action has another shape or is not finite.
+        Raises InputError where the action has another shape or is not finite.
         """
         self.command = self._clip(checked_action(action, self.chambers))
         self._queue.append(self.command)
@@ -201,8 +189,7 @@ class BaseWorld(ABC):
     def widen_starts(self, width: float) -> None:
         """Makes the starts of hand and objects wider from the next reset on: 0 is the task's own, 1 wide.
 
-        Raises:
-            InputError: the width is out of range.
+        Raises InputError where the width is out of range.
         """
         if not 0 <= width <= MOST_WIDE:
             raise InputError(f"start_width is {width:g}; it must be from 0 to {MOST_WIDE:g}.")
@@ -254,8 +241,7 @@ class BaseWorld(ABC):
 def checked_action(action, chambers: int = 1) -> np.ndarray:
     """The action as float64 (3 + C,) of a finger of C chambers, units of `features.action_names`.
 
-    Raises:
-        InputError: it has another shape or is not finite.
+    Raises InputError where it has another shape or is not finite.
     """
     size = 3 + chambers
     what = f"dx, dy, dz in m/s, {'pressure' if chambers == 1 else f'{chambers} pressures'} in kPa"
@@ -270,17 +256,23 @@ def checked_action(action, chambers: int = 1) -> np.ndarray:
     return action
 
 
+def pad_contacts(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[tuple[Any, np.ndarray]]:
+    """Contacts of the gel's pad, and force and torque (6,) of each in its own frame."""
+    pad = model.geom("pad").id
+    for i in range(data.ncon):
+        if pad in (data.contact[i].geom1, data.contact[i].geom2):
+            force = np.zeros(6)
+            mujoco.mj_contactForce(model, data, i, force)
+            yield data.contact[i], force
+
+
 def imprint_m(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray | None:
     """Centre of pressure in the gel's frame: across and along the finger (2,), metres; None without contact.
 
     x = sum f_i (x_i - x_gel) / sum f_i over contacts of the pad, f_i their normal forces.
     """
-    pad, total, moment, force = model.geom("pad").id, 0.0, np.zeros(3), np.zeros(6)
-    gel = data.site("gel")
-    for i in range(data.ncon):
-        contact = data.contact[i]
-        if pad in (contact.geom1, contact.geom2):
-            mujoco.mj_contactForce(model, data, i, force)
-            total += force[0]
-            moment += force[0] * (contact.pos - gel.xpos)
+    gel, total, moment = data.site("gel"), 0.0, np.zeros(3)
+    for contact, force in pad_contacts(model, data):
+        total += force[0]
+        moment += force[0] * (contact.pos - gel.xpos)
     return None if total < CONTACT_N else (gel.xmat.reshape(3, 3).T @ moment)[:2] / total

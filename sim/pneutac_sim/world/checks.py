@@ -44,8 +44,7 @@ def check_networks(twin: Twin, fidelity: str) -> None:
 def check_world(twin: Twin, fidelity: str, conditions: Conditions) -> None:
     """All that can be known of a world before it is made.
 
-    Raises:
-        InputError: a condition of an effect is missing or no number, or as `check_networks`.
+    Raises InputError where a condition of an effect is missing or no number, or as `check_networks`.
     """
     conditions_for(twin, conditions)
     check_networks(twin, fidelity)
@@ -54,8 +53,7 @@ def check_world(twin: Twin, fidelity: str, conditions: Conditions) -> None:
 def out_of_reach(station: Station, length_mm: float) -> dict[str, float]:
     """Tasks whose start the station's arm does not reach, and by how many metres it falls short.
 
-    Raises:
-        InputError: the arm cannot carry a finger.
+    Raises InputError where the arm cannot carry a finger.
     """
     arm, short = station.make_arm(), {}
     lift_m = station.box_m(length_mm)[0] - station.workspace_low_m

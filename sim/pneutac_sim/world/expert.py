@@ -115,12 +115,8 @@ class ScriptedExpert:
 
     Experts speak of the paper's finger, of 0 to 15 kPa. Another's pressures are as large a share of its own
     range, of its farther end where it bends by vacuum. Several chambers bend the body as far as the paper's
-    finger would be bent, which is curled at 0 kPa already, or as far as they can.
-
-    Args:
-        world: whose task is demonstrated.
-        rng: draws the habits and the tremor of the hand.
-        tremor: whether the hand trembles.
+    finger would be bent, which is curled at 0 kPa already, or as far as they can. `rng` draws the habits and,
+    unless switched off, the tremor of the hand.
     """
 
     def __init__(self, world: World, rng: np.random.Generator, tremor: bool = True):
@@ -403,13 +399,8 @@ class Person(ScriptedExpert):
 def _habits(expert: Habits, strength: float, rng: np.random.Generator) -> Habits:
     """The expert's habits, moved towards ones drawn from a person's wider ranges."""
     drawn = {"speed": SPEED, "low_kpa": LOW_KPA, "high_kpa": HIGH_KPA, "ramp_kpa_s": RAMP_KPA_S}
-    return replace(
-        expert,
-        **{
-            name: (1 - strength) * getattr(expert, name) + strength * rng.uniform(*between)
-            for name, between in drawn.items()
-        },
-    )
+    each = {n: rng.uniform(*between) for n, between in drawn.items()}
+    return replace(expert, **{n: (1 - strength) * getattr(expert, n) + strength * x for n, x in each.items()})
 
 
 def demonstrator(world: World, rng: np.random.Generator, strength: float) -> ScriptedExpert:

@@ -22,10 +22,7 @@ from pneutac_sim.world.spine import BALL
 class Follower:
     """The chain of a finger in a model, with all that its links carry.
 
-    Args:
-        model: of a scene with a finger of hinges or balls `spine_1` to `spine_N` that begins with the body
-            `finger`.
-        joints: N.
+    Its N hinges or balls are `spine_1` to `spine_N`, and it begins with the body `finger`.
     """
 
     def __init__(self, model: mujoco.MjModel, joints: int):

@@ -52,15 +52,9 @@ class Gantry(World):
         """
         limits = {"pressure_range_kpa": world.pressure_range_kpa, "station": world.station}
         super().__init__(world.task.name, world.twin, "area", "probe", world.conditions, **limits)
-        spec = mujoco.MjSpec.from_string(
-            scene.build(
-                self.task,
-                mjcf(self.twin, self.station.mount_mm),
-                _slides_mjcf,
-                _servos_mjcf,
-                self.station.control_hz,
-            )
-        )
+        finger = mjcf(self.twin, self.station.mount_mm)
+        carried = _slides_mjcf, _servos_mjcf, self.station.control_hz
+        spec = mujoco.MjSpec.from_string(scene.build(self.task, finger, *carried))
         spec.compiler.discardvisual = True  # nobody looks at it
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
@@ -120,65 +114,52 @@ class Gantry(World):
         self._poses = self._placing.poses
 
     def rollout(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Tries actions from the mirrored state; what was sent before and acts too late goes first.
+        """Tries actions (H, 3 + C), as `features.action_names` within the limits, from the mirrored state.
 
-        The state is then that after the last action.
-
-        Args:
-            actions: (H, 3 + C) as `features.action_names`, within the limits.
+        What was sent before and acts too late goes first. The state is then that after the last action.
 
         Returns:
             flange positions (H, 3), metres, and contact areas (H,) after each step.
         """
-        self._make_room(len(actions))
-        began = time.perf_counter()
-        self._follow(self._acting(actions[None])[0], 0)
-        moved = time.perf_counter()
-        flange, area, depth = self._feel(len(actions))
+        flange, area, depth = self._try(actions[None])
         window = self.sensor.model.window_mm
         self.centre_mm = np.array([centre_mm(d, window) for d in depth]).reshape(-1, 2)
-        self.centre_mm[~(area > 0)] = np.nan
-        self._count(len(actions), moved - began, time.perf_counter() - moved)
-        return flange, area
+        self.centre_mm[~(area[0] > 0)] = np.nan
+        return flange[0], area[0]
 
     def rollouts(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As `rollout`, for several sequences of actions, each from the mirrored state; felt together.
-
-        Args:
-            actions: (S, H, 3 + C).
+        """As `rollout`, for sequences (S, H, 3 + C), each from the mirrored state; felt together.
 
         Returns:
             flange positions (S, H, 3), metres, and contact areas (S, H).
         """
+        return self._try(actions)[:2]
+
+    def _try(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Flange positions, contact areas and probe grids (S * H, 80, 59) of sequences."""
         S, H = actions.shape[:2]
-        self._make_room(S * H)
+        if S * H > len(self._snapshots.flange_m):
+            self._snapshots.make_room(S * H)
+        sent = np.array(self._queue, float).reshape(1, -1, actions.shape[2])
+        acting = np.concatenate([np.repeat(sent, S, 0), actions], 1)[:, :H]
         began = time.perf_counter()
-        for s, sequence in enumerate(self._acting(actions)):
+        for s, sequence in enumerate(acting):
             self._follow(sequence, s * H)
         moved = time.perf_counter()
-        flange, area, _ = self._feel(S * H)
-        self._count(S * H, moved - began, time.perf_counter() - moved)
-        return flange.reshape(S, H, 3), area.reshape(S, H)
+        felt, depth = self._snapshots.feel(S * H)
+        area = np.where(felt > 0, np.maximum(felt + self._residual_area, 0.0), 0.0)
+        self.steps += S * H
+        self.seconds["physics"] += moved - began
+        self.seconds["touch"] += time.perf_counter() - moved
+        return self._snapshots.flange_m[: S * H].reshape(S, H, 3).copy(), area.reshape(S, H), depth
 
-    def _make_room(self, count: int) -> None:
-        if count > len(self._snapshots.flange_m):
-            self._snapshots.make_room(count)
-
-    def _acting(self, actions: np.ndarray) -> np.ndarray:
-        """Actions (S, H, 3 + C) as they act: what was sent before goes first."""
-        sent = np.array(self._queue, float).reshape(1, -1, actions.shape[2])
-        return np.concatenate([np.repeat(sent, len(actions), 0), actions], 1)[:, : actions.shape[1]]
-
-    def _restart(self) -> None:
+    def _follow(self, acting: np.ndarray, row: int) -> None:
+        """One sequence (H, 3 + C), control step by control step, into the snapshots from `row` on."""
         mujoco.mj_setState(self.model, self.data, self._state, _STATE)
         self.model.dof_frictionloss[:] = self._friction
         vars(self.task).update(_memory(self._memory))
         self._placing.set(self.model, self._poses)
         mujoco.mj_kinematics(self.model, self.data)
-
-    def _follow(self, acting: np.ndarray, row: int) -> None:
-        """One sequence (H, 3 + C), control step by control step, into the snapshots from `row` on."""
-        self._restart()
         saved = self.target_m, self._joints, self.spine_target_rad, self._drive, self._rate, self._pipeline
         self._pipeline, target = self._pipeline.copy(), self.target_m
         for t, action in enumerate(acting):
@@ -187,17 +168,6 @@ class Gantry(World):
             self.task.update(self.model, self.data, self.dt_s)
             self._snapshots.take(row + t, self.data)
         self.target_m, self._joints, self.spine_target_rad, self._drive, self._rate, self._pipeline = saved
-
-    def _feel(self, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Flange positions (count, 3), contact areas (count,) and probe grids of the snapshots."""
-        felt, depth = self._snapshots.feel(count)
-        area = np.where(felt > 0, np.maximum(felt + self._residual_area, 0.0), 0.0)
-        return self._snapshots.flange_m[:count].copy(), area, depth
-
-    def _count(self, steps: int, physics_s: float, touch_s: float) -> None:
-        self.steps += steps
-        self.seconds["physics"] += physics_s
-        self.seconds["touch"] += touch_s
 
     @override
     def _resist(self, drive):
@@ -217,11 +187,7 @@ def _memory(attributes: dict) -> dict:
 
 
 class Snapshots:
-    """Poses of flange, gel and objects, one row a state; rows are used again.
-
-    Args:
-        touch: of the world; in mode `area`.
-        flange: id of the flange's site.
+    """Poses of flange, gel and objects of a touch of mode `area`, one row a state; rows are used again.
 
     Attributes:
         flange_m: (B, 3) flange positions, metres.
@@ -234,11 +200,8 @@ class Snapshots:
     def make_room(self, count: int) -> None:
         """Rows for at least `count` states; what is in them is lost where they are too few."""
         n = len(self._touch.felt)
-        self.flange_m, self._gel_m, self._gel = (
-            np.empty((count, 3)),
-            np.empty((count, 3)),
-            np.empty((count, 9)),
-        )
+        self.flange_m, self._gel_m = np.empty((2, count, 3))
+        self._gel = np.empty((count, 9))
         self._objects_m, self._objects = np.empty((count, n, 3)), np.empty((count, n, 9))
         self._grids = np.empty((count, ROWS, COLS), np.float32)
 
@@ -273,12 +236,7 @@ _COUNTS = {"joint": "njnt", "body": "nbody", "geom": "ngeom", "actuator": "nu"}
 
 
 class Pairs:
-    """Indices of everything that both models have.
-
-    Args:
-        one: MuJoCo's model.
-        other: another one, with joints, bodies, geoms and actuators of the same names.
-    """
+    """Indices of all joints, bodies, geoms and actuators that two models have by the same names."""
 
     def __init__(self, one: mujoco.MjModel, other: mujoco.MjModel):
         def both(kind: str) -> list[str]:
@@ -309,10 +267,8 @@ class Pairs:
         """Takes poses, masses and friction, positions, speeds and controls from `one` to `other`."""
         for a, b, name in self._fields:
             getattr(other, name)[b] = getattr(one, name)[a]
-        there.qpos[self._qpos[1]], there.qvel[self._dofs[1]] = (
-            here.qpos[self._qpos[0]],
-            here.qvel[self._dofs[0]],
-        )
+        there.qpos[self._qpos[1]] = here.qpos[self._qpos[0]]
+        there.qvel[self._dofs[1]] = here.qvel[self._dofs[0]]
         there.ctrl[self._ctrl[1]] = here.ctrl[self._ctrl[0]]
 
 

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from pneutac_sim.features import POINTS_SHAPE
+from pneutac_sim.world.base import pad_contacts
 from pneutac_sim.world.scene import check_camera
 from pneutac_sim.world.view import require_gl
 
@@ -128,11 +129,8 @@ def tactile_points(world) -> np.ndarray:
 
 def contact_force_n(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     """Force (3,) on the gel's pad, N, in the gel's frame; z below 0 presses it in."""
-    pad, total, force = model.geom("pad").id, np.zeros(3), np.zeros(6)
-    for i in range(data.ncon):
-        contact = data.contact[i]
-        if pad in (contact.geom1, contact.geom2):
-            mujoco.mj_contactForce(model, data, i, force)
-            on_second = contact.frame.reshape(3, 3).T @ force[:3]  # MuJoCo's axes point to the second geom
-            total += on_second if contact.geom2 == pad else -on_second
+    pad, total = model.geom("pad").id, np.zeros(3)
+    for contact, force in pad_contacts(model, data):
+        on_second = contact.frame.reshape(3, 3).T @ force[:3]  # MuJoCo's axes point to the second geom
+        total += on_second if contact.geom2 == pad else -on_second
     return data.site("gel").xmat.reshape(3, 3).T @ total

@@ -98,8 +98,7 @@ class MpmGel:
 
         Their imprint (`GelModel.imprint` of the probe grid) says how deep they lie.
 
-        Raises:
-            InputError: the gel finds no rest.
+        Raises InputError where the gel finds no rest.
         """
         deep = 1e-3 * float(depth_mm.max())
         less = deep / self._scale - deep  # by which an imprint is less deep than the object
@@ -124,10 +123,7 @@ class MpmGel:
 def signed_distance(kind: int, size: np.ndarray, p: np.ndarray) -> np.ndarray:
     """(n,) m from a shape of MuJoCo's at the origin to points (n, 3), negative inside.
 
-    An ellipsoid's is of first order, exact on its surface.
-
-    Raises:
-        InputError: another shape.
+    An ellipsoid's is of first order, exact on its surface. Raises InputError for another shape.
     """
     if kind == SPHERE:
         return np.linalg.norm(p, axis=1) - size[0]
@@ -153,15 +149,10 @@ TOLERANCE = 1e-3  # of unbalanced forces; torques are then known to 1 mN m, 0.2 
 
 
 class MpmFinger:
-    """The soft body of one finger.
-
-    Args:
-        twin: of a finger.
-        particles: about how many.
-        device: see `pneutac_sim.mpm.runtime.start`.
+    """The soft body of one finger, of about so many particles.
 
     Attributes:
-        controller_nm_per_rad: K_c, see `stiffness.controller_stiffness`.
+        controller_nm_per_rad: K_c, see `surrogate.finger.controller_stiffness`.
         solver: the bodies, for pictures; the first is the one that is loaded.
         substeps: taken in the last step.
         in_range: always; there is no range to leave.

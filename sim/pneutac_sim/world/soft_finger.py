@@ -35,20 +35,15 @@ BALL_M = 0.004  # radius of what the face expects where nothing is near
 
 
 class Pad:
-    """The gel's face in a model with the slide joint `pad`.
+    """The gel's face in a model of a scene with a finger, by the slide joint `pad`.
 
     With steps h, a steepest slope k of the spring and a mass M = max(m, 2 h^2 k) the springs, which MuJoCo
     takes at the beginning of a step, are stable at any k, and a damping of M / 2h is small enough for the
     contact solver, which takes dampers there too. Where nothing is near the face has the spring of a ball, so
-    that what it does follows from the present state alone.
+    that what it does follows from the present state alone. `triangles` are those of objects that are meshes.
 
     Attributes:
         spring: that acts.
-
-    Args:
-        model: of a scene with a finger.
-        twin: whose gel it is.
-        triangles: of the objects that are meshes, see `gel.probe.probe_grid`.
 
     Raises:
         InputError: the gel's material is out of range, see `GelForce`.
@@ -194,17 +189,12 @@ class Springs:
 
     (q_i + q_j)^2 = q_i^2 + q_j^2 + 2 q_i q_j, so a tendon of stiffness K_ij couples two joints and each joint
     keeps K_ii less those of its tendons. MuJoCo takes springs at the beginning of a step h and dampers at its
-    end. A further damping of h K / 2 makes that stable at any K, where springs alone are up to w h = 2:
-    (M + h D + h^2 K / 2) q'_1 = M q'_0 - h K q_0, with a growth of at most 1 for all eigenvalues of M^-1 K.
-    What this takes of the slowest swing, which has about the whole stiffness, is left out of D.
+    end. A further damping of h K / 2 makes that stable at any K, where springs alone are up to w h = 2: (M +
+    h D + h^2 K / 2) q'_1 = M q'_0 - h K q_0, with a growth of at most 1 for all eigenvalues of M^-1 K. What
+    this takes of the slowest swing, which has about the whole stiffness, is left out of D, each joint's
+    damping.
 
     Balls are not coupled: of their K the diagonal alone counts, the same about each axis.
-
-    Args:
-        model: of a scene with a finger.
-        joints: N.
-        damping_nms_per_rad: D of each joint.
-        whole_nm_per_rad: the joints' whole stiffness.
     """
 
     def __init__(

@@ -35,11 +35,7 @@ def mjcf_motors(n: int, axes: int, gear: float = 1.0) -> str:
 
 
 class Spine:
-    """The joints `spine_1` to `spine_N` of a model.
-
-    Args:
-        model: of a scene with a finger, whose motors stand in the order of the degrees of freedom.
-        twin: of the finger.
+    """The joints `spine_1` to `spine_N` of a finger in a model, with motors in their order.
 
     Attributes:
         joints: N.

@@ -68,12 +68,8 @@ class SplatFinger:
     """Gaussians of a finger that follow the bodies of a model.
 
     A link is where MuJoCo has it, half way between its joints; from there to the middle of the next the poses
-    are blended linearly, so that each hinge bends the finger over its own segment.
-
-    Args:
-        model: of a scene with a finger.
-        twin: in its looks where it has them from photographs, else coloured by stretch and lit.
-        device: that draws: `cpu`, `cuda`, or `auto` for CUDA where gsplat and a device are there.
+    are blended linearly, so that each hinge bends the finger over its own segment. The twin has looks from
+    photographs, else it is coloured by stretch and lit.
 
     Attributes:
         links: (N + 2,) ids of base, links and sensor.

@@ -170,11 +170,7 @@ CORNERS = ("workspace_low_m", "workspace_high_m", "home_m")  # each is judged by
 
 
 def station_faults(file: str | Path) -> list[str]:
-    """One sentence for each fault of a `station.yaml`.
-
-    Raises:
-        InputError: it cannot be read at all.
-    """
+    """One sentence for each fault of a `station.yaml`; raises InputError where it cannot be read at all."""
     file = Path(file)
     content = read_yaml(file)
     if not isinstance(content, dict):

@@ -49,17 +49,17 @@ class TaskEnv(gymnasium.Env):
         points: bool = False,
         start_width: float = 0.0,
     ):
-        """An environment of a world.
+        """An environment of a `World`, or of another with its methods, and with its mode of touch.
 
         Args:
-            world: a `World`, or another with its methods.
+            world: the world.
             touch: as the world's.
             render_mode: `rgb_array` or None.
             render_width: pixels of `render()`.
             render_height: pixels of `render()`.
             cameras: scene cameras to height and width of their pictures, such as {"front": (240, 320)}.
             randomise_look: draws light, colours and texture of the scene again in every episode.
-            points: puts touch as data, `tactile.points` of `world.points`, into the observation.
+            points: puts touch as data, `tactile.points`, into the observation.
             start_width: see `BaseWorld.widen_starts`.
 
         Raises:

@@ -400,12 +400,7 @@ _INPUTS = _STATE.mjSTATE_CTRL | _STATE.mjSTATE_QFRC_APPLIED | _STATE.mjSTATE_XFR
 
 
 class Substeps:
-    """Steps a model, bit for bit as a loop over `mj_step` does.
-
-    Args:
-        model: MuJoCo's.
-        data: its state, which is stepped.
-    """
+    """Steps a MuJoCo model and its data, bit for bit as a loop over `mj_step` does."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData):
         self._model, self._data = model, data

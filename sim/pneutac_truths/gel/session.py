@@ -22,11 +22,7 @@ KINDS = ("sphere", "sphere", "cylinder", "sphere", "cube", "edge", "sphere", "co
 
 
 def named(effects: list[str]) -> tuple[str, ...]:
-    """Names of effects without `plain`.
-
-    Raises:
-        ValueError: a name is unknown.
-    """
+    """Names of effects without `plain`; raises ValueError where a name is unknown."""
     names = [e for e in effects if e != "plain"]
     for name in names:
         if name not in GEL_EFFECTS:

@@ -79,8 +79,7 @@ def press(
     `depth_mm` is that of its lowest point below the resting face, `fine_mm` the size of elements near the
     contact.
 
-    Raises:
-        ArithmeticError: no equilibrium was found.
+    Raises ArithmeticError where no equilibrium was found.
     """
     mesh = Mesh(punch, depth_mm, rubber, fine_mm)
     u = np.zeros(mesh.rest.shape)

@@ -87,13 +87,7 @@ LEAST_MM = 1e-9  # shallower is no contact: its squares would vanish in the arit
 
 
 class HalfSpace:
-    """The surface of a half-space under rigid objects.
-
-    Args:
-        modulus_kpa: E / (1 - nu^2).
-        cell_mm: size of a rectangle along columns and rows.
-        shape: rows and columns.
-    """
+    """The surface of a half-space of modulus E / (1 - nu^2) under rigid objects, in cells of a grid."""
 
     def __init__(self, modulus_kpa: float, cell_mm: tuple[float, float], shape: tuple[int, int]):
         self._shape, self._area = shape, cell_mm[0] * cell_mm[1]

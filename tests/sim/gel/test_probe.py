@@ -148,5 +148,5 @@ def test_many_states_are_each_by_itself_and_leave_the_other_rows_alone():
     assert grids.any((1, 2)).tolist() == [True, False, True]
     np.testing.assert_array_equal(grids, alone)
     assert (buffer[3] == 7).all()
-    with pytest.raises(ValueError, match="probe_grids knows shapes"):
+    with pytest.raises(ValueError, match="knows shapes"):
         probe_grids([1, 2], sizes, at, turns, gel, gel_turns, *window, buffer)

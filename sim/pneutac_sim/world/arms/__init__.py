@@ -59,8 +59,7 @@ ARMS: dict[str, tuple[ArmFile | None, tuple[float, float, float]]] = {
 def read_arm(value: Any, folder: Path) -> "ArmFile | str":
     """An arm as a `station.yaml` in `folder` gives it: one of `ARMS`, or the fields of `ArmFile`.
 
-    Raises:
-        InputError: it is neither; one sentence.
+    Raises InputError where it is neither; one sentence.
     """
     if isinstance(value, str) and value in ARMS:
         return value
@@ -84,8 +83,7 @@ def joints_of(arm: "ArmFile | str") -> int:
 def make_arm(arm: "ArmFile | str", base_m: tuple[float, float, float]) -> "Chain | Panda":
     """The arm, its base at `base_m` (3,) of the station.
 
-    Raises:
-        InputError: its file is missing or damaged, or it cannot carry a finger; one sentence.
+    Raises InputError where its file is missing or damaged, or it cannot carry a finger; one sentence.
     """
     described = ARMS[arm][0] if isinstance(arm, str) else arm
     if described is None:

@@ -15,8 +15,7 @@ TASKS: dict[str, type[Task]] = {"switch": SwitchTask, "egg": EggTask, "card": Ca
 def make_task(name: str) -> Task:
     """The task called `name`.
 
-    Raises:
-        InputError: there is none, with the names; or a package's does not load or is no task.
+    Raises InputError where there is none, with the names; or a package's does not load or is no task.
     """
     if name in TASKS:
         return TASKS[name]()
