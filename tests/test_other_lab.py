@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from installed import install
 
 from pneutac_datasets.generate.gel import write_presses
 from pneutac_datasets.recording.recording import Recording
@@ -25,14 +26,9 @@ BIN, DOC = Path(sys.executable).parent, Path(__file__).parents[1] / "docs" / "ho
 
 def package(folder: Path) -> Path:
     """The doorbell of the docs as an installer puts it."""
-    (folder / "pneutac_doorbell-0.1.0.dist-info").mkdir(parents=True)
     code, project = (re.search(rf"```{k}\n(.*?)```", DOC.read_text(), re.S)[1] for k in ("python", "toml"))
-    (folder / "pneutac_doorbell.py").write_text(code)
     points = tomllib.loads(project)["project"]["entry-points"]["pneutac.tasks"]
-    lines = ["[pneutac.tasks]", *(f"{k} = {v}" for k, v in points.items())]
-    info = folder / "pneutac_doorbell-0.1.0.dist-info"
-    (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: pneutac-doorbell\nVersion: 0.1.0\n")
+    install(folder, "pneutac_doorbell", "tasks", points, code)
     return folder
 
 

@@ -10,6 +10,7 @@ import pytest
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata, io_utils
 from lerobot.policies import make_policy
 from lerobot.utils.constants import OBS_STATE
+from played import succeeds
 
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment
@@ -24,7 +25,6 @@ from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
 from pneutac_datasets.demonstrations.record import record_episodes
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import EE
-from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.station import Station
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "recordings" / "demos"
@@ -114,9 +114,5 @@ def test_a_dataset_of_another_rate_that_is_gone_on_with_is_told(tmp_path, caplog
 @pytest.mark.parametrize("control_hz", [10, 30])
 def test_the_stand_in_does_its_task_at_another_rate(control_hz):
     world = StandinWorld("card", touch="area", station=Station(control_hz=control_hz))
-    world.reset(1)
-    expert = ScriptedExpert(world, np.random.default_rng(1))
-    while world.time_s < 12 and not (world.success or world.failure):
-        world.step(expert.action())
-    assert world.success and world.failure is None
+    assert succeeds(world, 1, steps=12 * control_hz)
     assert world.time_s > 2

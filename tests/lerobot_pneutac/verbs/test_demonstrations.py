@@ -4,35 +4,20 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import played
 import pytest
 
 from lerobot_pneutac import Demonstrations, InputError, Recording, Twin, add, calibrate, compare, diagnose
 from lerobot_robot_pneutac.standin.gel import new_gel
-from lerobot_robot_pneutac.standin.world import Physics, StandinWorld
-from pneutac_datasets.demonstrations.episodes import Episode
+from lerobot_robot_pneutac.standin.world import Physics
 from pneutac_datasets.generate.standin import write_finger, write_gel
 from pneutac_sim.features import AREA, CONTROL_HZ
-from pneutac_sim.world.expert import ScriptedExpert
 
-STEPS = 220
 GOLDEN = Path(__file__).parents[2] / "golden" / "recordings"
 
 
-def shown(count, seed, physics=None, task="button"):
-    """Demonstrations of a scripted expert on the stand-in; one that fails is shown anew."""
-    world, episodes = StandinWorld(task, physics=physics), []
-    while len(episodes) < count:
-        seen, actions = [world.reset(seed)], []
-        expert = ScriptedExpert(world, np.random.default_rng(seed))
-        seed += 1
-        while len(actions) < STEPS and not (world.success or world.failure):
-            actions.append(expert.action())
-            seen.append(world.step(actions[-1]))
-        if world.success:
-            state = np.array([o.state for o in seen[:-1]], float)
-            images = np.stack([o.tactile for o in seen[:-1]])
-            episodes.append(Episode(state, np.array(actions, float), images, "press", CONTROL_HZ))
-    return Demonstrations(Path("shown"), task, episodes)
+def shown(*which):
+    return Demonstrations(Path("shown"), "button", played.shown(*which))
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from installed import install
 
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault
 from lerobot_robot_pneutac.hardware.pneutac_serial import PneutacSerial
@@ -25,21 +26,13 @@ def blocks(kind):
     return re.findall(rf"```{kind}\n(.*?)```", DOC.read_text(), re.S)
 
 
-def install(folder, name, points):
-    info = folder / f"{name}-0.1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 0.1.0\n")
-    lines = ["[pneutac.pressure_controllers]", *(f"{k} = {v}" for k, v in points.items())]
-    (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
-
-
 @pytest.fixture
 def example(tmp_path, monkeypatch):
     code, test = blocks("python")
     project = tomllib.loads(blocks("toml")[0])["project"]
-    (tmp_path / "pneutac_my_regulator.py").write_text(code)
     (tmp_path / "check_my_regulator.py").write_text(test)
-    install(tmp_path, "pneutac-my-regulator", project["entry-points"]["pneutac.pressure_controllers"])
+    points = project["entry-points"]["pneutac.pressure_controllers"]
+    install(tmp_path, "pneutac_my_regulator", "pressure_controllers", points, code)
     monkeypatch.syspath_prepend(tmp_path)
     yield importlib.import_module("check_my_regulator")
     for name in ("pneutac_my_regulator", "check_my_regulator"):
@@ -81,11 +74,12 @@ def test_bad_types_and_options_are_named(type, options, said):
 
 
 def test_what_other_packages_offer_is_checked(tmp_path, monkeypatch):
-    install(tmp_path, "pneutac-dict", {"dictionary": "collections:OrderedDict"})
+    points = {"dictionary": "collections:OrderedDict"}
+    install(tmp_path, "pneutac_dict", "pressure_controllers", points)
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(InputError, match="'dictionary' has no method connect, set_pressure"):
         make_pressure_controller("dictionary")
-    install(tmp_path, "pneutac-other", {"simulated": "collections:OrderedDict"})
+    install(tmp_path, "pneutac_other", "pressure_controllers", {"simulated": "collections:OrderedDict"})
     with pytest.raises(InputError, match="Two packages offer a pressure controller 'simulated'"):
         make_pressure_controller("simulated")
 

@@ -5,13 +5,13 @@ What holds for every effect of the library.
 
 import json
 import re
-import sys
 import tomllib
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from installed import packages
 
 from lerobot_pneutac import add, calibrate, compare
 from pneutac_datasets.generate.gel import write_hidden_gel
@@ -30,32 +30,10 @@ def blocks(kind):
     return re.findall(rf"```{kind}\n(.*?)```", DOC.read_text(), re.S)
 
 
-def install(folder, module, code, points):
-    """Puts a package with entry points onto a folder, as an installer does."""
-    (folder / f"{module}.py").write_text(code)
-    info = folder / f"{module}-0.1.0.dist-info"
-    info.mkdir()
-    name = module.replace("_", "-")
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 0.1.0\n")
-    lines = ["[pneutac.effects]", *(f"{k} = {v}" for k, v in points.items())]
-    (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
-
-
 @pytest.fixture
 def package(tmp_path, monkeypatch):
-    """Installs a package for one test."""
-    modules = []
-
-    def make(module, code, points):
-        install(tmp_path, module, code, points)
-        modules.append(module)
-        monkeypatch.syspath_prepend(tmp_path)
-        all_effects.cache_clear()
-
-    yield make
-    for module in modules:
-        sys.modules.pop(module, None)
-    all_effects.cache_clear()
+    with packages(tmp_path, monkeypatch, "effects", all_effects) as install:
+        yield install
 
 
 @pytest.fixture

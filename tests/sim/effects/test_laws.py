@@ -49,12 +49,6 @@ def area(x, y):
 # ---------------------------------------------------------------- lags
 
 
-def test_a_lag_answers_a_step_by_the_exponential():
-    t, p, dt = stepped()
-    y = act("lag(p)", p, dt, time_s=1.7)
-    np.testing.assert_allclose(y[1:], P * (1 - np.exp(-t[1:] / 1.7)), atol=1e-7)
-
-
 @pytest.mark.parametrize("tau", [0.03, 0.4, 7.0])
 def test_a_lag_follows_straight_lines_as_the_solved_equation_does(tau):
     p = polyline()
@@ -143,22 +137,7 @@ def test_between_its_lags_it_relaxes_by_the_power_law(exponent):
 # ---------------------------------------------------------------- second order
 
 
-def second_order(t, omega, zeta):
-    """Step response."""
-    if zeta == 1:
-        return 1 - np.exp(-omega * t) * (1 + omega * t)
-    w = omega * np.sqrt(complex(1 - zeta**2))
-    return 1 - (np.exp(-zeta * omega * t) * (np.cos(w * t) + zeta * omega / w * np.sin(w * t))).real
-
-
-@pytest.mark.parametrize("zeta", [0.05, 0.6, 1.0, 1.9])
-def test_a_mode_answers_a_step_under_and_over_damped(zeta):
-    t, p, dt = stepped(seconds=5.0)
-    y = act("mode(p)", p, dt, frequency_rad_per_s=6.0, damping_ratio=zeta)
-    np.testing.assert_allclose(y[1:], P * second_order(t[1:], 6.0, zeta), atol=1e-6)
-
-
-@pytest.mark.parametrize(("omega", "zeta"), [(2.0, 0.1), (12.0, 0.3), (30.0, 1.5)])
+@pytest.mark.parametrize(("omega", "zeta"), [(2.0, 0.1), (6.0, 0.05), (12.0, 0.3), (6.0, 1.0), (30.0, 1.5)])
 def test_a_mode_follows_straight_lines_as_the_solved_equation_does(omega, zeta):
     p = polyline()
     t = DT * np.arange(len(p))
@@ -400,20 +379,14 @@ def test_a_long_rest_wipes_out_what_fades(name):
     np.testing.assert_allclose(whole[200:], alone, atol=1e-12)
 
 
-def test_the_other_chambers_do_not_matter():
-    for name, row in TABLE.items():
-        effect, x, c, values = case(name)
-        both = effect.apply(x, np.full(len(x), DT), values, c)
-        alone = effect.apply(x[:, 1], np.full(len(x), DT), values, c)
-        np.testing.assert_array_equal(both[:, 1], alone, err_msg=row.equation)
-
-
-def test_a_law_of_no_weight_changes_nothing():
+def test_the_other_chambers_and_a_law_of_no_weight_do_not_matter():
     for name in TABLE:
         effect, x, c, values = case(name)
-        np.testing.assert_array_equal(
-            effect.apply(x, np.full(len(x), DT), values | {"weight": 0.0}, c), x, err_msg=name
-        )
+        dt = np.full(len(x), DT)
+        alone = effect.apply(x[:, 1], dt, values, c)
+        np.testing.assert_array_equal(effect.apply(x, dt, values, c)[:, 1], alone, err_msg=name)
+        nothing = effect.apply(x, dt, values | {"weight": 0.0}, c)
+        np.testing.assert_array_equal(nothing, x, err_msg=name)
 
 
 # ---------------------------------------------------------------- laws of a twin

@@ -1,5 +1,7 @@
 """Optics effects beside those of a body: known by name, kept in a twin, and no business of the finger's."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from pneutac_sim.effects import Parameter, SensorEffect, body_effects, get_effec
 from pneutac_sim.effects.registry import of_body
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Pipeline
+from pneutac_sim.gel.batch import TactileBatch
 from pneutac_sim.gel.fit import standard_effects
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.sensor import TactileSensor
@@ -133,7 +136,9 @@ def test_a_malformed_effect_of_a_sensor_is_refused(fields, says):
         malformed(**fields)
 
 
-def test_an_effect_of_the_gel_changes_the_surface_that_light_falls_on(monkeypatch):
+@pytest.fixture
+def stretched(monkeypatch):
+    """A gel with an effect of another package."""
     stretch = SensorEffect(
         name="stretch",
         stage="gel",
@@ -145,8 +150,15 @@ def test_an_effect_of_the_gel_changes_the_surface_that_light_falls_on(monkeypatc
     )
     known = registry.all_effects() | {"stretch": stretch}
     monkeypatch.setattr(registry, "all_effects", lambda: known)
-    plain, stretched = lit(()), lit(())
-    stretched.effects = {"stretch": {"stretch": 1.2}}
-    plain, stretched = TactileSensor(plain), TactileSensor(stretched)
-    np.testing.assert_allclose(stretched.displacement(DEPTH), 1.2 * plain.displacement(DEPTH), rtol=1e-6)
-    assert np.abs(stretched.image(DEPTH).astype(int) - plain.image(DEPTH)).max() > 5
+    return replace(lit(()), effects={"stretch": {"stretch": 1.2}})
+
+
+def test_an_effect_of_the_gel_changes_the_surface_that_light_falls_on(stretched):
+    plain, sensor = TactileSensor(lit(())), TactileSensor(stretched)
+    np.testing.assert_allclose(sensor.displacement(DEPTH), 1.2 * plain.displacement(DEPTH), rtol=1e-6)
+    assert np.abs(sensor.image(DEPTH).astype(int) - plain.image(DEPTH)).max() > 5
+
+
+def test_effects_of_other_packages_are_refused_by_name_for_batches(stretched):
+    with pytest.raises(InputError, match="on a batch of tactile images: stretch; use TactileSensor"):
+        TactileBatch(stretched, "cpu")

@@ -21,10 +21,9 @@ from PIL import Image
 
 from pneutac_datasets.generate.gel import write_hidden_gel
 from pneutac_datasets.recording.gel import GelRecording
-from pneutac_sim.effects import get_effect, registry
-from pneutac_sim.effects.effect import Parameter
+from pneutac_sim.effects import get_effect
 from pneutac_sim.effects.gel_creep import share_left
-from pneutac_sim.effects.sensor_effect import CHANNELS, SensorEffect
+from pneutac_sim.effects.sensor_effect import CHANNELS
 from pneutac_sim.effects.shadow import cast
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel import layout
@@ -189,9 +188,7 @@ def test_a_mesh_of_a_ball_is_a_ball():
     ball = Figure(trimesh.creation.icosphere(4, 3.0).triangles + [0.0, 0.0, 40.0])
     plain, mesh = Press("sphere", 3.0, -1.0, 2.0, 0.8), Press("mesh", 0.0, -1.0, 2.0, 0.8, 0.3, ball)
     np.testing.assert_allclose(mesh.depths(), plain.depths(), atol=0.012)
-    assert mesh.contact_radius_mm == pytest.approx(np.sqrt(0.8 * (6 - 0.8)), rel=0.05), (
-        "where it meets the plane"
-    )
+    assert mesh.contact_radius_mm == pytest.approx(np.sqrt(0.8 * (6 - 0.8)), rel=0.05)
     assert mesh.size_mm == pytest.approx(3.0, rel=1e-3)
 
 
@@ -297,35 +294,30 @@ def photographs(gel):
         earlier = tuple(Earlier(p, held, clock - at) for p, held, at in before)
         image = Predictor(gel).image(press, gel.rest_image, 0.0, earlier).astype(float)
         image += np.random.default_rng(k).standard_normal(image.shape)
-        out.append(
-            PressPhotograph(
-                press, image.clip(0, 255).round().astype(np.uint8), gel.rest_image, earlier=earlier
-            )
-        )
+        image = image.clip(0, 255).round().astype(np.uint8)
+        out.append(PressPhotograph(press, image, gel.rest_image, earlier=earlier))
         before.append((press, hold, clock))
     return out
 
 
 def test_the_shares_are_found_in_a_session_and_stay_where_no_press_came_before(creeping, linear):
-    found = fit_photographs(linear, photographs(creeping), ["gel_creep"], makes=()).gel.effects["gel_creep"]
-    three = [share_left(get_effect("gel_creep").late(v), 60.0, 3.0) for v in (found, CREEP)]
-    assert three[0] == pytest.approx(three[1], rel=0.15)
-    alone = [replace(p, earlier=()) for p in photographs(linear)[:1]]
-    kept = fit_photographs(creeping, alone, ["gel_creep"], makes=()).gel.effects["gel_creep"]
-    assert kept == CREEP
-    none = fit_photographs(linear, photographs(linear), ["gel_creep"], makes=()).gel.effects["gel_creep"]
-    assert share_left(get_effect("gel_creep").late(none), 60.0, 3.0) < 0.01
+    def fitted(start, seen):
+        return fit_photographs(start, seen, ["gel_creep"], makes=()).gel.effects["gel_creep"]
+
+    def left(values):
+        return share_left(get_effect("gel_creep").late(values), 60.0, 3.0)
+
+    assert left(fitted(linear, photographs(creeping))) == pytest.approx(left(CREEP), rel=0.15)
+    assert fitted(creeping, [replace(p, earlier=()) for p in photographs(linear)[:1]]) == CREEP
+    assert left(fitted(linear, photographs(linear))) < 0.01
 
 
 def test_a_generated_recording_that_hides_creep_tells_its_holds_and_is_predicted(tmp_path):
     recording = write_hidden_gel(tmp_path / "recording", ["gel_creep"], seed=1, images=4)
-    data, truth = (
-        GelRecording.load(recording),
-        json.loads((tmp_path / "truth" / "recording.json").read_text()),
-    )
+    data = GelRecording.load(recording)
     assert recording.samples["hold_s"].tolist() == [60.0, 2.0, 60.0, 2.0] and data.samples[1].earlier
     gel, last = GelModel.builtin(), data.samples[1].photograph
-    gel.effects = truth
+    gel.effects = json.loads((tmp_path / "truth" / "recording.json").read_text())
     errors = [
         rmse(Predictor(gel).image(last.press, last.rest, last.clock, earlier), last.image)
         for earlier in (last.earlier, ())
@@ -448,7 +440,9 @@ def gels() -> dict[str, GelModel]:
 GELS = gels()
 
 
-def check(name: str, device: str) -> None:
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=needs_cuda)])
+@pytest.mark.parametrize("name", GELS)
+def test_a_batch_is_what_the_sensor_draws_one_by_one(name, device):
     gel = GELS[name]
     depth = np.stack([press_depth(p, gel) for p in PRESSES] + [np.zeros((80, 59), np.float32)])
     sensor, many = TactileSensor(gel), TactileBatch(gel, device)
@@ -461,44 +455,14 @@ def check(name: str, device: str) -> None:
     assert (images[:3] != gel.rest_image).any((1, 2, 3)).all()
 
 
-@pytest.mark.parametrize("name", GELS)
-def test_a_batch_is_what_the_sensor_draws_one_by_one(name):
-    check(name, "cpu")
-
-
-@needs_cuda
-@pytest.mark.parametrize("name", GELS)
-def test_a_batch_on_cuda_is_what_the_sensor_draws_one_by_one(name):
-    check(name, "cuda")
-
-
-def test_probe_grids_of_another_shape_are_refused():
+def test_no_probe_grids_make_no_images_and_those_of_another_shape_are_refused():
+    batch = TactileBatch(device="cpu")
+    assert batch.image(np.zeros((0, 80, 59))).shape == (0, 320, 240, 3)
     with pytest.raises(ValueError, match=r"probe grids have shape \(B, 80, 59\); got \(80, 59\)"):
-        TactileBatch(device="cpu").image(np.zeros((80, 59)))
-
-
-def test_no_probe_grids_make_no_images():
-    assert TactileBatch(device="cpu").image(np.zeros((0, 80, 59))).shape == (0, 320, 240, 3)
+        batch.image(np.zeros((80, 59)))
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
 def test_a_missing_device_is_told():
     with pytest.raises(InputError, match="PyTorch finds no CUDA device; give device='cpu'"):
         TactileBatch(device="cuda")
-
-
-def test_effects_of_other_packages_are_refused_by_name(monkeypatch):
-    stretch = SensorEffect(
-        name="stretch",
-        stage="gel",
-        parameters=(Parameter("stretch", "", 1.0, 0.5, 1.5, neutral=1.0),),
-        prior_sd=(0.1,),
-        surface=lambda u, cell_mm, v: v["stretch"] * u,
-        summary="",
-        experiment="",
-    )
-    known = registry.all_effects() | {"stretch": stretch}
-    monkeypatch.setattr(registry, "all_effects", lambda: known)
-    gel = replace(GELS["generated"], effects={"stretch": {"stretch": 1.2}})
-    with pytest.raises(InputError, match="on a batch of tactile images: stretch; use TactileSensor"):
-        TactileBatch(gel, "cpu")

@@ -297,22 +297,10 @@ def test_mass_and_inverse_dynamics_are_those_of_mujoco(skeleton, reference):
 def swing(skeleton, q, v, target, torque, h, steps):
     """Frames (steps + 1, N) of angles and rates under a constant torque."""
     s, q, v = skeleton, np.array(q, float), np.array(v, float)
+    resting = s.coupling, s.inertia, s.stiffness_nm_per_rad, s.damping_nms_per_rad, s.loss_per_s
     out = [(q.copy(), v.copy())]
     for _ in range(steps):
-        advance(
-            s.coupling,
-            s.inertia,
-            s.stiffness_nm_per_rad,
-            s.damping_nms_per_rad,
-            s.loss_per_s,
-            q,
-            v,
-            target,
-            target,
-            torque,
-            h,
-            np.inf,
-        )
+        advance(*resting, q, v, target, target, torque, h, np.inf)
         out.append((q.copy(), v.copy()))
     return [np.array(x) for x in zip(*out, strict=True)]
 

@@ -9,7 +9,9 @@ import gymnasium
 import numpy as np
 import pytest
 from draccus.utils import DecodingError
+from installed import packages
 from lerobot.envs.factory import make_env
+from played import played
 
 import pneutac_sim
 from lerobot_pneutac.rl.env import PpoEnv
@@ -23,7 +25,7 @@ from lerobot_robot_pneutac.teleoperators.base_teleop import PneutacScriptedConfi
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
 from pneutac_benchmarks.policy.main import BenchmarkPolicyConfig
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import task_names
+from pneutac_sim.features import AREA, task_names
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.tasks import make_task
 from pneutac_sim.world.world import World
@@ -41,25 +43,11 @@ def edge():
 
 @pytest.fixture
 def install(tmp_path, monkeypatch):
-    """Puts a package with a task onto a folder, as an installer does."""
-    names = []
-
-    def make(code, points, module="pneutac_doorbell"):
-        (tmp_path / f"{module}.py").write_text(code)
-        info = tmp_path / f"{module}-0.1.0.dist-info"
-        info.mkdir()
-        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {module}\nVersion: 0.1.0\n")
-        lines = ["[pneutac.tasks]", *(f"{k} = {v}" for k, v in points.items())]
-        (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
-        names.extend([module, *points])
-        monkeypatch.syspath_prepend(tmp_path)
-        task_names.cache_clear()
-
-    yield make
-    for name in names:
-        sys.modules.pop(name, None)
-        gymnasium.registry.pop(f"pneutac_sim/{name}", None)
-    task_names.cache_clear()
+    with packages(tmp_path, monkeypatch, "tasks", task_names) as install:
+        before = set(gymnasium.registry)
+        yield lambda code, points, module="pneutac_doorbell": install(module, code, points)
+        for name in set(gymnasium.registry) - before:
+            del gymnasium.registry[name]
 
 
 @pytest.fixture
@@ -77,11 +65,7 @@ def test_an_edge_is_followed_by_touch_and_lost_without(install):
     world = World("edge", touch="area")
     ends = []
     for seed in range(3):
-        world.reset(seed)
-        expert, actions = ScriptedExpert(world, np.random.default_rng(seed)), []
-        while not (world.success or world.failure) and world.time_s < 12:
-            actions.append(expert.action())
-            world.step(actions[-1])
+        _, actions = played(world, seed, steps=180)
         assert world.success and len(actions) > 60, world.failure
         world.reset(seed + 100)
         for action in actions:  # what did one tilt, blindly on another
@@ -94,13 +78,8 @@ def test_an_edge_is_followed_by_touch_and_lost_without(install):
 def test_its_expert_rings_it_and_idleness_does_not(doorbell):
     world = World("doorbell", touch="area")
     for seed in range(3):
-        world.reset(seed)
-        expert = ScriptedExpert(world, np.random.default_rng(seed))
-        touched = False
-        while not (world.success or world.failure) and world.time_s < 10:
-            world.step(expert.action())
-            touched = touched or world.touch.area > 0
-        assert world.success and touched, world.failure
+        seen, _ = played(world, seed, steps=150)
+        assert world.success and max(o.state[AREA] for o in seen) > 0, world.failure
     world.reset(0)
     for _ in range(30):
         world.step(np.zeros(4))

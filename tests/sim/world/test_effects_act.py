@@ -5,11 +5,11 @@ pipeline within 0.3 percent of the finger's length. Where an effect of the body 
 moved; where it is measured only, the gel stays.
 """
 
-import sys
 from functools import cache
 
 import numpy as np
 import pytest
+from installed import packages
 
 from pneutac_sim.effects import body_effects, get_effect
 from pneutac_sim.effects.registry import all_effects, sensor_effects
@@ -148,31 +148,12 @@ def test_an_effect_acts_in_the_world_as_on_the_bench(name):
     check(with_effect(name), name, CONDITIONS)
 
 
-@pytest.fixture
-def installed(tmp_path, monkeypatch):
-    """Puts an effect into a package beside the library, as an installer leaves it; gives its name."""
-
-    def install(name: str, source: str) -> str:
-        (tmp_path / f"pneutac_{name}.py").write_text(source)
-        info = tmp_path / f"pneutac_{name}-0.1.0.dist-info"
-        info.mkdir()
-        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: pneutac-{name}\nVersion: 0.1.0\n")
-        (info / "entry_points.txt").write_text(f"[pneutac.effects]\n{name} = pneutac_{name}:EFFECT\n")
-        monkeypatch.syspath_prepend(tmp_path)
-        all_effects.cache_clear()
-        return name
-
-    yield install
-    for file in tmp_path.glob("pneutac_*.py"):
-        sys.modules.pop(file.stem, None)
-    all_effects.cache_clear()
-
-
-def test_an_effect_of_another_package_acts_in_the_world_as_on_the_bench(installed):
-    foreign = installed("damp_side", FOREIGN)
-    check(with_effect(foreign), foreign, {"humidity": 0.7})
-    with pytest.raises(InputError, match="effect 'damp_side' needs the condition 'humidity'; give it, as in"):
-        World("switch", with_effect(foreign), touch="none")
+def test_an_effect_of_another_package_acts_in_the_world_as_on_the_bench(tmp_path, monkeypatch):
+    with packages(tmp_path, monkeypatch, "effects", all_effects) as install:
+        install("pneutac_damp_side", FOREIGN, {"damp_side": "pneutac_damp_side:EFFECT"})
+        check(with_effect("damp_side"), "damp_side", {"humidity": 0.7})
+        with pytest.raises(InputError, match="effect 'damp_side' needs the condition 'humidity'"):
+            World("switch", with_effect("damp_side"), touch="none")
 
 
 def test_the_network_bends_the_free_finger_as_the_bench_says():

@@ -6,6 +6,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from played import played
 
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, CONTROL_HZ, TASK_NAMES
 from pneutac_sim.world.expert import VENTED_KPA, ScriptedExpert
@@ -24,23 +25,12 @@ def worlds():
     return {task: World(task, touch="none") for task in TASK_NAMES}
 
 
-def episode(world, seed, expert_seed=None):
-    """Runs the expert until the trial ends; returns its actions."""
-    world.reset(seed)
-    expert = ScriptedExpert(world, np.random.default_rng(seed if expert_seed is None else expert_seed))
-    actions = []
-    while not (world.success or world.failure or len(actions) == difficulty.STEPS):
-        actions.append(expert.action())
-        world.step(actions[-1])
-    return np.array(actions)
-
-
 @pytest.mark.parametrize("task", TASK_NAMES)
 def test_expert_succeeds_within_limits(worlds, task):
     world = worlds[task]
     lengths = []
     for seed in range(200, 210):
-        actions = episode(world, seed)
+        _, actions = played(world, seed, steps=difficulty.STEPS)
         assert np.all(actions >= ACTION_LOW) and np.all(actions <= ACTION_HIGH)
         if world.success and not world.failure:
             assert world.clipped == 0  # who has missed the deck goes on to the workspace's end
@@ -104,7 +94,7 @@ def test_search_ends_on_the_object_wherever_it_is(worlds, task):
         world.reset(seed)
         part = {"switch": "bar", "egg": "carton_tab"}[task]
         offset = world.data.geom(part).xpos[1]
-        episode(world, seed)
+        played(world, seed, steps=difficulty.STEPS)
         if world.success:
             offsets.append(offset)
             hits.append(world.gel_m[1])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from played import played, succeeds
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.world.expert import Person, ScriptedExpert, demonstrator
@@ -16,13 +17,7 @@ def world():
 
 
 def actions(world, demonstrator, steps=40, seed=1):
-    world.reset(seed)
-    made = demonstrator(world, np.random.default_rng(seed))
-    taken = []
-    for _ in range(steps):
-        taken.append(made.action())
-        world.step(taken[-1])
-    return np.array(taken)
+    return played(world, seed, demonstrator, steps)[1]
 
 
 def test_without_strength_it_is_the_expert(world):
@@ -115,13 +110,5 @@ def test_a_varied_world_widens_its_objects_and_starts_where_it_is_told():
 def test_a_person_manages_now_and_then(task, strength, width):
     world = World(task, fidelity="probe", touch="none")
     world.widen_starts(width)
-    done = 0
-    for seed in range(12):
-        world.reset(seed)
-        person = Person(world, np.random.default_rng(seed), strength)
-        for _ in range(300):
-            world.step(person.action())
-            if world.success or world.failure:
-                break
-        done += bool(world.success and not world.failure)
-    assert 3 <= done <= 11
+    done = [succeeds(world, seed, lambda w, rng: Person(w, rng, strength)) for seed in range(12)]
+    assert 3 <= sum(done) <= 11

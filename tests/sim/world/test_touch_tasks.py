@@ -2,9 +2,11 @@
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from played import succeeds
 
 from lerobot_robot_pneutac.standin.world import StandinWorld
 from pneutac_sim.world.expert import ScriptedExpert
@@ -18,19 +20,14 @@ def world(request):
     return World(request.param, touch="none")
 
 
-def play(world, seed, actions=None):
-    """The trial's end, of the expert or of actions that are given."""
-    world.reset(seed)
-    expert = ScriptedExpert(world, np.random.default_rng(seed))
-    for k in range(150):
-        world.step(expert.action() if actions is None else actions(k))
-        if world.success or world.failure:
-            break
-    return world.success and not world.failure
+def play(world, seed, actions):
+    """Whether actions, given as a function of the step, end the trial well."""
+    each = map(actions, range(150))
+    return succeeds(world, seed, lambda *_: SimpleNamespace(action=each.__next__), 150)
 
 
 def test_the_expert_does_it_and_holding_still_does_not(world):
-    assert all(play(world, seed) for seed in range(4))
+    assert all(succeeds(world, seed, steps=150) for seed in range(4))
     assert not play(world, 0, lambda k: [0, 0, 0, 3.0]) and world.failure is None
 
 
@@ -79,4 +76,4 @@ def test_with_touch_nine_of_ten_and_blind_at_most_four(task, standin, monkeypatc
 
 @pytest.mark.parametrize("task", TASKS)
 def test_the_stand_in_offers_them_too(task):
-    assert play(StandinWorld(task, touch="none"), 0)
+    assert succeeds(StandinWorld(task, touch="none"), 0, steps=150)

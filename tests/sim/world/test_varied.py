@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from played import played
 
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.world.expert import ScriptedExpert
@@ -19,14 +20,7 @@ def play(actions, **late):
 
 
 def demonstration():
-    world = VariedWorld("switch", touch="area", fidelity="probe")
-    world.reset(3)
-    expert = ScriptedExpert(world, np.random.default_rng(3))
-    actions = []
-    while not world.success and len(actions) < 200:
-        actions.append(expert.action())
-        world.step(actions[-1])
-    return np.array(actions)
+    return played(VariedWorld("switch", touch="area", fidelity="probe"), 3, steps=200)[1]
 
 
 def test_latency_shifts_commands_and_touch_and_nothing_else():

@@ -11,7 +11,7 @@ import pytest
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, CONTROL_HZ
-from pneutac_sim.finger.stages import gain_profile, joint_command
+from pneutac_sim.finger.stages import joint_command
 from pneutac_sim.gel.force import GelForce
 from pneutac_sim.gel.probe import probe_grid
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
@@ -38,16 +38,8 @@ def world():
 def test_equilibrium_is_the_commanded_bend(world, pressure_kpa):
     world.reset(0)
     hold(world, pressure_kpa)
-    g = PAPER_FINGER
-    q_cmd = joint_command(
-        pressure_kpa,
-        g["gain_rad_per_kpa"],
-        g["gain_alpha"],
-        g["gain_beta"],
-        g["rest_pressure_kpa"],
-        4,
-    )
-    np.testing.assert_allclose(world.spine_rad, q_cmd, atol=1e-4)
+    profile = [PAPER_FINGER[k] for k in ("gain_rad_per_kpa", "gain_alpha", "gain_beta", "rest_pressure_kpa")]
+    np.testing.assert_allclose(world.spine_rad, joint_command(pressure_kpa, *profile, 4), atol=1e-4)
     # total bend 4 G (p + p0), unit mean of the profile
     assert world.spine_rad.sum() == pytest.approx(4 * 0.01114 * (pressure_kpa + 10.7), abs=4e-4)
 
@@ -149,8 +141,8 @@ def test_free_finger_feels_nothing(world):
 
 
 @pytest.mark.parametrize("length_mm, joints, stiffness", [
-    (40.0, 2, 0.458), (40.0, 10, 50.0), (80.0, 6, 0.458), (110.0, 4, 50.0), (250.0, 10, 0.458),
-    (250.0, 2, 5.0),
+    (40.0, 2, 0.458), (40.0, 10, 50.0), (80.0, 6, 0.458), (110.0, 4, 50.0), (160.0, 3, 0.05),
+    (250.0, 10, 0.458), (250.0, 2, 5.0),
 ])  # fmt: skip
 def test_any_finger_is_stable_and_swings_less_and_less_after_a_push(length_mm, joints, stiffness):
     """Springs of MuJoCo alone run away where w h > 2: with these from 0.17 N m/rad a joint on."""
@@ -166,7 +158,7 @@ def test_any_finger_is_stable_and_swings_less_and_less_after_a_push(length_mm, j
     for _ in range(60):
         hold(world, 5.0, steps=1)
         swing.append(np.abs(world.spine_rad - world.spine_target_rad).max())
-    assert swing[0] < 2.0
+    assert swing[0] < 2.0 and world.data.warning.number.sum() == 0
     assert max(swing[-10:]) < max(0.5 * max(swing[2:12]), 1e-4)
 
 
@@ -196,50 +188,13 @@ def test_a_gel_alone_is_refused():
         World("switch", Twin(device="gel"), touch="none")
 
 
-def finger(length_mm=80.0, joints=6, stiffness=0.458, range_kpa=(0.0, 60.0)) -> Twin:
-    """A finger that bends by 0.9 rad in all from the rest to the farther end of its range."""
-    far = max(range_kpa, key=abs)
+def finger(range_kpa=(0.0, 60.0)) -> Twin:
+    """Of six joints, which bends by 0.9 rad in all from the rest to the farther end of its range."""
     parameters = dict(Twin.builtin().parameters)
-    parameters |= {
-        "gain_rad_per_kpa": Value(0.9 / joints / far),
-        "rest_pressure_kpa": Value(0.0),
-        "joint_stiffness_nm_per_rad": Value(stiffness),
-    }
-    at = [length_mm * (i + 0.5) / joints for i in range(joints)]
-    return Twin("finger", length_mm, at, parameters, pressure_range_kpa=range_kpa)
-
-
-@pytest.mark.parametrize(
-    ("length_mm", "joints", "stiffness"),
-    [
-        (40, 2, 2.0),
-        (40, 10, 2.0),
-        (80, 6, 0.458),
-        (110, 4, 20.0),
-        (160, 3, 0.05),
-        (250, 2, 0.458),
-        (250, 10, 5.0),
-    ],
-)
-def test_a_released_bend_dies_away_whatever_the_size_joints_and_stiffness(length_mm, joints, stiffness):
-    twin = finger(length_mm, joints, stiffness)
-    world = World("switch", twin, "none")
-    world.reset(0)
-    for _ in range(8):
-        world.step([0, 0, 0.05, 60.0])
-    profile = gain_profile(joints, twin.parameter("gain_alpha"), twin.parameter("gain_beta"))
-    np.testing.assert_allclose(world.spine_rad, 0.9 / joints * profile, atol=0.02)
-    spine = world._spine
-    world.data.qpos[spine] += 0.1  # let go from beside where it would rest
-    energy = []
-    for _ in range(25):
-        world._advance(world._joints, world.spine_target_rad)
-        away, rate = world.spine_rad - world.spine_target_rad, world.data.qvel[spine]
-        energy.append(0.5 * stiffness * away @ away + 1e-5 * rate @ rate)
-    assert np.isfinite(world.data.qpos).all() and world.data.warning.number.sum() == 0
-    first = 0.5 * stiffness * joints * 0.1**2
-    # The longest and stiffest swings on for longest, lightly damped as the paper's finger is.
-    assert max(energy) < first and max(energy[12:]) < 0.6 * max(energy[:12]) and energy[-1] < 0.1 * first
+    parameters["gain_rad_per_kpa"] = Value(0.9 / 6 / max(range_kpa, key=abs))
+    parameters["rest_pressure_kpa"] = Value(0.0)
+    at = [80.0 * (i + 0.5) / 6 for i in range(6)]
+    return Twin("finger", 80.0, at, parameters, pressure_range_kpa=range_kpa)
 
 
 @pytest.mark.parametrize("range_kpa", [(0.0, 60.0), (-40.0, 0.0), (-20.0, 30.0)])
@@ -260,14 +215,11 @@ def test_pressures_reach_as_far_as_the_twin_was_measured_and_no_farther(range_kp
             info = env.step([0, 0, 0, 2 * far])[-1]
     assert info["clipped"] == 2 and env.world.pressure_kpa == pytest.approx(far)
     assert len(caplog.records) == 1 and f"{low:g} to {high:g} kPa" in caplog.text  # told once, counted always
-
-
-def test_driving_beyond_what_was_measured_has_to_be_asked_for():
-    env = PneutacEnv("switch", "none", finger(), "probe", pressure_range_kpa=(0.0, 80.0))
-    env.reset(seed=0)
+    asked = PneutacEnv("switch", "none", finger(range_kpa), "probe", pressure_range_kpa=(-80.0, 80.0))
+    asked.reset(seed=0)
     for _ in range(6):
-        info = env.step([0, 0, 0, 80.0])[-1]
-    assert info["clipped"] == 0 and env.world.spine_rad.sum() == pytest.approx(1.2, abs=0.03)
+        info = asked.step([0, 0, 0, 4 / 3 * far])[-1]
+    assert info["clipped"] == 0 and asked.world.spine_rad.sum() == pytest.approx(1.2, abs=0.03)
 
 
 def test_the_same_bend_by_vacuum_and_by_four_times_the_pressure_does_the_task_alike():
@@ -288,5 +240,5 @@ def test_the_same_bend_by_vacuum_and_by_four_times_the_pressure_does_the_task_al
             way.append([*world.flange_m, *world.spine_rad, action[3] / factor])
         ways.append(way)
     assert np.ptp(np.array(ways[0])[:, -1]) > 1 and np.max(ways[0]) < ACTION_HIGH[3]
-    np.testing.assert_allclose(ways[1], ways[0], atol=1e-4)
-    np.testing.assert_allclose(ways[2], ways[0], atol=1e-4)
+    for way in ways[1:]:
+        np.testing.assert_allclose(way, ways[0], atol=1e-4)

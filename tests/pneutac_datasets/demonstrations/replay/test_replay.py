@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from demonstration_sets import write_demonstrations
+from played import shown
 
 from lerobot_pneutac.verbs.compare_demonstrations import FELT_MM
 from lerobot_robot_pneutac.standin.world import Physics, StandinWorld
@@ -243,20 +244,7 @@ def test_it_is_told_of_drags_alone_and_kept_by_task():
 @pytest.mark.nightly
 def test_half_the_friction_of_the_stand_ins_gel_is_told_from_a_softer_finger():
     def read(seed, **hidden):
-        world, episodes = StandinWorld("button", physics=Physics(**hidden)), []
-        world.task.drag_m = 0.012
-        while len(episodes) < 8:
-            seen, actions = [world.reset(seed)], []
-            expert = ScriptedExpert(world, np.random.default_rng(seed))
-            seed += 1
-            while len(actions) < 525 and not (world.success or world.failure):
-                actions.append(expert.action())
-                seen.append(world.step(actions[-1]))
-            if world.success:
-                state = np.array([o.state for o in seen[:-1]], float)
-                images = np.stack([o.tactile for o in seen[:-1]])
-                episodes.append(Episode(state, np.array(actions, float), images, "press", CONTROL_HZ))
-        return Dragging.of(episodes)
+        return Dragging.of(shown(8, seed, Physics(**hidden), drag_m=0.012, steps=525))
 
     known = read(0)
     assert read(1000, friction=0.5).slips(known)

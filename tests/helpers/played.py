@@ -1,0 +1,38 @@
+"""Trials of a task from a start to their end."""
+
+import numpy as np
+
+from lerobot_robot_pneutac.standin.world import StandinWorld
+from pneutac_datasets.demonstrations.episodes import Episode
+from pneutac_sim.features import CONTROL_HZ
+from pneutac_sim.world.expert import ScriptedExpert
+
+
+def played(world, seed, pilot=ScriptedExpert, steps=300):
+    """Observations (T + 1) and actions (T, A) of a pilot until it succeeds, fails or has had its steps."""
+    seen, actions = [world.reset(seed)], []
+    pilot = pilot(world, np.random.default_rng(seed))
+    while len(actions) < steps and not (world.success or world.failure):
+        actions.append(pilot.action())
+        seen.append(world.step(actions[-1]))
+    return seen, np.array(actions)
+
+
+def succeeds(world, seed, pilot=ScriptedExpert, steps=300) -> bool:
+    played(world, seed, pilot, steps)
+    return bool(world.success and not world.failure)
+
+
+def shown(count, seed, physics=None, task="button", drag_m=0.0, steps=220) -> list[Episode]:
+    """Demonstrations of a scripted expert on the stand-in; one that fails is shown anew."""
+    world, episodes = StandinWorld(task, physics=physics), []
+    if drag_m:
+        world.task.drag_m = drag_m
+    while len(episodes) < count:
+        seen, actions = played(world, seed, steps=steps)
+        seed += 1
+        if world.success:
+            state = np.array([o.state for o in seen[:-1]], float)
+            images = np.stack([o.tactile for o in seen[:-1]])
+            episodes.append(Episode(state, np.array(actions, float), images, "press", CONTROL_HZ))
+    return episodes
