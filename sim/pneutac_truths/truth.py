@@ -161,32 +161,16 @@ def generate(
         samples[name] = shown[:, j]
         noise[name] = float(f"{sd:.4g}")
     _conditions(w, samples, rng, lab)
-    meta = {
-        "device": "arm" if device == "arm" else "finger",
-        "length_mm": round(w.body.length_mm, 2),
-        "samples": "samples.csv",
-    }
+    kind = "arm" if device == "arm" else "finger"
+    meta = {"device": kind, "length_mm": round(w.body.length_mm, 2), "samples": "samples.csv"}
     if tell_noise:
         meta["noise"] = noise
     if tell_pauses:
         told = {str(i): {"start": "continues", "pause_s": p} for i, p in enumerate(w.plan.pauses_s)}
         meta["trials"] = told | {"0": {"start": "rested"}}
-    floor = float(sd * np.sqrt(len(observed)))
-    pauses = [float(p) for p in w.plan.pauses_s]
-    return Truth(
-        device,
-        seed,
-        day,
-        drawn,
-        meta,
-        samples,
-        observed,
-        pose,
-        true_pose,
-        floor,
-        pauses,
-        w.body.top_kpa,
-    )
+    floor, pauses = float(sd * np.sqrt(len(observed))), [float(p) for p in w.plan.pauses_s]
+    log = samples, observed, pose, true_pose
+    return Truth(device, seed, day, drawn, meta, *log, floor, pauses, w.body.top_kpa)
 
 
 def _numbered(pattern: str, n: int) -> list[str]:
@@ -398,21 +382,19 @@ def _missing(wanted: float, both: np.ndarray) -> float:
     return float((np.clip(wanted, low, high) if low < high else (low + high) / 2) - both.mean())
 
 
-def changed(
-    device: str, name: str, seed: int, day: int, parameters: dict, minutes=None, plan: Plan | None = None
-) -> float:
+def changed(device: str, name: str, seed: int, day: int, parameters: dict, plan: Plan | None = None) -> float:
     """How far one effect alone moves the log of the tip, rms, over the rms of the noise.
 
     Weighed at every fourth row. On a given plan, only as far as no other gain and rest bend of the plain
     device do the same.
     """
-    plain, path, slopes = _plain(device, seed, day, minutes, name in TIMED, plan)
+    plain, path, slopes = _plain(device, seed, day, name in TIMED, plan)
     rows = plain.plan.rows[::4]
     drawn = {name: parameters}
     if EFFECTS[name].stage == "marker":
         tips = watch(plain, path, name in TIMED, drawn).tips[::4]
     else:
-        w = World.start(device, seed, day, minutes or MINUTES[device], plan)
+        w = World.start(device, seed, day, MINUTES[device], plan)
         act(w, {} if EFFECTS[name].stage == "gauge" else drawn)
         if EFFECTS[name].stage == "gauge":
             w.drive = w.body.bend_rad * read_gauge(plain, drawn)
@@ -432,9 +414,9 @@ def _rows(w: World, fine: bool) -> np.ndarray:
 
 
 @lru_cache(maxsize=4)
-def _plain(device: str, seed: int, day: int, minutes, fine: bool, plan: Plan | None):
+def _plain(device: str, seed: int, day: int, fine: bool, plan: Plan | None):
     """The plain device, its path, and on a given plan the paths of a little more gain and of more bend."""
-    w = World.start(device, seed, day, minutes or MINUTES[device], plan)
+    w = World.start(device, seed, day, MINUTES[device], plan)
     act(w, {})
     path, slopes, drive = pose(w, _rows(w, fine)), [], w.drive
     for more in (0.01 * drive, 0.01 * w.body.bend_rad) if plan else ():

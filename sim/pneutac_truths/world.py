@@ -61,14 +61,8 @@ class Body:
         length = rng.uniform(80, 200)
         tip = rng.uniform(4, 14)
         radius = length * rng.uniform(0.06, 0.1)
-        rod = Rod.of(
-            length - tip,
-            tip,
-            rng.uniform(0.02, 0.12),
-            rng.uniform(0.68, 0.95),
-            rng.uniform(-0.5, 0.5),
-            radius,
-        )
+        ends = rng.uniform(0.02, 0.12), rng.uniform(0.68, 0.95), rng.uniform(-0.5, 0.5)
+        rod = Rod.of(length - tip, tip, *ends, radius)
         return cls(
             top_kpa=round(rng.uniform(15, 90), 1),
             bend_rad=np.full(c, rng.uniform(0.8, 1.8)),

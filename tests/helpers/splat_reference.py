@@ -2,6 +2,27 @@
 
 import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
+
+from pneutac_sim.splat.camera import Camera
+from pneutac_sim.splat.gaussians import Gaussians
+
+
+def scene(seed: int, n: int, size: float = 0.01) -> Gaussians:
+    """Gaussians in a box of 0.2 m about the origin."""
+    rng = np.random.default_rng(seed)
+    return Gaussians(
+        means=rng.uniform(-0.1, 0.1, (n, 3)),
+        scales=size * rng.uniform(0.1, 2.0, (n, 3)),
+        rotations=Rotation.random(n, random_state=seed).as_matrix(),
+        colours=rng.random((n, 3)),
+        opacities=rng.uniform(0.02, 1.0, n),
+    )
+
+
+def view(distortion=(), width=70, height=51) -> Camera:
+    plain = Camera.look_at([0.1, -0.3, 0.12], [0, 0, 0], [0, 0, 1], 40, width, height)
+    return Camera(plain.intrinsics, plain.extrinsics, width, height, distortion)
 
 
 def render(camera, means, covariances, colours, opacities, background=(0.0, 0.0, 0.0)):

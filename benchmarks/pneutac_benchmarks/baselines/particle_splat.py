@@ -6,8 +6,8 @@ import numpy as np
 from numba import njit
 
 from pneutac_benchmarks.baselines.photo_colours import photo_colours
+from pneutac_benchmarks.baselines.triangles import FINE, canvas_of, picture_of
 from pneutac_sim.mpm.body import Body
-from pneutac_sim.photo_fit.objective import FINE, canvas_of, picture_of
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.rasteriser import Rendering
 

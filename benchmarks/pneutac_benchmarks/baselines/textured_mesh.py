@@ -8,8 +8,8 @@ from scipy.spatial import cKDTree
 
 from pneutac_benchmarks.baselines.isosurface import isosurface
 from pneutac_benchmarks.baselines.photo_colours import photo_colours
+from pneutac_benchmarks.baselines.triangles import draw_triangles
 from pneutac_sim.mpm.body import Body
-from pneutac_sim.photo_fit.objective import draw_triangles
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.follow import carry
 from pneutac_sim.splat.rasteriser import Rendering

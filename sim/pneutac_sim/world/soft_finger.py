@@ -142,11 +142,9 @@ def body(twin: Twin, mount_m: float, axes: int) -> str:
             f"{_inertial(links, n + 1, s[n], sensor(twin) if n == len(s) - 1 else None)}"
             f"{_segment(ends[n + 1] - ends[n], half, flat)}{xml}</body>"
         )
-    c = float(np.sqrt(0.5))
-    mount = (
-        f'<geom class="skin" type="cylinder" fromto="0 0 0 0 0 {mount_m}" size=".026" material="arm_dark"/>'
-    )
-    thick = half + 0.002
+    c, thick = float(np.sqrt(0.5)), half + 0.002
+    shape = f'type="cylinder" fromto="0 0 0 0 0 {mount_m}" size=".026"'
+    mount = f'<geom class="skin" {shape} material="arm_dark"/>'
     base = f'<geom class="skin" type="box" pos="{s[0] / 2} 0 0" size="{s[0] / 2} {thick} {thick}"/>'
     return (
         f'{mount}<body name="finger" pos="0 0 {mount_m}" xyaxes="0 0 1 {-c} {-c} 0">'
@@ -159,12 +157,10 @@ def sensor(twin: Twin) -> Links:
     boxes = np.array([DIGIT_SIZE, 2 * np.array([PAD_HALF_M[1], PAD_HALF_M[0], PAD_HALF_M[2]])])
     mass, tip = np.array([DIGIT_MASS, MASS_KG]), 1e-3 * twin.length_mm
     above = gel_above_m(twin)
-    centre = np.array(
-        [[DIGIT_SIZE[0] / 2, 0.0, above - GEL_ABOVE_M], [GEL_ALONG_M, 0.0, above - PAD_HALF_M[2]]]
-    )
+    digit, pad = (DIGIT_SIZE[0] / 2, 0.0, above - GEL_ABOVE_M), (GEL_ALONG_M, 0.0, above - PAD_HALF_M[2])
     squares = mass[:, None] / 12 * np.square(boxes)
     inertia = [np.diag(each.sum() - each) for each in squares]
-    return Links(mass, centre + [tip, 0.0, 0.0], np.array(inertia))
+    return Links(mass, np.array([digit, pad]) + [tip, 0.0, 0.0], np.array(inertia))
 
 
 def actuators(twin: Twin, axes: int, gear: float = 1.0) -> str:
@@ -256,10 +252,8 @@ def _segment(length: float, half: float, flat: bool) -> str:
         f' size="{0.62 * pitch} {across} {deep}" material="bellow"/>'
         for k in range(rings)
     )
-    touch = (
-        f'<geom class="finger" type="capsule" fromto="0 0 0 {length} 0 0" size="{half - 0.0005}" mass="0"/>'
-    )
-    return skin + spine + touch
+    shape = f'type="capsule" fromto="0 0 0 {length} 0 0" size="{half - 0.0005}"'
+    return f'{skin}{spine}<geom class="finger" {shape} mass="0"/>'
 
 
 def _digit(above: float) -> str:

@@ -48,14 +48,7 @@ def dark(u, towards, elevation, place=FAR):
     return optics.channel(u, CELL, c) < -1.0
 
 
-# ---------------------------------------------------------------- slopes
-
-
-def test_far_light_is_the_slope_towards_it():
-    x, y = grid()
-    u = (0.1 * x - 0.2 * y).astype(np.float32)
-    s = optics.channel(u, CELL, coefficients((30.0, -40.0), 5.0))
-    np.testing.assert_allclose(s, 30 * 0.1 + 40 * 0.2 + 5 * u, atol=1e-3)
+# ---------------------------------------------------------------- slopes and Lambert's cosine
 
 
 @pytest.mark.parametrize("direct", [np.inf, 50.0])
@@ -107,39 +100,6 @@ def test_a_near_light_far_away_is_a_far_light(effects, angle):
     near = optics.channel(bump(), CELL, coefficients(-80 * towards, 2.0, 1e5 * towards, **effects))
     far = optics.channel(bump(), CELL, coefficients(-80 * towards, 2.0, **effects))
     np.testing.assert_allclose(near, far, atol=0.05)
-
-
-def test_a_near_light_shines_from_its_place_and_as_far_away_at_the_centre():
-    """On a plane that slopes along one axis the light is that axis of the direction to the lamp."""
-    x, y = grid()
-    place, strength = np.array([6.0, -8.0]), 50.0
-    light = -strength * place / 10
-    e = [
-        -optics.channel((0.1 * axis).astype(np.float32), CELL, coefficients(light, 0.0, place)) / (0.1 * 50)
-        for axis in (x, y)
-    ]
-    r = np.hypot(place[0] - x, place[1] - y)
-    far = r > 0.5
-    np.testing.assert_allclose(e[0][far], (place[0] - x)[far] / r[far], atol=1e-4)
-    np.testing.assert_allclose(e[1][far], (place[1] - y)[far] / r[far], atol=1e-4)
-    centre = (40, 30)
-    np.testing.assert_allclose([e[0][centre], e[1][centre]], -light / strength, atol=1e-5)
-
-
-# ---------------------------------------------------------------- Lambert's cosine
-
-
-def test_lamberts_cosine_is_linear_to_first_order_in_the_slope():
-    """Halving the slope quarters the difference to the linear model."""
-    light, direct = (-40.0, 25.0), 60.0
-
-    def error(scale):
-        u = bump(height=scale)
-        bent = optics.channel(u, CELL, coefficients(light, 3.0, direct=direct)).astype(np.float64)
-        return np.abs(bent - optics.channel(u, CELL, coefficients(light, 3.0))).max()
-
-    errors = np.array([error(s) for s in (0.2, 0.1, 0.05)])
-    np.testing.assert_allclose(errors[:-1] / errors[1:], 4, rtol=0.05)
 
 
 @pytest.mark.parametrize("place", [FAR, (3.0, -4.0)])

@@ -128,11 +128,6 @@ def test_a_mesh_is_what_it_is_a_mesh_of(kind, size, mesh):
     np.testing.assert_array_equal(together, found)
 
 
-def test_an_unknown_shape_is_named():
-    with pytest.raises(ValueError, match="knows shapes"):
-        probe_grid([1], [[1, 1, 1]], [[0, 0, 0]], [EYE])
-
-
 def test_many_states_are_each_by_itself_and_leave_the_other_rows_alone():
     kinds, sizes = [SPHERE, BOX], np.array([[0.004, 0, 0], [0.003, 0.002, 0.001]])
     rng, buffer = np.random.default_rng(0), np.full((4, 80, 59), 7.0, np.float32)

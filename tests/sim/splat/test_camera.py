@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 import trimesh
 
+from pneutac_benchmarks.baselines.triangles import draw_triangles
 from pneutac_datasets.generate.photo_scene import Studio, photograph
 from pneutac_datasets.generate.photographs import place_camera
 from pneutac_datasets.recording.photographs import segment
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.solid import finger_mesh
-from pneutac_sim.photo_fit.objective import cover, draw_triangles
+from pneutac_sim.photo_fit.objective import cover
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.colours import fit_looks, solve_colours
 from pneutac_sim.splat.follow import carry

@@ -3,7 +3,7 @@ import importlib.util
 import numpy as np
 import pytest
 import torch
-from scipy.spatial.transform import Rotation
+from splat_reference import scene, view
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.indenter import Press
@@ -11,8 +11,6 @@ from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import press_depth
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.gel.surface import surface
-from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.gaussians import Gaussians
 from pneutac_sim.splat.gel import CAMERA_MM, SplatSensor, particles
 from pneutac_sim.splat.rasteriser import Splats
 from pneutac_sim.splat.render import on, rasterise
@@ -92,27 +90,11 @@ ABLE = importlib.util.find_spec("gsplat") is not None and torch.cuda.is_availabl
 needs_cuda = pytest.mark.skipif(not ABLE, reason="needs gsplat and a CUDA device")
 
 
-def scene(n: int = 3000) -> Gaussians:
-    rng = np.random.default_rng(0)
-    return Gaussians(
-        means=rng.uniform(-0.1, 0.1, (n, 3)),
-        scales=0.004 * rng.uniform(0.1, 2.0, (n, 3)),
-        rotations=Rotation.random(n, random_state=0).as_matrix(),
-        colours=rng.random((n, 3)),
-        opacities=rng.uniform(0.01, 1.0, n),
-    )
-
-
-def view(distortion) -> Camera:
-    plain = Camera.look_at([0.1, -0.3, 0.12], [0, 0, 0], [0, 0, 1], 40, 200, 150)
-    return Camera(plain.intrinsics, plain.extrinsics, 200, 150, distortion)
-
-
 @needs_cuda
 @pytest.mark.parametrize("distortion", [(), (-0.2, 0.05, 0.003, -0.002, 0.01)])
 def test_cuda_agrees_with_the_cpu(distortion):
-    here = rasterise(scene(), view(distortion), (0.2, 0.5, 0.9))
-    there = rasterise(scene(), view(distortion), (0.2, 0.5, 0.9), device="cuda")
+    g, camera = scene(0, 3000, size=0.004), view(distortion, 200, 150)
+    here, there = (rasterise(g, camera, (0.2, 0.5, 0.9), device=d) for d in ("cpu", "cuda"))
     assert 0.1 < here.alpha.mean() < 0.99
     for ours, theirs in zip(here, there, strict=True):
         # rounding may lift single pixels over the alpha threshold of 1/255
@@ -124,7 +106,7 @@ def test_cuda_agrees_with_the_cpu(distortion):
 def test_cuda_gradients_agree_with_the_cpu():
     from pneutac_sim.splat.cuda import rasterise_tensors
 
-    g, camera = scene(500), view(())
+    g, camera = scene(0, 500, size=0.004), view((), 200, 150)
     by_image = np.random.default_rng(1).normal(size=(150, 200, 3)).astype(np.float32)
     arrays = (g.means, g.covariances(), g.colours, g.opacities)
     tensors = [torch.from_numpy(a).cuda().requires_grad_() for a in arrays]
@@ -159,5 +141,5 @@ def test_a_touch_and_a_finger_are_drawn_on_cuda_as_on_the_cpu():
 @pytest.mark.skipif(ABLE, reason="gsplat and a CUDA device are there")
 def test_without_cuda_the_remedy_is_named():
     with pytest.raises(InputError, match=r"uv pip install -e .\.\[cuda\]"):
-        rasterise(scene(5), view(()), device="cuda")
+        rasterise(scene(0, 5), view(), device="cuda")
     assert on("auto") is Splats

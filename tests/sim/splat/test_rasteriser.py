@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from scipy.spatial.transform import Rotation
 from splat_reference import render as reference
+from splat_reference import scene, view
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.splat.camera import Camera
@@ -20,23 +20,6 @@ from pneutac_sim.splat.render import rasterise
 
 BACKGROUND = (0.2, 0.5, 0.9)
 LENS = (-0.2, 0.05, 0.003, -0.002, 0.01)
-
-
-def scene(seed: int, n: int, size: float = 0.01, opacity=(0.02, 1.0)) -> Gaussians:
-    """Gaussians in a box of 0.2 m about the origin."""
-    rng = np.random.default_rng(seed)
-    return Gaussians(
-        means=rng.uniform(-0.1, 0.1, (n, 3)),
-        scales=size * rng.uniform(0.1, 2.0, (n, 3)),
-        rotations=Rotation.random(n, random_state=seed).as_matrix(),
-        colours=rng.random((n, 3)),
-        opacities=rng.uniform(*opacity, n),
-    )
-
-
-def view(distortion=(), width=70, height=51) -> Camera:
-    plain = Camera.look_at([0.1, -0.3, 0.12], [0, 0, 0], [0, 0, 1], 40, width, height)
-    return Camera(plain.intrinsics, plain.extrinsics, width, height, distortion)
 
 
 def splats_of(g: Gaussians, camera: Camera) -> Splats:

@@ -144,7 +144,7 @@ class Chain:
         self.low_rad, self.high_rad = np.array(limits).T
         self.speed_rad_s = np.full(self.joints, np.pi)  # no motion here comes near a joint's own limit
         self._turn = np.array([1.0, 0.0, 0.0, 0.0])
-        home, _ = self._solver().pose(self.home_rad)
+        home, _ = self.solver().pose(self.home_rad)
         down = panda.forward_kinematics(panda.HOME_JOINTS)[:3, :3]
         if home[:, 2] @ down[:, 2] < TILT:
             raise InputError(
@@ -196,19 +196,14 @@ class Chain:
             shape = f'type="sphere" size="{1.2 * thick}" mass="{LINK_KG / 2}" material="arm_dark"'
             geoms = f'<geom class="arm" {shape}/>' if hinges or k == 0 else ""
             if ahead and np.linalg.norm(ahead[0]) > thick:
-                ends = f"0 0 0 {_text(ahead[0])}"
-                geoms += (
-                    f'<geom class="arm" type="capsule" fromto="{ends}" size="{thick}" mass="{LINK_KG / 2}"'
-                )
-                geoms += ' material="arm"/>'
+                shape = f'type="capsule" fromto="0 0 0 {_text(ahead[0])}" size="{thick}"'
+                geoms += f'<geom class="arm" {shape} mass="{LINK_KG / 2}" material="arm"/>'
             xml = (
                 f'<body name="link{k + 1}" pos="{_text(link.pos)}" quat="{_text(link.quat)}" gravcomp="1">'
                 f"{hinges}{geoms}{xml}</body>"
             )
-        foot = f"0 0 {-self.base_m[2] - 0.001} 0 0 0.001"
-        stand = (
-            f'<geom class="arm" type="cylinder" fromto="{foot}" size="{1.5 * thick}" material="arm_dark"/>'
-        )
+        shape = f'type="cylinder" fromto="0 0 {-self.base_m[2] - 0.001} 0 0 0.001" size="{1.5 * thick}"'
+        stand = f'<geom class="arm" {shape} material="arm_dark"/>'
         return f'<body name="{self.root}" pos="{_text(self.base_m)}">{stand}{xml}</body>'
 
     def servos(self) -> str:
@@ -220,9 +215,6 @@ class Chain:
 
     def solver(self) -> ChainIK:
         """Inverse kinematics of the flange in the base's frame, with its orientation held as at home."""
-        return self._solver()
-
-    def _solver(self) -> ChainIK:
         return ChainIK(self._model(), self.base_m, self.home_rad)
 
     def _model(self) -> mujoco.MjModel:
@@ -234,14 +226,11 @@ class Chain:
     def _servo_gains(self) -> list[float]:
         """Stiffness (N,) in N m/rad: with the lag, damping is critical for the inertia that turns at home."""
         model = self._model()
-        data, inertia = mujoco.MjData(model), np.empty(model.nv)
+        data, mass = mujoco.MjData(model), np.empty((model.nv, model.nv))
         data.qpos[:] = self.home_rad
         mujoco.mj_forward(model, data)
-        for n, one in enumerate(np.eye(model.nv)):
-            moved = np.empty(model.nv)
-            mujoco.mj_mulM(model, data, moved, one)
-            inertia[n] = moved[n]
-        return (4 * inertia / panda.SERVO_LAG_S**2).tolist()
+        mujoco.mj_fullM(model, data, mass)
+        return (4 * mass.diagonal() / panda.SERVO_LAG_S**2).tolist()
 
 
 def read_chain(file: Path, flange: str) -> list[Link]:
