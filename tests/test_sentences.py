@@ -76,6 +76,8 @@ surrogate --twin=nowhere
 surrogate --twin=arm
 augment
 augment --task=bottle
+repair --dataset=nowhere
+augment --dataset.repo_id=local/x --dataset.root=nowhere --output.repo_id=local/y --output.root=bench
 augment --dataset.repo_id=local/x --dataset.root=nowhere --output.repo_id=local/y --output.root=o
 augment --method=magic
 augment --planner.samples=1

@@ -270,21 +270,22 @@ def augment(
         InputError: a dataset cannot be read or exists, names no task, is of another task or sensor, fewer
             than two demonstrations have not failed, or too few variants succeed.
     """
+    from pneutac_datasets.demonstrations.info import check_new, info_file, refuse_damaged
+
+    check_new(config.output.root, config.output.repo_id)  # before imports that take seconds
+    info_file(config.dataset.root)
     progress("reading the demonstrations", 0, 1)
     from pneutac_datasets.demonstrations.augment.episode import AugmentSetup
     from pneutac_datasets.demonstrations.augment.library import start_spread_m
     from pneutac_datasets.demonstrations.augment.run import (
         augment_guided,
         augment_without_simulator,
-        check_new,
         read_references,
     )
     from pneutac_datasets.demonstrations.episodes import POINTS, further_features
-    from pneutac_datasets.demonstrations.info import refuse_damaged
     from pneutac_datasets.demonstrations.replay.reading import task_to_do
     from pneutac_sim.gel.sensor import TactileSensor
 
-    check_new(config.output.root, config.output.repo_id)
     sensor, file = None, station_file(config.dataset.root, config.station)
     station = Station.load(file) if file else Station()
     if config.method != "naive":

@@ -6,6 +6,7 @@ from pathlib import Path
 from rich.markup import escape
 
 from lerobot_pneutac.cli.terminal import Terminal
+from pneutac_sim.errors import InputError
 
 
 @dataclass
@@ -20,6 +21,8 @@ class RepairConfig:
 
 def command(config: RepairConfig, terminal: Terminal) -> None:
     """Recovers all finished episodes of a dataset whose recording was interrupted."""
+    if not config.dataset.is_dir():  # before imports that take seconds
+        raise InputError(f"There is no folder '{config.dataset}'; give the folder of a dataset.")
     from pneutac_datasets.demonstrations.repair.dataset import repair_dataset
 
     repaired = repair_dataset(config.dataset, config.like, config.drop)

@@ -88,13 +88,29 @@ def refuse_version(file: Path, info: dict) -> None:
     raise InputError(f"{file}: codebase_version is {shown(version)}, and v3.0 is read here; {remedy}.")
 
 
-def refuse_damaged(folder: str | Path) -> None:
-    """Raises InputError with the first of `dataset_faults`, and where there is no dataset at all."""
+def info_file(folder: str | Path) -> Path:
+    """`meta/info.json` of a dataset; raises InputError where there is none."""
     file = Path(folder) / "meta" / "info.json"
     if not file.is_file():
         raise InputError(f"'{folder}' holds no LeRobotDataset (no meta/info.json).")
-    if faults := dataset_faults(Path(folder), read_info(file)):
+    return file
+
+
+def refuse_damaged(folder: str | Path) -> None:
+    """Raises InputError with the first of `dataset_faults`, and where there is no dataset at all."""
+    if faults := dataset_faults(Path(folder), read_info(info_file(folder))):
         raise InputError(faults[0])
+
+
+def work_folder(out_root: Path) -> Path:
+    """Where pieces of a new dataset lie until it is whole."""
+    return out_root.with_name(out_root.name + ".work")
+
+
+def check_new(out_root: Path, repo_id: str) -> None:
+    """Raises InputError where a new dataset's folder exists, and no run is left to be tidied up there."""
+    if out_root.exists() and not work_folder(out_root).exists():
+        raise InputError(f"'{out_root}' exists; give a new folder for dataset '{repo_id}'.")
 
 
 def dataset_faults(folder: Path, info: dict) -> list[str]:

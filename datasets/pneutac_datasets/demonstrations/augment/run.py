@@ -41,7 +41,7 @@ from pneutac_datasets.demonstrations.episodes import (
     readable,
     save_episode,
 )
-from pneutac_datasets.demonstrations.info import refuse_damaged
+from pneutac_datasets.demonstrations.info import check_new, refuse_damaged, work_folder
 from pneutac_datasets.demonstrations.naive import augment_naive
 from pneutac_datasets.demonstrations.replay.imprint import imprint_centres_mm
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders, written
@@ -90,16 +90,6 @@ def read_references(
     return meta, references
 
 
-def _work_folder(out_root: Path) -> Path:
-    return out_root.with_name(out_root.name + ".work")
-
-
-def check_new(out_root: Path, repo_id: str) -> None:
-    """Raises InputError where a new dataset's folder exists, and no run is left to be tidied up there."""
-    if out_root.exists() and not _work_folder(out_root).exists():
-        raise InputError(f"'{out_root}' exists; give a new folder for dataset '{repo_id}'.")
-
-
 def augment_guided(
     meta: LeRobotDatasetMetadata,
     setup: AugmentSetup,
@@ -140,7 +130,7 @@ def augment_guided(
     onset_sigma_m(setup.references)
     checks = min(checks, episodes)
     out_root, began = Path(out_root), time.monotonic()
-    work = Work(_work_folder(out_root))
+    work = Work(work_folder(out_root))
     part = out_root.with_name(out_root.name + ".part")
     if out_root.exists() and work.folder.exists():
         return _tidy_up(work, out_root, meta, setup, episodes, began) | _checked(work, checks)
