@@ -204,8 +204,10 @@ def enough_rows(twin: Twin, recording: Recording, effects: list[str], train: np.
     )
     if train.sum() * len(bench.columns) <= count:
         least = math.ceil((count + 1) / len(bench.columns) / max(train.mean(), 0.5))
-        file = recording.folder / recording.meta.get("samples", "")
+        samples = recording.meta.get("samples")  # none of a table that is not converted yet
+        where = recording.folder / samples if samples else "The table"
         raise InputError(
-            f"{file} has {plural(len(recording), 'row')}, and fitting the {count} parameters takes at least "
-            f"{least} (hundreds to distinguish effects); {LONGER[0].lower()}{LONGER[1:]}"
+            f"{where} has {plural(len(recording), 'row')}, and"
+            f" fitting the {count} parameters takes at least {least} (hundreds to distinguish effects);"
+            f" {LONGER[0].lower()}{LONGER[1:]}"
         )

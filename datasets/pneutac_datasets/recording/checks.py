@@ -53,7 +53,8 @@ def clock(recording: Recording) -> list[Finding]:
             "new trial there."
         )
         found.append(Finding("gaps", text, ("time_s",), np.array(gaps) + 1, {"count": len(gaps)}))
-    if lost and even:
+    left_out = recording.meta.get("conversion", {}).get("rows_left_out", 0)  # which its notes say
+    if lost and even and missing > left_out:
         text = (
             f"{plural(missing, 'row')} {'is' if missing == 1 else 'are'} missing from an even clock (first "
             f"before {where(recording, lost[0])}): frames were dropped there."

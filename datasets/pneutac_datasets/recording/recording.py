@@ -53,6 +53,7 @@ class Recording:
         table, file = reading.read_table(folder, meta)
         device = rules.device_of(meta, table, folder)
         samples, warnings = rules.check_samples(table, device, meta, file)
+        warnings = [*meta.get("conversion", {}).get("notes", []), *warnings]
         return cls(folder, meta, samples.reset_index(drop=True), device, warnings)
 
     def write(self, path: str | Path) -> Path:

@@ -25,7 +25,7 @@ ROUNDED_S = 1e-3  # by which stamps of two columns may disagree
 CAMERA = ("intrinsics", "extrinsics", "distortion", "background")
 FIELDS = (
     *("device", "length_mm", "spine_joint_positions_mm", "samples", "cameras", "noise", "trials", "obstacle"),
-    *("notes", "rest_image", "px_per_mm", "gel_size_mm", "date", "source", "length_proposed"),
+    *("notes", "rest_image", "px_per_mm", "gel_size_mm", "date", "source", "length_proposed", "conversion"),
 )
 EXAMPLE = '{"3": {"start": "continues", "pause_s": 12}}'
 
@@ -181,6 +181,9 @@ def check_meta(meta: dict, file: Path) -> None:
             f"{file}: field 'cameras' is {shown(cameras)}; name each camera and what it is, as in "
             '{"front": {"intrinsics": 3x3 in px, "extrinsics": 4x4 from base to camera in m}}.'
         )
+    conversion = meta.get("conversion", {})
+    if not isinstance(conversion, dict) or not isinstance(conversion.get("notes", []), list):
+        raise InputError(f"{file}: field 'conversion' is {shown(conversion)}; convert the table again.")
     check_starts(meta, file)
 
 

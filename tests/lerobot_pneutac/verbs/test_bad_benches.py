@@ -97,6 +97,12 @@ def test_a_good_recording_is_refused_by_none(twin, tmp_path):
     assert found.worse == "" and found.error["heldout"] < 0.003
 
 
+def test_a_comparison_of_too_few_samples_says_how_many_it_takes(tmp_path, twin):
+    recording = Recording.load(write(tmp_path / "bench", table().head(9)))
+    with pytest.raises(InputError, match="has 9 usable samples, and a comparison takes at least 10; record"):
+        compare(Twin.load(twin), recording)
+
+
 def test_a_calibration_alone_takes_a_twin_without_its_gain_and_finds_it(tmp_path, twin, capsys):
     folder, recording = tmp_path / "twin", write(tmp_path / "bench", table())
     without = Twin.load(twin)

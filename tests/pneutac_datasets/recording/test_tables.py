@@ -9,6 +9,7 @@ import pytest
 from scipy.io import savemat
 
 from pneutac_datasets.demonstrations.info import is_demonstrations
+from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.sources import plain
 from pneutac_datasets.recording.sources.columns import parse_columns
@@ -409,6 +410,9 @@ def test_what_is_not_recognised_is_retained_and_what_is_empty_said(tmp_path):
     assert len(found.recording) == len(TRUTH) - 4
     notes = " ".join(found.notes)
     assert "4 rows without" in notes and "'leer' is empty" in notes and "'Tx' is empty in 11 rows" in notes
+    stored = plain.write(found, tmp_path / "lab.recording")
+    assert set(found.notes) <= set(stored.warnings)
+    assert "frames were dropped" not in " ".join(check(stored)[1])
 
 
 def test_faults_name_the_table_its_line_and_its_column(tmp_path):

@@ -24,6 +24,8 @@ from pneutac_sim.files import read_fields, write_text
 
 ENDING = ".recording"  # of the folder next to the files
 MAPPING = "mapping.yaml"  # there, what the columns are
+# Fields of `recording.json` that each conversion writes anew.
+REWRITTEN = ("length_mm", "length_proposed", "samples", "source", "conversion")
 TEXT = (".csv", ".txt", ".tsv", ".tab", ".dat", ".log", ".asc", ".prn")
 FILES = (*TEXT, ".mat", ".parquet")
 SPREADSHEETS = (".xlsx", ".xls", ".xlsm", ".ods", ".numbers")
@@ -239,6 +241,7 @@ def understand_files(files: Sequence[Path], given: Given, log: bool = False, tim
     faults = [] if log else _checked(recording, columns, read, of_file, keep)
     if not log and not faults:
         notes += _axes_notes(recording, source, given)
+    meta["conversion"] = {"notes": notes, "rows_left_out": int((~keep).sum())}
     return Understood(list(files), recording, columns, given, read[0].style, notes, length_mm, faults)
 
 
@@ -554,12 +557,12 @@ def write(understood: Understood, folder: Path) -> Recording:
     earlier = {}
     if (folder / "recording.json").is_file():
         earlier = reading.read_meta(folder)
-        earlier = {k: v for k, v in earlier.items() if k not in ("length_mm", "length_proposed", "samples")}
+        earlier = {k: v for k, v in earlier.items() if k not in REWRITTEN}
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_text(folder / MAPPING, understood.given.text(understood.columns, understood.given.length_mm))
         stamp = _stamp(folder, understood.files)
-        meta = recording.meta | {k: v for k, v in earlier.items() if k != "source"} | {"source": stamp}
+        meta = recording.meta | earlier | {"source": stamp}
         replace(recording, meta=meta).write(folder)
     except OSError as e:
         raise InputError(
