@@ -60,8 +60,7 @@ class TableOptions:
     """Options of a verb that takes a lab's own table as a recording."""
 
     yes: bool = False  # take a table as it is understood, without asking
-    # `mapping.yaml` of another table with the same columns, which says what they are
-    mapping: Path | None = None
+    mapping: Path | None = None  # `mapping.yaml` of another table with such columns, which says what they are
 
 
 @dataclass(kw_only=True)

@@ -107,10 +107,7 @@ class MarkerTracker:
         self._base = None
 
     def see_base(self, images: list[np.ndarray]) -> None:
-        """Takes the base marker's pose from images (H, W, 3) RGB, by the mean of its corners.
-
-        Raises InputError where their size is not the calibration's, or the marker is in less than half.
-        """
+        """Takes the base marker's pose from images (H, W, 3) RGB, by the mean of its corners."""
         size = images[0].shape[1::-1]
         if size != self.camera.size_px:
             raise InputError(

@@ -35,8 +35,7 @@ class PressureTrial:
     time_s: np.ndarray  # (n,) of the samples, rising from 0
     pressure_kpa: np.ndarray  # (n, chambers) set-points
     sent_s: np.ndarray  # (n,) when each is sent: at its sample, or a part of a sample before
-    # that it asks for, such as `payload_g`; somebody has to see to them.
-    conditions: Mapping[str, float] = field(default_factory=dict)
+    conditions: Mapping[str, float] = field(default_factory=dict)  # asked for, such as `payload_g`
 
 
 def program_chambers(given: str, recording: Path | None = None) -> int:
@@ -195,8 +194,7 @@ OWN, STANDIN = BENCHES = ("own", "standin")
 class MeasureConfig:
     """Options of `pneutac measure`."""
 
-    # the controller, as `--robot.pressure` of the robot
-    pressure: PressureConfig = field(default_factory=PressureConfig)
+    pressure: PressureConfig = field(default_factory=PressureConfig)  # as the robot's `--robot.pressure`
     camera: CameraConfig | None = None  # camera of any LeRobot type that looks at the finger's two markers
     intrinsics: Path | None = None  # file of the camera's calibration; with `chessboard`, the file to write
     digit: CameraConfig | None = None  # a tactile camera whose images are recorded too
@@ -205,8 +203,7 @@ class MeasureConfig:
     bench: str = "own"
     seed: int = 0  # of the stand-in's noise
     program: str = "all"  # `steps`, `ramps`, `holds`, `loops`, `all`, a CSV, or a diagnosis' `result.json`
-    # folder of the recording that was diagnosed, for a `result.json` as program
-    recording: Path | None = None
+    recording: Path | None = None  # folder of the recording that was diagnosed, for a `result.json` program
     out: Path | None = None  # new folder of the recording
     length_mm: float | None = None  # length of the straight finger, base to tip marker
     # largest set-point, one for all chambers or one for each; the built-in programs reach it
@@ -220,14 +217,12 @@ class MeasureConfig:
     marker_mm: float = 12.0  # side of both markers
     base_id: int = 0  # number of the marker at the base
     tip_id: int = 1  # number of the marker at the tip
-    # vector from the finger's base to the base marker's centre, in the base frame
-    base_offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    base_offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)  # finger's base to base marker, base frame
     # constant columns, such as {gravity_x: 1, gravity_y: 0, gravity_z: 0}, the direction of gravity in the
     # base's frame, {payload_g: 50}, {temperature_c: 22}; those of a program take precedence
     conditions: dict[str, float] = field(default_factory=dict)
     notes: str = ""  # text to store in the recording
-    # folder of photographs of a chessboard: calibrates the camera, and nothing else
-    chessboard: Path | None = None
+    chessboard: Path | None = None  # photographs of a chessboard: calibrates the camera, and nothing else
     corners: tuple[int, int] = (9, 6)  # number of the chessboard's inner corners, columns and rows
     square_mm: float = 20.0  # side of the chessboard's squares
 

@@ -28,8 +28,7 @@ GEL |= {"indenter_file": None, "outline_mm": None}
 class RenderView:
     """From where a body is seen, hanging from its base."""
 
-    # angle round its length, from the side on which a bend goes to the right towards the bend
-    azimuth_deg: float = 30.0
+    azimuth_deg: float = 30.0  # round its length, from where a bend goes to the right, towards the bend
     elevation_deg: float = 10.0  # angle from below (-90) through level to above (90)
     distance_lengths: float = 4.0  # distance from the middle of its motion, in lengths of the body
 
@@ -57,10 +56,8 @@ class RenderConfig:
     pressure_kpa: list[float] | None = None
     # time of each pressure in the film, half to get there, half to stay; if omitted, 1
     seconds: float | None = None
-    # values that the twin's effects ask for, such as {temperature_c: 30}
-    conditions: dict[str, float] = field(default_factory=dict)
-    # folder of photographs to show next to a finger or an arm calibrated by images
-    recording: Path | None = None
+    conditions: dict[str, float] = field(default_factory=dict)  # what effects ask for, {temperature_c: 30}
+    recording: Path | None = None  # photographs to show next to a finger or an arm calibrated by images
     camera: str | None = None  # name of one of the recording's cameras; if omitted, the first
     # direction of view without a recording, in the twin's looks where it has them
     view: RenderView | None = None
@@ -72,10 +69,8 @@ class RenderConfig:
     x_mm: float | None = None  # place along image columns, from the middle; if omitted, 0
     y_mm: float | None = None  # place along image rows, from the middle; if omitted, 0
     yaw_rad: float | None = None  # turn of the indenter, from columns towards rows; if omitted, 0
-    # STL of a `mesh` in mm, its tip down, the contact's centre at x = y = 0
-    indenter_file: Path | None = None
-    # corners of an `outline` in mm from the contact's centre, as in "0 2; 2 -1; -2 -1"
-    outline_mm: str | None = None
+    indenter_file: Path | None = None  # STL of a `mesh` in mm, tip down, the contact's centre at x = y = 0
+    outline_mm: str | None = None  # corners of an `outline`, mm from the contact's centre: "0 2; 2 -1; -2 -1"
     particles: int | None = None  # number of material points of a finger or an arm, about; if omitted, 4000
     device: str = "auto"  # `auto`, `cpu` or `cuda`
     out: Path = Path("outputs/render")  # folder for pictures, film.mp4, `report.html` and `result.json`

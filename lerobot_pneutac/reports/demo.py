@@ -95,7 +95,6 @@ def _another_day(before, after):
 
 
 def _errors(state: dict, added: list[str]):
-
     errors = (state[stage]["tip_error_mm"] for stage in ("twin", "add"))
     names = ("calibrated", f"with {', '.join(added)}")
     steps = [(n, e, None, c) for n, e, c in zip(names, errors, (BEFORE, AFTER), strict=True)]
@@ -103,7 +102,6 @@ def _errors(state: dict, added: list[str]):
 
 
 def _losses(training: dict):
-
     lines = (
         (name, (1 + np.arange(len(training[arm]))) * training["log_freq"], training[arm], None)
         for arm, name in (("augmented", "with augmentation"), ("alone", "recorded ones alone"))

@@ -44,7 +44,7 @@ FEWEST = 3  # steps
 BINS = 24
 MEANT = {"measured": MEASURED, "without": BEFORE, "with": AFTER}
 MOST_POINTS = 4000
-Step = tuple[str, float, Sequence[float], str]  # what changed, test error, its interval, colour
+Step = tuple[str, float, Sequence[float] | None, str]  # what changed, test error, its interval, colour
 CONDITIONS = ("gravity", "payload_g", "temperature_c")  # shown first
 
 
@@ -252,14 +252,11 @@ def proposed(s: Separation) -> go.Figure:
     spread = [float(np.abs(a - b).max()) for a, b in zip(s.predictions[0].T, s.predictions[1].T, strict=True)]
     k = int(np.argmax(spread))
     pair = [np.round(y[:, k], 4) for y in s.predictions]
-    lines = [
-        (name, s.time_s, y, style)
-        for name, y, style in (
-            ("chosen", pair[0], AFTER),
-            ("rival", pair[1], BEFORE),
-            ("difference", pair[0] - pair[1], {"color": OTHER, "dash": "dot"}),
-        )
-    ]
+    lines = (
+        ("chosen", s.time_s, pair[0], AFTER),
+        ("rival", s.time_s, pair[1], BEFORE),
+        ("difference", s.time_s, pair[0] - pair[1], {"color": OTHER, "dash": "dot"}),
+    )
     return curves(lines, "time (s)", s.columns[min(k, len(s.columns) - 1)])
 
 

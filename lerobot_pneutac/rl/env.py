@@ -111,20 +111,13 @@ WEIGHTS: dict[str, float] = {
 
 @dataclass(frozen=True)
 class Moment:
-    """What the reward looks at after a control step.
+    """What the reward looks at after a control step."""
 
-    Attributes:
-        progress: how much of the task is done.
-        distance_m: gel to where the object should be touched.
-        depth_mm: deepest point of the probe grid.
-        success, failure: whether the trial has ended, and how.
-    """
-
-    progress: float
-    distance_m: float
-    depth_mm: float
-    success: bool = False
-    failure: bool = False
+    progress: float  # how much of the task is done
+    distance_m: float  # gel to where the object should be touched
+    depth_mm: float  # deepest point of the probe grid
+    success: bool = False  # the trial has ended so
+    failure: bool = False  # or so
 
 
 def reward_terms(

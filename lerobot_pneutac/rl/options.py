@@ -22,8 +22,7 @@ class StudentRef:
     # standard deviation of what is added to the actions that are carried out, which reach from -1 to 1;
     # stored are the actions without it
     noise: float = 0.05
-    # tactile images as video instead of PNG; datasets that are to be merged must agree in this
-    video: bool = False
+    video: bool = False  # tactile images as video, not PNG; datasets that are to be merged must agree
 
 
 @dataclass
@@ -38,13 +37,11 @@ class PpoConfig:
     # [low, high]
     conditions: dict[str, float | list[float]] = field(default_factory=dict)
     station: Path | None = None  # file `station.yaml` of arm, workspace and mount; if omitted, the paper's
-    # control steps of training, of all worlds together; with more than before the training goes on
-    steps: int = 500_000
+    steps: int = 500_000  # control steps of training, of all worlds; with more than before it goes on
     seed: int = 0  # seed of networks and starts
     envs: int | None = None  # number of worlds; if omitted, two a core, at least 8
     parallel: bool | None = None  # a process for each world; if omitted, on more than two cores
-    # device of the networks, `cpu` or `cuda`; they are small, so the CPU is seldom slower
-    device: str = "cpu"
+    device: str = "cpu"  # of the networks, `cpu` or `cuda`; they are small, so that the CPU is seldom slower
     # demonstrations of the actor, from which a policy with a tactile image learns; none unless their folder
     # is given
     student: StudentRef = field(default_factory=StudentRef)

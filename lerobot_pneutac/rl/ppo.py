@@ -132,8 +132,7 @@ class PpoSettings:
     trace: float = 0.95  # lambda of the generalised advantage estimate
     clip: float = 0.2  # how far a probability ratio may move in one update
     entropy: float = 0.001  # weight of the entropy bonus
-    # logarithm of the first standard deviation of the actions, which reach from -1 to 1
-    log_std: float = -0.5
+    log_std: float = -0.5  # logarithm of the actions' first standard deviation; they reach from -1 to 1
 
 
 @dataclass(frozen=True)

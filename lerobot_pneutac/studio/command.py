@@ -21,8 +21,7 @@ class StudioConfig:
     # where the next experiment is driven, by a button that says so: `none`, `standin`, the finger that stands
     # in for a real one, or `measure`, your bench
     bench: str = "none"
-    # YAML file with the options of `pneutac measure` for your bench, without `program` and `out`
-    measure: Path | None = None
+    measure: Path | None = None  # YAML file of `pneutac measure` for your bench, without `program` and `out`
     port: int = 8080  # of this machine to listen on; 0 for any that is free
 
     def __post_init__(self):

@@ -27,10 +27,7 @@ class EffectsPanel:
         range_kpa: float,
         changed: Callable[[], None],
     ) -> None:
-        """Switches of effects for another twin, in place of those before; `changed` is called when one moves.
-
-        `present` are the twin's, name to parameters; `range_kpa`, the largest pressure, scales bounds.
-        """
+        """Switches of effects, with the values `present` in the twin; `range_kpa` scales their bounds."""
         if self._folder is not None:
             self._folder.remove()
         with self._place:

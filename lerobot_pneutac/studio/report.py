@@ -29,8 +29,7 @@ class ReportConfig:
 
     twin: Path  # folder of the twin; `pneutac report DIR` is the same as `--twin=DIR`
     out: Path | None = None  # folder for `result.json` and `report.html`; nothing is written without it
-    # file ending in .rrd to write for Rerun's viewer: the finger or arm over its pressures
-    rrd: Path | None = None
+    rrd: Path | None = None  # file ending in .rrd to write for Rerun's viewer: the body over its pressures
     recording: Path | None = None  # with `rrd`: a recording of it instead, measured and modelled
 
     def __post_init__(self):

@@ -443,8 +443,7 @@ class AddConfig(PairOptions):
     effect: str = ""  # names of the effects or laws to switch on, joined by commas
     # folder that `pneutac diagnose` wrote; all that it found is switched on. Also `--from`
     diagnosis: Path | None = None
-    # stores the version although the error does not fall significantly, marked as unconfirmed
-    anyway: bool = False
+    anyway: bool = False  # stores it although the error does not fall significantly, marked as unconfirmed
     seed: int = 0  # seed of the data split and of the bootstrap
 
     def __post_init__(self):

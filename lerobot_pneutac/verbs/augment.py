@@ -75,8 +75,7 @@ class AugmentConfig(ExecutorOptions):
     # file `station.yaml` of arm, workspace, mount and control rate in which they were recorded; if omitted,
     # the one that their robot left in them, or the paper's
     station: Path | None = None
-    # horizon, samples and weights of the planner
-    planner: PlannerConfig = field(default_factory=PlannerConfig)
+    planner: PlannerConfig = field(default_factory=PlannerConfig)  # its horizon, samples and weights
     # half widths in m along x, y and z of the starts of `library` and `expert` around recorded starts; if
     # omitted, the standard deviation of the recorded starts, 0.004 at least
     start_range: tuple[float, float, float] | None = None
@@ -89,8 +88,7 @@ class AugmentConfig(ExecutorOptions):
     # number of the new demonstrations that are carried out once more by material points; how far they agree
     # goes into the report. Each takes minutes
     check_mpm: int = 0
-    # `cpu`, a world in each process, or `cuda`, many worlds together on a GPU, of `library` alone
-    device: str = "cpu"
+    device: str = "cpu"  # `cpu`, a world a process, or `cuda`, many worlds on a GPU, of `library` alone
     worlds: int = 1024  # that are stepped together on a GPU
     out: Path | None = None  # folder for `report.html` and `result.json`
 

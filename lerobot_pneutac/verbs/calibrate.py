@@ -142,8 +142,7 @@ class CalibrateConfig(PairOptions):
     effects: str | None = None
     through: str | None = None
     image_size: tuple[int, int] | None = None
-    # name under which a gel's illumination is stored for other sensors of its model
-    save_prior: str | None = None
+    save_prior: str | None = None  # name under which a gel's light is stored for other sensors of its model
     by: str | None = None
     train_kpa: str = "0,3,6,9,12,15"
     evaluations: int = 84

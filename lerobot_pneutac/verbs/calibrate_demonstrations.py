@@ -23,8 +23,7 @@ class LightCalibration(Calibration):
     light: LightDrift  # how the light had changed since the twin was made
     before: float  # error of the twin's own rest image on the held-out episodes, levels
     task: str
-    # how imprints turned where the finger was dragged sideways; None where it was not.
-    dragging: Dragging | None = None
+    dragging: Dragging | None = None  # how imprints turned where the finger was dragged sideways; None if not
     dragged_before: Dragging | None = None  # the same as the twin knew it
 
     heading = "The gel's light at rest"
@@ -57,11 +56,7 @@ class LightCalibration(Calibration):
 
 
 def calibrate_demonstrations(twin: Twin, given: Demonstrations, seed: int = 0) -> LightCalibration:
-    """Takes the gel's rest image from the frames before the first touches; the twin is not changed.
-
-    Raises:
-        InputError: there are fewer than two episodes, or their images have another size than the gel's.
-    """
+    """Takes the gel's rest image from the frames before the first touches, of two episodes at least."""
     began = time.perf_counter()
     if len(given.episodes) < LEAST:
         raise InputError(f"{given.folder} has {len(given.episodes)} episode; a rest image takes {LEAST}.")

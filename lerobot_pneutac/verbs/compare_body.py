@@ -139,8 +139,7 @@ class BodyComparison(Comparison):
     axes: list[Axis]
     rate: np.ndarray  # (n,) of the commanded pressure, kPa/s
     still: np.ndarray  # (n,) whether it stands
-    # (n,) squared error of the measured pressure, kPa^2, or None where none was measured.
-    pressure: np.ndarray | None
+    pressure: np.ndarray | None  # (n,) squared error of the measured pressure, kPa^2; None without one
     twin: Twin
     bench: BodyData
     simulated: str = "by the pipeline, at every sample"  # by what, in words

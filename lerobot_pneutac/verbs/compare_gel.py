@@ -151,9 +151,6 @@ def compare_gel(twin: Twin, recording: Recording) -> GelComparison:
 
     The recording's own rest images, scale and, if it has a row of role `calibration`, half of the drift of
     light seen there are used: illumination changes between sessions, and that is no fault of the gel's model.
-
-    Raises:
-        InputError: the twin has no gel.
     """
     data = GelRecording.load(recording)
     if not twin.gel:

@@ -217,12 +217,10 @@ class ControlConfig:
     described_by: ClassVar = control
 
     twin: Path  # folder of a finger's calibrated twin
-    # `steps`, `sine` or `loops` inside the finger's reach, or a CSV with `time_s` and `bend_angle_rad`
-    bend: str = "sine"
+    bend: str = "sine"  # `steps`, `sine` or `loops` within reach, or a CSV with `time_s`, `bend_angle_rad`
     hz: float = 20.0
     conditions: dict[str, float] = field(default_factory=dict)
-    # folder of a recording in which the program was driven; shows how well the finger followed
-    recording: Path | None = None
+    recording: Path | None = None  # recording of the driven program; shows how well the finger followed
     # folder for `program.csv`, `result.json` and `report.html`; nothing is written without it
     out: Path | None = None
 

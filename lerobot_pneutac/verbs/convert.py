@@ -91,11 +91,7 @@ class ConvertConfig:
 
 
 def convert(config: ConvertConfig, show: Callable[[Understood], None] = lambda understood: None) -> Recording:
-    """Writes the recording and reads it back with all the checks of one.
-
-    Raises:
-        InputError: one sentence: what is missing in which file, or a fault of the recording.
-    """
+    """Writes the recording and reads it back with all the checks of one; InputError says what is missing."""
     film = config.source.suffix.lower() in FILMS
     read = None if film else _reader(config.source)
     if not (film or config.tip or read):

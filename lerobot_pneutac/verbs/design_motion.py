@@ -42,16 +42,11 @@ LEFT_OUT_S = 1.0  # after the touch, in which the finger is filled
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What the arm does once the finger touches.
-
-    Attributes:
-        actions: (n, 4) velocity of the flange m/s and pressure of the paper's finger kPa, at `CONTROL_HZ`.
-        drag_mm: how far it drags the finger sideways, to both sides.
-    """
+    """What the arm does once the finger touches."""
 
     name: str
-    actions: np.ndarray
-    drag_mm: float = 0.0
+    actions: np.ndarray  # (n, 4) flange's velocity m/s, paper finger's pressure kPa, at `CONTROL_HZ`
+    drag_mm: float = 0.0  # how far it drags the finger sideways, to both sides
 
     @property
     def seconds(self) -> float:
@@ -136,16 +131,11 @@ SHAPE, LEVEL, TURN = 0.013, T.STRENGTH_DIFFERS / T.STRENGTH_ERRORS, 0.19
 
 @dataclass(frozen=True, eq=False)
 class MotionChoice:
-    """A motion, and how significantly it separates each change from all others.
-
-    Attributes:
-        sure: of `creep`, `compliance` and `gel friction`, standard deviations from what it could pass for.
-        felt: of every finger, by its name, at the first place.
-    """
+    """A motion, and how significantly it separates each change from all others."""
 
     motion: Motion
-    sure: dict[str, float]
-    felt: dict[str, Felt]
+    sure: dict[str, float]  # of each change, standard deviations from what it could pass for
+    felt: dict[str, Felt]  # of every finger, by its name, at the first place
 
 
 @dataclass(frozen=True)
@@ -181,11 +171,7 @@ def motion_choices(
     progress: Progress = no_progress,
     drags: Sequence[tuple[float, float]] = DRAGS,
 ) -> list[MotionChoice]:
-    """Every motion, and what it would show; none is written anywhere.
-
-    Drags go so many mm sideways, pressing with so many kPa of the paper's finger. Raises InputError where
-    the twin has several chambers, or its finger does not find the bar.
-    """
+    """Every motion, and what it would show; drags go so many mm at so many kPa of the paper's finger."""
     motions = (*MOTIONS, *(sideways(*drag) for drag in drags))
     felt: dict[str, list[list[Felt]]] = {}
     changes, done = fingers(twin), 0

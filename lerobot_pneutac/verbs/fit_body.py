@@ -49,17 +49,12 @@ PARTICLES = 4000  # of the soft body, about
 
 @dataclass(frozen=True)
 class Compliance:
-    """What loaded poses determine.
-
-    Attributes:
-        parameters: name to `value`, `ci95`, `unit` and `note`, of the stiffness and the modulus.
-        evaluations: simulations made.
-    """
+    """What loaded poses determine."""
 
     twin: Twin
-    parameters: dict[str, dict]
+    parameters: dict[str, dict]  # stiffness and modulus, each `value`, `ci95`, `unit` and `note`
     remark: str
-    evaluations: int
+    evaluations: int  # simulations made
 
 
 def fit_compliance(twin: Twin, recording: Recording, train: np.ndarray, seed: int = 0) -> Compliance:
@@ -175,8 +170,7 @@ class BodyCalibration(Calibration):
     # the recording as the body fit sees it, driven by the measured pressure where there is one.
     bench: BodyData
     train: np.ndarray  # (n,) mask
-    # held-out error of the twin as it was, from the command; None where nothing was held out.
-    before: float | None
+    before: float | None  # held-out error of the twin as it was, from the command; None if there is none
     without_causes: float | None  # held-out error without the known causes; None where nothing was held out
     # known causes that the recording shows (weight, payload, base pose, stretch), and what each is worth on
     # the held-out part.

@@ -278,12 +278,7 @@ def calibrate_gel(
     image_size: Sequence[int] | None = None,
     progress: Progress = no_progress,
 ) -> GelCalibration:
-    """Fits light and optics to all images of role `calibration`; see `calibrate`.
-
-    Raises:
-        InputError: an effect cannot be fitted to one pair, the images do not serve, the material points
-            find no rest, or the size is of other proportions.
-    """
+    """Fits light and optics to all images of role `calibration`; see `calibrate`."""
     data = GelRecording.load(recording)
     names, start = wanted(effects, twin), time.monotonic()
     if faults := pair_faults(recording, data):
@@ -440,9 +435,6 @@ def wanted(effects: Sequence[str] | None, twin: Twin) -> list[str] | None:
 
     An effect is chosen by `calibrate --effects` or `add`. What `pneutac new` writes are defaults, and what a
     calibration without `--effects` fits depends on its presses: neither binds the next one.
-
-    Raises:
-        InputError: a name is no optics effect, or acts on a session and not on one pair.
     """
     if effects is None:
         fits = [version for version in twin.history if version.get("unit") == "levels"]

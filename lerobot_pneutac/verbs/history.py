@@ -10,11 +10,7 @@ from pneutac_sim.twin import Twin
 
 
 def restore(folder: str | Path, version: int) -> Twin:
-    """Writes an earlier version of a twin as its newest one, so that nothing is lost; returns it.
-
-    Raises:
-        InputError: there is no such version, or it is the newest.
-    """
+    """Writes an earlier version of a twin as its newest one, so that nothing is lost; returns it."""
     newest = Twin.load(folder, calibrated=False)  # going back mends one without its gain
     numbers = [e["version"] for e in newest.history]
     if version not in numbers:
@@ -39,8 +35,7 @@ class HistoryConfig:
     """Options of `pneutac history`."""
 
     twin: Path  # folder of the twin
-    # number of the version to go back to; it is written as the newest one, and nothing is lost
-    restore: int | None = None
+    restore: int | None = None  # version to go back to; it is written as the newest, so that nothing is lost
 
 
 def command(cfg: HistoryConfig, terminal: Terminal) -> None:

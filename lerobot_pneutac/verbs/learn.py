@@ -516,10 +516,8 @@ class LearnConfig:
     # folder of programs, recordings and the learnt twin; a call with a folder that holds rounds continues
     # after them
     out: Path
-    # `standin`, the finger or the arm that stands in for a real one, or `measure`, your bench
-    bench: str = "standin"
-    # YAML file with the options of `pneutac measure` for your bench, without `program` and `out`
-    measure: Path | None = None
+    bench: str = "standin"  # `standin`, what stands in for a real finger or arm, or `measure`, your bench
+    measure: Path | None = None  # YAML file of `pneutac measure` for your bench, without `program` and `out`
     # what a person may be asked to change: `none`, or `flip` (turn the base over), `payload` (hang a weight
     # at the tip) and `warm`, with commas; the stand-in does the first two by itself
     hands: str = "none"

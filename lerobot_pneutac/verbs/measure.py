@@ -122,10 +122,7 @@ class BenchDriver:
         return self._config.out / "images" / f"trial_{number:03d}"
 
     def drive(self, number: int, trial: PressureTrial) -> tuple[int, int]:
-        """Drives one trial at its own pace; a camera that is slower than it costs samples.
-
-        Returns samples taken, and those of them in which the tip was seen, which are stored.
-        """
+        """Drives one trial at its own pace; returns samples taken, and those in which the tip was seen."""
         folder = self.images(number)
         folder.mkdir(parents=True)
         self._pressure.vent()

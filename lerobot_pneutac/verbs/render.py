@@ -37,12 +37,7 @@ class RenderedFilm(Result):
 
 
 def render(twin: Twin, config: RenderConfig, progress: Progress = no_progress) -> RenderedFilm:
-    """Draws a twin under load into `config.out`: pictures, `film.mp4`, `report.html` and `result.json`.
-
-    Raises:
-        InputError: an option does not fit the twin.
-        MpmDiverged: no equilibrium was found.
-    """
+    """Draws a twin under load into `config.out`: pictures, `film.mp4`, `report.html` and `result.json`."""
     return draw_film(make_film(twin, filled(config, twin)), config.out, progress)
 
 

@@ -43,8 +43,7 @@ class SurrogateConfig(ExecutorOptions):
     seconds: float = 0.5  # length of each motion
     contacts: int = 24  # number of presses on the full gel; of two kinds of indenter all are held out
     particles: int = 4000  # number of material points of the finger, about
-    # training also where the networks that are shipped were trained for such a finger and gel
-    fresh: bool = False
+    fresh: bool = False  # trains also where the shipped networks were trained for such a finger and gel
     device: str = "auto"  # `auto`, `cpu` or `cuda`
     seed: int = 0  # seed of programs, contacts and weights
     out: Path | None = None  # folder for `result.json` and `report.html`; nothing is written without it
@@ -120,10 +119,7 @@ class TrainedNetworks(Result):
 
 
 def train_networks(config: SurrogateConfig, twin: Twin, progress: Progress = no_progress) -> TrainedNetworks:
-    """Trains what is missing or outdated, and writes networks and their card into the twin's folder.
-
-    Raises InputError where the twin is no finger's, or too little is to be collected.
-    """
+    """Trains what is missing or outdated, and writes networks and their card into the twin's folder."""
     folder = Path(config.twin)
     if twin.device != "finger":
         raise InputError(
