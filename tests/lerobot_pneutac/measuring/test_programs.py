@@ -84,7 +84,7 @@ def test_the_experiment_that_a_diagnosis_proposes_can_be_driven(tmp_path):
 def test_vacuum_is_driven_where_it_is_allowed(tmp_path):
     file = tmp_path / "suck.csv"
     file.write_text("time_s,pressure_cmd_kpa\n0,0\n1,-30\n2,0\n")
-    with pytest.raises(InputError, match="goes from -30 to 0 kPa; min_kpa and max_kpa allow 0 to 15"):
+    with pytest.raises(InputError, match="goes from -30 to 0 kPa; --min_kpa and --max_kpa allow 0 to 15"):
         read_program(str(file), 15.0, 10.0)
     (trial,) = read_program(str(file), 15.0, 10.0, min_kpa=-30.0)
     assert trial.pressure_kpa.min() == -30.0

@@ -325,7 +325,7 @@ def test_three_chambers_on_three_controllers_are_an_arm(bench, tmp_path, monkeyp
     np.testing.assert_allclose(r.samples[columns].max(), [9, 6, 8])
     assert (r.samples[measured_columns(3)].max() > [5, 3, 5]).all()
     assert [p._target_kpa for p in parts.values()] == [0.0, 0.0, 0.0]
-    with pytest.raises(InputError, match="from 0 to 8 kPa in chamber 3; min_kpa and max_kpa allow 0 to 7"):
+    with pytest.raises(InputError, match="from 0 to 8 kPa in chamber 3; --min_kpa and --max_kpa allow 0 to 7"):
         verb(
             "measure",
             *bench[:4],
@@ -347,7 +347,7 @@ def test_the_stand_in_answers_a_program_of_three_chambers(tmp_path):
     assert r.device == "arm" and len(r.trials()) == 2 and r.pressure_columns == columns
     np.testing.assert_allclose(r.samples[columns].max(), table[columns].max(), rtol=0.01)
     assert 0 < compare_library(new_twin("arm", r), r).heldout < 100
-    with pytest.raises(InputError, match=r"in chamber 1; min_kpa and max_kpa allow 0 to 15"):
+    with pytest.raises(InputError, match=r"in chamber 1; --min_kpa and --max_kpa allow 0 to 15"):
         verb("measure", *options[:2], f"--out={tmp_path / 's'}")
     with pytest.raises(InputError, match="'steps' leaves 0 to 65.2 kPa, the range of the stand-in"):
         verb("measure", bench="standin", program="steps", max_kpa="70,20,20", out=tmp_path / "s")
