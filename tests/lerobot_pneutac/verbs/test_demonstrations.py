@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import played
 import pytest
+from verbs import verb
 
 from lerobot_pneutac import Demonstrations, InputError, Recording, Twin, add, calibrate, compare, diagnose
 from lerobot_robot_pneutac.standin.gel import new_gel
@@ -145,8 +146,8 @@ def test_what_demonstrations_tell_does_not_spoil_the_bench(tmp_path):
     assert after < 1.1 * before
 
 
-@pytest.mark.parametrize(("verb", "option"), [("compare", "--later"), ("report", "--rrd")])
-def test_what_takes_bench_recordings_alone_says_so(verb, option, tmp_path):
+@pytest.mark.parametrize(("name", "option"), [("compare", "--later"), ("report", "--rrd")])
+def test_what_takes_bench_recordings_alone_says_so(name, option, tmp_path):
     twin, value = Twin.builtin().save(tmp_path / "twin"), tmp_path / "out.rrd"
     with pytest.raises(InputError, match="demos holds demonstrations; .* a bench recording of the device."):
-        verb(verb, f"{option}={value}", twin=twin, recording=GOLDEN / "demos")
+        verb(name, f"{option}={value}", twin=twin, recording=GOLDEN / "demos")
