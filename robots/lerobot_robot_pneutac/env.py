@@ -21,28 +21,20 @@ from pneutac_sim.twin import Twin
 
 @dataclass
 class PneutacTaskConfig(EnvConfig):
-    """What every environment of this robot has.
+    """What every environment of this robot has."""
 
-    Attributes:
-        task: `switch`, `egg`, `card`, `fruit`, `cable`, `button`, or your own.
-        fps: control rate, Hz; if omitted, the station's, and there is no other.
-        episode_length: control steps after which a trial counts as failed; if omitted, those of 20 s.
-        start_width: how much wider than the task's own random starts of hand and objects are, 0 to 2.
-        cameras: scene cameras besides the tactile image, such as [front,wrist].
-        observation_height: rows of their pictures, px.
-        observation_width: columns of their pictures, px.
-        randomise_look: light, colours and texture of the scene are newly drawn in every episode.
-        tactile_points: touch as data too, `observation.tactile.points`: displacement and force on a grid.
-    """
-
-    task: str | None = "switch"
-    fps: int = 0
+    task: str | None = "switch"  # `switch`, `egg`, `card`, `fruit`, `cable`, `button`, or your own
+    fps: int = 0  # control rate, Hz; if omitted, the station's, and there is no other
+    # control steps after which a trial counts as failed; if omitted, those of 20 s
     episode_length: int | None = None
+    # how much wider than the task's own random starts of hand and objects are, 0 to 2
     start_width: float = 0.0
+    # scene cameras besides the tactile image, such as [front,wrist]
     cameras: list[str] = field(default_factory=list)
-    observation_height: int = CAMERA_SHAPE[0]
-    observation_width: int = CAMERA_SHAPE[1]
-    randomise_look: bool = False
+    observation_height: int = CAMERA_SHAPE[0]  # rows of their pictures, px
+    observation_width: int = CAMERA_SHAPE[1]  # columns of their pictures, px
+    randomise_look: bool = False  # light, colours and texture of the scene are newly drawn in every episode
+    # touch as data too, `observation.tactile.points`: displacement and force on a grid
     tactile_points: bool = False
     features: dict[str, PolicyFeature] = field(
         default_factory=lambda: {
@@ -115,26 +107,23 @@ def _station(file: Path | None) -> dict:
 @EnvConfig.register_subclass("pneutac")
 @dataclass
 class PneutacEnvConfig(PneutacTaskConfig):
-    """A manipulation task on the simulated robot.
+    """A manipulation task on the simulated robot."""
 
-    Attributes:
-        twin: folder of the finger's twin, or of an arm's of several chambers; default the built-in finger's.
-        fidelity: how finger and gel deform: `surrogate`, by networks; `mpm`, by full material points (seconds
-            a control step in contact, for checks); `probe`, by formulas, the one that an arm has.
-        conditions: what the twin's effects ask for, such as {temperature_c: 28, payload_g: [0, 20]}; from a
-            range [low, high] every episode draws.
-        render: what draws touch and finger: `mesh`, light on every pixel and MuJoCo's shapes; `splats`, the
-            Gaussians of the gel and of the twin's body, over MuJoCo's scene (needs OpenGL).
-        pressure_range_kpa: pressures of the action, such as [0, 20]; default those that the twin was measured
-            over, beyond which it is extrapolated.
-        station: file `station.yaml` of arm, workspace, mount and control rate; default the paper's.
-    """
-
+    # folder of the finger's twin, or of an arm's of several chambers; default the built-in finger's
     twin: Path | None = None
+    # how finger and gel deform: `surrogate`, by networks; `mpm`, by full material points (seconds a control
+    # step in contact, for checks); `probe`, by formulas, the one that an arm has
     fidelity: str = "surrogate"
+    # what the twin's effects ask for, such as {temperature_c: 28, payload_g: [0, 20]}; from a range [low,
+    # high] every episode draws
     conditions: dict[str, float | list[float]] = field(default_factory=dict)
+    # what draws touch and finger: `mesh`, light on every pixel and MuJoCo's shapes; `splats`, the Gaussians
+    # of the gel and of the twin's body, over MuJoCo's scene (needs OpenGL)
     render: str = "mesh"
+    # pressures of the action, such as [0, 20]; default those that the twin was measured over, beyond which it
+    # is extrapolated
     pressure_range_kpa: tuple[float, float] | None = None
+    # file `station.yaml` of arm, workspace, mount and control rate; default the paper's
     station: Path | None = None
 
     def __post_init__(self):
@@ -167,12 +156,10 @@ class PneutacHubConfig(PneutacTaskConfig, HubEnvConfig):
     Attributes:
         hub_path: such as `you/pneutac-switch` or `you/pneutac-switch@revision`; or a folder with an `env.py`,
             which moves to `folder`.
-        folder: the repo before it is uploaded; its `env.py` is executed.
-        task: one task of the repo's; all of them if omitted.
     """
 
-    task: str | None = None
-    folder: Path | None = None
+    task: str | None = None  # one task of the repo's; all of them if omitted
+    folder: Path | None = None  # the repo before it is uploaded; its `env.py` is executed
 
     def __post_init__(self):
         super().__post_init__()
@@ -199,15 +186,12 @@ class PneutacHubConfig(PneutacTaskConfig, HubEnvConfig):
 @EnvConfig.register_subclass("pneutac_standin")
 @dataclass
 class PneutacStandinConfig(PneutacTaskConfig):
-    """The same tasks on the stand-in for reality, which no twin describes beforehand.
+    """The same tasks on the stand-in for reality, which no twin describes beforehand."""
 
-    Attributes:
-        twin: folder of the twin that was calibrated on it; as on the real robot, its gel's contact threshold
-            says which pixels are in contact, and its images have their size; nothing else comes from it.
-        station: file `station.yaml` of arm, workspace, mount and control rate; default the paper's.
-    """
-
+    # folder of the twin that was calibrated on it; as on the real robot, its gel's contact threshold says
+    # which pixels are in contact, and its images have their size; nothing else comes from it
     twin: Path | None = None
+    # file `station.yaml` of arm, workspace, mount and control rate; default the paper's
     station: Path | None = None
 
     def __post_init__(self):

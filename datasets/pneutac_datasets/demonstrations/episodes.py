@@ -33,21 +33,13 @@ FURTHER = (POINTS, *(f"{OBS_IMAGES}.{name}" for name in SCENE_CAMERAS))  # demon
 
 @dataclass
 class Episode:
-    """One demonstration.
+    """One demonstration."""
 
-    Attributes:
-        state: (T, 2 N + 5 + C) as `features.state_names` of an arm of N joints and C chambers.
-        action: (T, 3 + C) as `features.action_names`.
-        images: uint8 (T, H, W, 3) of the sensor's size.
-        task: the instruction.
-        fps: frames per second.
-    """
-
-    state: np.ndarray
-    action: np.ndarray
-    images: np.ndarray
-    task: str
-    fps: int
+    state: np.ndarray  # (T, 2 N + 5 + C) as `features.state_names` of an arm of N joints and C chambers
+    action: np.ndarray  # (T, 3 + C) as `features.action_names`
+    images: np.ndarray  # uint8 (T, H, W, 3) of the sensor's size
+    task: str  # the instruction
+    fps: int  # frames per second
 
     def __len__(self) -> int:
         return len(self.state)

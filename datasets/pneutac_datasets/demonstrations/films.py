@@ -15,15 +15,10 @@ TOLERANCE_S = 1e-4  # LeRobot's, between the time of a row and that of its frame
 
 @dataclass(frozen=True)
 class Film:
-    """What a video file holds.
+    """What a video file holds."""
 
-    Attributes:
-        times_s: (n,) times of the frames that are in the file to their last byte, ascending.
-        stated: frames that its header promises.
-    """
-
-    times_s: np.ndarray
-    stated: int
+    times_s: np.ndarray  # (n,) times of the frames that are in the file to their last byte, ascending
+    stated: int  # frames that its header promises
 
     @property
     def torn(self) -> bool:

@@ -36,21 +36,13 @@ SLEW_S = 0.2  # regulators limit the slope of their set point; a true step would
 
 @dataclass
 class ProgramTrial:
-    """One contiguous run: the commanded pressure and the circumstances.
+    """One contiguous run: the commanded pressure and the circumstances."""
 
-    Attributes:
-        label: name of the program at each sample.
-        command: commanded pressure (n,), kPa.
-        gravity: unit vector in the base frame (3,).
-        temperature_c: mean temperature.
-        payload_g: mass hung at the tip.
-    """
-
-    label: list[str] = field(default_factory=list)
-    command: list[float] = field(default_factory=list)
-    gravity: tuple[float, float, float] = (1.0, 0.0, 0.0)
-    temperature_c: float = 21.0
-    payload_g: float = 0.0
+    label: list[str] = field(default_factory=list)  # name of the program at each sample
+    command: list[float] = field(default_factory=list)  # commanded pressure (n,), kPa
+    gravity: tuple[float, float, float] = (1.0, 0.0, 0.0)  # unit vector in the base frame (3,)
+    temperature_c: float = 21.0  # mean temperature
+    payload_g: float = 0.0  # mass hung at the tip
 
     def to(self, label: str, pressure: float, seconds: float, hz: float) -> None:
         """Moves linearly to `pressure` within `seconds`."""

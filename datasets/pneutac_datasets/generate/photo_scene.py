@@ -95,25 +95,16 @@ _STUDIO = """
 
 @dataclass(frozen=True)
 class Studio:
-    """What a photograph shows besides the shape of the body.
+    """What a photograph shows besides the shape of the body."""
 
-    Attributes:
-        texture: uint8 (V, U, 3); columns run along the straight body, rows round its axis from +y to +z.
-        lamps_m: (3, 3) places of the lamps; the first two cast shadows.
-        cloth: two RGB colours (2, 3) in [0, 1] of the backdrop.
-        mount_m: half width of the block that holds the base.
-        size_m: length of the straight body.
-        blur_px: standard deviation of the lens.
-        noise: 8-bit levels of the sensor: in the dark, and of a full pixel.
-    """
-
+    # uint8 (V, U, 3); columns run along the straight body, rows round its axis from +y to +z
     texture: np.ndarray
-    lamps_m: np.ndarray
-    cloth: np.ndarray
-    mount_m: float
-    size_m: float
-    blur_px: float = 0.6
-    noise: tuple[float, float] = (1.0, 2.5)
+    lamps_m: np.ndarray  # (3, 3) places of the lamps; the first two cast shadows
+    cloth: np.ndarray  # two RGB colours (2, 3) in [0, 1] of the backdrop
+    mount_m: float  # half width of the block that holds the base
+    size_m: float  # length of the straight body
+    blur_px: float = 0.6  # standard deviation of the lens
+    noise: tuple[float, float] = (1.0, 2.5)  # 8-bit levels of the sensor: in the dark, and of a full pixel
 
     @classmethod
     def random(cls, rng: np.random.Generator, length_m: float, width_m: float) -> "Studio":

@@ -150,21 +150,14 @@ MARKER_NOISE_MM = 0.3
 
 @dataclass(frozen=True)
 class Disturbances:
-    """What can be wrong with a session, none of it stated in `recording.json`.
+    """What can be wrong with a session, none of it stated in `recording.json`."""
 
-    Attributes:
-        effects: effect of the body to its parameters; those left out do nothing.
-        tilt_deg: by which the base is turned about y in its mount.
-        camera_deg: by which each camera is turned from where the recording says.
-        camera_mm: by which it is moved.
-        mask_px: by which the edge of the masks wanders.
-    """
-
+    # effect of the body to its parameters; those left out do nothing
     effects: dict[str, dict[str, float]] = field(default_factory=dict)
-    tilt_deg: float = 0.0
-    camera_deg: float = 0.0
-    camera_mm: float = 0.0
-    mask_px: float = 0.0
+    tilt_deg: float = 0.0  # by which the base is turned about y in its mount
+    camera_deg: float = 0.0  # by which each camera is turned from where the recording says
+    camera_mm: float = 0.0  # by which it is moved
+    mask_px: float = 0.0  # by which the edge of the masks wanders
 
     def __post_init__(self):
         for name in self.effects:

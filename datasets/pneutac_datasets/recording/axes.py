@@ -22,19 +22,12 @@ HOLD_EDGES_S = (0.0, 1.0, 3.0, 10.0, 30.0, 100.0, np.inf)
 
 @dataclass
 class Axis:
-    """One way to sort samples.
+    """One way to sort samples."""
 
-    Attributes:
-        name: column or derived quantity.
-        value: (n,) number of each sample, None for labels.
-        bin: (n,) bin number of each sample, -1 where it belongs to none.
-        labels: what to call each bin.
-    """
-
-    name: str
-    value: np.ndarray | None
-    bin: np.ndarray
-    labels: list[str]
+    name: str  # column or derived quantity
+    value: np.ndarray | None  # (n,) number of each sample, None for labels
+    bin: np.ndarray  # (n,) bin number of each sample, -1 where it belongs to none
+    labels: list[str]  # what to call each bin
 
 
 def axes(recording: Recording) -> list[Axis]:

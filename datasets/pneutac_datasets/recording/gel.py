@@ -83,35 +83,22 @@ ASSUMED_RADIUS_MM = 3.0  # of a ball that the recording does not state: the scal
 
 @dataclass
 class GelSample:
-    """One photograph under an indenter.
+    """One photograph under an indenter."""
 
-    Attributes:
-        name: the image's path as the recording names it.
-        role: `calibration`, `heldout`, `known_depth` or another label.
-        image: uint8 (H, W, 3).
-        rest: image without contact of the same session: the row's `rest_image`, else the recording's.
-        clock: when in the recording, 0 to 1: by `time_s` where it runs on, else by trial, else by row.
-        press: what pressed where.
-        x_px: column of the contact centre.
-        y_px: row of the contact centre.
-        radius_px: contact radius.
-        sd: what is uncertain of the press, see `PressPhotograph`.
-        force_n: on the indenter, along the gel's view; None if the row has none.
-        earlier: presses with the same rest image that were over before, from `hold_s`.
-    """
-
-    name: str
-    role: str
-    image: np.ndarray
+    name: str  # the image's path as the recording names it
+    role: str  # `calibration`, `heldout`, `known_depth` or another label
+    image: np.ndarray  # uint8 (H, W, 3)
+    # image without contact of the same session: the row's `rest_image`, else the recording's
     rest: np.ndarray
-    clock: float
-    press: Press
-    x_px: float
-    y_px: float
-    radius_px: float
+    clock: float  # when in the recording, 0 to 1: by `time_s` where it runs on, else by trial, else by row
+    press: Press  # what pressed where
+    x_px: float  # column of the contact centre
+    y_px: float  # row of the contact centre
+    radius_px: float  # contact radius
+    # what is uncertain of the press, see `PressPhotograph`
     sd: dict[str, float] = field(default_factory=dict)
-    force_n: float | None = None
-    earlier: tuple[Earlier, ...] = ()
+    force_n: float | None = None  # on the indenter, along the gel's view; None if the row has none
+    earlier: tuple[Earlier, ...] = ()  # presses with the same rest image that were over before, from `hold_s`
 
     @property
     def photograph(self) -> PressPhotograph:
@@ -121,21 +108,13 @@ class GelSample:
 
 @dataclass
 class GelRecording:
-    """Photographs of one gel at one size.
+    """Photographs of one gel at one size."""
 
-    Attributes:
-        rest: image without contact, uint8 (H, W, 3).
-        px_per_mm: scale of the images.
-        thickness_mm: gel thickness.
-        samples: one photograph each.
-        warnings: one sentence for each thing that had to be assumed.
-    """
-
-    rest: np.ndarray
-    px_per_mm: float
-    thickness_mm: float
-    samples: list[GelSample]
-    warnings: list[str] = field(default_factory=list)
+    rest: np.ndarray  # image without contact, uint8 (H, W, 3)
+    px_per_mm: float  # scale of the images
+    thickness_mm: float  # gel thickness
+    samples: list[GelSample]  # one photograph each
+    warnings: list[str] = field(default_factory=list)  # one sentence for each thing that had to be assumed
 
     @classmethod
     def load(cls, recording: Recording) -> "GelRecording":

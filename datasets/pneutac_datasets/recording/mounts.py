@@ -25,15 +25,10 @@ LEAST_TURN = 0.003  # of the points' own weight: what speaks for no turn
 
 @dataclass(frozen=True)
 class Motion:
-    """A rigid motion, `points @ turn.T + shift`.
+    """A rigid motion, `points @ turn.T + shift`."""
 
-    Attributes:
-        turn: (k, k), the identity for what is no point of space.
-        shift: (k,).
-    """
-
-    turn: np.ndarray
-    shift: np.ndarray
+    turn: np.ndarray  # (k, k), the identity for what is no point of space
+    shift: np.ndarray  # (k,)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Moves (n, k)."""

@@ -51,24 +51,17 @@ MAD = 1.4826  # standard deviation of a normal distribution over its median abso
 
 @dataclass
 class NoiseFloor:
-    """Noise of the headline measurement.
+    """Noise of the headline measurement."""
 
-    Attributes:
-        value: root mean square Euclidean distance caused by noise alone, in `unit`; None where this recording
-            cannot determine it.
-        session: the same including slow differences between repeats, None without repeats.
-        unit: `mm`, `rad` or `1/m`.
-        how: how it was found, or what to record to find it.
-        by_column: standard deviation of each observed column; those that cannot be determined are left out.
-        known: whether it was declared or measured by repeats, not estimated by local contrasts.
-    """
-
+    # root mean square Euclidean distance caused by noise alone, in `unit`; None where this recording cannot
+    # determine it
     value: float | None
-    session: float | None
-    unit: str
-    how: str
+    session: float | None  # the same including slow differences between repeats, None without repeats
+    unit: str  # `mm`, `rad` or `1/m`
+    how: str  # how it was found, or what to record to find it
+    # standard deviation of each observed column; those that cannot be determined are left out
     by_column: dict[str, float]
-    known: bool = True
+    known: bool = True  # whether it was declared or measured by repeats, not estimated by local contrasts
 
     @property
     def floor(self) -> float:

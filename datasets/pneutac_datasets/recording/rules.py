@@ -32,15 +32,12 @@ EXAMPLE = '{"3": {"start": "continues", "pause_s": 12}}'
 
 @dataclass(frozen=True)
 class TrialStart:
-    """In what state the device was when a trial began.
+    """In what state the device was when a trial began."""
 
-    Attributes:
-        start: `rested`: lay without pressure until its memory had faded; `continues`: goes on from the trial
-            before it in the table; `unknown`.
-        pause_s: time without pressure since the last row of the trial before, s; None where it is not known.
-    """
-
+    # `rested`: lay without pressure until its memory had faded; `continues`: goes on from the trial before it
+    # in the table; `unknown`
     start: str = "unknown"
+    # time without pressure since the last row of the trial before, s; None where it is not known
     pause_s: float | None = None
 
 

@@ -47,25 +47,16 @@ GROUPS_OF_THREE = re.compile(r"\s*[-+\u2212]?[1-9]\d{0,2}([.,]\d{3})+\s*")
 
 @dataclass
 class TextTable:
-    """A table of text.
+    """A table of text."""
 
-    Attributes:
-        file: where it was read from.
-        frame: a column by its name: numbers where all of its cells are, else texts.
-        units: of each column, from a row below the header or behind every number; empty where there is none.
-        lines: line of the file (n,) in which each row stands.
-        style: `semicolons, decimal commas`.
-        notes: a sentence for each thing that was left out.
-        preamble: lines above the header.
-    """
-
-    file: Path
-    frame: pd.DataFrame
+    file: Path  # where it was read from
+    frame: pd.DataFrame  # a column by its name: numbers where all of its cells are, else texts
+    # of each column, from a row below the header or behind every number; empty where there is none
     units: dict[str, str]
-    lines: np.ndarray
-    style: str = ""
-    notes: list[str] = field(default_factory=list)
-    preamble: list[str] = field(default_factory=list)
+    lines: np.ndarray  # line of the file (n,) in which each row stands
+    style: str = ""  # `semicolons, decimal commas`
+    notes: list[str] = field(default_factory=list)  # a sentence for each thing that was left out
+    preamble: list[str] = field(default_factory=list)  # lines above the header
 
 
 def read_text(file: Path) -> TextTable:

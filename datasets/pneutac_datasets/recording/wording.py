@@ -10,13 +10,9 @@ import numpy as np
 
 
 class SourceFile(Path):
-    """A file of text that a table was read from.
+    """A file of text that a table was read from."""
 
-    Attributes:
-        lines: line of the file (n,) in which each row stands.
-    """
-
-    lines: np.ndarray | None = None
+    lines: np.ndarray | None = None  # line of the file (n,) in which each row stands
 
 
 def plural(n: int, noun: str) -> str:
@@ -61,21 +57,14 @@ def joined(names) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """One fault or peculiarity of a recording.
+    """One fault or peculiarity of a recording."""
 
-    Attributes:
-        kind: what it is, see `KINDS`.
-        sentence: the same in words.
-        columns: concerned.
-        rows: row numbers (k,) concerned; empty where it is the whole column.
-        numbers: how much, by name.
-    """
-
-    kind: str
-    sentence: str
-    columns: tuple[str, ...] = ()
+    kind: str  # what it is, see `KINDS`
+    sentence: str  # the same in words
+    columns: tuple[str, ...] = ()  # concerned
+    # row numbers (k,) concerned; empty where it is the whole column
     rows: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
-    numbers: dict[str, float] = field(default_factory=dict)
+    numbers: dict[str, float] = field(default_factory=dict)  # how much, by name
 
 
 KINDS = {

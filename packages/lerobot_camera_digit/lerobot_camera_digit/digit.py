@@ -44,35 +44,29 @@ class DigitConfig(CameraConfig):
     """A DIGIT, found by its serial number.
 
     Attributes:
-        serial: number printed on the sensor, such as `D20001`; `DXXXXX` where none was ever written to it.
-        port: USB port, such as `1-2`, of the sensor that is meant where several have one serial number.
-        resolution: `QVGA`, images of 320 rows and 240 columns as the simulated sensor's, or `VGA`, 640 x 480.
-        fps: 30, or 60 (QVGA alone) or 15 (VGA alone).
-        led: brightness of the red, green and blue LEDs, 0 (off) to 15.
-        exposure: exposure time in the driver's unit (V4L2: 100 us), which then stays; None: as it is.
-        white_balance: colour temperature in K, which then stays; None: as it is.
-        lock: whether exposure and white balance stay as they are after the warm-up.
-        frozen_s: seconds without a new image after which reading says that the sensor hangs. A working one
             never sends the same image twice: the pixels are noisy.
-        rotation: clockwise, 0, 90, 180 or 270 degrees, of a sensor that is mounted otherwise.
-        crop: shares cut off at top, bottom, left and right of the turned image.
-        mirror: whether left and right are exchanged.
         width: columns of the image, to which it is scaled; follows from the resolution if omitted.
         height: rows of the image; likewise.
     """
 
-    serial: str
+    serial: str  # number printed on the sensor, such as `D20001`; `DXXXXX` where none was ever written to it
+    # USB port, such as `1-2`, of the sensor that is meant where several have one serial number
     port: str | None = None
+    # `QVGA`, images of 320 rows and 240 columns as the simulated sensor's, or `VGA`, 640 x 480
     resolution: str = "QVGA"
-    fps: int = 30
+    fps: int = 30  # 30, or 60 (QVGA alone) or 15 (VGA alone)
+    # brightness of the red, green and blue LEDs, 0 (off) to 15
     led: tuple[int, int, int] = (MAX_LED, MAX_LED, MAX_LED)
+    # exposure time in the driver's unit (V4L2: 100 us), which then stays; None: as it is
     exposure: int | None = None
-    white_balance: int | None = None
-    lock: bool = False
+    white_balance: int | None = None  # colour temperature in K, which then stays; None: as it is
+    lock: bool = False  # whether exposure and white balance stay as they are after the warm-up
+    # seconds without a new image after which reading says that the sensor hangs. A working one
     frozen_s: float = 0.5
-    rotation: int = 0
+    rotation: int = 0  # clockwise, 0, 90, 180 or 270 degrees, of a sensor that is mounted otherwise
+    # shares cut off at top, bottom, left and right of the turned image
     crop: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    mirror: bool = False
+    mirror: bool = False  # whether left and right are exchanged
 
     def __post_init__(self):
         refuse_if(
@@ -102,19 +96,12 @@ class DigitConfig(CameraConfig):
 
 
 class DigitDevice(NamedTuple):
-    """A connected DIGIT.
+    """A connected DIGIT."""
 
-    Attributes:
-        serial: USB serial number, the one printed on the sensor.
-        path: the video device, such as /dev/video0.
-        firmware: USB device release as a number: 200 is version 2.00.
-        port: USB port, such as `1-2`, which stays the same as long as the cable does.
-    """
-
-    serial: str
-    path: Path
-    firmware: int
-    port: str
+    serial: str  # USB serial number, the one printed on the sensor
+    path: Path  # the video device, such as /dev/video0
+    firmware: int  # USB device release as a number: 200 is version 2.00
+    port: str  # USB port, such as `1-2`, which stays the same as long as the cable does
 
 
 def find_digits() -> list[DigitDevice]:

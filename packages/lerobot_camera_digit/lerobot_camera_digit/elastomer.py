@@ -32,19 +32,13 @@ SENSORS: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Framing:
-    """Turns, cuts, mirrors and scales pictures; by itself it changes nothing.
+    """Turns, cuts, mirrors and scales pictures; by itself it changes nothing."""
 
-    Attributes:
-        rotation: clockwise, 0, 90, 180 or 270 (or -90, as LeRobot writes it) degrees.
-        crop: shares of the turned picture that are cut off at top, bottom, left and right.
-        mirror: whether left and right are exchanged.
-        size: height and width of the image; None as it comes.
-    """
-
-    rotation: int = 0
+    rotation: int = 0  # clockwise, 0, 90, 180 or 270 (or -90, as LeRobot writes it) degrees
+    # shares of the turned picture that are cut off at top, bottom, left and right
     crop: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    mirror: bool = False
-    size: tuple[int, int] | None = None
+    mirror: bool = False  # whether left and right are exchanged
+    size: tuple[int, int] | None = None  # height and width of the image; None as it comes
 
     def apply(self, image: np.ndarray) -> np.ndarray:
         """The image uint8 (height, width, 3) of a picture uint8 (H, W, 3)."""
@@ -116,25 +110,20 @@ class ElastomerConfig(CameraConfig):
     """A camera under a gel, read by OpenCV.
 
     Attributes:
-        index_or_path: which camera, as for LeRobot's `opencv`.
-        sensor: `gelsight_mini` or `digit`, for what is known of it; without it every option is yours.
-        stream: width and height in which the camera sends, px.
         fps: frames per second.
-        fourcc: format in which the camera sends, such as MJPG.
-        rotation: clockwise, 0, 90, 180 or 270 degrees.
-        crop: shares cut off at top, bottom, left and right of the turned picture, such as [0, 0, 0.1, 0.1].
-        mirror: whether left and right are exchanged.
         width: columns of the image; if omitted, as it comes.
         height: rows of the image.
     """
 
-    index_or_path: int | Path
+    index_or_path: int | Path  # which camera, as for LeRobot's `opencv`
+    # `gelsight_mini` or `digit`, for what is known of it; without it every option is yours
     sensor: str | None = None
-    stream: tuple[int, int] | None = None
-    fourcc: str | None = None
-    rotation: int | None = None
+    stream: tuple[int, int] | None = None  # width and height in which the camera sends, px
+    fourcc: str | None = None  # format in which the camera sends, such as MJPG
+    rotation: int | None = None  # clockwise, 0, 90, 180 or 270 degrees
+    # shares cut off at top, bottom, left and right of the turned picture, such as [0, 0, 0.1, 0.1]
     crop: tuple[float, float, float, float] | None = None
-    mirror: bool | None = None
+    mirror: bool | None = None  # whether left and right are exchanged
 
     def __post_init__(self):
         known = ", ".join(SENSORS)

@@ -184,21 +184,16 @@ class DigitTouch:
 class DigitTouchStep(ObservationProcessorStep):
     """Adds a sensor's depth and points to a robot's observation.
 
-    Attributes:
-        rest_image: PNG of the sensor without contact.
-        light: levels per unit slope of R, G, B along columns and rows, see `depth_m`; `gel.light` of a twin
-            that `pneutac calibrate` has made.
-        px_per_mm: scale of the image.
-        sensor: name of its image in the observation.
-
     Raises:
         ValueError: the rest image cannot be read, or the light is not 3 x 2 numbers.
     """
 
-    rest_image: str
+    rest_image: str  # PNG of the sensor without contact
+    # levels per unit slope of R, G, B along columns and rows, see `depth_m`; `gel.light` of a twin that
+    # `pneutac calibrate` has made
     light: list[list[float]]
-    px_per_mm: float
-    sensor: str = "tactile"
+    px_per_mm: float  # scale of the image
+    sensor: str = "tactile"  # name of its image in the observation
     _rest: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self):

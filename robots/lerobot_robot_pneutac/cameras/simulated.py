@@ -19,37 +19,23 @@ BALL_RADIUS_M = 0.004
 @CameraConfig.register_subclass("pneutac_scene")
 @dataclass(kw_only=True)
 class PneutacSceneConfig(CameraConfig):
-    """A camera next to the simulated robot, which draws what it sees; its name chooses its place.
+    """A camera next to the simulated robot, which draws what it sees; its name chooses its place."""
 
-    Attributes:
-        fps: if omitted, the rate at which the world moves on; there is no other.
-        width: columns of the picture, px.
-        height: rows of the picture, px.
-    """
-
-    fps: int = 0
-    width: int = CAMERA_SHAPE[1]
-    height: int = CAMERA_SHAPE[0]
+    fps: int = 0  # if omitted, the rate at which the world moves on; there is no other
+    width: int = CAMERA_SHAPE[1]  # columns of the picture, px
+    height: int = CAMERA_SHAPE[0]  # rows of the picture, px
 
 
 @CameraConfig.register_subclass("digit_generated")
 @dataclass(kw_only=True)
 class DigitGeneratedConfig(CameraConfig):
-    """A DIGIT that is not there: pictures of the built-in gel, for dry runs without a sensor.
+    """A DIGIT that is not there: pictures of the built-in gel, for dry runs without a sensor."""
 
-    Attributes:
-        fps: frames per second.
-        press_period_s: a ball of radius 4 mm comes and goes once in this time; 0 for no ball.
-        press_depth_mm: depth to which the ball comes.
-        width: columns of an image; a DIGIT's has 240, and others are scaled from it.
-        height: rows of an image; a DIGIT's has 320.
-    """
-
-    fps: int = 30
-    width: int = IMAGE_SHAPE[1]
-    height: int = IMAGE_SHAPE[0]
-    press_period_s: float = 0.0
-    press_depth_mm: float = 0.8
+    fps: int = 30  # frames per second
+    width: int = IMAGE_SHAPE[1]  # columns of an image; a DIGIT's has 240, and others are scaled from it
+    height: int = IMAGE_SHAPE[0]  # rows of an image; a DIGIT's has 320
+    press_period_s: float = 0.0  # a ball of radius 4 mm comes and goes once in this time; 0 for no ball
+    press_depth_mm: float = 0.8  # depth to which the ball comes
 
     def __post_init__(self):
         refuse_if(

@@ -38,21 +38,13 @@ class ArmConfig(draccus.ChoiceRegistry, abc.ABC):
 @ArmConfig.register_subclass("panda")
 @dataclass(kw_only=True)
 class PandaConfig(ArmConfig):
-    """A Franka Panda or FR3.
+    """A Franka Panda or FR3."""
 
-    Attributes:
-        ip: address of the robot.
-        dynamics: share of the robot's acceleration and jerk that is used.
-        collision_n: contact force at which the robot's own reflex stops it.
-        collision_nm: the same for the torque of each joint.
-        realtime: whether a real-time kernel is demanded.
-    """
-
-    ip: str = ""
-    dynamics: float = 0.1
-    collision_n: float = 30.0
-    collision_nm: float = 20.0
-    realtime: bool = True
+    ip: str = ""  # address of the robot
+    dynamics: float = 0.1  # share of the robot's acceleration and jerk that is used
+    collision_n: float = 30.0  # contact force at which the robot's own reflex stops it
+    collision_nm: float = 20.0  # the same for the torque of each joint
+    realtime: bool = True  # whether a real-time kernel is demanded
 
     def __post_init__(self):
         refuse_if(not self.ip, "--robot.arm.ip is missing; give the Panda's address.")
@@ -80,13 +72,9 @@ class PandaConfig(ArmConfig):
 @ArmConfig.register_subclass("simulated")
 @dataclass(kw_only=True)
 class SimulatedArmConfig(ArmConfig):
-    """An arm for dry runs.
+    """An arm for dry runs."""
 
-    Attributes:
-        model: `panda`, `ur5`, `so101`, or the file `station.yaml` that describes it.
-    """
-
-    model: str = "panda"
+    model: str = "panda"  # `panda`, `ur5`, `so101`, or the file `station.yaml` that describes it
 
     def __post_init__(self):
         self._station = _station(self.model)
@@ -104,20 +92,14 @@ class SimulatedArmConfig(ArmConfig):
 @ArmConfig.register_subclass("lerobot")
 @dataclass(kw_only=True)
 class LeRobotArmConfig(ArmConfig):
-    """An arm that LeRobot has a Robot of, commanded by joint positions.
+    """An arm that LeRobot has a Robot of, commanded by joint positions."""
 
-    Attributes:
-        robot: its options, such as {type: so101_follower, port: /dev/ttyACM1, id: mine}.
-        model: its kinematics: `so101`, or the file `station.yaml` that describes it.
-        motors: its names of the joints' positions from the base on; left out, all that end in `.pos` but the
-            gripper's.
-        degrees: whether it counts in degrees and not in radians.
-    """
-
+    # its options, such as {type: so101_follower, port: /dev/ttyACM1, id: mine}
     robot: dict[str, Any] = field(default_factory=dict)
-    model: str = "so101"
+    model: str = "so101"  # its kinematics: `so101`, or the file `station.yaml` that describes it
+    # its names of the joints' positions from the base on; left out, all that end in `.pos` but the gripper's
     motors: list[str] = field(default_factory=list)
-    degrees: bool = True
+    degrees: bool = True  # whether it counts in degrees and not in radians
 
     def __post_init__(self):
         self._station = _station(self.model)

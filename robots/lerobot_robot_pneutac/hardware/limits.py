@@ -20,29 +20,23 @@ class Limits:
     """Limits of the real robot.
 
     Attributes:
-        speed_m_s: of the flange along each axis.
-        low_m: corner (x, y, z) of the box that the flange stays in, base frame.
-        high_m: the opposite corner.
-        force_n: external force at the flange above which everything stops.
-        pressure_kpa: highest set-point; if omitted, what the twin was measured up to.
-        vacuum_kpa: lowest set-point, 0 or below; if omitted, what the twin was measured down to.
-        pressure_rate_kpa_s: fastest change of the set-point.
-        overpressure_kpa: measured pressure above which everything stops, with vacuum also where it is as far
-            below zero; if omitted, 1.15 times the farthest set-point.
-        beyond_twin: whether set-points may lie beyond what the twin was measured over.
         action_kpa: lowest and highest pressure of an action; beyond them one is refused, within them it is
             held to the set-points above. Not an option.
     """
 
-    speed_m_s: float = MAX_SPEED_M_S
+    speed_m_s: float = MAX_SPEED_M_S  # of the flange along each axis
+    # corner (x, y, z) of the box that the flange stays in, base frame
     low_m: tuple[float, float, float] = (0.25, -0.35, 0.12)
-    high_m: tuple[float, float, float] = (0.65, 0.35, 0.65)
-    force_n: float = 20.0
-    pressure_kpa: float | None = None
+    high_m: tuple[float, float, float] = (0.65, 0.35, 0.65)  # the opposite corner
+    force_n: float = 20.0  # external force at the flange above which everything stops
+    pressure_kpa: float | None = None  # highest set-point; if omitted, what the twin was measured up to
+    # lowest set-point, 0 or below; if omitted, what the twin was measured down to
     vacuum_kpa: float | None = None
-    pressure_rate_kpa_s: float = 100.0
+    pressure_rate_kpa_s: float = 100.0  # fastest change of the set-point
+    # measured pressure above which everything stops, with vacuum also where it is as far below zero; if
+    # omitted, 1.15 times the farthest set-point
     overpressure_kpa: float | None = None
-    beyond_twin: bool = False
+    beyond_twin: bool = False  # whether set-points may lie beyond what the twin was measured over
 
     def __post_init__(self):
         self._given = self.pressure_kpa, self.vacuum_kpa, self.overpressure_kpa

@@ -12,19 +12,12 @@ __all__ = ["COMMAND_S", "TICK_S", "TURNS", "Arm", "ArmState", "HardwareFault", "
 
 @dataclass(frozen=True)
 class ArmState:
-    """What an arm senses.
+    """What an arm senses."""
 
-    Attributes:
-        joints_rad: (N,), from the base on.
-        joints_rad_s: (N,).
-        flange_m: (3,) in the base frame.
-        force_n: size of the external force at the flange.
-    """
-
-    joints_rad: np.ndarray
-    joints_rad_s: np.ndarray
-    flange_m: np.ndarray
-    force_n: float
+    joints_rad: np.ndarray  # (N,), from the base on
+    joints_rad_s: np.ndarray  # (N,)
+    flange_m: np.ndarray  # (3,) in the base frame
+    force_n: float  # size of the external force at the flange
 
 
 class Arm(Protocol):
@@ -50,13 +43,10 @@ class Arm(Protocol):
 
 
 class PressureController(Protocol):
-    """A valve with a pressure sensor. Every method but `vent` and `disconnect` raises `HardwareFault`.
+    """A valve with a pressure sensor. Every method but `vent` and `disconnect` raises `HardwareFault`."""
 
-    Attributes:
-        max_kpa: the highest set-point; known once connected. One that makes vacuum also has `min_kpa`, its
-            lowest; without it that is 0.
-    """
-
+    # the highest set-point; known once connected. One that makes vacuum also has `min_kpa`, its lowest;
+    # without it that is 0.
     max_kpa: float
 
     def connect(self) -> None:

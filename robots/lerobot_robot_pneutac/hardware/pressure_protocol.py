@@ -41,19 +41,12 @@ class Flag(IntFlag):
 
 @dataclass(frozen=True)
 class Frame:
-    """One sound frame.
+    """One sound frame."""
 
-    Attributes:
-        type: a `Type`, or a number of a later version.
-        session: number of the connection that it belongs to, 16 bits.
-        sequence: number of the frame, 16 bits, counting up in a circle.
-        payload: at most `MAX_PAYLOAD` bytes.
-    """
-
-    type: int
-    session: int
-    sequence: int
-    payload: bytes = b""
+    type: int  # a `Type`, or a number of a later version
+    session: int  # number of the connection that it belongs to, 16 bits
+    sequence: int  # number of the frame, 16 bits, counting up in a circle
+    payload: bytes = b""  # at most `MAX_PAYLOAD` bytes
 
 
 @dataclass(frozen=True)
@@ -70,27 +63,16 @@ class HelloReply:
 
 @dataclass(frozen=True)
 class Status:
-    """What a controller measures and has received.
+    """What a controller measures and has received."""
 
-    Attributes:
-        measured_pa: gauge pressure of the chamber.
-        target_pa: the set-point that it follows.
-        flags: `Flag`.
-        beat: sequence number of the newest heartbeat that it received.
-        command: sequence number of the newest set-point or vent that it received.
-        applied: set-points that took effect in this session.
-        repeated: frames dropped as old or double.
-        bad: frames dropped as broken, since power-on.
-    """
-
-    measured_pa: int
-    target_pa: int
-    flags: Flag
-    beat: int
-    command: int
-    applied: int
-    repeated: int
-    bad: int
+    measured_pa: int  # gauge pressure of the chamber
+    target_pa: int  # the set-point that it follows
+    flags: Flag  # `Flag`
+    beat: int  # sequence number of the newest heartbeat that it received
+    command: int  # sequence number of the newest set-point or vent that it received
+    applied: int  # set-points that took effect in this session
+    repeated: int  # frames dropped as old or double
+    bad: int  # frames dropped as broken, since power-on
 
 
 def newer(a: int, b: int) -> bool:

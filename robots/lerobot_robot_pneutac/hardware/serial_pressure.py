@@ -25,31 +25,19 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Command:
-    """What the caller wants.
+    """What the caller wants."""
 
-    Attributes:
-        target_kpa: the set-point; None to vent.
-        number: counts calls; the same number is the same command.
-    """
-
-    target_kpa: float | None
-    number: int
+    target_kpa: float | None  # the set-point; None to vent
+    number: int  # counts calls; the same number is the same command
 
 
 class Exchange(Protocol):
-    """A protocol's host side without its port, so that it runs on any clock.
+    """A protocol's host side without its port, so that it runs on any clock."""
 
-    Attributes:
-        measured_kpa: the newest measured pressure; None before the first.
-        measured_s: a time before which that pressure was not measured.
-        max_kpa: the highest set-point; None before the controller reported it.
-        fault: why the controller is of no use any more; None while it is.
-    """
-
-    measured_kpa: float | None
-    measured_s: float
-    max_kpa: float | None
-    fault: str | None
+    measured_kpa: float | None  # the newest measured pressure; None before the first
+    measured_s: float  # a time before which that pressure was not measured
+    max_kpa: float | None  # the highest set-point; None before the controller reported it
+    fault: str | None  # why the controller is of no use any more; None while it is
 
     def restart(self) -> None:
         """The port was opened again: forget what was under way, and never send an old command again."""

@@ -42,46 +42,41 @@ class PneutacBCConfig(PreTrainedConfig):
 
     State and action are scaled inside the network by the statistics of the first training's dataset and
     LeRobot's own normalisation is off, so that fine-tuning on other data never rescales what was learnt.
-
-    Attributes:
-        use_tactile: false leaves out the tactile image and both contact scalars.
-        memory: whether the policy remembers where and when it last touched, and what it sensed 0.5 and 1 s
-            ago; if omitted, a policy that is trained on a dataset does, and one that was before it could does
-            not.
-        answer_delay: frames by which the demonstrator answers a touch late; labels in touch are taken so much
-            ahead, at most 0.2 s. If omitted, what `pneutac augment` wrote into the dataset, else 0.
-        networks: networks that are trained together from different initial weights; the action is the mean of
-            theirs. Each costs as much as one.
-        control_hz: rate of the data and of the robot, which turns velocities into displacements per step;
-            if omitted, the first dataset's.
-        previous_action_dropout: share of training samples in which the previous action is hidden (replaced by
-            holding still), lest the policy copies its last action instead of looking.
-        previous_action_in_data: whether the dataset itself holds the previous action, as
-            `observation.previous_action` (`pneutac_datasets.demonstrations.pool` writes it). Then LeRobot
-            reads one row for a training sample and not three, most of its work with small images.
-        pressure_noise_kpa: noise on the sensed pressure while training. The next pressure is nearly the
-            present one; a policy that copies it lets small errors add up, and the pressure drifts.
-        brightness_noise_levels: noise on each colour's brightness while training, in levels of 8 bit, against
-            what is left of a drift of the light.
-        pixel_noise_levels: noise on the pixels of |tactile - rest| (4 x 4 of the camera's in one) while
-            training, up to so many levels of 8 bit, another strength for each image. A simulator's image is
-            exact, and a policy that was trained on it alone reads a camera's noise as touch.
-        optimizer_lr: learning rate of Adam, where training begins; it falls to zero along a cosine.
-        action_feature_names: set by LeRobot from the dataset.
     """
 
-    use_tactile: bool = True
+    use_tactile: bool = True  # false leaves out the tactile image and both contact scalars
+    # whether the policy remembers where and when it last touched, and what it sensed 0.5 and 1 s ago; if
+    # omitted, a policy that is trained on a dataset does, and one that was before it could does not
     memory: bool | None = None
+    # frames by which the demonstrator answers a touch late; labels in touch are taken so much ahead, at most
+    # 0.2 s. If omitted, what `pneutac augment` wrote into the dataset, else 0.
     answer_delay: int | None = None
+    # networks that are trained together from different initial weights; the action is the mean of theirs.
+    # Each costs as much as one.
     networks: int = 1
+    # rate of the data and of the robot, which turns velocities into displacements per step; if omitted, the
+    # first dataset's
     control_hz: int | None = None
+    # share of training samples in which the previous action is hidden (replaced by holding still), lest the
+    # policy copies its last action instead of looking
     previous_action_dropout: float = 0.3
+    # whether the dataset itself holds the previous action, as `observation.previous_action`
+    # (`pneutac_datasets.demonstrations.pool` writes it). Then LeRobot reads one row for a training sample and
+    # not three, most of its work with small images.
     previous_action_in_data: bool = False
+    # noise on the sensed pressure while training. The next pressure is nearly the present one; a policy that
+    # copies it lets small errors add up, and the pressure drifts.
     pressure_noise_kpa: float = 0.75
+    # noise on each colour's brightness while training, in levels of 8 bit, against what is left of a drift of
+    # the light
     brightness_noise_levels: float = 3.0
+    # noise on the pixels of |tactile - rest| (4 x 4 of the camera's in one) while training, up to so many
+    # levels of 8 bit, another strength for each image. A simulator's image is exact, and a policy that was
+    # trained on it alone reads a camera's noise as touch.
     pixel_noise_levels: float = 1.0
+    # learning rate of Adam, where training begins; it falls to zero along a cosine
     optimizer_lr: float = 3e-4
-    action_feature_names: list[str] | None = None
+    action_feature_names: list[str] | None = None  # set by LeRobot from the dataset
     push_to_hub: bool = False
     normalization_mapping: dict[str, NormalizationMode] = field(
         default_factory=lambda: dict.fromkeys(("VISUAL", "STATE", "ACTION"), NormalizationMode.IDENTITY)

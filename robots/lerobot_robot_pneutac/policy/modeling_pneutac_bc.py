@@ -61,19 +61,12 @@ _STATE_UNITS = {
 
 @dataclass(frozen=True)
 class Demonstrations:
-    """What a card says about the data that a policy was trained on.
+    """What a card says about the data that a policy was trained on."""
 
-    Attributes:
-        repo_ids: of the dataset, or of several that were read as one.
-        episodes: their number.
-        frames: their number.
-        tasks: instructions stored with the frames.
-    """
-
-    repo_ids: tuple[str, ...]
-    episodes: int
-    frames: int
-    tasks: tuple[str, ...]
+    repo_ids: tuple[str, ...]  # of the dataset, or of several that were read as one
+    episodes: int  # their number
+    frames: int  # their number
+    tasks: tuple[str, ...]  # instructions stored with the frames
 
     @classmethod
     def of(cls, meta) -> "Demonstrations":

@@ -20,18 +20,14 @@ NAMES = ("touch_depth_mm", "touch_force_n", "touch_area_mm2", "touch_x_mm", "tou
 class TouchProcessorStep(ObservationProcessorStep):
     """Adds `NAMES` to a robot's observation; zeros where nothing touches.
 
-    Attributes:
-        twin: folder of a twin with a calibrated gel.
-        image: name of the tactile image in the observation, uint8 (H, W, 3).
-        contact_area: whether `contact_area.pos` and `contact_pixels.pos` become those of the contact that is
-            read, in place of all pixels that have changed; train and run a policy with the same.
-
     Raises:
         InputError: there is no such twin, or it has no gel.
     """
 
-    twin: str
-    image: str = IMAGE_NAME
+    twin: str  # folder of a twin with a calibrated gel
+    image: str = IMAGE_NAME  # name of the tactile image in the observation, uint8 (H, W, 3)
+    # whether `contact_area.pos` and `contact_pixels.pos` become those of the contact that is read, in place
+    # of all pixels that have changed; train and run a policy with the same
     contact_area: bool = False
     _reader: TouchReader = field(init=False, repr=False)
 

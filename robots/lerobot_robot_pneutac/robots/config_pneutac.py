@@ -20,20 +20,13 @@ if TYPE_CHECKING:
 
 @dataclass(kw_only=True)
 class PressureConfig:
-    """Which pressure controller; of a finger with several chambers which, one a chamber.
+    """Which pressure controller; of a finger with several chambers which, one a chamber."""
 
-    Attributes:
-        type: `pneutac_serial`, `text_serial`, `simulated`, or another that was registered.
-        port: serial port, where it has one.
-        ports: serial ports of the controllers of several chambers, in the chambers' order.
-        chambers: how many, where the type has no ports.
-        options: everything else that this type takes, by name; a list has one a chamber.
-    """
-
-    type: str = ""
-    port: str | None = None
-    ports: tuple[str, ...] = ()
-    chambers: int = 1
+    type: str = ""  # `pneutac_serial`, `text_serial`, `simulated`, or another that was registered
+    port: str | None = None  # serial port, where it has one
+    ports: tuple[str, ...] = ()  # serial ports of the controllers of several chambers, in the chambers' order
+    chambers: int = 1  # how many, where the type has no ports
+    # everything else that this type takes, by name; a list has one a chamber
     options: dict[str, float | list[float] | str] = field(default_factory=dict)
 
     @property
@@ -93,36 +86,33 @@ class PneutacConfig(RobotConfig):
 
     A finger of several chambers has a pressure controller for each; actions are then `pressure_1.pos` and so
     on.
-
-    Attributes:
-        arm: `--robot.arm.type=panda --robot.arm.ip=...`, or `simulated` for a dry run.
-        pressure: `--robot.pressure.type=pneutac_serial --robot.pressure.port=/dev/ttyACM0`, for example; of
-            several chambers `--robot.pressure.ports='[/dev/ttyACM0,/dev/ttyACM1,/dev/ttyACM2]'`.
-        limits: enforced below any policy; the set-points are the twin's where none are given.
-        digit: the tactile camera: `--robot.digit.type=digit`, `elastomer` for any other under a gel, or any
-            camera type of LeRobot's; its image keeps its size.
-        twin: folder of the sensor's calibrated twin; its gel's contact threshold makes `contact_area.pos` and
-            `contact_pixels.pos` the same as on `pneutac_sim` with that twin. Without it they are those of the
-            built-in twin. Its `pressure_range_kpa` bounds the set-points.
-        contact_threshold: that threshold itself, in place of the twin: mean difference of R, G, B to the rest
-            image, 8-bit levels, above which a pixel is in contact.
-        cameras: more cameras, as for every LeRobot robot; those of the simulated robot have the same names.
-        bend: actions command the finger's bend, `bend.pos` in rad, in place of the pressure; the twin finds
-            the pressure for it.
-        conditions: what the twin's effects ask for, such as {temperature_c: 22}, for `bend`.
-        station: file `station.yaml`, whose workspace is the box of `limits` where these give none, and whose
-            control rate LeRobot's `--fps` and `--dataset.fps` are to be.
     """
 
-    arm: ArmConfig | None = None
+    arm: ArmConfig | None = None  # `--robot.arm.type=panda --robot.arm.ip=...`, or `simulated` for a dry run
+    # `--robot.pressure.type=pneutac_serial --robot.pressure.port=/dev/ttyACM0`, for example; of several
+    # chambers `--robot.pressure.ports='[/dev/ttyACM0,/dev/ttyACM1,/dev/ttyACM2]'`
     pressure: PressureConfig = field(default_factory=PressureConfig)
+    # enforced below any policy; the set-points are the twin's where none are given
     limits: Limits = field(default_factory=Limits)  # draccus cannot have a nested dataclass come last
+    # the tactile camera: `--robot.digit.type=digit`, `elastomer` for any other under a gel, or any camera
+    # type of LeRobot's; its image keeps its size
     digit: CameraConfig | None = None
+    # folder of the sensor's calibrated twin; its gel's contact threshold makes `contact_area.pos` and
+    # `contact_pixels.pos` the same as on `pneutac_sim` with that twin. Without it they are those of the
+    # built-in twin. Its `pressure_range_kpa` bounds the set-points.
     twin: Path | None = None
+    # that threshold itself, in place of the twin: mean difference of R, G, B to the rest image, 8-bit levels,
+    # above which a pixel is in contact
     contact_threshold: float | None = None
+    # more cameras, as for every LeRobot robot; those of the simulated robot have the same names
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
+    # actions command the finger's bend, `bend.pos` in rad, in place of the pressure; the twin finds the
+    # pressure for it
     bend: bool = False
+    # what the twin's effects ask for, such as {temperature_c: 22}, for `bend`
     conditions: dict[str, float] = field(default_factory=dict)
+    # file `station.yaml`, whose workspace is the box of `limits` where these give none, and whose control
+    # rate LeRobot's `--fps` and `--dataset.fps` are to be
     station: Path | None = None
 
     def __post_init__(self):

@@ -14,50 +14,43 @@ from pneutac_sim.features import task_names
 @RobotConfig.register_subclass("pneutac_sim")
 @dataclass(kw_only=True)
 class PneutacSimConfig(RobotConfig):
-    """An arm, a Panda where no station names another, with the pneumatic finger and its gel, simulated.
+    """An arm, a Panda where no station names another, with the pneumatic finger and its gel, simulated."""
 
-    Attributes:
-        task: what stands in front: `switch`, `egg`, `card`, `fruit`, `cable`, `button`, or your own.
-        seed: decides the random start of every episode.
-        twin: folder of the finger's twin, or of an arm's of several chambers; default the built-in finger's.
-            On the stand-in, as on the real robot, only its gel's contact threshold and the size of its images
-            are used.
-        fidelity: how finger and gel deform: `surrogate`, by networks; `mpm`, by full material points;
-            `probe`, by formulas, the one that an arm has.
-        conditions: what the twin's effects ask for, such as {temperature_c: 28, payload_g: [0, 20]}; from a
-            range [low, high] every episode draws.
-        render: what draws the touch: `mesh`, light on every pixel; `splats`, the Gaussians of the gel.
-        pressure_range_kpa: pressures that can be commanded, such as [0, 20]; default those that the twin was
-            measured over, beyond which it is extrapolated.
-        station: file `station.yaml` of arm, workspace, mount and control rate; default the paper's.
-        standin: act on the stand-in for reality, which has a finger and a gel of its own.
-        spread: number of random starts that the demonstrations are to stand for: each episode begins at that
-            one of them which leaves the others nearest to a start that was done, as a person would spread a
-            few demonstrations; 0 takes random starts as they come.
-        start_width: how much wider than the task's own random starts of hand and objects are: 0 the task's
-            own, 1 wide, 2 at most.
-        bend: actions command the finger's bend, `bend.pos` in rad, in place of the pressure; the twin finds
-            the pressure for it. On the stand-in it takes the twin that was calibrated to it.
-        cameras: scene cameras, such as {front: {type: pneutac_scene, width: 320, height: 240}}.
-        tactile_points: the observation has touch as data too, `tactile.points`: displacement and force on a
-            grid. lerobot-record 0.6 has no place for it and leaves it out; `record_episodes` writes it.
-        randomise_look: light, colours and texture of the scene are newly drawn in every episode.
-    """
-
+    # what stands in front: `switch`, `egg`, `card`, `fruit`, `cable`, `button`, or your own
     task: str = "switch"
-    seed: int = 0
+    seed: int = 0  # decides the random start of every episode
+    # folder of the finger's twin, or of an arm's of several chambers; default the built-in finger's. On the
+    # stand-in, as on the real robot, only its gel's contact threshold and the size of its images are used.
     twin: Path | None = None
+    # how finger and gel deform: `surrogate`, by networks; `mpm`, by full material points; `probe`, by
+    # formulas, the one that an arm has
     fidelity: str = "surrogate"
+    # what the twin's effects ask for, such as {temperature_c: 28, payload_g: [0, 20]}; from a range [low,
+    # high] every episode draws
     conditions: dict[str, float | list[float]] = field(default_factory=dict)
+    # what draws the touch: `mesh`, light on every pixel; `splats`, the Gaussians of the gel
     render: str = "mesh"
+    # pressures that can be commanded, such as [0, 20]; default those that the twin was measured over, beyond
+    # which it is extrapolated
     pressure_range_kpa: tuple[float, float] | None = None
+    # file `station.yaml` of arm, workspace, mount and control rate; default the paper's
     station: Path | None = None
-    standin: bool = False
+    standin: bool = False  # act on the stand-in for reality, which has a finger and a gel of its own
+    # number of random starts that the demonstrations are to stand for: each episode begins at that one of
+    # them which leaves the others nearest to a start that was done, as a person would spread a few
+    # demonstrations; 0 takes random starts as they come
     spread: int = 0
+    # how much wider than the task's own random starts of hand and objects are: 0 the task's own, 1 wide, 2 at
+    # most
     start_width: float = 0.0
+    # actions command the finger's bend, `bend.pos` in rad, in place of the pressure; the twin finds the
+    # pressure for it. On the stand-in it takes the twin that was calibrated to it.
     bend: bool = False
+    # scene cameras, such as {front: {type: pneutac_scene, width: 320, height: 240}}
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
-    randomise_look: bool = False
+    randomise_look: bool = False  # light, colours and texture of the scene are newly drawn in every episode
+    # the observation has touch as data too, `tactile.points`: displacement and force on a grid.
+    # lerobot-record 0.6 has no place for it and leaves it out; `record_episodes` writes it.
     tactile_points: bool = False
 
     @property

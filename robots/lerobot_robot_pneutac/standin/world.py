@@ -40,24 +40,16 @@ ENCODER_NOISE, RATE_NOISE, FLANGE_NOISE, GAUGE_NOISE_KPA = 2e-4, 2e-3, 1e-4, 0.1
 
 @dataclass(frozen=True)
 class Physics:
-    """What a lab's robot may do otherwise than when it was measured; the defaults are as on its bench.
+    """What a lab's robot may do otherwise than when it was measured; the defaults are as on its bench."""
 
-    Attributes:
-        late_commands: control steps by which commands act late.
-        creep: size of the power law, see `finger.CREEP`.
-        orifice: size of the valve, see `finger.ORIFICE`.
-        brightness: factors on red, green and blue of the gel's light.
-        object_mass: factor on the mass of moving objects.
-        friction: factor on the friction of the gel.
-        stiffness: factor on the bending stiffness of the finger, which its air bends as far as before.
-    """
-
-    late_commands: int = LATE_COMMANDS
-    creep: float = CREEP["size"]
-    orifice: float = ORIFICE["size"]
+    late_commands: int = LATE_COMMANDS  # control steps by which commands act late
+    creep: float = CREEP["size"]  # size of the power law, see `finger.CREEP`
+    orifice: float = ORIFICE["size"]  # size of the valve, see `finger.ORIFICE`
+    # factors on red, green and blue of the gel's light
     brightness: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    object_mass: float = OBJECT_MASS
-    friction: float = 1.0
+    object_mass: float = OBJECT_MASS  # factor on the mass of moving objects
+    friction: float = 1.0  # factor on the friction of the gel
+    # factor on the bending stiffness of the finger, which its air bends as far as before
     stiffness: float = 1.0
 
 

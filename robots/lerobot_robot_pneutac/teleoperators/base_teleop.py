@@ -14,24 +14,18 @@ MOST_MM = 20.0  # farther the finger leaves the bar
 
 @dataclass(kw_only=True)
 class VelocityTeleopConfig(TeleoperatorConfig):
-    """How fast a person's hand may move the robot.
+    """How fast a person's hand may move the robot."""
 
-    Attributes:
-        speed_m_s: speed of the flange at full deflection.
-        pressure_rate_kpa_s: rate of the pressure set-point at full deflection.
-        max_pressure_kpa: highest set-point; a finger of another range than the paper's needs another.
-        min_pressure_kpa: lowest set-point, 0 or, for a finger bent by vacuum, below.
-        bend_range_rad: smallest and largest bend, such as [0.5, 1.2]; the person's hand then changes the bend
-            and not the pressure, from the smallest on, for a robot with `--robot.bend=true`.
-        chamber_shares: shares of the set-point that each of several chambers gets, such as [1, 0, 0.5]; left
-            out for a finger of one chamber.
-    """
-
-    speed_m_s: float = 0.05
-    pressure_rate_kpa_s: float = 5.0
+    speed_m_s: float = 0.05  # speed of the flange at full deflection
+    pressure_rate_kpa_s: float = 5.0  # rate of the pressure set-point at full deflection
+    # highest set-point; a finger of another range than the paper's needs another
     max_pressure_kpa: float = MAX_PRESSURE_KPA
-    min_pressure_kpa: float = 0.0
+    min_pressure_kpa: float = 0.0  # lowest set-point, 0 or, for a finger bent by vacuum, below
+    # smallest and largest bend, such as [0.5, 1.2]; the person's hand then changes the bend and not the
+    # pressure, from the smallest on, for a robot with `--robot.bend=true`
     bend_range_rad: tuple[float, float] | None = None
+    # shares of the set-point that each of several chambers gets, such as [1, 0, 0.5]; left out for a finger
+    # of one chamber
     chamber_shares: list[float] | None = None
 
     def __post_init__(self):
@@ -75,13 +69,9 @@ class PneutacKeyboardConfig(VelocityTeleopConfig):
 @TeleoperatorConfig.register_subclass("pneutac_gamepad")
 @dataclass(kw_only=True)
 class PneutacGamepadConfig(VelocityTeleopConfig):
-    """Sticks move the robot, triggers the pressure; docs/how_to/teleoperation.md has the map.
+    """Sticks move the robot, triggers the pressure; docs/how_to/teleoperation.md has the map."""
 
-    Attributes:
-        dead_zone: share of a stick's or trigger's travel that counts as rest.
-    """
-
-    dead_zone: float = 0.1
+    dead_zone: float = 0.1  # share of a stick's or trigger's travel that counts as rest
 
     def __post_init__(self):
         super().__post_init__()
@@ -103,19 +93,15 @@ class PneutacScriptedConfig(TeleoperatorConfig):
     """A scripted expert in place of a person's hand.
 
     It demonstrates the task once in every episode that LeRobot records, and waits in between.
-
-    Attributes:
-        episode_steps: ticks of a demonstration where no episodes are announced, as in `lerobot-teleoperate`;
-            if omitted, those of 14 s.
-        seed: decides the variation between demonstrations.
-        person: how late, uneven and imprecise it acts: 0 as scripted, 1 as a modelled person at a joystick.
-        drag_mm: how far it drags the finger sideways along what it holds, before it lets go; in `button`
-            alone.
     """
 
+    # ticks of a demonstration where no episodes are announced, as in `lerobot-teleoperate`; if omitted, those
+    # of 14 s
     episode_steps: int | None = None
-    seed: int = 0
+    seed: int = 0  # decides the variation between demonstrations
+    # how late, uneven and imprecise it acts: 0 as scripted, 1 as a modelled person at a joystick
     person: float = 0.0
+    # how far it drags the finger sideways along what it holds, before it lets go; in `button` alone
     drag_mm: float = 0.0
 
     def __post_init__(self):

@@ -22,26 +22,16 @@ STEP_S = 0.6  # of a control step by material points on one core, until it has b
 
 @dataclass(frozen=True)
 class Agreement:
-    """One demonstration by two fidelities.
+    """One demonstration by two fidelities."""
 
-    Attributes:
-        episode: its number.
-        success: whether the task is done there too.
-        touched: steps with touch as planned, and as checked.
-        area_rmse: root mean square difference of the contact areas, shares of the image, from the first
-            touch of either on.
-        area_peak: largest contact area as planned, to compare it with.
-        image_rmse_levels: the same of the tactile images in steps in which either touches, of 255.
-        seconds: that the check took.
-    """
-
-    episode: int
-    success: bool
-    touched: tuple[int, int]
+    episode: int  # its number
+    success: bool  # whether the task is done there too
+    touched: tuple[int, int]  # steps with touch as planned, and as checked
+    # root mean square difference of the contact areas, shares of the image, from the first touch of either on
     area_rmse: float
-    area_peak: float
-    image_rmse_levels: float
-    seconds: float
+    area_peak: float  # largest contact area as planned, to compare it with
+    image_rmse_levels: float  # the same of the tactile images in steps in which either touches, of 255
+    seconds: float  # that the check took
 
 
 def check(work: Work, setup: AugmentSetup, number: int, progress: Progress) -> None:

@@ -45,41 +45,28 @@ LONGEST = 300  # control steps of the paper's rate for a demonstration without a
 
 @dataclass(frozen=True)
 class AugmentSetup:
-    """Everything that a demonstration depends on, besides its index.
+    """Everything that a demonstration depends on, besides its index."""
 
-    Attributes:
-        references: the recorded demonstrations.
-        task: of the world.
-        twin: folder, or None for the built-in one.
-        fidelity: of the world in which the plans are carried out.
-        planner: its options.
-        seed: decides everything.
-        method: `library` (a controller made of the demonstrations, see `library`), `expert` (the task's
-            scripted controller) or `planner` (each plan is guided by one demonstration).
-        start_range_m: half widths (3,) by which starts lie about the recorded ones; not of the planner.
-        start_width: how much wider than the task's own random starts the objects stand; not of the planner.
-        attempts: variants tried for one demonstration.
-        candidates: scenes drawn to find where the object stood.
-        conditions: of the world, see `World`; every demonstration draws from a range.
-        station: file of the station, or None for the paper's.
-        tactile_points: whether demonstrations have touch as data too.
-        cameras: their scene cameras to height and width of the pictures.
-    """
-
-    references: list[Reference]
-    task: str
-    twin: Path | None
-    fidelity: str
-    planner: PlannerConfig
-    seed: int
+    references: list[Reference]  # the recorded demonstrations
+    task: str  # of the world
+    twin: Path | None  # folder, or None for the built-in one
+    fidelity: str  # of the world in which the plans are carried out
+    planner: PlannerConfig  # its options
+    seed: int  # decides everything
+    # `library` (a controller made of the demonstrations, see `library`), `expert` (the task's scripted
+    # controller) or `planner` (each plan is guided by one demonstration)
     method: str = "planner"
+    # half widths (3,) by which starts lie about the recorded ones; not of the planner
     start_range_m: tuple[float, float, float] = (START_M, START_M, START_M)
+    # how much wider than the task's own random starts the objects stand; not of the planner
     start_width: float = 0.0
-    attempts: int = 30
-    candidates: int = 48
+    attempts: int = 30  # variants tried for one demonstration
+    candidates: int = 48  # scenes drawn to find where the object stood
+    # of the world, see `World`; every demonstration draws from a range
     conditions: Conditions = field(default_factory=dict)
-    station: Path | None = None
-    tactile_points: bool = False
+    station: Path | None = None  # file of the station, or None for the paper's
+    tactile_points: bool = False  # whether demonstrations have touch as data too
+    # their scene cameras to height and width of the pictures
     cameras: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     @property
@@ -89,26 +76,18 @@ class AugmentSetup:
 
 @dataclass
 class Attempt:
-    """What came of a variant.
+    """What came of a variant."""
 
-    Attributes:
-        state: (T, 2 N + 5 + C), action: (T, 3 + C), images: uint8 (T, H, W, 3) as recorded.
-        reason: why it was rejected, or None.
-        cost: mean of the plans' costs.
-        area_rmse: root mean square error of the contact area from its onset on.
-        start: seed and variation of the world at the start.
-        more: (T, ...) of further features, such as scene cameras' pictures, by their names in the dataset.
-        carried_out: (T, 3 + C) the actions with the noise that was carried out; None where there was none.
-    """
-
-    state: np.ndarray
+    state: np.ndarray  # (T, 2 N + 5 + C), action: (T, 3 + C), images: uint8 (T, H, W, 3) as recorded
     action: np.ndarray
     images: np.ndarray | None
-    reason: str | None
-    cost: float
-    area_rmse: float
-    start: tuple[int, Variation]
+    reason: str | None  # why it was rejected, or None
+    cost: float  # mean of the plans' costs
+    area_rmse: float  # root mean square error of the contact area from its onset on
+    start: tuple[int, Variation]  # seed and variation of the world at the start
+    # (T, ...) of further features, such as scene cameras' pictures, by their names in the dataset
     more: dict[str, np.ndarray] = field(default_factory=dict)
+    # (T, 3 + C) the actions with the noise that was carried out; None where there was none
     carried_out: np.ndarray | None = None
 
     @property

@@ -94,9 +94,6 @@ class Library:
     """The demonstrations, prepared once.
 
     Attributes:
-        references: without pauses.
-        answers: see `lagged_answers`.
-        width_kpa: of the pressure range.
         contacts: of each reference, first and last frame of those that are to come.
         at: (F, 2) reference and frame of all frames.
         free: (F,) whether a frame is outside of contacts.
@@ -104,9 +101,9 @@ class Library:
         flange_m, pressure_kpa, area, centre_mm: (F, ...) at all frames.
     """
 
-    references: list[Reference]
-    answers: np.ndarray
-    width_kpa: float
+    references: list[Reference]  # without pauses
+    answers: np.ndarray  # see `lagged_answers`
+    width_kpa: float  # of the pressure range
 
     @classmethod
     def of(cls, references: list[Reference], width_kpa: float) -> "Library":

@@ -23,31 +23,19 @@ MEMORY = 0.7  # correlation of the jitter over 1/15 s: hands do not shake so fas
 
 @dataclass(frozen=True)
 class PlannerConfig:
-    """Options of the planner; control steps are of 1/15 s, at another rate their number is scaled.
+    """Options of the planner; control steps are of 1/15 s, at another rate their number is scaled."""
 
-    Attributes:
-        horizon: number of control steps that a plan looks ahead, H.
-        samples: number of action sequences that an iteration tries.
-        elites: number of the best sequences, which make the next mean and spread.
-        iterations: number of iterations of CEM at a replanning.
-        replan: number of control steps after which it plans again.
-        area_weight: weight of the squared error of the contact area, w.
-        position_weight: weight of the squared error of the flange position, lambda, 1/m2.
-        smoothness_weight: weight of the squared change of the action, mu.
-        jitter_m_s: spread of the velocities tried, m/s.
-        jitter_kpa: spread of the pressures tried with a finger of 0 to 15 kPa; with another it is as large a
-            share of its range.
-    """
-
-    horizon: int = 10
-    samples: int = 10
-    elites: int = 3
-    iterations: int = 2
-    replan: int = 5
-    area_weight: float = 1.0
-    position_weight: float = 50.0
-    smoothness_weight: float = 0.01
-    jitter_m_s: float = 0.006
+    horizon: int = 10  # number of control steps that a plan looks ahead, H
+    samples: int = 10  # number of action sequences that an iteration tries
+    elites: int = 3  # number of the best sequences, which make the next mean and spread
+    iterations: int = 2  # number of iterations of CEM at a replanning
+    replan: int = 5  # number of control steps after which it plans again
+    area_weight: float = 1.0  # weight of the squared error of the contact area, w
+    position_weight: float = 50.0  # weight of the squared error of the flange position, lambda, 1/m2
+    smoothness_weight: float = 0.01  # weight of the squared change of the action, mu
+    jitter_m_s: float = 0.006  # spread of the velocities tried, m/s
+    # spread of the pressures tried with a finger of 0 to 15 kPa; with another it is as large a share of its
+    # range
     jitter_kpa: float = 0.6
 
     def __post_init__(self):

@@ -25,26 +25,17 @@ def frames_at(control_hz: int, paper: int) -> int:
 
 @dataclass
 class Reference:
-    """One recorded demonstration, without its images.
+    """One recorded demonstration, without its images."""
 
-    Attributes:
-        source: index of the episode.
-        flange_m: (T, 3) flange positions.
-        area: (T,) contact areas.
-        action: (T, 3 + C) as `features.action_names`.
-        task: the instruction.
-        centre_mm: (T, 2) middle of the imprint across and along the finger, from the middle of the image;
-            NaN without touch. None where the images were not read.
-        control_hz: rate of its frames.
-    """
-
-    source: int
-    flange_m: np.ndarray
-    area: np.ndarray
-    action: np.ndarray
-    task: str
+    source: int  # index of the episode
+    flange_m: np.ndarray  # (T, 3) flange positions
+    area: np.ndarray  # (T,) contact areas
+    action: np.ndarray  # (T, 3 + C) as `features.action_names`
+    task: str  # the instruction
+    # (T, 2) middle of the imprint across and along the finger, from the middle of the image; NaN without
+    # touch. None where the images were not read.
     centre_mm: np.ndarray | None = None
-    control_hz: int = CONTROL_HZ
+    control_hz: int = CONTROL_HZ  # rate of its frames
 
     def __post_init__(self):
         for name in ("flange_m", "area", "action"):

@@ -48,21 +48,14 @@ MOST_LATE, FREE_FRAMES = 4, 40  # control steps: latencies tried, frames of a fr
 
 @dataclass(frozen=True)
 class Scene:
-    """A scene in which a demonstration can have happened.
+    """A scene in which a demonstration can have happened."""
 
-    Attributes:
-        seed: of the task's own start.
-        shift_m: displacement (3,) of the objects from it.
-        works: whether the demonstration, replayed there, does the task.
-        area_rmse: root mean square difference of replayed and recorded contact areas in the contact phase.
-        centre_rmse_mm: the same of the imprint's middle in the first `CENTRES` frames of it.
-    """
-
-    seed: int
-    shift_m: tuple[float, float, float]
-    works: bool
+    seed: int  # of the task's own start
+    shift_m: tuple[float, float, float]  # displacement (3,) of the objects from it
+    works: bool  # whether the demonstration, replayed there, does the task
+    # root mean square difference of replayed and recorded contact areas in the contact phase
     area_rmse: float
-    centre_rmse_mm: float
+    centre_rmse_mm: float  # the same of the imprint's middle in the first `CENTRES` frames of it
 
     @property
     def misfit(self) -> float:

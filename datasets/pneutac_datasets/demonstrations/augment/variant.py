@@ -20,29 +20,19 @@ LATE = 1  # control steps by which touch is shown too late, at most
 
 @dataclass(frozen=True)
 class Variant:
-    """One draw of the domain randomisation.
+    """One draw of the domain randomisation."""
 
-    Attributes:
-        source: index of the reference.
-        shift_m: (3,) displacement of the object and, from the touch on, of the reference trajectory; its
-            height stays, as objects stand on the table. Until the touch the trajectory stays: nothing else
-            shows where the object is.
-        friction: factor on the gel's friction.
-        peak_kpa: added to the peak pressure, and in proportion below it.
-        bend_gain: factor on pressure to bend.
-        late_commands: control steps by which commands act too late, as they did in the demonstrations.
-        late_touch: control steps by which touch is shown too late, which is not recorded.
-        conditions: of the world.
-    """
-
-    source: int
+    source: int  # index of the reference
+    # (3,) displacement of the object and, from the touch on, of the reference trajectory; its height stays,
+    # as objects stand on the table. Until the touch the trajectory stays: nothing else shows where the object
+    # is.
     shift_m: tuple[float, float, float]
-    friction: float
-    peak_kpa: float
-    bend_gain: float
-    late_commands: int = 0
-    late_touch: int = 0
-    conditions: dict[str, float] = field(default_factory=dict)
+    friction: float  # factor on the gel's friction
+    peak_kpa: float  # added to the peak pressure, and in proportion below it
+    bend_gain: float  # factor on pressure to bend
+    late_commands: int = 0  # control steps by which commands act too late, as they did in the demonstrations
+    late_touch: int = 0  # control steps by which touch is shown too late, which is not recorded
+    conditions: dict[str, float] = field(default_factory=dict)  # of the world
 
     @classmethod
     def draw(

@@ -121,25 +121,16 @@ def make_episode(setup: AugmentSetup, folder: Path, scenes: list[Scene], index: 
 
 @dataclass
 class Sensed:
-    """An attempt in a batch of worlds, which have neither the arm's joints nor images.
+    """An attempt in a batch of worlds, which have neither the arm's joints nor images."""
 
-    Attributes:
-        start: seed and variation.
-        states: of each frame, as `BatchedWorld.state`.
-        contacts: area and log(1 + pixels) of each frame.
-        shown: of each frame, the one whose touch was shown in it.
-        displacement_mm: (80, 59) of the gel's face, of the frames in which it was touched.
-        actions: (3 + C,) of each frame.
-        pressure_kpa: (C,) commanded last.
-    """
-
-    start: tuple[int, Variation]
-    states: list[np.ndarray] = field(default_factory=list)
-    contacts: list[np.ndarray] = field(default_factory=list)
-    shown: list[int] = field(default_factory=list)
+    start: tuple[int, Variation]  # seed and variation
+    states: list[np.ndarray] = field(default_factory=list)  # of each frame, as `BatchedWorld.state`
+    contacts: list[np.ndarray] = field(default_factory=list)  # area and log(1 + pixels) of each frame
+    shown: list[int] = field(default_factory=list)  # of each frame, the one whose touch was shown in it
+    # (80, 59) of the gel's face, of the frames in which it was touched
     displacement_mm: dict[int, np.ndarray] = field(default_factory=dict)
-    actions: list[np.ndarray] = field(default_factory=list)
-    pressure_kpa: np.ndarray | None = None
+    actions: list[np.ndarray] = field(default_factory=list)  # (3 + C,) of each frame
+    pressure_kpa: np.ndarray | None = None  # (C,) commanded last
 
 
 def save_sensed(setup: AugmentSetup, folder: Path, index: int, sensed: Sensed, provenance: dict) -> None:

@@ -37,19 +37,12 @@ NOT_WRITABLE = (errno.EROFS, errno.EACCES, errno.EPERM)
 
 @dataclass(frozen=True)
 class Repaired:
-    """What a repair found.
+    """What a repair found."""
 
-    Attributes:
-        episodes: that the dataset has now.
-        frames: of them all.
-        recovered: episodes that could not be read before.
-        remarks: what was torn and what was done, one sentence each.
-    """
-
-    episodes: int
-    frames: int
-    recovered: int
-    remarks: tuple[str, ...]
+    episodes: int  # that the dataset has now
+    frames: int  # of them all
+    recovered: int  # episodes that could not be read before
+    remarks: tuple[str, ...]  # what was torn and what was done, one sentence each
 
 
 def repair_dataset(root: str | Path, like: str | Path | None = None, drop: bool = False) -> Repaired:

@@ -116,19 +116,12 @@ def _changes(images: np.ndarray, rest: np.ndarray, gain: np.ndarray | float = 1.
 
 @dataclass(frozen=True)
 class LightDrift:
-    """How the light of a gel at rest differs from the twin's.
+    """How the light of a gel at rest differs from the twin's."""
 
-    Attributes:
-        levels: (3,) mean difference of red, green and blue, 8-bit levels.
-        shape_levels: root mean square of what a factor on each colour does not explain.
-        gain: (3,) factor on each colour of the twin's rest image.
-        spread_levels: standard deviation of `levels` from episode to episode.
-    """
-
-    levels: tuple[float, float, float]
-    shape_levels: float
-    gain: tuple[float, float, float]
-    spread_levels: float
+    levels: tuple[float, float, float]  # (3,) mean difference of red, green and blue, 8-bit levels
+    shape_levels: float  # root mean square of what a factor on each colour does not explain
+    gain: tuple[float, float, float]  # (3,) factor on each colour of the twin's rest image
+    spread_levels: float  # standard deviation of `levels` from episode to episode
 
     @property
     def drifted(self) -> bool:
@@ -289,17 +282,11 @@ SURE = 2.0  # standard errors
 
 @dataclass(frozen=True)
 class Dragging:
-    """How imprints turned where the finger was dragged.
+    """How imprints turned where the finger was dragged."""
 
-    Attributes:
-        turn_deg_per_mm: mean over episodes of the turn per way of the arm.
-        error: its standard error.
-        episodes: in which it was dragged.
-    """
-
-    turn_deg_per_mm: float
-    error: float
-    episodes: int
+    turn_deg_per_mm: float  # mean over episodes of the turn per way of the arm
+    error: float  # its standard error
+    episodes: int  # in which it was dragged
 
     @classmethod
     def of(cls, episodes: Sequence[Episode]) -> Self | None:

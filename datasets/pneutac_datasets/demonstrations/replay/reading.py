@@ -41,23 +41,14 @@ def _paper() -> Station:
 
 @dataclass
 class Demonstrations:
-    """Episodes of one task.
+    """Episodes of one task."""
 
-    Attributes:
-        folder: of the dataset, or its name on the Hub.
-        task: in front of the robot, such as `switch`.
-        episodes: as recorded, at the rate of 15 Hz at which they are replayed.
-        device: of what they are measurements.
-        warnings: what a reader should know.
-        station: in which they were recorded, at the rate of 15 Hz.
-    """
-
-    folder: Path
-    task: str
-    episodes: list[Episode]
-    device: str = "finger"
-    warnings: list[str] = field(default_factory=list)
-    station: Station = field(default_factory=_paper)
+    folder: Path  # of the dataset, or its name on the Hub
+    task: str  # in front of the robot, such as `switch`
+    episodes: list[Episode]  # as recorded, at the rate of 15 Hz at which they are replayed
+    device: str = "finger"  # of what they are measurements
+    warnings: list[str] = field(default_factory=list)  # what a reader should know
+    station: Station = field(default_factory=_paper)  # in which they were recorded, at the rate of 15 Hz
 
     pressure_columns = ("pressure_cmd_kpa",)
 

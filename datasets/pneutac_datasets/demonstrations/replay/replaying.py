@@ -22,15 +22,10 @@ FEEDBACK_HZ = 2.0  # rate at which the flange returns to the recorded path
 
 @dataclass(frozen=True)
 class Place:
-    """Where an episode's objects stand.
+    """Where an episode's objects stand."""
 
-    Attributes:
-        seed: of the task's own start.
-        shift_m: displacement (3,) of the objects from it.
-    """
-
-    seed: int
-    shift_m: tuple[float, float, float]
+    seed: int  # of the task's own start
+    shift_m: tuple[float, float, float]  # displacement (3,) of the objects from it
 
 
 NOWHERE = Place(0, AWAY_M)
@@ -38,29 +33,17 @@ NOWHERE = Place(0, AWAY_M)
 
 @dataclass(frozen=True)
 class Replayed:
-    """What a twin predicts of an episode of T frames.
+    """What a twin predicts of an episode of T frames."""
 
-    Attributes:
-        flange_m: (T, 3) where the flange went.
-        area: (T,) contact areas; 0 where the world has no images.
-        press_mm: (T,) how far the gel's face is pressed in.
-        press_n: (T,) force on it.
-        pressure_kpa: (T,) in the chamber.
-        gel_m: (T, 3) middle of the gel's face, in the recorded flange's place.
-        gel_axes: (T, 9) its rotation.
-        images: uint8 (T, H, W, 3); None where they were not asked for.
-        success: whether the task was done.
-    """
-
-    flange_m: np.ndarray
-    area: np.ndarray
-    press_mm: np.ndarray
-    press_n: np.ndarray
-    pressure_kpa: np.ndarray
-    gel_m: np.ndarray
-    gel_axes: np.ndarray
-    images: np.ndarray | None
-    success: bool
+    flange_m: np.ndarray  # (T, 3) where the flange went
+    area: np.ndarray  # (T,) contact areas; 0 where the world has no images
+    press_mm: np.ndarray  # (T,) how far the gel's face is pressed in
+    press_n: np.ndarray  # (T,) force on it
+    pressure_kpa: np.ndarray  # (T,) in the chamber
+    gel_m: np.ndarray  # (T, 3) middle of the gel's face, in the recorded flange's place
+    gel_axes: np.ndarray  # (T, 9) its rotation
+    images: np.ndarray | None  # uint8 (T, H, W, 3); None where they were not asked for
+    success: bool  # whether the task was done
 
 
 def follow(action: np.ndarray, flange_m: np.ndarray, goal_m: np.ndarray, dt_s: float) -> np.ndarray:

@@ -55,25 +55,15 @@ PARTS = re.compile(
 
 @dataclass(frozen=True)
 class Column:
-    """What one column of a table is.
+    """What one column of a table is."""
 
-    Attributes:
-        name: in the table.
-        column: of the recording; the own name of a column that is retained as it is.
-        unit: of its numbers, None where it has none.
-        factor: after the unit is converted, what its numbers are multiplied by.
-        shift: added after that.
-        guess: how the unit was found where it was not written: `by size`.
-        retained: whether it is none of a recording's own columns.
-    """
-
-    name: str
-    column: str
-    unit: Unit | None = None
-    factor: float = 1.0
-    shift: float = 0.0
-    guess: str = ""
-    retained: bool = False
+    name: str  # in the table
+    column: str  # of the recording; the own name of a column that is retained as it is
+    unit: Unit | None = None  # of its numbers, None where it has none
+    factor: float = 1.0  # after the unit is converted, what its numbers are multiplied by
+    shift: float = 0.0  # added after that
+    guess: str = ""  # how the unit was found where it was not written: `by size`
+    retained: bool = False  # whether it is none of a recording's own columns
 
     @classmethod
     def parsed(cls, name: str, text: str) -> "Column":

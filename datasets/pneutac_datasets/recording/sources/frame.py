@@ -21,31 +21,20 @@ from pneutac_sim.errors import InputError
 
 @dataclass(frozen=True)
 class Track:
-    """A marker, or a body of several, over time.
+    """A marker, or a body of several, over time."""
 
-    Attributes:
-        time_s: (n,) rising.
-        position_mm: (n, 3) in the frame of the measuring system; NaN where it was not seen.
-        rotation: (n, 3, 3) of a body in that frame, or None of a single marker.
-    """
-
-    time_s: np.ndarray
-    position_mm: np.ndarray
-    rotation: np.ndarray | None = None
+    time_s: np.ndarray  # (n,) rising
+    position_mm: np.ndarray  # (n, 3) in the frame of the measuring system; NaN where it was not seen
+    rotation: np.ndarray | None = None  # (n, 3, 3) of a body in that frame, or None of a single marker
 
 
 @dataclass
 class Source:
-    """What a file holds.
+    """What a file holds."""
 
-    Attributes:
-        file: for messages.
-        tracks: by name.
-        columns: numbers over time by name: times (n,) in s and values (n,).
-    """
-
-    file: Path
-    tracks: dict[str, Track] = field(default_factory=dict)
+    file: Path  # for messages
+    tracks: dict[str, Track] = field(default_factory=dict)  # by name
+    # numbers over time by name: times (n,) in s and values (n,)
     columns: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
     def track(self, name: str, option: str) -> Track:
@@ -109,15 +98,10 @@ AXES = {
 
 @dataclass(frozen=True)
 class BaseFrame:
-    """The base frame as seen by the measuring system.
+    """The base frame as seen by the measuring system."""
 
-    Attributes:
-        rotation: (3, 3), its columns the base's axes.
-        origin_mm: (3,).
-    """
-
-    rotation: np.ndarray
-    origin_mm: np.ndarray
+    rotation: np.ndarray  # (3, 3), its columns the base's axes
+    origin_mm: np.ndarray  # (3,)
 
     def of(self, position_mm: np.ndarray) -> np.ndarray:
         """Positions (n, 3) in the base frame, mm."""

@@ -39,25 +39,17 @@ EPOCH_S = 1e8  # a clock beyond this counts since 1970
 
 @dataclass(frozen=True)
 class Given:
-    """What is known of the tables beforehand; the fields of `mapping.yaml`.
+    """What is known of the tables beforehand; the fields of `mapping.yaml`."""
 
-    Attributes:
-        columns: name in the table to column of the recording, as `Column.parsed` reads it.
-        base_mm: position of the finger's base in the table's frame.
-        base_x: axis of the table's frame along the straight finger.
-        base_z: axis of the table's frame in the bending direction.
-        length_mm: of the straight finger.
-        rate_hz: rows a second, where no column is a time.
-        date: of the measurement.
-    """
-
+    # name in the table to column of the recording, as `Column.parsed` reads it
     columns: dict[str, str] = field(default_factory=dict)
+    # position of the finger's base in the table's frame
     base_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    base_x: str = "x"
-    base_z: str = "z"
-    length_mm: float | None = None
-    rate_hz: float | None = None
-    date: str = ""
+    base_x: str = "x"  # axis of the table's frame along the straight finger
+    base_z: str = "z"  # axis of the table's frame in the bending direction
+    length_mm: float | None = None  # of the straight finger
+    rate_hz: float | None = None  # rows a second, where no column is a time
+    date: str = ""  # of the measurement
 
     @classmethod
     def load(cls, file: Path) -> "Given":
@@ -88,27 +80,16 @@ class Given:
 
 @dataclass
 class Understood:
-    """Tables as a recording, and how they were understood.
+    """Tables as a recording, and how they were understood."""
 
-    Attributes:
-        files: in the order of their trials.
-        recording: not written yet.
-        columns: what each column of the tables is.
-        given: what was known beforehand.
-        style: delimiter and decimal mark.
-        notes: a sentence for each thing that was left out, filled in or looks wrong.
-        length_mm: of the straight finger; proposed where `given` has none.
-        faults: what the rules of a recording refuse, by the names of the tables.
-    """
-
-    files: list[Path]
-    recording: Recording
-    columns: list[Column]
-    given: Given
-    style: str
-    notes: list[str]
-    length_mm: float | None
-    faults: list[str]
+    files: list[Path]  # in the order of their trials
+    recording: Recording  # not written yet
+    columns: list[Column]  # what each column of the tables is
+    given: Given  # what was known beforehand
+    style: str  # delimiter and decimal mark
+    notes: list[str]  # a sentence for each thing that was left out, filled in or looks wrong
+    length_mm: float | None  # of the straight finger; proposed where `given` has none
+    faults: list[str]  # what the rules of a recording refuse, by the names of the tables
 
 
 def table_files(path: str | Path) -> list[Path]:
