@@ -69,11 +69,7 @@ class NoiseFloor:
         return self.value or 0.0
 
     def needed(self, folder: str | Path) -> float:
-        """`value`, for what cannot do without it.
-
-        Raises:
-            InputError: it is unknown.
-        """
+        """`value`, for what cannot do without it; raises InputError where it is unknown."""
         if self.value is None:
             raise InputError(f"{folder}: the noise {self.how}.")
         return self.value

@@ -95,11 +95,7 @@ class VelocityTeleop(BaseTeleop):
         return self._tick_s is not None
 
     def connect(self, calibrate: bool = True) -> None:
-        """Opens the device.
-
-        Raises:
-            DeviceNotConnectedError: it is not there.
-        """
+        """Opens the device; raises DeviceNotConnectedError where it is not there."""
         if self.is_connected:
             raise DeviceAlreadyConnectedError(f"{self} is already connected.")
         self._open()

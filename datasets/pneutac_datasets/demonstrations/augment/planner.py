@@ -71,7 +71,7 @@ def demonstration_cost(
     config: PlannerConfig,
     scale: np.ndarray = ACTION_HIGH,
 ) -> np.ndarray:
-    """Cost L of trajectories against the demonstrated one.
+    """Cost L (...,) of trajectories of H steps against the demonstrated one.
 
     Args:
         area: (..., H) contact areas c.
@@ -82,9 +82,6 @@ def demonstration_cost(
         previous: (3 + C,) the action before them.
         config: the weights.
         scale: (3 + C,) the largest action, by which changes are divided.
-
-    Returns:
-        (...,), one a trajectory.
     """
     before = np.broadcast_to(previous, (*actions.shape[:-2], 1, actions.shape[-1]))
     change = np.diff(actions, axis=-2, prepend=before) / scale

@@ -120,16 +120,13 @@ def axes_of(x: str, z: str) -> np.ndarray:
 
 
 def of_body(base: Track, x: str, z: str, offset_mm: np.ndarray) -> BaseFrame:
-    """The base frame of a tracked body fixed at the base.
+    """The base frame of a tracked body that stands still at the base.
 
-    Args:
-        base: the body, which stands still.
-        x: axis of the body along the straight finger, such as `z` or `-y`.
-        z: axis of the body in the bending direction.
-        offset_mm: from the body's origin to the finger's base, in the base frame.
+    `x` and `z` are axes of the body along the straight finger and in the bending direction, such as `-y`; the
+    offset goes from its origin to the finger's base, in the base frame.
 
     Raises:
-        InputError: the axes are none, or not at right angles.
+        InputError: the axes are none, or not at right angles, or the body is never seen.
     """
     axes = axes_of(x, z)
     assert base.rotation is not None
@@ -143,13 +140,10 @@ def of_body(base: Track, x: str, z: str, offset_mm: np.ndarray) -> BaseFrame:
 def of_motion(base_mm: np.ndarray, tip_mm: np.ndarray, pressure_kpa: np.ndarray) -> BaseFrame:
     """The base frame where the base has a marker only: x to where the tip rests, z the way that it bends.
 
-    Args:
-        base_mm: (3,) the base's marker.
-        tip_mm: (n, 3).
-        pressure_kpa: (n,) commanded.
+    Places are of the base's marker (3,) and the tip (n, 3), pressures (n,) commanded.
 
     Raises:
-        InputError: the tip hardly moves.
+        InputError: the tip hardly moves, or is never seen.
     """
     seen = np.isfinite(tip_mm).all(1)
     tip, kpa = tip_mm[seen], np.abs(pressure_kpa[seen])
@@ -182,11 +176,7 @@ def shifted(log: Source, offset_s: float) -> Source:
 
 
 def commanded(tip: Track, log: Source, columns: dict[str, str]) -> np.ndarray:
-    """Commanded pressures (n,), kPa, at the times of a track.
-
-    Raises:
-        InputError: the log has none.
-    """
+    """Commanded pressures (n,), kPa, at the times of a track; raises InputError where the log has none."""
     name = next((n for n, column in columns.items() if column == COMMAND), None)
     if name is None or name not in log.columns:
         raise InputError(
