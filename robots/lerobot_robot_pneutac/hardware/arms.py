@@ -126,11 +126,7 @@ class LeRobotArmConfig(ArmConfig):
 
         try:
             robot = make_robot_from_config(draccus.decode(RobotConfig, self.robot))
-        except (
-            ImportError,
-            ValueError,
-            DecodingError,
-        ) as e:  # its package's name, or its options
+        except (ImportError, ValueError, DecodingError) as e:  # its package's name, or its options
             raise InputError(f"--robot.arm.robot: {e}") from e
         found = [n for n in robot.action_features if n.endswith(".pos")]
         motors = self.motors or [n for n in found if not n.startswith("gripper")]

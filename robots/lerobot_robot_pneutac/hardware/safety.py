@@ -128,7 +128,7 @@ class Guard:
 
     @contextmanager
     def failing(self, doing: str) -> Iterator[None]:
-        """While a part is used: whatever is raised halts everything at once.
+        """While a part is used: whatever is raised halts everything at once, until the guard is closed.
 
         Raises:
             HardwareFault: in place of any other exception of the part, and on entering after a fault.
@@ -137,19 +137,17 @@ class Guard:
             raise self.fault
         try:
             yield
-        except HardwareFault as fault:
-            if not self._closed.is_set():
-                self.fail(fault)
-            raise
-        except Exception as e:
+        except BaseException as e:
             if self._closed.is_set():
                 raise
-            fault = HardwareFault(f"{doing.capitalize()} failed: {e}.")
+            if not isinstance(e, Exception):  # Ctrl-C: LeRobot saves its data first and only then disconnects
+                self.halt()
+                raise
+            fault = e if isinstance(e, HardwareFault) else HardwareFault(f"{doing.capitalize()} failed: {e}.")
             self.fail(fault)
+            if fault is e:
+                raise
             raise fault from e
-        except BaseException:  # Ctrl-C: LeRobot saves its data first and only then disconnects
-            self.halt()
-            raise
 
     def halt(self) -> None:
         """Stops the arm and vents the chamber, now; never raises and does not wait for a part that hangs."""
