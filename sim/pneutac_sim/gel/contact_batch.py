@@ -35,9 +35,8 @@ from pneutac_sim.gel.spring import (
 KINDS = (SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX)
 SLOTS = 144  # cells of a contact: `CELLS` of a disc fill a square of 102, and each edge is rounded up
 GROW, GROWTHS = 1.1, 12  # by which cells are enlarged, and how often, where a contact would need more
-CHECK_EVERY = (
-    5  # iterations between questions whether all contacts are solved, each of which waits for the GPU
-)
+CHECK_EVERY = 5  # iterations between questions whether all contacts are solved
+LEAST_SIZE = 32  # of a recorded part; further ones are twice as large each
 NOWHERE_MM = -1e6
 wp.set_module_options({"enable_backward": False})  # nobody asks for gradients, and they take long to compile
 
@@ -206,6 +205,45 @@ def _pixels(
         wp.atomic_add(out, b, n)
 
 
+class Playback:
+    """Calls functions whose tensors stay the same ones; on CUDA they are recorded as graphs and played back.
+
+    A function launches hundreds of small kernels, each of which takes longer to launch than to run. It may
+    have a size, the number of worlds that need it: it is recorded for powers of two, in which worlds that do
+    not need it fill up. It must not wait for the GPU.
+    """
+
+    def __init__(self, device: torch.device):
+        self._device, self._graphs, self._pool = device, {}, None
+
+    def __call__(self, function, *size: int) -> None:
+        """Calls a function on the current stream."""
+        if self._device.type != "cuda":
+            function(*size)
+            return
+        key = function.__func__, id(function.__self__), *size
+        if key in self._graphs:
+            self._graphs[key].replay()
+            return
+        function(*size)  # compiles; recording does nothing yet
+        torch.cuda.synchronize(self._device)
+        self._pool = self._pool or torch.cuda.graph_pool_handle()
+        self._graphs[key], stream = torch.cuda.CUDAGraph(), torch.cuda.current_stream(self._device)
+        with torch.cuda.graph(self._graphs[key], self._pool, stream, "thread_local"):
+            function(*size)
+
+    def some(self, function, needed: torch.Tensor) -> None:
+        """Calls a function with the size for the worlds (N,) that need it, where any do."""
+        if count := int(needed.count_nonzero()):
+            self(function, min(max(LEAST_SIZE, 1 << (count - 1).bit_length()), len(needed)))
+
+
+def first(needed: torch.Tensor, size: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Indices (size,) of the worlds (N,) that need something, then of others, and which of them do."""
+    worlds = torch.argsort(needed.to(torch.uint8), descending=True, stable=True)[:size]
+    return worlds, needed[worlds]
+
+
 class PixelCount:
     """Counts pixels in contact of light on the probe grid without drawing images.
 
@@ -249,12 +287,15 @@ class ContactBatch:
         gel: id of the gel's site.
         data: MuJoCo Warp's, whose kinematics are read.
         device: of Warp.
+        free: spring where nothing is near.
 
     Raises:
         InputError: an object is a mesh or a cone.
     """
 
-    def __init__(self, law: GelForce, window_mm, thickness_mm, geoms, kinds, sizes, gel: int, data, device):
+    def __init__(
+        self, law: GelForce, window_mm, thickness_mm, geoms, kinds, sizes, gel: int, data, device, free
+    ):
         if not np.isin(kinds, KINDS).all():
             raise InputError(
                 "Many worlds at once feel boxes, capsules, cylinders, ellipsoids and spheres; this task has a"
@@ -287,6 +328,11 @@ class ContactBatch:
             wp.empty((n, *s), dtype=float, device=device) for s in ((ROWS, COLS), LOOK)
         )
         self.depth_mm = wp.to_torch(self._grid)  # (N, 80, 59), of the last `look`
+        self._free, self._ahead = free, (1e-3 * REACH_MM, 1e-3 * (law.thickness_mm + REACH_MM))
+        self.spring = tuple(torch.zeros(n, device=self._torch) for _ in range(3))
+        self._no_cells = self._sent([1, 0, 0, 0, 1, 1, 0, 1])  # no rows, see `_place`
+        self._deepest = torch.zeros(n, device=self._torch)
+        self._near_face = torch.zeros(n, dtype=torch.bool, device=self._torch)
 
     def _sent(self, array) -> torch.Tensor:
         return torch.tensor(np.asarray(array), dtype=torch.float32, device=self._torch)
@@ -300,33 +346,36 @@ class ContactBatch:
         self._launch(self._grid, self._window, 0.0, self._reach)
         return self.depth_mm
 
-    def springs(self, free: spring.Spring) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def springs(self, play: Playback) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Springs of the face, as `GelSpring.of` finds them: k1 (N,) N/m, k3 (N,) N/m^3, depth (N,) m.
 
-        Args:
-            free: where nothing is near.
+        The same tensors each time. `play` calls the parts.
         """
-        ahead, reach = 1e-3 * REACH_MM, 1e-3 * (self._law.thickness_mm + REACH_MM)
-        self._launch(self._first, self._gel_window, ahead, reach)
-        first = wp.to_torch(self._first)
-        deepest = first.amax((1, 2))
-        k1, k3, depth_m = (torch.full_like(deepest, v) for v in (free.k1, free.k3, free.depth_m))
-        (worlds,) = torch.nonzero(deepest > -REACH_MM, as_tuple=True)
-        if not len(worlds):
-            return k1, k3, depth_m
-        first, deepest = first[worlds], deepest[worlds]
+        play(self._look_ahead)
+        play.some(self._solve, self._near_face)
+        return self.spring
+
+    def _look_ahead(self) -> None:
+        self._launch(self._first, self._gel_window, *self._ahead)
+        self._deepest.copy_(wp.to_torch(self._first).amax((1, 2)))
+        self._near_face.copy_(self._deepest > -REACH_MM)
+        for tensor, value in zip(
+            self.spring, (self._free.k1, self._free.k3, self._free.depth_m), strict=True
+        ):
+            tensor.fill_(value)
+
+    def _solve(self, count: int) -> None:
+        """Springs of the worlds with something near, of which there are at most `count`."""
+        worlds, near = first(self._near_face, count)
+        seen, deepest = wp.to_torch(self._first)[worlds], self._deepest[worlds]
         x = deepest.clamp(LEAST_MM, DEEPEST_MM)
-        boxes = _place(first > (deepest - FURTHER * x)[:, None, None], self._gel_window)
-        count = len(worlds)
-        boxes_wp, worlds_wp = wp.from_torch(boxes), wp.from_torch(worlds)
-        samples = wp.empty((count, SLOTS, FINE**2), dtype=float, device=self._device)
-        matrix = wp.empty((count, SLOTS, SLOTS), dtype=float, device=self._device)
-        fine = [*self._scene, worlds_wp, boxes_wp, ahead, reach, samples]
-        wp.launch(_cells, samples.shape, fine, device=self._device)
-        wp.launch(
-            _compliances, matrix.shape, [self._near, self._hidden, boxes_wp, matrix], device=self._device
-        )
-        box, C = wp.to_torch(samples), wp.to_torch(matrix)
+        boxes = _place(seen > (deepest - FURTHER * x)[:, None, None], self._gel_window)
+        boxes = torch.where(near[:, None], boxes, self._no_cells)
+        box, C = (x.new_empty((count, SLOTS, n)) for n in (FINE**2, SLOTS))
+        boxes_wp, worlds_wp, box_wp, C_wp = map(wp.from_torch, (boxes, worlds, box, C))
+        fine = [*self._scene, worlds_wp, boxes_wp, *self._ahead, box_wp]
+        wp.launch(_cells, box.shape, fine, device=self._device)
+        wp.launch(_compliances, C.shape, [self._near, self._hidden, boxes_wp, C_wp], device=self._device)
         deepest = box.amax((1, 2))
         held, load = self._held(boxes), torch.zeros_like(box[..., 0])
         here, load = self._force(box + (x - deepest)[:, None, None], C, boxes, held, load)
@@ -334,9 +383,9 @@ class ContactBatch:
         power = (torch.log(there / here) / math.log(FURTHER)).clamp(1.0, 3.0)  # F ~ x^power
         x = 1e-3 * x
         secant = here / x
-        k1[worlds], k3[worlds] = secant * (3 - power) / 2, secant * (power - 1) / 2 / x**2
-        depth_m[worlds] = x
-        return k1, k3, depth_m
+        found = secant * (3 - power) / 2, secant * (power - 1) / 2 / x**2, x
+        for tensor, value in zip(self.spring, found, strict=True):
+            tensor[worlds] = torch.where(near, value, tensor[worlds])
 
     def _held(self, boxes: torch.Tensor) -> torch.Tensor:
         """`gel.spring._held` of the cells (contacts, SLOTS)."""
@@ -429,7 +478,8 @@ def _contact(C, diagonal, d, on, p) -> torch.Tensor:
         inside = torch.where(carries, g, 0.0)
         worst = torch.where(carries, g.abs(), -g).amax(1)
         active = worst >= tolerance
-        if n % CHECK_EVERY == CHECK_EVERY - 1 and not active.any():
+        asks = n % CHECK_EVERY == CHECK_EVERY - 1 and C.device.type == "cpu"  # a GPU would be waited for
+        if asks and not active.any():
             break
         norm = (inside * inside).sum(1)
         share = torch.where(before > 0, norm / before.clamp(min=1e-30), 0.0)

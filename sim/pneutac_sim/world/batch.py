@@ -36,7 +36,7 @@ try:
     import warp as wp
 
     from pneutac_sim.gel.batch import TactileBatch
-    from pneutac_sim.gel.contact_batch import ContactBatch, PixelCount
+    from pneutac_sim.gel.contact_batch import ContactBatch, PixelCount, Playback, first
     from pneutac_sim.surrogate.unet import UNet
 except ModuleNotFoundError as e:
     raise InputError(
@@ -205,8 +205,9 @@ class _Card(_Rules):
 
     def __init__(self, world):
         super().__init__(world)
-        self._cards = [self._qpos(f"card_{i + 1}") for i in range(self.task.cards)]
-        self._dofs = [int(self._model.joint(f"card_{i + 1}").dofadr[0]) for i in range(self.task.cards)]
+        joints = [self._model.joint(f"card_{i + 1}") for i in range(self.task.cards)]
+        self._cards = world._sent([int(j.qposadr[0]) for j in joints], torch.long)
+        self._dofs = world._sent([int(j.dofadr[0]) for j in joints], torch.long)
         self.state["mu"] = world._zeros(self.task.cards)
         self._edges = self.task.edge_n * torch.arange(1, self.task.cards + 1, device=world.torch_device)
 
@@ -399,7 +400,12 @@ class BatchedWorld:
         self._steps, self._h = g._substeps, g.model.opt.timestep
         f, touch, gel = g._follower, g.touch, g.sensor.model
         self._spine, self._pad = g._spine, g.model.joint("pad")
-        self._pairs = tuple(torch.as_tensor(p, device=self.torch_device) for p in g._springs._pairs)
+        s, self._play = g._springs, Playback(self.torch_device)
+        self._pairs, at = (
+            tuple(self._sent(p, torch.long) for p in s._pairs),
+            (s._joints, s._dofs[:, 0], s._tendons),
+        )
+        self._joints, self._dofs, self._tendons = (self._sent(i, torch.long) for i in at)
         pairs = np.stack([f._A.real, f._A.imag], -1).astype(np.float32)
         self._chain = [wp.array(pairs, dtype=wp.vec2), wp.array(f._inertia.astype(np.float32), dtype=float)]
         self._rate, self._slope, self._rest = (self._zeros(n) for _ in range(3))
@@ -411,7 +417,7 @@ class BatchedWorld:
         self._body = None if g.finger is None else _SoftBody(g.finger.network, self.torch_device)
         self._contact = ContactBatch(
             GelForce.of(g.twin), gel.window_mm, gel.thickness_mm, touch.felt, touch.kinds, touch.sizes,
-            g._gel, self._data, self.device,
+            g._gel, self._data, self.device, g._pad._free,
         )  # fmt: skip
         self.tactile, self._count = TactileBatch(gel, self.torch_device), PixelCount(gel, self.device)
         self._pixels = gel.rest_image.shape[0] * gel.rest_image.shape[1]
@@ -424,7 +430,7 @@ class BatchedWorld:
             self._at_rest = self._network(
                 torch.zeros((1, 1, *touch.depth_mm.shape), device=self.torch_device)
             )[:, 0]
-        self._spring = [self._zeros() for _ in range(3)]
+        self._spring = self._contact.spring
         rules, names = RULES[g.task.name], [g.model.geom(i).name for i in range(g.model.ngeom)]
         bits = (g.model.geom_contype == 1).astype(np.int32)
         for b, prefixes in enumerate((*rules.groups.values(), ("",))):
@@ -443,11 +449,12 @@ class BatchedWorld:
         self.state, self.area = self._zeros(8 + self.chambers), self._zeros()
         self.pressure_kpa = self._zeros(self.chambers)
         self.depth_mm, self.displacement_mm = self._contact.depth_mm, self._zeros(*touch.depth_mm.shape)
-        self.success, self.failure = (
-            torch.zeros(N, dtype=torch.bool, device=self.torch_device) for _ in "sf"
+        self.success, self.failure, self._touched = (
+            torch.zeros(N, dtype=torch.bool, device=self.torch_device) for _ in "sft"
         )
+        self._touching = self._zeros()
         self._graph = None
-        self._springs_of(self._zeros(n))
+        self._resist()
         if self._stream is not None:
             self._physics()  # compiles, before the graph is recorded
             with wp.ScopedCapture() as capture:
@@ -621,8 +628,8 @@ class BatchedWorld:
             target = self._target + acting[:, :3] * self.dt_s
             self._target.copy_(torch.minimum(torch.maximum(target, self._workspace[0]), self._workspace[1]))
             self._advance(self._target, self._commanded(acting[:, PRESSURES]))
-            self.rules.update(self)
-            self._judge()
+            self._play(self._update)
+            self._play(self._judge)
             self._feel()
         return self.state, self.area, self.success, self.press_n
 
@@ -642,8 +649,9 @@ class BatchedWorld:
         """`World._bend` of joint targets (N, n), rad."""
         return self._rest_rad + self._gain * (q_cmd - self._rest_rad) + self._more / q_cmd.shape[1]
 
-    def _springs_of(self, drive: torch.Tensor) -> None:
+    def _resist(self) -> None:
         """Stiffness and damping of the spine about the present angles, as `World._resist` and `Springs`."""
+        drive = self._drive
         K, s = self._controller.expand_as(self._K), self.single._springs
         if self._body is not None:
             q = self.qpos[:, self._qpos_of_spine]
@@ -651,19 +659,17 @@ class BatchedWorld:
             K = K - J
             self._rest.copy_(torque - torch.bmm(J, (q - drive)[..., None])[..., 0])
         half, own = 0.5 * self._h, 2 * K.diagonal(dim1=1, dim2=2) - K.sum(2)
-        if len(s._tendons):
+        if len(self._tendons):
             tied = K[:, self._pairs[0], self._pairs[1]]
-            self.fields["tendon_stiffness"][:, s._tendons] = tied
-            self.fields["tendon_damping"][:, s._tendons] = half * tied
-        self.fields["jnt_stiffness"][:, s._joints] = own
-        self.fields["dof_damping"][:, s._dofs[:, 0]] = s._damping + half * own
+            self.fields["tendon_stiffness"][:, self._tendons] = tied
+            self.fields["tendon_damping"][:, self._tendons] = half * tied
+        self.fields["jnt_stiffness"][:, self._joints] = own
+        self.fields["dof_damping"][:, self._dofs] = s._damping + half * own
         self._K.copy_(K)
         self._D.copy_(half * K + s._damping * torch.eye(K.shape[1], device=K.device))
 
-    def _feel_pad(self) -> None:
+    def _set_pad(self) -> None:
         """The gel's spring in each world, as `Pad.feel`."""
-        for kept, new in zip(self._spring, self._contact.springs(self.single._pad._free), strict=True):
-            kept.copy_(new)
         k1, k3, depth_m = self._spring
         joint, dof = self._pad.id, int(self._pad.dofadr[0])
         slope = k1 + 3 * k3 * (depth_m + AHEAD_M) ** 2
@@ -677,8 +683,9 @@ class BatchedWorld:
         """`World._advance` of all worlds."""
         after = self._bent(q_cmd)
         if self._body is not None:
-            self._springs_of(self._drive)
-        self._feel_pad()
+            self._play(self._resist)
+        self._spring = self._contact.springs(self._play)
+        self._play(self._set_pad)
         self._slope.copy_((after - self._drive) / (self._steps * self._h))
         self._path[0].copy_(self._drive)
         self._path[1].copy_(self._rate)
@@ -716,6 +723,9 @@ class BatchedWorld:
 
     # ---------------------------------------------------------------- what is sensed
 
+    def _update(self) -> None:
+        self.rules.update(self)
+
     def _judge(self) -> None:
         diverged = ~torch.isfinite(self.qpos).all(1) | (self.qvel.abs().amax(1) > 1e4)
         self.success.copy_(self.rules.success(self) & ~diverged)
@@ -723,13 +733,26 @@ class BatchedWorld:
 
     def _feel(self) -> None:
         """Touch and state of the present kinematics."""
-        depth, pixels = self._contact.look(), self._zeros()
-        (touched,) = torch.nonzero(depth.amax((1, 2)) > 0, as_tuple=True)
+        self._play(self._look)
+        self._play.some(self._press, self._touched)
+        self._play(self._tell)
+
+    def _look(self) -> None:
+        self._touched.copy_(self._contact.look().amax((1, 2)) > 0)
         self.displacement_mm.zero_()
-        for some in touched.split(TOUCHED) if len(touched) else ():
-            u = self._moved(depth[some])
+        self._touching.zero_()
+
+    def _press(self, count: int) -> None:
+        """Displacements and pixels of the worlds that touch something, of which there are at most `count`."""
+        worlds, touched = first(self._touched, count)
+        for some, on in zip(worlds.split(TOUCHED), touched.split(TOUCHED), strict=True):
+            u = torch.where(on[:, None, None], self._moved(self.depth_mm[some]), 0.0)
             self.displacement_mm[some] = u
-            pixels[some] = self._count.of(self.tactile.light(u, self.tactile.model.thickness_mm)).float()
+            pixels = self._count.of(self.tactile.light(u, self.tactile.model.thickness_mm))
+            self._touching[some] = torch.where(on, pixels.float(), 0.0)
+
+    def _tell(self) -> None:
+        pixels = self._touching
         self.area.copy_(pixels / self._pixels)
         parts = (self._flange_m, self.qvel[:, :3], self.area[:, None], torch.log1p(pixels)[:, None])
         self.state.copy_(torch.cat([*parts, self.pressure_kpa], 1).nan_to_num(0.0, 0.0, 0.0))
