@@ -30,6 +30,7 @@ class BenchmarkAugmentConfig:
         start_width: how much wider than the task's own the starts are, 0 to 2; not of the planner.
         seed: seed of every random choice.
         workers: number of processes; where left out, one a core.
+        device, worlds: of `library`, see `pneutac augment`.
         out: folder of the datasets, `result.json` and `table.md`.
     """
 
@@ -41,6 +42,8 @@ class BenchmarkAugmentConfig:
     start_width: float = 0.0
     seed: int = 1
     workers: int | None = None
+    device: str = "cpu"
+    worlds: int = 1024
     out: Path = Path("outputs/benchmark_augment")
 
     def __post_init__(self):
@@ -97,6 +100,8 @@ def _measure(cfg: BenchmarkAugmentConfig, task: str, console: Console) -> dict:
         episodes=cfg.episodes,
         seed=cfg.seed,
         workers=cfg.workers,
+        device=cfg.device,
+        worlds=cfg.worlds,
     )
     began = time.process_time()
     with console.status(f"augmenting {task}"):
@@ -110,6 +115,9 @@ def _measure(cfg: BenchmarkAugmentConfig, task: str, console: Console) -> dict:
         "core seconds each": core_s,
         "1,000 on two cores (minutes)": 1000 * core_s / 2 / 60,
     }
+    if cfg.device != "cpu":
+        parts = {f"{part} (s)": s[part] for part in ("world", "controllers", "making", "writing")}
+        return row | parts | {"wall (s)": summary["wall_s"]}
     if cfg.method != "planner":
         return row
     parts = {k: s[k] for k in ("physics", "touch", "execution", "writing")}

@@ -20,6 +20,7 @@ def create_dataset(
     robot_type: str,
     use_videos: bool,
     longest_episode: int,
+    encoder_threads: int | None = None,
 ) -> LeRobotDataset:
     """A new LeRobotDataset for unpaced writing.
 
@@ -31,6 +32,7 @@ def create_dataset(
     if Path(root).exists():
         raise InputError(f"'{root}' exists; give a new folder for dataset '{repo_id}'.")
     encoding = {"streaming_encoding": use_videos, "encoder_queue_maxsize": longest_episode + 1}
+    encoding["encoder_threads"] = encoder_threads  # as many as it likes where there is no number
     how = {"use_videos": use_videos, "image_writer_threads": 2, "video_backend": "pyav"}
     return LeRobotDataset.create(repo_id, fps, features, root, robot_type, **how, **encoding)
 

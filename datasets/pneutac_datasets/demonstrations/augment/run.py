@@ -252,7 +252,7 @@ def _write_shard(
     part = shards[number].with_suffix(".part")
     shutil.rmtree(part, ignore_errors=True)
     with quiet_encoders():
-        out = create_dataset(repo_id, part, meta.fps, features, meta.robot_type, use_videos, longest)
+        out = create_dataset(repo_id, part, meta.fps, features, meta.robot_type, use_videos, longest, 1)
     with written(out):
         for k in range(*ranges[number]):
             attempt, line, _ = work.load_episode(k)
