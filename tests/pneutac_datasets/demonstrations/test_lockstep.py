@@ -1,0 +1,54 @@
+"""Demonstrations of many worlds together are those of the single world until contacts part them."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco_warp", reason="the extra `warp` is not installed")
+torch = pytest.importorskip("torch")
+
+from pneutac_datasets.demonstrations.augment.episode import AugmentSetup, Generator  # noqa: E402
+from pneutac_datasets.demonstrations.augment.lockstep import Lockstep  # noqa: E402
+from pneutac_datasets.demonstrations.augment.planner import PlannerConfig  # noqa: E402
+from pneutac_datasets.demonstrations.augment.reference import Reference  # noqa: E402
+from pneutac_datasets.demonstrations.augment.work import Work  # noqa: E402
+from pneutac_sim.features import AREA, EE  # noqa: E402
+from pneutac_sim.progress import no_progress  # noqa: E402
+from pneutac_sim.world.expert import ScriptedExpert  # noqa: E402
+from pneutac_sim.world.world import World  # noqa: E402
+
+pytestmark = pytest.mark.nightly
+DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
+JOINTS, RATES = slice(0, 7), slice(7, 14)
+
+
+def shown(seed: int) -> Reference:
+    """The switch, flipped by the scripted expert."""
+    world, states, actions = World("switch", touch="area"), [], []
+    observation, expert = world.reset(seed), ScriptedExpert(world, np.random.default_rng(seed))
+    while not (world.success or world.failure):
+        states.append(observation.state)
+        actions.append(expert.action())
+        observation = world.step(actions[-1])
+    states = np.array(states, float)
+    return Reference(seed, states[:, EE], states[:, AREA], np.array(actions), world.task.description)
+
+
+def test_they_agree_until_the_touch(tmp_path):
+    setup = AugmentSetup(
+        [shown(0), shown(3)], "switch", None, "probe", PlannerConfig(), 1, "library", (0.004, 0.004, 0.004)
+    )
+    work = Work(tmp_path)
+    Lockstep(setup, work, DEVICE, 2).make([0], 1, no_progress)
+    one, line = Generator(setup).episode(0, [])
+    many, provenance, _ = work.load_episode(0)
+    assert provenance.keys() == line.keys() and provenance["attempt"] == line["attempt"]
+    assert many.start == one.start and many.state.dtype == one.state.dtype
+    assert many.images.shape == (provenance["frames"], *one.images.shape[1:])
+    assert provenance["path"][0] == line["path"][0]
+    free = min(np.flatnonzero(np.r_[a.area, 1.0])[0] for a in (one, many))
+    off = np.abs(many.state[:free] - one.state[:free])
+    assert free > 10 and off[:, EE].max() < 1e-4
+    assert off[:, JOINTS].max() < 1e-3 and off[:, RATES].max() < 0.02
+    assert np.abs(many.action[:free] - one.action[:free]).max() < 1e-3
+    # An imprint may be too faint to count as contact.
+    assert np.abs(many.images[:free].astype(int) - one.images[:free]).max() < 4
