@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from lerobot_pneutac.diagnosis.verdict import Evidence, Explained, Mechanism, explained
+from pneutac_sim.effects.laws import family
 from pneutac_sim.finger.quantities import squared_distance
 from pneutac_sim.twin import Twin
 
@@ -35,7 +36,15 @@ class FittedModel:
         return squared_distance(self.residual)
 
 
+def family_in(twin: Twin, effect: str) -> str:
+    """The family of an effect, by the constants that a twin has for it."""
+    return family(effect, {k: v.value for k, v in twin.effects.get(effect, {}).items()})
+
+
 PROFILE = "bend_profile"  # among known causes: the device bends by a profile of its own, which is no effect
+
+
+SET_UP = (PROFILE, "base_tilt")  # how the body is made and mounted: fitted, but no effect that is missing
 
 
 @dataclass

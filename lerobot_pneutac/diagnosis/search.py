@@ -289,9 +289,9 @@ class Search:
         least = max(T.WORTH_OF_EXCESS * (now.value - self.noise_mse), T.NEEDED_OF_NOISE * self.noise_mse)
         return self._significant(now, after, least) and self._improves_out_of_time(now, after)
 
-    def is_needed(self, without: Scored, model: Scored) -> bool:
+    def is_needed(self, without: Scored, model: Scored, share: float = T.WORTH_KEEPING) -> bool:
         """Whether a model is so much better than the one re-fitted without a term that the term stays."""
-        least = max(T.WORTH_KEEPING * (without.value - self.noise_mse), T.NEEDED_OF_NOISE * self.noise_mse)
+        least = max(share * (without.value - self.noise_mse), T.NEEDED_OF_NOISE * self.noise_mse)
         return self._significant(without, model, least)
 
     def is_significant(self, before: Scored, after: Scored) -> bool:
@@ -300,16 +300,16 @@ class Search:
     def _significant(self, before: Scored, after: Scored, least: float) -> bool:
         return before.value - after.value > least and self.is_significant(before, after)
 
-    def pruned(self, best: Scored, found: Found) -> Scored:
-        """Takes away what is not needed, one after the other."""
+    def pruned(self, best: Scored, found: Found, share: float = T.WORTH_KEEPING) -> Scored:
+        """Takes away what is not needed, one after the other, see `is_needed`."""
         while True:
             terms = self.space.removable(best.model)
-            if not terms:
-                return best
             left = self.run(lambda t, model=best.model: self.score(self.space.without(model, t)), terms)
             found.without = without = dict(zip(terms, left, strict=True))
+            if not terms:
+                return best
             weakest = min(without, key=lambda t: without[t].value)
-            if self.is_needed(without[weakest], best):
+            if self.is_needed(without[weakest], best, share):
                 return best
             best = without[weakest]
 

@@ -24,6 +24,9 @@ WORTH_OF_START = 0.005  # of the excess of the start: the same for late terms (s
 WORTH_OF_BASE = 0.05  # of the excess: least fall for which the costlier base is taken (search)
 SAME_ACTUATION = 0.02  # of the error or noise: actuation models that differ by less are equal (search)
 WORTH_KEEPING = 0.02  # of the excess without a term: least rise for which pruning keeps it (search)
+WORTH_NAMING = (
+    0.1  # the same in the finished model: what is worth less compensates for the rest (body_search)
+)
 ACTUATION_AGAIN = 0.5  # of the excess at the last choice of the actuation: below, it is chosen again (search)
 EQUAL = 0.01  # of the excess: models that differ by less are equal, the simpler wins (search)
 AHEAD = (0.4, 0.6, 0.8, 1.0)  # of the rows: stretches to be predicted from all before them (search)

@@ -7,7 +7,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from lerobot_pneutac.diagnosis.experiment import Separation, read
-from lerobot_pneutac.diagnosis.result import Outcome
+from lerobot_pneutac.diagnosis.result import Outcome, family_in
 from lerobot_pneutac.reports.figures import (
     bar_panels,
     curves,
@@ -29,7 +29,7 @@ from lerobot_pneutac.reports.page import (
     Report,
     parameter_rows,
 )
-from lerobot_pneutac.reports.sentences import State, alternatives, evidence, meaning, percent
+from lerobot_pneutac.reports.sentences import State, alternatives, evidence, hedged, meaning, percent
 from lerobot_pneutac.study.base import EffectStudy
 from pneutac_datasets.recording.axes import Axis, axes, numbers, unit_of
 from pneutac_datasets.recording.recording import Recording
@@ -94,7 +94,8 @@ def _contributions(page: Report, study: EffectStudy, o: Outcome) -> None:
             110 + 42 * len(o.contributions),
         )
     for e in o.selected:
-        page.text(f"**{study.cause(o.after, e)}**: {study.describe(o.after, e)} {study.size(o.after, e)}")
+        text = hedged(study.describe(o.after, e), family_in(o.twin, e), o.mechanisms)
+        page.text(f"**{study.cause(o.after, e)}**: {text} {study.size(o.after, e)}")
 
 
 def contributions(study: EffectStudy, o: Outcome) -> go.Figure:
@@ -267,8 +268,8 @@ def physics(study: EffectStudy, o: Outcome) -> tuple[go.Figure, str] | None:
     if not order or not isinstance(study.recording, Recording) or study.recording.device == "gel":
         return None
     effect = next((e for e in order if e not in o.known), order[0])
-    data = read(study.recording, o.after.twin)
-    without, left = study.residual(o.after.twin.without(effect)), o.after.residual
+    data = read(study.recording, o.twin)
+    without, left = study.residual(o.twin.without(effect)), o.after.residual
     k = int(np.argmax(np.var(without - left, axis=0)))  # where the cause shows most
     measured = data.measured[:, k]
     lines = {"measured": measured, "without": measured - without[:, k], "with": measured - left[:, k]}

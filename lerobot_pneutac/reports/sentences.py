@@ -1,16 +1,18 @@
 """What a diagnosis found, in words: headline, confidence, warnings, next step, all from one `State`."""
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
 from lerobot_pneutac.diagnosis.experiment import Separation
-from lerobot_pneutac.diagnosis.result import Outcome
+from lerobot_pneutac.diagnosis.result import SET_UP, Outcome, family_in
 from lerobot_pneutac.diagnosis.thresholds import AS_IS_NOISE, CERTAIN
 from lerobot_pneutac.diagnosis.verdict import NONE, Explained, Mechanism
 from lerobot_pneutac.study.base import EffectStudy
 from pneutac_datasets.recording.wording import joined
 from pneutac_sim.effects.laws import family, is_law
+from pneutac_sim.twin import Twin
 
 EVEN = 0.5  # below which it is not called likely
 LEAST_SHOWN = 0.05  # probability of a mechanism that is shown
@@ -68,6 +70,7 @@ class State:
     at_noise: bool = False  # whether what remains is called noise
     poor: str = ""  # why the recording is too poor for any claim; empty where it is not
     causes: tuple[str, ...] = ()  # what is missing, as noun phrases, the largest first
+    set_up: tuple[str, ...] = ()  # those of them that are how the device is made and mounted, no effects
     known: int = 0  # how many of them are known causes, such as the finger's weight
     removed: tuple[float, tuple[float, float]] = (0.0, (0.0, 0.0))  # share of the squared error
     rivals: tuple[tuple[str, str], ...] = ()  # pairs of a cause and of an effect that explains as much
@@ -131,6 +134,7 @@ def state_of(study: EffectStudy, outcome: Outcome) -> State:
         verdict=o.verdict,
         poor=study.too_little() if e.poor else "",
         causes=_causes(study, o, named),
+        set_up=_causes(study, o, [n for n in named if n in SET_UP]),
         known=len(o.known),
         before=study.errors(o.before)["heldout"],
         after=after,
@@ -140,7 +144,7 @@ def state_of(study: EffectStudy, outcome: Outcome) -> State:
         noise_measured=e.noise_known and study.noise.value is not None,
         at_noise=e.is_noise and study.noise.value is not None,
         removed=study.reduction(o.before, o.after) if named else (0.0, (0.0, 0.0)),
-        rivals=tuple((called(r.effect), called(r.rival)) for r in o.rivals),
+        rivals=tuple((called(r.effect, r.winner.twin), called(r.rival, r.fit.twin)) for r in o.rivals),
         lower=tuple(map(called, lower)),
         near_miss=tuple(map(called, e.near_miss)),
         agreed=o.chosen_in.get(o.selected[0]) if o.selected else None,
@@ -162,12 +166,11 @@ def state_of(study: EffectStudy, outcome: Outcome) -> State:
 
 
 def _causes(study: EffectStudy, outcome: Outcome, named: list[str]) -> tuple[str, ...]:
-    count = Counter(map(family, named))
+    kinds = {n: family_in(outcome.twin, n) for n in named}
+    count = Counter(kinds.values())
     phrases = (
-        study.cause(outcome.after, n)
-        if count[family(n)] == 1
-        else f"{family(n).replace('_', ' ')} ({count[family(n)]} terms)"
-        for n in named
+        study.cause(outcome.after, n) if count[k] == 1 else f"{k.replace('_', ' ')} ({count[k]} terms)"
+        for n, k in kinds.items()
     )
     return tuple(dict.fromkeys(phrases))
 
@@ -262,20 +265,22 @@ def _headline(s: State) -> str:
                 f"Most of the error is unexplained: {error} remain ({noise}). The best model found adds "
                 f"{joined(s.causes)} and removes {_removed(s)}."
             )
-    n = len(s.causes)
+    runs = "" if s.rest == s.after else f", and to {error} without each run's own offset"
+    falls = f"the test error falls from {s.before:.3g} to {s.after:.3g} {s.unit}{runs} ({noise})."
+    causes = [c for c in s.causes if c not in s.set_up]
+    if not causes:
+        return f"The model lacks no effect that this recording shows. With {joined(s.set_up)} fitted {falls}"
+    n = len(causes)
     verb = "may be" if s.confidence is Confidence.INCONCLUSIVE else "is" if n == 1 else "are"
     count = COUNTS[n] if n < len(COUNTS) else f"{n}"
-    each = s.causes[0] if n == 1 else "; ".join(f"({i}) {c}" for i, c in enumerate(s.causes, 1))
-    runs = "" if s.rest == s.after else f", and to {error} without each run's own offset"
+    each = causes[0] if n == 1 else "; ".join(f"({i}) {c}" for i, c in enumerate(causes, 1))
     things = f"{count.capitalize()} {'thing' if n == 1 else 'things'}"
     these = "it" if n == 1 else "both" if n == 2 else f"all {count}"
+    these += f" and {joined(s.set_up)}" if s.set_up else ""
     # The equation is what was found; that it is the cause as well is said where the probability allows it.
     firm = bool(s.mechanisms) and all(m.certain for m in s.mechanisms)
     like = ":" if firm else f" and {'behaves' if n == 1 else 'behave'} like"
-    return (
-        f"{things} {verb} missing from the model{like} {each}. With {these} the test error falls from "
-        f"{s.before:.3g} to {s.after:.3g} {s.unit}{runs} ({noise})."
-    )
+    return f"{things} {verb} missing from the model{like} {each}. With {these} {falls}"
 
 
 def meaning(s: State) -> str:
@@ -355,9 +360,20 @@ def _removed(s: State) -> str:
     return f"{percent(*s.removed)} of the squared error{'' if s.noise is None else ' above the noise'}"
 
 
-def called(name: str) -> str:
-    kind = family(name).replace("_", " ")
+def called(name: str, twin: Twin | None = None) -> str:
+    """A law by its family, with the constants of a twin where one is given, and its own name."""
+    kind = (family(name) if twin is None else family_in(twin, name)).replace("_", " ")
     return f"{kind} ({name})" if is_law(name) else kind
+
+
+def hedged(description: str, kind: str, mechanisms: Sequence[Mechanism]) -> str:
+    """What an effect does, with the probability of its family where that is not certain."""
+    for m in mechanisms:
+        if m.cause == kind and not m.certain:
+            return (
+                f"{called(kind)} is not certain ({100 * m.probability:.0f} %). As an equation: {description}"
+            )
+    return description
 
 
 def next_experiment(study: EffectStudy, outcome: Outcome) -> tuple[str, Separation | None]:
@@ -370,13 +386,15 @@ def next_experiment(study: EffectStudy, outcome: Outcome) -> tuple[str, Separati
         rival = outcome.rivals[0]
         best = study.separation(rival)
         if best:
-            return f"To separate {called(rival.effect)} from {called(rival.rival)}: {best.advice}", best
+            pair = called(rival.effect, rival.winner.twin), called(rival.rival, rival.fit.twin)
+            return f"To separate {pair[0]} from {pair[1]}: {best.advice}", best
     if outcome.verdict == "unknown_effect" and not outcome.evidence.is_noise:
         return study.repeat, None
     hints = outcome.selected or outcome.evidence.near_miss
     if outcome.verdict == "adequate" or not hints:
         return study.nothing_left, None
-    return f"To confirm {called(hints[0])}: {study.experiment(outcome.after, hints[0])}", None
+    hint = called(hints[0], outcome.twin)
+    return f"To confirm {hint}: {study.experiment(outcome.after, hints[0])}", None
 
 
 def percent(share: float, interval: tuple[float, float]) -> str:

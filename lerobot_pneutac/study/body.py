@@ -11,12 +11,14 @@ from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.experiment import predict, read
 from lerobot_pneutac.diagnosis.result import (
     PROFILE,
+    SET_UP,
     Candidate,
     Contribution,
     FittedModel,
     Outcome,
     Refits,
     Tested,
+    family_in,
 )
 from lerobot_pneutac.diagnosis.search import Found, Scored, contenders, rivals
 from lerobot_pneutac.diagnosis.steps import Steps
@@ -28,7 +30,6 @@ from lerobot_pneutac.study.body_space import BodySpace
 from pneutac_sim.effects.laws import family, is_law, starts
 from pneutac_sim.finger.data import BodyData
 
-NUISANCES = (PROFILE, "base_tilt")  # how the body is made and mounted, no mechanism that could be missing
 OF_TRIALS = (
     "Each run has its own small offset, gain and time shift. They are no part of the device and not in the "
     "twin; the error without them is reported separately."
@@ -179,6 +180,8 @@ def body_outcome(
     if helps:
         ladder += _ladder(study, done, after)
     worth = _contributions(study, search, done, after, known) if helps else []
+    others = rivals(done.found, study.noise.floor, done.terms, family, lambda s: study.fitted(s.model))
+    others = [r for r in others if family_in(r.fit.twin, r.rival) != family_in(r.winner.twin, r.effect)]
     return study.outcome(
         began,
         before,
@@ -186,7 +189,7 @@ def body_outcome(
         evidence,
         ladder=ladder,
         tested=_tested(study, search, done, before),
-        rivals=rivals(done.found, study.noise.floor, done.terms, family, lambda s: study.fitted(s.model)),
+        rivals=others,
         known=known,
         baseline=_baseline(study, search, start, done, known) if helps else None,
         contributions=worth,
@@ -194,7 +197,7 @@ def body_outcome(
         chosen_in=done.chosen_in,
         base_model=_base(done) if helps else {},
         contenders=_contenders(study, search, start, done if helps else None),
-        mechanisms=_mechanisms(study, evidence, worth),
+        mechanisms=_mechanisms(study, evidence, after, worth, done.chosen_in),
         not_yet=not_yet,
     )
 
@@ -219,15 +222,26 @@ def _not_yet(
     )
 
 
-def _mechanisms(study: "BodyStudy", evidence: Evidence, worth: Sequence[Contribution]) -> list[Mechanism]:
+def _mechanisms(
+    study: "BodyStudy",
+    evidence: Evidence,
+    after: FittedModel,
+    worth: Sequence[Contribution],
+    chosen_in: Mapping[str, float],
+) -> list[Mechanism]:
     """What each cause may be, the largest first; none where the noise was not measured."""
     if evidence.poor or not evidence.noise_known:
         return []
-    drops: dict[str, float] = {}  # contributions come with the largest first
+    causes: dict[str, list[Contribution]] = {}  # contributions come with the largest first
     for c in worth:
-        if c.name in evidence.selected and c.name not in NUISANCES:
-            drops.setdefault(family(c.name), c.drop[0] / study.noise.floor**2)
-    return [mechanism(cause, drop, evidence.removed, drops) for cause, drop in drops.items()]
+        if c.name in evidence.selected and c.name not in SET_UP:
+            causes.setdefault(family_in(after.twin, c.name), []).append(c)
+    out = []
+    for i, (cause, terms) in enumerate(causes.items()):
+        missed = 0.0 if i == 0 else 1 - chosen_in.get(terms[0].name, 1.0)
+        drop = terms[0].drop[0] / study.noise.floor**2
+        out.append(mechanism(cause, drop, evidence.removed, missed, causes))
+    return out
 
 
 def _known(study: "BodyStudy", start: Scored, done: Searched) -> list[str]:

@@ -206,7 +206,8 @@ class BodySearch:
                 found, plain = with_offsets, self.simplified(space, with_offsets, own)
             else:
                 space.trials = ()
-        return Searched(space, found, self.without_idle(space, self._refined(space, plain), own))
+        finished = self.without_idle(space, self._refined(space, plain), own)
+        return Searched(space, found, self.engine(space).pruned(finished, found, T.WORTH_NAMING))
 
     def without_idle(self, space: BodySpace, model: Scored, kept: Sequence[str]) -> Scored:
         """The model without terms that ended where they do nothing, at the same instants of steps.
@@ -322,7 +323,8 @@ class BodySearch:
         study, space, model = self.study, done.space, done.model
         own = set(study.twin_effects)
         terms = [e for e in model.model.structure.effects if e not in own]
-        without = dict(self.run(lambda t: (t, self.score(space.without(model.model, t))), terms))
+        known = done.found.without  # of the finished model, see `_body`
+        without = {t: known.get(t) or self.score(space.without(model.model, t)) for t in terms}
         done.without = without
         done.importance = {t: s.value - model.value for t, s in without.items()}
         if done.air is not None and done.driven:

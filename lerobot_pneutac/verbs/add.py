@@ -9,10 +9,11 @@ from lerobot_pneutac.cli.options import PairOptions, keywords
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.bootstrap import PairedTest
-from lerobot_pneutac.diagnosis.result import Contribution, FittedModel, Refits
+from lerobot_pneutac.diagnosis.result import Contribution, FittedModel, Refits, family_in
 from lerobot_pneutac.diagnosis.steps import Steps
+from lerobot_pneutac.diagnosis.verdict import Mechanism
 from lerobot_pneutac.reports.page import AFTER, BEFORE, KNOWN, Report, parameter_rows, span
-from lerobot_pneutac.reports.sentences import percent
+from lerobot_pneutac.reports.sentences import hedged, percent
 from lerobot_pneutac.study import study_of
 from lerobot_pneutac.study.pair import load_pair, same_body
 from lerobot_pneutac.verbs.diagnose import Diagnosis, read_found
@@ -306,7 +307,8 @@ def _whole(
     assert before is not None and after is not None  # each diagnosis has both
     found = Refits(before, baseline or before, after, result.get("known_causes", []), contributions)
     decided = result["verdict"] in ("missing_effect", "insufficient_form")
-    return _judged(study, twin, selected, found, given, anyway, named=False, decided=decided)
+    mechanisms = [Mechanism(m["cause"], tuple(m["ranked"].items()), ()) for m in result.get("mechanism", ())]
+    return _judged(study, twin, selected, found, given, anyway, False, decided, mechanisms)
 
 
 def _judged(
@@ -318,6 +320,7 @@ def _judged(
     anyway: bool,
     named: bool,
     decided: bool = True,
+    mechanisms: Sequence[Mechanism] = (),
 ) -> Addition:
     """The result of switching on effects, `named` by the user or found by a diagnosis that `decided`."""
     before, base, after = found.before, found.baseline, found.after
@@ -353,7 +356,11 @@ def _judged(
         parameters=parameters,
         at_bound=tuple(sorted(study.at_bound(after, effects))),
         not_identified=after.not_identified,
-        physics=tuple(study.describe(after, e) for e in effects if e in after.effects),
+        physics=tuple(
+            hedged(study.describe(after, e), family_in(after.twin, e), mechanisms)
+            for e in effects
+            if e in after.effects
+        ),
         findings=tuple(study.findings),
         noted=study.noted(after),
         **given,

@@ -210,6 +210,7 @@ def _law_source(effect: BodyEffect) -> str:
     expression = source.add(run)
     body = source.functions
     own = file_name(effect.name)
+    summary = effect.summary.replace("{does}", effect.derive({}).get("does", ""))
     head = f'"""{effect.name}: a law, as it acts in a twin.\n\n{effect.equation}\n'
     head += f'{PROJECT.format(name=own)}"""\n'
     step = effect.state_size(2) - effect.state_size(1)
@@ -224,7 +225,7 @@ def _law_source(effect: BodyEffect) -> str:
             f"    run={expression},",
             "    parameters=(", *(f"        {_parameter(p)}," for p in effect.parameters), "    ),",
             f"    columns={effect.columns!r},", f"    state_size=lambda channels: {step} * channels,",
-            f"    equation={effect.equation!r},", f"    summary={effect.summary!r},",
+            f"    equation={effect.equation!r},", f"    summary={summary!r},",
             f"    experiment={effect.experiment!r},", ")", "",
         ]
     )  # fmt: skip

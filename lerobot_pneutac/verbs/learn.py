@@ -146,20 +146,21 @@ class Learning(Result):
     def sentence(self) -> str:
         r = self.last
         minutes = f"{self.bench_s / 60:.1f} minutes on the bench in {len(self.rounds)} programs"
+        names = {e: called(e, self.twin) for e in r.selected}
         if not r.selected:
             what = "nothing is missing" if self.confirmed else "nothing significant was found"
         else:
-            what = f"the {self.twin.device} shows {listed(map(called, r.selected))}"
+            what = f"the {self.twin.device} behaves like {listed(names.values())}"
         text = f"After {minutes}: {what}."
         if r.predicted_error is not None:
             text += (
                 f" The last program was predicted to {r.predicted_error:.3g} {r.unit} before it was used "
                 f"({r.predicted_error / r.noise:.2g} times the noise)."
             )
-        if sure := [called(e) for e in r.selected if e in r.confirmed_by]:
+        if sure := [n for e, n in names.items() if e in r.confirmed_by]:
             text += f" Confirmed, by a program of another kind that needed it: {', '.join(sure)}."
         if r.unconfirmed:
-            text += f" Not confirmed: {', '.join(map(called, r.unconfirmed))}."
+            text += f" Not confirmed: {', '.join(names[e] for e in r.unconfirmed)}."
         return f"{text} It ended because {self.ended}."
 
     def rows(self) -> list[dict]:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lerobot_pneutac.diagnosis.result import SET_UP, family_in
 from pneutac_benchmarks.diagnosis.cases import BenchmarkDiagnosisConfig, Case, diagnosed
 from pneutac_benchmarks.diagnosis.rules import BASE, COUNTS, counts, removed
 from pneutac_datasets.recording.recording import Recording
@@ -142,8 +143,12 @@ def scored(days: Days, d, seconds: float) -> dict:
     """What a diagnosis found and how it did on day 2."""
     evidence, floor, constant = d.outcome.evidence, days.floor, days.constant()
     before, after = (rms(days.residual(m.twin)) for m in (d.outcome.before, d.outcome.after))
+    kinds = {t: family_in(d.outcome.after.twin, t) for t in d.selected if t not in SET_UP}
+    # A law whose constants make it another kind of physics than its name says counts as that kind.
+    names = {t: t if family(t) == kind else kind for t, kind in kinds.items()}
     return {
-        "verdict": d.verdict, "selected": d.selected, "floor": floor, "constant": constant,
+        "verdict": d.verdict, "selected": list(names.values()), "terms": list(d.selected),
+        "floor": floor, "constant": constant,
         "before": before, "after": after, "ratio": after / floor,
         "removed": removed(before, constant, after, floor),
         "test_before": d.before["heldout"], "test_after": d.after["heldout"],
@@ -154,12 +159,12 @@ def scored(days: Days, d, seconds: float) -> dict:
         "explained": d.explained.value, "noise_known": evidence.noise_known,
         "causes": [
             {"cause": m.cause, "ranked": dict(m.ranked), "certain": m.certain, "features": m.features,
-             "terms": [t for t in d.selected if family(t) == m.cause]}
+             "terms": [n for t, n in names.items() if kinds[t] == m.cause]}
             for m in d.outcome.mechanisms
         ],
         "chosen_in": d.outcome.chosen_in,
         "values": {t: {k: v["value"] for k, v in d.study.parameters(d.outcome.after, t).items()}
-                   for t in d.selected},
+                   for t in names},
         "objections": evidence.objections, "gauge": bool(d.study.measured), "seconds": seconds,
     }  # fmt: skip
 

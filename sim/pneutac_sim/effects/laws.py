@@ -17,7 +17,7 @@ held.
 # ruff: noqa: D103 - inputs and memories are what the equations in the catalogue say
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
 
@@ -578,7 +578,6 @@ class Law:
         weight = Parameter("weight", "", 0.05, -3.0, 3.0)
         scale = Parameter("scale_kpa", "kPa", 1.0, 1e-3, 3.0, neutral=1.0, fixed=True, range_power=1)
         constants = ", ".join(f"{p.name} {{{p.name}:.3g}}" for p in self.constants)
-        does, cause = FAMILIES[self.family]
         shown = [CONSTANTS[p.name] for p in self.constants if p.name in CONSTANTS]
         return BodyEffect(
             name=name,
@@ -590,11 +589,11 @@ class Law:
             apart=True,
             linear="weight",
             equation=rf"p \to p + w\,({self.equation})",
-            cause=", ".join([self.cause or cause, *shown]),
-            summary=f"Your {{device}} {does}: the pressure p that bends it becomes "
+            cause=", ".join([self.cause or "{kind}", *shown]),
+            summary=f"Your {{device}} {{does}}: the pressure p that bends it becomes "
             f"p + {{weight:.3g}} [{name.partition(' #')[0]}]" + (f", {constants}." if constants else "."),
             experiment=EXPERIMENTS[self.experiment],
-            derive=_hz,
+            derive=partial(_shown, name),
         )
 
     def choices(self) -> dict:
@@ -816,17 +815,42 @@ def law(name: str) -> BodyEffect:
     )
 
 
-def _hz(values: dict[str, float]) -> dict[str, float]:
-    """A frequency in Hz, of a law that has one."""
+def _shown(name: str, values: Mapping[str, float]) -> dict:
+    """The words for a law's family, and a frequency in Hz where it has one."""
+    does, kind = FAMILIES[family(name, values)]
     w = values.get("frequency_rad_per_s")
-    return {} if w is None else {"hz": w / (2 * math.pi)}
+    return {"does": does, "kind": kind} | ({} if w is None else {"hz": w / (2 * math.pi)})
 
 
-def family(name: str) -> str:
-    """What the library calls the physics of a law; the name itself where it has no name for it."""
+QUICK_S = 0.2  # a lag that is over by then is of the air or the tracker; materials creep for seconds
+ABRUPT, NARROW = 0.1, 0.01  # of the range: a snap comes within, and a loop narrower than that is a curve
+FAST = 1.0  # ranges a second: friction that still grows there is viscous
+OPEN = 0.5  # of the range: a valve that opens in proportion over more of it makes a lag, not a ramp
+
+
+def family(name: str, values: Mapping[str, float] | None = None) -> str:
+    """What the library calls the physics of a law; the name itself where it has no name for it.
+
+    Args:
+        name: of a law or an effect.
+        values: fitted constants. One equation may be several kinds of physics: `flip(p)`, a play through a
+            sigmoid (generalised Prandtl-Ishlinskii operator), is a snap only where it is abrupt.
+    """
     structure = name.partition(" #")[0]
     entry = TABLE.get(structure) or SEEN.get(structure)
-    return entry.family if entry else "tracker" if structure == TRACKER else name
+    kind = entry.family if entry else "tracker" if structure == TRACKER else name
+    if not values:
+        return kind
+    range_kpa = values.get("scale_kpa", 1.0)
+    if structure == "flip(p)" and values["slope_kpa"] > ABRUPT * range_kpa:
+        return "hysteresis" if values["width_kpa"] > NARROW * range_kpa else "stiffening"
+    if structure in TABLE and kind == "creep" and values.get("time_s", QUICK_S) < QUICK_S:
+        return "valve_lag" if TABLE[structure].minus else "stiffening"
+    if structure == "tanh(dp/dt)" and values["rate_kpa_per_s"] > FAST * range_kpa:
+        return "rate"
+    if structure == "valve_slew" and values["band_kpa"] > OPEN * range_kpa:
+        return "valve_lag"
+    return kind
 
 
 def starts(name: str) -> tuple[tuple[float, ...], ...]:

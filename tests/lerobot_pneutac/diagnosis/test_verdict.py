@@ -131,13 +131,14 @@ def test_how_much_is_explained_follows_error_interval_and_out_of_time_error(chan
 
 
 def test_probabilities_of_a_mechanism_sum_to_one_and_grow_with_the_evidence():
-    def of(cause="creep", drop=10.0, removed=0.95, found=()):
-        return mechanism(cause, drop, removed, {cause, *found})
+    def of(cause="creep", drop=10.0, removed=0.95, missed=0.0, found=()):
+        return mechanism(cause, drop, removed, missed, {cause, *found})
 
     for m in (of(), of("valve_lag"), of(drop=0.0, removed=0.0), of("no such family")):
         assert sum(p for _, p in m.ranked) == pytest.approx(1.0)
         assert [p for _, p in m.ranked] == sorted((p for _, p in m.ranked), reverse=True)
     assert of(drop=100.0).probability > of(drop=1.0).probability
+    assert of(missed=0.3).probability < of(missed=0.1).probability < of().probability
     assert of(removed=0.99).probability > of(removed=0.5).probability
     assert of(drop=1000.0).certain and not of(drop=1e-9, removed=0.2).certain
     assert of(drop=1e-9, removed=0.2).ranked[0][0] == NONE

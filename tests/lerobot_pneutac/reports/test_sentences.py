@@ -25,6 +25,7 @@ from lerobot_pneutac.reports.sentences import (
     evidence,
     explanation,
     headline,
+    hedged,
     meaning,
     mechanism,
     next_experiment,
@@ -32,6 +33,7 @@ from lerobot_pneutac.reports.sentences import (
     warnings,
 )  # fmt: skip
 from pneutac_sim.effects.laws import law
+from pneutac_sim.twin import Twin
 
 LAW = "lag(p)"
 ADD = "pneutac add --twin=finger --recording=monday --from=found"
@@ -56,6 +58,7 @@ def given(selected=(LAW,), after=0.45, contributions=(), known=(), run_terms=Non
         evidence=e, verdict=decide(e), selected=list(selected), before=0.8, after=after, rivals=[], tested=[],
         chosen_in=dict.fromkeys(selected, 6 / 7), known=list(known), run_terms=run_terms,
         contributions=list(contributions), explained=explained(e), mechanisms=[creep(0.874)], not_yet="",
+        twin=Twin("finger", 110.0),
     )  # fmt: skip
     return study, outcome
 
@@ -210,6 +213,23 @@ def test_a_mechanism_that_is_not_certain_shows_the_ranks_that_count():
         causes=("creep", "friction"), mechanisms=(Mechanism("creep", ranked, ()), creep(0.9)),
     )  # fmt: skip
     assert mechanism(s) == "Mechanism: creep 55 %, none of these 39 %; creep is certain (90 %)."
+
+
+def test_how_the_device_is_mounted_is_no_effect_that_is_missing():
+    both = given(("creep", "base_tilt"))
+    both[0].cause = lambda model, name: {"creep": "creep", "base_tilt": "a tilted base"}[name]
+    assert headline(state_of(*both)).startswith(
+        "One thing is missing from the model: creep. With it and a tilted base the test error falls"
+    )
+    mount = given(("base_tilt",))
+    mount[0].cause = both[0].cause
+    assert headline(state_of(*mount)).startswith("The model lacks no effect that this recording shows.")
+
+
+def test_a_name_below_the_limit_is_no_fact_in_the_description_either():
+    text = "Your finger creeps."
+    assert hedged(text, "creep", [creep(0.9)]) == text == hedged(text, "leak", [creep(0.5)])
+    assert hedged(text, "creep", [creep(0.5)]) == "creep is not certain (50 %). As an equation: " + text
 
 
 def test_no_two_sentences_of_any_state_contradict_each_other():

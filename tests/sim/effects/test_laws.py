@@ -413,6 +413,12 @@ def twin_with(laws, device="finger"):
 def test_a_law_may_act_twice_and_statics_come_first():
     names = [e.name for e in in_order(["lag(p) #2", "creep", "lag(p)", "tracker_lag", "p^2", "stiffening"])]
     assert names == ["stiffening", "creep", "p^2", "lag(p)", "lag(p) #2", "tracker_lag"]
+    flip = {"scale_kpa": 60.0, "width_kpa": 5.0, "centre_kpa": 30.0}
+    assert family("flip(p)", flip | {"slope_kpa": 3.0}) == "snap"
+    assert family("flip(p)", flip | {"slope_kpa": 20.0}) == "hysteresis"
+    assert family("flip(p)", flip | {"slope_kpa": 20.0, "width_kpa": 0.2}) == "stiffening"
+    assert family("lag(p)", {"time_s": 5.0}) == "creep" and family("lag(p)", {"time_s": 0.05}) == "valve_lag"
+    assert "snap" not in law("flip(p)").as_cause(flip | {"slope_kpa": 20.0})
     assert family("lag(p) #2") == "creep" == family("power_law_memory(p)") and family("creep") == "creep"
     assert is_law("lag(p) #2") and not is_law("creep")
 
