@@ -1,5 +1,6 @@
 """`pneutac benchmark rates`: whether LeRobot's commands hold their rate on the stand-in, by the clock."""
 
+import importlib.util
 import os
 import re
 import shutil
@@ -53,6 +54,11 @@ class BenchmarkRatesConfig:
         check_least(1, runs=self.runs, seconds=self.seconds - 1)
         if unknown := [c for c in self.commands if c not in COMMANDS]:
             raise InputError(f"commands has {', '.join(unknown)}; there are {', '.join(COMMANDS)}.")
+        if "remote" in self.commands and importlib.util.find_spec("grpc") is None:
+            raise InputError(
+                "commands has remote, which needs gRPC; pip install 'lerobot[async]', or give"
+                ' --commands="[record,record_streaming,replay,rollout]".'
+            )
         if self.robot not in ROBOTS:
             raise InputError(f"robot is '{self.robot}'; give one of {', '.join(ROBOTS)}.")
         if self.robot == "dry" and any(c.startswith("record") for c in self.commands):

@@ -1,10 +1,12 @@
 """LeRobot's remote inference: its server drops observations that it takes for similar to the last."""
 
+import json
 import pickle
 from importlib import import_module
 
 import pytest
 
+from lerobot_pneutac.cli import run_verb
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from pneutac_sim.features import STATE_NAMES
@@ -46,3 +48,11 @@ def test_the_server_takes_what_a_creeping_finger_shows(lerobot, tmp_path, monkey
     robot.disconnect()
     monkeypatch.setattr(helpers.TimedObservation, "must_go", False)  # without the robot's hook
     assert not taken(180, after)
+
+
+@pytest.mark.nightly
+def test_server_and_client_of_lerobot_drive_the_stand_in(tmp_path):
+    """The commands of the page on remote inference; how fast depends on what else the computer does."""
+    run_verb("benchmark", ["rates", "--hz=[15]", "--commands=[remote]", "--seconds=4", f"--out={tmp_path}"])
+    (row,) = json.loads((tmp_path / "result.json").read_text())["rows"]
+    assert row["achieved_hz"] > 5
