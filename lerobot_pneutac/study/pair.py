@@ -187,6 +187,19 @@ def device_moves(recording: Recording) -> None:
         )
 
 
+LEAST_SAMPLES = 10  # of fewer the 95 % interval of a root mean square exceeds 0.7 to 1.8 times its value
+
+
+def enough_to_compare(recording: Recording, checked: Recording) -> None:
+    """Raises InputError where too few samples are left of a recording to say how large an error is."""
+    if len(checked) < LEAST_SAMPLES:
+        device_moves(recording)  # rows in which the tracker stands are none, and that is what to say then
+        raise InputError(
+            f"{recording.folder} has {plural(len(checked), 'usable sample')}, and a comparison takes at "
+            f"least {LEAST_SAMPLES}; record a longer trial."
+        )
+
+
 def enough_rows(twin: Twin, recording: Recording, effects: list[str], train: np.ndarray) -> None:
     """Raises InputError where the training samples are too few to fit a twin with these effects at all.
 

@@ -11,7 +11,7 @@ from rich.markup import escape
 from lerobot_pneutac.cli.tables import show_understood
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.study import study_of
-from lerobot_pneutac.study.pair import fit_parts
+from lerobot_pneutac.study.pair import enough_to_compare, fit_parts
 from lerobot_pneutac.verbs.new import new_twin
 from pneutac_datasets.demonstrations.faults import (
     demonstration_faults,
@@ -89,18 +89,24 @@ def _bench(folder: Path) -> Checked:
 
 
 def _unfit(recording: Recording) -> list[str]:
-    """What `calibrate`, `diagnose` and `add` refuse of a recording that can be read, by a twin of its own."""
+    """What verbs refuse of a recording that can be read, by a twin of its own."""
     poses = [c for c in recording.observations if not c.startswith("image")]
     if recording.device == "gel" or not poses:
         return []  # gels and photographs have checks of their own
     twin = new_twin(recording.device, recording)
-    try:
+    faults: dict[str, None] = {}
+
+    def study() -> None:
         fit_parts(twin, recording)
         if len(recording) < SHORT:
             study_of(twin, recording)
-    except InputError as e:
-        return [str(e)]
-    return []
+
+    for refuse in (study, lambda: enough_to_compare(recording, check(recording)[0])):
+        try:
+            refuse()
+        except InputError as e:
+            faults[str(e)] = None
+    return list(faults)
 
 
 def _tables(path: Path, files: list[Path]) -> Checked:

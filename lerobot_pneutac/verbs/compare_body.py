@@ -20,6 +20,7 @@ from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.diagnosis.thresholds import NOISE
 from lerobot_pneutac.reports.figures import worst_passages
 from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.study.pair import enough_to_compare
 from lerobot_pneutac.verbs.result import Comparison, rms_of
 from pneutac_datasets.recording.axes import Axis, axes, is_still, motion
 from pneutac_datasets.recording.checks import check
@@ -27,14 +28,13 @@ from pneutac_datasets.recording.mounts import align_mounts
 from pneutac_datasets.recording.noise import NoiseFloor, noise_floor
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import plural
-from pneutac_sim.errors import InputError, option
+from pneutac_sim.errors import option
 from pneutac_sim.finger import BodyData, Pipeline, simulate
 from pneutac_sim.finger.confidence import Z95, independent
 from pneutac_sim.finger.quantities import root_mean, squared_distance
 from pneutac_sim.twin import Twin
 
 FEW_ROWS = 50  # below this no place where the error is large says anything
-LEAST_SAMPLES = 10  # of fewer the 95 % interval of a root mean square exceeds 0.7 to 1.8 times its value
 STEP = 0.05  # of a standard deviation: how far a parameter is moved to see what it does
 
 
@@ -287,11 +287,7 @@ class BodyComparison(Comparison):
 def compare_body(twin: Twin, recording: Recording) -> BodyComparison:
     """Checks the recording, runs the twin from the commanded pressure and sorts the errors."""
     clean, findings = check(recording)
-    if len(clean) < LEAST_SAMPLES:
-        raise InputError(
-            f"{recording.folder} has {plural(len(clean), 'usable sample')}, and a comparison takes at least "
-            f"{LEAST_SAMPLES}; record a longer trial."
-        )
+    enough_to_compare(recording, clean)
     train = train_mask(twin, clean)
     judged = train if train.any() else np.ones(len(clean), bool)
     clean, moved = align_mounts(clean, twin.length_mm, judged)

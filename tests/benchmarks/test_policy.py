@@ -235,7 +235,7 @@ def test_old_name_of_a_condition_is_taken():
 @pytest.mark.parametrize(
     ("option", "words"),
     [
-        ("--tasks=[juggle]", "^tasks is"),
+        ("--tasks=[juggle]", "^tasks has the unknown name"),
         ("--conditions=[real,real]", "each once"),
         ("--conditions=[]", "at least one"),
         ("--seeds=[1,1]", "different numbers"),

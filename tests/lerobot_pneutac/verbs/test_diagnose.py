@@ -9,6 +9,7 @@ from verbs import refused, verb
 
 from lerobot_pneutac import add
 from lerobot_pneutac.verbs.diagnose import diagnose
+from lerobot_pneutac.verbs.new import new_twin
 from pneutac_sim.effects.laws import family
 from pneutac_sim.finger import simulate
 from pneutac_sim.twin import Twin, Value
@@ -87,7 +88,7 @@ def test_headline_and_verdict_rest_on_test_blocks_alone(creep):
 
 def test_the_verb_writes_result_and_report_and_leaves_the_twin(bench, tmp_path, capsys):
     recording = bench("none")
-    twin = twin_of(recording).save(tmp_path / "twin")
+    twin = new_twin("finger", recording).save(tmp_path / "twin")
     before = (twin / "twin.yaml").read_text()
     verb("diagnose", twin=twin, recording=recording.folder, out=tmp_path / "out", jobs=1)
     assert (twin / "twin.yaml").read_text() == before
@@ -107,6 +108,7 @@ def test_nothing_missing_is_adequate_again_and_again_whatever_the_threads(bench)
 
 def test_wrong_device_and_missing_options_are_one_sentence(bench, tmp_path):
     recording = bench("none")
-    twin = Twin("arm", recording.length_mm).save(tmp_path / "arm")
+    gain = {n: Value(0.1) for n in ("gain_rad_per_kpa", "gain_alpha", "gain_beta")}
+    twin = Twin("arm", recording.length_mm, parameters=gain).save(tmp_path / "arm")
     refused("of a finger and .* of an arm; diagnose", "diagnose", twin=twin, recording=recording.folder)
     refused("Give --twin=PATH", "diagnose", recording=recording.folder)

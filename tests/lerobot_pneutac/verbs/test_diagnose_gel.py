@@ -26,8 +26,8 @@ def linear_twin(folder, recording):
     return folder
 
 
-def run(verb, out, twin, recording, *more):
-    verb(verb, *more, twin=twin, recording=recording.folder, out=out)
+def run(name, out, twin, recording, *more):
+    verb(name, *more, twin=twin, recording=recording.folder, out=out)
     return json.loads((out / "result.json").read_text())
 
 

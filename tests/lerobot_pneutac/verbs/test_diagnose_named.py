@@ -19,6 +19,7 @@ from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.study import study_of
 from lerobot_pneutac.study.pair import same_body
 from lerobot_pneutac.verbs.diagnose import diagnose
+from lerobot_pneutac.verbs.new import new_twin
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.laws import family
 from pneutac_sim.errors import InputError
@@ -180,7 +181,7 @@ def test_constant_pressure_is_ambiguous(bench):
 def test_too_few_rows_to_fit_name_the_file_and_what_to_record(bench, tmp_path):
     recording = bench("none")
     recording.keep(np.arange(len(recording)) < 3).write(tmp_path / "three")
-    twin = twin_of(recording).save(tmp_path / "twin")
+    twin = new_twin("finger", recording).save(tmp_path / "twin")
     wanted = r"three/samples\.csv has 3 rows, .* at least \d+ .*; record ten minutes with steps"
     with pytest.raises(InputError, match=wanted) as e:
         verb("diagnose", twin=twin, recording=tmp_path / "three")

@@ -127,15 +127,22 @@ def test_a_finger_is_calibrated_and_told(calibrated):
 
 def test_without_markers_photographs_are_fitted(drawn, tmp_path, monkeypatch):
     without = altered(drawn, tmp_path / "without", **{f"tip_{a}_mm": None for a in "xyz"})
-    monkeypatch.setattr("lerobot_pneutac.verbs.fit_photographs.calibrate_photographs", lambda *a: "images")
-    monkeypatch.setattr("lerobot_pneutac.verbs.fit_body.calibrate_body", lambda *a: "markers")
-    monkeypatch.setattr(verb, "_measured", lambda result, _: result)
+
+    def fit_by(way):
+        def fit(*_):
+            raise NotImplementedError(way)
+
+        return fit
+
+    monkeypatch.setattr("lerobot_pneutac.verbs.fit_photographs.calibrate_photographs", fit_by("images"))
+    monkeypatch.setattr("lerobot_pneutac.verbs.fit_body.calibrate_body", fit_by("markers"))
     for recording, by, used in (
         (without, None, "images"),
         (drawn, None, "markers"),
         (drawn, "images", "images"),
     ):
-        assert verb.calibrate(Twin("finger", 110.0), recording, by=by) == used
+        with pytest.raises(NotImplementedError, match=used):
+            verb.calibrate(Twin("finger", 110.0), recording, by=by)
 
 
 def test_bad_recordings_are_told_in_a_sentence(drawn, tmp_path):
