@@ -39,6 +39,7 @@ calibrate --config_path=typo.yaml
 calibrate --twin=finger --recording=bench --out=typo.yaml
 calibrate --twin=finger --recording=bench --twins=x
 calibrate --twin=finger --recording=bench --seed=many
+diagnose --twin=finger --recording=bench --seed=-1
 compare
 compare --twin=finger --recording=bench --fidelity=exact
 compare --twin=finger --recording=bench --samples=50
@@ -56,6 +57,7 @@ add --twin=arm --recording=bench --effect=creep
 new
 new --twin=other --device=hand
 new --twin=other --length_mm=-1
+new --twin=other --length_mm=0
 new --twin=other --mesh=nowhere.stl
 new --twin=other --mesh=nowhere.stl --mesh_unit=inch
 new --twin=other --recording=nowhere

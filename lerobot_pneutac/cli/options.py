@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.files import check_writable, read_yaml
 
 COLUMN = 28  # where help texts begin
@@ -104,6 +104,8 @@ def parse_options(config_class: type, argv: list[str], what: str | None = None):
         while cause.__cause__ is not None and not isinstance(cause, InputError):
             cause = cause.__cause__
         raise cause if isinstance(cause, InputError) else InputError(_in_words(str(e), options)) from e
+    if (seed := getattr(config, "seed", None)) is not None:
+        check_least(0, seed=seed)
     out = getattr(config, "out", None)
     if out is not None and not getattr(config, "names_a_file", False):
         check_writable(out, f"--out={out}")

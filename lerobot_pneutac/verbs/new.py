@@ -43,10 +43,12 @@ def new_twin(
     """
     if device == "gel":
         return _new_gel(recording)
-    length = (body.length_mm if body else length_mm) or (recording.length_mm if recording else None)
-    joints = (recording.spine_joint_positions_mm if recording and not length_mm else None) or []
+    length = body.length_mm if body else length_mm
+    joints = (recording.spine_joint_positions_mm if recording and length_mm is None else None) or []
+    if length is None:
+        length = (recording.length_mm if recording else None) or USUAL_LENGTH_MM
     start = Twin.builtin() if device == "finger" and recording is None else Twin(device=device)
-    twin = Twin(device, length or USUAL_LENGTH_MM, list(joints), parameters=start.parameters)
+    twin = Twin(device, length, list(joints), parameters=start.parameters)
     measured = None if recording is None else measured_range(recording)
     twin.pressure_range_kpa = measured or twin.pressure_range_kpa
     if body is not None:

@@ -40,7 +40,7 @@ class BenchmarkDiagnosisSpeedConfig:
 
     Attributes:
         minutes: lengths of the recordings of one chamber.
-        arm_minutes: length of the recording of three chambers; 65 are 78,000 samples. 0 leaves it out.
+        arm_minutes: length of the recording of three chambers; 0 leaves it out.
         seed: of the devices.
         jobs: threads; 0 for all cores.
         out: folder for `result.json` and `table.md`.
