@@ -231,6 +231,7 @@ def test_before_the_first_action_the_watchdog_does_nothing(parts, monkeypatch):
     guard.close()
 
 
+@pytest.mark.realtime
 def test_the_pressure_is_held_before_the_controller_takes_the_command_as_void(parts, guard):
     guard.act(MOVE)
     assert until(lambda: parts.names().count("set_pressure") >= 2)

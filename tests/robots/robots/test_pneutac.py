@@ -423,6 +423,7 @@ def test_an_action_that_is_no_number_empties_the_chamber_within_350_ms(robot, ba
             robot.send_action(act(dx=bad))
 
 
+@pytest.mark.realtime
 def test_an_arm_that_hangs_is_a_fault_and_does_not_keep_the_robot_from_disconnecting(robot, monkeypatch):
     inflate(robot)
     hang = threading.Event()
