@@ -148,3 +148,20 @@ def test_real_tracker_jumps_are_found_and_left_out():
     assert 20 <= len(r) - len(clean) < 250
     size = np.abs(np.diff(clean.column("curvature_y_1_per_m")))
     assert size.max() < 1.0 < np.abs(np.diff(r.column("curvature_y_1_per_m"))).max()
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_feedback_is_distinguished_from_a_program(closed):
+    rng = np.random.default_rng(3)
+    n = 2000
+    p, y = np.zeros(n), np.zeros(n)
+    free = np.cumsum(rng.normal(size=n)) * 0.3
+    for k in range(1, n):
+        y[k] = 0.8 * y[k - 1] + 0.2 * p[k - 1] + 0.2 * rng.normal()
+        goal = 20 + 10 * np.sin(k / 60)
+        p[k] = p[k - 1] + 0.3 * (goal - y[k]) if closed else 20 + 10 * np.sin(k / 60) + free[k]
+    s = pd.DataFrame(
+        {"trial": 0, "time_s": np.arange(n) / 20, "pressure_cmd_kpa": p, "bend_angle_rad": y / 40}
+    )
+    _, said = check(Recording(Path("r"), {}, s, "finger"))
+    assert any("follows the measured motion" in x for x in said) == closed
