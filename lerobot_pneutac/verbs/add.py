@@ -23,6 +23,7 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import joined
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
+from pneutac_sim.executor import one_thread
 from pneutac_sim.files import check_writable
 from pneutac_sim.twin import Twin
 
@@ -232,6 +233,7 @@ class Addition(Result):
         return [(name, e, colour) for name, e, colour in steps if e is not None]
 
 
+@one_thread
 def add(
     twin: Twin,
     recording: Recording | Demonstrations,

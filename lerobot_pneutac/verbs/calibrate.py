@@ -17,6 +17,7 @@ from pneutac_datasets.demonstrations.replay.reading import Demonstrations, is_da
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import an
 from pneutac_sim.errors import InputError, check_choice, check_least, option
+from pneutac_sim.executor import one_thread
 from pneutac_sim.files import check_writable
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
@@ -27,6 +28,7 @@ WAYS = ("images", "markers")
 THROUGH = ("mpm",)
 
 
+@one_thread
 def calibrate(
     twin: Twin,
     recording: Recording | Demonstrations,

@@ -17,12 +17,14 @@ from lerobot_pneutac.verbs.result import Comparison, Result
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError, check_choice
+from pneutac_sim.executor import one_thread
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 
 FIDELITIES = ("pipeline", "mpm")
 
 
+@one_thread
 def compare(
     twin: Twin,
     recording: Recording | Demonstrations,

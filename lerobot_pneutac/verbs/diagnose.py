@@ -27,6 +27,7 @@ from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.noise import noise_text
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError, option
+from pneutac_sim.executor import one_thread
 from pneutac_sim.files import read_json, write_json
 from pneutac_sim.twin import Twin
 
@@ -289,6 +290,7 @@ def named_terms(contender: Candidate) -> str:
     return " + ".join(map(sentences.called, contender.terms)) or "no effect"
 
 
+@one_thread
 def diagnose(
     twin: Twin,
     recording: Recording | Demonstrations,

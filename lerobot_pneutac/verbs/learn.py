@@ -28,6 +28,7 @@ from pneutac_datasets.recording.recording import Recording, joined
 from pneutac_datasets.recording.wording import joined as listed
 from pneutac_sim.effects.laws import family
 from pneutac_sim.errors import InputError, check_least
+from pneutac_sim.executor import one_thread
 from pneutac_sim.files import whole, write_json
 from pneutac_sim.finger.quantities import root_mean
 from pneutac_sim.twin import Twin
@@ -257,6 +258,7 @@ GIVE_UP = 4  # programs in a row, predicted badly and no better, after which it 
 FALLS = 0.9  # of the error over noise: what stays above has not fallen
 
 
+@one_thread
 def learn(
     twin: Twin,
     bench: Bench,

@@ -6,6 +6,7 @@ that was stopped, on any executor.
 
 import ctypes
 import errno
+import functools
 import importlib.util
 import inspect
 import io
@@ -25,6 +26,8 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, redirect_stderr
 from dataclasses import dataclass
 from pathlib import Path
+
+from threadpoolctl import threadpool_limits
 
 from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.files import read_fields
@@ -315,6 +318,20 @@ def _quiet():
 
 
 # ------------------------------------------------------------------ processes of this machine
+
+
+def one_thread(function: Callable) -> Callable:
+    """The function with its matrix products on one thread.
+
+    With several they round differently, and a search that rests on them may end elsewhere.
+    """
+
+    @functools.wraps(function)
+    def limited(*args, **kwargs):
+        with threadpool_limits(limits=1, user_api="blas"):
+            return function(*args, **kwargs)
+
+    return limited
 
 
 def process_pool(workers: int) -> ProcessPoolExecutor:

@@ -7,12 +7,15 @@ import time
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pieces
 import pytest
+import scipy.linalg
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from pneutac_benchmarks.robustness.killed_parent import kill_parents
 from pneutac_sim.errors import InputError
-from pneutac_sim.executor import ExecutorOptions, process_pool, run_pieces
+from pneutac_sim.executor import ExecutorOptions, one_thread, process_pool, run_pieces
 
 HELPERS = Path(pieces.__file__).parent
 # Knows one partition, and carries out a job at once, each task of its array in turn.
@@ -157,3 +160,10 @@ def test_a_process_of_the_pool_is_another_one():
 @pytest.mark.parametrize("number", [2, pytest.param(50, marks=pytest.mark.nightly)])
 def test_workers_end_within_a_second_of_a_killed_parent(number):
     assert kill_parents(number).broken == ()
+
+
+def test_products_of_matrices_use_one_thread():
+    scipy.linalg.svdvals(np.eye(3))  # its own library is loaded
+    with threadpool_limits(limits=2, user_api="blas"):
+        used = [x["num_threads"] for x in one_thread(threadpool_info)() if x["user_api"] == "blas"]
+    assert used and set(used) == {1}
