@@ -1,5 +1,6 @@
 """Fits a twin to a bench recording: markers, photographs or tactile images."""
 
+import inspect
 import json
 import os
 from collections.abc import Sequence
@@ -26,6 +27,11 @@ SEARCH = "evaluations.json"  # in the folder where a search by images is stored
 BEST = "best.png"  # there, the best rendering so far
 WAYS = ("images", "markers")
 THROUGH = ("mpm",)
+SERVES = {  # an option: how a recording is fitted where the option has a use
+    "by": (WAYS, "a finger or an arm"),
+    **dict.fromkeys(("effects", "through", "image_size"), (("presses",), "a gel")),
+    **dict.fromkeys(("train_kpa", "evaluations", "particles"), (("images",), "a fit by images")),
+}
 
 
 @one_thread
@@ -77,6 +83,23 @@ def calibrate(
             f"{recording.folder} is a recording of a '{recording.device}' but the twin is of a "
             f"'{twin.device}'; give a twin of that device."
         )
+    from pneutac_datasets.recording.photographs import masked_cameras
+
+    if isinstance(recording, Demonstrations):
+        way = "demonstrations"
+    elif recording.device == "gel":
+        way = "presses"
+    else:
+        markers = [c for c in recording.observations if not c.startswith("image")]
+        way = by or ("images" if not markers and masked_cameras(recording) else "markers")
+    levels = training_levels(train_kpa)
+    given = {"by": by, "effects": effects, "through": through, "image_size": image_size}
+    given |= {"train_kpa": levels, "evaluations": evaluations, "particles": particles}
+    for name, value in given.items():
+        ways, of = SERVES[name]
+        if way not in ways and value != inspect.signature(calibrate).parameters[name].default:
+            more = ", and switch an effect on with `pneutac add --effect=NAME`" * (name == "effects")
+            raise InputError(f"{name} is for {of}, but {recording.folder} is fitted by its {way}; omit it{more}.")
     if isinstance(recording, Demonstrations):
         from lerobot_pneutac.verbs.calibrate_demonstrations import calibrate_demonstrations
 
@@ -87,22 +110,10 @@ def calibrate(
         if isinstance(effects, str):
             effects = [e.strip() for e in effects.split(",") if e != "none"]
         return calibrate_gel(twin, recording, effects, through == "mpm", image_size, progress)
-    for name, value, does in (
-        ("effects", effects, "chooses the optics of a gel"),
-        (f"through={through}", through, "simulates presses into a gel"),
-        ("image_size", image_size, "is that of a gel's images"),
-    ):
-        if value is not None:
-            more = ", and switch an effect on with `pneutac add --effect=NAME`" * (name == "effects")
-            what = f"{recording.folder} is a recording of a '{recording.device}'"
-            raise InputError(f"{name} {does}, but {what}; omit it{more}.")
-    from pneutac_datasets.recording.photographs import masked_cameras
-
-    markers = [c for c in recording.observations if not c.startswith("image")]
-    if by == "images" or (by is None and not markers and masked_cameras(recording)):
+    if way == "images":
         from lerobot_pneutac.verbs.fit_photographs import PhotoOptions, calibrate_photographs
 
-        options = PhotoOptions(training_levels(train_kpa), evaluations, particles, seed)
+        options = PhotoOptions(levels, evaluations, particles, seed)
         files = (None, None) if keep is None else (keep / SEARCH, keep / BEST)
         result = calibrate_photographs(twin, recording, options, *files, progress)
     else:
@@ -171,7 +182,7 @@ def run(cfg: CalibrateConfig, scratch: Path, terminal: Terminal) -> Calibration:
 
         if recording.device != "gel":
             raise InputError(
-                f"save_prior keeps a gel's lights, but {recording.folder} is of a '{recording.device}'; "
+                f"save_prior stores a gel's light, but {recording.folder} is of a '{recording.device}'; "
                 "omit it."
             )
         check_name(cfg.save_prior)

@@ -119,7 +119,7 @@ def _tables(path: Path, files: list[Path]) -> Checked:
     except InputError as e:
         return Checked(path, "table", [str(e)], [])
     notes = [] if understood.faults else check(understood.recording)[1]
-    faults = understood.faults or _unfit(understood.recording)
+    faults = understood.faults or _unfit(replace(understood.recording, folder=path))
     return Checked(path, "table", faults, notes, understood)
 
 

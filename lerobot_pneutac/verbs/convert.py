@@ -215,16 +215,17 @@ def _of_film(config: ConvertConfig) -> Track:
 
 def command(config: ConvertConfig, terminal: Terminal) -> None:
     """Makes a bench recording of what a lab's other systems logged."""
-    shown = []
+    tables: list[Understood] = []
 
     def show(understood: Understood) -> None:
-        shown.append(understood)
+        tables.append(understood)
         show_understood(understood, terminal.console)
 
     recording = convert(config, show)
-    if not shown:
+    if not tables:
         terminal.say(f"{config.source}: {plain.extent(recording)}")
-    for warning in recording.warnings:
+    shown = [note for understood in tables for note in understood.notes]
+    for warning in (w for w in recording.warnings if w not in shown):
         terminal.note(warning)
     terminal.say(
         f"{recording.folder} holds the recording; next: `pneutac new --twin=TWIN"

@@ -54,7 +54,8 @@ def clock(recording: Recording) -> list[Finding]:
         )
         found.append(Finding("gaps", text, ("time_s",), np.array(gaps) + 1, {"count": len(gaps)}))
     left_out = recording.meta.get("conversion", {}).get("rows_left_out", 0)  # which its notes say
-    if lost and even and missing > left_out:
+    missing -= left_out
+    if lost and even and missing > 0:
         text = (
             f"{plural(missing, 'row')} {'is' if missing == 1 else 'are'} missing from an even clock (first "
             f"before {where(recording, lost[0])}): frames were dropped there."

@@ -219,7 +219,7 @@ def understand_files(files: Sequence[Path], given: Given, log: bool = False, tim
     device = "arm" if "pressure_cmd_1_kpa" in table else "finger"
     meta |= {"notes": f"from {', '.join(f.name for f in files)}"}
     recording = Recording(files[0].parent, meta, table.reset_index(drop=True), device)
-    faults = [] if log else _checked(recording, columns, read, of_file, keep)
+    faults = [] if log else _checked(recording, columns, read, of_file, keep, notes)
     if not log and not faults:
         notes += _axes_notes(recording, source, given)
     meta["conversion"] = {"notes": notes, "rows_left_out": int((~keep).sum())}
@@ -497,11 +497,15 @@ def _date(frame: pd.DataFrame, columns: Sequence[Column]) -> str:
 
 def _checked(
     recording: Recording, columns: Sequence[Column], read: Sequence[TextTable], of_file: np.ndarray,
-    keep: np.ndarray,
+    keep: np.ndarray, notes: list[str],
 ) -> list[str]:  # fmt: skip
-    """What the rules of a recording refuse: file, line and column as the tables have them."""
+    """What the rules of a recording refuse, by file, line and column of the tables; drops repeated stamps."""
     names = {c.column: c.name for c in columns if c.column not in ("", LEAVE_OUT)}
-    faults, begin = [], 0
+
+    def renamed(sentence: str) -> str:
+        return re.sub(r"'([^']+)'", lambda m: shown(names.get(m[1], m[1])), sentence)
+
+    faults, begin, repeated = [], 0, np.zeros(len(of_file), bool)
     for k, table in enumerate(read):
         inside = keep[begin : begin + len(table.frame)]
         begin += len(table.frame)
@@ -515,9 +519,16 @@ def _checked(
         try:
             rules.check_samples(part, recording.device, meta, source)
         except InputError as e:
-            text = re.sub(r"'([^']+)'", lambda m: shown(names.get(m[1], m[1])), str(e))
+            text = renamed(str(e))
             if text not in faults:
                 faults.append(text)
+            continue
+        reported: list[str] = []
+        once = rules.check_time(part, source, reported).index
+        if len(once) < len(part):
+            notes.append(renamed(reported[0]))
+            repeated[np.flatnonzero(of_file == k)[~part.index.isin(once)]] = True
+    recording.samples = recording.samples[~repeated].reset_index(drop=True)
     return faults
 
 
