@@ -11,6 +11,7 @@ import importlib.util
 import inspect
 import os
 import sys
+from pathlib import Path
 
 # verb -> what it does
 VERBS = {
@@ -127,7 +128,11 @@ def run_verb(verb: str, argv: list[str]) -> None:
     """Runs a command with its arguments; raises InputError where they are bad."""
     from lerobot_pneutac.cli.options import parse_options
     from lerobot_pneutac.cli.terminal import Terminal
+    from pneutac_sim.files import check_new
 
+    if verb == "measure":  # its options need LeRobot, which takes ten seconds to import
+        for out in (a.partition("=")[2] for a in argv if a.startswith("--out=")):
+            check_new(Path(out), f"out={out}")
     command, terminal = _module(verb).command, Terminal(verb, argv)
     if "argv" in inspect.signature(command).parameters:
         command(argv, terminal)

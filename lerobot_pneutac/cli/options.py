@@ -107,7 +107,9 @@ def parse_options(config_class: type, argv: list[str], what: str | None = None):
     if (seed := getattr(config, "seed", None)) is not None:
         check_least(0, seed=seed)
     out = getattr(config, "out", None)
-    if out is not None and not getattr(config, "names_a_file", False):
+    if out is not None and getattr(config, "names_a_file", False):
+        check_writable(out.parent, f"{out.parent}, the folder of --out={out},")
+    elif out is not None:
         check_writable(out, f"--out={out}")
     _convert_tables(config)
     return config

@@ -22,7 +22,7 @@ from pneutac_datasets.recording.mounts import CONDITIONS
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import plural
 from pneutac_sim.errors import InputError, check_choice
-from pneutac_sim.files import read_json
+from pneutac_sim.files import check_new, read_json
 
 BUILTIN = ("steps", "ramps", "holds", "loops", "all")
 
@@ -262,8 +262,8 @@ class MeasureConfig:
             )
         if not 0 <= self.rest_s < np.inf:
             raise InputError(f"rest_s={self.rest_s} must be 0 or more.")
-        if self.out is not None and self.out.exists() and (not self.out.is_dir() or any(self.out.iterdir())):
-            raise InputError(f"out={self.out} is not empty; give a new folder.")
+        if self.out is not None:
+            check_new(self.out, f"out={self.out}")
         device_with(self.chambers)
         per_chamber("min_kpa", self.min_kpa, self.chambers)
         per_chamber("max_kpa", self.max_kpa, self.chambers)

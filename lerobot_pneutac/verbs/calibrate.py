@@ -99,7 +99,9 @@ def calibrate(
         ways, of = SERVES[name]
         if way not in ways and value != inspect.signature(calibrate).parameters[name].default:
             more = ", and switch an effect on with `pneutac add --effect=NAME`" * (name == "effects")
-            raise InputError(f"{name} is for {of}, but {recording.folder} is fitted by its {way}; omit it{more}.")
+            raise InputError(
+                f"{name} is for {of}, but {recording.folder} is fitted by its {way}; omit it{more}."
+            )
     if isinstance(recording, Demonstrations):
         from lerobot_pneutac.verbs.calibrate_demonstrations import calibrate_demonstrations
 

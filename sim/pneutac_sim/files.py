@@ -229,6 +229,13 @@ def check_writable(folder: Path, what: str) -> None:
                 p.rmdir()
 
 
+def check_new(folder: Path, what: str) -> None:
+    """Raises InputError, which says `what`, where a folder holds something or cannot be written into."""
+    check_writable(folder, what)
+    if folder.is_dir() and any(folder.iterdir()):
+        raise InputError(f"{what} is not empty; give a new folder.")
+
+
 @contextmanager
 def _space(file: Path) -> Iterator[None]:
     try:

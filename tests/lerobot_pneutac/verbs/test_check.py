@@ -48,6 +48,18 @@ def test_a_folder_of_folders_names_those_that_can_be_looked_at(tmp_path):
         check_path(tmp_path)
 
 
+def test_a_table_with_a_repeated_stamp_is_checked_without_it(tmp_path):
+    time = np.r_[np.arange(0, 60, 0.1)[:300], np.arange(0, 60, 0.1)[299:]]
+    bar = 0.2 - 0.2 * np.cos(time)
+    rows = [f"{t:.1f};{p:.4f};{100 - 30 * p:.3f};{40 * p:.3f}" for t, p in zip(time, bar, strict=True)]
+    text = "\r\n".join(["t;p_soll [bar];x [mm];z [mm]", *rows]).replace(".", ",")
+    (tmp_path / "log.csv").write_text(text)
+    found = check_path(tmp_path / "log.csv")
+    assert found.faults == [] and len(found.understood.recording) == 600
+    assert "column 't', row 301 (line 302 of the file) repeats the stamp 29.9 s" in found.understood.notes[0]
+    assert not any("even clock" in note for note in found.notes)
+
+
 def test_a_twin_says_what_the_world_will_ask_for(tmp_path):
     twin = Twin.builtin()
     twin.effects["payload"] = get_effect("payload").start()

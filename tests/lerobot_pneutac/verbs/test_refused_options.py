@@ -1,6 +1,8 @@
 """Options that cannot work, and twins that a verb has no use for, are refused in one sentence."""
 
 import shlex
+import shutil
+from pathlib import Path
 
 import pytest
 
@@ -10,6 +12,7 @@ from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin, Value
 
 pytestmark = pytest.mark.slow
+GOLDEN = Path(__file__).parents[2] / "golden" / "recordings"
 AUGMENT = (
     "--dataset.repo_id=local/demos --dataset.root=demos --output.repo_id=local/o --output.root=o "
     "--fidelity=probe --planner.samples=4 "
@@ -79,6 +82,12 @@ REFUSED = (
     ("augment", AUGMENT + "--method=naive --check_mpm=1", "naive ones have no scene"),
     ("augment", PLANNER + "--check_mpm=1 --fidelity=mpm", "which fidelity=mpm is already"),
     ("augment", AUGMENT + "--method=library", "planner has options that library does not use"),
+    ("calibrate", "--twin=finger --recording=bench --train_kpa=0,5", "train_kpa is for a fit by images, but"),
+    ("calibrate", "--twin=finger --recording=bench --particles=900", "particles is for a fit by images"),
+    ("calibrate", "--twin=finger --recording=bench --effects=none", "effects is for a gel.*pneutac add"),
+    ("measure", "--out=bench --bench=standin", "^out=bench is not empty; give a new folder"),
+    ("export", "--twin=finger --out=finger/twin.yaml/x.py", "the folder of --out=.*, is a file"),
+    ("report", "finger --rrd=finger/twin.yaml/x.rrd", "the folder of --rrd=.*, is a file; give a folder"),
     ("report", "gel --rrd=x.txt", "must end in .rrd"),
     ("report", "gel --recording=x", "goes with --rrd"),
     ("report", "gel --rrd=x.rrd", "--rrd takes a finger or an arm"),
@@ -87,12 +96,13 @@ REFUSED = (
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory):
-    """A folder with the twins of a finger, of one that asks for a payload, and of a gel."""
+    """A folder with the twins of a finger, of one that asks for a payload, and of a gel; and a recording."""
     folder, loaded, gel = tmp_path_factory.mktemp("lab"), Twin.builtin(), Twin("gel", 16.0)
     loaded.effects["payload"] = {"share": Value(1.0)}
     GelModel.builtin().into_twin(gel)
     for name, twin in (("finger", Twin.builtin()), ("loaded", loaded), ("gel", gel)):
         twin.save(folder / name)
+    shutil.copytree(GOLDEN / "finger_creep", folder / "bench")
     return folder
 
 
