@@ -220,6 +220,12 @@ class Outcome:
         return explained(self.evidence)
 
     @property
+    def named(self) -> list[str]:
+        """Effects found whose mechanism is more likely right than wrong, and those without a probability."""
+        open_ = {m.cause for m in self.mechanisms if not m.named}
+        return [e for e in self.selected if e in SET_UP or family_in(self.twin, e) not in open_]
+
+    @property
     def likely_right(self) -> float | None:
         """Probability that the first cause is what was found; None where there are no mechanisms."""
         return self.mechanisms[0].probability if self.mechanisms else None

@@ -62,6 +62,7 @@ AGREED = 0.5  # share of the votes below which a finding is unstable (verdict)
 FEW_UNITS = 6  # held-out pieces of time below which no bootstrap means much (verdict, bootstrap)
 FEW_SAMPLES = 60  # to fit, below which nothing is claimed (verdict)
 CERTAIN = 0.8  # calibrated probability above which a mechanism is called certain (verdict)
+NAMED = 0.5  # the same above which it is named: below, another mechanism is likelier than it (verdict)
 
 # ---------------------------------------------------------------- parameters
 

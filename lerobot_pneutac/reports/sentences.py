@@ -7,14 +7,13 @@ from enum import StrEnum
 
 from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.result import SET_UP, Outcome, family_in
-from lerobot_pneutac.diagnosis.thresholds import AS_IS_NOISE, CERTAIN
+from lerobot_pneutac.diagnosis.thresholds import AS_IS_NOISE
 from lerobot_pneutac.diagnosis.verdict import NONE, Explained, Mechanism
 from lerobot_pneutac.study.base import EffectStudy
 from pneutac_datasets.recording.wording import joined
 from pneutac_sim.effects.laws import family, is_law
 from pneutac_sim.twin import Twin
 
-EVEN = 0.5  # below which it is not called likely
 LEAST_SHOWN = 0.05  # probability of a mechanism that is shown
 UNTESTED = "cannot be tested, "  # what the reasons of untested effects begin with
 AGREED = 0.7  # share of repeated searches below which it is not called confirmed
@@ -71,6 +70,7 @@ class State:
     poor: str = ""  # why the recording is too poor for any claim; empty where it is not
     causes: tuple[str, ...] = ()  # what is missing, as noun phrases, the largest first
     set_up: tuple[str, ...] = ()  # those of them that are how the device is made and mounted, no effects
+    unnamed: tuple[str, ...] = ()  # those of them whose mechanism is more likely another one
     known: int = 0  # how many of them are known causes, such as the finger's weight
     removed: tuple[float, tuple[float, float]] = (0.0, (0.0, 0.0))  # share of the squared error
     rivals: tuple[tuple[str, str], ...] = ()  # pairs of a cause and of an effect that explains as much
@@ -111,11 +111,12 @@ class State:
             return Confidence.CONFIRMED if sure else Confidence.LIKELY
         if self.kind is not Kind.CAUSES or self.verdict in ("ambiguous", "unknown_effect"):
             return Confidence.INCONCLUSIVE
-        right = min((m.probability for m in self.mechanisms[:1]), default=1.0)
         agreed = 1.0 if self.agreed is None else self.agreed
-        if self.verdict == "insufficient_form" or right < EVEN:
+        unnamed = bool(self.mechanisms) and not any(m.named for m in self.mechanisms)
+        if self.verdict == "insufficient_form" or unnamed:
             return Confidence.UNNAMED
-        sure = sure and not self.rivals and not self.confusable and right > CERTAIN and agreed >= AGREED
+        sure = sure and not self.rivals and not self.confusable and agreed >= AGREED
+        sure = sure and all(m.certain for m in self.mechanisms[:1])
         return Confidence.CONFIRMED if sure else Confidence.LIKELY
 
 
@@ -135,6 +136,7 @@ def state_of(study: EffectStudy, outcome: Outcome) -> State:
         poor=study.too_little() if e.poor else "",
         causes=_causes(study, o, named),
         set_up=_causes(study, o, [n for n in named if n in SET_UP]),
+        unnamed=_causes(study, o, [n for n in o.selected if n not in o.named]),
         known=len(o.known),
         before=study.errors(o.before)["heldout"],
         after=after,
@@ -267,18 +269,24 @@ def _headline(s: State) -> str:
             )
     runs = "" if s.rest == s.after else f", and to {error} without each run's own offset"
     falls = f"the test error falls from {s.before:.3g} to {s.after:.3g} {s.unit}{runs} ({noise})."
-    causes = [c for c in s.causes if c not in s.set_up]
+    causes = [c for c in s.causes if c not in s.set_up and c not in s.unnamed]
+    besides = [*s.unnamed, *s.set_up]
+    if s.unnamed:
+        falls += f" Not named a cause, since another mechanism or none is likelier: {joined(s.unnamed)}."
+    if not causes and s.unnamed:
+        verb = "may be" if s.confidence is Confidence.INCONCLUSIVE else "is"
+        return f"Something {verb} missing from the model and cannot be named. With {joined(besides)} {falls}"
     if not causes:
-        return f"The model lacks no effect that this recording shows. With {joined(s.set_up)} fitted {falls}"
+        return f"The model lacks no effect that this recording shows. With {joined(besides)} fitted {falls}"
     n = len(causes)
     verb = "may be" if s.confidence is Confidence.INCONCLUSIVE else "is" if n == 1 else "are"
     count = COUNTS[n] if n < len(COUNTS) else f"{n}"
     each = causes[0] if n == 1 else "; ".join(f"({i}) {c}" for i, c in enumerate(causes, 1))
     things = f"{count.capitalize()} {'thing' if n == 1 else 'things'}"
     these = "it" if n == 1 else "both" if n == 2 else f"all {count}"
-    these += f" and {joined(s.set_up)}" if s.set_up else ""
+    these += f" and {joined(besides)}" if besides else ""
     # The equation is what was found; that it is the cause as well is said where the probability allows it.
-    firm = bool(s.mechanisms) and all(m.certain for m in s.mechanisms)
+    firm = bool(s.mechanisms) and all(m.certain for m in s.mechanisms if m.named)
     like = ":" if firm else f" and {'behaves' if n == 1 else 'behave'} like"
     return f"{things} {verb} missing from the model{like} {each}. With {these} {falls}"
 

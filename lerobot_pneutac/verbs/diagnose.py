@@ -79,9 +79,9 @@ class Diagnosis(Result):
 
     @property
     def mechanism(self) -> list[dict]:
-        """Of each cause the families that it may be with their probabilities, and whether it is certain."""
+        """Of each cause the families that it may be, and whether the first is certain and is named."""
         return [
-            {"cause": m.cause, "ranked": dict(m.ranked), "certain": m.certain}
+            {"cause": m.cause, "ranked": dict(m.ranked), "certain": m.certain, "named": m.named}
             for m in self.outcome.mechanisms
         ]
 

@@ -147,7 +147,8 @@ def scored(days: Days, d, seconds: float) -> dict:
     # A law whose constants make it another kind of physics than its name says counts as that kind.
     names = {t: t if family(t) == kind else kind for t, kind in kinds.items()}
     return {
-        "verdict": d.verdict, "selected": list(names.values()), "terms": list(d.selected),
+        "verdict": d.verdict, "selected": [names[t] for t in d.outcome.named if t in names],
+        "terms": list(d.selected), "unnamed": [n for t, n in names.items() if t not in d.outcome.named],
         "floor": floor, "constant": constant,
         "before": before, "after": after, "ratio": after / floor,
         "removed": removed(before, constant, after, floor),
