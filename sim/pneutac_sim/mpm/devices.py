@@ -30,7 +30,6 @@ from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.probe import COLS, ROWS
-from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.body import Body, Material
 from pneutac_sim.mpm.indenter import SAMPLES, centre_m, distances_m, half_edge_m
 from pneutac_sim.mpm.loads import Loads
@@ -64,18 +63,18 @@ def finger(twin: Twin, batch: int = 1, particles: int = 4000, mesh=None, device:
     Raises:
         InputError: another device's twin, a mesh that is shorter than the spine, an impossible parameter.
     """
-    return _bending("finger", twin, batch, particles, mesh, device)
+    return _bending("finger", twin, batch, particles, device, mesh)
 
 
-def arm(twin: Twin, batch: int = 1, particles: int = 4000, mesh=None, device: str = "auto"):
+def arm(twin: Twin, batch: int = 1, particles: int = 4000, device: str = "auto"):
     """Arms: as `finger`, with three chambers round the axis and two hinges a joint, towards +z and +y."""
-    return _bending("arm", twin, batch, particles, mesh, device)
+    return _bending("arm", twin, batch, particles, device)
 
 
 BODIES = {"finger": finger, "arm": arm}  # by the twin's device
 
 
-def _bending(kind, twin, batch, particles, mesh, device) -> TotalLagrangian:
+def _bending(kind, twin, batch, particles, device, mesh=None) -> TotalLagrangian:
     if twin.device != kind:
         raise InputError(f"The twin is of a {twin.device}; this model is of a {kind}.")
     length = 1e-3 * twin.length_mm
@@ -179,7 +178,13 @@ def joint_targets(
     """
     if twin.device not in CHAMBERS:
         raise InputError(f"The twin is of a {twin.device}, which has no joints.")
-    _refuse(twin)
+    for name in twin.effects:
+        effect = get_effect(name)
+        if effect.stage == "material" and effect.signal == "markers":
+            raise InputError(
+                f"The twin's effect '{name}' moves the tip against its joints, which the shape of the "
+                "material points does not follow; take the effect out to go on without it."
+            )
     pressure, chambers = np.asarray(pressure_kpa, float), CHAMBERS[twin.device]
     pressure = pressure[:, None] if pressure.ndim == 1 and chambers == 1 else pressure
     if pressure.ndim != 2 or pressure.shape[1] != chambers or not np.isfinite(pressure).all():
@@ -201,16 +206,6 @@ def joint_targets(
             f"The twin's effect '{name}' cannot act: {why.replace('the recording has no column', 'give')}."
         )
     return pipeline.run(inputs, pipeline.theta(twin)).joints
-
-
-def _refuse(twin: Twin) -> None:
-    for name in twin.effects:
-        effect = get_effect(name)
-        if effect.stage == "material" and effect.signal == "markers":
-            raise InputError(
-                f"The twin's effect '{name}' moves the tip against its joints, which the shape of the "
-                "material points does not follow; take the effect out to go on without it."
-            )
 
 
 def press_loads(press: Press) -> Loads:
@@ -270,13 +265,13 @@ def measure(
     """
     n = len(twin.spine_joint_positions_mm)
     poses, rng = POSES_A_JOINT * n, np.random.default_rng(0)
-    free = devices.joint_targets(without_effects(twin), np.linspace(*pressures_kpa, poses))
-    solver = devices.finger(twin, batch=poses, particles=particles, device=device)
+    free = joint_targets(without_effects(twin), np.linspace(*pressures_kpa, poses))
+    solver = finger(twin, batch=poses, particles=particles, device=device)
     held = solve_equilibrium(
         solver, Loads(q_cmd=free + rng.uniform(-ALONE_RAD, ALONE_RAD, free.shape)), TOLERANCE
     )
-    torque = held.body_torque.astype(float) / devices.parameter(twin, "youngs_modulus_mpa")
-    rest = devices.joint_targets(without_effects(twin), [0.0])[0]
+    torque = held.body_torque.astype(float) / parameter(twin, "youngs_modulus_mpa")
+    rest = joint_targets(without_effects(twin), [0.0])[0]
     return SoftBody.fit(held.q.astype(float), torque, rest)
 
 
@@ -292,16 +287,16 @@ SHARES = np.linspace(0.5, 1.0, 6)  # of a press's depth, between which `between`
 
 
 class PressedGel:
-    """One gel, pressed again and again, each time from rest; the lattice is that of `devices.gel`.
+    """One gel, pressed again and again, each time from rest; the lattice is that of `gel`.
 
-    The gel gives the window, the twin elasticity, Poisson's ratio and density, where it has them.
+    The model gives the window, the twin elasticity, Poisson's ratio and density, where it has them.
     """
 
-    def __init__(self, gel: GelModel, twin: Twin, device: str = "auto"):
+    def __init__(self, model: GelModel, twin: Twin, device: str = "auto"):
         own = twin.copy()
-        gel.into_twin(own)
-        self._window = gel.window_mm
-        self._solver = devices.gel(own, device=device, table=np.zeros((SAMPLES,) * 3))
+        model.into_twin(own)
+        self._window = model.window_mm
+        self._solver = gel(own, device=device, table=np.zeros((SAMPLES,) * 3))
         self._seen: list[tuple[Press, np.ndarray]] = []
 
     def surface(self, press: Press, share: float = 1.0) -> np.ndarray:
@@ -337,8 +332,8 @@ class PressedGel:
         out, at = [], 0.0
         for depth in shares * press.depth_mm:
             for d in np.linspace(at, depth, int(np.ceil((depth - at) / STEP_MM)) + 1)[1:]:
-                part = devices.press_loads(replace(press, depth_mm=float(d)))
+                part = press_loads(replace(press, depth_mm=float(d)))
                 solve_equilibrium(self._solver, part, warm=at > 0)
                 at = float(d)
-            out.append(devices.surface_displacement(self._solver, self._window)[0].astype(np.float32))
+            out.append(surface_displacement(self._solver, self._window)[0].astype(np.float32))
         return np.stack(out)

@@ -4,7 +4,6 @@ Closed meshes of devices, in m: x along the straight device, axis at y = z = 0; 
 """
 
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 import trimesh
@@ -12,8 +11,8 @@ import trimesh
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.mpm.body import Body, Material
-from pneutac_sim.mpm.parameters import WIDTH_MM, parameter
-from pneutac_sim.mpm.user_mesh import lattice_inside, stored_mesh
+from pneutac_sim.mpm.parameters import parameter
+from pneutac_sim.mpm.user_mesh import stored_mesh
 from pneutac_sim.twin import Twin
 
 # DIGIT's housing is 27 x 20 x 18 mm (Lambeta et al. 2020); it lies beyond the tip, back against the mount.
@@ -34,9 +33,7 @@ def body_mesh(twin: Twin) -> trimesh.Trimesh:
         # a block under its window, in the gel frame of `gel.probe`: the resting surface is at z = 0
         block = trimesh.creation.box(1e-3 * np.array([*model.window_mm, model.thickness_mm]))
         return block.apply_translation((0, 0, -0.5e-3 * model.thickness_mm))
-    width = twin.parameters["width_mm"].value if "width_mm" in twin.parameters else WIDTH_MM[twin.device]
-    shape = finger_mesh if twin.device == "finger" else arm_mesh
-    return shape(1e-3 * twin.length_mm, 1e-3 * width)
+    return SHAPES[twin.device](1e-3 * twin.length_mm, 1e-3 * parameter(twin, "width_mm"))
 
 
 def finger_mesh(length_m: float, width_m: float) -> trimesh.Trimesh:
@@ -54,6 +51,9 @@ def arm_mesh(length_m: float, width_m: float) -> trimesh.Trimesh:
     lobes = np.cos(3 * (angle - np.pi / 2))
     section = 0.5 * width_m * (0.9 + 0.1 * lobes)[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
     return _tube(length_m, section, 0.15 * np.ones(ANGLES))
+
+
+SHAPES = {"finger": finger_mesh, "arm": arm_mesh}
 
 
 def digit_mount_mesh(length_m: float, width_m: float) -> trimesh.Trimesh:
@@ -100,65 +100,20 @@ def _tube(length_m: float, section: np.ndarray, depth: np.ndarray) -> trimesh.Tr
     return mesh
 
 
-SPACINGS = np.linspace(-0.08, 0.08, 33)  # tried, off the one that volume and number of particles give
-GOOD = 0.01  # relative error at which the search ends
-
-
-def filled_body(name: str, mesh: trimesh.Trimesh, material: Material, particles: int) -> Body:
-    """A body held at its least x, on the lattice that errs least in number of particles and in volume.
-
-    Both jump with the spacing, as a section is so many whole particles wide: spacings, and one particle more
-    or less across, are tried, the nearest spacing first. The mesh is in m, closed and turned outward.
-
-    Raises InputError where the mesh is open, or no particle lies inside.
-    """
-    volume = float(mesh.volume) if mesh.is_watertight else 0.0
-    if not volume > 0:
-        raise InputError(f"Body '{name}': the mesh is open, empty or turned inside out, so it has no inside.")
-    triangles = np.ascontiguousarray(mesh.triangles, float)
-    low, high = mesh.bounds
-    best, least = None, np.inf
-    for step in sorted(SPACINGS, key=abs):
-        h = (1 + step) * (volume / particles) ** (1 / 3)
-        whole = (high - low) / h
-        ways = [{round(whole[0])}, *({int(n), int(n) + 1} for n in whole[1:])]
-        for counts in product(*map(sorted, ways)):
-            counts = np.maximum(counts, 1)
-            origin = (low + high) / 2 - counts * h / 2
-            cells = np.argwhere(lattice_inside(triangles, origin, counts, h))
-            error = max(abs(len(cells) / particles - 1), abs(len(cells) * h**3 / volume - 1))
-            if error < least:
-                best, least = (cells, h, origin), error
-        if least < GOOD:
-            break
-    if best is None or not len(best[0]):
-        raise InputError(f"Body '{name}': no particle of {particles} lies inside the mesh; ask for more.")
-    cells, h, origin = best
-    corner = cells.min(0)
-    return Body(name, (cells - corner).astype(np.int32), h, origin + corner * h, "x-", material)
-
-
-SHAPES = {"finger": finger_mesh, "arm": arm_mesh}
-
-
 def bending_body(twin: Twin, particles: int = 4000, mesh=None) -> Body:
     """The straight particles of a finger or an arm; `particles` and `mesh` as in `devices.finger`.
 
     Raises:
         InputError: an impossible mesh or parameter.
     """
-    kind, length = twin.device, 1e-3 * twin.length_mm
     material = Material(
         1e6 * parameter(twin, "youngs_modulus_mpa"),
         parameter(twin, "poissons_ratio"),
         parameter(twin, "density_kg_m3"),
     )
-    own = stored_mesh(twin) if mesh is None else None
-    if own is not None:
-        return filled_body(kind, own, material, particles)
-    if mesh is None:
-        mesh = SHAPES[kind](length, 1e-3 * parameter(twin, "width_mm"))
-    return Body.from_mesh(kind, mesh, material, particles=particles, clamp="x-")
+    search = mesh is None and stored_mesh(twin) is not None
+    mesh = body_mesh(twin) if mesh is None else mesh
+    return Body.from_mesh(twin.device, mesh, material, particles, "x-", search)
 
 
 @dataclass(frozen=True)

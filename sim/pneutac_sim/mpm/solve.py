@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.mpm.lagrangian_kernels import LEAST_J
+from pneutac_sim.mpm.kernels import LEAST_J
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
 from pneutac_sim.progress import Progress, no_progress

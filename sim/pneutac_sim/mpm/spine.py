@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.mpm.body import Body
-from pneutac_sim.mpm.rest_grid import RestGrid
+from pneutac_sim.mpm.body import Body, RestGrid
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ threads read neighbouring numbers (`soa`, structure of arrays).
 
 import numpy as np
 
-from pneutac_sim.mpm.rest_grid import RestGrid
+from pneutac_sim.mpm.body import RestGrid
 from pneutac_sim.mpm.runtime import struct, ti
 from pneutac_sim.mpm.spine import Spine
 

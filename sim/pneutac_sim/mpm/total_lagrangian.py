@@ -4,11 +4,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.mpm import lagrangian_steps as steps
+from pneutac_sim.mpm import kernels as steps
 from pneutac_sim.mpm import state
-from pneutac_sim.mpm.body import Body, Material
+from pneutac_sim.mpm.body import Body, Material, RestGrid
 from pneutac_sim.mpm.loads import Loads
-from pneutac_sim.mpm.rest_grid import RestGrid
 from pneutac_sim.mpm.runtime import start
 from pneutac_sim.mpm.spine import Spine
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pneutac_sim.mpm.rest_grid import SLOPE, WEIGHT
+from pneutac_sim.mpm.body import SLOPE, WEIGHT
 
 
 def _slopes(body, grid):
