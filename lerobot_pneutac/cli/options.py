@@ -188,7 +188,8 @@ def _numbers(name: str, kind: type) -> str:
     if typing.get_origin(kind) is tuple and Ellipsis not in kinds:
         whole = "whole " * (kinds[0] is int)
         return f"{len(kinds)} {whole}numbers with commas, as in --{name}={','.join('ABCDEF'[: len(kinds)])}"
-    return "a number, or several with commas, such as 15,20,15"
+    always, sometimes = _lists(kind)
+    return "a number, or several with commas, such as 15,20,15" if sometimes or always else "a number"
 
 
 def list_options(config_class: type, group: str = "") -> Iterator[Option]:

@@ -92,11 +92,21 @@ def load_pair(
     Demonstrations may lie on the Hub, and are of a task and the station of a file; see `load_demonstrations`.
     """
     if not is_dataset(recording_path):
+        no_demonstrations(recording_path, task, station)
         return load_bench_pair(twin_path, recording_path, verb)
     twin = Twin.load(twin_path)
     recording = load_demonstrations(recording_path, task, twin, station=station)
     same_device(twin, recording, twin_path, verb)
     return twin, recording
+
+
+def no_demonstrations(recording_path: Path | str, task: str, station: Path | None) -> None:
+    """Raises InputError where options of demonstrations are given with a bench recording."""
+    for name, value in (("task", task), ("station", station)):
+        if value:
+            raise InputError(
+                f"{name} is for demonstrations, but {recording_path} is a bench recording; omit it."
+            )
 
 
 def load_bench_pair(twin_path: Path, recording_path: Path, verb: str) -> tuple[Twin, Recording]:

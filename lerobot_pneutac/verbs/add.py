@@ -458,7 +458,7 @@ class AddConfig(PairOptions):
     def __post_init__(self):
         if bool(self.effect) == (self.diagnosis is not None):
             raise InputError(
-                "Give the effects with --effect=A,B, or all that a diagnosis found with --from=DIR; "
+                "Give either the effects, --effect=A,B, or all that a diagnosis found, --from=DIR; "
                 "`pneutac diagnose --out=DIR` finds what is missing."
             )
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from lerobot_pneutac.cli.options import PairOptions, keywords
 from lerobot_pneutac.cli.terminal import Terminal
+from lerobot_pneutac.study.pair import no_demonstrations
 from lerobot_pneutac.verbs.calibration import Calibration, measured_range
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations, is_dataset, load_demonstrations
 from pneutac_datasets.recording.recording import Recording
@@ -232,6 +233,7 @@ def recording_for(cfg: CalibrateConfig, scratch: Path) -> tuple[Recording | Demo
     if folder is not None and is_dataset(folder):
         known = Twin.load(cfg.twin) if exists else None
         return load_demonstrations(folder, cfg.task, known, station=cfg.station), ""
+    no_demonstrations(folder or "what is taken without --recording", cfg.task, cfg.station)
     if folder is not None:
         return Recording.load(folder), ""
     if exists:

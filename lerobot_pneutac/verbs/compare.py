@@ -12,7 +12,13 @@ import numpy as np
 
 from lerobot_pneutac.cli.options import PairOptions, keywords
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.study.pair import load_bench_pair, load_pair, same_device, with_unit_note
+from lerobot_pneutac.study.pair import (
+    load_bench_pair,
+    load_pair,
+    no_demonstrations,
+    same_device,
+    with_unit_note,
+)
 from lerobot_pneutac.verbs.result import Comparison, Result
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
@@ -200,7 +206,8 @@ def _day(recording: Recording) -> date:
         return date.fromisoformat(value or "")
     except (TypeError, ValueError):
         raise InputError(
-            f"{file}: field 'date' is {value!r}; give the day of the measurement, such as \"2026-03-01\"."
+            f"{file}: field 'date' is {'missing' if value is None else repr(value)}; give the day of the "
+            'measurement, such as "2026-03-01".'
         ) from None
 
 
@@ -260,6 +267,7 @@ class CompareConfig(PairOptions):
 def command(cfg: CompareConfig, terminal: Terminal) -> None:
     """Compares a twin with a recording, and shows where it fails."""
     if cfg.later:
+        no_demonstrations(cfg.recording, cfg.task, cfg.station)
         pairs = [load_bench_pair(cfg.twin, p, "compute ageing from") for p in (cfg.recording, *cfg.later)]
         terminal.finish(ageing(pairs[0][0], [recording for _, recording in pairs], cfg.seed), cfg.out)
         return

@@ -18,7 +18,7 @@ from lerobot_pneutac.diagnosis.thresholds import LITTLE_GAIN
 from lerobot_pneutac.reports.learn import design_page
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.study.gel_press import HeldChoice, PressChoice, held_choice, press_choices
-from lerobot_pneutac.study.pair import load_bench_pair, load_pair, same_device
+from lerobot_pneutac.study.pair import load_bench_pair, load_pair, no_demonstrations, same_device
 from lerobot_pneutac.verbs.benches import save_choice
 from lerobot_pneutac.verbs.diagnose import Diagnosis, described, load_contenders, named_terms
 from lerobot_pneutac.verbs.result import Result
@@ -335,6 +335,7 @@ def command(cfg: DesignConfig, terminal: Terminal) -> None:
         with terminal.progress() as progress:
             motion = design_motion(twin, shown, progress)
         return terminal.finish(motion, cfg.out)
+    no_demonstrations(cfg.recording, cfg.task, cfg.station)
     twin, recording = load_bench_pair(cfg.twin, cfg.recording, "design by")
     if cfg.diagnosis is None:
         raise InputError("Give the folder that `pneutac diagnose --out=DIR` wrote, as --diagnosis=DIR.")

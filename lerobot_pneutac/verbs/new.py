@@ -13,6 +13,7 @@ from rich.markup import escape
 from lerobot_pneutac.cli.options import TableOptions
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.verbs.calibration import measured_range, range_sentence
+from pneutac_datasets.demonstrations.info import is_demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import an
 from pneutac_sim.errors import InputError, check_choice
@@ -149,7 +150,11 @@ class NewConfig(TableOptions):
 
     def __post_init__(self):
         check_choice("device", self.device or DEVICES[0], DEVICES)
+        if self.length_mm is not None and not 1 <= self.length_mm <= 1000:
+            raise InputError(f"length_mm is {self.length_mm:g}; give 1 to 1000 mm.")
         if self.mesh is None:
+            if self.mesh_unit != "mm" or self.mesh_axis is not None:
+                raise InputError("mesh_unit and mesh_axis are of a --mesh=FILE; omit them, or give it.")
             return
         if self.device == "gel":
             raise InputError("--mesh is of a finger or an arm; a gel's shape is its window, omit one.")
@@ -162,6 +167,8 @@ def command(config: NewConfig, terminal: Terminal) -> None:
     if (config.twin / "twin.yaml").exists():
         raise InputError(f"{config.twin} already holds a twin; choose another folder, or delete that one.")
     check_writable(config.twin, f"--twin={config.twin}")
+    if config.recording is not None and is_demonstrations(config.recording):
+        raise InputError(f"{config.recording} holds demonstrations; give a bench recording of the device.")
     recording = Recording.load(config.recording) if config.recording is not None else None
     if recording is not None and config.device not in (None, recording.device):
         raise InputError(

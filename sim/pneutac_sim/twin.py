@@ -247,6 +247,8 @@ class Twin:
         if not file.is_file():
             if version is not None:
                 raise InputError(f"{path} has no version {version} ({file} is missing).")
+            if Path(path).is_file():
+                raise InputError(f"{path} is a file; give the folder of a twin.")
             raise InputError(
                 f"There is no twin at '{path}' (no twin.yaml); make one with "
                 f"`pneutac new {option('twin', path)}`."

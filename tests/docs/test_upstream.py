@@ -12,7 +12,7 @@ from lerobot_robot_pneutac import lerobot_inside
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("name", ["episode_hooks", "writer_survives_a_kill"])
+@pytest.mark.parametrize("name", ["episode_hooks", "writer_survives_a_kill", "similar_observations"])
 def test_a_reproduction_prints_what_its_page_says(name, tmp_path):
     """Where it prints something else LeRobot has changed: look whether a patch of ours is superfluous."""
     env = os.environ | {"HF_HOME": str(tmp_path), "HF_HUB_OFFLINE": "1"}

@@ -85,6 +85,21 @@ REFUSED = (
     ("calibrate", "--twin=finger --recording=bench --train_kpa=0,5", "train_kpa is for a fit by images, but"),
     ("calibrate", "--twin=finger --recording=bench --particles=900", "particles is for a fit by images"),
     ("calibrate", "--twin=finger --recording=bench --effects=none", "effects is for a gel.*pneutac add"),
+    *(
+        (
+            verb,
+            f"--twin=finger --recording=bench --task=switch{more}",
+            "^task is for demonstrations, but bench",
+        )
+        for verb, more in (("calibrate", ""), ("compare", ""), ("diagnose", ""), ("add", " --effect=creep"))
+    ),
+    ("compare", "--twin=finger --recording=bench --station=x", "^station is for demonstrations, but bench"),
+    ("design", "--twin=finger --recording=bench --task=egg", "^task is for demonstrations, but bench"),
+    ("new", "--twin=o --mesh_unit=m", "mesh_unit and mesh_axis are of a --mesh=FILE"),
+    ("new", "--twin=o --length_mm=-5", "^length_mm is -5; give 1 to 1000 mm"),
+    ("new", "--twin=o --length_mm=abc", "^--length_mm must be a number.$"),
+    ("new", "--twin=o --recording=shown", "^shown holds demonstrations; give a bench recording"),
+    ("compare", "--twin=bench/samples.csv --recording=bench", "is a file; give the folder of a twin"),
     ("measure", "--out=bench --bench=standin", "^out=bench is not empty; give a new folder"),
     ("export", "--twin=finger --out=finger/twin.yaml/x.py", "the folder of --out=.*, is a file"),
     ("report", "finger --rrd=finger/twin.yaml/x.rrd", "the folder of --rrd=.*, is a file; give a folder"),
@@ -103,6 +118,7 @@ def lab(tmp_path_factory):
     for name, twin in (("finger", Twin.builtin()), ("loaded", loaded), ("gel", gel)):
         twin.save(folder / name)
     shutil.copytree(GOLDEN / "finger_creep", folder / "bench")
+    shutil.copytree(GOLDEN / "demos", folder / "shown")
     return folder
 
 
