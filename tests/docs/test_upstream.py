@@ -17,7 +17,9 @@ def test_a_reproduction_prints_what_its_page_says(name, tmp_path):
     """Where it prints something else LeRobot has changed: look whether a patch of ours is superfluous."""
     env = os.environ | {"HF_HOME": str(tmp_path), "HF_HUB_OFFLINE": "1"}
     script = ROOT / "docs/upstream" / f"{name}.py"
-    done = subprocess.run([sys.executable, script], env=env, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(
+        [sys.executable, script], env=env, cwd=tmp_path, capture_output=True, text=True, timeout=300
+    )
     assert done.returncode == 0, done.stderr[-3000:]
     (shown,) = re.findall(r"```text\n(.*?)```", script.with_suffix(".md").read_text(), re.S)
     lines = [re.sub(r"\d+ observations", "n observations", line) for line in shown.splitlines()]
