@@ -59,8 +59,6 @@ class Evidence:
             is no later part of the same conditions.
         program: error over noise of programs, each predicted by a fit to all others; None where the recording
             names less than two.
-        learnt: error over noise of all samples that the model was fitted to or chosen on; None where the
-            noise cannot be determined.
         agreed: share of split seeds that chose the same.
         noise_known: whether the noise was declared or measured by repeats.
         explained: share of all that the device does that the model predicts, effects of the twin included; of
@@ -79,7 +77,6 @@ class Evidence:
     forward: bool = True
     interval: tuple[float, float] | None = None
     later: float | None = None
-    learnt: float | None = None
     program: float | None = None
     agreed: float = 1.0
     noise_known: bool = True
@@ -165,7 +162,7 @@ def explained(e: Evidence) -> Explained:
     low, high = e.interval or (e.after, e.after)
     if e.is_noise and high > T.CLOSE:
         return Explained.UNDETERMINED
-    if e.is_noise and max(x or 0.0 for x in (e.later, e.learnt, e.program)) <= T.NOISE:
+    if e.is_noise and max(e.later or 0.0, e.program or 0.0) <= T.NOISE:
         return Explained.FULLY
     if not (e.noise_known or e.is_noise) or (e.near_miss and not e.selected):
         return Explained.UNDETERMINED

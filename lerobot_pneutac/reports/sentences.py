@@ -80,7 +80,6 @@ class State:
     explained: Explained = Explained.UNDETERMINED  # how much of the error is explained
     interval: tuple[float, float] | None = None  # 95 %, of the error that remains, over the noise
     later: float | None = None  # error over noise of the later part, predicted from the earlier one
-    learnt: float | None = None  # error over noise of the samples that the model was fitted to
     program: float | None = None  # error over noise of programs, each predicted from all others
     recorded: str = ""  # the range of conditions for which the answers hold, such as `up to 62 kPa`
     mechanisms: tuple[Mechanism, ...] = ()  # what each may be; empty without calibrated probabilities
@@ -153,7 +152,6 @@ def state_of(study: EffectStudy, outcome: Outcome) -> State:
         explained=o.explained,
         interval=e.interval,
         later=e.later,
-        learnt=e.learnt,
         program=e.program,
         recorded=study.recorded,
         mechanisms=tuple(o.mechanisms) if named else (),
@@ -199,7 +197,6 @@ def explanation(s: State) -> str:
             where = {
                 "the last part, predicted from the first": s.later,
                 "programs that are predicted from all others": s.program,
-                "the samples that the model was fitted to": s.learnt,
             }
             worst = max(where, key=lambda k: where[k] or 0.0)
             return (

@@ -267,7 +267,6 @@ class EffectStudy(Study, ABC):
             before=float(np.sqrt(worst)) / floor if known else None,
             after=float(np.sqrt(rest)) / floor if known else None,
             interval=(low / floor, high / floor) if known else None,
-            learnt=root_mean(squared[parts.learnt]) / floor if known else None,
             selected=selected,
             removed=float(np.clip(self.removed(worst, rest, floor), -1, 1)) if selected else 0.0,
             at_bound=[n for n in self.at_bound(after, selected) if n.rpartition(".")[0] in selected],

@@ -23,12 +23,13 @@ from pneutac_datasets.recording.mounts import align_mounts
 from pneutac_datasets.recording.noise import noise_floor
 from pneutac_datasets.recording.pressures import supply_limits
 from pneutac_datasets.recording.recording import Recording
-from pneutac_datasets.recording.wording import listed, plural
+from pneutac_datasets.recording.wording import joined, listed, plural
 from pneutac_sim.effects.laws import family, is_law, law, law_names
 from pneutac_sim.effects.registry import body_effects, get_effect, of_body
 from pneutac_sim.finger.confidence import Z95, confidence
 from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.inputs import conditions_of
+from pneutac_sim.finger.instants import step_rows
 from pneutac_sim.twin import Twin, Value
 
 
@@ -383,6 +384,24 @@ class BodyBase(EffectStudy):
         )
 
     def caveats(self, outcome: Outcome) -> list[str]:
+        """What the log of pressures and commands leaves open."""
+        return [*self._unsent(outcome), *self._unread()]
+
+    def _unsent(self, outcome: Outcome) -> list[str]:
+        """That a quick effect of the air was found without the times at which commands were sent."""
+        samples = self.recording.samples
+        quick = [e for e in outcome.selected if get_effect(e).stage == "pneumatics"]
+        if not quick or "time_sent_s" in samples or not len(step_rows(self.recording)):
+            return []
+        row = 1e3 * float(np.median(np.diff(samples["time_s"].to_numpy(float))))
+        return [
+            f"When commands were sent is not logged, so each step's instant between two samples ({row:.0f} "
+            f"ms) was fitted together with {joined([e.replace('_', ' ') for e in quick])}: what takes less "
+            "than that is not determined, and the error on a recording with column time_sent_s may be "
+            "larger. Log it."
+        ]
+
+    def _unread(self) -> list[str]:
         """What the pressure log leaves open, where there is one."""
         logged = [c.replace("cmd_", "") for c in self.recording.pressure_columns]
         if self.measured or not all(map(self.recording.has, logged)):

@@ -17,6 +17,7 @@ from lerobot_pneutac.study.data_breaks import change_break, slip_break
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.laws import family
 from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.finger.instants import step_rows
 
 MOST_ROWS = 1700  # of the learning part that fits use
 SMOOTH_SAMPLES = 2.0
@@ -73,6 +74,10 @@ class BodySearch:
         self.left_out: dict[str, str] = {}
         learn = np.flatnonzero(study.parts.learnt)
         self.rows = learn[:: max(1, len(learn) // MOST_ROWS)]
+        if "time_sent_s" in study.recording.samples:
+            # What is quick in the air shows in a sample or two after a step alone, in few of all rows.
+            steps = step_rows(study.recording)
+            self.rows = np.union1d(self.rows, np.intersect1d(np.r_[steps, steps + 1], learn))
         self.unit = study.parts.unit[self.rows]
         self.fold = deal_folds(self.unit, 5, study.seed)
         self.bootstrap = BlockBootstrap(

@@ -50,7 +50,7 @@ def show(answers: Sequence[dict], console: Console) -> None:
     for name, chosen, ratio in (
         ("all", answers, "ratio"),
         ("nothing changes between the days", steady, "ratio"),
-        ("the same, in directions of gravity of day 1", steady, "ratio_recorded"),
+        ("the same, as day 1 was recorded", steady, "ratio_recorded"),
     ):
         ends = [a for a in chosen if a.get(ratio, a["ratio"]) <= ENDS]
         called = [a for a in chosen if a["explained"] == "fully"]

@@ -4,7 +4,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -82,16 +82,23 @@ class Days:
         """Effects that are of the device."""
         return [e for e in self.truth.effects if EFFECTS[e].physics]
 
-    def residual(self, twin: Twin) -> np.ndarray:
-        """(n, k) of day 2, predicted from its commands alone."""
+    def residual(self, twin: Twin, judge: Recording | None = None) -> np.ndarray:
+        """(n, k) of day 2, or of it without some columns, predicted from its commands alone."""
         from lerobot_pneutac.diagnosis.experiment import predict, read
 
-        data = read(self.judge, twin)
+        data = read(judge or self.judge, twin)
         return data.measured[:, : data.counted] - predict(twin, data)[0]
 
     def recorded(self, twin: Twin) -> float:
-        """Root mean square error of day 2 in directions of gravity that day 1 had."""
-        residual, names = self.residual(twin), [f"gravity_{a}" for a in "xyz"]
+        """Root mean square error of day 2 as day 1 was recorded.
+
+        In the directions of gravity of day 1, and without the times at which commands were sent where day 1
+        has none: constants shorter than a sample then hold with fitted instants of steps alone.
+        """
+        judge, sent = self.judge, "time_sent_s"
+        if sent not in self.learn.samples:
+            judge = replace(judge, samples=judge.samples.drop(columns=sent, errors="ignore"))
+        residual, names = self.residual(twin, judge), [f"gravity_{a}" for a in "xyz"]
         if names[0] not in self.learn.samples:
             return rms(residual)
         first, second = (r.samples[names].to_numpy(float) for r in (self.learn, self.judge))
@@ -155,7 +162,7 @@ def scored(days: Days, d, seconds: float) -> dict:
         "test_before": d.before["heldout"], "test_after": d.after["heldout"],
         "black_box": evidence.left_to_black_box, "agreed": evidence.agreed, "forward": evidence.forward,
         "interval": evidence.interval, "later": evidence.later, "error": evidence.after,
-        "learnt": evidence.learnt, "program": evidence.program,
+        "program": evidence.program,
         "ratio_recorded": days.recorded(d.outcome.after.twin) / floor,
         "explained": d.explained.value, "noise_known": evidence.noise_known,
         "causes": [

@@ -185,10 +185,6 @@ def right_of(s: State) -> float | None:
             {"later": 1.1, "program": 1.8, "explained": Explained.MOSTLY},
             "but 1.80 times the noise in programs that are predicted from all others",
         ),
-        (
-            {"later": 1.1, "learnt": 1.6, "explained": Explained.MOSTLY},
-            "but 1.60 times the noise in the samples that the model was fitted to",
-        ),
         ({"explained": Explained.UNDETERMINED}, "undetermined, since the error is known too roughly"),
         ({"at_noise": False, "rest": 0.9, "explained": Explained.NO}, "Explained: no. The error is 2.00"),
         ({"noise": None}, "Explained: undetermined, since the noise is not known."),

@@ -8,6 +8,7 @@
 import os
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -208,8 +209,13 @@ def test_effects_without_their_column_are_listed_with_the_remedy(bench):
     poor = Recording(
         recording.folder, recording.meta, recording.samples.drop(columns=["temperature_c"]), "finger"
     )
-    untested = study_of(twin_of(recording), poor, 0).untested
-    assert "record column temperature_c" in next(u.reason for u in untested if u.name == "thermal")
+    study = study_of(twin_of(recording), poor, 0)
+    assert "record column temperature_c" in next(u.reason for u in study.untested if u.name == "thermal")
+    air, body = (SimpleNamespace(selected=[e]) for e in ("valve_lag", "creep"))
+    assert "together with valve lag: what takes less" in " ".join(study.caveats(air))
+    assert "together with" not in " ".join(study.caveats(body))
+    study.recording.samples["time_sent_s"] = study.recording.samples["time_s"]
+    assert "together with" not in " ".join(study.caveats(air))
 
 
 def test_the_proposed_experiment_separates_the_rivals(bench):
