@@ -24,7 +24,7 @@ from lerobot_pneutac.study.base import EffectStudy
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel
 from pneutac_datasets.recording.noise import headline
 from pneutac_datasets.recording.recording import Recording
-from pneutac_datasets.recording.tracker import where
+from pneutac_datasets.recording.sensors import where
 
 NEAR, LEAST_NEAR = 4, 2  # samples on each side of a jump, in the same trial: most and least
 SLIP_ENDS = 20  # samples at both ends of a recording where nothing lasts

@@ -49,7 +49,7 @@ class LightCalibration(Calibration):
         return out + ([self.dragging.sentence(self.dragged_before)] if self.dragging else [])
 
     def _noted(self) -> dict:
-        return {"dragging": self.dragging.kept(self.task)} if self.dragging else {}
+        return {"dragging": self.dragging.to_history(self.task)} if self.dragging else {}
 
     def content(self) -> dict:
         return super().content() | {"light": self.light.to_dict(), "before": self.before}

@@ -14,7 +14,7 @@ from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.measuring.camera import Intrinsics, MarkerTracker, track_aruco, track_dots
 from pneutac_datasets.recording import rules
 from pneutac_datasets.recording.recording import Recording
-from pneutac_datasets.recording.sources import mocap, plain
+from pneutac_datasets.recording.sources import plain, readers
 from pneutac_datasets.recording.sources.columns import Column, parse_columns
 from pneutac_datasets.recording.sources.frame import (
     BaseFrame,
@@ -25,10 +25,9 @@ from pneutac_datasets.recording.sources.frame import (
     of_body,
     of_motion,
     shifted,
-    tabled,
 )
-from pneutac_datasets.recording.sources.mocap import read_rosbag
 from pneutac_datasets.recording.sources.plain import Given, Understood
+from pneutac_datasets.recording.sources.readers import read_rosbag
 from pneutac_datasets.recording.wording import listed
 from pneutac_sim.errors import InputError
 
@@ -117,16 +116,14 @@ def convert(config: ConvertConfig, show: Callable[[Understood], None] = lambda u
         tip = source.track(config.tip, "tip")
         frame = _frame(source.track(config.base, "base"), tip, config, commanded(tip, log, columns))
     elif any(re.match("tip_|bend_|q_", c) for c in config.columns.values()):  # a bag of numbers alone
-        table = log.table({n: Column.parsed(n, c).column for n, c in config.columns.items()})
-        tip = frame = None
+        names = {n: Column.parsed(n, c).column for n, c in config.columns.items()}
+        tip, recording = None, log.recording(names, {"length_mm": config.length_mm})
     else:
         raise InputError(
             f"{config.source} has the markers {listed(source.tracks) or 'none'} and the columns"
             f" {listed(source.columns) or 'none'}; give --tip and --base, or --columns with the tip's."
         )
-    if tip is None:
-        recording = tabled(table, {"length_mm": config.length_mm})
-    else:
+    if tip is not None:
         recording = joined(tip, frame, log, columns, config.length_mm)
     recording.meta |= {"date": config.date} if config.date else {}
     recording.meta["notes"] = f"from {config.source.name}"
@@ -170,9 +167,9 @@ def _reader(path: Path) -> Callable[[Path], Source] | None:
         return read_rosbag
     if path.suffix.lower() != ".csv" or not path.is_file():
         return None
-    if mocap.is_optitrack(path):
-        return mocap.read_optitrack
-    return mocap.read_vicon if mocap.is_vicon(path) else None
+    if readers.is_optitrack(path):
+        return readers.read_optitrack
+    return readers.read_vicon if readers.is_vicon(path) else None
 
 
 def _log(config: ConvertConfig) -> Source:

@@ -54,10 +54,7 @@ class PneutacTaskConfig(EnvConfig):
     def __post_init__(self):
         if self.task is not None or not isinstance(self, HubEnvConfig):
             options.check_choice("env.task", self.task, own.task_names())
-        refuse_if(
-            self.episode_length is not None and self.episode_length < 1,
-            f"--env.episode_length is {self.episode_length}; it must be at least 1 step.",
-        )
+        options.check_range("--env.episode_length", self.episode_length, 1)
         options.check_scene("env", self.start_width, self._sizes)
         if self.tactile_points:
             self.features[POINTS_KEY] = PolicyFeature(FeatureType.STATE, (own.POINTS_SIZE,))
@@ -106,25 +103,11 @@ def _station(file: Path | None) -> dict:
 
 @EnvConfig.register_subclass("pneutac")
 @dataclass
-class PneutacEnvConfig(PneutacTaskConfig):
+class PneutacEnvConfig(options.WorldOptions, PneutacTaskConfig):
     """A manipulation task on the simulated robot."""
 
     # folder of the finger's twin, or of an arm's of several chambers; default the built-in finger's
     twin: Path | None = None
-    # how finger and gel deform: `surrogate`, by networks; `mpm`, by full material points (seconds a control
-    # step in contact, for checks); `probe`, by formulas, the one that an arm has
-    fidelity: str = "surrogate"
-    # what the twin's effects ask for, such as {temperature_c: 28, payload_g: [0, 20]}; from a range [low,
-    # high] every episode draws
-    conditions: dict[str, float | list[float]] = field(default_factory=dict)
-    # what draws touch and finger: `mesh`, light on every pixel and MuJoCo's shapes; `splats`, the Gaussians
-    # of the gel and of the twin's body, over MuJoCo's scene (needs OpenGL)
-    render: str = "mesh"
-    # pressures of the action, such as [0, 20]; default those that the twin was measured over, beyond which it
-    # is extrapolated
-    pressure_range_kpa: tuple[float, float] | None = None
-    # file `station.yaml` of arm, workspace, mount and control rate; default the paper's
-    station: Path | None = None
 
     def __post_init__(self):
         super().__post_init__()

@@ -3,8 +3,10 @@
 What simulates is imported where it is used: LeRobot's commands import the options of every device.
 """
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +22,26 @@ if TYPE_CHECKING:
     from pneutac_sim.world.station import Station
 
 
+@dataclass(kw_only=True)
+class WorldOptions:
+    """Options of every simulated world of a twin."""
+
+    # how finger and gel deform: `surrogate`, by networks; `mpm`, by full material points (seconds a control
+    # step in contact, for checks); `probe`, by formulas, the one that an arm has
+    fidelity: str = "surrogate"
+    # what the twin's effects ask for, such as {temperature_c: 28, payload_g: [0, 20]}; from a range [low,
+    # high] every episode draws
+    conditions: dict[str, float | list[float]] = field(default_factory=dict)
+    # what draws touch and finger: `mesh`, light on every pixel and MuJoCo's shapes; `splats`, the Gaussians
+    # of the gel and, in pictures of the scene, of the twin's body over MuJoCo's scene (needs OpenGL)
+    render: str = "mesh"
+    # pressures of the action, such as [0, 20]; default those that the twin was measured over, beyond which it
+    # is extrapolated
+    pressure_range_kpa: tuple[float, float] | None = None
+    # file `station.yaml` of arm, workspace, mount and control rate; default the paper's
+    station: Path | None = None
+
+
 @contextmanager
 def named(option: str) -> Iterator[None]:
     """Refuses what is an InputError inside, and names the option."""
@@ -27,6 +49,18 @@ def named(option: str) -> Iterator[None]:
         yield
     except InputError as e:
         raise DecodingError((), f"--{option}: {e}") from e
+
+
+def check_range(option: str, value: float | None, low: float, high: float = math.inf, ends: str = "[]"):
+    """Refuses a number outside of a range, of which an end with a round bracket is no part; None is none."""
+    if value is None:
+        return
+    above = low <= value if ends[0] == "[" else low < value
+    below = value <= high if ends[1] == "]" else value < high
+    words = f"{low:g} or more" if ends[0] == "[" else f"above {low:g}"
+    if high < math.inf:
+        words += f" and at most {high:g}" if ends[1] == "]" else f" and below {high:g}"
+    refuse_if(not (above and below), f"{option} is {value}; it must be {words}.")
 
 
 def check_choice(option: str, value: str, choices: tuple[str, ...]) -> None:
@@ -109,10 +143,7 @@ def check_scene(group: str, start_width: float, cameras: dict[str, tuple[int, in
     from pneutac_sim.world.base import MOST_WIDE
     from pneutac_sim.world.scene import check_camera
 
-    refuse_if(
-        not 0 <= start_width <= MOST_WIDE,
-        f"--{group}.start_width is {start_width:g}; it must be from 0 to {MOST_WIDE:g}.",
-    )
+    check_range(f"--{group}.start_width", start_width, 0, MOST_WIDE)
     with named(f"{group}.cameras"):
         for name, size in cameras.items():
             check_camera(name, size)

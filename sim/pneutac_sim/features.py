@@ -71,6 +71,17 @@ def pressure_names(chambers: int = 1) -> tuple[str, ...]:
     return tuple(f"pressure_{i}.pos" for i in range(1, chambers + 1))
 
 
+def unit_of(name: str) -> str:
+    """Unit of a number of the state or of the action, in words."""
+    if name.startswith("joint"):
+        return "rad" if name.endswith(".pos") else "rad/s"
+    if name.startswith("pressure"):
+        return "kPa"
+    contact = {"contact_area.pos": "share of the image's pixels that are in contact"}
+    contact["contact_pixels.pos"] = "log(1 + pixels in contact)"
+    return contact.get(name) or ("m/s" if name.endswith(".vel") else "m")
+
+
 def action_names(chambers: int = 1) -> tuple[str, ...]:
     """Names of the action (3 + C,) of a robot whose finger has C chambers, in order."""
     return (*VELOCITY_NAMES, *pressure_names(chambers))

@@ -8,9 +8,9 @@ from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
 from pneutac_benchmarks.policy.frames import Frames
 from pneutac_benchmarks.policy.in_memory import (
-    _card,
     _Data,
     held_out_episodes,
+    learn_from,
     new_policy,
     save,
     train,
@@ -56,7 +56,7 @@ def frames():
 @pytest.mark.parametrize("use_tactile", [True, False])
 def test_loss_and_gradients_are_those_of_forward(frames, use_tactile, monkeypatch):
     policy = new_policy(use_tactile, 3e-4, 0, "cpu", memory=True).train()
-    policy.learn_from(_card(frames), frames.rest)
+    learn_from(policy, frames)
     data = _Data(frames, policy, torch.device("cpu"))
     policy._memories = data._recalled
     rows = np.array([0, 3, 5, 11, 12, 15])  # both sides of the episodes' borders

@@ -8,8 +8,8 @@ import tempfile
 
 from pressure_rig import FIRMWARE, SimulatedTime, build
 
-from lerobot_robot_pneutac.hardware import pressure_protocol as wire
-from lerobot_robot_pneutac.hardware.pressure_protocol import Flag
+from lerobot_robot_pneutac.hardware import pneutac_serial as wire
+from lerobot_robot_pneutac.hardware.pneutac_serial import Flag
 
 PAGE = FIRMWARE.parent / "docs" / "concepts" / "controllers_promise.md"
 PICTURE = FIRMWARE.parent / "docs" / "pictures" / "controller_states.svg"

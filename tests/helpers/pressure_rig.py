@@ -12,7 +12,7 @@ import pytest
 from awake import awake_s, until
 from filelock import FileLock
 
-from lerobot_robot_pneutac.hardware import pressure_protocol as wire
+from lerobot_robot_pneutac.hardware import pneutac_serial as wire
 from lerobot_robot_pneutac.hardware.parts import HardwareFault
 from lerobot_robot_pneutac.hardware.serial_pressure import Command
 

@@ -74,7 +74,7 @@ def test_scene_cameras_come_under_lerobots_names(config):
         ({"cameras": ["back"]}, "--env.cameras: There is no camera 'back' in the scene; choose of front"),
         ({"task": "juggle"}, "'juggle'; it must be one of switch, egg, card"),
         ({"fps": 30}, "controlled at 15 Hz"),
-        ({"episode_length": 0}, "at least 1 step"),
+        ({"episode_length": 0}, "episode_length is 0; it must be 1 or more"),
         ({"twin": "/nowhere"}, "holds no twin.yaml"),
     ],
 )

@@ -19,6 +19,7 @@ from lerobot.utils.constants import ACTION, OBS_STATE
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
 from lerobot_robot_pneutac.policy.memory import of_episodes
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import Demonstrations, PneutacBCPolicy, Scaling
+from lerobot_robot_pneutac.policy.tactile_encoder import check_same_sensor
 from pneutac_benchmarks.policy.frames import Frames
 from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.features import ACTION_NAMES, IMAGE_SHAPE, STATE_NAMES
@@ -123,7 +124,7 @@ def train(
     if away.all():
         raise InputError("All episodes are held out; leave at least one to train on.")
     device = next(policy.parameters()).device
-    policy.learn_from(_card(frames), frames.rest.to(device))
+    learn_from(policy, frames)
     data = _Data(frames, policy, device)
     torch.manual_seed(seed)
     times = np.where(
@@ -204,6 +205,19 @@ class _Data:
 
 def _parts(images: np.ndarray) -> list[np.ndarray]:
     return [images[k : k + VALIDATION_BATCH] for k in range(0, len(images), VALIDATION_BATCH)]
+
+
+def learn_from(policy: PneutacBCPolicy, frames: Frames) -> None:
+    """Gives a policy the frames' rest image, and their number for its card.
+
+    Raises:
+        InputError: the rest image cannot be of the kind of sensor that the policy knows.
+    """
+    policy._demonstrations = _card(frames)
+    if policy.encoder is not None:
+        policy._dataset_rest = frames.rest.to(policy.encoder.rest_image.device)
+        check_same_sensor(policy.encoder.rest_image, policy._dataset_rest, policy._demonstrations.name)
+        policy._take_dataset_rest()
 
 
 def _card(frames: Frames) -> Demonstrations:

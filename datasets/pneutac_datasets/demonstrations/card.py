@@ -4,15 +4,10 @@ import json
 from pathlib import Path
 
 from pneutac_datasets.demonstrations.info import read_info
+from pneutac_sim.features import unit_of
 from pneutac_sim.files import write_text
 from pneutac_sim.pace import DONE, OUTCOME_FILE, read_outcomes
 from pneutac_sim.world.station import Station, station_file
-
-UNITS = {
-    "ee_x.pos": "m", "ee_y.pos": "m", "ee_z.pos": "m", "dx.vel": "m/s", "dy.vel": "m/s", "dz.vel": "m/s",
-    "contact_area.pos": "share of the image's pixels in contact",
-    "contact_pixels.pos": "log(1 + pixels in contact)",
-}  # fmt: skip
 
 
 def write_card(
@@ -69,13 +64,7 @@ def _rows(key: str, feature: dict) -> list[str]:
     if feature["dtype"] in ("video", "image"):
         return [f"| `{key}` | {' x '.join(map(str, feature['shape']))} {feature['dtype']}, RGB | 0 to 255 |"]
     if isinstance(names, list) and key in ("observation.state", "action"):
-        return [f"| `{key}` | `{name}` | {_unit(name)} |" for name in names]
+        return [f"| `{key}` | `{name}` | {unit_of(name)} |" for name in names]
     units = ", ".join(dict.fromkeys((feature.get("info") or {}).get("units", [])))
     unit = units or {"timestamp": "s"}.get(key, "")
     return [f"| `{key}` | {json.dumps(list(feature['shape']))} {feature['dtype']} | {unit} |"]
-
-
-def _unit(name: str) -> str:
-    if name.startswith("joint"):
-        return "rad" if name.endswith(".pos") else "rad/s"
-    return "kPa" if name.startswith("pressure") else UNITS.get(name, "")

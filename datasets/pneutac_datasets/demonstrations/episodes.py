@@ -8,27 +8,21 @@ from types import MappingProxyType
 
 import numpy as np
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
-from lerobot.utils.constants import ACTION, DEFAULT_FEATURES, OBS_IMAGES, OBS_STATE, OBS_STR
+from lerobot.utils.constants import ACTION, DEFAULT_FEATURES, OBS_STATE, OBS_STR
 
+from pneutac_datasets.demonstrations.faults import FURTHER, TACTILE, feature_faults
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
-    IMAGE_NAME,
     POINTS_KEY,
     POINTS_SIZE,
     VELOCITY_NAMES,
     Places,
-    action_names,
-    chamber_count,
     joint_count,
-    state_names_like,
 )
 from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.world.look import points_info
-from pneutac_sim.world.scene import SCENE_CAMERAS
 
-TACTILE = f"{OBS_IMAGES}.{IMAGE_NAME}"
 POINTS = f"{OBS_STR}.{POINTS_KEY}"  # touch as data
-FURTHER = (POINTS, *(f"{OBS_IMAGES}.{name}" for name in SCENE_CAMERAS))  # demonstrations may have them
 
 
 @dataclass
@@ -116,23 +110,9 @@ def _nearest(times: np.ndarray) -> np.ndarray:
 
 def demonstration_features(meta: LeRobotDatasetMetadata) -> dict:
     """The dataset's own features but `FURTHER`; raises InputError where they are no pneutac robot's."""
+    if faults := feature_faults(meta.features, Path(meta.root) / "meta" / "info.json"):
+        raise InputError(faults[0])
     features = {k: dict(f) for k, f in meta.features.items() if k not in (*DEFAULT_FEATURES, *FURTHER)}
-    if set(features) != {OBS_STATE, ACTION, TACTILE}:
-        raise InputError(
-            f"Dataset '{meta.repo_id}' has the features {', '.join(features)}; demonstrations have exactly"
-            f" {OBS_STATE}, {ACTION} and {TACTILE}."
-        )
-    there = features[OBS_STATE]["names"]
-    own = state_names_like(there if isinstance(there, list) else [])
-    for key, names in ((OBS_STATE, own), (ACTION, action_names(chamber_count(own)))):
-        if features[key]["names"] != list(names):
-            raise InputError(
-                f"Dataset '{meta.repo_id}': '{key}' has the names {features[key]['names']}; it must have"
-                f" {list(names)}."
-            )
-    shape = tuple(features[TACTILE]["shape"])
-    if len(shape) != 3 or shape[2] != 3:
-        raise InputError(f"Dataset '{meta.repo_id}': '{TACTILE}' is {shape}; it must be (height, width, 3).")
     features[TACTILE] = _before_encoding(features[TACTILE])
     return features
 

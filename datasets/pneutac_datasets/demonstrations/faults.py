@@ -2,7 +2,6 @@
 
 import difflib
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -66,9 +65,13 @@ def demonstration_faults(
         return [f"'{folder}' holds no LeRobotDataset (no meta/info.json)."]
     info = read_info(file)
     station, chambers = station or Station(), CHAMBERS.get(twin.device, 1)
-    found = _of_features(info["features"], file, GelModel.from_twin(twin).rest_image.shape, chambers)
+    found = feature_faults(info["features"], file, GelModel.from_twin(twin).rest_image.shape, chambers)
     if not measured and info.get("fps") != station.control_hz:
-        found.append(f"{file}: {wrong_rate(info.get('fps'), station.control_hz)}")
+        found.append(
+            f"{file}: {info.get('fps')} fps, but the station's control rate is {station.control_hz} Hz; give"
+            " the station.yaml that they were recorded in by --station=, or record with"
+            f" --dataset.fps={station.control_hz}."
+        )
     damaged = dataset_faults(folder, info)
     if damaged or any(f"'{name}'" in sentence for sentence in found for name in (STATE, ACTION)):
         return damaged + found  # which numbers are which is not known
@@ -163,14 +166,6 @@ def _read_episodes(folder: Path, info: dict) -> Episodes:
             values.append(column(file, table, key, info["features"][key]["shape"]))
     episode, state, action = (np.concatenate(values) for values in parts.values())
     return {int(e): (state[episode == e], action[episode == e]) for e in np.unique(episode)}
-
-
-def wrong_rate(fps: Any, control_hz: int) -> str:
-    """What is said of demonstrations at another rate than the station's."""
-    return (
-        f"{fps} fps, but the station's control rate is {control_hz} Hz; give the station.yaml that they were"
-        f" recorded in by --station=, or record with --dataset.fps={control_hz}."
-    )
 
 
 def demonstration_notes(folder: str | Path, station: Station) -> list[str]:
@@ -305,22 +300,22 @@ def _of_motion(folder: Path, info: dict, episodes: Episodes) -> tuple[list[str],
         )
     if not moved:
         return faults, notes
-    for name, axis, went, asked in zip(
+    for name, axis, motion, command in zip(
         VELOCITY_NAMES, "xyz", np.vstack(moved).T, np.vstack(commanded).T, strict=True
     ):
-        went_mm, asked_mm = (1e3 * float(np.sqrt(np.mean(x**2))) for x in (went, asked))
-        if max(went_mm, asked_mm) < MOVES_MM:
+        moved_mm, commanded_mm = (1e3 * float(np.sqrt(np.mean(x**2))) for x in (motion, command))
+        if max(moved_mm, commanded_mm) < MOVES_MM:
             continue
         begin = f"{folder}: action '{name}' and observation.state 'ee_{axis}.pos' do not fit:"
         how = (
-            f"in {WINDOW_S:g} s the flange moves by {went_mm:.3g} mm and the command asks for "
-            f"{asked_mm:.3g} mm"
+            f"in {WINDOW_S:g} s the flange moves by {moved_mm:.3g} mm and the command asks for "
+            f"{commanded_mm:.3g} mm"
         )
-        if min(went_mm, asked_mm) < SLIGHT * max(went_mm, asked_mm):
+        if min(moved_mm, commanded_mm) < SLIGHT * max(moved_mm, commanded_mm):
             faults.append(f"{begin} {how}; record velocities in m/s and places in m, of the same axes.")
             continue
-        follows = float(went @ asked / np.sqrt((went @ went) * (asked @ asked)))
-        factor = float(went @ asked / (asked @ asked))
+        follows = float(motion @ command / np.sqrt((motion @ motion) * (command @ command)))
+        factor = float(motion @ command / (command @ command))
         if follows < LEAST_FOLLOWING:
             does = "moves against" if follows < -LEAST_FOLLOWING else "does not follow"
             faults.append(
@@ -358,52 +353,55 @@ def _of_joints(folder: Path, episodes: Episodes, station: Station) -> list[str]:
     ]
 
 
-def _of_features(features: dict, file: Path, image_shape: tuple[int, ...], chambers: int) -> list[str]:
-    found = []
+def feature_faults(
+    features: dict, file: Path, image_shape: tuple[int, ...] | None = None, chambers: int | None = None
+) -> list[str]:
+    """One sentence for each feature that is no demonstration's.
+
+    `image_shape` is that of the twin's sensor and `chambers` its finger's; None for those of the dataset.
+    """
     wanted = [STATE, ACTION, TACTILE]
-    for key in wanted:
-        if key not in features:
-            found.append(
-                f"{file}: feature '{key}' is missing{_close(key, features)}; record it with this robot."
-            )
-    more = [k for k in features if k not in (*wanted, *FURTHER, *OWN)]
-    if more:
+    found = [
+        f"{file}: feature '{key}' is missing{_close(key, features)}; record it with this robot."
+        for key in wanted
+        if key not in features
+    ]
+    if more := [k for k in features if k not in (*wanted, *FURTHER, *OWN)]:
         found.append(
             f"{file}: feature {', '.join(more)} is none of a demonstration's; take it out with"
             " lerobot-edit-dataset --operation.type=remove_feature."
         )
-    for key in (STATE, ACTION):
-        there = (features.get(key) or {}).get("names")
-        if key in features and not (isinstance(there, list) and all(isinstance(n, str) for n in there)):
+    for key in (key for key in (STATE, ACTION) if key in features):
+        there, shape = features[key].get("names"), features[key].get("shape")
+        if not (isinstance(there, list) and all(isinstance(n, str) for n in there)):
             found.append(
                 f"{file}: '{key}' has the names {shown(there)}; write one list of the numbers' names,"
                 f" {list(state_names_like([]) if key == STATE else action_names(1))}."
             )
             continue
-        there = there or []
-        there_are = chamber_count(there)
-        names = state_names_like(map(str, there)) if key == STATE else action_names(there_are)
-        if there_are != chambers:
+        count = chamber_count(there)
+        names = list(state_names_like(there) if key == STATE else action_names(count))
+        missing = [f"'{n}'{_close(n, there)}" for n in names if n not in there]
+        if chambers not in (None, count):
             found.append(
-                f"{file}: '{key}' has {there_are} pressure{'s' * (there_are > 1)} and the twin"
-                f" {chambers} chamber{'s' * (chambers > 1)}; give the twin of the body that was recorded."
+                f"{file}: '{key}' has {count} pressure{'s' * (count > 1)} and the twin {chambers}"
+                f" chamber{'s' * (chambers > 1)}; give the twin of the body that was recorded."
             )
-        elif key in features and there != list(names):
-            missing = [f"'{n}'{_close(n, there)}" for n in names if n not in there]
+        elif there != names:
             what = f"lacks {', '.join(missing)}" if missing else f"has the names {there} in another order"
-            found.append(f"{file}: '{key}' {what}; it must have {list(names)}.")
-        elif key in features and features[key].get("shape") != [len(names)]:
-            found.append(
-                f"{file}: '{key}' has {len(names)} names and the shape"
-                f" {shown(features[key].get('shape'))}; it must be [{len(names)}]."
-            )
-    shape = tuple((features.get(TACTILE) or {}).get("shape", image_shape))
+            found.append(f"{file}: '{key}' {what}; it must have {names}.")
+        elif shape not in ([len(names)], (len(names),)):
+            text = f"'{key}' has {len(names)} names and the shape {shown(shape)}"
+            found.append(f"{file}: {text}; it must be [{len(names)}].")
+    shape = tuple((features.get(TACTILE) or {}).get("shape", image_shape or (1, 1, 3)))
     if len(shape) == 3 and shape[0] == 3 and shape[2] != 3:
         found.append(
             f"{file}: the shape of '{TACTILE}' is {list(shape)}, channels first; write"
             f" {[*shape[1:], 3]} and the names height, width, channels."
         )
-    elif shape != image_shape:
+    elif image_shape is None and (len(shape) != 3 or shape[2] != 3):
+        found.append(f"{file}: '{TACTILE}' is {shape}; it must be (height, width, 3).")
+    elif image_shape not in (None, shape):
         found.append(
             f"{file}: the images '{TACTILE}' are {shape} and those of the twin's sensor {image_shape}; give"
             " the twin of the sensor that recorded them, at their size."

@@ -36,10 +36,10 @@ def is_demonstrations(folder: str | Path) -> bool:
     if not file.is_file():
         return False
     info = read_info(file)
-    features = info.get("features")
-    if not isinstance(features, dict) or not {STATE, ACTION} & set(features):
+    features = info["features"]
+    if not {STATE, ACTION} & set(features):
         return False
-    entries = {str(n) for f in features.values() if isinstance(f, dict) for n in _names(f)} | set(features)
+    entries = {str(n) for f in features.values() for n in _names(f)} | set(features)
     measured = any(re.fullmatch(r"pressure_cmd_(\d+_)?kpa", n) for n in entries)
     return not (measured and info.get("robot_type") != ROBOT)
 
@@ -203,18 +203,18 @@ def _episodes(folder: Path, info: dict, repair: str) -> list[dict]:
     files = sorted((folder / "meta" / "episodes").glob("*/*.parquet"))
     if not files:
         raise InputError(f"{folder / 'meta' / 'episodes'} holds no .parquet file; run {repair}.")
-    asked = ["episode_index", "tasks", "length", "dataset_from_index", "dataset_to_index"]
+    wanted = ["episode_index", "tasks", "length", "dataset_from_index", "dataset_to_index"]
     for key in _of_kind(info, "video"):
-        asked += [f"videos/{key}/{n}" for n in ("chunk_index", "file_index", "from_timestamp")]
+        wanted += [f"videos/{key}/{n}" for n in ("chunk_index", "file_index", "from_timestamp")]
     rows: list[dict] = []
     for file in files:
         table = _read_parquet(file, f"run {repair}")
-        missing = [name for name in asked if name not in table.column_names]
+        missing = [name for name in wanted if name not in table.column_names]
         if missing:
             raise InputError(
                 f"{file} lacks the column '{missing[0]}'; delete meta/episodes and run {repair}."
             )
-        rows += table.select(asked).to_pylist()
+        rows += table.select(wanted).to_pylist()
     rows.sort(key=lambda row: (row["episode_index"] is None, row["episode_index"]))
     if [row["episode_index"] for row in rows] != list(range(len(rows))):
         raise InputError(

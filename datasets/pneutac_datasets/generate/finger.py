@@ -203,8 +203,13 @@ def generate(
     if not 1 <= minutes <= 60 or not 5 <= hz <= 100:
         raise InputError(f"minutes={minutes}, hz={hz}: minutes must be 1 to 60 and hz 5 to 100.")
     trials = session(1.0, 60 * minutes, hz, np.random.default_rng([seed, 1]))
+    fine = []  # times and commands on the simulation's grid, straight between samples
+    for t in trials:
+        sampled_s = np.arange(len(t.command)) / hz
+        time_s = np.arange(round(sampled_s[-1] / DT_S) + 1) * DT_S
+        fine.append(("", time_s, np.interp(time_s, sampled_s, t.command)))
     plan = given(
-        [("", *_straight(t.command, hz)) for t in trials],
+        fine,
         REST_S,
         1 / hz,
         {c: np.array([getattr(t, c) for t in trials]) for c in ("gravity", "payload_g", "temperature_c")},
@@ -235,10 +240,3 @@ def generate(
     }
     write_truth(out, truth)
     return truth
-
-
-def _straight(command: list[float], hz: float) -> tuple[np.ndarray, np.ndarray]:
-    """Times (n,) in s of the fine grid, and the command there, straight between its samples."""
-    sampled_s = np.arange(len(command)) / hz
-    time_s = np.arange(round(sampled_s[-1] / DT_S) + 1) * DT_S
-    return time_s, np.interp(time_s, sampled_s, command)

@@ -13,13 +13,12 @@ from itertools import product
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pneutac_datasets.recording import gauges, pressures, tracker
+from pneutac_datasets.recording import pressures, sensors
 from pneutac_datasets.recording.blocks import time_blocks
-from pneutac_datasets.recording.gauges import measured_pressures
 from pneutac_datasets.recording.memory import regress, static_columns
 from pneutac_datasets.recording.noise import headline, noise_floor
 from pneutac_datasets.recording.recording import Recording
-from pneutac_datasets.recording.tracker import where
+from pneutac_datasets.recording.sensors import measured_pressures, where
 from pneutac_datasets.recording.wording import Finding, plural
 
 LAGS = 6
@@ -161,7 +160,7 @@ def late_command(recording: Recording) -> list[Finding]:
         ahead = [lead for lead in leads if lead > 0]
         if len(leads) >= 5 and len(ahead) >= 0.8 * len(leads):
             late, shown = int(np.median(ahead)), f"in {len(ahead)} of {len(leads)} steps"
-        elif name in gauges and (late := _foreseen(recording, name, seen[0])):
+        elif name in gauges and (late := _predicted_ahead(recording, name, seen[0])):
             shown = "all along"
         else:
             continue
@@ -188,14 +187,14 @@ def _leads(recording: Recording, name: str, seen: list[str], rows: slice, reach:
         if not rested or i + 5 > len(u) or np.abs(u[i : i + 10] - u[i - 1]).max() < 0.1 * reach:
             continue
         calm = y[i - 10 : i - 4]
-        way = y[min(i + 10, len(y) - 1)] - calm.mean(0)
-        along = (y[i - 10 : i] - calm.mean(0)) @ way / max(np.linalg.norm(way), 1e-12)
-        ahead = along[::-1] > max(0.03 * np.linalg.norm(way), 6 * along[:6].std(), 1e-12)
+        motion = y[min(i + 10, len(y) - 1)] - calm.mean(0)
+        along = (y[i - 10 : i] - calm.mean(0)) @ motion / max(np.linalg.norm(motion), 1e-12)
+        ahead = along[::-1] > max(0.03 * np.linalg.norm(motion), 6 * along[:6].std(), 1e-12)
         out.append(int(np.argmin(np.r_[ahead, False])))
     return out
 
 
-def _foreseen(recording: Recording, name: str, gauge: str) -> int:
+def _predicted_ahead(recording: Recording, name: str, gauge: str) -> int:
     """How many rows ahead of an ever changing command its measured pressure is."""
     late = 0
     for ahead in (1, 2, 3):
@@ -302,19 +301,16 @@ def misplaced_tip(recording: Recording) -> list[Finding]:
     tip = recording.samples[names].to_numpy(float)
     tip = tip[:: max(1, len(tip) // MOST_TIPS)] / length
     x, aside = tip[:, 0], np.linalg.norm(tip[:, 1:], axis=1)
-    sideways = " and ".join(names[1:])
     now, readings = _off_path(x, aside), []
     if now < OFF_PATH:
         return []
     for (in_x, kx), (in_z, kz) in product(LENGTHS.items(), LENGTHS.items()):
         if kx == kz == 1:
             continue
-        which = " and ".join(names) if kx == kz else sideways if kx == 1 else "tip_x_mm"
-        if kx == kz or 1 in (kx, kz):
-            unit = in_z if kx == 1 else in_x
-            remedy = f"{which} can only be in {unit}; multiply by {kz if kx == 1 else kx:g}"
-        else:
-            remedy = f"tip_x_mm can only be in {in_x} and {sideways} in {in_z}; multiply by {kx:g} and {kz:g}"
+        units = [("tip_x_mm", in_x, kx), (" and ".join(names[1:]), in_z, kz)]
+        units = [(" and ".join(names), in_x, kx)] if kx == kz else [u for u in units if u[2] != 1]
+        remedy = " and ".join(f"{which} can only be in {unit}" for which, unit, _ in units)
+        remedy += f"; multiply by {' and '.join(f'{k:g}' for *_, k in units)}"
         readings.append((_off_path(kx * x, kz * aside), remedy, max(kx, kz)))
     readings.append(
         (_off_path(x + 1, aside), f"x is counted from the tip at rest; add {length:g} to tip_x_mm", 1)
@@ -447,13 +443,13 @@ def _trend(design: np.ndarray, y: np.ndarray, done: np.ndarray, block: np.ndarra
 
 
 LOOKS = (
-    tracker.jumps,
-    tracker.frozen,
-    tracker.stale,
-    gauges.saturated,
-    gauges.clipped_command,
-    gauges.coarse,
-    gauges.repeated,
+    sensors.jumps,
+    sensors.frozen,
+    sensors.stale,
+    sensors.saturated,
+    sensors.clipped_command,
+    sensors.coarse,
+    sensors.repeated,
     clock,
     closed_loop,
     late_command,

@@ -127,7 +127,7 @@ class GelRecording:
         clocks = _clock(recording.samples)
         for (i, row), clock in zip(recording.samples.iterrows(), clocks, strict=True):
             out.samples.append(_sample(recording, out, rests, int(i), row, clock))
-        _tell_earlier(recording, out.samples)
+        _fill_earlier(recording, out.samples)
         out.warnings += [*(_misplaced(out) or _doubtful(out)), *_rest_doubts(out)]
         return out
 
@@ -162,21 +162,18 @@ def gel_faults(recording: Recording) -> tuple[list[str], list[str]]:
     faults: list[str] = []
     try:
         gel, rests = _begun(recording)
-    except InputError as e:
-        return [str(e)], []
-    for i, row in recording.samples.iterrows():
-        try:
-            _sample(recording, gel, rests, int(i), row, 0.0)
-        except InputError as e:
-            faults.append(str(e))
-    if faults:
-        return list(dict.fromkeys(faults)), []
-    try:
+        for i, row in recording.samples.iterrows():
+            try:
+                _sample(recording, gel, rests, int(i), row, 0.0)
+            except InputError as e:
+                faults.append(str(e))
+        if faults:
+            return list(dict.fromkeys(faults)), []
         data = GelRecording.load(recording)
-        faults = pair_faults(recording, data)
+        notes = [f"{recording.folder}: {note}" for note in data.warnings[len(recording.warnings) :]]
+        return pair_faults(recording, data), notes
     except InputError as e:
         return [str(e)], []
-    return faults, [f"{recording.folder}: {note}" for note in data.warnings[len(recording.warnings) :]]
 
 
 def pair_faults(recording: Recording, data: GelRecording) -> list[str]:
@@ -241,7 +238,7 @@ def _clock(samples: pd.DataFrame) -> np.ndarray:
     return np.arange(len(samples)) / max(len(samples) - 1, 1)
 
 
-def _tell_earlier(recording: Recording, samples: list[GelSample]) -> None:
+def _fill_earlier(recording: Recording, samples: list[GelSample]) -> None:
     """Fills in what came before each photograph, by `time_s` and `hold_s`; a new rest image starts again."""
     if not recording.has("hold_s"):
         return

@@ -78,7 +78,7 @@ LEFT = 0.5  # of the error, which a motion may leave
 PIECES, FINE = 8, 64  # of a trial: for the bootstrap, and to deal into two folds
 ASTRAY = 3.0  # times the error of a static map that a motion may lie from that of the map
 MOST_ROWS = 2000  # to fit memory by
-DRAWS, SURE = 400, 0.01
+DRAWS, SIGNIFICANCE = 400, 0.01
 
 ROUNDS = 6  # of fitting map and motion in turn
 
@@ -118,17 +118,17 @@ class Case:
 
     Args:
         bench: the recording.
-        alike: trials of the first mount.
+        first: trials of the first mount.
         session: trials that were perhaps mounted otherwise.
 
     Attributes:
         error: distance from a map of the first mount, as measured and moved, on rows that were not used to
-            fit the motion; after `sure`.
+            fit the motion; after `moved_significantly`.
     """
 
-    def __init__(self, bench: Bench, alike: list[int], session: list[int]):
+    def __init__(self, bench: Bench, first: list[int], session: list[int]):
         self._bench = bench
-        there, here = (self._rows(trials) for trials in (alike, session))
+        there, here = (self._rows(trials) for trials in (first, session))
         low, high = (f(bench.p[there], axis=0, initial=w) for f, w in ((np.min, np.inf), (np.max, -np.inf)))
         here = here[((bench.p[here] >= low) & (bench.p[here] <= high)).all(1)]
         few = 3 * bench.static.shape[1]
@@ -142,7 +142,7 @@ class Case:
         self._late, self._odd = piece % FINE >= FINE // 2, piece % 2 == 1
         self.error = (np.nan, np.nan)
 
-    def sure(self) -> bool:
+    def moved_significantly(self) -> bool:
         """Whether a motion significantly removes most of the error, early and late, memory included."""
         if not self._enough:
             return False
@@ -150,7 +150,7 @@ class Case:
         self.error = tuple(float(np.sqrt(e[self._here].mean())) for e in (before, after))
         if not self._falls(before, after, self._here):
             return False
-        return self._falls(*self._beside_memory(), np.ones(len(self._y), bool))
+        return self._falls(*self._with_memory(), np.ones(len(self._y), bool))
 
     def motions(self) -> tuple[Motion, Motion]:
         """Motions onto the first mount: by the static map, and one with memory where that is significant."""
@@ -215,7 +215,7 @@ class Case:
             after[judged] = ((motion(self._y) - goal) ** 2).sum(1)[judged]
         return before, after
 
-    def _beside_memory(self) -> tuple[np.ndarray, np.ndarray]:
+    def _with_memory(self) -> tuple[np.ndarray, np.ndarray]:
         """Squared distance (n,) from a map of both mounts with memory, as measured and moved.
 
         A point of space that leaves its path was not moved by pressure; so besides memory a zero and a gain
@@ -223,12 +223,12 @@ class Case:
         mount.
         """
         before, after = np.empty(len(self._y)), np.empty(len(self._y))
-        for told in (self._odd, ~self._odd):
+        for fitted in (self._odd, ~self._odd):
             for out, moves in ((before, False), (after, True)):
-                found = [self._learn(past, told, moves) for past in self._past()]
+                found = [self._learn(past, fitted, moves) for past in self._past()]
                 if self._bench.turns:
-                    found += [self._learn(self._own(past), told, moves) for past in self._past()]
-                out[~told] = min(found, key=lambda f: f[0][told].mean())[0][~told]
+                    found += [self._learn(self._own(past), fitted, moves) for past in self._past()]
+                out[~fitted] = min(found, key=lambda f: f[0][fitted].mean())[0][~fitted]
         return before, after
 
     def _past(self) -> Iterator[np.ndarray]:
@@ -240,16 +240,16 @@ class Case:
         here = self._here[:, None] * self._bench.own + 0 * p
         return np.concatenate([past, [here, here * p]])
 
-    def _learn(self, past: np.ndarray, told: np.ndarray, moves: bool) -> tuple[np.ndarray, Motion]:
+    def _learn(self, past: np.ndarray, fitted: np.ndarray, moves: bool) -> tuple[np.ndarray, Motion]:
         """Squared distance (n,) from a map with memory fitted to some rows, and the motion that it allows."""
         memory = Memory(self._bench.p[self._rows_of], past)
         motion = Motion.fit(self._y, self._y, False)
         if moves:
-            motion = self._fit_motion(self._y, self._goal(told), self._here & told)
+            motion = self._fit_motion(self._y, self._goal(fitted), self._here & fitted)
         for _ in range(ROUNDS):
             y = np.where(self._here[:, None], motion(self._y), self._y)
             small = motion.small(y, self._here, self._bench.turns)
-            goal, step = memory.round(y, told, small if moves else small[..., :0])
+            goal, step = memory.round(y, fitted, small if moves else small[..., :0])
             motion = motion.then(step) if moves else motion
         y = np.where(self._here[:, None], motion(self._y), self._y)
         return ((y - goal) ** 2).sum(1), motion
@@ -261,8 +261,8 @@ class Case:
         at = np.unique(self._piece[rows], return_inverse=True)[1]
         a, b = (np.bincount(at, (weight * e)[rows]) for e in (before, after))
         draws = np.random.default_rng(0).integers(len(a), size=(DRAWS, len(a)))
-        sure = np.quantile((a - b)[draws].sum(1), SURE) > 0
-        return bool(sure and b.sum() <= LEFT**2 * a.sum())
+        significant = np.quantile((a - b)[draws].sum(1), SIGNIFICANCE) > 0
+        return bool(significant and b.sum() <= LEFT**2 * a.sum())
 
 
 FAR = 0.05  # of the device's length: the least distance that is looked into
@@ -292,25 +292,25 @@ def align_mounts(
     sweeps = _sweeps(recording, columns, train)
     far = FAR * length_mm / quantities.weight(unit, "mm", length_mm)
     order = list(sweeps)
-    apart = [t for t in order if _apart(sweeps[order[0]], sweeps[t], far)]
-    if not apart:
+    different = [t for t in order if _mounted_differently(sweeps[order[0]], sweeps[t], far)]
+    if not different:
         return recording, []
     bench = Bench(recording, columns, train)
-    alike = order[: order.index(apart[0])]  # later ones may be of any mount
+    first = order[: order.index(different[0])]  # later ones may be of any mount
     begun = _begun(recording)
-    others = [t for t in bench.trials if t not in alike and _same(begun, alike[0], t)]
+    others = [t for t in bench.trials if t not in first and _same(begun, first[0], t)]
     moved: dict[int, Motion] = {}
     sentences = []
-    for session in _runs(sweeps, order, apart, far):
-        case = Case(bench, alike, [t for t in session if t not in moved])
-        if case.sure():
+    for session in _runs(sweeps, order, different, far):
+        case = Case(bench, first, [t for t in session if t not in moved])
+        if case.moved_significantly():
             rough, motion = case.motions()
-            way = _against(sweeps[order[0]], sweeps[session[0]])
+            opposite = _opposite(sweeps[order[0]], sweeps[session[0]])
             free = [t for t in others if t not in moved]
-            free = [t for t in free if t not in sweeps or _against(sweeps[order[0]], sweeps[t]) == way]
-            joined = [t for t in free if Case(bench, alike, [t]).halves(rough)]
+            free = [t for t in free if t not in sweeps or _opposite(sweeps[order[0]], sweeps[t]) == opposite]
+            joined = [t for t in free if Case(bench, first, [t]).halves(rough)]
             moved |= dict.fromkeys(joined, motion)
-            sentences += [_sentence(case, motion, alike, joined, unit)] if joined else []
+            sentences += [_sentence(case, motion, first, joined, unit)] if joined else []
     return (_moved(recording, columns, moved), sentences) if moved else (recording, [])
 
 
@@ -355,7 +355,7 @@ def _same(begun: dict[int, np.ndarray], a: int, b: int) -> bool:
     return bool((np.abs(begun[a] - begun[b]) <= 1 + 1e-12).all())
 
 
-def _apart(a: np.ndarray, b: np.ndarray, far: float) -> bool:
+def _mounted_differently(a: np.ndarray, b: np.ndarray, far: float) -> bool:
     """Whether two trials lie far from each other at rest, or bend in other directions."""
     if np.linalg.norm(a[0] - b[0]) >= far:
         return True
@@ -368,28 +368,30 @@ def _apart(a: np.ndarray, b: np.ndarray, far: float) -> bool:
     return bool(abs(np.degrees(roll)) >= TURNED_DEG)
 
 
-def _against(a: np.ndarray, b: np.ndarray) -> bool:
+def _opposite(a: np.ndarray, b: np.ndarray) -> bool:
     return bool((a[1:] * b[1:]).sum() < 0)
 
 
-def _runs(sweeps: dict[int, np.ndarray], order: list[int], apart: list[int], far: float) -> list[list[int]]:
+def _runs(
+    sweeps: dict[int, np.ndarray], order: list[int], different: list[int], far: float
+) -> list[list[int]]:
     """Trials that differ from the first one, in runs whose trials are similar."""
     runs: list[list[int]] = []
     for before, trial in zip([None, *order], order, strict=False):
-        if trial in apart:
-            if before not in apart or _apart(sweeps[runs[-1][0]], sweeps[trial], far):
+        if trial in different:
+            if before not in different or _mounted_differently(sweeps[runs[-1][0]], sweeps[trial], far):
                 runs.append([])
             runs[-1].append(trial)
     return runs
 
 
-def _sentence(case: Case, motion: Motion, alike: list[int], moved: list[int], unit: str) -> str:
+def _sentence(case: Case, motion: Motion, first: list[int], moved: list[int], unit: str) -> str:
     turns = len(motion.shift) > 1 and unit == "mm"
     how = f"turned by {motion.angle_deg:.0f} degrees and shifted" if turns else "shifted"
     far, (before, after) = case.reach(motion), case.error
     return (
         f"The device was mounted differently in {_trials(moved)}: at equal pressures it is {far:.3g} {unit} "
-        f"away from {_trials(alike)}, early and late in a trial, and no memory effect explains that. "
+        f"away from {_trials(first)}, early and late in a trial, and no memory effect explains that. "
         f"Data of {_trials(moved)} are {how} onto the first mount. On rows that were not used to fit the "
         f"motion this reduces the distance from {before:.3g} to {after:.3g} {unit}."
     )

@@ -16,54 +16,39 @@ from pneutac_sim.splat.camera import Camera
 SHADOW = 0.5  # how much of a mere change of brightness counts: shadows on the backdrop are that
 NOISE = 10  # median deviations of unchanged pixels that a change must exceed
 SURE = 2  # a change this many times over the threshold is certainly the body's
-ALIKE = 0.12  # distance of shares of red, green and blue up to which a pixel is of a given colour
 ITERATIONS = 4  # of GrabCut
 LEAST = 1e-3  # of the picture that a body fills
 
 
-def segment(image: np.ndarray, background: np.ndarray | None = None, colour=None) -> np.ndarray:
-    """Mask of the body: what differs from the empty scene, or looks like a colour; refined by GrabCut.
+def segment(image: np.ndarray, background: np.ndarray) -> np.ndarray:
+    """Mask of the body: what differs from the empty scene, refined by GrabCut.
 
     Args:
         image: RGB uint8 (H, W, 3).
-        background: the same scene without the body, RGB uint8 (H, W, 3); the safer way.
-        colour: RGB (3,) or several (k, 3), 0 to 255, of a body of few colours that its surroundings do not
-            have; brightness does not count.
+        background: the same scene without the body, RGB uint8 (H, W, 3).
 
     Returns:
         bool (H, W): the largest connected piece, without holes.
 
     Raises:
-        InputError: neither or both of `background` and `colour`, shapes that differ, or nothing found.
+        InputError: shapes that differ, or nothing found.
     """
-    _picture("image", image)
-    if (background is None) == (colour is None):
-        raise InputError("Give segment either the background without the body, or the body's colour.")
-    if background is not None:
-        _picture("background", background)
-        if background.shape != image.shape:
-            raise InputError(
-                f"The background is of shape {background.shape}, the image of {image.shape}; take both with "
-                "the same camera."
-            )
-        difference = _lab(image) - _lab(background)
-        difference[..., 0] *= SHADOW
-        away = cv2.GaussianBlur(np.linalg.norm(difference, axis=-1), (0, 0), 1.0)
-        quiet = float(np.median(away))  # most of the picture has not changed
-        likely, threshold = away, quiet + NOISE * max(float(np.median(np.abs(away - quiet))), 0.3)
-    else:
-        colours = np.asarray(colour, float)
-        if colours.size == 0 or colours.shape[-1] != 3 or not ((colours >= 0) & (colours <= 255)).all():
-            raise InputError(f"colour is {colour}; give RGB from 0 to 255, one or several.")
-        chroma, known = _chroma(cv2.GaussianBlur(image, (0, 0), 1.0)), _chroma(colours.reshape(-1, 3))
-        away = np.min([np.linalg.norm(chroma - k, axis=-1) for k in known], axis=0)
-        likely, threshold = -away, -ALIKE
-    mask = _largest(likely > threshold)
+    if background.shape != image.shape:
+        raise InputError(
+            f"The background is of shape {background.shape}, the image of {image.shape}; take both with "
+            "the same camera."
+        )
+    lab = [cv2.cvtColor(i.astype(np.float32) / 255, cv2.COLOR_RGB2LAB) for i in (image, background)]
+    difference = lab[0] - lab[1]  # CIE L*a*b*, L from 0 to 100
+    difference[..., 0] *= SHADOW
+    away = cv2.GaussianBlur(np.linalg.norm(difference, axis=-1), (0, 0), 1.0)
+    quiet = float(np.median(away))  # most of the picture has not changed
+    threshold = quiet + NOISE * max(float(np.median(np.abs(away - quiet))), 0.3)
+    mask = _largest(away > threshold)
     seeds = np.where(mask, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
     edge = max(3, round(0.01 * image.shape[0]))  # px, within which GrabCut may move the outline
     seeds[cv2.dilate(mask.astype(np.uint8), _disc(edge)) == 0] = cv2.GC_BGD
-    inner = cv2.erode(mask.astype(np.uint8), _disc(edge if background is None else 2)) > 0
-    seeds[inner & (likely > (SURE * threshold if background is not None else threshold))] = cv2.GC_FGD
+    seeds[(cv2.erode(mask.astype(np.uint8), _disc(2)) > 0) & (away > SURE * threshold)] = cv2.GC_FGD
     if (seeds == cv2.GC_BGD).any():
         models = np.zeros((2, 1, 65))
         cv2.setRNGSeed(0)
@@ -95,23 +80,6 @@ def _disc(radius: int) -> np.ndarray:
     return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
 
 
-def _lab(image: np.ndarray) -> np.ndarray:
-    """CIE L*a*b*, float32 (H, W, 3), L from 0 to 100."""
-    return cv2.cvtColor(image.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
-
-
-def _chroma(rgb: np.ndarray) -> np.ndarray:
-    """Shares of red, green and blue, free of brightness except in the dark, where noise would rule."""
-    return rgb / (rgb.sum(-1, keepdims=True, dtype=float) + 20)
-
-
-def _picture(name: str, image) -> None:
-    if not (
-        isinstance(image, np.ndarray) and image.dtype == np.uint8 and image.ndim == 3 and image.shape[2] == 3
-    ):
-        raise InputError(f"The {name} must be RGB uint8 of shape (height, width, 3).")
-
-
 def masked_cameras(recording: Recording) -> list[str]:
     """Names of cameras that took images with masks, or with a photograph of the empty scene.
 
@@ -124,8 +92,7 @@ def masked_cameras(recording: Recording) -> list[str]:
     names = [n for n in names if recording.has(f"mask_{n}") or background_of(recording, n)]
     if names or not (recording.has("image") and recording.has("mask")):
         return names
-    cameras = recording.meta.get("cameras")
-    described = list(cameras) if isinstance(cameras, dict) else []
+    described = list(recording.meta.get("cameras", {}))
     if len(described) != 1:
         wrong = (
             f"{listed(described)}; name the columns image_<camera> and mask_<camera>"
@@ -141,9 +108,7 @@ def masked_cameras(recording: Recording) -> list[str]:
 
 def background_of(recording: Recording, camera: str) -> str | None:
     """The photograph of the scene without the body, `background` of the camera in `recording.json`."""
-    cameras = recording.meta.get("cameras")
-    described = cameras.get(camera) if isinstance(cameras, dict) else None
-    return described.get("background") if isinstance(described, dict) else None
+    return recording.meta.get("cameras", {}).get(camera, {}).get("background")
 
 
 def column_of(recording: Recording, kind: str, camera: str) -> str:
@@ -159,18 +124,16 @@ def read_camera(recording: Recording, name: str) -> Camera:
     Raises:
         InputError: `recording.json` does not describe it, or does so wrongly.
     """
-    described = recording.meta.get("cameras")
-    if not isinstance(described, dict) or name not in described or not isinstance(described[name], dict):
+    described = recording.meta.get("cameras", {})
+    if name not in described:
         raise InputError(
             f"{recording.folder / 'recording.json'}: field 'cameras' does not describe {shown(name)}; give "
             'it {"intrinsics": 3x3 in px, "extrinsics": 4x4 from base to camera in m}.'
         )
     height, width = recording.image(recording.column(column_of(recording, "image", name))[0]).shape[:2]
-    lens = described[name].get("distortion", ())
+    intrinsics, extrinsics = (described[name].get(f) for f in ("intrinsics", "extrinsics"))
     try:
-        return Camera(
-            described[name].get("intrinsics"), described[name].get("extrinsics"), width, height, lens
-        )
+        return Camera(intrinsics, extrinsics, width, height, described[name].get("distortion", ()))
     except InputError as e:
         raise InputError(f"{recording.folder / 'recording.json'}: camera {shown(name)}: {e}") from e
 
@@ -190,10 +153,7 @@ def read_photograph(recording: Recording, row: int, camera: str) -> tuple[np.nda
             raise InputError(f"{recording.folder}: {columns['image']} of row {row + 1}: {e}") from e
     mask = recording.image(recording.column(columns["mask"])[row])[..., 0] > 127
     if mask.shape != image.shape[:2]:
-        sizes = (f"{a.shape[1]} x {a.shape[0]}" for a in (mask, image))
-        raise InputError(
-            "{}: {} of row {} has {} pixels, its image {}; give both the same size.".format(
-                recording.folder, columns["mask"], row + 1, *sizes
-            )
-        )
+        given, wanted = (f"{a.shape[1]} x {a.shape[0]}" for a in (mask, image))
+        where = f"{recording.folder}: {columns['mask']} of row {row + 1}"
+        raise InputError(f"{where} has {given} pixels, its image {wanted}; give both the same size.")
     return image, mask

@@ -90,62 +90,43 @@ def _judged(recording: Recording, measured: str, command: str) -> tuple[Recordin
     raw = recording.column(command).astype(float)
     pair = _lagged(recording, measured, command)
     without = replace(recording, samples=recording.samples.drop(columns=measured))
-
-    def left_out(kind: str, text: str, rows=(), **numbers: float) -> tuple[Recording, list[Finding]]:
-        return without, [Finding(kind, text, (measured,), np.array(rows, int), numbers)]
-
     if pair.range_kpa <= 1e-3:
         return recording, []
+
+    def left_out(kind: str, text: str, rows=(), **numbers: float) -> tuple[Recording, list[Finding]]:
+        text = f"Column '{measured}' {text}; {ALONE}."
+        return without, [Finding(kind, text, (measured,), np.array(rows, int), numbers)]
+
     if np.ptp(pair.p) < 1e-6 * pair.range_kpa:
-        return left_out(
-            "gauge_stuck",
-            f"Column '{measured}' stands at {pair.p[0]:.4g} in every row while '{command}' moves: the gauge "
-            f"carries no information; {ALONE}.",
-            at=float(pair.p[0]),
-        )
+        at = float(pair.p[0])
+        text = f"stands at {at:.4g} in every row while '{command}' moves: the gauge carries no information"
+        return left_out("gauge_stuck", text, at=at)
     flat = [end for sign in (1, -1) if (end := _end(pair, sign)) is not None]
     for end in flat:
         way = _device_goes_on(recording, pair, end.rows)
         if way is False:
             continue
-        to = f"{end.begin:.4g} to {end.far:.4g} kPa"
-        goes = "" if way is None else f" and the {recording.device} follows the command"
-        why = "the gauge saturates" + ("" if way else ", or the supply ends there")
-        return left_out(
-            "saturated",
-            f"Column '{measured}' stays at {end.level:.4g} while '{command}' goes on from {to}{goes}: "
-            f"{why}; {ALONE}.",
-            np.flatnonzero(end.rows),
-            at=end.level,
-        )
+        text = f"stays at {end.level:.4g} while '{command}' goes on from {end.begin:.4g} to {end.far:.4g} kPa"
+        text += "" if way is None else f" and the {recording.device} follows the command"
+        text += ": the gauge saturates" + ("" if way else ", or the supply ends there")
+        return left_out("saturated", text, np.flatnonzero(end.rows), at=end.level)
     inside = ~np.any([end.rows for end in flat], axis=0) if flat else np.ones(len(pair.p), bool)
     stuck = _stuck(pair, inside)
     if len(stuck):
         trial, t = (recording.column(c)[stuck[0]] for c in ("trial", "time_s"))
         when = f"in {len(stuck) / len(pair.p):.0%} of the rows (first in trial {trial} at {t:.2f} s)"
         when = "throughout" if len(stuck) > 0.9 * inside.sum() else when
-        return left_out(
-            "gauge_stuck",
-            f"Column '{measured}' stands near {np.median(pair.p[stuck]):.4g} {when} while '{command}' moves: "
-            f"the gauge was stuck; {ALONE}.",
-            stuck,
-            at=float(np.median(pair.p[stuck])),
-        )
+        at = float(np.median(pair.p[stuck]))
+        text = f"stands near {at:.4g} {when} while '{command}' moves: the gauge was stuck"
+        return left_out("gauge_stuck", text, stuck, at=at)
     late = _late(recording, measured, inside)
     if late:
-        return left_out(
-            "gauge_late",
-            f"Column '{measured}' shows each change {late:.2g} s after the {recording.device} has moved: it "
-            f"is read late; {ALONE}.",
-            late_s=late,
-        )
+        text = f"shows each change {late:.2g} s after the {recording.device} has moved: it is read late"
+        return left_out("gauge_late", text, late_s=late)
     slope, at_zero, correlation = pair.line(inside)
     if abs(correlation) < LEAST_CORRELATION:
-        return left_out(
-            "gauge_alone",
-            f"Column '{measured}' does not follow '{command}' (correlation {correlation:.2f}): {ALONE}.",
-            correlation=correlation,
-        )
+        text = f"does not follow '{command}' (correlation {correlation:.2f})"
+        return left_out("gauge_alone", text, correlation=correlation)
     rest = float(raw[np.argmin(np.abs(raw))])
     offset = at_zero + (slope - 1) * rest
     for unit, kpa in UNITS.items():
@@ -157,7 +138,8 @@ def _judged(recording: Recording, measured: str, command: str) -> tuple[Recordin
                 )
                 return without, [Finding("other_unit", text, (wrong,), numbers={"ratio": slope})]
     if not SCALES[0] < slope < SCALES[1]:
-        return left_out("gauge_scale", _other_scale(measured, command, raw, slope, at_zero), ratio=slope)
+        text = _other_scale(measured, command, raw, slope, at_zero)
+        return without, [Finding("gauge_scale", text, (measured,), numbers={"ratio": slope})]
     found = []
     noise = float(np.median(np.abs(np.diff(pair.p)))) if len(pair.p) > 1 else 0.0
     if abs(offset) > max(OFFSET * pair.range_kpa, 5 * noise):

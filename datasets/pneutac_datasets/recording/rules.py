@@ -214,7 +214,10 @@ def check_samples(
     warnings: list[str] = []
     if len(samples) == 0:
         raise InputError(f"{file} has a header but no rows; record at least one trial.")
-    _check_columns(samples, device, file)
+    if missing := missing_columns(samples, device, file):
+        (_, first), *others = missing.items()
+        also = f" Missing too: {listed(repr(name) for name, _ in others)}." if others else ""
+        raise InputError(first + also)
     _check_texts(samples, file)
     samples = clean_numbers(samples, device, file)
     samples["trial"] = clean_trials(samples["trial"], file)
@@ -256,13 +259,6 @@ def _check_texts(samples: pd.DataFrame, file: Path) -> None:
                     f"{file}: {shown(name)} of {row_name(row, file)} is {shown(text)}, which a spreadsheet or"
                     " terminal would run; write plain text."
                 )
-
-
-def _check_columns(samples: pd.DataFrame, device: str, file: Path) -> None:
-    if missing := missing_columns(samples, device, file):
-        (_, first), *others = missing.items()
-        also = f" Missing too: {listed(repr(name) for name, _ in others)}." if others else ""
-        raise InputError(first + also)
 
 
 def missing_columns(samples: pd.DataFrame, device: str, file: Path) -> dict[str, str]:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from pneutac_datasets.recording.units import unit_named
 from pneutac_datasets.recording.wording import cut, shown
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import refuse_pointer
@@ -20,7 +21,6 @@ MAX_CSV_BYTES = 300 * 2**20
 MAX_ROWS = 5_000_000
 MAX_COLUMNS = 1000
 HEAD_LINES = 400  # by which delimiter, header and decimal mark are recognised
-MAX_PREAMBLE = 200  # lines above the header
 LONGEST_LINE = 2**17
 DELIMITERS = {";": "semicolons", "\t": "tabs", ",": "commas", "|": "bars", " ": "blanks"}
 COMMENT = re.compile(r"\s*(#|%|//)")
@@ -56,7 +56,6 @@ class TextTable:
     lines: np.ndarray  # line of the file (n,) in which each row stands
     style: str = ""  # `semicolons, decimal commas`
     notes: list[str] = field(default_factory=list)  # a sentence for each thing that was left out
-    preamble: list[str] = field(default_factory=list)  # lines above the header
 
 
 def read_text(file: Path) -> TextTable:
@@ -157,9 +156,9 @@ def _read(file: Path, encoding: str, head: list[str]) -> TextTable:
     if len(frame) > MAX_ROWS:
         raise InputError(f"{file} has over {MAX_ROWS} rows; keep every n-th row.")
     lines = np.arange(len(frame)) + begin + 1
-    table = TextTable(file, frame, {}, lines, preamble=[head[i] for i in sorted(used) if i < at])
+    table = TextTable(file, frame, {}, lines)
     if units_row is not None:
-        found = [u.strip().strip("[](){}") for u in cells[units_row]]
+        found = [u.strip("[](){} ") for u in cells[units_row]]
         table.units = {c: u for c, u in zip(columns, found, strict=False) if u}
     _shape(table, names, mark)
     decimal = _texts_to_numbers(table, mark, comma)
@@ -326,11 +325,11 @@ def _delimiter(lines: list[str]) -> str:
         width = _median([len(r) for r in rows])
         if width < 2:
             continue
-        alike = [r for r in rows if len(r) == width]
-        filled = [c for r in alike for c in r if c.strip()]
+        regular = [r for r in rows if len(r) == width]
+        filled = [c for r in regular for c in r if c.strip()]
         numbers = sum(map(_is_number, filled)) / max(len(filled), 1)
         header = any(len(r) == width and 2 * _count(r) < width for r in every[: len(every) // 2 + 1])
-        score = round(len(alike) / len(rows) * (0.05 + numbers) * (1.0 if header else 0.5), 2)
+        score = round(len(regular) / len(rows) * (0.05 + numbers) * (1.0 if header else 0.5), 2)
         if score > best:
             best, chosen = score, mark
     return chosen or ","
@@ -382,11 +381,7 @@ def _definite(text: str) -> str | None:
 
 
 def _are_units(cells: list[str]) -> bool:
-    from pneutac_datasets.recording.units import unit_named
-
-    filled = [
-        c.strip().strip("[](){}") for c in cells if c.strip() and c.strip() not in ("-", "--", "[]", "[-]")
-    ]
+    filled = [c.strip("[](){} ") for c in cells if c.strip() not in ("", "-", "--", "[]", "[-]")]
     return bool(filled) and all(unit_named(c) is not None for c in filled)
 
 

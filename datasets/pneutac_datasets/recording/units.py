@@ -117,7 +117,7 @@ def unit_faults(samples: pd.DataFrame, meta: dict, file: Path) -> Iterator[str]:
 
     pascal = "pascal", "divide the column by 1000"
     kpa = beyond(r"pressure_(cmd_)?(\d+_)?kpa", MAX_PRESSURE_KPA, *pascal)
-    yield from kpa or _pressures_apart(samples, other)
+    yield from kpa or _pressures_differ(samples, other)
     yield from _tip_elsewhere(samples, meta.get("length_mm"), other)
     yield from beyond(r"bend_angle_rad|q_\d+_rad", 4 * np.pi, "degrees", "multiply the column by pi/180")
     gravity = [f"gravity_{a}" for a in "xyz"]
@@ -133,7 +133,7 @@ def unit_faults(samples: pd.DataFrame, meta: dict, file: Path) -> Iterator[str]:
     yield from beyond("temperature_c", 150, "kelvin", "subtract 273.15 from the column")
 
 
-def _pressures_apart(samples: pd.DataFrame, other: Callable[..., list[str]]) -> list[str]:
+def _pressures_differ(samples: pd.DataFrame, other: Callable[..., list[str]]) -> list[str]:
     for name in _columns(samples, r"pressure_(\d+_)?kpa"):
         command = name.replace("pressure_", "pressure_cmd_")
         if command not in samples:

@@ -59,38 +59,9 @@ def joined(names) -> str:
 class Finding:
     """One fault or peculiarity of a recording."""
 
-    kind: str  # what it is, see `KINDS`
+    kind: str  # what it is, one word
     sentence: str  # the same in words
     columns: tuple[str, ...] = ()  # concerned
     # row numbers (k,) concerned; empty where it is the whole column
     rows: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     numbers: dict[str, float] = field(default_factory=dict)  # how much, by name
-
-
-KINDS = {
-    "wrapped_angle": "an angle jumps by a whole turn; `unwrapped` 1 where that was undone",
-    "jumps": "the tracker jumps away and comes back; the rows are left out, unless `kept` is 1",
-    "shift": "the marker moves without a change of pressure that explains it and stays there",
-    "frozen": "the tracker stands still while the pressure moves; the rows are left out",
-    "stale_pose": "rows repeat the pose of the row before: `share` of all",
-    "saturated": "a sensor sticks to its extreme `at`",
-    "clipped_command": "the logged command stands at its extreme `at` while the pressure goes beyond",
-    "quantised": "readings are multiples of `step`",
-    "repeated": "a reading stands for `rows_each` rows",
-    "other_unit": "measured pressure is `ratio` times the commanded one; the gauge is left out",
-    "gauge_scale": "the same where no unit explains it",
-    "gauge_stuck": "the gauge stands `at` while its command moves; it is left out",
-    "gauge_alone": "the gauge does not follow its command; it is left out",
-    "gauge_late": "the gauge comes `late_s` after the motion; it is left out",
-    "pressure_offset": "a pressure reads `offset_kpa` more than the other at rest; it is taken off",
-    "supply_limit": "the supply ends `at` a level; commands beyond count as that",
-    "gaps": "`count` long pauses of the clock within trials",
-    "missing_rows": "`count` rows are missing from an even clock",
-    "closed_loop": "the command answers to the measured pose; `same_row` 1: to that of its own row",
-    "late_command": "the command is written `rows_late` rows after the device got it",
-    "exchanged_axes": "two tip coordinates stand in each other's place",
-    "misplaced_tip": "the tip's path is that of another unit, frame or length; `off_path` in lengths",
-    "other_way_round": "the finger bends to the negative side at positive pressure",
-    "drift": "the output moves over the session at equal pressures, each column by its number",
-    "no_measured_pressure": "air and body cannot be distinguished",
-}

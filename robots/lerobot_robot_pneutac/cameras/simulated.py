@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 from lerobot.cameras import Camera, CameraConfig
-from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
+from lerobot.utils.decorators import check_if_already_connected, check_if_not_connected
 
 from lerobot_camera_digit.elastomer import SMALLEST_PX, Framing
-from lerobot_robot_pneutac.options import refuse_if
+from lerobot_robot_pneutac.options import check_range
 from pneutac_sim.features import CAMERA_SHAPE, IMAGE_SHAPE
 
 BALL_RADIUS_M = 0.004
@@ -38,16 +38,10 @@ class DigitGeneratedConfig(CameraConfig):
     press_depth_mm: float = 0.8  # depth to which the ball comes
 
     def __post_init__(self):
-        refuse_if(
-            min(self.height, self.width) < SMALLEST_PX,
-            f"digit_generated is {self.width} wide and {self.height} high; it must have {SMALLEST_PX} px each"
-            " way at least.",
-        )
-        refuse_if(
-            not (self.fps > 0 and self.press_period_s >= 0 and self.press_depth_mm >= 0),
-            f"digit_generated has fps {self.fps}, press_period_s {self.press_period_s} and press_depth_mm"
-            f" {self.press_depth_mm}; the first must be positive and the others not negative.",
-        )
+        least = {"width": SMALLEST_PX, "height": SMALLEST_PX, "press_period_s": 0, "press_depth_mm": 0}
+        for name, low in least.items():
+            check_range(f"digit_generated: {name}", getattr(self, name), low)
+        check_range("digit_generated: fps", self.fps, 0, ends="()")
 
 
 class DigitGenerated(Camera):
@@ -73,9 +67,8 @@ class DigitGenerated(Camera):
         """None: a generated sensor is not found but made."""
         return []
 
+    @check_if_already_connected
     def connect(self, warmup: bool = True) -> None:
-        if self.is_connected:
-            raise DeviceAlreadyConnectedError(f"{self} is already connected.")
         from pneutac_sim.gel.probe import SPHERE
         from pneutac_sim.gel.sensor import TactileSensor
 
@@ -110,9 +103,8 @@ class DigitGenerated(Camera):
         self._time_s()
         self._start_s = None
 
+    @check_if_not_connected
     def _time_s(self) -> float:
-        if not self.is_connected:
-            raise DeviceNotConnectedError(f"{self} is not connected; call connect() first.")
         return time.perf_counter() - self._start_s
 
     def _image(self, frame: int) -> np.ndarray:

@@ -10,7 +10,7 @@ import draccus
 from draccus.utils import DecodingError
 
 from lerobot_robot_pneutac.hardware.parts import Arm
-from lerobot_robot_pneutac.options import check_station, refuse_if
+from lerobot_robot_pneutac.options import check_range, check_station, refuse_if
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import PANDA_JOINTS
 
@@ -48,25 +48,15 @@ class PandaConfig(ArmConfig):
 
     def __post_init__(self):
         refuse_if(not self.ip, "--robot.arm.ip is missing; give the Panda's address.")
-        refuse_if(
-            not 0 < self.dynamics <= 1,
-            f"--robot.arm.dynamics is {self.dynamics}; it must be above 0 and at most 1.",
-        )
-        refuse_if(
-            min(self.collision_n, self.collision_nm) <= 0,
-            "--robot.arm.collision_n and collision_nm must be positive.",
-        )
+        check_range("--robot.arm.dynamics", self.dynamics, 0, 1, "(]")
+        check_range("--robot.arm.collision_n", self.collision_n, 0, ends="()")
+        check_range("--robot.arm.collision_nm", self.collision_nm, 0, ends="()")
 
     def make(self) -> Arm:
         from lerobot_robot_pneutac.hardware.panda import PandaArm
 
-        return PandaArm(
-            self.ip,
-            self.dynamics,
-            collision_n=self.collision_n,
-            collision_nm=self.collision_nm,
-            realtime=self.realtime,
-        )
+        limits = {"collision_n": self.collision_n, "collision_nm": self.collision_nm}
+        return PandaArm(self.ip, self.dynamics, **limits, realtime=self.realtime)
 
 
 @ArmConfig.register_subclass("simulated")
@@ -84,7 +74,7 @@ class SimulatedArmConfig(ArmConfig):
         return self._station.joints
 
     def make(self) -> Arm:
-        from lerobot_robot_pneutac.hardware.simulated_arm import SimulatedArm
+        from lerobot_robot_pneutac.hardware.simulated import SimulatedArm
 
         return SimulatedArm(arm=_of_base(self._station))
 

@@ -15,12 +15,12 @@ class Chambers:
 
     Args:
         controllers: of the chambers, in their order.
-        alike: whether another highest set-point than the first one's is a fault.
+        same_limit: whether another highest set-point than the first one's is a fault.
     """
 
-    def __init__(self, controllers: Sequence[PressureController], alike: bool = True):
+    def __init__(self, controllers: Sequence[PressureController], same_limit: bool = True):
         self.controllers = tuple(controllers)
-        self._alike = alike
+        self._same_limit = same_limit
 
     @classmethod
     def of(cls, pressure: "PressureController | Chambers") -> "Chambers":
@@ -49,7 +49,7 @@ class Chambers:
         try:
             for c in self.controllers:
                 c.connect()
-            if self._alike and len(self) > 1 and len(set(self.max_kpa)) > 1:
+            if self._same_limit and len(self) > 1 and len(set(self.max_kpa)) > 1:
                 limits = ", ".join(f"{x:g}" for x in self.max_kpa)
                 raise HardwareFault(
                     f"The chambers' pressure controllers have different limits, {limits} kPa; give one for"

@@ -6,6 +6,8 @@ franky plans every change of velocity by Ruckig within limits of velocity, accel
 
 import logging
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -56,7 +58,7 @@ class PandaArm:
             ) from e
         self._f = franky
         realtime = franky.RealtimeConfig.Enforce if self._realtime else franky.RealtimeConfig.Ignore
-        try:
+        with self._answering():
             robot = franky.Robot(
                 self._ip,
                 relative_dynamics_factor=franky.RelativeDynamicsFactor(1.0, self._dynamics, self._dynamics),
@@ -68,17 +70,14 @@ class PandaArm:
             robot.translation_velocity_limit.set(self._speed)
             robot.set_collision_behavior(*self._collision)
             self._held = Rotation.from_matrix(robot.state.O_T_EE.matrix[:3, :3])
-        except HardwareFault:
-            raise
-        except Exception as e:
-            raise HardwareFault(f"The Panda at {self._ip} does not answer ({e}); {_DESK}.") from e
         self._robot = robot
         self._reflexes: list[float] = []
         self._clock_s, self._ticked_s = -1.0, time.monotonic()
 
     def state(self) -> ArmState:
         """The newest state; a state that does not change any more is a lost connection."""
-        s = self._call(lambda: self._need().state)
+        with self._answering():
+            s = self._need().state
         now, clock_s = time.monotonic(), s.time.to_sec()
         if clock_s != self._clock_s:
             self._clock_s, self._ticked_s = clock_s, now
@@ -97,7 +96,9 @@ class PandaArm:
         A reflex of the robot (a collision, say) is cleared and said once; this command then does nothing.
         """
         f, robot = self._f, self._need()
-        tilt = self._held * Rotation.from_matrix(self._call(lambda: robot.state).O_T_EE.matrix[:3, :3]).inv()
+        with self._answering():
+            state = robot.state
+        tilt = self._held * Rotation.from_matrix(state.O_T_EE.matrix[:3, :3]).inv()
         turn = HOLD_PER_S * tilt.as_rotvec()
         turn *= min(1.0, MAX_TURN_RAD_S / max(np.linalg.norm(turn), 1e-9))
         go = f.CartesianVelocityWaypoint(
@@ -105,19 +106,17 @@ class PandaArm:
             hold_target_duration=f.Duration(round(1000 * COMMAND_S)),
         )
         rest = f.CartesianVelocityWaypoint(f.RobotVelocity(f.Twist()))
-        try:
-            robot.poll_motion()
-            if robot.has_errors:
-                self._recover(", ".join(active(robot.state.current_errors)) or "an unnamed error")
-                return
-            robot.move(f.CartesianVelocityWaypointMotion([go, rest]), asynchronous=True)
-        except HardwareFault:
-            raise
-        except f.ControlException as e:
-            if PREEMPTED not in str(e):
-                self._recover(str(e))
-        except Exception as e:
-            raise HardwareFault(f"The Panda at {self._ip} took no command ({e}); {_DESK}.") from e
+        with self._answering("took no command"):
+            try:
+                robot.poll_motion()
+                if not robot.has_errors:
+                    robot.move(f.CartesianVelocityWaypointMotion([go, rest]), asynchronous=True)
+                    return
+                wrong = ", ".join(active(robot.state.current_errors)) or "an unnamed error"
+            except f.ControlException as e:
+                wrong = "" if PREEMPTED in str(e) else str(e)
+            if wrong:
+                self._recover(wrong)
 
     def stop(self) -> None:
         """Brings the arm to rest as fast as its limits allow; returns at once."""
@@ -156,13 +155,14 @@ class PandaArm:
             )
         logger.warning("The Panda stopped itself (%s); the error is cleared and it moves on.", what)
 
-    def _call(self, read):
+    @contextmanager
+    def _answering(self, fault: str = "does not answer") -> Iterator[None]:
         try:
-            return read()
+            yield
         except HardwareFault:
             raise
         except Exception as e:
-            raise HardwareFault(f"The Panda at {self._ip} does not answer ({e}); {_DESK}.") from e
+            raise HardwareFault(f"The Panda at {self._ip} {fault} ({e}); {_DESK}.") from e
 
     def _need(self):
         if self._robot is None:

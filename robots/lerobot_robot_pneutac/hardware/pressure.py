@@ -12,8 +12,8 @@ ENTRY_POINT_GROUP = "pneutac.pressure_controllers"
 _HERE = "lerobot_robot_pneutac.hardware"
 BUILTIN = {
     "pneutac_serial": (f"{_HERE}.pneutac_serial", "PneutacSerial"),
-    "text_serial": (f"{_HERE}.text_serial", "TextSerial"),
-    "simulated": (f"{_HERE}.simulated_pressure", "SimulatedPressure"),
+    "text_serial": (f"{_HERE}.serial_pressure", "TextSerial"),
+    "simulated": (f"{_HERE}.simulated", "SimulatedPressure"),
 }
 METHODS = ("connect", "set_pressure", "pressure", "vent", "disconnect")
 

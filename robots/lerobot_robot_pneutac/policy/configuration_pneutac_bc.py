@@ -9,7 +9,7 @@ from lerobot.optim import AdamConfig
 from lerobot.optim.schedulers import CosineDecayWithWarmupSchedulerConfig
 from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
 
-from lerobot_robot_pneutac.options import refuse_if
+from lerobot_robot_pneutac.options import check_range, refuse_if
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
     CHAMBERS,
@@ -84,26 +84,12 @@ class PneutacBCConfig(PreTrainedConfig):
 
     def __post_init__(self):
         super().__post_init__()
-        refuse_if(
-            not 0 <= self.previous_action_dropout <= 1,
-            f"--policy.previous_action_dropout is {self.previous_action_dropout}; it must be in [0, 1].",
-        )
-        refuse_if(
-            self.answer_delay is not None and self.answer_delay < 0,
-            f"--policy.answer_delay is {self.answer_delay}; it must not be negative.",
-        )
-        refuse_if(self.networks < 1, f"--policy.networks is {self.networks}; it must be at least 1.")
-        for name in ("pressure_noise_kpa", "brightness_noise_levels", "pixel_noise_levels"):
-            refuse_if(
-                getattr(self, name) < 0, f"--policy.{name} is {getattr(self, name)}; it must not be negative."
-            )
-        refuse_if(
-            not self.optimizer_lr > 0, f"--policy.optimizer_lr is {self.optimizer_lr}; it must be positive."
-        )
-        refuse_if(
-            self.control_hz is not None and self.control_hz <= 0,
-            f"--policy.control_hz is {self.control_hz}; it must be positive.",
-        )
+        check_range("--policy.previous_action_dropout", self.previous_action_dropout, 0, 1)
+        check_range("--policy.networks", self.networks, 1)
+        for name in ("answer_delay", "pressure_noise_kpa", "brightness_noise_levels", "pixel_noise_levels"):
+            check_range(f"--policy.{name}", getattr(self, name), 0)
+        check_range("--policy.optimizer_lr", self.optimizer_lr, 0, ends="()")
+        check_range("--policy.control_hz", self.control_hz, 0, ends="()")
         refuse_if(
             any(mode is not NormalizationMode.IDENTITY for mode in self.normalization_mapping.values()),
             "--policy.normalization_mapping must be IDENTITY throughout; pneutac_bc scales by itself.",
@@ -208,9 +194,12 @@ class PneutacBCConfig(PreTrainedConfig):
             extremes = [np.ravel(v) for k, v in meta.stats[key].items() if k in ("min", "max")]
             bad = [n for i, n in enumerate(names) if not all(np.isfinite(e[i]) for e in extremes)]
             if bad:
+                table = parquet.read_table(meta.root / "data", columns=["episode_index", key])
+                finite = [np.isfinite(row).all() for row in table[key].to_pylist()]
+                first = table["episode_index"][finite.index(False)]
                 raise InputError(
                     f"{where}: '{key}' contains NaN or infinity in {', '.join(bad)},"
-                    f" {_where_not_finite(meta, key)}; delete such episodes with lerobot-edit-dataset"
+                    f" first in episode {first}; delete such episodes with lerobot-edit-dataset"
                     " --operation.type=delete_episodes."
                 )
         if self.previous_action_in_data and PREVIOUS_ACTION not in meta.features:
@@ -262,13 +251,6 @@ def whole_shape(feature: dict) -> tuple[int, int, int]:
         rows, columns, _ = IMAGE_SHAPE
     rows, columns = (feature.get("info") or {}).get(POOLED_FROM, (rows, columns))
     return channels, rows, columns
-
-
-def _where_not_finite(meta, key: str) -> str:
-    """The first episode of a dataset in which a vector is not finite, in words."""
-    table = parquet.read_table(meta.root / "data", columns=["episode_index", key])
-    finite = [np.isfinite(row).all() for row in table[key].to_pylist()]
-    return f"first in episode {table['episode_index'][finite.index(False)]}"
 
 
 def _need_shape(features: dict, key: str, shape: tuple[int, ...]) -> None:

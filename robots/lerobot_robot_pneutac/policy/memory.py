@@ -54,8 +54,7 @@ class Memory:
         self._states = [*self._states, state][-longest:]
 
     def _state(self, frames: int, present: Tensor) -> Tensor:
-        kept = self._states
-        return kept[max(len(kept) - frames, 0)] if kept else present
+        return self._states[max(len(self._states) - frames, 0)] if self._states else present
 
     def _touched(self, state: Tensor) -> tuple[Tensor, Tensor]:
         """Where the last touch was (B, 3), and how long ago (B,), infinite before the first."""

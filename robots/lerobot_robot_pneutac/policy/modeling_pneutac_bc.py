@@ -53,11 +53,6 @@ from pneutac_sim.features import (
     state_names,
 )
 
-_STATE_UNITS = {
-    "contact_area.pos": "share of the image's pixels that are in contact",
-    "contact_pixels.pos": "log(1 + pixels in contact)",
-}
-
 
 @dataclass(frozen=True)
 class Demonstrations:
@@ -76,12 +71,6 @@ class Demonstrations:
     @property
     def name(self) -> str:
         return ", ".join(self.repo_ids)
-
-
-def checkpoint_step(folder: Path) -> int | None:
-    """Training steps of a checkpoint of lerobot-train, `checkpoints/<step>/pretrained_model`, else None."""
-    step = folder.parent.name
-    return int(step) if step.isdecimal() and folder.parent.parent.name == "checkpoints" else None
 
 
 def model_card(
@@ -130,23 +119,16 @@ def _feature_rows(
     config: PneutacBCConfig, limits: tuple[Sequence[float], Sequence[float]]
 ) -> list[tuple[str, str, str]]:
     """Feature, name or shape, and unit of all that goes in or comes out."""
-    pressures = features.pressure_names(config.chambers)
-
-    def unit(name: str) -> str:
-        if name.startswith("joint"):
-            return "rad" if name.endswith(".pos") else "rad/s"
-        return "kPa" if name in pressures else _STATE_UNITS.get(name, "m")
-
     unused = () if config.use_tactile else ("contact_area.pos", "contact_pixels.pos")
     rows = [
-        (OBS_STATE, f"`{n}`", unit(n) + (" (not looked at)" if n in unused else ""))
+        (OBS_STATE, f"`{n}`", features.unit_of(n) + (" (not looked at)" if n in unused else ""))
         for n in state_names(config.joints, config.chambers)
     ]
     if config.use_tactile:
         c, h, w = config.image_shape
         rows.append((TACTILE, f"{w} x {h} pixels, {c} channels, RGB", "0 to 1"))
     return rows + [
-        (ACTION, f"`{n}`", f"{'kPa' if n in pressures else 'm/s'}, {low:g} to {high:g}")
+        (ACTION, f"`{n}`", f"{features.unit_of(n)}, {low:g} to {high:g}")
         for n, low, high in zip(action_names(config.chambers), *limits, strict=True)
     ]
 
@@ -353,17 +335,6 @@ class PneutacBCPolicy(PreTrainedPolicy):
             model._take_dataset_rest()
         return model
 
-    def learn_from(self, demonstrations: Demonstrations, rest: Tensor | None) -> None:
-        """Takes another dataset's rest image (3, H, W), None without touch, and its name for the card.
-
-        Raises:
-            InputError: the rest image cannot be of the kind of sensor that the policy knows.
-        """
-        if self.encoder is not None:
-            check_same_sensor(self.encoder.rest_image, rest, demonstrations.name)
-        self._demonstrations, self._dataset_rest = demonstrations, rest if self.encoder is not None else None
-        self._take_dataset_rest()
-
     def _reach(self, scaling: Scaling) -> None:
         """Widens the limits of the action to what another dataset demonstrates; the scale stays."""
         there = scaling.tensors()
@@ -379,7 +350,10 @@ class PneutacBCPolicy(PreTrainedPolicy):
     def _save_pretrained(self, save_directory: Path, **kwargs) -> None:
         """Saves options, weights and the model card (README.md)."""
         super()._save_pretrained(save_directory, **kwargs)
-        self._card(checkpoint_step(Path(save_directory)), None).save(Path(save_directory) / "README.md")
+        parent = Path(save_directory).parent  # lerobot-train's `checkpoints/<step>/pretrained_model`
+        checkpoint = parent.name.isdecimal() and parent.parent.name == "checkpoints"
+        card = self._card(int(parent.name) if checkpoint else None, None)
+        card.save(Path(save_directory) / "README.md")
 
     def generate_model_card(self, *args, cfg=None, **kwargs) -> ModelCard:
         """The card that LeRobot pushes to the Hub with the weights; `cfg` is the TrainPipelineConfig."""

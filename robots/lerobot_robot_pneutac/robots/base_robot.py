@@ -69,9 +69,6 @@ def pose_names(chambers: int = 1) -> tuple[str, ...]:
     return ("ee_x.pos", "ee_y.pos", "ee_z.pos", *pressure_names(chambers))
 
 
-POSE_NAMES = pose_names()
-
-
 def action_names(keys: Iterable[str], bend: bool = False, chambers: int = 1) -> tuple[str, ...]:
     """Which names an action goes by: `features.action_names`, those with the bend, or the pose's.
 

@@ -46,7 +46,7 @@ class PressureConfig:
             made.append(
                 make_pressure_controller(self.type, **({"port": port} if port is not None else {}), **own)
             )
-        return Chambers(made, alike=not isinstance(self.options.get("max_kpa"), list | tuple))
+        return Chambers(made, same_limit=not isinstance(self.options.get("max_kpa"), list | tuple))
 
     def _check(self) -> None:
         if self.ports and self.port is not None:
@@ -202,10 +202,7 @@ class PneutacConfig(RobotConfig):
                 self.twin is not None,
                 "--robot.twin and --robot.contact_threshold both say where contact begins; give one of them.",
             )
-            refuse_if(
-                not 0 < self.contact_threshold < 256,
-                f"--robot.contact_threshold is {self.contact_threshold}; it must be above 0 and below 256.",
-            )
+            options.check_range("--robot.contact_threshold", self.contact_threshold, 0, 256, "()")
         if self.twin is not None:
             with named("robot.twin"):
                 self.threshold_levels()

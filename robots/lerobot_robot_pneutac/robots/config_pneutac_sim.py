@@ -13,7 +13,7 @@ from pneutac_sim.features import task_names
 
 @RobotConfig.register_subclass("pneutac_sim")
 @dataclass(kw_only=True)
-class PneutacSimConfig(RobotConfig):
+class PneutacSimConfig(options.WorldOptions, RobotConfig):
     """An arm, a Panda where no station names another, with the pneumatic finger and its gel, simulated."""
 
     # what stands in front: `switch`, `egg`, `card`, `fruit`, `cable`, `button`, or your own
@@ -22,19 +22,6 @@ class PneutacSimConfig(RobotConfig):
     # folder of the finger's twin, or of an arm's of several chambers; default the built-in finger's. On the
     # stand-in, as on the real robot, only its gel's contact threshold and the size of its images are used.
     twin: Path | None = None
-    # how finger and gel deform: `surrogate`, by networks; `mpm`, by full material points; `probe`, by
-    # formulas, the one that an arm has
-    fidelity: str = "surrogate"
-    # what the twin's effects ask for, such as {temperature_c: 28, payload_g: [0, 20]}; from a range [low,
-    # high] every episode draws
-    conditions: dict[str, float | list[float]] = field(default_factory=dict)
-    # what draws the touch: `mesh`, light on every pixel; `splats`, the Gaussians of the gel
-    render: str = "mesh"
-    # pressures that can be commanded, such as [0, 20]; default those that the twin was measured over, beyond
-    # which it is extrapolated
-    pressure_range_kpa: tuple[float, float] | None = None
-    # file `station.yaml` of arm, workspace, mount and control rate; default the paper's
-    station: Path | None = None
     standin: bool = False  # act on the stand-in for reality, which has a finger and a gel of its own
     # number of random starts that the demonstrations are to stand for: each episode begins at that one of
     # them which leaves the others nearest to a start that was done, as a person would spread a few
@@ -87,7 +74,7 @@ class PneutacSimConfig(RobotConfig):
         if self.bend:
             options.check_finger("robot", self.twin, self.conditions)
             options.check_bend("robot", self.twin)
-        refuse_if(self.spread < 0, f"--robot.spread is {self.spread}; it must not be negative.")
+        options.check_range("--robot.spread", self.spread, 0)
         options.check_station("robot.station", self.station)
         self._where = station_of(self.station)
         for name, camera in self.cameras.items():

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from lerobot.cameras import make_cameras_from_configs
-from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
+from lerobot.utils.decorators import check_if_already_connected, check_if_not_connected
 
 from lerobot_robot_pneutac.cameras.tactile import LiveCamera, Tactile
 from lerobot_robot_pneutac.hardware.safety import Guard, within
@@ -67,6 +67,7 @@ class Pneutac(BaseRobot):
         """Whether `connect` succeeded; also after a fault, until `disconnect`."""
         return self.guard is not None
 
+    @check_if_already_connected
     def connect(self, calibrate: bool = True) -> None:
         """Connects every part; the chamber is vented, the arm rests, and the gel must be free of contact.
 
@@ -74,8 +75,6 @@ class Pneutac(BaseRobot):
             HardwareFault: a part does not answer; those that did are let go again.
             InputError: `limits.pressure_kpa` is above what the controller takes.
         """
-        if self.is_connected:
-            raise DeviceAlreadyConnectedError(f"{self} is already connected.")
         self._hooks.connect()
         if self.config.bend:
             dt_s = 1 / self.config.control_hz
@@ -108,9 +107,10 @@ class Pneutac(BaseRobot):
         self.guard = guard
         guard.start()
 
+    @check_if_not_connected
     def get_observation(self) -> dict[str, Any]:
         """State (floats) and images; raises HardwareFault, and everything halts, where a part fails."""
-        guard = self._need_guard()
+        guard = self.guard
         self._hooks.observed()
         arm, kpa = guard.look()
         with guard.failing("reading the cameras"):
@@ -123,6 +123,7 @@ class Pneutac(BaseRobot):
         state = {name: float(v) for name, v in zip(self.state_names, values, strict=True)}
         return state | {IMAGE_NAME: image} | extra
 
+    @check_if_not_connected
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:
         """Carries an action out as far as the limits allow, and returns at once.
 
@@ -133,7 +134,7 @@ class Pneutac(BaseRobot):
             HardwareFault: a part failed, a limit is broken, or many actions in a row were refused.
             InputError: keys are missing, or a value is no number; everything halts.
         """
-        guard = self._need_guard()
+        guard = self.guard
         try:
             names = action_names(action, self.config.bend, self.chambers)
             values = _numbers(action, names)
@@ -156,9 +157,10 @@ class Pneutac(BaseRobot):
             sent = {name: sent.get(name, float(action[name])) for name in BEND_NAMES}
         return sent
 
+    @check_if_not_connected
     def disconnect(self) -> None:
         """Stops the arm, vents the chamber and lets every part go; never fails on a part."""
-        guard = self._need_guard()
+        guard = self.guard
         try:
             guard.close()
         finally:
@@ -174,11 +176,6 @@ class Pneutac(BaseRobot):
                     within(LET_GO_S, "It", part.disconnect)
             except Exception as e:
                 logger.error("Letting go of %s: %s", type(part).__name__, e)
-
-    def _need_guard(self) -> Guard:
-        if self.guard is None:
-            raise DeviceNotConnectedError(f"{self} is not connected; call connect() first.")
-        return self.guard
 
 
 def _numbers(action: dict[str, Any], names: tuple[str, ...]) -> np.ndarray:

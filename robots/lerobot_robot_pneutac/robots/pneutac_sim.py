@@ -5,7 +5,7 @@ from typing import Any, override
 from weakref import WeakSet
 
 import numpy as np
-from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
+from lerobot.utils.decorators import check_if_already_connected, check_if_not_connected
 
 from lerobot_robot_pneutac.options import standin_sensor, station_of, tactile_shape, twin_of
 from lerobot_robot_pneutac.robots.base_robot import BEND_NAMES, BaseRobot, action_names, pose_names
@@ -117,10 +117,9 @@ class PneutacSim(BaseRobot):
     def is_connected(self) -> bool:
         return self.world is not None
 
+    @check_if_already_connected
     def connect(self, calibrate: bool = True) -> None:
         """Builds the world and starts the first episode."""
-        if self.is_connected:
-            raise DeviceAlreadyConnectedError(f"{self} is already connected.")
         self.recording = None
         self._hooks.connect()
         logger.info("Building the world; on a new machine this takes a minute, once.")
@@ -132,9 +131,9 @@ class PneutacSim(BaseRobot):
         self._begin(self.config.seed)
         _connected.append(self)
 
+    @check_if_not_connected
     def get_observation(self) -> dict[str, Any]:
         """State (floats), tactile image uint8 (H, W, 3), and what else was asked for."""
-        self._need_world()
         self._hooks.observed()
         state = zip(self.state_names, self._observation.state.tolist(), strict=True)
         touch: dict[str, Any] = {IMAGE_NAME: self._observation.tactile}
@@ -142,6 +141,7 @@ class PneutacSim(BaseRobot):
             touch[POINTS_KEY] = tactile_points(self.world).ravel()
         return dict(state) | touch | self._scene.pictures()
 
+    @check_if_not_connected
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:
         """Moves the world on by one control step.
 
@@ -151,7 +151,6 @@ class PneutacSim(BaseRobot):
         Raises:
             InputError: keys are missing, or a value is not a finite number.
         """
-        self._need_world()
         names = action_names(action, self.config.bend, self.chambers)
         values = [action[name] for name in names]
         if names == BEND_NAMES:
@@ -201,9 +200,9 @@ class PneutacSim(BaseRobot):
     def outcome(self) -> str | None:
         return self._outcome
 
+    @check_if_not_connected
     def disconnect(self) -> None:
         """Frees the world; logs how an episode went that nobody announced, as of lerobot-replay."""
-        self._need_world()
         if self.recording is None and self._frames:
             self._log_outcome()
         _connected.remove(self)
@@ -255,10 +254,6 @@ class PneutacSim(BaseRobot):
         velocity = (pose[:3] - self._observation.state[self._places.ee]) / self.world.dt_s
         limits = features.action_limits(self.world.pressure_range_kpa, self.chambers)
         self._step(np.clip(np.append(velocity, pose[3:]), *limits))
-
-    def _need_world(self) -> None:
-        if not self.is_connected:
-            raise DeviceNotConnectedError(f"{self} is not connected; call connect() first.")
 
 
 def made_robot() -> PneutacSim | None:

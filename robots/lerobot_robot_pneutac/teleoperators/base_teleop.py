@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
 
-from lerobot_robot_pneutac.options import refuse_if
+from lerobot_robot_pneutac.options import check_range, refuse_if
 from pneutac_sim.features import ACTION_NAMES, CHAMBERS, MAX_PRESSURE_KPA, MAX_SPEED_M_S
 
 MOST_MM = 20.0  # farther the finger leaves the bar
@@ -29,10 +29,8 @@ class VelocityTeleopConfig(TeleoperatorConfig):
     chamber_shares: list[float] | None = None
 
     def __post_init__(self):
-        refuse_if(
-            not 0 < self.speed_m_s <= MAX_SPEED_M_S,
-            f"--teleop.speed_m_s is {self.speed_m_s}; it must be above 0 and at most {MAX_SPEED_M_S}.",
-        )
+        check_range("--teleop.speed_m_s", self.speed_m_s, 0, MAX_SPEED_M_S, "(]")
+        check_range("--teleop.pressure_rate_kpa_s", self.pressure_rate_kpa_s, 0, ends="()")
         low, high = self.min_pressure_kpa, self.max_pressure_kpa
         refuse_if(
             not -np.inf < low <= 0 <= high < np.inf or low == high,
@@ -54,10 +52,6 @@ class VelocityTeleopConfig(TeleoperatorConfig):
             shares is not None and given is not None,
             "--teleop.bend_range_rad is for one chamber; leave it out, or --teleop.chamber_shares.",
         )
-        refuse_if(
-            not 0 < self.pressure_rate_kpa_s < np.inf,
-            f"--teleop.pressure_rate_kpa_s is {self.pressure_rate_kpa_s}; it must be positive.",
-        )
 
 
 @TeleoperatorConfig.register_subclass("pneutac_keyboard")
@@ -75,10 +69,7 @@ class PneutacGamepadConfig(VelocityTeleopConfig):
 
     def __post_init__(self):
         super().__post_init__()
-        refuse_if(
-            not 0 <= self.dead_zone < 1,
-            f"--teleop.dead_zone is {self.dead_zone}; it must be from 0 to below 1.",
-        )
+        check_range("--teleop.dead_zone", self.dead_zone, 0, 1, "[)")
 
 
 @TeleoperatorConfig.register_subclass("pneutac_spacemouse")
@@ -105,15 +96,9 @@ class PneutacScriptedConfig(TeleoperatorConfig):
     drag_mm: float = 0.0
 
     def __post_init__(self):
-        refuse_if(
-            self.episode_steps is not None and self.episode_steps < 1,
-            f"--teleop.episode_steps is {self.episode_steps}; it must be at least 1.",
-        )
-        refuse_if(not 0 <= self.person <= 1, f"--teleop.person is {self.person:g}; it must be from 0 to 1.")
-        refuse_if(
-            not 0 <= self.drag_mm <= MOST_MM,
-            f"--teleop.drag_mm is {self.drag_mm:g}; it must be between 0 and {MOST_MM:g}.",
-        )
+        check_range("--teleop.episode_steps", self.episode_steps, 1)
+        check_range("--teleop.person", self.person, 0, 1)
+        check_range("--teleop.drag_mm", self.drag_mm, 0, MOST_MM)
 
 
 class BaseTeleop(Teleoperator):

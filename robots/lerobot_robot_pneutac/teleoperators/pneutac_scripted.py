@@ -3,7 +3,7 @@
 from typing import Any, override
 
 import numpy as np
-from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
+from lerobot.utils.decorators import check_if_already_connected, check_if_not_connected
 
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim, connected_robot, made_robot
 from lerobot_robot_pneutac.teleoperators.base_teleop import BaseTeleop, PneutacScriptedConfig
@@ -38,6 +38,7 @@ class PneutacScripted(BaseTeleop):
     def is_connected(self) -> bool:
         return self._rng is not None
 
+    @check_if_already_connected
     def connect(self, calibrate: bool = True) -> None:
         """Gets ready; the robot may be connected later, but before the first `get_action`.
 
@@ -49,19 +50,16 @@ class PneutacScripted(BaseTeleop):
                 "pneutac_scripted sees the simulated world, and there is no simulated robot here; use"
                 " --robot.type=pneutac_sim, or another --teleop.type such as pneutac_keyboard."
             )
-        if self.is_connected:
-            raise DeviceAlreadyConnectedError(f"{self} is already connected.")
         self._rng = np.random.default_rng(self.config.seed)
         self._scene: tuple[PneutacSim, int] | None = None
 
+    @check_if_not_connected
     def get_action(self) -> dict[str, Any]:
         """The expert's action for the world's present state, within the limits.
 
         Raises:
             InputError: no `pneutac_sim` robot is connected in this process, or it takes bends.
         """
-        if not self.is_connected:
-            raise DeviceNotConnectedError(f"{self} is not connected; call connect() first.")
         robot = connected_robot()
         if robot.recording is False:  # waiting is with the pressure off and the arm at rest
             return dict.fromkeys(action_names(robot.chambers), 0.0)
@@ -91,7 +89,6 @@ class PneutacScripted(BaseTeleop):
         """Number of control steps of a demonstration on a robot."""
         return self.config.episode_steps or DEMONSTRATION_S * robot.config.control_hz
 
+    @check_if_not_connected
     def disconnect(self) -> None:
-        if not self.is_connected:
-            raise DeviceNotConnectedError(f"{self} is not connected; call connect() first.")
         self._rng = self._expert = self._scene = None

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 from lerobot.teleoperators.keyboard import KeyboardTeleop
-from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
+from lerobot.utils.decorators import check_if_already_connected, check_if_not_connected
+from lerobot.utils.errors import DeviceNotConnectedError
 
 from lerobot_robot_pneutac.robots.base_robot import BEND_NAMES
 from lerobot_robot_pneutac.teleoperators.base_teleop import (
@@ -94,18 +95,16 @@ class VelocityTeleop(BaseTeleop):
     def is_connected(self) -> bool:
         return self._tick_s is not None
 
+    @check_if_already_connected
     def connect(self, calibrate: bool = True) -> None:
         """Opens the device; raises DeviceNotConnectedError where it is not there."""
-        if self.is_connected:
-            raise DeviceAlreadyConnectedError(f"{self} is already connected.")
         self._open()
         self._held, self._lost, self._let_go = self._rest, False, None
         self._tick_s = time.monotonic()
 
+    @check_if_not_connected
     def get_action(self) -> dict[str, Any]:
         """The action of the present deflections, within the limits."""
-        if not self.is_connected:
-            raise DeviceNotConnectedError(f"{self} is not connected; call connect() first.")
         now_s = time.monotonic()
         tick_s, self._tick_s = now_s - self._tick_s, now_s
         if tick_s > PAUSE_S:
@@ -118,9 +117,8 @@ class VelocityTeleop(BaseTeleop):
         held = [share * self._held for share in self.config.chamber_shares or [1]]
         return dict(zip(self.action_features, [*velocity.tolist(), *held], strict=True))
 
+    @check_if_not_connected
     def disconnect(self) -> None:
-        if not self.is_connected:
-            raise DeviceNotConnectedError(f"{self} is not connected; call connect() first.")
         self._tick_s = None
         self._close()
 

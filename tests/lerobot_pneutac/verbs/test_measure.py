@@ -18,7 +18,7 @@ from lerobot_pneutac.verbs import measure as library
 from lerobot_pneutac.verbs.compare import compare as compare_library
 from lerobot_pneutac.verbs.new import new_twin
 from lerobot_robot_pneutac.hardware import pressure as pressure_module
-from lerobot_robot_pneutac.hardware.simulated_pressure import SimulatedPressure
+from lerobot_robot_pneutac.hardware.simulated import SimulatedPressure
 from pneutac_datasets.recording.axes import command_columns, measured_columns
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError

@@ -132,5 +132,5 @@ def test_bad_input_is_named(source, tmp_path):
     bare.add_frame({OBS_STATE: np.zeros(20, np.float32), "task": "x"})
     bare.save_episode()
     bare.finalize()
-    with pytest.raises(InputError, match="has the features observation.state; demonstrations have exactly"):
+    with pytest.raises(InputError, match="feature .action. is missing"):
         augment_naive(tmp_path / "bare", "local/bare", tmp_path / "o", "local/o", 1, 0)

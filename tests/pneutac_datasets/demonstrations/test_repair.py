@@ -13,7 +13,7 @@ from lerobot.datasets import LeRobotDataset
 
 from pneutac_benchmarks.robustness.killed_recording import kill_recordings
 from pneutac_datasets.demonstrations.repair.dataset import repair_dataset
-from pneutac_datasets.demonstrations.repair.parquet_footer import mend
+from pneutac_datasets.demonstrations.repair.parquet_footer import fix_footer
 from pneutac_datasets.demonstrations.save import quiet_encoders
 from pneutac_sim.errors import InputError
 
@@ -292,6 +292,6 @@ def test_a_parquet_file_cut_anywhere_keeps_its_whole_row_groups(tmp_path, share)
     file.write_bytes(file.read_bytes()[:cut])
     whole_groups = sum(end <= cut for end in ends)
     whole_bytes = max(end for end in [4, *ends] if end <= cut)
-    assert mend(file, tables[0].schema, tmp_path / "new") == (whole_groups, cut - whole_bytes)
+    assert fix_footer(file, tables[0].schema, tmp_path / "new") == (whole_groups, cut - whole_bytes)
     if whole_groups:
         assert pq.read_table(tmp_path / "new").equals(pa.concat_tables(tables[:whole_groups]))

@@ -49,7 +49,7 @@ def test_photographs_take_body_and_particles(tmp_path, monkeypatch, capsys):
     calls = []
     monkeypatch.setattr(photographs, "write_photographs", lambda *a, **k: calls.append((a, k)))
     assert main(["--device=photographs", f"--out={tmp_path / 'p'}", "--seed=3", "--body=arm"]) == 0
-    assert calls == [((tmp_path / "p", 3, "arm"), {})]
+    assert calls == [((tmp_path / "p", 3, "arm"), {"particles": 6000})]
     assert f"truth: {tmp_path / 'truth' / 'p.json'}" in capsys.readouterr().out
 
 

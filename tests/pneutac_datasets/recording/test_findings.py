@@ -11,7 +11,13 @@ from generated import once
 from pneutac_datasets.generate.finger import generate
 from pneutac_datasets.recording.checks import check, findings
 from pneutac_datasets.recording.recording import Recording
-from pneutac_datasets.recording.wording import KINDS
+
+KINDS = """
+wrapped_angle jumps shift frozen stale_pose saturated clipped_command
+quantised repeated other_unit gauge_scale gauge_stuck gauge_alone gauge_late
+pressure_offset supply_limit gaps missing_rows closed_loop late_command exchanged_axes
+misplaced_tip other_way_round drift no_measured_pressure
+""".split()
 
 
 def copy(r):

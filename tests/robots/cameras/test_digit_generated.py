@@ -65,7 +65,7 @@ def test_frames_come_at_the_cameras_pace(clock):
 
 
 def test_bad_options_are_one_sentence():
-    with pytest.raises(DecodingError, match="must have 32 px"):
+    with pytest.raises(DecodingError, match="height is 20; it must be 32 or more"):
         DigitGeneratedConfig(width=320, height=20)
-    with pytest.raises(DecodingError, match="press_period_s -1"):
+    with pytest.raises(DecodingError, match="press_period_s is -1; it must be 0 or more"):
         DigitGeneratedConfig(press_period_s=-1)

@@ -9,7 +9,7 @@ from pressure_rig import terminal, until
 from lerobot_robot_pneutac.hardware.chambers import Chambers
 from lerobot_robot_pneutac.hardware.parts import HardwareFault
 from lerobot_robot_pneutac.hardware.pneutac_serial import PneutacSerial
-from lerobot_robot_pneutac.hardware.simulated_pressure import SimulatedPressure
+from lerobot_robot_pneutac.hardware.simulated import SimulatedPressure
 from lerobot_robot_pneutac.robots.config_pneutac import PressureConfig
 from pneutac_sim.errors import InputError
 

@@ -6,7 +6,7 @@ from draccus.utils import DecodingError
 
 from lerobot_robot_pneutac.hardware.limits import EXCESS, STOPPING_S, Limits, why_refused
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S
-from lerobot_robot_pneutac.hardware.simulated_arm import SimulatedArm
+from lerobot_robot_pneutac.hardware.simulated import SimulatedArm
 
 CENTRE = np.array([0.5, 0.0, 0.4])
 

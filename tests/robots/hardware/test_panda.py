@@ -12,8 +12,7 @@ from lerobot_robot_pneutac.hardware.limits import Limits
 from lerobot_robot_pneutac.hardware.panda import RECOVERIES, PandaArm
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault
 from lerobot_robot_pneutac.hardware.safety import Guard
-from lerobot_robot_pneutac.hardware.simulated_arm import SimulatedArm
-from lerobot_robot_pneutac.hardware.simulated_pressure import SimulatedPressure
+from lerobot_robot_pneutac.hardware.simulated import SimulatedArm, SimulatedPressure
 
 
 class StandIn(types.ModuleType):

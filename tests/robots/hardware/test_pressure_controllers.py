@@ -15,8 +15,8 @@ from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault
 from lerobot_robot_pneutac.hardware.pneutac_serial import PneutacSerial
 from lerobot_robot_pneutac.hardware.pressure import make_pressure_controller, pressure_controller_types
 from lerobot_robot_pneutac.hardware.pressure_check import check_pressure_controller
-from lerobot_robot_pneutac.hardware.simulated_pressure import SimulatedPressure
-from lerobot_robot_pneutac.hardware.text_serial import TextSerial
+from lerobot_robot_pneutac.hardware.serial_pressure import TextSerial
+from lerobot_robot_pneutac.hardware.simulated import SimulatedPressure
 from pneutac_sim.errors import InputError
 
 DOC = Path(__file__).parents[3] / "docs" / "how_to" / "add_a_pressure_controller.md"

@@ -6,8 +6,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-from lerobot_robot_pneutac.hardware import pressure_protocol as wire
-from lerobot_robot_pneutac.hardware.pressure_protocol import Flag, Frame, Type
+from lerobot_robot_pneutac.hardware import pneutac_serial as wire
+from lerobot_robot_pneutac.hardware.pneutac_serial import Flag, Frame, Type
 
 
 @pytest.fixture

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from pressure_rig import FIRMWARE, SimulatedTime
 
-from lerobot_robot_pneutac.hardware import pressure_protocol as wire
-from lerobot_robot_pneutac.hardware.pressure_protocol import Flag
+from lerobot_robot_pneutac.hardware import pneutac_serial as wire
+from lerobot_robot_pneutac.hardware.pneutac_serial import Flag
 
 
 def at_8_kpa(rig, ms=1000):

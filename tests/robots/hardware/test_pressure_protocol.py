@@ -6,10 +6,9 @@ from pathlib import Path
 import pytest
 from pressure_rig import SimulatedTime, converse
 
-from lerobot_robot_pneutac.hardware import pressure_protocol as wire
+from lerobot_robot_pneutac.hardware import pneutac_serial as wire
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S
-from lerobot_robot_pneutac.hardware.pneutac_serial import PneutacExchange
-from lerobot_robot_pneutac.hardware.pressure_protocol import Flag, Frame, FrameReader
+from lerobot_robot_pneutac.hardware.pneutac_serial import Flag, Frame, FrameReader, PneutacExchange
 from lerobot_robot_pneutac.hardware.serial_pressure import STALE_S, Command
 
 NOTHING = Command(None, 0)

@@ -7,7 +7,7 @@ import subprocess
 import pytest
 from pressure_rig import SimulatedTime, build
 
-from lerobot_robot_pneutac.hardware import pressure_protocol as wire
+from lerobot_robot_pneutac.hardware import pneutac_serial as wire
 
 FLAGS = "-O1 -Wall -Wextra -Werror -fsanitize=address,undefined,float-cast-overflow -fno-sanitize-recover=all"
 EXTREMES = (2**31 - 1, -(2**31), 0, 16501, -1500, 28114)

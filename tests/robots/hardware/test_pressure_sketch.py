@@ -3,8 +3,8 @@
 import pytest
 from pressure_rig import SimulatedTime, build
 
-from lerobot_robot_pneutac.hardware import pressure_protocol as wire
-from lerobot_robot_pneutac.hardware.pressure_protocol import Flag
+from lerobot_robot_pneutac.hardware import pneutac_serial as wire
+from lerobot_robot_pneutac.hardware.pneutac_serial import Flag
 
 
 @pytest.fixture(scope="module")

@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 from pressure_rig import connected, raised_by, raises_old, reaches, until
 
-from lerobot_robot_pneutac.hardware.serial_pressure import Command
-from lerobot_robot_pneutac.hardware.text_serial import TextExchange, TextSerial
+from lerobot_robot_pneutac.hardware.serial_pressure import Command, TextExchange, TextSerial
 
 
 class TextRig:

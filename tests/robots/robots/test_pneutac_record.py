@@ -59,8 +59,8 @@ import os, time
 from dataclasses import dataclass
 from pathlib import Path
 from lerobot_robot_pneutac.hardware.arms import ArmConfig
-from lerobot_robot_pneutac.hardware.simulated_arm import SimulatedArm
-from lerobot_robot_pneutac.hardware.simulated_pressure import SimulatedPressure
+from lerobot_robot_pneutac.hardware.simulated import SimulatedArm
+from lerobot_robot_pneutac.hardware.simulated import SimulatedPressure
 DIARY = Path(os.environ["DIARY"])
 def note(*words):
     with DIARY.open("a") as f:

@@ -213,7 +213,7 @@ def test_unplugged_or_missing_spacemouse_is_one_sentence(teleop, act, monkeypatc
         (
             "pneutac_spacemouse",
             {"pressure_rate_kpa_s": 0.0},
-            "pressure_rate_kpa_s is 0.0; it must be positive",
+            "pressure_rate_kpa_s is 0.0; it must be above 0",
         ),
         ("pneutac_gamepad", {"dead_zone": 1.0}, "dead_zone is 1.0"),
         ("pneutac_gamepad", {"speed_m_s": float("nan")}, "speed_m_s is nan"),

@@ -137,7 +137,7 @@ def test_it_drags_where_the_expert_can(pair):
     robot, teleoperator = pair
     with pytest.raises(InputError, match="The expert of the task 'switch' does not drag; leave --teleop"):
         teleoperator(drag_mm=12).get_action()
-    with pytest.raises(DecodingError, match="drag_mm is 30; it must be between 0 and 20"):
+    with pytest.raises(DecodingError, match="drag_mm is 30; it must be 0 or more and at most 20"):
         PneutacScriptedConfig(drag_mm=30)
 
 

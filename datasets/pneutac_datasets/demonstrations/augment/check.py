@@ -83,12 +83,12 @@ def agreement(world: VariedWorld, episode: int, attempt: Attempt, step=lambda: N
         if world.success or world.failure:
             break
         world.step(attempt.action[-1])
-    apart, felt = np.array(areas) - planned, np.flatnonzero((np.array(areas) > 0) | (planned > 0))
+    error, felt = np.array(areas) - planned, np.flatnonzero((np.array(areas) > 0) | (planned > 0))
     return Agreement(
         episode,
         bool(world.success and not world.failure),
         (int(np.sum(planned > 0)), int(np.sum(np.array(areas) > 0))),
-        float(np.sqrt(np.mean(apart[felt[0] :] ** 2))) if len(felt) else 0.0,
+        float(np.sqrt(np.mean(error[felt[0] :] ** 2))) if len(felt) else 0.0,
         float(planned.max()),
         float(np.sqrt(np.mean(errors))) if errors else 0.0,
         time.monotonic() - began,

@@ -39,7 +39,7 @@ IN_THE_WAY = "the object stood where the hand starts"
 TRIES = 10  # variants of one reference before another one gets its turn
 # Noise that is carried out and not stored, so that labels show the way back (Laskey et al., DART, CoRL 2017).
 NOISE_FREE_M_S, NOISE_TOUCH_M_S, NOISE_SHARE = 0.010, 0.00075, 1 / 120  # the last: of the pressure range
-NOISE_KEPT = 0.8  # from one control step to the next
+NOISE_CORRELATION = 0.8  # from one control step to the next
 LONGEST = 300  # control steps of the paper's rate for a demonstration without a reference, at most
 
 
@@ -160,8 +160,8 @@ class Generator:
 
     def provenance(self, index: int, number: int, made: dict, frames: int, rejected: list[dict]) -> dict:
         """Of an accepted demonstration."""
-        kept = {"episode": index, "seed": self.setup.seed, "method": self.setup.method, "attempt": number}
-        return {**kept, **made, "frames": frames, "rejected": rejected}
+        key = {"episode": index, "seed": self.setup.seed, "method": self.setup.method, "attempt": number}
+        return {**key, **made, "frames": frames, "rejected": rejected}
 
     def none_worked(self, index: int, rejected: list[dict]) -> InputError:
         reasons = ", ".join(sorted({r["reason"] for r in rejected}))
@@ -264,7 +264,9 @@ class Generator:
             areas.append(self.world.touch.area)
             began = time.perf_counter()
             if noise is not None:
-                astray = NOISE_KEPT * astray + np.sqrt(1 - NOISE_KEPT**2) * noise.standard_normal(len(astray))
+                astray = NOISE_CORRELATION * astray + np.sqrt(
+                    1 - NOISE_CORRELATION**2
+                ) * noise.standard_normal(len(astray))
             done = np.clip(actions[-1] + self._noise_size() * astray, *self.world.action_limits)
             carried_out.append(done.astype(np.float32))
             observation = self.world.step(carried_out[-1])

@@ -8,8 +8,10 @@ Everything is made in a folder of its own and takes its place at the end: a refu
 taken out of the dataset moves to its folder `left_out`.
 """
 
+import contextlib
 import errno
 import json
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -17,22 +19,53 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import av
 import numpy as np
+import pandas as pd
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
+from lerobot.datasets import LeRobotDatasetMetadata
 
 import datasets
-from lerobot_robot_pneutac.lerobot_inside import DatasetInfo, get_hf_features_from_features
+from lerobot_robot_pneutac.lerobot_inside import (
+    DatasetInfo,
+    aggregate_stats,
+    cast_stats_to_numpy,
+    compute_episode_stats,
+    get_hf_features_from_features,
+    get_video_info,
+    update_chunk_file_indices,
+    write_info,
+    write_stats,
+    write_tasks,
+)
+from pneutac_datasets.demonstrations.films import Film, film_of, frame_size, read_film
 from pneutac_datasets.demonstrations.info import refuse_version
-from pneutac_datasets.demonstrations.repair.description import begin_metadata, describe
-from pneutac_datasets.demonstrations.repair.parquet_footer import is_whole, mend
-from pneutac_datasets.demonstrations.repair.videos import Rows, place_videos, tell_of_videos
+from pneutac_datasets.demonstrations.repair.parquet_footer import fix_footer, is_whole
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import flush, refuse_pointer
 
-ASIDE = "meta.before_repair"  # what was there, until the new one is in place
+BACKUP = "meta.before_repair"  # what was there, until the new one is in place
 LEFT_OUT = "left_out"  # numbers and pictures of episodes without a video, which no reader opens
+WRITTEN = ("info.json", "stats.json", "tasks.parquet")  # by LeRobot, in `meta`
+FILE_NUMBERS = re.compile(r"chunk-(\d+)/file-(\d+)\.\w+$")
+PLACE = ("chunk_index", "file_index", "from_timestamp", "to_timestamp")
 NOT_WRITABLE = (errno.EROFS, errno.EACCES, errno.EPERM)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """One episode's rows in a data file: `group` counts the file's row groups."""
+
+    episode: int
+    length: int
+    file: Path
+    group: int
+
+    def table(self) -> pa.Table:
+        table = pq.ParquetFile(self.file).read_row_group(self.group)
+        return table.filter(pc.equal(table["episode_index"], self.episode))
 
 
 @dataclass(frozen=True)
@@ -58,7 +91,7 @@ def repair_dataset(root: str | Path, like: str | Path | None = None, drop: bool 
             is missing or other, or videos are missing and `drop` is False. Nothing is changed then.
     """
     root = Path(root)
-    if not ((root / "meta").is_dir() or (root / ASIDE).is_dir()):
+    if not ((root / "meta").is_dir() or (root / BACKUP).is_dir()):
         raise InputError(f"'{root}' is no dataset of LeRobot: it has no folder meta.")
     with _work_folder(root) as work:
         info, remarks = _read_info(root, like)
@@ -77,7 +110,7 @@ def repair_dataset(root: str | Path, like: str | Path | None = None, drop: bool 
             if min(lacking) < before:
                 known = []  # what follows is numbered and described again
             found, places = _without(work, found, places, set(lacking))
-        tell_of_videos(root, info, places)
+        describe_videos(root, info, places)
         meta = begin_metadata(work, root, info, known, remarks)
         for rows in found[len(known) :]:
             describe(meta, root, info, rows, {k: v[rows.episode] for k, v in places.items()})
@@ -92,11 +125,11 @@ def repair_dataset(root: str | Path, like: str | Path | None = None, drop: bool 
 def _work_folder(root: Path) -> Iterator[Path]:
     """A folder in the dataset for all that is made; an earlier repair that was killed is finished before."""
     try:
-        if (root / ASIDE).is_dir():
+        if (root / BACKUP).is_dir():
             if not (root / "meta").exists():  # it was killed between its two renames
-                (root / ASIDE).rename(root / "meta")
+                (root / BACKUP).rename(root / "meta")
             else:
-                shutil.rmtree(root / ASIDE)
+                shutil.rmtree(root / BACKUP)
         for work in root.glob(".repair-*"):
             shutil.rmtree(work)
         with tempfile.TemporaryDirectory(dir=root, prefix=".repair-") as work:
@@ -152,14 +185,15 @@ def _known_episodes(root: Path, remarks: list[str]) -> list[dict]:
 
 def _episodes_on_disk(root: Path, work: Path, info: DatasetInfo, remarks: list[str]) -> list[Rows]:
     """Every episode whose rows are complete; files without an end are given one in the work folder."""
-    schema = _schema(info)
+    features = get_hf_features_from_features(info.features)
+    schema = datasets.Dataset.from_dict({key: [] for key in features}, features=features).data.schema
     found: list[Rows] = []
     for file in sorted((root / "data").glob("chunk-*/file-*.parquet")):
         refuse_pointer(file)
         if not is_whole(file):
             source, file = file, work / file.relative_to(root)
             file.parent.mkdir(parents=True, exist_ok=True)
-            groups, cut = mend(source, schema, file)
+            groups, cut = fix_footer(source, schema, file)
             remarks.append(f"{source.relative_to(root)} had no end; {groups} episodes of it are whole.")
             if cut:  # a part of an episode
                 (work / LEFT_OUT).mkdir(exist_ok=True)
@@ -176,11 +210,6 @@ def _episodes_on_disk(root: Path, work: Path, info: DatasetInfo, remarks: list[s
     if episodes != list(range(len(found))):
         raise InputError(f"{root}/data does not count its episodes from 0; restore what is missing there.")
     return found
-
-
-def _schema(info: DatasetInfo) -> pa.Schema:
-    features = get_hf_features_from_features(info.features)
-    return datasets.Dataset.from_dict({key: [] for key in features}, features=features).data.schema
 
 
 def _refuse_lost_rows(root: Path, known: list[dict], found: list[Rows]) -> None:
@@ -280,10 +309,10 @@ def _put_in_place(root: Path, work: Path) -> None:
             file.replace(old)
         else:
             old.unlink()
-    (root / "meta").rename(root / ASIDE)
+    (root / "meta").rename(root / BACKUP)
     (work / "meta").rename(root / "meta")
     flush(root)
-    shutil.rmtree(root / ASIDE)
+    shutil.rmtree(root / BACKUP)
 
 
 def _free(file: Path) -> Path:
@@ -308,3 +337,205 @@ def _clear(root: Path, left_out: set[int], remarks: list[str]) -> None:
         shutil.rmtree(folder)
     if deleted:
         remarks.append("Pictures of the unfinished episode are deleted; its numbers were in memory.")
+
+
+def begin_metadata(
+    work: Path, root: Path, info: DatasetInfo, known: list[dict], remarks: list[str]
+) -> LeRobotDatasetMetadata:
+    """Metadata of the known episodes in a folder of its own, to which LeRobot appends."""
+    for file in sorted((root / "meta" / "episodes").glob("chunk-*/file-*.parquet")):
+        if known and is_whole(file):
+            copy = work / file.relative_to(root)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(file, copy)
+    for file in (root / "meta").iterdir():  # station.yaml, achieved_rate.json
+        if file.is_file() and file.name not in WRITTEN:
+            (work / "meta").mkdir(exist_ok=True)
+            shutil.copy(file, work / "meta")
+    tasks = _tasks(root, known, remarks)
+    info.total_episodes, info.total_frames = len(known), sum(r["length"] for r in known)
+    info.total_tasks, info.splits = len(tasks), {"train": f"0:{len(known)}"}
+    write_info(info, work)
+    if len(tasks):
+        write_tasks(tasks, work)
+    if known:
+        stats = [{k[6:]: v for k, v in row.items() if k.startswith("stats/")} for row in known]
+        write_stats(aggregate_stats([cast_stats_to_numpy(s) for s in stats]), work)
+    return LeRobotDatasetMetadata("local/repaired", root=work)
+
+
+def _tasks(root: Path, known: list[dict], remarks: list[str]) -> pd.DataFrame:
+    file = root / "meta" / "tasks.parquet"
+    if is_whole(file):
+        return pd.read_parquet(file)
+    names = list(dict.fromkeys(task for row in known for task in row["tasks"]))
+    if file.exists():
+        remarks.append("tasks.parquet was torn; a task that no complete episode names is called `task N`.")
+    return pd.DataFrame({"task_index": range(len(names))}, index=pd.Index(names, name="task", dtype=object))
+
+
+def describe(meta: LeRobotDatasetMetadata, root: Path, info: DatasetInfo, rows: Rows, video: dict) -> None:
+    """Describes one episode again, with its statistics, as LeRobot does when it is saved."""
+    table = rows.table()
+    numbers = np.unique(table["task_index"])
+    names = [] if meta.tasks is None else list(meta.tasks.index)
+    names += [f"task {i}" for i in range(len(names), int(numbers.max()) + 1)]
+    meta.save_episode_tasks(names)
+    chunk, file = file_numbers(rows.file)
+    begin = meta.total_frames
+    place = {"data/chunk_index": chunk, "data/file_index": file}
+    place |= {"dataset_from_index": begin, "dataset_to_index": begin + rows.length}
+    with tempfile.TemporaryDirectory() as folder:
+        values = {}
+        for key, feature in info.features.items():
+            if feature["dtype"] == "image":
+                values[key] = []
+                for i, cell in enumerate(table[key].to_pylist()):
+                    values[key].append(f"{folder}/{len(values)}-{i}.png")
+                    Path(values[key][-1]).write_bytes(cell["bytes"])
+            elif feature["dtype"] == "video":
+                path = video_file(root, info, key, video[key])
+                first = round(video[key][f"videos/{key}/from_timestamp"] * info.fps)
+                values[key] = _write_frames(path, first, rows.length, Path(folder) / str(len(values)))
+            elif feature["dtype"] != "string":
+                values[key] = np.array(table[key].to_pylist(), dtype=feature["dtype"])
+        stats = compute_episode_stats(values, info.features)
+    for key in video:
+        place |= video[key]
+    meta.save_episode(rows.episode, rows.length, [names[i] for i in numbers], stats, place)
+
+
+def _write_frames(video: Path, first: int, length: int, folder: Path) -> list[str]:
+    folder.mkdir()
+    paths = []
+    with contextlib.suppress(av.FFmpegError), av.open(str(video)) as container:
+        for i, frame in enumerate(container.decode(video=0)):
+            if first <= i < first + length:
+                paths.append(str(folder / f"{i}.png"))
+                frame.to_image().save(paths[-1], compress_level=1)
+    if len(paths) < length:
+        raise InputError(f"{video}: frame {first + len(paths)} cannot be decoded; restore the video.")
+    return paths
+
+
+def place_videos(
+    root: Path, info: DatasetInfo, known: list[dict], found: list[Rows], remarks: list[str]
+) -> tuple[dict[str, list[dict]], dict[int, str]]:
+    """Where each episode lies in each camera's videos, all of which are opened.
+
+    Returns:
+        Camera to one place for each episode, as LeRobot's metadata state it, and episode to the reason why a
+        video of it is missing.
+    """
+    places: dict[str, list[dict]] = {}
+    lacking: dict[int, str] = {}
+    for key in (k for k, f in info.features.items() if f["dtype"] == "video"):
+        film = _Films(root, info, key)
+        places[key] = [{f"videos/{key}/{n}": row.get(f"videos/{key}/{n}") for n in PLACE} for row in known]
+        places[key] += film.place(known, found[len(known) :], remarks)
+        for rows, place in zip(found, places[key], strict=True):
+            try:
+                film.look(rows, place)
+            except InputError as e:
+                lacking.setdefault(rows.episode, str(e))
+    return places, lacking
+
+
+class _Films:
+    """One camera's videos, each opened once."""
+
+    def __init__(self, root: Path, info: DatasetInfo, key: str):
+        self.root, self.info, self.key = root, info, key
+        self._films: dict[Path, Film | InputError] = {}
+
+    def place(self, known: list[dict], new: list[Rows], remarks: list[str]) -> list[dict]:
+        """Where episodes that are not known lie: one after another in the files after the last known one.
+
+        How many episodes a missing or torn file held is not known, so that none is looked for after it.
+        """
+        numbers = (
+            self._next(tuple(known[-1][f"videos/{self.key}/{n}"] for n in PLACE[:2])) if known else (0, 0)
+        )
+        out, at, begun = [], 0, False
+        for rows in new:
+            if begun:
+                following = self._next(numbers)
+                if self._ended(numbers, at, rows.length) and self._file(following).is_file():
+                    numbers, at, begun = following, 0, False
+            if not begun:
+                _take_whole_one(self._file(numbers), rows.length, remarks)
+                begun = True
+            times = at / self.info.fps, (at + rows.length) / self.info.fps
+            out.append({f"videos/{self.key}/{n}": v for n, v in zip(PLACE, (*numbers, *times), strict=True)})
+            at += rows.length
+        return out
+
+    def look(self, rows: Rows, place: dict) -> None:
+        """Raises InputError where the frames of an episode are not all in its video, or are damaged."""
+        chunk, number, begin, _ = (place[f"videos/{self.key}/{n}"] for n in PLACE)
+        if None in (chunk, number, begin):
+            raise InputError(f"meta/episodes does not say where '{self.key}' of episode {rows.episode} is.")
+        file = self._file((chunk, number))
+        film = film_of(self._films, file)
+        wanted = begin + np.arange(rows.length) / self.info.fps
+        there = int((~film.lacks(wanted)).sum())
+        if there < rows.length:
+            raise InputError(f"{file} holds {there} of the {rows.length} frames of episode {rows.episode}.")
+        frame_size(file, wanted[[0, -1]])
+
+    def _ended(self, numbers: tuple[int, int], at: int, length: int) -> bool:
+        """Whether a whole video has too few frames for one more episode."""
+        try:
+            film = film_of(self._films, self._file(numbers))
+        except InputError:
+            return False
+        return not film.torn and len(film.times_s) - at < length
+
+    def _file(self, numbers: tuple[int, int]) -> Path:
+        path = self.info.video_path.format(video_key=self.key, chunk_index=numbers[0], file_index=numbers[1])
+        return self.root / path
+
+    def _next(self, numbers: tuple[int, int]) -> tuple[int, int]:
+        return update_chunk_file_indices(*numbers, self.info.chunks_size)
+
+
+def describe_videos(root: Path, info: DatasetInfo, videos: dict[str, list[dict]]) -> None:
+    """Codec and size in `info.json`, which LeRobot writes after a dataset's first video."""
+    for key, places in videos.items():
+        known = info.features[key].get("info") or {}
+        if places and "video.fps" not in known:
+            info.features[key]["info"] = known | get_video_info(video_file(root, info, key, places[0]))
+
+
+def video_file(root: Path, info: DatasetInfo, key: str, place: dict) -> Path:
+    """The video of a place as `place_videos` gives it."""
+    numbers = {f"{n}_index": place[f"videos/{key}/{n}_index"] for n in ("chunk", "file")}
+    return root / info.video_path.format(video_key=key, **numbers)
+
+
+def file_numbers(file: Path) -> tuple[int, int]:
+    """Chunk and file that a name states; names compare as they were written."""
+    chunk, number = FILE_NUMBERS.search(file.as_posix()).groups()
+    return int(chunk), int(number)
+
+
+def _take_whole_one(file: Path, least: int, remarks: list[str]) -> None:
+    """A video that was torn while it was copied from another disk is taken from there."""
+    if not file.is_file() or _count(file) >= least:
+        return
+    start = file.read_bytes()
+    for source in Path(tempfile.gettempdir()).glob("tmp*.mp4"):
+        with source.open("rb") as f:
+            same = f.read(len(start)) == start
+        if same and _count(source) >= least:
+            shutil.copy(source, file)
+            flush(file)
+            remarks.append(f"{file.name} of {file.parents[1].name} was torn; {source} is the whole one.")
+            return
+
+
+def _count(video: Path) -> int:
+    try:
+        return len(read_film(video).times_s)
+    except InputError:
+        return 0

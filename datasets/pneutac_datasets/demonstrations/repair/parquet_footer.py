@@ -7,6 +7,7 @@ Numbers of fields are those of the format's `parquet.thrift`; the encoding is Th
 """
 
 import io
+import shutil
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,8 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole
 
 MAGIC = b"PAR1"
-BOOL_TRUE, BOOL_FALSE, BYTE, I16, I32, I64, DOUBLE, BINARY, LIST, SET, MAP, STRUCT = range(1, 13)
+BOOLS = BOOL_TRUE, BOOL_FALSE = 1, 2
+BYTE, I16, I32, I64, DOUBLE, BINARY, LIST, SET, _, STRUCT = range(3, 13)
 PAGE_BYTES = 2**31  # a page states its length in 31 bits
 HEADER_BYTES = 2**16  # far more than a page's header has; statistics of long texts are cut by the writer
 
@@ -43,7 +45,7 @@ def is_whole(file: Path) -> bool:
     return True
 
 
-def mend(file: Path, schema: pa.Schema, out: Path) -> tuple[int, int]:
+def fix_footer(file: Path, schema: pa.Schema, out: Path) -> tuple[int, int]:
     """Writes the complete row groups of a file without a footer to another one, with a footer.
 
     Args:
@@ -64,16 +66,13 @@ def mend(file: Path, schema: pa.Schema, out: Path) -> tuple[int, int]:
         return 0, max(0, file.stat().st_size - len(MAGIC))
     footer[3] = (I64, sum(map(_rows, groups)))
     footer[4] = (LIST, (STRUCT, [_row_group(chunks, group) for group in groups]))
-    tail = io.BytesIO()
-    _write_struct(tail, footer)
+    tail = _struct(footer)
     end = groups[-1][-1][-1].end
     with whole(out) as part, file.open("rb") as old, part.open("wb") as new:
-        left = end
-        while left:
-            block = old.read(min(left, 2**24))
-            new.write(block)
-            left -= len(block)
-        new.write(tail.getvalue() + struct.pack("<I", tail.tell()) + MAGIC)
+        shutil.copyfileobj(old, new)
+        new.truncate(end)
+        new.seek(end)
+        new.write(tail + struct.pack("<I", len(tail)) + MAGIC)
     return len(groups), file.stat().st_size - end
 
 
@@ -148,38 +147,34 @@ def _row_group(template: list[dict], group: list[list[Page]]) -> dict:
 
 
 # ---------------------------------------------------------------- Thrift's compact protocol
-# A struct is {field: (type, value)}, a list (type of its elements, values); numbers are zigzag varints.
+# A struct is {field: (type, value)}, a list (type of its elements, values); numbers are zigzag varints. Of a
+# field the type alone says true or false; a double stays as its bytes.
 
 
 def _read_struct(data: io.BytesIO) -> dict:
     fields, number = {}, 0
-    while head := _byte(data):
-        number = number + (head >> 4) if head >> 4 else _read_number(data)
+    while head := _exactly(data, 1)[0]:
+        number = number + (head >> 4) if head >> 4 else _read(data, I64)
         kind = head & 15
-        fields[number] = (kind, kind == BOOL_TRUE if kind in (BOOL_TRUE, BOOL_FALSE) else _read(data, kind))
+        fields[number] = (kind, kind == BOOL_TRUE if kind in BOOLS else _read(data, kind))
     return fields
 
 
 def _read(data: io.BytesIO, kind: int):
-    if kind in (BOOL_TRUE, BOOL_FALSE, BYTE):  # as elements of lists; as fields the type is true or false
-        return _byte(data)
+    if kind in (*BOOLS, BYTE):  # as elements of lists
+        return _exactly(data, 1)[0]
     if kind in (I16, I32, I64):
-        return _read_number(data)
-    if kind == DOUBLE:
-        return _exactly(data, 8)
-    if kind == BINARY:
-        return _exactly(data, _read_varint(data))
+        value = _read_varint(data)
+        return (value >> 1) ^ -(value & 1)
+    if kind in (DOUBLE, BINARY):
+        return _exactly(data, 8 if kind == DOUBLE else _read_varint(data))
     if kind in (LIST, SET):
-        head = _byte(data)
+        head = _exactly(data, 1)[0]
         length = head >> 4 if head >> 4 < 15 else _read_varint(data)
         return head & 15, [_read(data, head & 15) for _ in range(length)]
     if kind == STRUCT:
         return _read_struct(data)
     raise EOFError(f"no page begins here: Thrift has no type {kind} in Parquet")
-
-
-def _byte(data: io.BytesIO) -> int:
-    return _exactly(data, 1)[0]
 
 
 def _exactly(data: io.BytesIO, n: int) -> bytes:
@@ -192,60 +187,38 @@ def _exactly(data: io.BytesIO, n: int) -> bytes:
 def _read_varint(data: io.BytesIO) -> int:
     value = shift = 0
     while True:
-        byte = _byte(data)
+        byte = _exactly(data, 1)[0]
         value |= (byte & 127) << shift
         shift += 7
         if byte < 128:
             return value
 
 
-def _read_number(data: io.BytesIO) -> int:
-    value = _read_varint(data)
-    return (value >> 1) ^ -(value & 1)
-
-
-def _write_struct(out: io.BytesIO, fields: dict) -> None:
-    last = 0
+def _struct(fields: dict) -> bytes:
+    out, last = b"", 0
     for number, (kind, value) in sorted(fields.items()):
-        kind = (BOOL_TRUE if value else BOOL_FALSE) if kind in (BOOL_TRUE, BOOL_FALSE) else kind
-        if number - last < 16:
-            out.write(bytes([(number - last) << 4 | kind]))
-        else:
-            out.write(bytes([kind]))
-            _write_number(out, number)
+        kind = (BOOL_FALSE, BOOL_TRUE)[bool(value)] if kind in BOOLS else kind
+        step = number - last
+        out += bytes([step << 4 | kind]) if step < 16 else bytes([kind]) + _bytes(I64, number)
+        out += b"" if kind in BOOLS else _bytes(kind, value)
         last = number
-        if kind not in (BOOL_TRUE, BOOL_FALSE):
-            _write(out, kind, value)
-    out.write(b"\0")
+    return out + b"\0"
 
 
-def _write(out: io.BytesIO, kind: int, value) -> None:
-    if kind in (BOOL_TRUE, BOOL_FALSE, BYTE):
-        out.write(bytes([value]))
-    elif kind in (I16, I32, I64):
-        _write_number(out, value)
-    elif kind == BINARY:
-        _write_varint(out, len(value))
-        out.write(value)
-    elif kind in (LIST, SET):
+def _bytes(kind: int, value) -> bytes:
+    if kind in (*BOOLS, BYTE):
+        return bytes([value])
+    if kind in (I16, I32, I64):
+        return _varint(value << 1 if value >= 0 else (-value << 1) - 1)
+    if kind in (LIST, SET):
         element, values = value
-        out.write(bytes([min(len(values), 15) << 4 | element]))
-        if len(values) >= 15:
-            _write_varint(out, len(values))
-        for v in values:
-            _write(out, element, v)
-    elif kind == STRUCT:
-        _write_struct(out, value)
-    else:
-        out.write(value)  # a double's bytes
+        long = _varint(len(values)) if len(values) >= 15 else b""
+        head = bytes([min(len(values), 15) << 4 | element]) + long
+        return head + b"".join(_bytes(element, v) for v in values)
+    if kind == STRUCT:
+        return _struct(value)
+    return _varint(len(value)) + value if kind == BINARY else value
 
 
-def _write_varint(out: io.BytesIO, value: int) -> None:
-    while value > 127:
-        out.write(bytes([value & 127 | 128]))
-        value >>= 7
-    out.write(bytes([value]))
-
-
-def _write_number(out: io.BytesIO, value: int) -> None:
-    _write_varint(out, value << 1 if value >= 0 else (-value << 1) - 1)
+def _varint(value: int) -> bytes:
+    return bytes([value]) if value < 128 else bytes([value & 127 | 128]) + _varint(value >> 7)

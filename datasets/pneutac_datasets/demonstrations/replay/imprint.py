@@ -36,7 +36,7 @@ from pneutac_sim.world.varied import Variation, VariedWorld
 REST_FRAMES, GAP = 12, 1  # frames before the first touch that show the gel at rest, but for the last ones
 DRIFT_LEVELS, SHAPE_LEVELS = 2.0, 2.0  # of a rest image: less is noise, rounding and slow wander of a camera
 FAINT_LEVELS = 5.0  # what noise changes
-APART = 4  # pixels whose brightness is measured
+EVERY_PX = 4  # pixels whose brightness is measured
 CENTRE_REST_FRAMES, LEAST_PIXELS = 8, 50  # of an imprint's middle: frames at rest, smallest imprint
 LEAST_SHOWN = 0.02  # levels over the image, below which an imprint has no direction
 
@@ -107,7 +107,7 @@ def brightness(rest: np.ndarray) -> np.ndarray:
 def _changes(images: np.ndarray, rest: np.ndarray, gain: np.ndarray | float = 1.0) -> Iterator[np.ndarray]:
     """Change beyond `FAINT_LEVELS` of each image (H, W), levels; see `strengths`."""
     ground = np.maximum(rest, 1).astype(np.float32)
-    few = (slice(None, None, APART),) * 2
+    few = (slice(None, None, EVERY_PX),) * 2
     for image in images:
         shown = np.median(image[few] / ground[few], axis=(0, 1)).astype(np.float32)
         change = (gain * np.abs(cv2.blur(image / shown - ground, (3, 3)))).mean(2)
@@ -153,10 +153,10 @@ def light_drift(episodes: list[Episode], rest: np.ndarray) -> LightDrift:
     each = (seen - ground).mean((1, 2))
     mean = seen.mean(0)
     gain = (mean * ground).sum((0, 1)) / np.maximum((ground**2).sum((0, 1)), 1e-9)
-    apart = cv2.blur(mean - gain * ground, (9, 9))
+    residual = cv2.blur(mean - gain * ground, (9, 9))
     return LightDrift(
         tuple(each.mean(0).tolist()),
-        float(np.sqrt((apart**2).mean())),
+        float(np.sqrt((residual**2).mean())),
         tuple(gain.tolist()),
         float(each.std(0).max()) if len(each) > 1 else 0.0,
     )
@@ -300,8 +300,8 @@ class Dragging:
     @classmethod
     def known(cls, history: Sequence[Mapping], task: str) -> Self | None:
         """The last of a task that a twin's history has."""
-        kept = [h["dragging"] for h in history if h.get("dragging", {}).get("task") == task]
-        return cls(**kept[-1]["turn"]) if kept else None
+        stored = [h["dragging"] for h in history if h.get("dragging", {}).get("task") == task]
+        return cls(**stored[-1]["turn"]) if stored else None
 
     def slips(self, known: Self) -> bool:
         """Whether the gel, which stuck before, slips more now."""
@@ -314,19 +314,19 @@ class Dragging:
 
     def sentence(self, known: Self | None) -> str:
         """The finding about the gel's friction, a sentence."""
-        told = (
+        turned = (
             f"Dragged sideways, imprints turned by {self.turn_deg_per_mm:.2g} ({self.error:.1g}) degrees a mm"
         )
         if known is None:
-            return f"{told}; `pneutac calibrate` stores that, to detect a change of the gel's friction."
+            return f"{turned}; `pneutac calibrate` stores that, to detect a change of the gel's friction."
         was = f"{known.turn_deg_per_mm:.2g} ({known.error:.1g}) before"
         if self.slips(known):
-            return f"{told}, {was}: the gel has less friction than before and slips."
+            return f"{turned}, {was}: the gel has less friction than before and slips."
         if self.less(known):
-            return f"{told}, {was}: the gel sticks less than before; by how much is not identifiable."
-        return f"{told}, {was}: no loss of friction is significant."
+            return f"{turned}, {was}: the gel sticks less than before; by how much is not identifiable."
+        return f"{turned}, {was}: no loss of friction is significant."
 
-    def kept(self, task: str) -> dict:
+    def to_history(self, task: str) -> dict:
         """Entry for a twin's history."""
         return {"task": task, "turn": asdict(self)}
 

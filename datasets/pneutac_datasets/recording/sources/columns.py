@@ -180,17 +180,13 @@ def read_name(name: str, unit: str = "") -> Named:
         warmth = unit_named(found, "temperature") if found and not kind else None
         if warmth is not None and len(warmth.name) > 1 and unit_named(found, "angle") is None:
             kind = "temperature"
-        if kind and (not found or _suits(kind, found) or "[" in name or "(" in name or unit):
+        suits = kind in DIMENSION and unit_named(found, DIMENSION[kind]) is not None
+        if kind and (not found or suits or "[" in name or "(" in name or unit):
             return Named(kind, index, found)
     last = name.rpartition(".")[2]
     if last and last != name and not unit:  # a field of a struct
         return read_name(last)
     return Named("", "", next((u for _, u in options if u), ""))
-
-
-def _suits(kind: str, unit: str) -> bool:
-    dimension = DIMENSION.get(kind, "")
-    return unit_named(unit, dimension) is not None if dimension else False
 
 
 DIMENSION = {
@@ -217,14 +213,10 @@ def _kind(base: str, unit: str) -> tuple[str, str]:
     """Kind of column and axis or number of a name without its unit."""
     if re.fullmatch(r"\s*T\s*", base) and (not unit or unit_named(unit, "temperature")):
         return ("temperature", "") if unit else ("T", "")
-    words, numbers = [], []
     plain = {"ß": "ss", "ä": "ae", "ö": "oe", "ü": "ue", "Ä": "ae", "Ö": "oe", "Ü": "ue"}
     text = re.sub(r"([a-z])([A-Z])", r"\1 \2", base.translate(str.maketrans(plain)))
-    for token in re.findall(r"[A-Za-z]+|\d+", text):
-        if token.isdigit():
-            numbers.append(token)
-        else:
-            words += _segments(token.lower()) or [token.lower()]
+    numbers, tokens = re.findall(r"\d+", text), re.findall(r"[a-z]+", text.lower())
+    words = [w for token in tokens for w in _segments(token) or [token]]
     kinds = [KIND.get(w, "?") for w in words]
     have = set(kinds) - {"filler"}
     axes = [w for w, k in zip(words, kinds, strict=True) if k == "axis"]
@@ -341,18 +333,18 @@ def understand(
         answer = "NAME: tip_x_mm [mm], NAME: tip_z_mm [mm]"
         questions.append(("no column has the motion of the finger", answer))
     if questions:
-        raise InputError(_asked(file, questions, frame))
+        raise InputError(_question(file, questions, frame))
     return found
 
 
 Question = list[tuple[str, str]]
 
 
-def _asked(file: str, questions: Question, frame: pd.DataFrame) -> str:
-    said = "; ".join(dict.fromkeys(q for q, _ in questions))
+def _question(file: str, questions: Question, frame: pd.DataFrame) -> str:
+    open_questions = "; ".join(dict.fromkeys(q for q, _ in questions))
     answer = ", ".join(dict.fromkeys(a for _, a in questions))
     has = f" It has {listed(map(shown, frame))}." if any("NAME" in a for _, a in questions) else ""
-    return f"{file}: {said}.{has} Give it as `pneutac convert {file} --columns='{answer}'`."
+    return f"{file}: {open_questions}.{has} Give it as `pneutac convert {file} --columns='{answer}'`."
 
 
 def _of_time(frame: pd.DataFrame, named: dict[str, Named], columns: dict[str, Column]) -> dict[str, Named]:
@@ -385,24 +377,8 @@ def _targets(named: dict[str, Named], taken: set[str]) -> dict[str, str]:
             kind = "measured" if "command" in roles else "command"
         if kind == "tip" and name in bare and len(tips - bare) >= 2:
             continue  # `x` next to `tip x` is something else
-        chamber = f"{v.index}_" if v.index else ""
-        target = {
-            "command": f"pressure_cmd_{chamber}kpa",
-            "measured": f"pressure_{chamber}kpa",
-            "tip": f"tip_{v.index}_mm",
-            "base": f"base_{v.index}_mm",
-            "gravity": f"gravity_{v.index}",
-            "force": f"force_{v.index}_n",
-            "angle": "bend_angle_rad",
-            "joint": f"q_{v.index}_rad" if v.index else "",
-            "temperature": "temperature_c",
-            "payload": "payload_g",
-            "time": "time_s",
-            "sent": "time_sent_s",
-            "trial": "trial",
-            "program": "program",
-        }.get(kind, "")
-        if target and target not in taken:
+        target = TARGETS.get(kind, "").format(i=v.index, chamber=f"{v.index}_" if v.index else "")
+        if target and target not in taken and (kind != "joint" or v.index):
             out[name] = target
     for role in ("cmd_", ""):  # one chamber is no arm
         numbered = [n for n, t in out.items() if re.fullmatch(rf"pressure_{role}\d+_kpa", t)]
@@ -412,6 +388,15 @@ def _targets(named: dict[str, Named], taken: set[str]) -> dict[str, str]:
     if len(gravity) != 3 and not any(t.startswith("gravity") for t in taken):
         out = {n: t for n, t in out.items() if n not in gravity}
     return out
+
+
+# Kind of a column to the recording's column; `i` is an axis or a number.
+TARGETS = {
+    "command": "pressure_cmd_{chamber}kpa", "measured": "pressure_{chamber}kpa", "tip": "tip_{i}_mm",
+    "base": "base_{i}_mm", "gravity": "gravity_{i}", "force": "force_{i}_n", "angle": "bend_angle_rad",
+    "joint": "q_{i}_rad", "temperature": "temperature_c", "payload": "payload_g", "time": "time_s",
+    "sent": "time_sent_s", "trial": "trial", "program": "program",
+}  # fmt: skip
 
 
 def _doubled(targets: dict[str, str]) -> Question:

@@ -45,18 +45,22 @@ class Source:
             )
         return self.tracks[name]
 
-    def table(self, names: dict[str, str]) -> pd.DataFrame:
-        """Columns of a bench recording on the times of the first; commands hold, the rest is interpolated.
+    def need(self, names: Iterable[str]) -> None:
+        """Raises InputError where one of these columns is missing."""
+        if missing := [n for n in names if n not in self.columns]:
+            raise InputError(f"{self.file} has no '{missing[0]}'{_near(missing[0], self.columns)}.")
+
+    def recording(self, names: dict[str, str], meta: dict) -> Recording:
+        """A recording of columns alone, on the times of the first; commands hold, the rest is interpolated.
 
         `names`: name in the file to column of the recording. Raises InputError where one is missing.
         """
-        missing = [n for n in names if n not in self.columns]
-        if missing:
-            raise InputError(f"{self.file} has no '{missing[0]}'{_near(missing[0], self.columns)}.")
+        self.need(names)
         times = self.columns[next(iter(names))][0]
-        table = {"time_s": times}
+        table = {"trial": 0, "time_s": times}
         table |= {column: resampled(*self.columns[name], times, column) for name, column in names.items()}
-        return pd.DataFrame(table)
+        device = "finger" if COMMAND in table else "arm"
+        return Recording(Path(), meta, pd.DataFrame(table), device)
 
 
 def resampled(time_s: np.ndarray, values: np.ndarray, at_s: np.ndarray, column: str) -> np.ndarray:
@@ -199,9 +203,7 @@ def joined(tip: Track, frame: BaseFrame, log: Source, columns: dict[str, str], l
     Raises:
         InputError: the two hardly overlap, or the log lacks a column.
     """
-    missing = [n for n in columns if n not in log.columns]
-    if missing:
-        raise InputError(f"{log.file} has no '{missing[0]}'; it has {', '.join(log.columns)}.")
+    log.need(columns)
     begin = max(log.columns[n][0][0] for n in columns)
     end = min(log.columns[n][0][-1] for n in columns)
     seen = np.isfinite(tip.position_mm).all(1) & (tip.time_s >= begin) & (tip.time_s <= end)
@@ -225,11 +227,3 @@ def joined(tip: Track, frame: BaseFrame, log: Source, columns: dict[str, str], l
             " export a film at the rate at which it was taken."
         )
     return recording
-
-
-def tabled(table: pd.DataFrame, meta: dict) -> Recording:
-    """A recording of columns alone, where the file has all of it."""
-    if "trial" not in table:
-        table.insert(0, "trial", 0)
-    device = "finger" if "pressure_cmd_kpa" in table else "arm"
-    return Recording(Path(), meta, table, device)

@@ -14,7 +14,7 @@ import yaml
 
 from pneutac_datasets.recording import reading, rules
 from pneutac_datasets.recording.recording import Recording
-from pneutac_datasets.recording.sources import mocap, tables
+from pneutac_datasets.recording.sources import readers
 from pneutac_datasets.recording.sources.columns import LEAVE_OUT, Column, parse_columns, read_name, understand
 from pneutac_datasets.recording.sources.frame import axes_of
 from pneutac_datasets.recording.text_table import TextTable, read_text
@@ -73,9 +73,9 @@ class Given:
         content = {"columns": {c.name: str(c) for c in columns}, "length_mm": length_mm}
         content |= {"base_mm": list(self.base_mm), "base_x": self.base_x, "base_z": self.base_z}
         content |= {"rate_hz": self.rate_hz, "date": self.date}
-        kept = {k: v for k, v in content.items() if v not in (None, "")}
+        content = {k: v for k, v in content.items() if v not in (None, "")}
         head = "# What the columns of the table are; `pneutac convert` and every --mapping read it.\n"
-        return head + yaml.safe_dump(kept, sort_keys=False, allow_unicode=True, width=1000)
+        return head + yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=1000)
 
 
 @dataclass
@@ -123,12 +123,9 @@ def table_files(path: str | Path) -> list[Path]:
             raise InputError(f"{file} is a spreadsheet; save its sheet as 'CSV UTF-8' and give that file.")
         if file.suffix.lower() not in FILES:
             raise InputError(f"{file} is none of {', '.join(FILES)}; give a table or a recording's folder.")
-    return sorted(dict.fromkeys(files), key=_in_order)
-
-
-def _in_order(file: Path) -> list[int | str]:
-    """Pieces of a path, texts and numbers in turn: `run_2` comes before `run_10`."""
-    return [int(p) if p.isdigit() else p for p in re.split(r"(\d+)", str(file))]
+    # by pieces, texts and numbers in turn: `run_2` comes before `run_10`
+    pieces = {f: re.split(r"(\d+)", str(f)) for f in files}
+    return sorted(pieces, key=lambda f: [int(p) if p.isdigit() else p for p in pieces[f]])
 
 
 def folder_of(files: Sequence[Path]) -> Path:
@@ -168,12 +165,12 @@ def _digest(file: Path) -> str:
 def read_table(file: Path, time: str = "") -> TextTable:
     """A table of text, Parquet or MATLAB; raises InputError where it is none, or is motion capture."""
     if file.suffix.lower() == ".mat":
-        return tables.mat_table(file, time)
+        return readers.mat_table(file, time)
     if file.suffix.lower() == ".parquet":
         frame = reading.read_parquet(file)
         frame = frame.rename(columns=str).reset_index(drop=True)
         return TextTable(file, frame, {}, np.arange(len(frame)) + 1, "Parquet")
-    if mocap.is_optitrack(file) or mocap.is_vicon(file):
+    if readers.is_optitrack(file) or readers.is_vicon(file):
         raise InputError(
             f"{file} is a take of motion capture; `pneutac convert {file} --tip=NAME --base=NAME"
             " --log=VALVE.csv` reads it."
@@ -192,7 +189,7 @@ def understand_files(files: Sequence[Path], given: Given, log: bool = False, tim
     """
     read = [read_table(f, time) for f in files]
     notes = [n for t in read for n in t.notes]
-    _alike(read, notes)
+    _same_columns(read, notes)
     source = str(files[0]) if len(files) == 1 else f"{files[0]} to {files[-1].name}"
     frame = pd.concat([t.frame for t in read], ignore_index=True)
     if not len(frame):
@@ -211,7 +208,9 @@ def understand_files(files: Sequence[Path], given: Given, log: bool = False, tim
     table, of_file = table[keep], of_file[keep]
     _filled(table, columns, read, notes)
     _into_base(table, given, columns, source)
-    length_mm = given.length_mm or _proposed_length(table)
+    rest = _at_rest(table)
+    reach = float(np.linalg.norm(rest)) if rest is not None else 0.0
+    length_mm = given.length_mm or (float(round(reach)) if 2 <= reach <= 1000 else None)
     meta = {"length_mm": length_mm, "date": given.date or _date(frame, columns)}
     meta = {k: v for k, v in meta.items() if v not in (None, "")}
     if given.length_mm is None and length_mm:
@@ -226,7 +225,7 @@ def understand_files(files: Sequence[Path], given: Given, log: bool = False, tim
     return Understood(list(files), recording, columns, given, read[0].style, notes, length_mm, faults)
 
 
-def _alike(read: Sequence[TextTable], notes: list[str]) -> None:
+def _same_columns(read: Sequence[TextTable], notes: list[str]) -> None:
     """Raises InputError where files have other columns than the first; without a payload it is 0."""
     union = list(dict.fromkeys(c for t in read for c in t.frame))
     for t in read:
@@ -269,8 +268,8 @@ def _converted(
         raw = frame[clock.name]
         if found["time_sent_s"].dtype.kind in "fiu" and raw.dtype.kind in "fiu":
             found["time_sent_s"] = found["time_sent_s"] + (found["time_s"] - clock.converted(raw))
-    trial, told = _trials(found.pop("trial", None), found["time_s"], of_file, read, log)
-    notes += told
+    trial, more = _trials(found.pop("trial", None), found["time_s"], of_file, read, log)
+    notes += more
     table = {"trial": trial, "time_s": found.pop("time_s")} | found
     if len(read) > 1 and "run" not in table:
         table["run"] = pd.Series([read[i].file.stem for i in of_file])
@@ -426,13 +425,6 @@ def _at_rest(table: pd.DataFrame) -> np.ndarray | None:
         return np.array([float(rest[t].median()) if t in table else 0.0 for t in TIPS])
     except (TypeError, ValueError):
         return None  # texts, which the rules refuse
-
-
-def _proposed_length(table: pd.DataFrame) -> float | None:
-    """Distance of the resting tip from the base, to a millimetre."""
-    rest = _at_rest(table)
-    reach = float(np.linalg.norm(rest)) if rest is not None else 0.0
-    return float(round(reach)) if 2 <= reach <= 1000 else None
 
 
 def _axes_notes(recording: Recording, source: str, given: Given) -> list[str]:

@@ -237,7 +237,7 @@ def test_it_is_told_of_drags_alone_and_kept_by_task():
     assert turn_deg_per_mm(still) is None
     assert Dragging.of([dragged(0.6), dragged(0.6), still]) is None
     kept = Dragging(0.5, 0.05, 8)
-    history = [{"version": 0}, {"dragging": kept.kept("button")}, {"version": 2}]
+    history = [{"version": 0}, {"dragging": kept.to_history("button")}, {"version": 2}]
     assert Dragging.known(history, "button") == kept and Dragging.known(history, "switch") is None
 
 
