@@ -14,14 +14,14 @@ from pneutac_datasets.demonstrations.augment.planner import CemPlanner, PlannerC
 from pneutac_sim.features import TASK_NAMES
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.gantry import Gantry
-from pneutac_sim.world.varied import VariedWorld
+from pneutac_sim.world.world import World
 
 PLANS, ROUNDS = 8, 5  # the best round counts: other programs only make it slower
 
 
 def step_ms(task: str, fidelity: str) -> float:
     """Milliseconds for each control step of each sequence that is tried."""
-    world = VariedWorld(task, touch="area", fidelity=fidelity)
+    world = World(task, touch="area", fidelity=fidelity)
     gantry, config = Gantry(world), PlannerConfig()
     world.reset(3)
     expert, action = ScriptedExpert(world, np.random.default_rng(3)), np.zeros(4)

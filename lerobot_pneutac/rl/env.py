@@ -14,10 +14,10 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, CHAMBERS, EE, PANDA_JOINTS, PRESSURE, action_limits
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.conditions import Conditions
+from pneutac_sim.world.base import Variation
+from pneutac_sim.world.checks import Conditions
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.tasks.base import Goal, Task
-from pneutac_sim.world.varied import Variation, VariedWorld
 from pneutac_sim.world.world import World
 
 LENGTH_M = 0.05  # scales lengths of the object's state to about one
@@ -214,7 +214,7 @@ class PpoEnv(gymnasium.Env):
             raise InputError(
                 f"An actor commands one chamber, and this twin is of an '{twin.device}'; give a finger's."
             )
-        self.world = VariedWorld(task, twin, "probe", "probe", conditions, station=station)
+        self.world = World(task, twin, "probe", "probe", conditions, station=station)
         self.view = TaskView(self.world)
         self.randomise, self._length = randomise, length or self.world.station.steps(EPISODE_S)
         self.action_space = spaces.Box(-1.0, 1.0, (len(ACTION_NAMES),), np.float32)

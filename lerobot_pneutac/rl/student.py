@@ -17,7 +17,7 @@ from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.features import ACTION_NAMES, IMAGE_NAME, state_names
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.conditions import Conditions
+from pneutac_sim.world.checks import Conditions
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.world import World
 

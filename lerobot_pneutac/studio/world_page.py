@@ -57,12 +57,12 @@ class EpisodePanel:
             from pneutac_datasets.demonstrations.replay.imprint import find_place
             from pneutac_datasets.demonstrations.replay.reading import load_demonstrations
             from pneutac_datasets.demonstrations.replay.replaying import replay
-            from pneutac_sim.world.varied import VariedWorld
+            from pneutac_sim.world.world import World
 
             try:
                 given = load_demonstrations(name, task, twin, only=[number])
                 episode = given.episodes[0]
-                world = VariedWorld(given.task, twin, "image", "probe", station=given.station)
+                world = World(given.task, twin, "image", "probe", station=given.station)
                 replayed = replay(world, episode, find_place(world, episode), keep=True)
             except InputError as e:
                 self.readout.content = f"> {e}"

@@ -21,9 +21,9 @@ from pneutac_sim.features import CONTROL_HZ, EE, PRESSURE
 from pneutac_sim.finger.inputs import Inputs
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin, Value
-from pneutac_sim.world.conditions import USUAL
+from pneutac_sim.world.checks import USUAL
 from pneutac_sim.world.soft_finger import GEL_ALONG_M
-from pneutac_sim.world.varied import VariedWorld
+from pneutac_sim.world.world import World
 
 MORE_RAD = (-0.10, -0.04, 0.0, 0.04, 0.10, 0.18)  # bends besides the pressure's that are replayed
 LAGS_S = (0.1, 0.3, 1.0, 3.0)  # of the command
@@ -78,7 +78,7 @@ def episode_data(
     Raises:
         InputError: an episode's objects cannot be placed.
     """
-    world, out = VariedWorld(given.task, twin, "probe", "probe", station=given.station), []
+    world, out = World(given.task, twin, "probe", "probe", station=given.station), []
     for i, e in enumerate(given.episodes):
         progress("replaying demonstrations", i, len(given.episodes))
         place = find_place(world, e)

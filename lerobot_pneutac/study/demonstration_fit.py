@@ -31,7 +31,7 @@ from pneutac_sim.finger import Pipeline
 from pneutac_sim.finger.confidence import Z95
 from pneutac_sim.finger.inputs import Inputs
 from pneutac_sim.twin import Twin, Value
-from pneutac_sim.world.conditions import USUAL
+from pneutac_sim.world.checks import USUAL
 
 HZ = 5.0
 STAIRS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 0.8, 0.6, 0.4, 0.2, 0.0)  # of the range

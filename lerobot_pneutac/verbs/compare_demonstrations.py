@@ -19,7 +19,7 @@ from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.varied import VariedWorld
+from pneutac_sim.world.world import World
 
 CHANNELS = {"arm": slice(0, 3), "gauge": slice(3, 4), "touch": TOUCH}  # of a residual
 PHASES = ("free", "onset", "pressed", "release")
@@ -204,7 +204,7 @@ def compare_demonstrations(
 ) -> DemonstrationComparison:
     """Replays demonstrations in the twin's world; raises InputError where objects cannot be placed."""
     study = DemonstrationStudy(twin, given, seed, (), progress)
-    world, f = VariedWorld(given.task, twin, "image", "probe", station=given.station), study.fitter
+    world, f = World(given.task, twin, "image", "probe", station=given.station), study.fitter
     replayed = [
         replay(world, e, data.place, keep=True) for e, data in zip(given.episodes, f.episodes, strict=True)
     ]

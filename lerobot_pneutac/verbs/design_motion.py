@@ -28,11 +28,12 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.features import CONTROL_HZ, PRESSURES
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin, Value
+from pneutac_sim.world.base import Variation
 from pneutac_sim.world.expert import pressures_of
 from pneutac_sim.world.soft_finger import GEL_FRICTION
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.tasks.button import DRAG_M_S, HIGH_M
-from pneutac_sim.world.varied import SidewaysWorld, Variation
+from pneutac_sim.world.world import World
 
 TASK = "button"
 SEARCH_KPA, LIGHT_KPA, PRESS_KPA, TOUCH_MM, LONGEST = 2.0, 4.0, 9.0, 0.3, 400
@@ -176,7 +177,7 @@ def motion_choices(
     felt: dict[str, list[list[Felt]]] = {}
     changes, done = fingers(twin), 0
     for name, (changed, friction) in changes.items():
-        world = SidewaysWorld(TASK, changed, "none", station=station)
+        world = World(TASK, changed, "none", station=station, sideways=True)
         world.variation = Variation(friction=friction)
         felt[name] = []
         for motion in motions:

@@ -161,7 +161,7 @@ def check_gl(option: str) -> None:
 
 def check_finger(group: str, twin: Path | None, conditions: dict) -> None:
     """Refuses a twin of nothing that bends, and one that has an effect without its conditions."""
-    from pneutac_sim.world.conditions import conditions_for
+    from pneutac_sim.world.checks import conditions_for
 
     refuse_if(
         chambers_of(f"{group}.twin", twin) == 0,

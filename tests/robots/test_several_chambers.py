@@ -30,8 +30,9 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.features import action_names, state_names
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin
+from pneutac_sim.world.base import Variation
 from pneutac_sim.world.gantry import Gantry
-from pneutac_sim.world.varied import Variation, VariedWorld
+from pneutac_sim.world.world import World
 
 ACTIONS = ["dx.vel", "dy.vel", "dz.vel", "pressure_1.pos", "pressure_2.pos", "pressure_3.pos"]
 
@@ -121,7 +122,7 @@ def test_a_plan_follows_the_demonstrated_touch(demonstrations, folder):
     twin = Twin.load(folder)
     _, references = read_references(demonstrations, "local/arm", TactileSensor(twin))
     r = references[0]
-    world = VariedWorld("button", twin, "area", "probe")
+    world = World("button", twin, "area", "probe")
     world.variation = Variation(tuple(r.flange_m[0]))
     world.reset(5)
     gantry = Gantry(world)

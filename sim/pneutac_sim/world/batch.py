@@ -22,7 +22,7 @@ from pneutac_sim.surrogate.network import NEAR_RAD, ActionNetwork
 from pneutac_sim.twin import Twin
 from pneutac_sim.world import scene
 from pneutac_sim.world.base import Variation
-from pneutac_sim.world.conditions import Conditions
+from pneutac_sim.world.checks import Conditions
 from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.soft_finger import AHEAD_M, MASS_KG
 from pneutac_sim.world.station import Station

@@ -12,15 +12,14 @@ import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
 
-from pneutac_sim.errors import check_choice
+from pneutac_sim.errors import InputError, check_choice
 from pneutac_sim.features import CHAMBERS, FIDELITIES, RENDERS
 from pneutac_sim.finger.online import PressurePipeline
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import PAPER_FINGER, Twin, checked_range
 from pneutac_sim.world import scene
 from pneutac_sim.world.base import BaseWorld, Observation, Variation, imprint_m
-from pneutac_sim.world.checks import check_bends
-from pneutac_sim.world.conditions import Conditions, conditions_for, draw
+from pneutac_sim.world.checks import Conditions, check_bends, conditions_for, draw
 from pneutac_sim.world.following import Follower
 from pneutac_sim.world.scene import Finger
 from pneutac_sim.world.soft_finger import Pad, Springs, mjcf
@@ -63,6 +62,7 @@ class World(BaseWorld):
         render: str = "mesh",
         pressure_range_kpa: tuple[float, float] | None = None,
         station: Station | None = None,
+        sideways: bool = False,
     ):
         """A world with a task.
 
@@ -83,16 +83,24 @@ class World(BaseWorld):
             pressure_range_kpa: pressures that can be commanded in place of those that the twin was measured
                 over; beyond these the twin is extrapolated.
             station: arm, workspace and mount; default the paper's.
+            sideways: whether a load bends a finger of one chamber across its plane too: its joints are balls,
+                as stiff across as in the plane, which is an assumption, as a bench measures the plane alone.
 
         Raises:
             InputError: unknown task, touch mode, fidelity or render; an arm that does not reach; a twin
                 that is of a gel, or has no networks or outdated ones, or a body stiffer than all of it, or
-                several chambers with another fidelity than `probe`; an effect without its conditions.
+                several chambers with another fidelity than `probe` or with `sideways`; an effect without its
+                conditions.
         """
         self.twin = twin or Twin.builtin()
         check_choice("fidelity", fidelity, FIDELITIES)
         check_bends(self.twin, fidelity)
-        self.chambers = CHAMBERS[self.twin.device]
+        self.chambers, self._sideways = CHAMBERS[self.twin.device], sideways
+        if sideways and self.chambers > 1:
+            raise InputError(
+                f"The twin's {self.twin.device} has {self.chambers} chambers; a finger that a load bends"
+                " sideways is made of one chamber alone."
+            )
         check_choice("render", render, RENDERS)
         wider = self.twin.pressure_range_kpa if pressure_range_kpa is None else pressure_range_kpa
         self.pressure_range_kpa = checked_range(wider, "pressure_range_kpa")
@@ -298,20 +306,20 @@ class World(BaseWorld):
 
     @override
     def _finger_mjcf(self) -> Finger:
-        return mjcf(self.twin, self.station.mount_mm)
+        return mjcf(self.twin, self.station.mount_mm, axes=2 if self._sideways else None)
 
     def _bend(self, q_cmd: np.ndarray) -> np.ndarray:
         """Angles in rad at which the unloaded finger rests, by those that the pressure commands."""
         if self._rest_rad is None:  # at the reset, where the pressure is off
             self._rest_rad = q_cmd
-        if self.variation is World.variation:
-            return q_cmd
-        bent = self._rest_rad + self.variation.bend_gain * (q_cmd - self._rest_rad)
-        return bent + self.variation.more_rad / len(q_cmd)
+        if self.variation is not World.variation:
+            q_cmd = self._rest_rad + self.variation.bend_gain * (q_cmd - self._rest_rad)
+            q_cmd = q_cmd + self.variation.more_rad / len(q_cmd)
+        return np.stack([q_cmd, np.zeros_like(q_cmd)], axis=1) if self._sideways else q_cmd
 
     def _in_plane(self, q: np.ndarray) -> np.ndarray:
-        """Those of joint angles that the pipeline has; here all."""
-        return q
+        """Those of joint angles that the pipeline has."""
+        return q[:, 0] if self._sideways else q
 
     @property
     def tactile_shape(self) -> tuple[int, int, int]:

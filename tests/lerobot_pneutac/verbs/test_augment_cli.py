@@ -29,8 +29,9 @@ from pneutac_datasets.demonstrations.episodes import POINTS, TACTILE
 from pneutac_datasets.demonstrations.record import record_episodes
 from pneutac_datasets.demonstrations.save import create_dataset
 from pneutac_sim.errors import InputError
+from pneutac_sim.world.base import Variation
 from pneutac_sim.world.expert import ScriptedExpert
-from pneutac_sim.world.varied import Variation, VariedWorld
+from pneutac_sim.world.world import World
 
 pytestmark = pytest.mark.slow
 
@@ -267,7 +268,7 @@ def test_what_is_carried_out_once_more_by_the_same_physics_agrees_wholly(made):
 
 @pytest.mark.nightly
 def test_what_differs_is_measured_and_what_was_checked_is_not_checked_again(tmp_path):
-    world = VariedWorld("switch", touch="image", fidelity="probe")
+    world = World("switch", touch="image", fidelity="probe")
     world.variation = Variation(bend_gain=0.97)
     for seed in range(1, 9):
         observation, seen, actions = world.reset(seed), [], []
@@ -282,7 +283,7 @@ def test_what_differs_is_measured_and_what_was_checked_is_not_checked_again(tmp_
     states, images = np.array([o.state for o in seen]), np.array([o.tactile for o in seen])
     start = seed, world.variation
     attempt = Attempt(states, np.array(actions), images, None, 0.0, 0.0, start)
-    steps, other = [], VariedWorld("switch", touch="image", fidelity="surrogate")
+    steps, other = [], World("switch", touch="image", fidelity="surrogate")
     found = check.agreement(other, 4, attempt, lambda: steps.append(0))
     assert len(steps) == len(actions)
     assert found.episode == 4 and found.area_peak == pytest.approx(states[:, 17].max())

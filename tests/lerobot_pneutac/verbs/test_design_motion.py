@@ -16,7 +16,7 @@ from lerobot_pneutac.verbs.design_motion import (
     PRESS,
     Felt,
     Misses,
-    SidewaysWorld,
+    World,
     carried_out,
     fingers,
     sideways,
@@ -50,7 +50,7 @@ def test_the_stand_in_shows_what_the_twin_foresees():
     )
     force = [carried_out(w, 3, PRESS).force_n.mean() for w in (plain, softer)]
     foreseen = [
-        carried_out(SidewaysWorld("button", t, "none"), 3, PRESS).force_n.mean()
+        carried_out(World("button", t, "none", sideways=True), 3, PRESS).force_n.mean()
         for t, _ in (fingers(Twin.builtin())[k] for k in (PLAIN, COMPLIANCE))
     ]
     assert force[1] / force[0] == pytest.approx(foreseen[1] / foreseen[0], abs=0.07)

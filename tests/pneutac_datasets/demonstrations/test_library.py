@@ -16,7 +16,7 @@ from pneutac_sim.finger.confidence import Z95
 from pneutac_sim.gel.sensor import centre_mm
 from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.expert import Person
-from pneutac_sim.world.varied import VariedWorld
+from pneutac_sim.world.world import World
 
 NOTHING = np.full(2, np.nan)
 
@@ -117,7 +117,7 @@ def test_late_answers_are_found_where_the_same_frame_shows_nothing():
 
 def test_the_answers_of_a_modelled_person_are_found():
     """On the card, whose x and z velocities it corrects by what it feels 0.15 to 0.35 s before."""
-    world, made = VariedWorld("card", touch="area", fidelity="probe"), []
+    world, made = World("card", touch="area", fidelity="probe"), []
     world.widen_starts(0.5)
     for seed in range(40):
         world.reset(seed)

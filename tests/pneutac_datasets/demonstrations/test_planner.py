@@ -14,9 +14,10 @@ from pneutac_datasets.demonstrations.pool import previous_actions
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH
 from pneutac_sim.gel.sensor import centre_mm
+from pneutac_sim.world.base import Variation
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.gantry import Gantry
-from pneutac_sim.world.varied import Variation, VariedWorld
+from pneutac_sim.world.world import World
 
 pytestmark = pytest.mark.slow
 
@@ -27,7 +28,7 @@ def demonstrate(task: str, seed: int, late: int) -> tuple[Reference, bool]:
 
     It tells where on the gel the imprint is, as the images of a recorded one do.
     """
-    world = VariedWorld(task, touch="area", fidelity="probe")
+    world = World(task, touch="area", fidelity="probe")
     world.variation = Variation(late_commands=late)
     observation = world.reset(seed)
     expert, rng = None, np.random.default_rng(seed)
@@ -124,7 +125,7 @@ def test_bad_numbers_are_named():
 @pytest.mark.parametrize("task", ["switch", "egg", "card"])
 def test_gantry_goes_the_arms_way(task):
     r = demonstrations(task, 1)[0]
-    world = VariedWorld(task, touch="area", fidelity="probe")
+    world = World(task, touch="area", fidelity="probe")
     gantry = Gantry(world)
     world.variation = Variation(start_m=tuple(r.flange_m[0]))
     world.reset(r.source)
@@ -162,7 +163,7 @@ def test_gantry_goes_the_arms_way(task):
 
 
 def test_variation_moves_the_object_and_scales_the_bend():
-    world = VariedWorld("switch", touch="area", fidelity="probe")
+    world = World("switch", touch="area", fidelity="probe")
     bar = world.data.geom("bar")
     world.reset(4)
     place, start = bar.xpos.copy(), world.flange_m
@@ -205,7 +206,7 @@ def test_the_touch_tells_where_the_object_stood(switch):
 @pytest.mark.parametrize("late", [0, 1, 3])
 def test_the_free_way_tells_how_late_commands_act(late):
     references = demonstrations("switch", 2, late)
-    world = VariedWorld("switch", touch="area", fidelity="probe")
+    world = World("switch", touch="area", fidelity="probe")
     assert command_latency(world, references) == late
 
 
@@ -213,7 +214,7 @@ def test_what_is_laid_out_around_a_hand_is_what_a_reset_lays_out():
     """For every task: the object under the hand as at the start, and tried actions meet it alike."""
     for task in ("switch", "egg", "card"):
         r = demonstrations(task, 1)[0]
-        world = VariedWorld(task, touch="area", fidelity="probe")
+        world = World(task, touch="area", fidelity="probe")
         gantry, shift = Gantry(world), (0.01, -0.004, 0.0)
         world.variation = Variation(tuple(r.flange_m[0]), shift)
         world.reset(r.source)
@@ -238,7 +239,7 @@ def test_planning_brings_touch_and_path_back_to_the_demonstrated_ones():
 
     An area of a tenth is off by a hundredth or two, which at the default weight is little beside the path.
     """
-    world, config = VariedWorld("switch", touch="area", fidelity="probe"), PlannerConfig(area_weight=5.0)
+    world, config = World("switch", touch="area", fidelity="probe"), PlannerConfig(area_weight=5.0)
     gantry = Gantry(world)
     touch_alone = replace(config, position_weight=0.0, smoothness_weight=0.0)
     left, left_of_touch = [], []
@@ -405,7 +406,7 @@ def test_what_leads_the_expert_astray_is_carried_out_and_not_stored():
     previous = previous_actions(Episode(made.state, made.action, images, "flip", 15))
     np.testing.assert_array_equal(previous[1:], made.action[:-1])
     assert np.abs(previous[1:] - made.carried_out[:-1]).max() > 1e-3
-    world = VariedWorld("switch", touch="area", fidelity="probe")
+    world = World("switch", touch="area", fidelity="probe")
     seed, world.variation = made.start
     states = [world.reset(seed).state]
     for action in made.carried_out[:-1]:

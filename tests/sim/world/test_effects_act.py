@@ -19,7 +19,6 @@ from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.gantry import Gantry
-from pneutac_sim.world.varied import VariedWorld
 from pneutac_sim.world.world import World
 
 RISE_KPA = 5.0 * (1 - np.cos(np.pi * np.arange(91) / 90))  # in 6 s
@@ -166,7 +165,7 @@ def test_the_network_bends_the_free_finger_as_the_bench_says():
 
 def test_the_planner_moves_the_finger_as_the_world_does():
     twin = with_effect("thermal", "elongation", "base_tilt", "valve_lag")
-    world = VariedWorld("switch", twin, "none", conditions=CONDITIONS)
+    world = World("switch", twin, "none", conditions=CONDITIONS)
     world.reset(0)
     for p in SWEEP_KPA[30:70]:
         world.step([0.0, 0.0, 0.0, p])

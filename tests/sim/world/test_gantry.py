@@ -5,16 +5,17 @@ import pytest
 
 from pneutac_sim.effects import get_effect
 from pneutac_sim.twin import Twin, Value
+from pneutac_sim.world.base import Variation
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.gantry import Gantry
-from pneutac_sim.world.varied import Variation, VariedWorld
+from pneutac_sim.world.world import World
 
 pytestmark = pytest.mark.slow
 
 
-def in_contact(task: str, twin=None, late: int = 0, **kwargs) -> tuple[VariedWorld, np.ndarray]:
+def in_contact(task: str, twin=None, late: int = 0, **kwargs) -> tuple[World, np.ndarray]:
     """A world whose gel touches the object, and the expert's last action (4,)."""
-    world = VariedWorld(task, twin, "area", **kwargs)
+    world = World(task, twin, "area", **kwargs)
     world.variation = Variation(late_commands=late)
     for seed in range(3, 8):
         world.reset(seed)
@@ -74,7 +75,7 @@ def test_what_was_sent_and_acts_too_late_goes_first():
 
 
 def test_the_reduced_world_has_nothing_to_look_at_but_the_same_physics():
-    world = VariedWorld("egg", touch="area")
+    world = World("egg", touch="area")
     gantry = Gantry(world)
     names = [gantry.model.geom(i).name for i in range(gantry.model.ngeom)]
     assert (gantry.model.geom_contype | gantry.model.geom_conaffinity).all()

@@ -5,9 +5,9 @@ import pytest
 from played import played, succeeds
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.world.base import Variation
 from pneutac_sim.world.expert import Person, ScriptedExpert, demonstrator
 from pneutac_sim.world.tasks.base import HOME_JITTER_M, WIDER_M
-from pneutac_sim.world.varied import Variation, VariedWorld
 from pneutac_sim.world.world import World
 
 
@@ -92,7 +92,7 @@ def test_wider_starts_scatter_hand_and_objects_about_the_same_middle():
 
 
 def test_a_varied_world_widens_its_objects_and_starts_where_it_is_told():
-    world = VariedWorld("card", None, "none", "probe")
+    world = World("card", None, "none", "probe")
     world.widen_starts(1.0)
     world.variation = Variation((0.38, 0.01, 0.32))
     found = []

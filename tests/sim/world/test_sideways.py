@@ -7,13 +7,13 @@ from arms import arm_twin
 from lerobot_pneutac.verbs.design_motion import PRESS, carried_out, sideways
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin, Value
-from pneutac_sim.world.varied import SidewaysWorld, Variation
+from pneutac_sim.world.base import Variation
 from pneutac_sim.world.world import World
 
 
 @pytest.fixture(scope="module")
 def world():
-    return SidewaysWorld("button", touch="none")
+    return World("button", touch="none", sideways=True)
 
 
 def drag(world, friction, drag_mm=12.0):
@@ -39,7 +39,7 @@ def test_a_gel_that_sticks_turns_by_three_halves_of_the_way_over_the_length(worl
     softer = Twin.builtin()
     whole = softer.parameter("joint_stiffness_nm_per_rad")
     softer.parameters = softer.parameters | {"joint_stiffness_nm_per_rad": Value(0.7 * whole)}
-    soft = SidewaysWorld("button", softer, touch="none")
+    soft = World("button", softer, touch="none", sideways=True)
     assert drag(soft, friction=5.0).turn_deg_per_mm == pytest.approx(felt.turn_deg_per_mm, rel=0.1)
     world.variation = soft.variation = Variation()
     press, pressed = (carried_out(w, 3, PRESS).force_n.mean() for w in (world, soft))
@@ -54,4 +54,4 @@ def test_one_that_slips_turns_less(world):
 
 def test_a_body_of_several_chambers_is_refused():
     with pytest.raises(InputError, match="has 3 chambers"):
-        SidewaysWorld("button", arm_twin(), touch="none")
+        World("button", arm_twin(), touch="none", sideways=True)

@@ -14,7 +14,6 @@ from pneutac_sim.twin import Twin
 from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.splats import SplatFinger, camera_of
 from pneutac_sim.world.station import Station
-from pneutac_sim.world.varied import VariedWorld
 from pneutac_sim.world.view import Renderer, require_gl
 from pneutac_sim.world.world import World
 
@@ -32,7 +31,7 @@ def test_what_is_left_out_is_the_papers(tmp_path):
 
 def test_a_longer_mount_keeps_the_gel_where_it_was_and_the_box_holds_world_and_plans():
     station = Station((0.35, -0.1, 0.2), (0.45, 0.1, 0.4), 50.0)
-    paper, own = (VariedWorld("switch", touch="none", station=s) for s in (None, station))
+    paper, own = (World("switch", touch="none", station=s) for s in (None, station))
     for world in (paper, own):
         world.reset(3)
     np.testing.assert_allclose(own.gel_m, paper.gel_m, atol=1e-3)
@@ -80,7 +79,7 @@ def test_commands_act_late_by_the_stations_latency_and_it_starts_at_its_home():
     late, prompt = (
         World("card", touch="none", station=s) for s in (station, Station(home_m=(0.42, 0.02, 0.33)))
     )
-    ahead = VariedWorld("card", touch="none", station=station)
+    ahead = World("card", touch="none", station=station)
     for world in (late, prompt, ahead):
         world.reset(0)
     np.testing.assert_allclose(late.flange_m, [0.42, 0.02, 0.33], atol=0.007)

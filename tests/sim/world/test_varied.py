@@ -5,14 +5,15 @@ import pytest
 from played import played
 
 from pneutac_sim.gel.sensor import TactileSensor
+from pneutac_sim.world.base import Variation
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.gantry import Gantry
-from pneutac_sim.world.varied import Variation, VariedWorld
+from pneutac_sim.world.world import World
 
 
 def play(actions, **late):
     """States (T, 20) and contact areas (T,) of actions (T, 4)."""
-    world = VariedWorld("switch", touch="area", fidelity="probe")
+    world = World("switch", touch="area", fidelity="probe")
     world.variation = Variation(**late)
     world.reset(3)
     states = [world.step(a).state for a in actions]
@@ -20,7 +21,7 @@ def play(actions, **late):
 
 
 def demonstration():
-    return played(VariedWorld("switch", touch="area", fidelity="probe"), 3, steps=200)[1]
+    return played(World("switch", touch="area", fidelity="probe"), 3, steps=200)[1]
 
 
 def test_latency_shifts_commands_and_touch_and_nothing_else():
@@ -40,7 +41,7 @@ def test_latency_shifts_commands_and_touch_and_nothing_else():
 
 def test_plans_feel_with_the_gel_of_the_world():
     """A rollout in contact goes on where the world is, with its network, from whichever start."""
-    world = VariedWorld("egg", touch="area", fidelity="surrogate")
+    world = World("egg", touch="area", fidelity="surrogate")
     gantry, formula = Gantry(world), TactileSensor(world.twin)
     by_formula, ahead = [], []
     for seed in range(1, 9):
@@ -64,7 +65,7 @@ def test_plans_feel_with_the_gel_of_the_world():
 
 def test_after_a_shifted_start_the_tasks_own_home_is_home_again():
     """Who takes the last start as home lets starts wander from one reset to the next."""
-    world = VariedWorld("card", touch="none", fidelity="probe")
+    world = World("card", touch="none", fidelity="probe")
     own = world.home_m
     world.variation = Variation(start_m=tuple(own + (0.02, -0.01, 0.03)))
     world.reset(1)

@@ -16,13 +16,13 @@ import pneutac_sim  # noqa: F401  registers the environments
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, N_PIXELS, POINTS_SHAPE, STATE_NAMES, TASK_NAMES
 from pneutac_sim.world import scene, view
+from pneutac_sim.world.base import Variation
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.look import contact_force_n, tactile_points
 from pneutac_sim.world.soft_finger import GEL_FRICTION
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.tasks import TASKS
-from pneutac_sim.world.varied import Variation, VariedWorld
 from pneutac_sim.world.view import CAMERA
 from pneutac_sim.world.world import Substeps, World
 
@@ -236,7 +236,7 @@ AWAY = Variation(shift_m=(0.0, 0.0, -5.0))
 
 
 def free_world(control_hz):
-    world = VariedWorld("switch", touch="probe", station=Station(control_hz=control_hz))
+    world = World("switch", touch="probe", station=Station(control_hz=control_hz))
     world.variation = AWAY
     world.reset(3)
     return world

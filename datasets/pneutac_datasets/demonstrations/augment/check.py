@@ -15,7 +15,7 @@ from pneutac_datasets.demonstrations.augment.work import Work
 from pneutac_sim.files import write_json
 from pneutac_sim.progress import Progress
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.varied import VariedWorld
+from pneutac_sim.world.world import World
 
 STEP_S = 0.6  # of a control step by material points on one core, until it has been measured
 
@@ -57,15 +57,15 @@ def check(work: Work, setup: AugmentSetup, number: int, progress: Progress) -> N
         write_json(work.check_file(k), asdict(agreement(world, k, attempt, step)))
 
 
-def checking_world(setup: AugmentSetup, fidelity: str = "mpm") -> VariedWorld:
+def checking_world(setup: AugmentSetup, fidelity: str = "mpm") -> World:
     """The world in which demonstrations are carried out once more."""
     twin = Twin.load(setup.twin) if setup.twin else None
-    world = VariedWorld(setup.task, twin, "image", fidelity, setup.conditions, station=setup.where)
+    world = World(setup.task, twin, "image", fidelity, setup.conditions, station=setup.where)
     world.widen_starts(setup.start_width)
     return world
 
 
-def agreement(world: VariedWorld, episode: int, attempt: Attempt, step=lambda: None) -> Agreement:
+def agreement(world: World, episode: int, attempt: Attempt, step=lambda: None) -> Agreement:
     """Carries out a demonstration in another world; calls `step` before each of its actions."""
     began = time.monotonic()
     seed, variation = attempt.start

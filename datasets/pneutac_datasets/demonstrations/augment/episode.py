@@ -25,12 +25,13 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.features import MAX_PRESSURE_KPA, PRESSURES, VELOCITY_NAMES, Places
 from pneutac_sim.gel.sensor import centre_mm
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.conditions import Conditions
+from pneutac_sim.world.base import Variation
+from pneutac_sim.world.checks import Conditions
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.look import SceneCameras, tactile_points
 from pneutac_sim.world.station import Station
-from pneutac_sim.world.varied import Variation, VariedWorld
+from pneutac_sim.world.world import World
 
 FEED_FORWARD_M_S = 0.01  # velocity added along the motion in contact for a friction factor higher by one
 START_M = 0.004  # standard deviation of the start; its height stays, by which many a contact is met at all
@@ -107,7 +108,7 @@ class Generator:
     def __post_init__(self):
         s = self.setup
         twin = Twin.load(s.twin) if s.twin else None
-        self.world = VariedWorld(s.task, twin, self.touch, s.fidelity, s.conditions, station=s.where)
+        self.world = World(s.task, twin, self.touch, s.fidelity, s.conditions, station=s.where)
         self.world.widen_starts(s.start_width)
         self._scene = SceneCameras(self.world, s.cameras)
         self.gantry = Gantry(self.world)

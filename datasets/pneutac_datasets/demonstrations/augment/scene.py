@@ -27,7 +27,7 @@ from pneutac_datasets.demonstrations.replay.replaying import late as delayed
 from pneutac_sim.features import PRESSURES
 from pneutac_sim.gel.sensor import centre_mm
 from pneutac_sim.world.gantry import Gantry
-from pneutac_sim.world.varied import VariedWorld
+from pneutac_sim.world.world import World
 
 YIELDING_M = 0.03  # how far the finger may give way before its gel feels what its edge has touched
 # Frames and control steps are of the paper's rate, see `reference.frames_at`.
@@ -63,7 +63,7 @@ class Scene:
         return self.area_rmse + self.centre_rmse_mm / CENTRE_MM
 
 
-def command_latency(world: VariedWorld, references: list[Reference]) -> int:
+def command_latency(world: World, references: list[Reference]) -> int:
     """Control steps by which commands acted too late, from the demonstrations' motion in free air."""
     errors = np.zeros(frames_at(world.station.control_hz, MOST_LATE) + 1)
     own = world.station.late_commands + world.station.steps(latency_s(world.twin))
@@ -77,7 +77,7 @@ def command_latency(world: VariedWorld, references: list[Reference]) -> int:
 
 
 def find_scene(
-    world: VariedWorld, gantry: Gantry, reference: Reference, seed: int, candidates: int, late: int = 0
+    world: World, gantry: Gantry, reference: Reference, seed: int, candidates: int, late: int = 0
 ) -> Scene:
     """The scene of a demonstration; see the module's text.
 
@@ -135,7 +135,7 @@ class _Replays:
         seen: (T, 2) middles of the imprint from the onset on, mm; NaN where it is not known.
     """
 
-    def __init__(self, world: VariedWorld, gantry: Gantry, reference: Reference, late: int):
+    def __init__(self, world: World, gantry: Gantry, reference: Reference, late: int):
         self._world, self._gantry, self._reference = world, gantry, reference
         self.onset = max(reference.onset, 1)
         self.felt = float(np.sqrt(np.mean(reference.area[slice(*reference.contact_phase)] ** 2)))

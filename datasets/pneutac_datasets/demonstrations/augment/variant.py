@@ -7,8 +7,8 @@ import numpy as np
 
 from pneutac_sim.finger.confidence import Z95
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.conditions import Conditions, draw
-from pneutac_sim.world.varied import Variation
+from pneutac_sim.world.base import Variation
+from pneutac_sim.world.checks import Conditions, draw
 
 # Standard deviations.
 FRICTION = 0.15  # of the factor on the gel's friction

@@ -15,8 +15,7 @@ from pneutac_datasets.demonstrations.augment.episode import Attempt, AugmentSetu
 from pneutac_datasets.demonstrations.augment.scene import Scene
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole, write_json
-from pneutac_sim.world.base import START_SOLVES
-from pneutac_sim.world.varied import Variation
+from pneutac_sim.world.base import START_SOLVES, Variation
 
 MORE = "more "  # before the names of further features
 

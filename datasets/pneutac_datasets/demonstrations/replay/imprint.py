@@ -31,7 +31,8 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, AREA, EE
 from pneutac_sim.gel.contact import THRESHOLD_LEVELS, without_specks
 from pneutac_sim.gel.sensor import TactileSensor, centre_mm
-from pneutac_sim.world.varied import Variation, VariedWorld
+from pneutac_sim.world.base import Variation
+from pneutac_sim.world.world import World
 
 REST_FRAMES, GAP = 12, 1  # frames before the first touch that show the gel at rest, but for the last ones
 DRIFT_LEVELS, SHAPE_LEVELS = 2.0, 2.0  # of a rest image: less is noise, rounding and slow wander of a camera
@@ -170,7 +171,7 @@ SHALLOW_MM = 0.15  # depth of the first touch that a camera shows
 Pose = tuple[np.ndarray, np.ndarray]  # position (3,) m and rotation (9,) of the gel
 
 
-def find_place(world: VariedWorld, episode: Episode) -> Place:
+def find_place(world: World, episode: Episode) -> Place:
     """The start and displacement with which the twin first feels what the episode felt.
 
     Raises:
@@ -197,7 +198,7 @@ def find_place(world: VariedWorld, episode: Episode) -> Place:
 
 
 def first_touches(
-    world: VariedWorld,
+    world: World,
     lay_out: Callable[[int], object],
     starts: Iterable[int],
     gels: Sequence[Pose],
@@ -232,7 +233,7 @@ def on_table(gel: Pose) -> np.ndarray:
     return np.stack([across, np.zeros(3), view])
 
 
-def _first_touch(world: VariedWorld, gel: Pose, axes: np.ndarray, seen: np.ndarray | None):
+def _first_touch(world: World, gel: Pose, axes: np.ndarray, seen: np.ndarray | None):
     """Displacement (3,) m at which the gel just feels the objects, or None."""
     shift = np.zeros(3)
     for _ in range(2):  # once to the gel, then away from it
@@ -247,14 +248,14 @@ def _first_touch(world: VariedWorld, gel: Pose, axes: np.ndarray, seen: np.ndarr
     return None if far is None else shift + far * axes[2]
 
 
-def depth_mm(world: VariedWorld, gel: Pose, shift: np.ndarray) -> np.ndarray:
+def depth_mm(world: World, gel: Pose, shift: np.ndarray) -> np.ndarray:
     """Probe grid of the gel at a pose, of the objects moved by `shift` (3,) m."""
     touch, data = world.touch, world.data
     positions, rotations = data.geom_xpos[touch.felt] + shift, data.geom_xmat[touch.felt]
     return touch.sensor.probe(touch.kinds, touch.sizes, positions, rotations, *gel)
 
 
-def _touching(world: VariedWorld, gel: Pose, shift: np.ndarray, view: np.ndarray) -> float | None:
+def _touching(world: World, gel: Pose, shift: np.ndarray, view: np.ndarray) -> float | None:
     """How far (m) beyond `shift` along the view the objects are just felt, or None within `REACH_M`."""
 
     def deep(far: float) -> bool:

@@ -13,7 +13,8 @@ from scipy.signal import savgol_filter
 from pneutac_datasets.demonstrations.episodes import Episode
 from pneutac_sim.features import CONTROL_HZ, EE, MAX_SPEED_M_S
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.varied import Variation, VariedWorld
+from pneutac_sim.world.base import Variation
+from pneutac_sim.world.world import World
 
 AWAY_M = (0.0, 0.0, -5.0)  # out of everything's way
 SMOOTH = 5  # frames
@@ -61,7 +62,7 @@ def along(path: np.ndarray, pressures: np.ndarray, dt_s: float) -> np.ndarray:
 
 
 def frames_of(
-    world: VariedWorld, path: np.ndarray, pressures: np.ndarray, place: Place, more_rad: float = 0.0
+    world: World, path: np.ndarray, pressures: np.ndarray, place: Place, more_rad: float = 0.0
 ) -> Iterator[int]:
     """Carries a demonstration out from a reset; yields the number of each frame when the world shows it.
 
@@ -84,7 +85,7 @@ def frames_of(
 
 
 def replay(
-    world: VariedWorld, episode: Episode, place: Place = NOWHERE, more_rad: float = 0.0, keep: bool = False
+    world: World, episode: Episode, place: Place = NOWHERE, more_rad: float = 0.0, keep: bool = False
 ) -> Replayed:
     """Carries an episode out in a world of the twin, in any state.
 
@@ -107,12 +108,12 @@ def replay(
     return Replayed(*columns, np.stack(images) if keep else None, done)
 
 
-def gel_pose(world: VariedWorld, recorded_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def gel_pose(world: World, recorded_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Position (3,) m and rotation (9,) of the gel, where the recorded flange and not the replayed one is."""
     return world.gel_m + recorded_m - world.flange_m, world.data.site("gel").xmat.copy()
 
 
-def commanded(world: VariedWorld, action: np.ndarray, start_m: np.ndarray) -> np.ndarray:
+def commanded(world: World, action: np.ndarray, start_m: np.ndarray) -> np.ndarray:
     """Where the flange goes, (T, 3) m, by actions (T, 3 + C) that act at once, with nothing in its way."""
     world.variation = Variation(tuple(start_m), AWAY_M, at_once=True)
     world.reset(0)

@@ -38,7 +38,7 @@ from pneutac_sim.features import ACTION_NAMES, AREA, CONTROL_HZ, EE, PRESSURE, s
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.station import Station
-from pneutac_sim.world.varied import VariedWorld
+from pneutac_sim.world.world import World
 
 DEMOS = Path(__file__).parents[3] / "golden" / "recordings" / "demos"
 
@@ -62,7 +62,7 @@ def recorded(control_hz: int) -> Episode:
 
 @pytest.fixture(scope="module")
 def world():
-    return VariedWorld("button", Twin.builtin(), "probe", "probe")
+    return World("button", Twin.builtin(), "probe", "probe")
 
 
 def test_the_flange_goes_where_it_went_and_its_object_is_met_when_it_was(world, episode):
