@@ -9,10 +9,9 @@ import cv2
 import numpy as np
 from rich.progress import Progress
 
-from pneutac_sim.mpm.body import Body, Material
+from pneutac_sim.mpm.body import Body, Material, Spine
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import simulate, solve_equilibrium
-from pneutac_sim.mpm.spine import Spine
 from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
 
 HERE = Path(__file__).parent

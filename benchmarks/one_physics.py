@@ -23,8 +23,8 @@ from pneutac_sim.gel.spring import GelSpring
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import solve_equilibrium
+from pneutac_sim.surrogate.collect import KINDS, joint_targets
 from pneutac_sim.surrogate.finger import Networks
-from pneutac_sim.surrogate.programs import KINDS, joint_targets
 from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.soft_finger import GEL_FRICTION, sensor
 from pneutac_sim.world.station import Station

@@ -5,7 +5,7 @@ import torch
 
 from pneutac_benchmarks.speed.device_time import device_ms
 from pneutac_benchmarks.speed.splats import OPACITY, finger, gel
-from pneutac_sim.splat.cuda import rasterise_tensors
+from pneutac_sim.splat.render import rasterise_tensors
 
 
 def main() -> None:

@@ -11,10 +11,9 @@ import cv2
 import numpy as np
 
 from pneutac_benchmarks.tactile.drag import drag
-from pneutac_truths.gel.punches import Punch
 from pneutac_truths.gel.scene import Look, Sensor, grid, shine
 from pneutac_truths.gel.session import device
-from pneutac_truths.gel.solid import Face
+from pneutac_truths.gel.solid import Face, Punch
 
 PRESSES = ((Punch("sphere", 3.0), 0.9),)
 DRAGS_MM = [0.0, 0.2, 0.5, 1.0]

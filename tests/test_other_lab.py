@@ -18,8 +18,7 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.features import AREA
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.probe import SPHERE
-from pneutac_truths.light import Gel
-from pneutac_truths.light.gel import reach_below
+from pneutac_truths.light import Gel, reach_below
 
 BIN, DOC = Path(sys.executable).parent, Path(__file__).parents[1] / "docs" / "how_to" / "add_a_task.md"
 

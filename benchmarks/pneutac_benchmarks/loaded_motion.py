@@ -14,7 +14,7 @@ from pneutac_sim.features import MAX_PRESSURE_KPA
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import simulate
-from pneutac_sim.surrogate import programs
+from pneutac_sim.surrogate import collect as programs
 from pneutac_sim.surrogate.finger import SurrogateFinger
 from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.scene import PHYSICS_HZ, SUBSTEPS

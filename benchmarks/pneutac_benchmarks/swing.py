@@ -14,7 +14,7 @@ from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solid import Links
 from pneutac_sim.mpm.solve import simulate, solve_equilibrium
 from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
-from pneutac_sim.surrogate import programs
+from pneutac_sim.surrogate import collect as programs
 from pneutac_sim.twin import Twin, Value
 
 PULLED_S, PULLED_PER_S = 0.3, 120.0  # how long the load bends the body, and how fast it comes to rest

@@ -33,9 +33,8 @@ from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.mpm.body import Body
 from pneutac_sim.photo_fit.objective import SOLID, MaskedPhotograph, Objective
-from pneutac_sim.splat.body import looks_from_twin
+from pneutac_sim.splat.body import MOST_STRAIN, carried, looks_from_twin, strain
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.follow import MOST_STRAIN, carried, strain
 from pneutac_sim.splat.render import rasterise
 from pneutac_sim.twin import Twin
 

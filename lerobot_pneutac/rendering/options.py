@@ -9,8 +9,7 @@ from pneutac_datasets.recording.wording import an
 from pneutac_sim.effects.registry import get_effect, of_body
 from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.finger.online import COMPUTED
-from pneutac_sim.gel.figure import AnyFigure, Figure, Outline
-from pneutac_sim.gel.indenter import Press
+from pneutac_sim.gel.indenter import AnyFigure, Figure, Outline, Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin
 

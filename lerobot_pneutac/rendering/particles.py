@@ -9,9 +9,8 @@ import numpy as np
 
 from lerobot_pneutac.rendering.options import RenderView
 from pneutac_sim.mpm.body import Body
-from pneutac_sim.splat.body import ARRAYS, looks_from_twin
+from pneutac_sim.splat.body import ARRAYS, blank_looks, carried, looks_from_twin, strain, stretch_colours
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.follow import blank_looks, carried, strain, stretch_colours
 from pneutac_sim.splat.gaussians import Gaussians
 from pneutac_sim.splat.render import rasterise
 from pneutac_sim.twin import Twin

@@ -30,7 +30,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.features import CHAMBERS
 from pneutac_sim.finger.online import COMPUTED, OTHERS
 from pneutac_sim.progress import Progress, no_progress
-from pneutac_sim.splat.follow import MOST_STRAIN, strain, stretch_colours
+from pneutac_sim.splat.body import MOST_STRAIN, strain, stretch_colours
 from pneutac_sim.splat.gaussians import Gaussians
 from pneutac_sim.twin import Twin
 

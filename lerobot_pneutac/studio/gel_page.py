@@ -14,7 +14,7 @@ from pneutac_sim.gel.indenter import INDENTERS, Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import press_depth, registered
 from pneutac_sim.gel.sensor import TactileSensor
-from pneutac_sim.splat.follow import stretch_colours
+from pneutac_sim.splat.body import stretch_colours
 
 FRAMES_A_S = 30
 UNIT = 0.1  # of the scene, in mm^-1

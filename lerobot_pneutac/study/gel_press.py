@@ -16,11 +16,11 @@ from pneutac_sim.effects.gel_creep import EFFECT, share_left
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.gel.identifiability import DEEPER, DEEPEST, PLACES
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.late import Earlier, branches_of
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import CONTACT_DISC
 from pneutac_sim.gel.photograph import Predictor, PressPhotograph
 from pneutac_sim.gel.residual import ERROR_LEVELS, INDEPENDENT
+from pneutac_sim.gel.sensor import Earlier, branches_of
 
 
 @dataclass(frozen=True)

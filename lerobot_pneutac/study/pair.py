@@ -15,7 +15,7 @@ from pneutac_datasets.recording.wording import an, listed, plural
 from pneutac_sim.errors import InputError, option
 from pneutac_sim.features import CHAMBERS
 from pneutac_sim.finger import BodyData, Pipeline
-from pneutac_sim.mpm.parameters import parameter
+from pneutac_sim.mpm.solid import parameter
 from pneutac_sim.twin import Twin
 
 # kappa w E / p of a bent body of width w: about 1.5 for a solid bar with a hole in it (A h w / I), 8 for the

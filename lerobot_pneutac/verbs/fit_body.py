@@ -35,7 +35,7 @@ from pneutac_sim.finger.equilibrium import SoftBody
 from pneutac_sim.finger.quantities import squared_distance
 from pneutac_sim.finger.stages import BODY_SHARE, FORCES
 from pneutac_sim.progress import Progress, no_progress
-from pneutac_sim.surrogate.programs import bending_range
+from pneutac_sim.surrogate.collect import bending_range
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 
 WHOLE, MODULUS = "joint_stiffness_nm_per_rad", "youngs_modulus_mpa"

@@ -19,7 +19,6 @@ from pneutac_datasets.recording.gel import GelRecording, GelSample, pair_faults
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect, of_sensor, sensor_effects
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.channel import ERROR_LEVELS
 from pneutac_sim.gel.fit import fit_presses
 from pneutac_sim.gel.identifiability import Identified, identify, library, save
 from pneutac_sim.gel.indenter import Press
@@ -27,7 +26,7 @@ from pneutac_sim.gel.layout import LIKE
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import ImageScores, Pair, RestDifference, cells, score
 from pneutac_sim.gel.photograph import PressPhotograph
-from pneutac_sim.gel.problem import GelFit
+from pneutac_sim.gel.problem import ERROR_LEVELS, GelFit
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 
@@ -306,7 +305,7 @@ def calibrate_gel(
     images = render(fit.gel, data)
     material = ""
     if points:
-        from pneutac_sim.mpm.parameters import parameter
+        from pneutac_sim.mpm.solid import parameter
 
         progress(f"material points under all {len(data.samples)} presses", 0, 1)
         images[MPM] = predict(fit.gel, data, points.surface)

@@ -122,8 +122,7 @@ def write_geometry(twin: Twin, folder: Path) -> None:
 
     They are to look at, print or edit; an edited one comes back with `pneutac new --mesh`.
     """
-    from pneutac_sim.mpm.parameters import WIDTH_MM
-    from pneutac_sim.mpm.solid import body_mesh, digit_mount_mesh
+    from pneutac_sim.mpm.solid import WIDTH_MM, body_mesh, digit_mount_mesh
     from pneutac_sim.mpm.user_mesh import stored_mesh
 
     body_mesh(twin).apply_scale(1000.0).export(folder / "geometry.stl")

@@ -28,7 +28,7 @@ from pneutac_sim.finger import Pipeline
 from pneutac_sim.finger.stages import Geometry
 from pneutac_sim.gel.force import MATERIAL
 from pneutac_sim.gel.model import OWN_PLACE, GelModel
-from pneutac_sim.mpm.parameters import BY_DEVICE, DEFAULTS
+from pneutac_sim.mpm.solid import BY_DEVICE, DEFAULTS
 from pneutac_sim.twin import GEL, PARAMETERS, Twin, Value
 
 

@@ -7,13 +7,22 @@ from pneutac_benchmarks.tactile.drag import drag
 from pneutac_truths.__main__ import main
 from pneutac_truths.gel import solid
 from pneutac_truths.gel.faults import GEL_EFFECTS
-from pneutac_truths.gel.punches import KINDS, Punch, polygon_distance
 from pneutac_truths.gel.scene import Look, Sensor, grid, shine
 from pneutac_truths.gel.session import _session, named, write_gel
-from pneutac_truths.gel.solid import Rubber, press
-from pneutac_truths.light import Gel
-from pneutac_truths.light.gel import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE, HalfSpace, love, reach_below
-from pneutac_truths.light.rays import Lamps, light
+from pneutac_truths.gel.solid import KINDS, Punch, Rubber, polygon_distance, press
+from pneutac_truths.light import (
+    BOX,
+    CAPSULE,
+    CYLINDER,
+    ELLIPSOID,
+    SPHERE,
+    Gel,
+    HalfSpace,
+    Lamps,
+    light,
+    love,
+    reach_below,
+)
 
 pytest.importorskip("skfem", reason="needs scikit-fem (the dev extra)")
 

@@ -10,9 +10,8 @@ from scipy.spatial import cKDTree
 
 from pneutac_benchmarks.baselines.particle_splat import draw_disks
 from pneutac_sim.mpm.body import Body
-from pneutac_sim.splat.body import check_photograph
+from pneutac_sim.splat.body import carry, check_photograph
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.follow import carry
 from pneutac_sim.splat.rasteriser import Rendering
 
 SAMPLES = 32  # of a ray between the nearest and the farthest particle

@@ -3,9 +3,8 @@
 import numpy as np
 
 from pneutac_sim.mpm.body import Body
-from pneutac_sim.splat.body import FAR_SIDE, check_photograph, surroundings, unseen
+from pneutac_sim.splat.body import FAR_SIDE, SCALE, blank_looks, check_photograph, surroundings, unseen
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.follow import SCALE, blank_looks
 
 
 def photo_colours(

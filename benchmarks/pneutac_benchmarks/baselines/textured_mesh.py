@@ -10,8 +10,8 @@ from pneutac_benchmarks.baselines.isosurface import isosurface
 from pneutac_benchmarks.baselines.photo_colours import photo_colours
 from pneutac_benchmarks.baselines.triangles import draw_triangles
 from pneutac_sim.mpm.body import Body
+from pneutac_sim.splat.body import carry
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.follow import carry
 from pneutac_sim.splat.rasteriser import Rendering
 
 FINE = 2  # nodes of the density's lattice a particle, each way

@@ -22,8 +22,7 @@ from pneutac_benchmarks.body.options import BenchmarkBodyConfig
 from pneutac_benchmarks.tables import markdown, terminal
 from pneutac_datasets.recording.photographs import read_camera, read_photograph
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.splat.body import fit_body_looks
-from pneutac_sim.splat.follow import carried
+from pneutac_sim.splat.body import carried, fit_body_looks
 from pneutac_sim.splat.render import rasterise
 from pneutac_sim.twin import Twin, Value
 

@@ -19,10 +19,9 @@ from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import simulate, solve_equilibrium
-from pneutac_sim.surrogate.collect import FRAME_S, HOLDS
+from pneutac_sim.surrogate.collect import FRAME_S, HOLDS, joint_targets
 from pneutac_sim.surrogate.finger import Networks
 from pneutac_sim.surrogate.gel_collect import Contact, press, random_contact
-from pneutac_sim.surrogate.programs import joint_targets
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.env import PneutacEnv
 from pneutac_sim.world.world import World

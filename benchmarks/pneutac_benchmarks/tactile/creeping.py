@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from pneutac_truths.light.gel import SPHERE, Gel
+from pneutac_truths.light import SPHERE, Gel
 
 HOLDS_S = (60.0, 2.0, 2.0)  # in turn
 GAP_S = 3.0

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import coo_matrix
 
-from pneutac_truths.gel.punches import Punch
-from pneutac_truths.gel.solid import Face, Mesh, Rubber
+from pneutac_truths.gel.solid import Face, Mesh, Punch, Rubber
 
 STEP_MM = 0.1  # by which the punch goes on
 

@@ -20,7 +20,7 @@ from pneutac_sim.features import (
     joint_count,
 )
 from pneutac_sim.gel.contact import without_specks
-from pneutac_sim.world.look import points_info
+from pneutac_sim.world.task_env import points_info
 
 POINTS = f"{OBS_STR}.{POINTS_KEY}"  # touch as data
 

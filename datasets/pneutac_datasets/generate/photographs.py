@@ -38,8 +38,8 @@ from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solid import PITCH_M, SHAPES
 from pneutac_sim.mpm.solve import solve_equilibrium
+from pneutac_sim.splat.body import carry
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.follow import carry
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 from pneutac_sim.world.view import gl_context
 

@@ -16,7 +16,7 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import MAX_PRESSURE_KPA
 from pneutac_sim.gel.indenter import Press
-from pneutac_truths.light.gel import SPHERE, reach_below
+from pneutac_truths.light import SPHERE, reach_below
 
 MARKER_NOISE_MM = 0.3
 SETTLE_S, TURNED_S = 1.0, 4.0  # a finger that has been turned or loaded swings longer

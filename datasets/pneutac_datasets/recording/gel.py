@@ -16,12 +16,11 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import shown
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import inside
-from pneutac_sim.gel.figure import AnyFigure, Figure, Outline
-from pneutac_sim.gel.indenter import FIGURES, INDENTERS, Press
-from pneutac_sim.gel.late import Earlier
+from pneutac_sim.gel.indenter import FIGURES, INDENTERS, AnyFigure, Figure, Outline, Press
 from pneutac_sim.gel.pair import RestDifference, cell_px, cells, check_pair, saturated, shows_contact
 from pneutac_sim.gel.photograph import PressPhotograph
 from pneutac_sim.gel.probe import THICKNESS_MM
+from pneutac_sim.gel.sensor import Earlier
 
 
 def figure_of(folder: Path, row: pd.Series, indenter: str) -> AnyFigure | None:

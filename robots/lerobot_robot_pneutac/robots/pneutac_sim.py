@@ -18,8 +18,8 @@ from pneutac_sim.features import IMAGE_NAME, POINTS_KEY, Places
 from pneutac_sim.gel.contact import SPECKS
 from pneutac_sim.pace import DONE
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.look import SceneCameras, tactile_points
 from pneutac_sim.world.scene import OBJECT_GROUP
+from pneutac_sim.world.task_env import SceneCameras, tactile_points
 from pneutac_sim.world.tasks.base import WIDER_M
 
 # A pose command this near to one of the task's starts brings the arm home; their jitter is less.

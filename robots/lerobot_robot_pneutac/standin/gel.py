@@ -11,8 +11,7 @@ from lerobot_robot_pneutac.standin.finger import DOME_MM, GEL_KPA
 from pneutac_sim.errors import InputError, check_choice
 from pneutac_sim.features import CONTROL_HZ, IMAGE_SHAPE
 from pneutac_sim.world.scene import OBJECT_GROUP
-from pneutac_truths.light import Gel
-from pneutac_truths.light.rays import Lamps
+from pneutac_truths.light import Gel, Lamps
 
 MODES = ("image", "area", "none")
 LATE_IMAGES = 1  # control steps

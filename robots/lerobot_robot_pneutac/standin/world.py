@@ -25,8 +25,8 @@ from lerobot_robot_pneutac.standin.gel import WINDOW_MM, GelTouch
 from pneutac_sim.features import IMAGE_SHAPE, PAPER_RANGE_KPA, state_limits
 from pneutac_sim.world import scene
 from pneutac_sim.world.base import BaseWorld, Observation, imprint_m
-from pneutac_sim.world.env import TaskEnv
 from pneutac_sim.world.station import Station
+from pneutac_sim.world.task_env import TaskEnv
 from pneutac_sim.world.view import View
 
 LATE_COMMANDS = 1  # control steps

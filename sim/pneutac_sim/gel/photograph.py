@@ -15,11 +15,10 @@ import numpy as np
 from pneutac_sim.effects.gel_creep import share_left
 from pneutac_sim.gel import optics
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.late import LEAST_MM, Earlier, branches_of, pressed_on
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import disc, press_px
 from pneutac_sim.gel.probe import COLS, ROWS
-from pneutac_sim.gel.sensor import TactileSensor
+from pneutac_sim.gel.sensor import LEAST_MM, Earlier, TactileSensor, branches_of, pressed_on
 from pneutac_sim.gel.surface import surface
 
 # The gel's surface (80, 59) in mm under a press at a share of its depth (`GelModel.depth_scale`).

@@ -30,13 +30,11 @@ from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.probe import COLS, ROWS
-from pneutac_sim.mpm.body import Body, Material
+from pneutac_sim.mpm.body import Body, Material, Spine
 from pneutac_sim.mpm.indenter import SAMPLES, centre_m, distances_m, half_edge_m
 from pneutac_sim.mpm.loads import Loads
-from pneutac_sim.mpm.parameters import parameter
-from pneutac_sim.mpm.solid import bending_body
+from pneutac_sim.mpm.solid import bending_body, parameter
 from pneutac_sim.mpm.solve import MpmDiverged, halved_once, solve_equilibrium
-from pneutac_sim.mpm.spine import Spine
 from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
 from pneutac_sim.twin import Twin
 

@@ -9,7 +9,7 @@ An indenter of any form for the material points: its signed distance on a cube.
 
 import numpy as np
 
-from pneutac_sim.gel.figure import AnyFigure
+from pneutac_sim.gel.indenter import AnyFigure
 from pneutac_sim.mpm.runtime import ti
 
 SHAPES = ("none", "sphere", "cylinder", "cube", "cone", "edge", "mesh")

@@ -6,9 +6,8 @@ threads read neighbouring numbers (`soa`, structure of arrays).
 
 import numpy as np
 
-from pneutac_sim.mpm.body import RestGrid
+from pneutac_sim.mpm.body import RestGrid, Spine
 from pneutac_sim.mpm.runtime import struct, ti
-from pneutac_sim.mpm.spine import Spine
 
 # Columns of `load`, one row a body. KEEP is the share of momentum that a substep leaves.
 MU, LAM, RHO, DT, KEEP, GRAVITY, POSE = 0, 1, 2, 3, 4, 5, 8

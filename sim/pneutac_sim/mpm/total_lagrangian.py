@@ -6,10 +6,9 @@ from scipy.spatial import cKDTree
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm import kernels as steps
 from pneutac_sim.mpm import state
-from pneutac_sim.mpm.body import Body, Material, RestGrid
+from pneutac_sim.mpm.body import Body, Material, RestGrid, Spine
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.runtime import start
-from pneutac_sim.mpm.spine import Spine
 
 CFL = 0.45
 LARGE = 3000  # cells from which on one body is worth more than one thread

@@ -17,7 +17,7 @@ import trimesh
 from numba import njit
 
 from pneutac_sim.errors import InputError, check_choice
-from pneutac_sim.mesh_file import load_mesh
+from pneutac_sim.gel.indenter import load_mesh
 from pneutac_sim.twin import Twin
 
 STATIONS = 64  # sections, evenly spread

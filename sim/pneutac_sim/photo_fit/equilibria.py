@@ -13,7 +13,7 @@ from pneutac_sim.finger.stages import base_parameters
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.body import Material
 from pneutac_sim.mpm.loads import Loads
-from pneutac_sim.mpm.parameters import parameter
+from pneutac_sim.mpm.solid import parameter
 from pneutac_sim.mpm.solve import solve_equilibrium
 from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
 from pneutac_sim.twin import Twin, Value

@@ -11,8 +11,8 @@ from pneutac_sim.mpm.body import Body
 from pneutac_sim.mpm.solid import body_mesh
 from pneutac_sim.mpm.solve import MpmDiverged
 from pneutac_sim.photo_fit.equilibria import Bodies, Equilibria
+from pneutac_sim.splat.body import Carrier
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.follow import Carrier
 from pneutac_sim.splat.gaussians import Gaussians
 from pneutac_sim.splat.rasteriser import Rendering, Splats
 from pneutac_sim.twin import Twin

@@ -16,9 +16,8 @@ from pneutac_sim.gel.optics import light
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.colours import fit_looks
-from pneutac_sim.splat.cuda import CudaSplats
 from pneutac_sim.splat.rasteriser import Rendering, Splats, numbers
-from pneutac_sim.splat.render import on
+from pneutac_sim.splat.render import CudaSplats, on
 
 CAMERA_MM = 22.0  # a DIGIT's camera before its gel surface
 # The paper has 13. By 4, photographs of two DIGITs are met as well (0.01 levels), a GelSight's nearly so

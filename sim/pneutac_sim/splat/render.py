@@ -1,12 +1,37 @@
-"""Renders Gaussians on the CPU or on CUDA."""
+"""Renders Gaussians on the CPU, or on CUDA through gsplat's kernels (Ye et al. 2024), which agree with it."""
 
+import importlib.util
 from collections.abc import Callable
+
+import numpy as np
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.cuda import CudaSplats, missing
 from pneutac_sim.splat.gaussians import Gaussians
-from pneutac_sim.splat.rasteriser import Rendering, Splats
+from pneutac_sim.splat.kernels import BLUR_PX2, LEAST_ALPHA, NEAR_M, TILE
+from pneutac_sim.splat.rasteriser import Rendering, Splats, numbers
+
+
+class CudaSplats:
+    """As `Splats`, on a CUDA device; gsplat compiles its kernels first (minutes)."""
+
+    def __init__(self, camera: Camera, means, covariances, opacities):
+        self.camera, self.means = camera, numbers("means", means, (-1, 3))
+        n = len(self.means)
+        self._means = _sent(self.means)
+        self._covariances = _sent(numbers("covariances", covariances, (n, 3, 3)))
+        self._opacities = _sent(numbers("opacities", opacities, (n,)))
+
+    def render(self, colours, background=(0.0, 0.0, 0.0)) -> Rendering:
+        """As `Splats.render`."""
+        import torch
+
+        colours = _sent(numbers("colours", colours, self.means.shape))
+        behind = _sent(numbers("background", background, (3,)))
+        gaussians = self._means, self._covariances, colours, self._opacities
+        with torch.no_grad():
+            image, alpha = rasterise_tensors(*gaussians, self.camera, behind)
+        return Rendering(image.cpu().numpy(), alpha.cpu().numpy())
 
 
 def rasterise(
@@ -42,3 +67,104 @@ def on(device: str) -> Callable[..., Splats | CudaSplats]:
     if device == "auto":
         return Splats
     raise InputError(lacks)
+
+
+def _sent(array: np.ndarray):
+    import torch
+
+    return torch.from_numpy(array).cuda()
+
+
+def missing() -> str:
+    """What to do where gsplat or a CUDA device is missing; empty where both are there."""
+    install = "uv pip install -e '.[cuda]' in PneuTac's folder"
+    if importlib.util.find_spec("gsplat") is None:
+        return f"Rendering on CUDA needs the package gsplat; install it with: {install}"
+    import torch
+
+    if not torch.cuda.is_available():
+        return f"Rendering on CUDA needs a CUDA device, which PyTorch does not find; see: {install}"
+    return ""
+
+
+def rasterise_tensors(means, covariances, colours, opacities, camera: Camera, background):
+    """The same on float32 CUDA tensors; differentiable, by gsplat, by all tensors.
+
+    Of means (n, 3) m, covariances (n, 3, 3) m^2, colours (n, 3), opacities (n,) and a background (3,).
+    Returns the image (H, W, 3) and coverage (H, W).
+    """
+    import torch
+    from gsplat import isect_offset_encode, isect_tiles, rasterization, rasterize_to_pixels
+
+    size = (camera.width, camera.height)
+    view, K = (
+        torch.tensor(m, dtype=torch.float32, device=means.device)
+        for m in (camera.extrinsics, camera.intrinsics)
+    )
+    behind = background[None]
+    if not camera.distortion:
+        image, alpha, _ = rasterization(
+            means,
+            None,
+            None,
+            opacities,
+            colours,
+            view[None],
+            K[None],
+            *size,
+            near_plane=NEAR_M,
+            eps2d=BLUR_PX2,
+            packed=False,
+            backgrounds=behind,
+            covars=covariances,
+        )
+        return image[0], alpha[0, ..., 0]
+    pixels, conics, depth, radii = _project(means, covariances, opacities, camera, view)
+    across, down = -(-camera.width // TILE), -(-camera.height // TILE)
+    with torch.no_grad():
+        _, lists, ids = isect_tiles(pixels[None], radii[None], depth[None], TILE, across, down)
+        starts = isect_offset_encode(lists, 1, across, down)
+    image, alpha = rasterize_to_pixels(
+        pixels[None], conics[None], colours[None], opacities[None], *size, TILE, starts, ids, behind
+    )
+    return image[0], alpha[0, ..., 0]
+
+
+def _project(means, covariances, opacities, camera: Camera, view):
+    """`kernels.project` in torch: pixels (n, 2), conics (n, 3), depth (n,), radii (n, 2), 0 where unseen.
+
+    gsplat's own projection knows no lens.
+    """
+    import torch
+
+    # Python numbers, so that the lens costs no copies to the device
+    (fx, _, cx), (_, fy, cy), _ = camera.intrinsics.tolist()
+    k1, k2, p1, p2, k3 = camera.lens.tolist()
+    width, height = camera.width, camera.height
+    rotation = view[:3, :3]
+    x, y, z = (means @ rotation.T + view[:3, 3]).unbind(-1)
+    seen = z >= NEAR_M
+    near = torch.where(seen, z, 1.0)
+    u, v = x / near, y / near
+    r2 = u * u + v * v
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    px = fx * (u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u)) + cx
+    py = fy * (v * radial + p1 * (r2 + 2 * v * v) + 2 * p2 * u * v) + cy
+    seen = seen & (r2 <= camera.largest_r2)
+    u = u.clamp(-(cx + 0.15 * width) / fx, (1.15 * width - cx) / fx)
+    v = v.clamp(-(cy + 0.15 * height) / fy, (1.15 * height - cy) / fy)
+    # rows of the Jacobian of the pixel by the point, times the world-to-camera rotation
+    jx = (fx / near)[:, None] * (rotation[0] - u[:, None] * rotation[2])
+    jy = (fy / near)[:, None] * (rotation[1] - v[:, None] * rotation[2])
+    J = torch.stack([jx, jy], 1)
+    S = J @ covariances @ J.transpose(1, 2)
+    xx, xy, yy = S[:, 0, 0] + BLUR_PX2, S[:, 0, 1], S[:, 1, 1] + BLUR_PX2
+    det = xx * yy - xy * xy
+    conics = torch.stack([yy / det, -xy / det, xx / det], -1)
+    with torch.no_grad():
+        reach = (2 * torch.log(opacities / float(LEAST_ALPHA))).clamp(min=0).sqrt()
+        rx, ry = (reach * xx.sqrt()).ceil(), (reach * yy.sqrt()).ceil()
+        seen = seen & (opacities >= float(LEAST_ALPHA))
+        seen = seen & (px + rx > 0) & (px - rx < width) & (py + ry > 0) & (py - ry < height)
+        radii = (torch.stack([rx, ry], -1) * seen[:, None]).to(torch.int32)
+    return torch.stack([px, py], -1), conics, z, radii

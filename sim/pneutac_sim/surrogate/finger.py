@@ -22,7 +22,7 @@ import numpy as np
 from pneutac_sim.errors import InputError, option
 from pneutac_sim.finger.equilibrium import share_of_controller
 from pneutac_sim.mpm import devices
-from pneutac_sim.surrogate import programs
+from pneutac_sim.surrogate.collect import joint_targets
 from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
 from pneutac_sim.surrogate.network import ActionNetwork
 from pneutac_sim.surrogate.perception import GelSurrogate
@@ -86,7 +86,7 @@ class SurrogateFinger:
                 "material changed; train it again with `pneutac surrogate`."
             )
         self.network = own
-        rest = programs.joint_targets(twin, 0.0)
+        rest = joint_targets(twin, 0.0)
         self.controller_nm_per_rad = controller_stiffness(twin, self.torque(rest, rest)[1])
         self.reset()
 

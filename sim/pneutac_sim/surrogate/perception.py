@@ -31,7 +31,7 @@ class GelSurrogate:
     """A trained perception network, evaluated on one thread.
 
     Args:
-        weights: float32 of g, the entries of `unet.UNet.weights`.
+        weights: float32 of g, the entries of `gel_train.UNet.weights`.
         fingerprint: of the gel that it was trained for.
         deepest_mm: largest probe grid value that it was trained with.
         largest_share: largest share of the window in contact that it was trained with.

@@ -20,9 +20,8 @@ import numpy as np
 from numba import njit
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.mpm.body import Body
+from pneutac_sim.mpm.body import Body, Spine
 from pneutac_sim.mpm.solid import Links
-from pneutac_sim.mpm.spine import Spine
 
 G = 2 - np.sqrt(2)  # of TR-BDF2: share of the step that the trapezoidal rule takes
 BACK = 1 / (G * (2 - G))  # weight of where that ends in the backward formula

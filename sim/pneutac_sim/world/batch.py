@@ -17,7 +17,7 @@ from pneutac_sim.errors import InputError, check_choice
 from pneutac_sim.features import PRESSURES
 from pneutac_sim.finger.online import PressurePipeline
 from pneutac_sim.gel.force import GelForce
-from pneutac_sim.gel.late import branches_of
+from pneutac_sim.gel.sensor import branches_of
 from pneutac_sim.surrogate.network import NEAR_RAD, ActionNetwork
 from pneutac_sim.twin import Twin
 from pneutac_sim.world import scene
@@ -37,7 +37,7 @@ try:
 
     from pneutac_sim.gel.batch import TactileBatch
     from pneutac_sim.gel.contact_batch import ContactBatch, PixelCount, Playback, first
-    from pneutac_sim.surrogate.unet import UNet
+    from pneutac_sim.surrogate.gel_train import UNet
 except ModuleNotFoundError as e:
     raise InputError(
         f"Many worlds at once need MuJoCo Warp and PyTorch, and '{e.name}' is not installed:"
@@ -81,7 +81,7 @@ def _drive(
     spine: int,
     ctrl: wp.array2d(dtype=float),
 ):
-    """Controls of substep k: `following._torques` for the spine, and the slides' from `begin` to `end`."""
+    """Controls of substep k: `spine._torques` for the spine, and the slides' from `begin` to `end`."""
     w = wp.tid()
     n, S, s = q.shape[1], float(steps), float(k + 1) / float(steps)
     heading, spin, faster = float(0.0), float(0.0), float(0.0)

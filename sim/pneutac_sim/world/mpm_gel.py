@@ -19,13 +19,13 @@ What is missing: the soft body does not feel where it is touched, so its skin is
 import numpy as np
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.figure import surface_distance
+from pneutac_sim.gel.indenter import surface_distance
 from pneutac_sim.gel.probe import BOX, CAPSULE, CYLINDER, ELLIPSOID, MESH, NO_TRIANGLES, SPHERE
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import MpmDiverged, solve_equilibrium
 from pneutac_sim.mpm.user_mesh import lattice_inside
-from pneutac_sim.surrogate import programs
+from pneutac_sim.surrogate.collect import joint_targets
 from pneutac_sim.surrogate.finger import controller_stiffness
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.soft_finger import GEL_FRICTION
@@ -170,7 +170,7 @@ class MpmFinger:
         self._J, self.substeps = np.zeros((n, n)), 0
         self.reset()
         # A neo-Hookean body's own stiffness hardly changes with its bend (10 % up to 15 kPa): once is enough.
-        columns, at = [], programs.joint_targets(twin, 0.0)
+        columns, at = [], joint_targets(twin, 0.0)
         for i in range(n):
             apart = NEAR_RAD * np.eye(n)[i]
             q, f = self._hold(at + np.stack([apart, -apart]))

@@ -23,8 +23,7 @@ from pneutac_sim.finger.stages import Geometry
 from pneutac_sim.gel.force import GelForce
 from pneutac_sim.gel.probe import NO_TRIANGLES, SPHERE
 from pneutac_sim.gel.spring import GelSpring, Spring
-from pneutac_sim.mpm.parameters import WIDTH_MM, parameter
-from pneutac_sim.mpm.solid import Links, bending_body
+from pneutac_sim.mpm.solid import WIDTH_MM, Links, bending_body, parameter
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.scene import Finger
 from pneutac_sim.world.spine import BALL, mjcf_joint, mjcf_motors

@@ -7,9 +7,8 @@ import mujoco
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pneutac_sim.splat.body import ARRAYS, looks_from_twin
+from pneutac_sim.splat.body import ARRAYS, blank_looks, looks_from_twin, strain, stretch_colours
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.follow import blank_looks, strain, stretch_colours
 from pneutac_sim.splat.gaussians import Gaussians
 from pneutac_sim.splat.render import on
 from pneutac_sim.twin import Twin

@@ -5,9 +5,8 @@ import numpy as np
 import trimesh
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.late import Memory, branches_of
 from pneutac_sim.gel.probe import COLS, KINDS, MESH, ROWS
-from pneutac_sim.gel.sensor import TactileSensor
+from pneutac_sim.gel.sensor import Memory, TactileSensor, branches_of
 from pneutac_sim.world.scene import OBJECT_GROUP
 
 MODES = ("image", "area", "probe", "none")

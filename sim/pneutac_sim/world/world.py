@@ -20,10 +20,9 @@ from pneutac_sim.twin import PAPER_FINGER, Twin, checked_range
 from pneutac_sim.world import scene
 from pneutac_sim.world.base import BaseWorld, Observation, Variation, imprint_m
 from pneutac_sim.world.checks import Conditions, check_bends, conditions_for, draw
-from pneutac_sim.world.following import Follower
 from pneutac_sim.world.scene import Finger
 from pneutac_sim.world.soft_finger import Pad, Springs, mjcf
-from pneutac_sim.world.spine import Placing, Spine
+from pneutac_sim.world.spine import Follower, Placing, Spine
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.tasks.base import HOME_JITTER_M, contact_force
 from pneutac_sim.world.touch import Touch

@@ -10,9 +10,8 @@ import numpy as np
 import pandas as pd
 
 from pneutac_truths.gel.faults import GEL_EFFECTS, Session
-from pneutac_truths.gel.punches import Punch
 from pneutac_truths.gel.scene import Look, Sensor, grid, shine
-from pneutac_truths.gel.solid import Face, Rubber, press
+from pneutac_truths.gel.solid import Face, Punch, Rubber, press
 
 PRESSES = 13
 EVERY_S = 30.0

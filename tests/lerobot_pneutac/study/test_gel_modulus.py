@@ -73,8 +73,7 @@ def test_a_force_that_no_scale_shows_is_refused_with_its_row(recording):
 @pytest.mark.nightly
 def test_the_law_finds_the_modulus_of_rubber_by_finite_elements(bench):
     """Hexahedra without friction, which share nothing with the law nor with the points it was fitted to."""
-    from pneutac_truths.gel.punches import Punch
-    from pneutac_truths.gel.solid import Rubber, press
+    from pneutac_truths.gel.solid import Punch, Rubber, press
 
     rubber = Rubber(2.5, 34.0, 0.46)
     presses = [

@@ -32,8 +32,8 @@ def drawn(tmp_path_factory):
     """A recording of four photographs by the renderer, from the front and from behind, with markers."""
     from pneutac_sim.photo_fit.equilibria import Equilibria, body_parameters
     from pneutac_sim.photo_fit.objective import Objective
+    from pneutac_sim.splat.body import blank_looks
     from pneutac_sim.splat.camera import Camera
-    from pneutac_sim.splat.follow import blank_looks
 
     folder = tmp_path_factory.mktemp("photographs") / "finger"
     twin = Twin.builtin()

@@ -28,10 +28,8 @@ from pneutac_sim.effects.shadow import cast
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel import layout
 from pneutac_sim.gel.batch import TactileBatch
-from pneutac_sim.gel.figure import Figure, Outline
 from pneutac_sim.gel.fit import fit_photographs, fit_presses
-from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.late import Earlier, Memory, branches_of, pressed_on
+from pneutac_sim.gel.indenter import Figure, Outline, Press
 from pneutac_sim.gel.layout import (
     DIGIT,
     LIKE,
@@ -58,7 +56,7 @@ from pneutac_sim.gel.residual import (
     levels,
     trusted_share,
 )
-from pneutac_sim.gel.sensor import TactileSensor
+from pneutac_sim.gel.sensor import Earlier, Memory, TactileSensor, branches_of, pressed_on
 from pneutac_sim.gel.surface import surface
 from pneutac_sim.mpm.indenter import centre_m, distances_m, half_edge_m
 from pneutac_sim.twin import Twin

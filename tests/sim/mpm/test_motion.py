@@ -24,11 +24,10 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.mpm import devices
-from pneutac_sim.mpm.body import Body, Material
+from pneutac_sim.mpm.body import Body, Material, Spine
 from pneutac_sim.mpm.devices import PressedGel
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import MpmDiverged, simulate, solve_equilibrium
-from pneutac_sim.mpm.spine import Spine
 from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
 from pneutac_sim.twin import Twin
 

@@ -11,10 +11,9 @@ import pytest
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm import runtime
-from pneutac_sim.mpm.body import Body, Material
+from pneutac_sim.mpm.body import Body, Material, Spine
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import simulate, solve_equilibrium
-from pneutac_sim.mpm.spine import Spine
 from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
 
 pytestmark = pytest.mark.slow
@@ -27,7 +26,7 @@ import numpy as np
 from pneutac_sim.mpm import runtime
 from pneutac_sim.mpm.body import Body, Material
 from pneutac_sim.mpm.solve import simulate
-from pneutac_sim.mpm.spine import Spine
+from pneutac_sim.mpm.body import Spine
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.splat.body import fit_body_looks, looks_from_twin, looks_into_twin
+from pneutac_sim.splat.body import carried, fit_body_looks, looks_from_twin, looks_into_twin
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.follow import carried
 from pneutac_sim.splat.render import rasterise
 from pneutac_sim.twin import Twin
 

@@ -14,9 +14,9 @@ from pneutac_benchmarks.baselines.triangles import draw_triangles
 from pneutac_datasets.recording.photographs import segment
 from pneutac_sim.errors import InputError
 from pneutac_sim.photo_fit.objective import cover
+from pneutac_sim.splat.body import carry
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.colours import fit_looks, solve_colours
-from pneutac_sim.splat.follow import carry
 from pneutac_sim.splat.rasteriser import Splats
 
 K = np.array([[300.0, 0, 161], [0, 310.0, 118], [0, 0, 1]])

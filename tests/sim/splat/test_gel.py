@@ -104,7 +104,7 @@ def test_cuda_agrees_with_the_cpu(distortion):
 
 @needs_cuda
 def test_cuda_gradients_agree_with_the_cpu():
-    from pneutac_sim.splat.cuda import rasterise_tensors
+    from pneutac_sim.splat.render import rasterise_tensors
 
     g, camera = scene(0, 500, size=0.004), view((), 200, 150)
     by_image = np.random.default_rng(1).normal(size=(150, 200, 3)).astype(np.float32)

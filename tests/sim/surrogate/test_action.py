@@ -11,14 +11,12 @@ import pytest
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.executor import ExecutorOptions
-from pneutac_sim.mpm.body import Body, Material
-from pneutac_sim.mpm.spine import Spine
+from pneutac_sim.mpm.body import Body, Material, Spine
 from pneutac_sim.surrogate.action import FEWEST, evaluate_action, split, train_action
-from pneutac_sim.surrogate.collect import Plan, collect_action, read_motions
+from pneutac_sim.surrogate.collect import Plan, collect_action, joint_targets, read_motions
 from pneutac_sim.surrogate.finger import SurrogateFinger, network_of
 from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
 from pneutac_sim.surrogate.network import MARGIN, ActionNetwork
-from pneutac_sim.surrogate.programs import joint_targets
 from pneutac_sim.surrogate.skeleton import Skeleton, advance
 from pneutac_sim.twin import Twin, Value
 

@@ -13,8 +13,8 @@ from pneutac_sim.gel.probe import probe_grid
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import solve_equilibrium
+from pneutac_sim.surrogate.collect import joint_targets
 from pneutac_sim.surrogate.finger import Networks, builtin, fits
-from pneutac_sim.surrogate.programs import joint_targets
 from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.env import PneutacEnv
 from pneutac_sim.world.mpm_gel import MpmFinger, MpmGel

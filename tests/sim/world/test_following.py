@@ -16,9 +16,9 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.gel.probe import SPHERE
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.following import Follower
 from pneutac_sim.world.scene import PHYSICS_HZ
 from pneutac_sim.world.soft_finger import Springs, mjcf
+from pneutac_sim.world.spine import Follower
 from pneutac_sim.world.touch import Touch
 from pneutac_sim.world.world import World
 

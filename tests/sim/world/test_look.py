@@ -6,8 +6,8 @@ import pytest
 
 import pneutac_sim  # noqa: F401  registers the environments
 from pneutac_sim.errors import InputError
-from pneutac_sim.world.look import SceneCameras
 from pneutac_sim.world.scene import SCENE_CAMERAS
+from pneutac_sim.world.task_env import SceneCameras
 from pneutac_sim.world.world import World
 
 SMALL = dict.fromkeys(SCENE_CAMERAS, (48, 64))

@@ -15,9 +15,8 @@ from pneutac_sim.finger.online import PressurePipeline
 from pneutac_sim.twin import Value
 from pneutac_sim.world.env import PneutacEnv
 from pneutac_sim.world.expert import ScriptedExpert, towards_gel
-from pneutac_sim.world.following import ball_torques
 from pneutac_sim.world.soft_finger import DEFAULTS, MATERIALS, mjcf
-from pneutac_sim.world.spine import Spine, end_of
+from pneutac_sim.world.spine import Spine, ball_torques, end_of
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.world import World
 
@@ -80,7 +79,7 @@ def _alone(twin):
 
 def test_torques_are_those_of_mujocos_inverse_dynamics():
     """A body at speed in both planes: without springs, to rounding of the discrete rates."""
-    from pneutac_sim.world.following import Follower
+    from pneutac_sim.world.spine import Follower
 
     model = mujoco.MjModel.from_xml_string(_alone(SIX))
     model.dof_armature[model.joint("pad").dofadr[0]] = 1e9  # the gel's face stays where it is

@@ -8,8 +8,7 @@ import pytest
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.solid import bending_body
-from pneutac_sim.splat.body import looks_into_twin
-from pneutac_sim.splat.follow import blank_looks
+from pneutac_sim.splat.body import blank_looks, looks_into_twin
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.splats import SplatFinger, camera_of

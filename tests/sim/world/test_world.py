@@ -19,9 +19,9 @@ from pneutac_sim.world import scene, view
 from pneutac_sim.world.base import Variation
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.gantry import Gantry
-from pneutac_sim.world.look import contact_force_n, tactile_points
 from pneutac_sim.world.soft_finger import GEL_FRICTION
 from pneutac_sim.world.station import Station
+from pneutac_sim.world.task_env import contact_force_n, tactile_points
 from pneutac_sim.world.tasks import TASKS
 from pneutac_sim.world.view import CAMERA
 from pneutac_sim.world.world import Substeps, World

@@ -29,8 +29,8 @@ from pneutac_sim.world.base import Variation
 from pneutac_sim.world.checks import Conditions
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.gantry import Gantry
-from pneutac_sim.world.look import SceneCameras, tactile_points
 from pneutac_sim.world.station import Station
+from pneutac_sim.world.task_env import SceneCameras, tactile_points
 from pneutac_sim.world.world import World
 
 FEED_FORWARD_M_S = 0.01  # velocity added along the motion in contact for a friction factor higher by one
