@@ -230,18 +230,49 @@ def _dead_band(s, f, dt, width):
     return out
 
 
+_APART = 1 / 256  # of a width, between two numbers of the curve
+
+
+@cache
+def _virgin_curve() -> np.ndarray:
+    """(n,) z of a loop of width 1 that goes up from z = -1: dz/df = 1 - |z|^0.3 z, by Runge and Kutta."""
+
+    def slope(z: float) -> float:
+        return 1.0 - abs(z) ** 0.3 * z
+
+    z, h, out = -1.0, _APART, []
+    while 1.0 - z > 1e-9:
+        out.append(z)
+        a = slope(z)
+        b = slope(z + h / 2 * a)
+        c = slope(z + h / 2 * b)
+        z += h / 6 * (a + 2 * b + 2 * c + slope(z + h * c))
+    return np.array([*out, 1.0])
+
+
 @kernel
-def _bouc_wen(s, f, dt, width):
-    """Without stiffness: z' = (f' - |f'| |z|^0.3 z) / width."""
+def _bouc_wen(s, f, dt, width, curve):
+    """Without stiffness: z' = (f' - |f'| |z|^0.3 z) / width.
+
+    Where f goes one way, z follows one curve, see `_virgin_curve`: from its place there it goes on by |df|.
+    """
     out = np.empty((len(f) - 1, f.shape[1]))
+    last = len(curve) - 1
     for t in range(len(out)):
         for i in range(out.shape[1]):
-            z, d = s[2, i], f[t + 1, i] - f[t, i]
-            pieces = 1 + int(min(20.0 * abs(d) / width, 400.0))
-            d /= pieces * width
-            for _ in range(pieces):
-                z = min(1.0, max(-1.0, z + d - abs(d) * abs(z) ** 0.3 * z))
-            s[2, i], out[t, i] = z, width * z
+            d = (f[t + 1, i] - f[t, i]) / width
+            if d != 0.0:
+                way = math.copysign(1.0, d)
+                z = way * s[2, i]
+                k = min(max(np.searchsorted(curve, z), 1), last)
+                at = k - 1 + (z - curve[k - 1]) / (curve[k] - curve[k - 1]) + abs(d) / _APART
+                if at >= last:
+                    z = 1.0
+                else:
+                    k = int(at) if at > 0.0 else 0  # also where it is not finite
+                    z = curve[k] + (at - k) * (curve[k + 1] - curve[k])
+                s[2, i] = way * z
+            out[t, i] = width * s[2, i]
     return out
 
 
@@ -341,7 +372,7 @@ def dead_band(f, dt, k, s, P, x, c, late):
 
 
 def loop(f, dt, k, s, P, x, c, late):
-    return _bouc_wen(s, f, dt, k[0])
+    return _bouc_wen(s, f, dt, k[0], _virgin_curve())
 
 
 def lag(f, dt, k, s, P, x, c, late):

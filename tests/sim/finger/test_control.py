@@ -46,7 +46,7 @@ EFFECTS = {
         "shift_y_mm": 0.35,
         "shift_z_mm": 0.323,
     },
-    "loop(p)": {"weight": -0.0933, "scale_kpa": 15.0, "width_kpa": 3.4695},
+    "loop(p)": {"weight": -0.0947, "scale_kpa": 15.0, "width_kpa": 3.4258},
     "flip(p)": {
         "weight": 0.0349,
         "scale_kpa": 15.0,
