@@ -25,7 +25,8 @@ options = parser.parse_args()
 
 out = Path("outputs/hub")
 dataset, policy, training = out / "dataset", out / "policy", out / "training"
-shutil.rmtree(out, ignore_errors=True)
+if out.exists():
+    sys.exit(f"{out} exists; move or delete it first.")
 out.mkdir(parents=True)
 
 robot = PneutacSim(PneutacSimConfig(id="hub", task="switch", seed=1))

@@ -103,7 +103,7 @@ def _how(c: Column) -> str:
     if c.retained:
         return "as it is"
     unit, by_size = "", c.guess == "by size"
-    if c.unit is not None and c.unit.name.lower() not in ("kpa", "mm", "s", "rad", "c", "g", "n"):
+    if c.unit is not None and (c.unit.factor, c.unit.shift) != (1.0, 0.0):
         unit = f"from {c.unit.name}"
     elif by_size and c.column not in ("time_s", "temperature_c"):
         unit = c.unit.name
@@ -116,4 +116,4 @@ def _range(c: Column, recording: Recording) -> str:
     if c.retained or values is None or values.dtype.kind not in "fiu" or c.column in ("trial", "time_s"):
         return ""
     low, high = float(np.min(values)), float(np.max(values))
-    return f"{low:.3g} to {high:.3g}"
+    return f"{low:.3g} to {high:.3g}" if high > low else f"{low:.3g}"

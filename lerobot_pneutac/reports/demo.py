@@ -44,7 +44,7 @@ def demo_page(result) -> Report:
     page.heading("What it feels")
     page.image(demonstration_strip(out / "demonstrations"), "One demonstration: touch over time")
     for picture in sorted((out / "touch").glob("*.png"))[:1]:
-        page.image(np.asarray(Image.open(picture).convert("RGB")), "Presses beside the calibrated model")
+        page.image(np.asarray(Image.open(picture).convert("RGB")), "Presses and the calibrated model")
     page.heading("Learning curve")
     page.figure(
         _losses(state["train"]),

@@ -204,7 +204,7 @@ class FindPage(Background):
         session.look_at()
         session.comparison = compare(session.twin, session.needs_recording())
         self._tell_error()
-        tell(self.before_after, f"Kept as version {kept.twin.history[-1]['version']}. {kept.sentence}")
+        tell(self.before_after, f"Stored as version {kept.twin.history[-1]['version']}. {kept.sentence}")
 
     def back(self) -> None:
         number = self._studio.session.keep()

@@ -322,7 +322,9 @@ class BodyBase(EffectStudy):
         for name, unit in (("payload_g", "g"), ("temperature_c", "°C")):
             if self.recording.has(name):
                 values = self.recording.column(name).astype(float)
-                out.append(f"{name.partition('_')[0]} of {values.min():.3g} to {values.max():.3g} {unit}")
+                low, high = f"{values.min():.3g}", f"{values.max():.3g}"
+                span = low if low == high else f"{low} to {high}"
+                out.append(f"{name.partition('_')[0]} of {span} {unit}")
         return listed(out)
 
     def alike(self, effects: Sequence[str]) -> str:

@@ -367,7 +367,7 @@ class DemonstrationStudy(EffectStudy):
     def describe(self, model: FittedModel, effect: str) -> str:
         if effect == LATE:
             late = latency_s(model.twin)
-            return f"Your commands act {late:.2g} s late, of arm and air alike."
+            return f"Your commands act {late:.2g} s late, those to the arm and those to the air."
         if effect == COMPLIANCE:
             share = model.twin.parameter(STIFFNESS) / self.twin.parameter(STIFFNESS)
             return (

@@ -95,9 +95,7 @@ def deal_photographs(recording: Recording, seed: int) -> Parts:
     roles = recording.samples["role"].astype(str) if recording.has("role") else np.full(n, "")
     judged = np.asarray(roles != "calibration")
     if not judged.any():
-        raise InputError(
-            "The recording has no image beside the calibration pair, so no error can be computed."
-        )
+        raise InputError("The recording has no image but the calibration pair, so no error can be computed.")
     train, test = np.ones(n, bool), judged
     if n >= T.APART:
         others = np.flatnonzero(judged)

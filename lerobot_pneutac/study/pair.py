@@ -144,13 +144,18 @@ def same_body[R: Recording | Demonstrations](twin: Twin, recording: R, verb: str
     if isinstance(recording, Demonstrations) or recording.device == "gel":
         return recording
     length_mm = None if recording.meta.get("length_proposed") else recording.length_mm
-    if length_mm is not None and abs(length_mm - twin.length_mm) > 0.02 * twin.length_mm:
+    if length_mm is not None and not same_length(length_mm, twin):
         raise InputError(
             f"{recording.folder}/recording.json: length_mm is {recording.length_mm:g}, the twin's is "
             f"{twin.length_mm:g}; make the twin with "
             f"`pneutac new --twin=DIR {option('recording', recording.folder)}`."
         )
     return with_unit_note(twin, recording)
+
+
+def same_length(length_mm: float, twin: Twin) -> bool:
+    """Whether a length measured from base to tip marker is the twin's, within 2 %."""
+    return abs(length_mm - twin.length_mm) <= 0.02 * twin.length_mm
 
 
 def with_unit_note(twin: Twin, recording: Recording) -> Recording:
@@ -172,7 +177,7 @@ def fit_parts(
     folder = recording.folder
     if not [c for c in recording.observations if not c.startswith("image")]:
         raise InputError(
-            f"{folder}: no column tip_x_mm, bend_angle_rad, curvature_x_1_per_m or q_1_rad tells what the "
+            f"{folder}: no column tip_x_mm, bend_angle_rad, curvature_x_1_per_m or q_1_rad has what the "
             "device did; add one of them."
         )
     device_moves(recording)

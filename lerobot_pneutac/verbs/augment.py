@@ -188,7 +188,7 @@ class Augmentation(Result):
             )
         if late := self.summary.get("answer_delay_frames"):
             out.append(
-                f"Who demonstrated answers a touch {late} frame{'s' * (late > 1)} late; pneutac_bc learns to"
+                f"The demonstrator answers a touch {late} frame{'s' * (late > 1)} late; pneutac_bc learns to"
                 " answer earlier, by at most 0.2 s (--policy.answer_delay)."
             )
         if copies := self.summary.get("copies", 0):

@@ -59,6 +59,12 @@ class StandinBench:
     def __init__(self, seed: int = 0):
         self._seed = seed
 
+    @property
+    def length_mm(self) -> float:
+        from lerobot_robot_pneutac.standin.finger import LENGTH_MM, TIP_MM
+
+        return LENGTH_MM + TIP_MM
+
     def follow(self, program: Path, out: Path, number: int) -> Recording:
         from pneutac_datasets.generate.standin import write_program
 
@@ -70,7 +76,7 @@ class MeasuredBench:
 
     def __init__(self, config: "MeasureConfig"):
         self._config = config
-        self.range_kpa, self.hz = config.range_kpa, config.hz
+        self.range_kpa, self.hz, self.length_mm = config.range_kpa, config.hz, config.length_mm
         self.pause_s: float | None = None
         self._vented_s: float | None = None  # on the clock
 

@@ -31,7 +31,7 @@ class LightCalibration(Calibration):
     @property
     def sentence(self) -> str:
         if self.error["heldout"] == self.before:
-            return f"{self.light.sentence} Its rest image is kept: it is {self.before:.2f} levels off."
+            return f"{self.light.sentence} The rest image is unchanged: it is {self.before:.2f} levels off."
         return (
             f"{self.light.sentence.split(';')[0].rstrip('.')}. On rest frames of held-out episodes the "
             f"twin's own rest image is {self.before:.2f} levels off, the new one {self.error['heldout']:.2f}."

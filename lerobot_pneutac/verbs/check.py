@@ -162,7 +162,8 @@ def _twin(path: Path) -> tuple[list[str], list[str]]:
             try:
                 check_networks(twin, "surrogate")
             except InputError as e:
-                notes.append(f"{e} Until then --env.fidelity=probe works without.")
+                without = "" if "`probe`" in str(e) else " Until then --env.fidelity=probe works without."
+                notes.append(f"{e}{without}")
     stiffness = twin.parameters.get(WORLD[0])
     if twin.device == "arm" and stiffness == Value(PAPER_FINGER[WORLD[0]]):
         notes.append(

@@ -108,7 +108,7 @@ class Finger:
             self._warned = True
             warnings.warn(
                 f"The command {pressure_cmd_kpa} kPa lies beyond {low:g} to {high:g} kPa, where it was "
-                "measured; poses there are extrapolated. This is said once.",
+                "measured; poses there are extrapolated. Later ones do not warn.",
                 stacklevel=2,
             )
         self._given["session_time_s"] += dt_s

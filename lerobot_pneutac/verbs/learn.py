@@ -20,8 +20,15 @@ from lerobot_pneutac.diagnosis.thresholds import NOISE
 from lerobot_pneutac.reports.learn import FORESEEN, learn_page
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import called
-from lerobot_pneutac.study.pair import same_body, same_chambers
-from lerobot_pneutac.verbs.benches import Bench, check_bench, make_bench, save_choice
+from lerobot_pneutac.study.pair import same_body, same_chambers, same_length
+from lerobot_pneutac.verbs.benches import (
+    Bench,
+    MeasuredBench,
+    StandinBench,
+    check_bench,
+    make_bench,
+    save_choice,
+)
 from lerobot_pneutac.verbs.diagnose import Diagnosis, diagnose, load_contenders
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.recording import Recording, joined
@@ -543,6 +550,12 @@ def command(cfg: LearnConfig, terminal: Terminal) -> None:
 
     twin = Twin.load(cfg.twin)
     bench, usual = make_bench(cfg.measure, cfg.out, cfg.seed, twin.device)
+    length_mm = bench.length_mm if isinstance(bench, StandinBench | MeasuredBench) else None
+    if length_mm is not None and not same_length(length_mm, twin):
+        raise InputError(
+            f"The device on the bench is {length_mm:g} mm long and the twin's {twin.length_mm:g} mm; give a"
+            " twin of that device."
+        )
 
     def ask(sentence: str) -> None:
         if cfg.measure is None:

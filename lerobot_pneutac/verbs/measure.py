@@ -18,6 +18,7 @@ from lerobot_robot_pneutac.hardware.chambers import Chambers
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault
 from pneutac_datasets.recording.axes import command_columns, device_with, measured_columns
 from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.wording import plural
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import write_image
 
@@ -228,10 +229,11 @@ def command(config: MeasureConfig, terminal: Terminal) -> None:
     def start(number: int, seconds: float) -> None:
         nonlocal trials
         trials = number
-        terminal.say(f"{trials} trials, {seconds / 60:.1f} min; Ctrl-C keeps those that are finished.")
+        what = plural(trials, "trial")
+        terminal.say(f"{what}, {seconds / 60:.1f} min; finished ones stay stored after Ctrl-C.")
 
     def show(note: TrialNote) -> None:
-        what = "kept" if note.seen else "left out"
+        what = "stored" if note.seen else "left out"
         terminal.say(f"trial {note.number + 1} of {trials}, {note.program}: {what}")
         unseen, missed = 1 - note.seen / note.taken, 1 - note.taken / note.planned
         if unseen > MOST_UNSEEN:

@@ -206,7 +206,7 @@ def _check_centred(corners: np.ndarray, what: str) -> None:
     low, high = corners.min(0), corners.max(0)
     if (low > 0).any() or (high < 0).any():
         raise InputError(
-            f"{what} lies wholly beside its origin (x {low[0]:.3g} to {high[0]:.3g}, y {low[1]:.3g} to "
+            f"{what} does not contain its origin (x {low[0]:.3g} to {high[0]:.3g}, y {low[1]:.3g} to "
             f"{high[1]:.3g} mm), which is the contact's centre; shift it."
         )
 

@@ -159,8 +159,7 @@ class Networks:
                 )
                 raise InputError(
                     f"{why}; run `pneutac surrogate {option('twin', own.parent if own else 'DIR')}`, "
-                    "or choose the "
-                    "fidelity `probe`, which needs none."
+                    "or choose `probe` by --fidelity, --robot.fidelity or --env.fidelity, which needs none."
                 )
             found[name] = network
         return cls(found["action"], found["perception"])

@@ -203,7 +203,7 @@ def test_a_newcomer_finds_and_adds_what_is_missing(browser, tmp_path):
         seen.button("4. Keep it").scroll_into_view_if_needed()
         seen.frame(2500)
         seen.button("4. Keep it").click()
-        expect(page.get_by_text("Kept as version 1").first).to_be_visible(timeout=60_000)
+        expect(page.get_by_text("Stored as version 1").first).to_be_visible(timeout=60_000)
         assert seen.heldout_mm() < 0.5 * before
         assert Twin.load(tmp_path / "finger").history[-1]["change"].startswith("added ")
         page.get_by_text("Held-out error").first.scroll_into_view_if_needed()

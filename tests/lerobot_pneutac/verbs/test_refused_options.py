@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from lerobot_pneutac.cli import run_verb
+from lerobot_pneutac.verbs.new import new_twin
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin, Value
@@ -51,6 +52,11 @@ REFUSED = (
     ("learn", "--twin=finger --out=o --bench=measure", "go together"),
     ("learn", "--twin=finger --out=o --bench=measure --measure=no.yaml", "^measure=no.yaml is no file"),
     ("learn", "--twin=finger --out=o --program_s=1", "program_s is 1"),
+    (
+        "learn",
+        "--twin=short --out=o",
+        "bench is 110 mm long and the twin's 95 mm; give a twin of that device",
+    ),
     ("ppo", "", "--out=PATH"),
     ("ppo", "--out=o --task=door", "^task is 'door'"),
     ("ppo", "--out=o --device=tpu", "^device is 'tpu'"),
@@ -117,6 +123,7 @@ def lab(tmp_path_factory):
     GelModel.builtin().into_twin(gel)
     for name, twin in (("finger", Twin.builtin()), ("loaded", loaded), ("gel", gel)):
         twin.save(folder / name)
+    new_twin("finger", length_mm=95.0).save(folder / "short")
     shutil.copytree(GOLDEN / "finger_creep", folder / "bench")
     shutil.copytree(GOLDEN / "demos", folder / "shown")
     return folder
