@@ -217,7 +217,8 @@ def _law_source(effect: BodyEffect) -> str:
     return "\n".join(
         [
             head.replace("\\", "\\\\"),
-            "import math", "from functools import partial", "", "import numpy as np",
+            "import math", f"from functools import {'cache, ' * ('@cache' in body)}partial", "",
+            "import numpy as np",
             *(["from numba import njit"] if "@njit" in body else []), "",
             "from pneutac_sim.effects import BodyEffect, Parameter, kernel", "",
             *source.lines(), "", "", body, "", "", "EFFECT = BodyEffect(",

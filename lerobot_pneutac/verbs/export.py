@@ -31,6 +31,7 @@ IMPORTS = {
     "warnings.": MODULES["warnings"],
     "Callable": "from collections.abc import Callable",
     "@dataclass": "from dataclasses import dataclass",
+    "@cache": "from functools import cache",
     "partial(": "from functools import partial",
 }
 
@@ -67,7 +68,7 @@ class Source:
         if isinstance(function, partial):
             chosen = [f"{k}={self.add(v) if callable(v) else repr(v)}" for k, v in function.keywords.items()]
             return f"partial({', '.join([self.add(function.func), *chosen])})"
-        plain = getattr(function, "py_func", function)
+        plain = _plain(function)
         if plain in self._names:
             return self._names[plain]
         name = self._free(name or plain.__name__, plain)
@@ -77,11 +78,12 @@ class Source:
             if (new := self._use(used, value, plain)) != used:
                 renamed[used] = new
         text = textwrap.dedent(inspect.getsource(plain)).rstrip()
-        self._texts.append(_rename(text, name, renamed, isinstance(plain, type) or self._compiled))
+        decorated = isinstance(plain, type) or hasattr(function, "cache_info") or self._compiled
+        self._texts.append(_rename(text, name, renamed, decorated))
         return name
 
     def _use(self, name: str, value, user) -> str:
-        if inspect.isfunction(getattr(value, "py_func", value)) or isinstance(value, type):
+        if inspect.isfunction(_plain(value)) or isinstance(value, type):
             return "ValueError" if value is InputError else self.add(value)
         if isinstance(value, ModuleType) and value.__name__ in MODULES:
             return name
@@ -102,6 +104,11 @@ class Source:
 
     def lines(self) -> list[str]:
         return [f"{name} = {text}" for name, text in self.constants.items()]
+
+
+def _plain(function):
+    """The function below a kernel or a `cache`."""
+    return inspect.unwrap(getattr(function, "py_func", function))
 
 
 def _globals(function) -> dict:
