@@ -17,16 +17,16 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.files import read_yaml
 from pneutac_sim.gel import layout
 from pneutac_sim.gel.fit import fit_presses
-from pneutac_sim.gel.layout import Unit
+from pneutac_sim.gel.layout import SensorPrior
 
 
-def unit(folder: Path) -> Unit:
+def unit(folder: Path) -> SensorPrior:
     """What the model leaves over on the sensor of a recording."""
     data = GelRecording.load(Recording.load(folder))
     pairs = [s.photograph for s in data.samples]
     fit = fit_presses(pairs, data.px_per_mm, None, data.thickness_mm, (replace(layout.DIGIT, units=()),))
-    rest = np.asarray(layout.kept(fit.gel.rest_image))
-    return Unit.of(rest, fit.leftovers, float(np.linalg.norm(fit.gel.light)))
+    rest = np.asarray(layout.stored_rest(fit.gel.rest_image))
+    return SensorPrior.of(rest, fit.leftovers, float(np.linalg.norm(fit.gel.light)))
 
 
 def main() -> None:

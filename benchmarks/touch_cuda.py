@@ -18,10 +18,10 @@ import torch
 from pneutac_benchmarks.speed.device_time import device_ms
 from pneutac_sim.gel import layout
 from pneutac_sim.gel.batch import TactileBatch
-from pneutac_sim.gel.fit import fit_gel
+from pneutac_sim.gel.fit import fit_presses
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.photograph import press_depth
+from pneutac_sim.gel.photograph import PressPhotograph, press_depth
 from pneutac_sim.gel.sensor import TactileSensor
 
 BATCH, COPY_BYTES = 64, 1 << 30
@@ -30,8 +30,10 @@ BATCH, COPY_BYTES = 64, 1 << 30
 def main() -> None:
     generated, press = GelModel.builtin(), Press("sphere", 3.0, 0.5, 0.5, 0.9)
     photograph = TactileSensor(generated).image(press_depth(press, generated))
-    calibrated = fit_gel(generated.rest_image, photograph, press, generated.px_per_mm).gel
-    lent = layout.DIGIT.lent(generated.rest_image, layout.Orientation())
+    calibrated = fit_presses(
+        [PressPhotograph(press, photograph, generated.rest_image)], generated.px_per_mm
+    ).gel
+    lent = layout.DIGIT.prior_field(generated.rest_image, layout.Orientation())
     assert lent is not None
     lent = lent.times(float(np.linalg.norm(calibrated.light)) / 2)
     gels = {

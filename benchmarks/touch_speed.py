@@ -17,10 +17,10 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from pneutac_sim.gel import layout
-from pneutac_sim.gel.fit import fit_gel
+from pneutac_sim.gel.fit import fit_presses
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.photograph import press_depth
+from pneutac_sim.gel.photograph import PressPhotograph, press_depth
 from pneutac_sim.gel.probe import BOX, CAPSULE, SPHERE, probe_grid
 from pneutac_sim.gel.sensor import TactileSensor
 
@@ -59,7 +59,7 @@ def main() -> None:
     table.add_row("image, surface included", f"{median_ms(lambda: sensor.image(depth)):.3f}", "2")
     image = sensor.image(depth)
     table.add_row("contact area of an image", f"{median_ms(lambda: sensor.contact(image)):.3f}", "")
-    lent = layout.DIGIT.lent(sensor.rest_image, layout.Orientation())
+    lent = layout.DIGIT.prior_field(sensor.rest_image, layout.Orientation())
     lent = lent.times(float(np.linalg.norm(sensor.model.light)) / 2)
     fielded = TactileSensor(replace(sensor.model, lent=lent))
     table.add_row("image with a lent field", f"{median_ms(lambda: fielded.image(depth)):.3f}", "0.8")
@@ -69,7 +69,7 @@ def main() -> None:
     table.add_row("image without contact", f"{median_ms(lambda: sensor.image(nothing)):.3f}", "")
     gel, press = GelModel.builtin(), Press("sphere", 3.0, 0.5, 0.5, 0.9)
     photograph = sensor.image(press_depth(press, gel))
-    fit = median_ms(lambda: fit_gel(gel.rest_image, photograph, press, 20.0), 5)
+    fit = median_ms(lambda: fit_presses([PressPhotograph(press, photograph, gel.rest_image)], 20.0), 5)
     table.add_row("calibration from one pair", f"{fit:.0f}", "")
     Console().print(table)
 

@@ -238,8 +238,8 @@ def moved_sentences(stated: Sequence[PressPhotograph], fit: GelFit) -> list[str]
 def residual_sentence(fit: GelFit) -> str:
     """What was added to the light of other sensors' and of the presses' residual fields; empty if nothing."""
     out = []
-    if fit.lent:
-        share = {0.25: "A quarter", 0.5: "Half"}.get(fit.lent, f"{fit.lent:.0%}")
+    if fit.prior_share:
+        share = {0.25: "A quarter", 0.5: "Half"}.get(fit.prior_share, f"{fit.prior_share:.0%}")
         out.append(
             f"{share} of what the model leaves over on other sensors of the make {fit.make} is added, which "
             "explains the presses best."

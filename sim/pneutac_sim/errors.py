@@ -9,6 +9,8 @@ import shlex
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
+import numpy as np
+
 # All but tab and newline: what a terminal obeys, and marks that turn the direction of text.
 CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 MOST_SHOWN = 80  # characters of a value in a sentence
@@ -81,3 +83,19 @@ def check_least(least: float, **values: float) -> None:
     for name, value in values.items():
         if not value >= least:
             raise InputError(f"{name} is {value}; it must be {least} or more.")
+
+
+def finite_array(what: str, value, shape: tuple[int, ...], dtype: type = np.float64) -> np.ndarray:
+    """The value as a contiguous array of a shape, where -1 stands for any length.
+
+    Raises InputError where it is not finite numbers of that shape; `what` begins the sentence.
+    """
+    try:
+        array = np.ascontiguousarray(value, dtype)
+    except (TypeError, ValueError):
+        array = np.full(1, np.nan)
+    fits = array.ndim == len(shape) and all(s in (-1, t) for s, t in zip(shape, array.shape, strict=True))
+    if not fits or not np.isfinite(array).all():
+        wanted = ", ".join("n" if s == -1 else str(s) for s in shape)
+        raise InputError(f"{what} must be finite numbers of shape ({wanted}{',' * (len(shape) == 1)}).")
+    return array

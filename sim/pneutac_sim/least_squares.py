@@ -5,10 +5,12 @@ bound; with 10^4 residuals, ten parameters and weights that end at zero, that ta
 each step is a small bounded linear least-squares problem in the normal equations, solved exactly by SciPy.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from scipy.linalg import cholesky, solve_triangular
 
 _LARGEST_STEP = 0.3  # of a parameter's whole range
@@ -94,3 +96,25 @@ def _bounded_step(A: np.ndarray, g: np.ndarray, v: np.ndarray) -> np.ndarray:
     return lsq_linear(
         R, -solve_triangular(R, g, trans="T"), bounds=(low, np.where(room, high, low + 1e-12)), method="bvls"
     ).x
+
+
+@njit(cache=True)
+def cholesky_solve(A, y):
+    """Solves A x = y into `y` for a positive definite A, of which the lower triangle is used up."""
+    n = len(y)
+    for c in range(n):
+        for k in range(c):
+            A[c, c] -= A[c, k] ** 2
+        A[c, c] = math.sqrt(A[c, c])
+        for r in range(c + 1, n):
+            for k in range(c):
+                A[r, c] -= A[r, k] * A[c, k]
+            A[r, c] /= A[c, c]
+    for r in range(n):
+        for k in range(r):
+            y[r] -= A[r, k] * y[k]
+        y[r] /= A[r, r]
+    for r in range(n - 1, -1, -1):
+        for k in range(r + 1, n):
+            y[r] -= A[k, r] * y[k]
+        y[r] /= A[r, r]

@@ -39,9 +39,9 @@ class Pace:
     @classmethod
     def of(cls, times_s: Sequence[float], fps: float) -> "Pace":
         """Of two or more frames that were taken at these times, at a rate of `fps`."""
-        apart = np.diff(times_s)
-        hz = round(1 / float(apart.mean()), 3)
-        return cls(hz, int((apart > LATE / fps).sum()), round(float(apart.max()), 4))
+        intervals = np.diff(times_s)
+        hz = round(1 / float(intervals.mean()), 3)
+        return cls(hz, int((intervals > LATE / fps).sum()), round(float(intervals.max()), 4))
 
 
 def short_of(pace: Pace, fps: float) -> bool:

@@ -102,7 +102,7 @@ def move(w: World) -> np.ndarray:
         ArithmeticError: the motion did not stay finite.
     """
     line = w.body.rod
-    inputs = w.told(np.arange(len(w.time_s)))
+    inputs = w.rod_inputs(np.arange(len(w.time_s)))
     length = 1e-3 * line.length_mm
     outside = _outside(w, line)
     share = w.dynamics.get("tip_share", 0.1)
@@ -117,7 +117,7 @@ def move(w: World) -> np.ndarray:
     for a, b in zip(w.plan.starts, w.plan.ends, strict=True):
         for i in range(max(0, a - seconds(SETTLE_S)), b):
             if not np.array_equal(inputs[i], last):
-                _tell(body, inputs[i], at_voronoi, at_element)
+                _set_inputs(body, inputs[i], at_voronoi, at_element)
                 last = inputs[i]
             outside.now_s = w.time_s[i]
             body.advance()
@@ -140,7 +140,7 @@ def _fields(line: Rod) -> tuple[np.ndarray, np.ndarray]:
     return shapes / (shapes.sum(1, keepdims=True) * h), np.interp(middles, s, line.stretched)
 
 
-def _tell(body: Moving, u: np.ndarray, at_voronoi: np.ndarray, at_element: np.ndarray) -> None:
+def _set_inputs(body: Moving, u: np.ndarray, at_voronoi: np.ndarray, at_element: np.ndarray) -> None:
     air, memory, twist = at_voronoi
     body.rod.rest_kappa[0] = u[BEND_Y] * air + u[SET_Y] * memory
     body.rod.rest_kappa[1] = u[BEND_Z] * air + u[SET_Z] * memory

@@ -60,15 +60,15 @@ class Rod:
         unit = [x / (x.sum() * h) for x in (air, memory, np.ones(elements))]
         return cls(length_mm, tip_mm, np.stack(unit), inside, radius_mm**2 / 4)
 
-    def solve(self, told: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def solve(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Marker positions (n, 3) in mm and tangents at the tip (n, 3), each row solved on from the last.
 
         Rows (n, COLUMNS) hold bends, stretch and loads. Raises ArithmeticError where one has no equilibrium
         near the one before (the loads are beyond buckling).
         """
-        told = np.ascontiguousarray(told, float)
+        inputs = np.ascontiguousarray(inputs, float)
         h = self.length_mm / self.shapes.shape[1]
-        tips, tangents, bad = _solve_rows(told, self.shapes, self.stretched, h, self.tip_mm, self.axial)
+        tips, tangents, bad = _solve_rows(inputs, self.shapes, self.stretched, h, self.tip_mm, self.axial)
         if bad >= 0:
             raise ArithmeticError(f"The rod has no equilibrium in row {bad}; its loads are too large.")
         return tips, tangents
@@ -206,26 +206,26 @@ def _solve_one(m0, J, u, shapes, stretched, h, tip_mm, axial, tip, tangent):
 
 
 @njit(cache=True)
-def _solve_rows(told, shapes, stretched, h, tip_mm, axial):
-    n = len(told)
+def _solve_rows(inputs, shapes, stretched, h, tip_mm, axial):
+    n = len(inputs)
     tips, tangents = np.empty((n, 3)), np.empty((n, 3))
     m0, J = np.zeros(3), np.zeros((3, 3))
     for i in range(n):
         same = i > 0
         if same:
-            for j in range(told.shape[1]):
-                same = same and told[i, j] == told[i - 1, j]
+            for j in range(inputs.shape[1]):
+                same = same and inputs[i, j] == inputs[i - 1, j]
         if same:
             tips[i], tangents[i] = tips[i - 1], tangents[i - 1]
             continue
-        if not _solve_one(m0, J, told[i], shapes, stretched, h, tip_mm, axial, tips[i], tangents[i]):
+        if not _solve_one(m0, J, inputs[i], shapes, stretched, h, tip_mm, axial, tips[i], tangents[i]):
             m0[:] = 0.0  # a jump between rows: start afresh, the load in steps
-            u = told[i].copy()
+            u = inputs[i].copy()
             J[:] = 0.0
             ok = True
             for part in range(1, 9):
-                u[7:13] = told[i, 7:13] * part / 8
-                u[16:19] = told[i, 16:19] * part / 8
+                u[7:13] = inputs[i, 7:13] * part / 8
+                u[16:19] = inputs[i, 16:19] * part / 8
                 ok = _solve_one(m0, J, u, shapes, stretched, h, tip_mm, axial, tips[i], tangents[i])
             if not ok:
                 return tips, tangents, i

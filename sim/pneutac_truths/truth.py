@@ -166,8 +166,8 @@ def generate(
     if tell_noise:
         meta["noise"] = noise
     if tell_pauses:
-        told = {str(i): {"start": "continues", "pause_s": p} for i, p in enumerate(w.plan.pauses_s)}
-        meta["trials"] = told | {"0": {"start": "rested"}}
+        starts = {str(i): {"start": "continues", "pause_s": p} for i, p in enumerate(w.plan.pauses_s)}
+        meta["trials"] = starts | {"0": {"start": "rested"}}
     floor, pauses = float(sd * np.sqrt(len(observed))), [float(p) for p in w.plan.pauses_s]
     log = samples, observed, pose, true_pose
     return Truth(device, seed, day, drawn, meta, *log, floor, pauses, w.body.top_kpa)
@@ -289,7 +289,7 @@ def pose(w: World, rows: np.ndarray) -> np.ndarray:
     """
     if w.dynamics:
         w = _swinging(w)
-    inputs = w.told(rows)
+    inputs = w.rod_inputs(rows)
     if w.contact is not None:
         return against_wall(w.body.rod, inputs, float(w.body.bend_rad[0]), w.contact)
     return w.body.rod.solve(inputs)[0]

@@ -161,7 +161,7 @@ class World:
         """Random numbers of a name, other ones each day."""
         return stream(self.seed, name, self.day)
 
-    def told(self, rows: np.ndarray) -> np.ndarray:
+    def rod_inputs(self, rows: np.ndarray) -> np.ndarray:
         """Inputs of the rod (k, COLUMNS) in these rows of the fine grid."""
         u = np.zeros((len(rows), COLUMNS))
         way = self.body.direction_rad

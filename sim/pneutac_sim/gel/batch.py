@@ -127,8 +127,8 @@ class TactileBatch:
         self._device = torch.device(device)
         width, height = m.window_mm
         self._cell_mm = width / COLS, height / ROWS
-        coefficients, _, beside = m.lighting
-        self._light = _Light(coefficients, self._cell_mm, beside is not None, self._device)
+        coefficients, _, residual_light = m.lighting
+        self._light = _Light(coefficients, self._cell_mm, residual_light is not None, self._device)
         fields = [f for f in (m.lent, m.residual) if f is not None]
         self._fields = [_Field(f, self._cell_mm, self._device) for f in fields]
         self._share = self._sent(m.field_share) if fields else None

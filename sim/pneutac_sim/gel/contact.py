@@ -72,13 +72,13 @@ def without_specks(area: np.ndarray) -> np.ndarray:
 @njit(cache=True)
 def differing(image, rest, sum_limit):
     """How many pixels of two images, uint8 (H, W, 3), differ by more than `sum_limit` in R + G + B."""
-    n, apart = 0, np.empty(3 * image.shape[1], np.int16)
+    n, difference = 0, np.empty(3 * image.shape[1], np.int16)
     for p in range(image.shape[0]):
         a, b = image[p].ravel(), rest[p].ravel()
-        for q in range(len(apart)):  # vectorises, as the next
-            apart[q] = max(a[q], b[q]) - min(a[q], b[q])
+        for q in range(len(difference)):  # vectorises, as the next
+            difference[q] = max(a[q], b[q]) - min(a[q], b[q])
         for q in range(image.shape[1]):
-            n += apart[3 * q] + apart[3 * q + 1] + apart[3 * q + 2] > sum_limit
+            n += difference[3 * q] + difference[3 * q + 1] + difference[3 * q + 2] > sum_limit
     return n
 
 

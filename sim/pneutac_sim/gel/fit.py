@@ -159,21 +159,21 @@ def _steps(effect: SensorEffect, reach_mm: float) -> np.ndarray:
 SHARES = (0.0, 0.25, 0.5)  # of a make's field: two DIGITs have half of what is left over in common
 
 
-def lend(make: Layout, problem: Problem, fit: GelFit) -> None:
+def add_prior_field(make: Layout, problem: Problem, fit: GelFit) -> None:
     """Adds to a fit, in place, the share of its make's field that explains its presses best.
 
     The light is fitted again. The field is in proportion to the light's strength. What it explains is taken
     out of what the photographs of the problem show.
     """
-    lent = make.lent(fit.gel.rest_image, fit.orientation)
-    if lent is None:
+    prior = make.prior_field(fit.gel.rest_image, fit.orientation)
+    if prior is None:
         return
     gel, seen = fit.gel, problem.seen
-    lent = lent.times(float(np.linalg.norm(gel.light)))
+    prior = prior.times(float(np.linalg.norm(gel.light)))
     surfaces, rows = problem.surfaces(gel.decay_mm, gel.depth_scale), gel.coefficients
     added = []
     for u, rest in zip(surfaces, problem.rests, strict=True):
-        each = levels([lent], u, problem.cell, [cast(u, *problem.cell, row) for row in rows])
+        each = levels([prior], u, problem.cell, [cast(u, *problem.cell, row) for row in rows])
         added.append(each.transpose(1, 2, 0) * faded(gel.weight_on(rest)))
     costs, tried = [], []
     for share in SHARES:
@@ -182,14 +182,14 @@ def lend(make: Layout, problem: Problem, fit: GelFit) -> None:
         costs.append(sum(c.solve(surfaces) for c in channels))
         tried.append((less, channels))
     best = int(np.argmin(costs))
-    fit.lent = SHARES[best]
-    if fit.lent:
+    fit.prior_share = SHARES[best]
+    if fit.prior_share:
         problem.seen, fit.channels = tried[best]
         fit.gel = problem.gel = problem.lit(fit.channels)
-        fit.gel.lent = lent.times(fit.lent)
+        fit.gel.lent = prior.times(fit.prior_share)
 
 
-def learn_beside(problem: Problem, fit: GelFit) -> None:
+def learn_residual(problem: Problem, fit: GelFit) -> None:
     """Adds to a fit, in place, the residual field of its presses, weighted by leave-one-out prediction.
 
     The light is re-fitted without the one, since it would know it too well.
@@ -213,24 +213,6 @@ FIELD_PRESSES = 5  # from which on the residual is learnt; three predict one ano
 CONTACT_ROUNDS = 4  # of light and contacts in turn, where an effect changes these or presses are uncertain
 
 
-def fit_gel(
-    rest: np.ndarray,
-    indentation: np.ndarray,
-    press: Press,
-    px_per_mm: float,
-    effects: Sequence[str] | None = None,
-    thickness_mm: float = THICKNESS_MM,
-) -> GelFit:
-    """Fits a gel to one pair of images without and with contact, uint8 (H, W, 3); see `fit_presses`.
-
-    Without effects this is the paper's linear model.
-
-    Raises InputError where the pair is no rest and indentation image, see `check_pair`.
-    """
-    pair = PressPhotograph(press, indentation, rest)
-    return fit_presses([pair], px_per_mm, effects, thickness_mm)
-
-
 def fit_presses(
     presses: Sequence[PressPhotograph],
     px_per_mm: float,
@@ -242,8 +224,9 @@ def fit_presses(
 ) -> GelFit:
     """Fits a gel to one press or several, whose lights are the same and whose drifts are each one's own.
 
-    A recognised sensor model has a prior from the residuals of its other sensors; from five presses on
-    what it leaves over of these is learnt too, see `learn_beside`.
+    Without effects this is the paper's linear model. A recognised sensor model has a prior from the residuals
+    of its other sensors; from five presses on what it leaves over of these is learnt too, see
+    `learn_residual`.
 
     Args:
         presses: of one gel; the first one's rest image becomes the gel's.
@@ -276,9 +259,9 @@ def fit_presses(
         problem = Problem(fit.gel, found, in_order(of_sensor(names)))
         fit.leftovers = problem.leftovers() if enough else []
         if make:
-            lend(make, problem, fit)
+            add_prior_field(make, problem, fit)
         if enough:
-            learn_beside(problem, fit)
+            learn_residual(problem, fit)
     return fit
 
 
@@ -310,10 +293,10 @@ def fit_photographs(
     """
     chosen, known = in_order(of_sensor(effects)), gel.effects
     gel = replace(gel, effects=estimate_gains(gel, chosen, photographs))
-    told = any(p.earlier for p in photographs)
-    untold = [e for e in chosen if e.late and e.name in known and not told]
-    gel.effects |= {e.name: known[e.name] for e in untold}
-    of_contacts = [e for e in chosen if e.stage == "gel" and e not in untold]
+    history = any(p.earlier for p in photographs)
+    not_shown = [e for e in chosen if e.late and e.name in known and not history]
+    gel.effects |= {e.name: known[e.name] for e in not_shown}
+    of_contacts = [e for e in chosen if e.stage == "gel" and e not in not_shown]
     gel.effects |= {e.name: {p.name: p.neutral for p in e.parameters} for e in of_contacts}
     stated = [p.press for p in photographs]
     uncertain = pressed is None and any(p.sd for p in photographs)
@@ -321,11 +304,11 @@ def fit_photographs(
         problem = Problem(gel, photographs, chosen, pressed)
         best = problem.best(makes, near, quick=quick or left > 0)
         if left:
-            near, told = best.gel, (problem.masks, problem.seen, problem.rests)
+            near, data = best.gel, (problem.masks, problem.seen, problem.rests)
             if of_contacts:
-                gel.effects |= refine_contacts(near, of_contacts, photographs, *told)
+                gel.effects |= refine_contacts(near, of_contacts, photographs, *data)
             if uncertain:
-                each = zip(photographs, stated, *told, strict=True)
+                each = zip(photographs, stated, *data, strict=True)
                 photographs = [
                     replace(p, press=refine_press(near, p, *rest)) if p.sd else p for p, *rest in each
                 ]

@@ -21,7 +21,7 @@ import numpy as np
 from pneutac_sim.effects.sensor_effect import CHANNELS
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.layout import DIGIT, MAKE_SD, MAKE_SD_MM, MAKE_SD_RAD, Layout, Unit, kept
+from pneutac_sim.gel.layout import DIGIT, MAKE_SD, MAKE_SD_MM, MAKE_SD_RAD, Layout, SensorPrior, stored_rest
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import PressPhotograph, press_depth, to_grid
 from pneutac_sim.gel.problem import Channel
@@ -124,7 +124,7 @@ def _unidentified(channels: Sequence[Channel]) -> tuple[str, ...]:
 
 
 NAME = r"[A-Za-z0-9][A-Za-z0-9 _.-]{0,39}"
-LENDERS = ("near_light", "rest_colour")
+PRIOR_EFFECTS = ("near_light", "rest_colour")
 
 
 def own_folder() -> Path:
@@ -159,8 +159,8 @@ def save(
     Raises InputError where the name will not do, or the fit knows no near lights or no rest colour.
     """
     check_name(name)
-    if not set(LENDERS) <= set(gel.effects):
-        raise InputError(f"A prior takes a calibration with the effects {' and '.join(LENDERS)}.")
+    if not set(PRIOR_EFFECTS) <= set(gel.effects):
+        raise InputError(f"A prior takes a calibration with the effects {' and '.join(PRIOR_EFFECTS)}.")
     left = [c.deviations() for c in channels]
 
     def spread(unknown: tuple[str, str], least: float) -> tuple[float, ...]:
@@ -168,8 +168,8 @@ def save(
 
     exponents = gel.effects["rest_colour"]
     width, height = gel.window_mm
-    rest = np.asarray(kept(gel.rest_image))
-    units = (Unit.of(rest, leftovers, float(np.linalg.norm(gel.light))),) if leftovers else ()
+    rest = np.asarray(stored_rest(gel.rest_image))
+    units = (SensorPrior.of(rest, leftovers, float(np.linalg.norm(gel.light))),) if leftovers else ()
     make = Layout(
         name,
         tuple((float(c[3]), float(c[4])) for c in gel.coefficients),

@@ -27,7 +27,7 @@ CELLS, STRENGTH_LEVELS = 48, 8.0
 
 
 @dataclass(frozen=True, eq=False)
-class Unit:
+class SensorPrior:
     """One sensor of a make.
 
     Attributes:
@@ -39,12 +39,12 @@ class Unit:
     field: ResidualField
 
     @classmethod
-    def of(cls, rest: np.ndarray, leftovers: Sequence[Leftover], strength: float) -> "Unit":
+    def of(cls, rest: np.ndarray, leftovers: Sequence[Leftover], strength: float) -> "SensorPrior":
         """From what a fit leaves over, of a light of this strength (levels per unit slope)."""
         return cls(rest, learn(leftovers, CELLS, STRENGTH_LEVELS).times(1 / strength))
 
     @classmethod
-    def read(cls, content: dict[str, str], shape: tuple[int, int, int]) -> "Unit":
+    def read(cls, content: dict[str, str], shape: tuple[int, int, int]) -> "SensorPrior":
         """From `written`; the rest image has this shape.
 
         Raises:
@@ -67,7 +67,7 @@ class Unit:
 
 
 FORMAT = "pneutac-prior-1"
-KEPT = (12, 16)  # columns and rows of a rest image in a prior's file
+STORED_PX = (12, 16)  # columns and rows of a rest image in a prior's file
 MAKE_SD_RAD = 0.05  # spread of the directions of lights between sensors of one model
 
 # Largest angle between the measured and the make's direction of any light.
@@ -104,7 +104,7 @@ class Layout:
     distances_sd_mm: tuple[float, float, float] = (MAKE_SD_MM,) * 3
     directions_sd_rad: tuple[float, float, float] = (MAKE_SD_RAD,) * 3
     exponents_sd: tuple[float, float, float] = (MAKE_SD,) * 3
-    units: tuple[Unit, ...] = field(default=(), compare=False)
+    units: tuple[SensorPrior, ...] = field(default=(), compare=False)
 
     @classmethod
     def read(cls, file: Path) -> "Layout":
@@ -122,7 +122,7 @@ class Layout:
             if content["format"] != FORMAT:
                 raise ValueError(f"field 'format' is not {FORMAT}")
             channels = [{k: float(v) for k, v in content[c].items()} for c in CHANNELS]
-            rest = np.array(content["rest"], np.float32).reshape(KEPT[1], KEPT[0], 3)
+            rest = np.array(content["rest"], np.float32).reshape(STORED_PX[1], STORED_PX[0], 3)
             out = cls(
                 str(content["name"]),
                 tuple((c["x_mm"], c["y_mm"]) for c in channels),
@@ -132,7 +132,7 @@ class Layout:
                 _three(c["distance_sd_mm"] for c in channels),
                 _three(c["direction_sd_rad"] for c in channels),
                 _three(c["exponent_sd"] for c in channels),
-                tuple(Unit.read(unit, rest.shape) for unit in content.get("units", ())),
+                tuple(SensorPrior.read(unit, rest.shape) for unit in content.get("units", ())),
             )
         except (KeyError, TypeError, ValueError, AttributeError) as e:
             raise InputError(
@@ -160,10 +160,10 @@ class Layout:
             }
         if self.units:
             content["units"] = [unit.written() for unit in self.units]
-        content["rest"] = self.rest.round().astype(int).reshape(KEPT[1], -1).tolist()
+        content["rest"] = self.rest.round().astype(int).reshape(STORED_PX[1], -1).tolist()
         write_text(file, yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=200))
 
-    def lent(self, rest: np.ndarray, orientation: "Orientation") -> ResidualField | None:
+    def prior_field(self, rest: np.ndarray, orientation: "Orientation") -> ResidualField | None:
         """The mean residual field of other sensors of the make, for a light of strength 1; None if of none.
 
         A sensor's own is never among them: those are left out whose rest image is its own, uint8 (H, W, 3).
@@ -174,9 +174,9 @@ class Layout:
         return mean([u.field.shown(o.channels, o.mirror_x, o.mirror_y) for u in others]) if others else None
 
 
-def kept(rest: np.ndarray) -> np.ndarray:
+def stored_rest(rest: np.ndarray) -> np.ndarray:
     """A rest image (H, W, 3) as a prior keeps it, (16, 12, 3)."""
-    return cv2.resize(rest.astype(np.float32), KEPT, interpolation=cv2.INTER_AREA)
+    return cv2.resize(rest.astype(np.float32), STORED_PX, interpolation=cv2.INTER_AREA)
 
 
 def _three(values: Iterable[float]) -> tuple[float, float, float]:
@@ -244,11 +244,11 @@ def recognise_rest(rest: np.ndarray, layout: Layout = DIGIT) -> tuple[Orientatio
     if layout.rest is None or not _proportioned(rest.shape[1::-1], layout):
         return None, 0.0
     seen, own = _blurred(rest), cv2.resize(layout.rest, THUMB, interpolation=cv2.INTER_LINEAR)
-    alike = [float((seen * _blurred(o.shown(own))).sum()) for o in orientations()]
-    if alike[0] > SAME:  # orientations() has the make's own first
-        return Orientation(), alike[0]
-    best, second = np.sort(alike)[:-3:-1]
-    found = orientations()[int(np.argmax(alike))]
+    likeness = [float((seen * _blurred(o.shown(own))).sum()) for o in orientations()]
+    if likeness[0] > SAME:  # orientations() has the make's own first
+        return Orientation(), likeness[0]
+    best, second = np.sort(likeness)[:-3:-1]
+    found = orientations()[int(np.argmax(likeness))]
     return (found if best > LIKE and best > second + MARGIN else None), float(best)
 
 

@@ -14,7 +14,7 @@ from PIL import Image
 from pneutac_sim.effects.effect import SENSOR_STAGES
 from pneutac_sim.effects.registry import get_effect, in_order, of_sensor
 from pneutac_sim.effects.sensor_effect import SensorEffect
-from pneutac_sim.errors import InputError, option, unknown_names
+from pneutac_sim.errors import InputError, finite_array, option, unknown_names
 from pneutac_sim.features import IMAGE_SHAPE
 from pneutac_sim.gel import optics
 from pneutac_sim.gel.contact import THRESHOLD_LEVELS
@@ -66,13 +66,7 @@ class GelModel:
         if getattr(image, "dtype", None) != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
             raise InputError("The gel's rest_image must be RGB, 8 bits a channel, height x width x 3.")
         for name, shape in (("light", (3, 2)), ("depth_light", (3,))):
-            try:
-                value = np.array(getattr(self, name), np.float64)
-            except (TypeError, ValueError):
-                value = np.full(1, np.nan)
-            if value.shape != shape or not np.isfinite(value).all():
-                raise InputError(f"The gel's {name} must be finite numbers of shape {shape}.")
-            setattr(self, name, value)
+            setattr(self, name, finite_array(f"The gel's {name}", getattr(self, name), shape).copy())
         for name in ("px_per_mm", "thickness_mm", "decay_mm", "depth_scale", "threshold_levels"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
@@ -150,14 +144,14 @@ class GelModel:
         return 1 / np.maximum(w, LEAST_WEIGHT).transpose(2, 0, 1)
 
     @property
-    def lighting(self) -> tuple[np.ndarray, list[optics.Further], optics.Beside | None]:
+    def lighting(self) -> tuple[np.ndarray, list[optics.Further], optics.ResidualLight | None]:
         """What `optics.light` takes after a surface and its grid's spacing."""
         learnt = [f for f in (self.lent, self.residual) if f is not None]
         if not learnt:
             return self.coefficients, self.further, None
         share = self.field_share
-        beside = lambda u, cell_mm, shadows: share * levels(learnt, u, cell_mm, shadows)  # noqa: E731
-        return self.coefficients, self.further, beside
+        residual_light = lambda u, cell_mm, shadows: share * levels(learnt, u, cell_mm, shadows)  # noqa: E731
+        return self.coefficients, self.further, residual_light
 
     def surface(self, displacement_mm: np.ndarray, cell_mm: tuple[float, float]) -> np.ndarray:
         """The displacement (80, 59) in mm as effects of the gel change it."""

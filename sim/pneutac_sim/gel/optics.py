@@ -29,7 +29,7 @@ SIZE = len(NEUTRAL)
 # Changes the light s of channel k under a displacement u: (k, s, u, cell_mm) -> s.
 Further = Callable[[int, np.ndarray, np.ndarray, tuple[float, float]], np.ndarray]
 # What is added to the light of all channels: (u, cell_mm, height of each one's shadow) -> (3, rows, columns).
-Beside = Callable[[np.ndarray, tuple[float, float], list[np.ndarray]], np.ndarray]
+ResidualLight = Callable[[np.ndarray, tuple[float, float], list[np.ndarray]], np.ndarray]
 
 _NO_SHADOW = np.zeros((1, 1), np.float32)
 
@@ -61,7 +61,7 @@ def light(
     cell_mm: tuple[float, float],
     coefficients: np.ndarray,
     further: Sequence[Further] = (),
-    beside: Beside | None = None,
+    residual_light: ResidualLight | None = None,
 ) -> np.ndarray:
     """What the surface adds to each channel before the weight w: s in levels, float32 (3, rows, columns).
 
@@ -70,17 +70,17 @@ def light(
         cell_mm: grid spacing along x and y.
         coefficients: (3, 12), see the top of this module; lengths in mm from the window's centre.
         further: what effects outside the compiled light make of it, in this order.
-        beside: added at last.
+        residual_light: added at last.
     """
     u = np.ascontiguousarray(displacement_mm, np.float32)
     if np.shape(coefficients) != (3, SIZE):
         raise ValueError(
             f"the light of three channels has coefficients (3, {SIZE}); got {np.shape(coefficients)}"
         )
-    shadows = [cast(u, *cell_mm, c) if c[LEVEL] > 0 or beside else _NO_SHADOW for c in coefficients]
+    shadows = [cast(u, *cell_mm, c) if c[LEVEL] > 0 or residual_light else _NO_SHADOW for c in coefficients]
     each = zip(coefficients, shadows, strict=True)
     out = np.stack([_channel(u, cell_mm, c, shadow, k, further) for k, (c, shadow) in enumerate(each)])
-    return out if beside is None else out + beside(u, cell_mm, shadows)
+    return out if residual_light is None else out + residual_light(u, cell_mm, shadows)
 
 
 def row(light: np.ndarray, depth_light: float, direction: np.ndarray, acting: Iterable[tuple]) -> np.ndarray:

@@ -67,8 +67,8 @@ def priors(
         out[effect.name, name] = (p.default, sd, p.lower, p.upper)
     for effect in effects:
         if layout is not None and effect.lend is not None:
-            lent = effect.lend(layout, k).items()
-            out |= {(effect.name, n): (*prior, *out[effect.name, n][2:]) for n, prior in lent}
+            found = effect.lend(layout, k).items()
+            out |= {(effect.name, n): (*prior, *out[effect.name, n][2:]) for n, prior in found}
     return out
 
 
@@ -274,7 +274,7 @@ class GelFit:
         channels: as solved, red, green and blue.
         presses: where the photographs' presses were found to be, within what is uncertain of them.
         leftovers: what the light alone leaves over of each, where there are enough to learn from.
-        lent: the share of the prior residual field that was taken.
+        prior_share: share of the prior residual field that was taken.
         refined: whether its light was refined through splats, see `splat.refine`; None where nobody tried.
     """
 
@@ -288,7 +288,7 @@ class GelFit:
     channels: list[Channel] = field(default_factory=list, repr=False)
     presses: list[Press] = field(default_factory=list, repr=False)
     leftovers: list[Leftover] = field(default_factory=list, repr=False)
-    lent: float = 0.0
+    prior_share: float = 0.0
     refined: bool | None = None
 
 
@@ -386,18 +386,18 @@ class Problem:
         light, first = self.linear(), self.photographs[0]
         free = best = self.search(light, None, near, quick)
         by_rest, by_light, likeness = [], [], None
-        lenders = {e.name for e in sensor_effects().values() if e.lend}
-        for make in makes if lenders <= {e.name for e in self.effects} else ():
-            orientation, alike = recognise_rest(self.gel.rest_image, make)
-            likeness = max(likeness or 0.0, alike)
+        with_priors = {e.name for e in sensor_effects().values() if e.lend}
+        for make in makes if with_priors <= {e.name for e in self.effects} else ():
+            orientation, match = recognise_rest(self.gel.rest_image, make)
+            likeness = max(likeness or 0.0, match)
             if orientation is not None:
-                by_rest.append((alike, make, orientation))
+                by_rest.append((match, make, orientation))
                 continue
             size = self.gel.rest_image.shape[1::-1]
             alone = light if len(self.photographs) == 1 else slope_light(self.gel, first, self.pressed)
             orientation = recognise(alone, first.press.x_mm, first.press.y_mm, size, make)
             if orientation is not None:
-                by_light.append((alike, make, orientation))
+                by_light.append((match, make, orientation))
         likest = [max(by_rest, key=lambda m: m[0])] if by_rest else by_light
         for _, make, orientation in likest:
             made = self.search(light, orientation.of(make), near or free.gel, quick)

@@ -306,7 +306,7 @@ class PressedGel:
 
     def between(self, press: Press, share: float) -> np.ndarray:
         """The same for a share from 0.5 to 1, interpolated between six that are stored for each press."""
-        found = [kept for seen, kept in self._seen if seen is press]
+        found = [surfaces for seen, surfaces in self._seen if seen is press]
         if not found:
             found = [self._surfaces(press, SHARES)]
             self._seen.append((press, found[0]))

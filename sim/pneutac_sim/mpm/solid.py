@@ -92,9 +92,9 @@ def digit_mount_mesh(length_m: float, width_m: float) -> trimesh.Trimesh:
     x = np.repeat([length_m - MOUNT_OVERLAP_M, length_m + DIGIT_LENGTH_M], len(section))
     vertices = np.column_stack([x, np.tile(section, (2, 1))])
     here = np.arange(len(section))
-    beside = np.roll(here, -1)
-    far, far_beside = here + len(section), beside + len(section)
-    sides = np.concatenate([np.stack([here, beside, far_beside], 1), np.stack([here, far_beside, far], 1)])
+    next_ = np.roll(here, -1)
+    far, far_next = here + len(section), next_ + len(section)
+    sides = np.concatenate([np.stack([here, next_, far_next], 1), np.stack([here, far_next, far], 1)])
     end = np.array([(0, 1, 4), (0, 4, 5), (1, 2, 3), (1, 3, 4), (0, 5, 6), (0, 6, 7)])
     mesh = trimesh.Trimesh(vertices, np.concatenate([sides, end[:, ::-1], end + len(section)]), process=False)
     if mesh.volume < 0:
@@ -113,8 +113,8 @@ def _tube(length_m: float, section: np.ndarray, depth: np.ndarray) -> trimesh.Tr
     vertices = np.concatenate([np.concatenate([x, points], -1).reshape(-1, 3), [[0, 0, 0], [length_m, 0, 0]]])
     count = len(section)
     s, a = np.meshgrid(np.arange(len(share) - 1), np.arange(count), indexing="ij")
-    here, beside = s * count + a, s * count + (a + 1) % count
-    sides = np.stack([here, beside, here + count, beside, beside + count, here + count], -1)
+    here, next_ = s * count + a, s * count + (a + 1) % count
+    sides = np.stack([here, next_, here + count, next_, next_ + count, here + count], -1)
     ring, first, last = np.arange(count), len(vertices) - 2, len(vertices) - 1
     after = (ring + 1) % count
     end = (len(share) - 1) * count

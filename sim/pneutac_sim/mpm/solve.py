@@ -145,7 +145,7 @@ def _settle(
         solver.step(RAMP)
         taken += RAMP
         solver.apply(loads, damping=2 * rate, contact_rate=2 * rate)
-    begun, told = 0.0, 0
+    begun, percent = 0.0, 0
     while True:
         solver.step(chunk)
         m = solver.measure()
@@ -154,8 +154,8 @@ def _settle(
         residual = m["residual"] / np.maximum(m["scale"], solver.least_force())
         now = max(float(residual.max()), tolerance)
         begun = begun or now
-        told = max(told, round(100 * np.log(begun / now) / max(np.log(begun / tolerance), 1e-9)))
-        progress(f"unbalanced forces are {now:.2g} of the loads, {tolerance:.2g} is at rest", told, 100)
+        percent = max(percent, round(100 * np.log(begun / now) / max(np.log(begun / tolerance), 1e-9)))
+        progress(f"unbalanced forces are {now:.2g} of the loads, {tolerance:.2g} is at rest", percent, 100)
         # A motion slower than the guess shows once the fast ones have died away; where hardly anything
         # moves any more, what shows is rounding.
         moves = (m["rate"] > 0) & (residual >= tolerance)
@@ -170,7 +170,7 @@ def _settle(
             raise MpmDiverged(
                 f"Body '{solver.body.name}' (number {worst} of the batch) is not at rest after {taken} "
                 f"substeps: unbalanced forces are {residual[worst]:.2g} of those from outside, "
-                f"{tolerance:.2g} was asked",
+                f"{tolerance:.2g} is the tolerance",
                 "allow more substeps, or approach the load in steps with warm=True",
             )
 

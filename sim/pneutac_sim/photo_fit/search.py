@@ -87,7 +87,7 @@ def search(
     axes = first_axes(parameters, start.hessian)
     strategy = _strategy(len(parameters), seed)
     key = hashlib.sha256(repr((record.key, seed, POPULATION, parameters.names)).encode()).hexdigest()
-    kept = _read(record.file, key)
+    stored = _read(record.file, key)
     tried, values, resumed = [], [], 0
     while len(values) < evaluations:
         z = np.array(strategy.ask())
@@ -95,11 +95,11 @@ def search(
             z[0] = 0.0  # the warm start itself
         wanted = start.x + z @ axes.T  # z ~ N(0, sigma^2 C); beyond a bound a candidate pays
         x = np.clip(wanted, parameters.lower, parameters.upper)
-        old = kept[len(values) : len(values) + POPULATION]
+        old = stored[len(values) : len(values) + POPULATION]
         if len(old) == POPULATION and np.allclose([o["x"] for o in old], x, rtol=1e-9, atol=1e-12):
             found, resumed = np.array([o["objective"] for o in old]), resumed + POPULATION
         else:
-            kept, found = [], np.asarray(objective(x), float)
+            stored, found = [], np.asarray(objective(x), float)
         if not np.isfinite(found).all():
             raise InputError(
                 "The objective is not a finite number; check masks and cameras of the recording."
@@ -146,8 +146,8 @@ def _read(file: Path | None, key: str) -> list[dict]:
     if file is None or not file.is_file():
         return []
     try:
-        kept = json.loads(file.read_text())
-        rows = kept["evaluations"] if kept["key"] == key else []
+        stored = json.loads(file.read_text())
+        rows = stored["evaluations"] if stored["key"] == key else []
         return [{"x": np.array(r["x"], float), "objective": float(r["objective"])} for r in rows]
     except (ValueError, KeyError, TypeError) as e:
         raise InputError(f"{file} is no record of a search ({e!r}); delete it to start again.") from e

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, finite_array
 from pneutac_sim.splat.kernels import project_points
 
 
@@ -31,7 +31,9 @@ class Camera:
 
     def __post_init__(self):
         for name, shape in (("intrinsics", (3, 3)), ("extrinsics", (4, 4))):
-            object.__setattr__(self, name, _matrix(name, getattr(self, name), shape))
+            matrix = finite_array(f"The camera's {name}", getattr(self, name), shape).copy()
+            matrix.flags.writeable = False
+            object.__setattr__(self, name, matrix)
         K, E = self.intrinsics, self.extrinsics
         if min(K[0, 0], K[1, 1]) <= 0 or K[0, 1] or K[1, 0] or not np.array_equal(K[2], [0, 0, 1]):
             raise InputError(
@@ -99,14 +101,3 @@ class Camera:
         pixels, depth = np.empty((len(points), 2)), np.empty(len(points))
         project_points(points, self.intrinsics, self.extrinsics, self.lens, pixels, depth)
         return pixels, depth
-
-
-def _matrix(name: str, value, shape: tuple[int, int]) -> np.ndarray:
-    try:
-        matrix = np.array(value, np.float64)
-    except (TypeError, ValueError):
-        matrix = np.full(1, np.nan)
-    if matrix.shape != shape or not np.isfinite(matrix).all():
-        raise InputError(f"The camera's {name} must be finite numbers of shape {shape}.")
-    matrix.flags.writeable = False
-    return matrix

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, finite_array
 
 
 @dataclass
@@ -36,12 +36,7 @@ class Gaussians:
             "opacities": (n,),
         }
         for name, shape in shapes.items():
-            try:
-                value = np.asarray(getattr(self, name), np.float32)
-            except (TypeError, ValueError):
-                value = np.full(1, np.nan)
-            if value.shape != shape or not np.isfinite(value).all():
-                raise InputError(f"The {name} of {n} Gaussians must be finite numbers of shape {shape}.")
+            value = finite_array(f"The {name} of {n} Gaussians", getattr(self, name), shape, np.float32)
             setattr(self, name, value)
         if n and self.scales.min() < 0:
             raise InputError("The scales of Gaussians must not be negative.")

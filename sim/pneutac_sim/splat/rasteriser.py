@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import config, njit
 
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, finite_array
 from pneutac_sim.splat import kernels
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.kernels import LEAST_ALPHA, TILE
@@ -335,15 +335,7 @@ def numbers(name: str, values, shape: tuple[int, ...]) -> np.ndarray:
 
     Raises InputError where the shape differs or a number is not finite.
     """
-    try:
-        array = np.ascontiguousarray(values, np.float32)
-    except (TypeError, ValueError):
-        array = np.full(1, np.nan, np.float32)
-    fits = array.ndim == len(shape) and all(s in (-1, t) for s, t in zip(shape, array.shape, strict=True))
-    if not fits or not np.isfinite(array).all():
-        wanted = ", ".join("n" if s == -1 else str(s) for s in shape)
-        raise InputError(f"The rasteriser's {name} must be finite numbers of shape ({wanted}).")
-    return array
+    return finite_array(f"The rasteriser's {name}", values, shape, np.float32)
 
 
 def _shares() -> int:

@@ -124,7 +124,7 @@ def _descend(train, stop, noise, seed: int, epochs: int, report) -> tuple[np.nda
     inputs, wanted, stop_inputs, stop_wanted = arrays
     model = _mlp(torch, inputs.shape[1], wanted.shape[1], random)
     adam = torch.optim.Adam(model.parameters(), lr=LEARNING_RATE)
-    best, kept, since = np.inf, None, 0
+    best, best_weights, since = np.inf, None, 0
     for epoch in range(epochs):
         for rows in torch.randperm(len(inputs), generator=random).split(BATCH):
             adam.zero_grad()
@@ -136,13 +136,13 @@ def _descend(train, stop, noise, seed: int, epochs: int, report) -> tuple[np.nda
         since += 1
         if loss < best:
             best, since = loss, 0
-            kept = [p.detach().clone() for p in model.parameters()]
+            best_weights = [p.detach().clone() for p in model.parameters()]
         if epoch % 50 == 0 or since == PATIENCE:
             report(epoch, best)
         if since == PATIENCE:
             break
     # torch keeps (out, in)
-    return None if kept is None else tuple(np.ascontiguousarray(p.numpy().T) for p in kept)
+    return None if best_weights is None else tuple(np.ascontiguousarray(p.numpy().T) for p in best_weights)
 
 
 def evaluate_action(twin: Twin, network: ActionNetwork, data_dir: str | Path) -> Evaluation:

@@ -165,10 +165,10 @@ def _fit(train, check, seed, epochs, device, progress, start=None) -> UNet:
             loss.backward()
             optimizer.step()
             steps += 1
-            kept = min(AVERAGE, (1 + steps) / (10 + steps))
+            decay = min(AVERAGE, (1 + steps) / (10 + steps))
             with torch.no_grad():
                 for a, w in zip(average.parameters(), network.parameters(), strict=True):
-                    a.lerp_(w, 1 - kept)
+                    a.lerp_(w, 1 - decay)
         with torch.no_grad():
             now = float(_loss(average, *looked))
         if now < best_loss:

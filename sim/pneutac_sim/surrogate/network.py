@@ -18,13 +18,12 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.files import refuse_pointer, whole
 from pneutac_sim.surrogate.skeleton import G, Skeleton, advance
 
-# Compiled loops of the action network: its value, motion of the skeleton under it, and where that rests.
+# Compiled loops of the action network: its value, and motion of the skeleton under it.
 #
 # `numbers` are the layers and, in float64, normalisation and box; `x` and `f` are work space in float32.
 
 
 FASTEST_RAD_S = 100.0  # fifteen times what commands bring about
-STEPS, RESOLUTION_RAD = 50, 1e-8  # of the search for rest
 
 
 @njit(cache=True)
@@ -117,23 +116,6 @@ def resistance(numbers, q_free, q, p, near, x, f, torque, J):
     inside = residual(numbers, q, still, p, x, f)
     for i in range(n):
         torque[i] += f[2][i]
-    return inside
-
-
-@njit(cache=True)
-def rest(K, numbers, x, f, q, p):
-    """Fixed-point iteration from the target in `q`: the body gives way by a few percent of the controller."""
-    target, still = q.copy(), np.zeros(len(q))
-    inside = True
-    for _ in range(STEPS):
-        inside = residual(numbers, q, still, p, x, f)
-        change = 0.0
-        for i in range(len(q)):
-            new = target[i] + f[2][i] / K  # K (q - target) = f_r(q, 0, p)
-            change = max(change, abs(new - q[i]))
-            q[i] = new
-        if change < RESOLUTION_RAD:
-            break
     return inside
 
 
@@ -237,12 +219,6 @@ class ActionNetwork:
             each / substeps, out_q, out_v, inside,
         )  # fmt: skip
         return out_q, out_v, inside
-
-    def rest(self, target: np.ndarray, pressure_kpa: float) -> tuple[np.ndarray, bool]:
-        """Where the skeleton rests, K q = K q_target + f_r(q, 0, p) (N,), and whether that is in range."""
-        q = np.array(target, float)
-        inside = rest(self.skeleton.stiffness_nm_per_rad, self._numbers, *self._work, q, float(pressure_kpa))
-        return q, inside
 
     @cached_property
     def _numbers(self):

@@ -20,6 +20,7 @@ import numpy as np
 from numba import njit
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.least_squares import cholesky_solve
 from pneutac_sim.mpm.body import Body, Spine
 from pneutac_sim.mpm.solid import Links
 
@@ -161,24 +162,12 @@ def advance(A, inertia, K, D, loss, q, qd, target, end, extra, h, fastest):
 
 @njit(cache=True)
 def _solve(M, share, more, b, x):
-    """(share M + more 1) x = b by Cholesky's factors; `M` and `b` are used up."""
+    """(share M + more 1) x = b; `M` and `b` are used up."""
     n = len(b)
     for i in range(n):
         for j in range(i + 1):
             M[i, j] *= share
         M[i, i] += more
+    cholesky_solve(M, b)
     for i in range(n):
-        for j in range(i + 1):
-            s = M[i, j]
-            for k in range(j):
-                s -= M[i, k] * M[j, k]
-            M[i, j] = np.sqrt(s) if i == j else s / M[j, j]
-        s = b[i]
-        for k in range(i):
-            s -= M[i, k] * b[k]
-        b[i] = s / M[i, i]
-    for i in range(n - 1, -1, -1):
-        s = b[i]
-        for k in range(i + 1, n):
-            s -= M[k, i] * x[k]
-        x[i] = s / M[i, i]
+        x[i] = b[i]

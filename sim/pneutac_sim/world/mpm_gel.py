@@ -172,8 +172,8 @@ class MpmFinger:
         # A neo-Hookean body's own stiffness hardly changes with its bend (10 % up to 15 kPa): once is enough.
         columns, at = [], joint_targets(twin, 0.0)
         for i in range(n):
-            apart = NEAR_RAD * np.eye(n)[i]
-            q, f = self._hold(at + np.stack([apart, -apart]))
+            offset = NEAR_RAD * np.eye(n)[i]
+            q, f = self._hold(at + np.stack([offset, -offset]))
             self.reset()
             columns.append((q[0] - q[1], f[0] - f[1]))
         dq, df = (np.stack(c) for c in zip(*columns, strict=True))

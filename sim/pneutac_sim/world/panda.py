@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 from pneutac_sim.features import JOINT_HIGH, JOINT_LOW, JOINT_NAMES, JOINT_SPEED, PANDA_JOINTS
+from pneutac_sim.least_squares import cholesky_solve
 
 # Link offsets a (m), joint offsets d (m) and twists alpha (rad) of joints 1 to 7, then the flange (m).
 DH_A = (0.0, 0.0, 0.0, 0.0825, -0.0825, 0.0, 0.088)
@@ -194,7 +195,7 @@ def _solve(q, position, rotation, a, d, ca, sa, flange_m, low, high, damping2, i
                 A[r, c] = damping2 if r == c else 0.0
                 for i in range(n):
                     A[r, c] += J[r, i] * J[c, i]
-        _cholesky_solve(A, y)
+        cholesky_solve(A, y)
         for i in range(n):
             step = 0.0
             for r in range(TASK):
@@ -217,25 +218,3 @@ def _error(position, rotation, p, R, e):
     sine = math.sqrt(x * x + y * y + z * z)
     scale = math.atan2(sine, 0.5 * (trace - 1.0)) / sine if sine > 1e-12 else 1.0
     e[3], e[4], e[5] = scale * x, scale * y, scale * z
-
-
-@njit(cache=True)
-def _cholesky_solve(A, y):
-    """Solves A x = y into `y` for a positive definite A, of which the lower triangle is used up."""
-    n = len(y)
-    for c in range(n):
-        for k in range(c):
-            A[c, c] -= A[c, k] ** 2
-        A[c, c] = math.sqrt(A[c, c])
-        for r in range(c + 1, n):
-            for k in range(c):
-                A[r, c] -= A[r, k] * A[c, k]
-            A[r, c] /= A[c, c]
-    for r in range(n):
-        for k in range(r):
-            y[r] -= A[r, k] * y[k]
-        y[r] /= A[r, r]
-    for r in range(n - 1, -1, -1):
-        for k in range(r + 1, n):
-            y[r] -= A[k, r] * y[k]
-        y[r] /= A[r, r]

@@ -23,7 +23,7 @@ AMBIENT, DIFFUSE, TO_LIGHT = 0.75, 0.4, np.array([0.4, -0.6, 0.7])
 LEAST = 1e-3  # coverage of a pixel that has a depth
 EDGE_M = 1e-3  # over which splats go in front of what they touch
 DEVICE = "auto"  # that draws a world's splats
-APART_M = 1e-4  # by which a pixel of the skin is nearer than what is behind it
+NEARER_M = 1e-4  # by which a pixel of the skin is nearer than what is behind it
 
 
 class SplatView(View):
@@ -54,7 +54,7 @@ class SplatView(View):
         size = (data, width, height)
         bare, behind = self._gl.render_depth(*size, SEEN_GROUPS, shadows=False, camera=camera)
         whole, nearest = self._gl.render_depth(*size, (*SEEN_GROUPS, SKIN_GROUP), camera=camera)
-        scene = np.where((nearest < behind - APART_M)[..., None], bare, whole)
+        scene = np.where((nearest < behind - NEARER_M)[..., None], bare, whole)
         at = camera_of(self._model, *size, camera)
         image, alpha, depth = self._finger.picture(data, at)
         share = alpha * ((behind - depth) / EDGE_M + 0.5).clip(0, 1)

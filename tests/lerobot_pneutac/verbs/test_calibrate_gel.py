@@ -16,11 +16,11 @@ from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.fit import SHADOW, fit_gel, fit_presses, standard_effects
+from pneutac_sim.gel.fit import SHADOW, fit_presses, standard_effects
 from pneutac_sim.gel.layout import Orientation
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import ImageScores, score
-from pneutac_sim.gel.photograph import Predictor
+from pneutac_sim.gel.photograph import Predictor, PressPhotograph
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin
 
@@ -263,7 +263,9 @@ def test_real_sensors(name, role, rmse, contact_rmse, contact_dncc, make):
     folder = Path(os.environ["PNEUTAC_DATA"]) / "tactile" / name
     data = GelRecording.load(Recording.load(folder))
     pair = data.calibration
-    fit = fit_gel(pair.rest, pair.image, pair.press, data.px_per_mm, thickness_mm=data.thickness_mm)
+    fit = fit_presses(
+        [PressPhotograph(pair.press, pair.image, pair.rest)], data.px_per_mm, thickness_mm=data.thickness_mm
+    )
     assert fit.make == make and fit.orientation == Orientation()
     picks = [i for i, s in enumerate(data.samples) if s.role == role]
     scores = [scores_of(data, images) for images in render(fit.gel, data).values()]

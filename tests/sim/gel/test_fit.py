@@ -10,7 +10,7 @@ import pytest
 
 from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.fit import fit_gel, fit_photographs, fit_presses, standard_effects
+from pneutac_sim.gel.fit import fit_photographs, fit_presses, standard_effects
 from pneutac_sim.gel.identifiability import DEEPEST, identify
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.layout import DIGIT, Orientation
@@ -28,7 +28,7 @@ def angles_deg(a, b):
 
 
 def test_the_linear_model_is_recovered(linear, photograph):
-    fit = fit_gel(linear.rest_image, photograph(linear, BALL, noise=2), BALL, 20.0, ())
+    fit = fit_presses([PressPhotograph(BALL, photograph(linear, BALL, noise=2), linear.rest_image)], 20.0, ())
     assert fit.gel.effects == {} and fit.make == "" and fit.evaluations > 10
     assert fit.gel.decay_mm == pytest.approx(1.1, rel=0.05)
     assert fit.gel.depth_scale == pytest.approx(1.0, abs=0.03)
@@ -38,7 +38,7 @@ def test_the_linear_model_is_recovered(linear, photograph):
 
 def test_a_drift_of_the_light_does_not_mislead_the_fit(linear, photograph):
     image = photograph(linear, BALL, noise=2, gain=1.05)
-    gel = fit_gel(linear.rest_image, image, BALL, 20.0, ()).gel
+    gel = fit_presses([PressPhotograph(BALL, image, linear.rest_image)], 20.0, ()).gel
     assert angles_deg(gel, linear).max() < 1.5
     strength, truth = (np.linalg.norm(g.light, axis=1) for g in (gel, linear))
     np.testing.assert_allclose(strength / truth, 1, atol=0.06)
@@ -47,21 +47,23 @@ def test_a_drift_of_the_light_does_not_mislead_the_fit(linear, photograph):
 
 def test_mirrored_axes_and_swapped_channels_are_found(linear, photograph):
     linear.light = linear.light[::-1] * [-1, 1]
-    gel = fit_gel(linear.rest_image, photograph(linear, BALL), BALL, 20.0, ()).gel
+    gel = fit_presses([PressPhotograph(BALL, photograph(linear, BALL), linear.rest_image)], 20.0, ()).gel
     np.testing.assert_allclose(gel.light, linear.light, atol=4)
 
 
 def test_skin_over_a_gel_draws_the_imprint_back(linear, photograph):
     linear.depth_scale = 0.7
-    gel = fit_gel(linear.rest_image, photograph(linear, BALL, noise=2), BALL, 20.0, ()).gel
+    gel = fit_presses(
+        [PressPhotograph(BALL, photograph(linear, BALL, noise=2), linear.rest_image)], 20.0, ()
+    ).gel
     assert gel.depth_scale == pytest.approx(0.7, abs=0.05)
 
 
 def test_one_pair_predicts_other_places_and_depths_of_a_sensor_with_every_effect(bent, photograph):
     """Less than a fifth of the rest image's error is left, half of what the linear model leaves."""
     image = photograph(bent, BALL, noise=2)
-    fit = fit_gel(bent.rest_image, image, BALL, 20.0)
-    linear = fit_gel(bent.rest_image, image, BALL, 20.0, ()).gel
+    fit = fit_presses([PressPhotograph(BALL, image, bent.rest_image)], 20.0)
+    linear = fit_presses([PressPhotograph(BALL, image, bent.rest_image)], 20.0, ()).gel
     assert set(fit.gel.effects) == set(standard_effects())
     for press in ELSEWHERE:
         real = photograph(bent, press)
@@ -100,11 +102,11 @@ def test_images_that_are_mirrored_and_bgr_are_recognised_and_lit_by_the_makes_li
     rest, image = linear.rest_image, photograph(linear, BALL, noise=2)
     rest, image = (np.ascontiguousarray(a[:, ::-1, ::-1]) for a in (rest, image))
     mirrored = replace(BALL, x_mm=-BALL.x_mm)
-    fit = fit_gel(rest, image, mirrored, 20.0, ("near_light", "rest_colour"))
+    fit = fit_presses([PressPhotograph(mirrored, image, rest)], 20.0, ("near_light", "rest_colour"))
     assert fit.make == "DIGIT" and fit.orientation == Orientation((2, 1, 0), mirror_x=True)
     found = [fit.gel.effects["near_light"][n] for n in names]
     np.testing.assert_allclose(found, distance[::-1], rtol=0.15)
-    plain = fit_gel(rest, image, mirrored, 20.0, ("near_light",))
+    plain = fit_presses([PressPhotograph(mirrored, image, rest)], 20.0, ("near_light",))
     assert plain.make == "", "without the rest colour there is nothing that a make could lend"
 
 

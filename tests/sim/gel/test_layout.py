@@ -419,7 +419,7 @@ PRESSES = (
 
 def gels() -> dict[str, GelModel]:
     plain = GelModel.builtin()
-    lent = layout.DIGIT.lent(plain.rest_image, layout.Orientation()).times(20)
+    lent = layout.DIGIT.prior_field(plain.rest_image, layout.Orientation()).times(20)
     shadow = {f"shadow_{c}_levels": 60.0 for c in ("red", "green", "blue")}
     shadow |= {"elevation_red": 0.2, "elevation_green": 0.3, "elevation_blue": 0.1, "edge_mm": 0.1}
     shadow["shadow_blue_levels"] = 0.0

@@ -11,7 +11,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.gel.fit import fit_presses
 from pneutac_sim.gel.identifiability import library, save
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.layout import DIGIT, Layout, Orientation, Unit, kept, recognise_rest
+from pneutac_sim.gel.layout import DIGIT, Layout, Orientation, SensorPrior, recognise_rest, stored_rest
 from pneutac_sim.gel.model import rest_image
 from pneutac_sim.gel.pair import rmse
 from pneutac_sim.gel.photograph import Predictor, PressPhotograph
@@ -27,7 +27,7 @@ def own(tmp_path, monkeypatch):
 
 def test_a_layout_comes_back_from_its_file(tmp_path):
     sds = (1.0, 2.0, 30.0), (0.05, 0.1, 0.2), (0.05, 0.06, 0.5)
-    rest = kept(rest_image((80, 80, 3)))
+    rest = stored_rest(rest_image((80, 80, 3)))
     made = Layout(
         "lab",
         ((1.0, 2.0), (3.0, -4.0), (-5.0, 6.5)),
@@ -58,13 +58,13 @@ def test_the_library_holds_the_products_makes_and_ones_own(own, linear, photogra
     assert prior[1] == lab.distances_sd_mm[0]
 
 
-def unit(rest, seed: int) -> Unit:
+def unit(rest, seed: int) -> SensorPrior:
     """A sensor of a make with a field of a few broad bumps over the whole gel."""
     rng = np.random.default_rng(seed)
     centres = np.repeat(rng.normal(0, 0.7, (3, 6, FEATURES)), 30, 1).astype(np.float32)
     centres[..., PLACE] = rng.uniform(-1, 1, (3, 180, 2))
     weights = np.repeat(rng.normal(0, 0.001, (3, 6)), 30, 1)
-    return Unit(rest, ResidualField(centres, weights.astype(np.float32)))
+    return SensorPrior(rest, ResidualField(centres, weights.astype(np.float32)))
 
 
 def test_a_make_lends_what_it_left_over_on_other_sensors_and_never_on_the_very_one(tmp_path):
@@ -72,7 +72,7 @@ def test_a_make_lends_what_it_left_over_on_other_sensors_and_never_on_the_very_o
     for own in DIGIT.units:
         image = cv2.resize(own.rest.clip(0, 255).astype(np.uint8), (240, 320))
         for way in (Orientation(), Orientation((2, 1, 0), True, False)):
-            lent = DIGIT.lent(np.ascontiguousarray(way.shown(image)), way)
+            lent = DIGIT.prior_field(np.ascontiguousarray(way.shown(image)), way)
             others = [
                 u.field.shown(way.channels, way.mirror_x, way.mirror_y) for u in DIGIT.units if u is not own
             ]
@@ -82,7 +82,7 @@ def test_a_make_lends_what_it_left_over_on_other_sensors_and_never_on_the_very_o
     alone.write(tmp_path / "alone.yaml", "a test")
     back = Layout.read(tmp_path / "alone.yaml").units[0]
     np.testing.assert_allclose(back.field.weights, one.field.weights, rtol=1e-3, atol=1e-4)
-    assert alone.lent(cv2.resize(one.rest.astype(np.uint8), (240, 320)), Orientation()) is None
+    assert alone.prior_field(cv2.resize(one.rest.astype(np.uint8), (240, 320)), Orientation()) is None
 
 
 @pytest.mark.parametrize("true", [True, False])
@@ -95,14 +95,14 @@ def test_as_much_of_a_lent_field_is_taken_as_explains_the_press(linear, photogra
     pair = PressPhotograph(press, photograph(truth, press), linear.rest_image)
     towards = -linear.light / np.linalg.norm(linear.light, axis=1)[:, None]
     lights = tuple(map(tuple, 40 * towards))
-    make = Layout("lab", lights, (0.5, 0.5, 0.5), 1.0, kept(linear.rest_image), units=(other,))
+    make = Layout("lab", lights, (0.5, 0.5, 0.5), 1.0, stored_rest(linear.rest_image), units=(other,))
     make = replace(make, proportions=linear.rest_image.shape[1] / linear.rest_image.shape[0])
     bare, fit = (
         fit_presses([pair], 20.0, ["near_light", "rest_colour"], makes=(m,))
         for m in (replace(make, units=()), make)
     )
-    assert fit.make == "lab" and bare.lent == 0
-    assert (fit.lent > 0) == true and (fit.gel.lent is not None) == true
+    assert fit.make == "lab" and bare.prior_share == 0
+    assert (fit.prior_share > 0) == true and (fit.gel.lent is not None) == true
     if true:
         there = Press("sphere", 3.0, -2.0, 1.5, 0.8)
         real = photograph(truth, there)
@@ -115,8 +115,8 @@ def test_five_presses_save_a_field_that_others_of_the_make_are_lent(own, linear,
     save("lab", fit.gel, fit.channels, "a test", fit.leftovers)
     lab = library()[1]
     assert len(lab.units) == 1
-    assert lab.lent(linear.rest_image, Orientation()) is None, "the sensor itself"
-    assert lab.lent(linear.rest_image[::-1].copy(), Orientation()) is not None
+    assert lab.prior_field(linear.rest_image, Orientation()) is None, "the sensor itself"
+    assert lab.prior_field(linear.rest_image[::-1].copy(), Orientation()) is not None
 
 
 def test_what_is_no_prior_gets_one_sentence(own, linear, photograph):

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.fit import fit_gel
+from pneutac_sim.gel.fit import fit_presses
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import check_pair
-from pneutac_sim.gel.photograph import Predictor
+from pneutac_sim.gel.photograph import Predictor, PressPhotograph
 
 BALL = Press("sphere", 3.0, 0.6, -1.0, 0.9)
 NOTHING = Press("sphere", 3.0, 0, 0, 1e-6)
@@ -39,7 +39,7 @@ def test_bad_pairs_get_one_sentence(photograph):
         "the rest image is saturated": (np.full_like(rest, 255), image, BALL),
     }.items():
         with pytest.raises(InputError, match=says) as e:
-            fit_gel(*pair, 20.0)
+            fit_presses([PressPhotograph(pair[2], pair[1], pair[0])], 20.0)
         assert "\n" not in str(e.value)
     with pytest.raises(InputError, match="shows no contact"):
         check_pair(rest, photograph(gel, NOTHING, noise=2), BALL, 20.0)
