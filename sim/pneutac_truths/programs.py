@@ -53,11 +53,11 @@ class Plan:
 
 
 def plan(rng: np.random.Generator, chambers: int, minutes: float, quiet: bool = False) -> Plan:
-    """Draws a recording of about so many minutes of trials; at 10 there are 10 to 16 of 20 to 60 s.
+    """Draws a recording of about so many minutes of trials; every 10 have 10 to 16 of 20 to 60 s.
 
     `quiet` leaves out the fastest programs (for slow solvers).
     """
-    n = int(np.clip(rng.integers(10, 17) * min(1.0, minutes / 7), 6, 16))
+    n = int(np.clip(rng.integers(10, 17) * min(1.0, minutes / 7), 6, 16)) * max(1, round(minutes / 10))
     repeats = max(1, round(n / 6))
     own = n - repeats
     seconds = rng.uniform(0.7, 1.3, own)

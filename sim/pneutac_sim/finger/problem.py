@@ -50,7 +50,7 @@ def changes(
     out = np.zeros((len(inputs.rows), len(columns), len(indices)))
     moved = _pressures(pipeline, inputs, run, indices[early], values[early], end)  # (m, 0, chambers) of none
     if only_air:
-        change = (moved - run.signals[end][:, None])[inputs.rows]
+        change = moved[inputs.rows] - run.signals[end][inputs.rows, None]
         out[:, :, early] = change[:, :, [_chamber(c) for c in columns]].transpose(0, 2, 1)
         return out
     at, late = pipeline.outputs(run, columns), np.flatnonzero(link >= end)
@@ -114,7 +114,8 @@ class AtRest:
 
     def by_pressures(self, moved: np.ndarray) -> np.ndarray:
         """(n, D, F) what outputs change by where other pressures (m, F, chambers) bend the body."""
-        change = (moved - self._run.signals[self._pipeline.drive][:, None])[self._inputs.rows]
+        rows = self._inputs.rows
+        change = moved[rows] - self._run.signals[self._pipeline.drive][rows, None]
         return np.einsum("ndc,nfc->ndf", self.by_pressure, change)
 
     @cached_property
@@ -205,7 +206,7 @@ def _pressures(
             new.append(link(before, inputs.dt_s, theta, conditions, state))
         if own:
             x, order = np.concatenate([x, np.stack(new, axis=1)], axis=1), order + own
-    return x[:, np.argsort(order)]
+    return x if order == sorted(order) else x[:, np.argsort(order)]
 
 
 def _by_pressure(
