@@ -11,8 +11,7 @@ from pneutac_sim.gel.photograph import press_depth
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.gel import SplatSensor
-from pneutac_sim.splat.kernels import BLUR_PX2
-from pneutac_sim.splat.rasteriser import Splats
+from pneutac_sim.splat.rasteriser import BLUR_PX2, Splats
 
 OPACITY = 0.5
 REPEATS, PEER_REPEATS = 25, 2

@@ -12,7 +12,7 @@ import numpy as np
 from lerobot.robots import Robot
 
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, TICK_S, TURNS, ArmState, HardwareFault, wait
-from pneutac_sim.world.arms.chain import Chain, ChainIK
+from pneutac_sim.world.arms import Chain, ChainIK
 
 BEHIND_RAD = 0.3  # by which a joint may stay behind its target
 RUNAWAY_M = 0.003  # by which a target that is out of reach is missed

@@ -14,7 +14,7 @@ from lerobot_robot_pneutac.hardware.parts import COMMAND_S, ArmState, HardwareFa
 from lerobot_robot_pneutac.hardware.pressure_limits import checked_kpa, positive
 
 if TYPE_CHECKING:
-    from pneutac_sim.world.arms.chain import Chain
+    from pneutac_sim.world.arms import Chain
     from pneutac_sim.world.panda import Panda
 
 

@@ -3,9 +3,9 @@
 from dataclasses import dataclass, field
 
 import numpy as np
+from numba import njit
 
 from pneutac_sim.errors import InputError, finite_array
-from pneutac_sim.splat.kernels import project_points
 
 
 @dataclass(frozen=True)
@@ -101,3 +101,30 @@ class Camera:
         pixels, depth = np.empty((len(points), 2)), np.empty(len(points))
         project_points(points, self.intrinsics, self.extrinsics, self.lens, pixels, depth)
         return pixels, depth
+
+
+@njit(inline="always")
+def image_plane(u, v, lens):
+    """OpenCV's distortion of a point (u, v) at unit depth."""
+    k1, k2, p1, p2, k3 = lens[0], lens[1], lens[2], lens[3], lens[4]
+    # x = u (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 u v + p2 (r^2 + 2 u^2), y alike (Brown 1966)
+    r2 = u * u + v * v
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    x = u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u)
+    y = v * radial + p1 * (r2 + 2 * v * v) + 2 * p2 * u * v
+    return x, y
+
+
+@njit(cache=True)
+def project_points(points, K, E, lens, pixels, depth):
+    """Writes pixels (n, 2) and depth (n,) of points (n, 3)."""
+    for i in range(len(points)):
+        a, b, c = points[i]
+        z = E[2, 0] * a + E[2, 1] * b + E[2, 2] * c + E[2, 3]
+        depth[i] = z
+        z = z if abs(z) > 1e-12 else 1e-12
+        u = (E[0, 0] * a + E[0, 1] * b + E[0, 2] * c + E[0, 3]) / z
+        v = (E[1, 0] * a + E[1, 1] * b + E[1, 2] * c + E[1, 3]) / z
+        x, y = image_plane(u, v, lens)
+        pixels[i, 0] = K[0, 0] * x + K[0, 2]
+        pixels[i, 1] = K[1, 1] * y + K[1, 2]

@@ -8,8 +8,7 @@ import numpy as np
 from pneutac_sim.errors import InputError
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.gaussians import Gaussians
-from pneutac_sim.splat.kernels import BLUR_PX2, LEAST_ALPHA, NEAR_M, TILE
-from pneutac_sim.splat.rasteriser import Rendering, Splats, numbers
+from pneutac_sim.splat.rasteriser import BLUR_PX2, LEAST_ALPHA, NEAR_M, TILE, Rendering, Splats, numbers
 
 
 class CudaSplats:

@@ -19,6 +19,7 @@ DH_D = (0.333, 0.0, 0.316, 0.0, 0.384, 0.0, 0.0)
 DH_ALPHA = tuple(np.pi / 2 * k for k in (0, -1, 1, 1, -1, 1, 1))
 FLANGE_M = 0.107
 TASK = 6  # position and rotation
+DAMPING, ITERATIONS = 0.01, 2  # of the inverse kinematics
 
 # Flange straight down, elbow up; the start of every inverse kinematics.
 HOME_JOINTS = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])
@@ -102,7 +103,7 @@ class CartesianIK:
     Damped least squares: `dq = J^T (J J^T + damping^2 I)^-1 e`, with `e` the position error and the rotation
     vector to the held orientation. Joint limits are enforced by clipping.
 
-    `arms.chain.ChainIK` would do too. This one is compiled and takes a twentieth of its time, and it needs no
+    `arms.ChainIK` would do too. This one is compiled and takes a twentieth of its time, and it needs no
     order of position before orientation, as seven joints meet both in the whole workspace.
 
     Attributes:
@@ -111,11 +112,11 @@ class CartesianIK:
 
     missing_m = 0.0  # its whole workspace is in reach
 
-    def __init__(self, damping: float = 0.01, iterations: int = 2):
+    def __init__(self):
         alpha = np.array(DH_ALPHA)
         self._arm = np.array(DH_A), np.array(DH_D), np.cos(alpha), np.sin(alpha), FLANGE_M
         self._limits = np.array(JOINT_LOW, float), np.array(JOINT_HIGH, float)
-        self._search = damping**2, iterations
+        self._search = DAMPING**2, ITERATIONS
         self._held = np.ascontiguousarray(forward_kinematics(HOME_JOINTS)[:3, :3])
         self.reset(HOME_JOINTS)
 
@@ -136,7 +137,7 @@ class CartesianIK:
 
 
 class Panda:
-    """The paper's arm, with what the world asks of any; see `arms.chain.Chain` for the attributes."""
+    """The paper's arm, with what the world asks of any; see `arms.Chain` for the attributes."""
 
     joints, root = PANDA_JOINTS, "panda"
     low_rad, high_rad, speed_rad_s, home_rad = JOINT_LOW, JOINT_HIGH, JOINT_SPEED, HOME_JOINTS

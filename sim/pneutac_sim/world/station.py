@@ -13,8 +13,7 @@ import yaml
 from pneutac_sim.errors import InputError, shown, unknown_names
 from pneutac_sim.features import CONTROL_HZ, PAPER_LENGTH_MM, RATES_HZ
 from pneutac_sim.files import read_fields, read_yaml, whole
-from pneutac_sim.world.arms import ARMS, ArmFile, joints_of, make_arm, read_arm
-from pneutac_sim.world.arms.chain import Chain
+from pneutac_sim.world.arms import ARMS, ArmFile, Chain, joints_of, make_arm, read_arm
 from pneutac_sim.world.panda import Panda
 
 MOST_LATE_S = 1.0

@@ -14,8 +14,7 @@ from lerobot_robot_pneutac.hardware.arms import LeRobotArmConfig, SimulatedArmCo
 from lerobot_robot_pneutac.hardware.lerobot_arm import LeRobotArm
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault
 from pneutac_sim.errors import InputError
-from pneutac_sim.world.arms import ARMS
-from pneutac_sim.world.arms.chain import Chain
+from pneutac_sim.world.arms import ARMS, Chain
 
 MOTORS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
 SO101 = ARMS["so101"][0]

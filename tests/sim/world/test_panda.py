@@ -10,8 +10,7 @@ import pytest
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import JOINT_HIGH, JOINT_LOW
 from pneutac_sim.world import panda
-from pneutac_sim.world.arms import ARMS
-from pneutac_sim.world.arms.chain import Chain
+from pneutac_sim.world.arms import ARMS, Chain
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.panda import HOME_JOINTS, forward_kinematics
 from pneutac_sim.world.station import Station
