@@ -202,15 +202,15 @@ class BodySearch:
             # the known causes that are needed without offsets stay, and only runs that were left out decide.
             self.tell("each run seems to have its own offset; the search starts again with run offsets")
             causes = tuple(e for e in plain.model.structure.effects if e in base_effects(study))
-            space.trials, space.kept = widths, space.base
+            left_out, space.trials, space.kept = dict(self.left_out), widths, space.base
             with_offsets = self.engine(space).find()
-            fold = fitter.trial[self.rows]
-            alone, better = (float(f.final.model.cv_squared(fold).mean()) for f in (found, with_offsets))
+            needed = (*own, *(e for e in causes if e not in own))
+            simple, fold = self.simplified(space, with_offsets, needed), fitter.trial[self.rows]
+            alone, better = (float(s.model.cv_squared(fold).mean()) for s in (plain, simple))
             if better < alone:
-                own = (*own, *(e for e in causes if e not in own))
-                found, plain = with_offsets, self.simplified(space, with_offsets, own)
+                own, found, plain = needed, with_offsets, simple
             else:
-                space.trials = ()
+                self.left_out, space.trials, space.kept = left_out, (), own
         finished = self.without_idle(space, self._refined(space, plain), own)
         return Searched(space, found, self.engine(space).pruned(finished, found, T.WORTH_NAMING))
 
