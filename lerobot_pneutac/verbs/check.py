@@ -21,8 +21,7 @@ from pneutac_datasets.demonstrations.faults import (
     set_aside,
 )
 from pneutac_datasets.demonstrations.info import is_demonstrations, read_info
-from pneutac_datasets.recording.checks import check
-from pneutac_datasets.recording.faults import recording_faults
+from pneutac_datasets.recording.checks import check, recording_faults
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.sources import plain
 from pneutac_datasets.recording.sources.plain import Understood

@@ -187,10 +187,6 @@ def demonstration_notes(folder: str | Path, station: Station) -> list[str]:
     ]
 
 
-def _joints(state: np.ndarray, action: np.ndarray) -> int:
-    return joint_count(state.shape[1], action.shape[1] - len(VELOCITY_NAMES))
-
-
 def rate_notes(folder: str | Path) -> list[str]:
     """Episodes whose control loop was slower or faster than the dataset's rate."""
     meta = Path(folder) / "meta"
@@ -288,11 +284,10 @@ def _of_motion(folder: Path, info: dict, episodes: Episodes) -> tuple[list[str],
             moved.append(ee[window:] - ee[:-window])
             commanded.append(way[window:] - way[:-window])
     faults, notes = [], []
-    turned = [
-        number
-        for number, (state, action) in episodes.items()
-        if np.nanmax(np.abs(state[:, : _joints(state, action)]), initial=0) > MOST_RAD
-    ]
+    turned = []  # episodes
+    for number, (state, action) in episodes.items():
+        joints = joint_count(state.shape[1], action.shape[1] - len(VELOCITY_NAMES))
+        turned += [number] * bool(np.nanmax(np.abs(state[:, :joints]), initial=0) > MOST_RAD)
     if turned:
         faults.append(
             f"{folder}: 'joint_1.pos' and so on go beyond {MOST_RAD:g} rad in the episodes {turned}, as"

@@ -293,33 +293,24 @@ def _match(
     folder: Path, info: dict, tasks: set[int], episodes: list[dict], rows: dict[str, np.ndarray], repair: str
 ) -> None:
     """Raises InputError where numbers, episodes and counts do not belong together."""
-    begin = 0
-    for number, row in enumerate(episodes):
-        length = row["length"]
+    lengths = [row["length"] for row in episodes]
+    begins, total = np.cumsum([0, *lengths]).tolist(), len(rows["index"])
+    for number, (row, begin, end) in enumerate(zip(episodes, begins, begins[1:], strict=False)):
         there = int((rows["episode_index"] == number).sum())
-        if there != length:
+        if there != row["length"]:
             raise InputError(
-                f"{folder}: data/ holds {there} rows of episode {number} and meta/episodes counts {length};"
-                " restore data/."
+                f"{folder}: data/ holds {there} rows of episode {number} and meta/episodes counts"
+                f" {row['length']}; restore data/."
             )
-        if (row["dataset_from_index"], row["dataset_to_index"]) != (begin, begin + length):
+        if (row["dataset_from_index"], row["dataset_to_index"]) != (begin, end):
             raise InputError(
                 f"{folder}: meta/episodes places episode {number} in the rows {row['dataset_from_index']} to"
-                f" {row['dataset_to_index']}, where {begin} to {begin + length} are its; delete meta/episodes"
-                f" and run {repair}."
+                f" {row['dataset_to_index']}, where {begin} to {end} are its; delete meta/episodes and run"
+                f" {repair}."
             )
-        begin += length
-    total = len(rows["index"])
-    if total != begin:
-        raise InputError(
-            f"{folder}: data/ holds {total} rows and meta/episodes counts {begin}; run {repair}."
-        )
-    if info.get("total_frames") != total:
-        raise InputError(
-            f"{folder}: data/ holds {total} rows and info.json counts {info.get('total_frames')}; run"
-            f" {repair}."
-        )
-    lengths = [row["length"] for row in episodes]
+    for file, count in (("meta/episodes", begins[-1]), ("info.json", info.get("total_frames"))):
+        if count != total:
+            raise InputError(f"{folder}: data/ holds {total} rows and {file} counts {count}; run {repair}.")
     frame = np.concatenate([np.arange(n) for n in lengths]) if lengths else np.zeros(0)
     right = {"index": np.arange(total), "episode_index": np.repeat(range(len(lengths)), lengths)}
     for name, values in (right | {"frame_index": frame}).items():

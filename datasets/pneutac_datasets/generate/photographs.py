@@ -430,7 +430,8 @@ def photograph(
     turn = camera.extrinsics[:3, :3].T
     eye = -turn @ camera.extrinsics[:3, 3]
     seer = spec.camera("eye")
-    seer.pos, seer.quat = eye, _quaternion(turn @ np.diag([1.0, -1.0, -1.0]))  # MuJoCo looks along -z
+    seer.pos, looks = eye, Rotation.from_matrix(turn @ np.diag([1.0, -1.0, -1.0]))  # MuJoCo's along -z
+    seer.quat = looks.as_quat(scalar_first=True)
     seer.fovy = float(np.degrees(2 * np.arctan(0.5 * camera.height / camera.intrinsics[1, 1])))
     wall, forward = spec.geom("backdrop"), turn[:, 2]
     wall.pos = eye + (forward @ -eye + 2.2 * studio.size_m) * forward
@@ -524,9 +525,3 @@ def _render(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     names = [model.geom(g).name for g in range(model.ngeom)]
     body = [g.segid + 1 for g in scene.geoms[: scene.ngeom] if names[g.objid] == "body"]
     return image[::-1], np.isin(ids[::-1, :, 0], body)
-
-
-def _quaternion(rotation: np.ndarray) -> np.ndarray:
-    out = np.empty(4)
-    mujoco.mju_mat2Quat(out, np.ascontiguousarray(rotation).ravel())
-    return out

@@ -53,7 +53,7 @@ def axes(recording: Recording) -> list[Axis]:
         g = s[["gravity_x", "gravity_y", "gravity_z"]].to_numpy(float).round(1) + 0.0
         found.append(_labels("gravity", pd.Series([", ".join(f"{x:g}" for x in v) for v in g])))
     for name in recording.conditions:
-        if name in ("program",) or name.startswith("gravity_"):
+        if name == "program" or name.startswith("gravity_"):
             continue
         if s[name].dtype.kind in "if":
             found.append(numbers(name, recording.column(name).astype(float), 6))

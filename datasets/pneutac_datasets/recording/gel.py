@@ -13,8 +13,7 @@ import numpy as np
 import pandas as pd
 
 from pneutac_datasets.recording.recording import Recording
-from pneutac_datasets.recording.wording import shown
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, shown
 from pneutac_sim.files import inside
 from pneutac_sim.gel.indenter import FIGURES, INDENTERS, AnyFigure, Figure, Outline, Press
 from pneutac_sim.gel.pair import RestDifference, cell_px, cells, check_pair, saturated, shows_contact
@@ -308,8 +307,8 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
 def _rest_doubts(data: GelRecording) -> list[str]:
     """Notes where a rest image differs from what the presses show away from their contacts."""
     rests = {id(s.rest): [r for r in data.samples if r.rest is s.rest] for s in data.samples}
-    each = (_rest_doubt(s[0].rest, s, data.px_per_mm) for s in rests.values() if len(s) >= REST_SAMPLES)
-    return [note for notes in each for note in notes]
+    each = [_rest_doubt(s[0].rest, s, data.px_per_mm) for s in rests.values() if len(s) >= REST_SAMPLES]
+    return sum(each, [])
 
 
 def _rest_doubt(rest: np.ndarray, samples: list[GelSample], px_per_mm: float) -> list[str]:

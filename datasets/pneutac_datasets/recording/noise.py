@@ -22,7 +22,7 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-from scipy.signal import lfilter
+from scipy.signal import detrend, lfilter
 
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import plural
@@ -199,10 +199,7 @@ def _detrended(x: np.ndarray, window: int) -> np.ndarray:
     """Residuals (n - n % window,) of straight lines fitted window by window, scaled for the two they cost."""
     window = min(window, len(x))
     x = x[: len(x) // window * window].reshape(-1, window)
-    t = np.linspace(-1, 1, window)
-    basis = np.stack([np.ones(window), t], 1)
-    q, _ = np.linalg.qr(basis)
-    return ((x - (x @ q) @ q.T) * np.sqrt(window / max(window - 2, 1))).ravel()
+    return (detrend(x, axis=1) * np.sqrt(window / max(window - 2, 1))).ravel()
 
 
 # ---------------------------------------------------------------- local contrasts

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from pneutac_datasets.recording.recording import Recording
-from pneutac_datasets.recording.wording import listed, shown
-from pneutac_sim.errors import InputError
+from pneutac_datasets.recording.wording import listed
+from pneutac_sim.errors import InputError, shown
 from pneutac_sim.splat.camera import Camera
 
 SHADOW = 0.5  # how much of a mere change of brightness counts: shadows on the backdrop are that

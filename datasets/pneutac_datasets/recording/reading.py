@@ -8,8 +8,8 @@ import pandas as pd
 
 from pneutac_datasets.recording.text_table import MAX_COLUMNS, MAX_ROWS, TextTable, read_text
 from pneutac_datasets.recording.units import unit_named
-from pneutac_datasets.recording.wording import SourceFile, cut, shown
-from pneutac_sim.errors import InputError
+from pneutac_datasets.recording.wording import SourceFile, cut
+from pneutac_sim.errors import InputError, shown
 from pneutac_sim.files import inside, read_json, refuse_pointer
 
 MAX_CELLS = 200_000_000  # 1.6 GB of numbers: a small Parquet file may stand for far more
@@ -44,11 +44,8 @@ def read_table(folder: Path, meta: dict) -> tuple[pd.DataFrame, Path]:
     if meta.get("lerobot"):
         return _read_lerobot(folder), folder / "data"
     name = meta.get("samples", "samples.csv")
-    if (
-        not isinstance(name, str)
-        or len(name) > MAX_NAME
-        or Path(name).suffix.lower() not in (".csv", ".parquet")
-    ):
+    named = isinstance(name, str) and len(name) <= MAX_NAME
+    if not named or Path(name).suffix.lower() not in (".csv", ".parquet"):
         raise InputError(
             f"{folder / 'recording.json'}: field 'samples' is {shown(name)}; name a .csv or .parquet file."
         )
@@ -126,14 +123,13 @@ def _read_lerobot(folder: Path) -> pd.DataFrame:
     columns: dict[str, pd.Series] = {}
     source: dict[str, str] = {}
     for name, feature in features.items():
-        if name not in raw.columns:
-            continue  # videos are separate files, not columns
+        if name not in raw.columns:  # as videos, which are separate files
+            continue
         names = feature.get("names") if isinstance(feature, dict) else None
         names = list(names.values())[0] if isinstance(names, dict) and names else names
         first = raw[name].iloc[0] if len(raw) else None
         vector = isinstance(first, Sized) and not isinstance(first, str | dict | bytes)
-        size = len(first) if vector and isinstance(first, Sized) else 0
-        entries = [name]
+        size, entries = len(first) if vector and isinstance(first, Sized) else 0, [name]
         if vector and isinstance(names, list) and len(names) == size:
             entries = [str(n) for n in names]  # a vector of one entry may have a name, too
         elif vector and size != 1:

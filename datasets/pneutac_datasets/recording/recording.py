@@ -14,8 +14,8 @@ import pandas as pd
 from pneutac_datasets.recording import blocks, reading, rules
 from pneutac_datasets.recording.image_file import read_image
 from pneutac_datasets.recording.rules import TrialStart, meta_of_kept, starts
-from pneutac_datasets.recording.wording import listed, shown
-from pneutac_sim.errors import InputError
+from pneutac_datasets.recording.wording import listed
+from pneutac_sim.errors import InputError, shown
 from pneutac_sim.files import inside, whole, write_json
 
 
@@ -151,12 +151,9 @@ class Recording:
             raise InputError(f"{self.folder}: image {shown(name)} is no file's name; give its file.")
         source = self.folder / name
         if not inside(self.folder, source):
-            if (self.folder / name.lstrip("/")).is_file():
-                raise InputError(
-                    f"{self.folder}: image '{name}' begins with a slash, as a file outside the recording"
-                    f" does; name it '{name.lstrip('/')}'."
-                )
-            raise InputError(f"{self.folder}: image '{name}' lies outside the recording's folder.")
+            inner = name.lstrip("/")
+            hint = f"; name it '{inner}'" if (self.folder / inner).is_file() else ""
+            raise InputError(f"{self.folder}: image '{name}' lies outside the recording's folder{hint}.")
         if not source.is_file():
             raise InputError(f"{source} is missing, though the recording names it as an image.")
         return read_image(source, plain=plain)

@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 
 from pneutac_datasets.recording.units import check_units
-from pneutac_datasets.recording.wording import an, listed, plural, row_name, shown
-from pneutac_sim.errors import CONTROL, InputError
+from pneutac_datasets.recording.wording import an, listed, plural, row_name
+from pneutac_sim.errors import CONTROL, InputError, shown
 from pneutac_sim.finger import quantities
 from pneutac_sim.twin import DEVICES
 

@@ -42,7 +42,7 @@ def jumps(recording: Recording) -> list[Finding]:
     found, at = [], np.flatnonzero(bad)
     if bad.any():
         first, many = where(recording, at[0]), bool(bad.mean() > 0.05)
-        runs = int(np.sum(np.diff(np.r_[0, bad.astype(int)]) == 1))
+        runs = len(list(_stretches(bad)))
         text = (
             f"The tracker seems to jump in {bad.mean():.0%} of the rows (first in {first}); so many may be "
             "the device itself, so they were not removed: see a video."
@@ -129,20 +129,14 @@ def _local_median(x: np.ndarray, window: int) -> np.ndarray:
 
 def frozen(recording: Recording) -> list[Finding]:
     """Rows where every observed number repeats for half a second and more while the pressure moves."""
-    columns, pose = _pose(recording)
-    pressure, time = recording.commands, recording.column("time_s")
-    least = 0.05 * np.ptp(pressure, axis=0).max()
-    bad, repeated = np.zeros(len(recording), bool), 0
-    for rows in recording.trials().values() if columns else ():
-        p, t = pressure[rows], time[rows]
-        same = np.r_[False, (np.diff(pose[rows], axis=0) == 0).all(1)]
-        repeated += int(same.sum())
-        edges = np.flatnonzero(np.diff(np.r_[0, same.astype(int), 0]))
-        for a, b in zip(edges[::2], edges[1::2], strict=True):
-            if b - a >= 8 and t[b - 1] - t[a] >= 0.5 and np.ptp(p[a:b], axis=0).max() > least:
-                bad[rows.start + a : rows.start + b] = True
+    columns, _, repeats = _pose(recording)
+    p, t = recording.commands, recording.column("time_s")
+    bad, least = np.zeros(len(recording), bool), 0.05 * np.ptp(p, axis=0).max()
+    for a, b in _stretches(repeats):
+        if b - a >= 8 and t[b - 1] - t[a] >= 0.5 and np.ptp(p[a:b], axis=0).max() > least:
+            bad[a:b] = True
     # a recording without any noise repeats numbers everywhere, which says nothing about the tracker
-    if repeated - bad.sum() > 0.2 * len(recording) or not bad.any():
+    if repeats.sum() - bad.sum() > 0.2 * len(recording) or not bad.any():
         return []
     at = np.flatnonzero(bad)
     text = (
@@ -154,11 +148,8 @@ def frozen(recording: Recording) -> list[Finding]:
 
 def stale(recording: Recording) -> list[Finding]:
     """Rows that repeat the pose of the row before to the last digit, also while it moves."""
-    columns, pose = _pose(recording)
-    repeats, moving = np.zeros(len(recording), bool), np.zeros(len(recording), bool)
-    for rows in recording.trials().values() if columns else ():
-        repeats[rows] = np.r_[False, (np.diff(pose[rows], axis=0) == 0).all(1)]
-        moving[rows] = is_moving(pose[rows])
+    columns, pose, repeats = _pose(recording)
+    moving = np.concatenate([is_moving(pose[rows]) for rows in recording.trials().values()])
     share = repeats[moving].mean() if moving.any() else 0.0
     if (repeats & moving).sum() < 10 or share < 0.005:
         return []
@@ -171,10 +162,19 @@ def stale(recording: Recording) -> list[Finding]:
     return [Finding("stale_pose", text, tuple(columns), np.flatnonzero(repeats), numbers)]
 
 
-def _pose(recording: Recording) -> tuple[list[str], np.ndarray]:
-    """Observed columns but images, and their numbers (n, k)."""
+def _pose(recording: Recording) -> tuple[list[str], np.ndarray, np.ndarray]:
+    """Observed columns but images, their numbers (n, k), and which rows (n,) repeat the row before."""
     columns = [c for c in recording.observations if not c.startswith("image")]
-    return columns, recording.samples[columns].to_numpy(float)
+    pose = recording.samples[columns].to_numpy(float)
+    repeats = np.r_[False, (np.diff(pose, axis=0) == 0).all(1)] & bool(columns)
+    repeats[[rows.start for rows in recording.trials().values()]] = False
+    return columns, pose, repeats
+
+
+def _stretches(mask: np.ndarray) -> Iterator[tuple[int, int]]:
+    """First row, and row after the last, of each stretch in which a mask (n,) is true."""
+    edges = np.flatnonzero(np.diff(np.r_[0, mask.astype(int), 0])).tolist()
+    return zip(edges[::2], edges[1::2], strict=True)
 
 
 def is_moving(y: np.ndarray) -> np.ndarray:
@@ -247,15 +247,14 @@ def _stands(recording: Recording, u: np.ndarray, extreme: float) -> Iterator[tup
     """First row and row after the last where a command stands at an extreme, coming and leaving on ramps."""
     reach = np.ptp(u)
     for rows in recording.trials().values():
-        stands = np.r_[False, u[rows] == extreme, False].astype(int)
-        edges = np.flatnonzero(np.diff(stands)) + rows.start
-        for a, b in zip(edges[::2], edges[1::2], strict=True):
+        for a, b in _stretches(u[rows] == extreme):
+            a, b = a + rows.start, b + rows.start
             if b - a < 8 or a - 3 < rows.start or b + 3 > rows.stop:
                 continue
             ramps = min(abs(u[a - 1] - u[a - 3]), abs(u[b + 2] - u[b])) > 0.002 * reach
             steps = max(abs(u[a] - u[a - 1]), abs(u[b] - u[b - 1])) > 0.1 * reach
             if ramps and not steps:
-                yield int(a), int(b)
+                yield a, b
 
 
 def coarse(recording: Recording) -> list[Finding]:

@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 
 from pneutac_datasets.recording.units import unit_named
-from pneutac_datasets.recording.wording import cut, shown
-from pneutac_sim.errors import InputError
+from pneutac_datasets.recording.wording import cut
+from pneutac_sim.errors import InputError, shown
 from pneutac_sim.files import refuse_pointer
 
 # A bench run of one hour at 100 Hz with 20 columns is about 60 MB of text; far above that, reading a table
@@ -33,7 +33,7 @@ KINDS = {
     b"\x89HDF": "an HDF5 file",
     b"PAR1": "a Parquet file",
     b"MATLAB 5": "a .mat file",
-    b"%PDF": "a PDF",
+    b"%PDF-": "a PDF",
 }
 NUMBER = re.compile(
     r"\s*[-+\u2212]?(\d[\d.,]*|\d{1,3}([\s'\u2019\u00a0\u202f]\d{3})+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?\s*"
@@ -104,12 +104,8 @@ def _read(file: Path, encoding: str, head: list[str]) -> TextTable:
     mark = given or _delimiter([head[i] for i in body])
     cells = {i: _cells(head[i], mark) for i in body}
     typical = _median([_count(cells[i]) for i in body[len(body) // 2 :]])
-    first = next((i for i in body if typical and _count(cells[i]) >= max(1, 0.6 * typical)), None)
-    if first is None:
-        if sum(_count(cells[i]) for i in body):
-            first = next(i for i in body if _count(cells[i]))
-        else:  # a header alone, or words in all rows
-            first = body[1] if len(body) > 1 else len(head)
+    numeric = [i for i in body if _count(cells[i])] or [*body[1:2], len(head)]  # else words in all rows
+    first = next((i for i in body if typical and _count(cells[i]) >= max(1, 0.6 * typical)), numeric[0])
     above = [i for i in body if i < first]
     width = len(cells[first]) if first in cells else len(cells[above[-1]])
     lead = max(comments & set(range(first)), default=None)
@@ -278,9 +274,7 @@ def _encoding(file: Path) -> str:
     with file.open("rb") as f:
         begin = f.read(4096)
     kind = next((k for mark, k in KINDS.items() if begin.startswith(mark)), None)
-    if kind and not (
-        kind == "a PDF" and b"\n" in begin[:200] and b"\0" not in begin and b"%PDF-" not in begin
-    ):
+    if kind:
         raise InputError(f"{file} is {kind} and no text; save the table as 'CSV UTF-8' and give that.")
     if begin[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return _tried(file, "utf-16")
@@ -337,10 +331,8 @@ def _delimiter(lines: list[str]) -> str:
 
 def _cells(line: str, mark: str) -> list[str]:
     if mark == " ":
-        return [
-            c.strip('"')
-            for c in re.findall(r'"[^"]*"|[^\s\[({]*[\[({][^\])}]*[\])}]|\S+(?:\s+\[[^\]]*\])?', line)
-        ]
+        words = r'"[^"]*"|[^\s\[({]*[\[({][^\])}]*[\])}]|\S+(?:\s+\[[^\]]*\])?'
+        return [c.strip('"') for c in re.findall(words, line)]
     try:
         return [c.strip() for c in next(csv.reader([line], delimiter=mark, skipinitialspace=True))]
     except (csv.Error, StopIteration):

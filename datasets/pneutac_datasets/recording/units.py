@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from pneutac_datasets.recording.wording import row_name, shown
-from pneutac_sim.errors import InputError
+from pneutac_datasets.recording.wording import row_name
+from pneutac_sim.errors import InputError, shown
 
 # A soft actuator bursts well below 20 bar, so a larger number is another unit. A tip cannot be much further
 # from the base than the device is long; the factor of three leaves room for a rough length_mm.

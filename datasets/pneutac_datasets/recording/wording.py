@@ -38,11 +38,6 @@ def cut(text: str, most: int = 120) -> str:
     return text if len(text) <= most else f"{text[: most - 4]} ..."
 
 
-def shown(value, most: int = 60) -> str:
-    """A wrong value as it stands in a sentence: in quotes where it is text, cut where it is long."""
-    return cut(repr(value), most)
-
-
 def listed(names) -> str:
     """`a, b, c`, of more than twelve names the first and how many more."""
     names = [cut(str(n), 40) for n in names]

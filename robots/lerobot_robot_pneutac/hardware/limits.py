@@ -129,14 +129,10 @@ class Limits:
             )
         for number, kpa in enumerate(chambers, 1):
             where = f" in chamber {number}" if len(chambers) > 1 else ""
-            if kpa > self.overpressure_kpa:
+            if kpa > self.overpressure_kpa or (self.vacuum_kpa < 0 and kpa < -self.overpressure_kpa):
+                side = "above" if kpa > 0 else "farther below zero than"
                 return (
-                    f"The pressure{where} is {kpa:.1f} kPa, above limits.overpressure_kpa ="
-                    f" {self.overpressure_kpa:g}; check valve and sensor."
-                )
-            if self.vacuum_kpa < 0 and kpa < -self.overpressure_kpa:
-                return (
-                    f"The pressure{where} is {kpa:.1f} kPa, farther below zero than limits.overpressure_kpa ="
+                    f"The pressure{where} is {kpa:.1f} kPa, {side} limits.overpressure_kpa ="
                     f" {self.overpressure_kpa:g}; check valve and sensor."
                 )
         return None

@@ -1,4 +1,7 @@
-"""What pressure controllers at a serial port share: the thread that owns the port, limits and ages."""
+"""Pressure controllers at a serial port: the thread that owns the port, limits and ages; lines of text.
+
+A controller that answers lines of text gets `P 8.00` and sends `8.02`; docs/reference/pressure_protocol.md.
+"""
 
 import logging
 import math

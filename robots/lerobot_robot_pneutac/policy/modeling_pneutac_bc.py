@@ -200,17 +200,15 @@ def _middle(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 HIDDEN = 256
+REST = "encoder.rest_image"
+FIRST = "mlp.0.weight"
+SCALES = "_state_centre", "_action_centre"  # as long as state and action
 
 
 def _mlp(width: int, actions: int) -> nn.Sequential:
     return nn.Sequential(
         nn.Linear(width, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, actions)
     )
-
-
-REST = "encoder.rest_image"
-FIRST = "mlp.0.weight"
-SCALES = "_state_centre", "_action_centre"  # as long as state and action
 
 
 class PneutacBCPolicy(PreTrainedPolicy):

@@ -11,7 +11,7 @@ from generated import once
 from PIL import Image
 
 from pneutac_datasets.generate.gel import write_gel_recording
-from pneutac_datasets.recording.faults import recording_faults
+from pneutac_datasets.recording.checks import recording_faults
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
@@ -85,7 +85,7 @@ FAULTS = {
     "not there": (lambda f: (f / ONE).unlink(), "ball_3.png is missing"),
     "no picture": (lambda f: (f / ONE).write_text("404"), "ball_3.png cannot be read as an image"),
     "no rest named": (field(rest_image=""), "field 'rest_image' is missing"),
-    "slash": (field(rest_image="/rest.png"), "begins with a slash, .* name it 'rest.png'"),
+    "slash": (field(rest_image="/rest.png"), "lies outside .* name it 'rest.png'"),
     "outside": (field(rest_image="../../rest.png"), "lies outside the recording's folder"),
     "indenter": (rows(indenter=lambda t: "bal"), "indenter is 'bal'; it must be one of"),
     "depth": (rows(depth_mm=lambda t: 9 * t.depth_mm), "depth_mm is 8.1 but the gel is"),

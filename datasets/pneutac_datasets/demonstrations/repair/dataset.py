@@ -51,6 +51,7 @@ LEFT_OUT = "left_out"  # numbers and pictures of episodes without a video, which
 WRITTEN = ("info.json", "stats.json", "tasks.parquet")  # by LeRobot, in `meta`
 FILE_NUMBERS = re.compile(r"chunk-(\d+)/file-(\d+)\.\w+$")
 PLACE = ("chunk_index", "file_index", "from_timestamp", "to_timestamp")
+Place = tuple  # of an episode in one camera's videos: its numbers as `PLACE` names them
 NOT_WRITABLE = (errno.EROFS, errno.EACCES, errno.EPERM)
 
 
@@ -256,8 +257,8 @@ def _was_being_written(root: Path, episode: int) -> bool:
 
 
 def _without(
-    work: Path, found: list[Rows], places: dict[str, list[dict]], dropped: set[int]
-) -> tuple[list[Rows], dict[str, list[dict]]]:
+    work: Path, found: list[Rows], places: dict[str, list[Place]], dropped: set[int]
+) -> tuple[list[Rows], dict[str, list[Place]]]:
     """The episodes that stay, numbered from 0; those that are dropped become files of their own."""
     stay: list[Rows] = []
     root, first_row = work.parent, 0
@@ -395,13 +396,13 @@ def describe(meta: LeRobotDatasetMetadata, root: Path, info: DatasetInfo, rows: 
                     Path(values[key][-1]).write_bytes(cell["bytes"])
             elif feature["dtype"] == "video":
                 path = video_file(root, info, key, video[key])
-                first = round(video[key][f"videos/{key}/from_timestamp"] * info.fps)
+                first = round(video[key][2] * info.fps)
                 values[key] = _write_frames(path, first, rows.length, Path(folder) / str(len(values)))
             elif feature["dtype"] != "string":
                 values[key] = np.array(table[key].to_pylist(), dtype=feature["dtype"])
         stats = compute_episode_stats(values, info.features)
-    for key in video:
-        place |= video[key]
+    for key, at in video.items():
+        place |= {f"videos/{key}/{n}": v for n, v in zip(PLACE, at, strict=True)}
     meta.save_episode(rows.episode, rows.length, [names[i] for i in numbers], stats, place)
 
 
@@ -420,18 +421,18 @@ def _write_frames(video: Path, first: int, length: int, folder: Path) -> list[st
 
 def place_videos(
     root: Path, info: DatasetInfo, known: list[dict], found: list[Rows], remarks: list[str]
-) -> tuple[dict[str, list[dict]], dict[int, str]]:
+) -> tuple[dict[str, list[Place]], dict[int, str]]:
     """Where each episode lies in each camera's videos, all of which are opened.
 
     Returns:
         Camera to one place for each episode, as LeRobot's metadata state it, and episode to the reason why a
         video of it is missing.
     """
-    places: dict[str, list[dict]] = {}
+    places: dict[str, list[Place]] = {}
     lacking: dict[int, str] = {}
     for key in (k for k, f in info.features.items() if f["dtype"] == "video"):
         film = _Films(root, info, key)
-        places[key] = [{f"videos/{key}/{n}": row.get(f"videos/{key}/{n}") for n in PLACE} for row in known]
+        places[key] = [tuple(row.get(f"videos/{key}/{n}") for n in PLACE) for row in known]
         places[key] += film.place(known, found[len(known) :], remarks)
         for rows, place in zip(found, places[key], strict=True):
             try:
@@ -448,7 +449,7 @@ class _Films:
         self.root, self.info, self.key = root, info, key
         self._films: dict[Path, Film | InputError] = {}
 
-    def place(self, known: list[dict], new: list[Rows], remarks: list[str]) -> list[dict]:
+    def place(self, known: list[dict], new: list[Rows], remarks: list[str]) -> list[Place]:
         """Where episodes that are not known lie: one after another in the files after the last known one.
 
         How many episodes a missing or torn file held is not known, so that none is looked for after it.
@@ -465,14 +466,13 @@ class _Films:
             if not begun:
                 _take_whole_one(self._file(numbers), rows.length, remarks)
                 begun = True
-            times = at / self.info.fps, (at + rows.length) / self.info.fps
-            out.append({f"videos/{self.key}/{n}": v for n, v in zip(PLACE, (*numbers, *times), strict=True)})
+            out.append((*numbers, at / self.info.fps, (at + rows.length) / self.info.fps))
             at += rows.length
         return out
 
-    def look(self, rows: Rows, place: dict) -> None:
+    def look(self, rows: Rows, place: Place) -> None:
         """Raises InputError where the frames of an episode are not all in its video, or are damaged."""
-        chunk, number, begin, _ = (place[f"videos/{self.key}/{n}"] for n in PLACE)
+        chunk, number, begin, _ = place
         if None in (chunk, number, begin):
             raise InputError(f"meta/episodes does not say where '{self.key}' of episode {rows.episode} is.")
         file = self._file((chunk, number))
@@ -491,15 +491,14 @@ class _Films:
             return False
         return not film.torn and len(film.times_s) - at < length
 
-    def _file(self, numbers: tuple[int, int]) -> Path:
-        path = self.info.video_path.format(video_key=self.key, chunk_index=numbers[0], file_index=numbers[1])
-        return self.root / path
+    def _file(self, place: Place) -> Path:
+        return video_file(self.root, self.info, self.key, place)
 
     def _next(self, numbers: tuple[int, int]) -> tuple[int, int]:
         return update_chunk_file_indices(*numbers, self.info.chunks_size)
 
 
-def describe_videos(root: Path, info: DatasetInfo, videos: dict[str, list[dict]]) -> None:
+def describe_videos(root: Path, info: DatasetInfo, videos: dict[str, list[Place]]) -> None:
     """Codec and size in `info.json`, which LeRobot writes after a dataset's first video."""
     for key, places in videos.items():
         known = info.features[key].get("info") or {}
@@ -507,10 +506,9 @@ def describe_videos(root: Path, info: DatasetInfo, videos: dict[str, list[dict]]
             info.features[key]["info"] = known | get_video_info(video_file(root, info, key, places[0]))
 
 
-def video_file(root: Path, info: DatasetInfo, key: str, place: dict) -> Path:
+def video_file(root: Path, info: DatasetInfo, key: str, place: Place) -> Path:
     """The video of a place as `place_videos` gives it."""
-    numbers = {f"{n}_index": place[f"videos/{key}/{n}_index"] for n in ("chunk", "file")}
-    return root / info.video_path.format(video_key=key, **numbers)
+    return root / info.video_path.format(video_key=key, chunk_index=place[0], file_index=place[1])
 
 
 def file_numbers(file: Path) -> tuple[int, int]:

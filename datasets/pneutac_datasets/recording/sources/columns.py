@@ -9,8 +9,8 @@ import pandas as pd
 
 from pneutac_datasets.recording.rules import LABELS
 from pneutac_datasets.recording.units import UNITS, Unit, unit_named
-from pneutac_datasets.recording.wording import listed, shown
-from pneutac_sim.errors import InputError
+from pneutac_datasets.recording.wording import listed
+from pneutac_sim.errors import InputError, shown
 
 WORDS = {
     "pressure": "p press pressure pressures pres druck kammerdruck innendruck luftdruck",

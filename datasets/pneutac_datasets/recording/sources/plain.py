@@ -18,8 +18,8 @@ from pneutac_datasets.recording.sources import readers
 from pneutac_datasets.recording.sources.columns import LEAVE_OUT, Column, parse_columns, read_name, understand
 from pneutac_datasets.recording.sources.frame import axes_of
 from pneutac_datasets.recording.text_table import TextTable, read_text
-from pneutac_datasets.recording.wording import SourceFile, listed, plural, shown
-from pneutac_sim.errors import InputError
+from pneutac_datasets.recording.wording import SourceFile, listed, plural
+from pneutac_sim.errors import InputError, shown
 from pneutac_sim.files import read_fields, write_text
 
 ENDING = ".recording"  # of the folder next to the files
@@ -105,19 +105,16 @@ def table_files(path: str | Path) -> list[Path]:
     files: list[Path] = []
     for part in parts:
         if glob.has_magic(part) and not Path(part).exists():
-            found = [Path(p) for p in glob.glob(part) if Path(p).is_file()]
-            if not found:
-                raise InputError(f"There is no file '{part}'.")
-            files += found
+            found, near = [Path(p) for p in glob.glob(part) if Path(p).is_file()], []
         elif Path(part).suffix.lower() in (*FILES, *SPREADSHEETS) or Path(part).is_file():
-            if not Path(part).is_file():
-                near = sorted(p.name for p in Path(part).absolute().parent.glob(f"*{Path(part).suffix}"))
-                raise InputError(
-                    f"There is no file '{part}'" + (f"; there is {listed(near)}." if near else ".")
-                )
-            files.append(Path(part))
+            found = [Path(part)] if Path(part).is_file() else []
+            near = sorted(p.name for p in Path(part).absolute().parent.glob(f"*{Path(part).suffix}"))
         else:
             return []
+        if not found:
+            there = f"; there is {listed(near)}" if near else ""
+            raise InputError(f"There is no file '{part}'{there}.")
+        files += found
     for file in files:
         if file.suffix.lower() in SPREADSHEETS:
             raise InputError(f"{file} is a spreadsheet; save its sheet as 'CSV UTF-8' and give that file.")
@@ -256,6 +253,9 @@ def _converted(
     clock = next((c for c in columns if c.column == "time_s"), None)
     if clock is not None:
         found["time_s"] = _seconds(frame[clock.name], found["time_s"], clock, of_file, given, read)
+        sent, raw = found.get("time_sent_s"), frame[clock.name]
+        if sent is not None and sent.dtype.kind in "fiu" and raw.dtype.kind in "fiu":
+            found["time_sent_s"] = sent + (found["time_s"] - clock.converted(raw))
     elif given.rate_hz:
         within = np.arange(len(frame)) - np.searchsorted(of_file, of_file)
         found["time_s"] = pd.Series(within / given.rate_hz)
@@ -264,10 +264,6 @@ def _converted(
             f"{read[0].file}: no column is a time; it has {listed(map(shown, frame))}. Name it by"
             " --columns='NAME: time_s', or give the rows a second by --rate_hz."
         )
-    if "time_sent_s" in found and clock is not None:
-        raw = frame[clock.name]
-        if found["time_sent_s"].dtype.kind in "fiu" and raw.dtype.kind in "fiu":
-            found["time_sent_s"] = found["time_sent_s"] + (found["time_s"] - clock.converted(raw))
     trial, more = _trials(found.pop("trial", None), found["time_s"], of_file, read, log)
     notes += more
     table = {"trial": trial, "time_s": found.pop("time_s")} | found
@@ -289,14 +285,12 @@ def _seconds(
             raise InputError(f"{file}: {source} counts frames; give their number a second by --rate_hz.")
         stamps = values.astype(float) / given.rate_hz
     else:
-        factor, shift = (clock.unit.factor if clock.unit else 1.0) * clock.factor, clock.shift
+        factor = (clock.unit.factor if clock.unit else 1.0) * clock.factor
         if raw.dropna().abs().max() * factor < EPOCH_S:
             return values.astype(float)
         # Differences first: nanoseconds since 1970 have more digits than a float.
-        begin = raw.groupby(of_file).transform("min")
-        return ((raw - begin).astype(float) * factor + 0.0 * shift).round(9)
-    begin = stamps.groupby(of_file).transform("min")
-    return (stamps - begin).round(9)
+        return ((raw - raw.groupby(of_file).transform("min")).astype(float) * factor).round(9)
+    return (stamps - stamps.groupby(of_file).transform("min")).round(9)
 
 
 def _stamps(raw: pd.Series, read: Sequence[TextTable], of_file: np.ndarray, source: str) -> pd.Series:

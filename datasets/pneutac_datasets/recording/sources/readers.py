@@ -12,8 +12,8 @@ from pneutac_datasets.recording.reading import MAX_CELLS
 from pneutac_datasets.recording.sources.columns import read_name
 from pneutac_datasets.recording.sources.frame import Source, Track, rotations
 from pneutac_datasets.recording.text_table import MAX_CSV_BYTES, MAX_ROWS, TextTable
-from pneutac_datasets.recording.wording import cut, listed, shown
-from pneutac_sim.errors import InputError
+from pneutac_datasets.recording.wording import cut, listed
+from pneutac_sim.errors import InputError, shown
 from pneutac_sim.files import refuse_pointer
 
 SECTIONS = ("trajectories", "objects", "segments")
