@@ -5,6 +5,7 @@ text of `--help`; a `command(argv, terminal)` reads its arguments by itself.
 """
 
 import difflib
+import errno
 import importlib
 import importlib.metadata
 import importlib.util
@@ -109,6 +110,8 @@ def _dispatch(argv: list[str]) -> None:
     except BrokenPipeError:
         raise
     except OSError as e:  # a folder that cannot be read or written, a full disk, a Hub out of reach
+        if e.errno in (errno.ENOSPC, errno.EDQUOT):
+            sys.exit(f"pneutac {verb}: No space is left on the disk; free some and repeat.")
         what = f"{e.filename}: {e.strerror}" if e.filename and e.strerror else " ".join(str(e).split())
         sys.exit(f"pneutac {verb}: {printable(what)}.")
 

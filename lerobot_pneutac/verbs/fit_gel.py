@@ -211,7 +211,7 @@ def identified_sentences(found: Identified, make: str) -> list[str]:
         for name, colour in (entry.split(" ", 1) for entry in found.unidentified):
             colours.setdefault(name, []).append(colour.strip("()"))
         shown = ", ".join(f"{name} ({', '.join(c)})" for name, c in colours.items())
-        source = f"what other sensors of the make {make} have" if make else "its default"
+        source = f"its value on other sensors of the model {make}" if make else "its default"
         out.append(f"The presses do not identify {shown}: each stays near {source}.")
     if found.open_levels < ENOUGH_LEVELS:
         out.append("Another press of this indenter would add little information.")
@@ -241,12 +241,12 @@ def residual_sentence(fit: GelFit) -> str:
     if fit.prior_share:
         share = {0.25: "A quarter", 0.5: "Half"}.get(fit.prior_share, f"{fit.prior_share:.0%}")
         out.append(
-            f"{share} of what the model leaves over on other sensors of the make {fit.make} is added, which "
-            "explains the presses best."
+            f"{share} of the mean residual field of other sensors of the model {fit.make} is added: the share that"
+            " fits the presses best."
         )
     if fit.gel.residual is not None:
         out.append(
-            "What the model leaves over of the presses is learnt too, as far as they bear one another out."
+            "A residual field is fitted to the presses too, as far as cross-validation over them confirms it."
         )
     return " ".join(out)
 

@@ -17,7 +17,7 @@ from pneutac_datasets.demonstrations.info import is_demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import an
 from pneutac_sim.errors import InputError, check_choice
-from pneutac_sim.files import check_writable
+from pneutac_sim.files import check_writable, whole
 from pneutac_sim.finger import Pipeline
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import DEVICES, PAPER_FINGER, Twin, Value
@@ -125,10 +125,12 @@ def write_geometry(twin: Twin, folder: Path) -> None:
     from pneutac_sim.mpm.solid import WIDTH_MM, body_mesh, digit_mount_mesh
     from pneutac_sim.mpm.user_mesh import stored_mesh
 
-    body_mesh(twin).apply_scale(1000.0).export(folder / "geometry.stl")
+    meshes = {"geometry.stl": body_mesh(twin)}
     if twin.device == "finger" and stored_mesh(twin) is None:
-        mount = digit_mount_mesh(1e-3 * twin.length_mm, 1e-3 * WIDTH_MM["finger"])
-        mount.apply_scale(1000.0).export(folder / "mount.stl")
+        meshes["mount.stl"] = digit_mount_mesh(1e-3 * twin.length_mm, 1e-3 * WIDTH_MM["finger"])
+    for name, mesh in meshes.items():
+        with whole(folder / name) as part:
+            mesh.apply_scale(1000.0).export(part, file_type="stl")
 
 
 @dataclass
@@ -180,7 +182,8 @@ def command(config: NewConfig, terminal: Terminal) -> None:
     how = (device, recording, config.mesh_unit, config.mesh_axis)
     body = None if config.mesh is None else read_body(config.mesh, *how)
     twin = new_twin(device, recording, config.length_mm, body)
-    write_geometry(twin, twin.save(config.twin))
+    write_geometry(twin, config.twin)
+    twin.save(config.twin)  # last: a folder that holds one is refused when the command is repeated
     if body is not None:
         terminal.say(f"{config.mesh}: {mesh_sentence(body)}")
         for note in body.notes:
