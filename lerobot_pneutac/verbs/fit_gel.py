@@ -241,8 +241,8 @@ def residual_sentence(fit: GelFit) -> str:
     if fit.prior_share:
         share = {0.25: "A quarter", 0.5: "Half"}.get(fit.prior_share, f"{fit.prior_share:.0%}")
         out.append(
-            f"{share} of the mean residual field of other sensors of the model {fit.make} is added: the share that"
-            " fits the presses best."
+            f"{share} of the mean residual field of other sensors of the model {fit.make} is added: the "
+            "share that fits the presses best."
         )
     if fit.gel.residual is not None:
         out.append(
