@@ -35,7 +35,6 @@ from pneutac_sim.finger.equilibrium import SoftBody
 from pneutac_sim.finger.quantities import squared_distance
 from pneutac_sim.finger.stages import BODY_SHARE, FORCES
 from pneutac_sim.progress import Progress, no_progress
-from pneutac_sim.surrogate.collect import bending_range
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 
 WHOLE, MODULUS = "joint_stiffness_nm_per_rad", "youngs_modulus_mpa"
@@ -80,6 +79,7 @@ def fit_compliance(twin: Twin, recording: Recording, train: np.ndarray, seed: in
         return _held(twin, f"The soft body's torque needs Taichi, which is not installed, so {_NEITHER}.")
     from pneutac_sim.mpm.devices import measure  # the other bench verbs run without Taichi
     from pneutac_sim.mpm.solve import MpmDiverged
+    from pneutac_sim.surrogate.collect import bending_range
 
     try:
         body = measure(start, bending_range(start), PARTICLES)
