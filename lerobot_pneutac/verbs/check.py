@@ -61,6 +61,8 @@ def check_path(path: str | Path, twin: Twin | None = None, station: Station | No
         return Checked(path, "station", *_station(path, twin or Twin.builtin()))
     if files := plain.table_files(path):
         return _tables(path, files)
+    if path.exists() and not path.is_dir():
+        raise InputError(f"{path} cannot be checked; give a folder, a table or a station.yaml.")
     if not path.is_dir():
         near = difflib.get_close_matches(path.name, [p.name for p in path.absolute().parent.glob("*")], n=1)
         raise InputError(f"There is no folder '{path}'" + (f"; is '{near[0]}' meant?" if near else "."))
