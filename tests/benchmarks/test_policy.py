@@ -12,6 +12,7 @@ import pytest
 
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.cli.options import parse_options
+from lerobot_robot_pneutac.policy.configuration_pneutac_bc import HUBER_DELTA
 from pneutac_benchmarks.policy import run as benchmark_policy_run
 from pneutac_benchmarks.policy import units
 from pneutac_benchmarks.policy.main import BenchmarkPolicyConfig
@@ -55,6 +56,7 @@ def test_plan_has_each_policy_and_shares_what_they_share():
     assert len(by_kind(units, "evaluate")) == cells * 15 * 5  # 50 trials in tens
     for i, unit in enumerate(units):  # what is needed comes first
         assert set(unit.needs) <= set(names[:i])
+    assert CONDITIONS["library"].huber_delta == HUBER_DELTA  # what pneutac_bc does after `augment`
 
 
 def test_all_policies_of_a_seed_have_the_same_updates_network_and_trials():

@@ -52,6 +52,7 @@ def new_policy(
     device: str,
     scaling: Scaling | None = None,
     memory: bool = False,
+    huber_delta: float = 0.0,
     networks: int = 1,
 ) -> PneutacBCPolicy:
     """A policy with random weights and no rest image yet, scaled by data or else by the paper's ranges."""
@@ -62,6 +63,7 @@ def new_policy(
         device=device,
         use_tactile=use_tactile,
         memory=memory,
+        huber_delta=huber_delta,
         networks=networks,
         optimizer_lr=lr,
         action_feature_names=list(ACTION_NAMES),

@@ -43,7 +43,7 @@ class Condition:
             both at once, the real ones by `real_share`.
         use_tactile: whether the policy feels.
         memory: whether it remembers and answers early, as by default after `augment`; the paper's does not.
-        networks: see PneutacBCConfig.
+        huber_delta, networks: see PneutacBCConfig.
     """
 
     words: str
@@ -52,15 +52,17 @@ class Condition:
     then: bool = False
     use_tactile: bool = True
     memory: bool = False
+    huber_delta: float = 0.0
     networks: int = 1
 
 
+AFTER_AUGMENT = {"memory": True, "huber_delta": 0.5}  # by default
 CONDITIONS = {
     "real": Condition("ten real ones"),
     "real_20": Condition("twenty real ones", real=2),
     "real_100": Condition("a hundred real ones", real=10),
-    "library": Condition("ten real ones and the library's", "library", memory=True),
-    "library_3": Condition("the same, three networks", "library", memory=True, networks=3),
+    "library": Condition("ten real ones and the library's", "library", **AFTER_AUGMENT),
+    "library_3": Condition("the same, three networks", "library", **AFTER_AUGMENT, networks=3),
     "expert": Condition("ten real ones and the scripted expert's on the twin", "expert"),
     "planner": Condition("ten real ones and planned ones", "planner"),
     "sim_real": Condition("planned ones, then ten real ones", "planner", then=True),
@@ -78,7 +80,7 @@ COMPARED = {
     "sim_only_before": Condition("the library's alone, twin before", "library_before", real=0),
     "sim_only": Condition("the library's alone, twin after", "library", real=0),
     "library_before": Condition(
-        "ten real ones and the library's, twin before", "library_before", memory=True
+        "ten real ones and the library's, twin before", "library_before", **AFTER_AUGMENT
     ),
     "library": CONDITIONS["library"],
     "expert_before": Condition("ten real ones and the expert's, twin before", "expert_before"),
@@ -160,6 +162,7 @@ def _of_condition(cfg, task: str, seed: int, name: str, condition: Condition) ->
     options = {
         "use_tactile": condition.use_tactile,
         "memory": condition.memory,
+        "huber_delta": condition.huber_delta,
         "networks": condition.networks,
         "real": len(real),  # of its needs, the last ones
         "episodes": wanted,

@@ -193,7 +193,7 @@ def train(folder: Path, options: dict, needs: list[Path]) -> dict:
         delay = lagged_answers(known.references(np.array(Station().base_m)))[1]
         made, real = (f.answered_early(delay) for f in (made, real))
     every = Frames.joined([x for x in (made, real) if x is not None])
-    network = {k: o[k] for k in ("use_tactile", "memory", "networks")}
+    network = {k: o[k] for k in ("use_tactile", "memory", "huber_delta", "networks")}
     policy = new_policy(lr=o["lr"], seed=seed, device=o["device"], scaling=every.scaling, **network)
     result, updates, copies, last = {}, o["pretrain_updates"] + o["finetune_updates"], (), every
     if made and real and o["then"]:

@@ -59,8 +59,8 @@ def pool_demonstrations(sources: list[Path], out: str | Path, repo_id: str) -> P
         raise InputError(f"'{metas[0].root}' has images of {whole} already; train on it as it is.")
     info = {**(features[TACTILE].get("info") or {}), POOLED_FROM: list(whole[:2])}
     features[TACTILE] = {**features[TACTILE], "dtype": "image", "shape": small, "info": info}
-    delays = [(m.features[ACTION].get("info") or {}).get(ANSWER_DELAY, 0) for m in metas]
-    if any(delays):
+    infos = [m.features[ACTION].get("info") or {} for m in metas]
+    if delays := [info[ANSWER_DELAY] for info in infos if ANSWER_DELAY in info]:
         features[ACTION]["info"] = {ANSWER_DELAY: max(delays)}
     features[PREVIOUS_ACTION] = dict(features[ACTION])
     new = create_dataset(repo_id, out, metas[0].fps, features, metas[0].robot_type, False, 1)

@@ -31,6 +31,7 @@ POOLED_FROM = "pooled_from"  # rows and columns, in the feature's `info`
 MOST_STEPS = 10**9  # LeRobot fits the fall of the learning rate into the steps that there are
 ANSWER_DELAY = "answer_delay_frames"  # in the `info` of a dataset's action
 MOST_AHEAD_S = 0.2  # a label farther ahead is of another place
+HUBER_DELTA = 0.5  # mm a control step and kPa; a hand's tremor is 0.4 mm a step
 TACTILE = f"{OBS_IMAGES}.{IMAGE_NAME}"
 PREVIOUS_ACTION = "observation.previous_action"
 
@@ -51,6 +52,10 @@ class PneutacBCConfig(PreTrainedConfig):
     # frames by which the demonstrator answers a touch late; labels in touch are taken so much ahead, at most
     # 0.2 s. If omitted, what `pneutac augment` wrote into the dataset, else 0.
     answer_delay: int | None = None
+    # error in mm a control step and in kPa beyond which it counts in proportion and not by its square
+    # (Huber's loss), so that a pause or a slip among many demonstrations weighs less; 0 is the paper's
+    # squared loss. If omitted, 0.5 on a dataset that `pneutac augment --method=library` made, else 0.
+    huber_delta: float | None = None
     # networks that are trained together from different initial weights; the action is the mean of theirs.
     # Each costs as much as one.
     networks: int = 1
@@ -86,7 +91,8 @@ class PneutacBCConfig(PreTrainedConfig):
         super().__post_init__()
         check_range("--policy.previous_action_dropout", self.previous_action_dropout, 0, 1)
         check_range("--policy.networks", self.networks, 1)
-        for name in ("answer_delay", "pressure_noise_kpa", "brightness_noise_levels", "pixel_noise_levels"):
+        noises = "pressure_noise_kpa", "brightness_noise_levels", "pixel_noise_levels"
+        for name in ("answer_delay", "huber_delta", *noises):
             check_range(f"--policy.{name}", getattr(self, name), 0)
         check_range("--policy.optimizer_lr", self.optimizer_lr, 0, ends="()")
         check_range("--policy.control_hz", self.control_hz, 0, ends="()")
@@ -207,8 +213,11 @@ class PneutacBCConfig(PreTrainedConfig):
                 f"{where} has no '{PREVIOUS_ACTION}'; write it with pneutac_datasets.demonstrations.pool, or"
                 " give --policy.previous_action_in_data=false."
             )
+        info = meta.features[ACTION].get("info") or {}
         if self.answer_delay is None:
-            self.answer_delay = (meta.features[ACTION].get("info") or {}).get(ANSWER_DELAY, 0)
+            self.answer_delay = info.get(ANSWER_DELAY, 0)
+        if self.huber_delta is None:
+            self.huber_delta = HUBER_DELTA if ANSWER_DELAY in info else 0.0
         if self.use_tactile:
             if TACTILE not in meta.features:
                 raise InputError(f"{where} has no '{TACTILE}'; record it, or use --policy.use_tactile=false.")

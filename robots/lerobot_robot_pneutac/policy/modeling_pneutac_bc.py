@@ -2,8 +2,8 @@
 
 The paper's policy network and loss (Sec. "Policy training"): a 64-D embedding of the tactile difference
 with a 24-D observation {q, q', x, s/N, log(1+s), p, a_(t-1)}, two hidden layers of 256, 4-D action. Beyond
-the paper, and off with `memory=False`: what it remembers of the episode, see `memory`; and with `networks=3`
-the mean of three such networks.
+the paper, and off with `memory=False`: what it remembers of the episode, see `memory`; with `huber_delta` a
+loss in which large errors weigh less; and with `networks=3` the mean of three such networks.
 
 How the policy scales state and action: about what its demonstrations show, in units of what matters.
 
@@ -23,6 +23,7 @@ from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.utils.constants import ACTION, OBS_STATE
 from safetensors import safe_open
 from torch import Tensor, nn
+from torch.nn.functional import huber_loss
 
 from lerobot_robot_pneutac.policy import memory
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import (
@@ -377,6 +378,8 @@ class PneutacBCPolicy(PreTrainedPolicy):
     def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, float]]:
         """The paper's loss: mean of |1000 (dx - dx*)|^2 (mm^2 per step) plus mean of |p - p*|^2 (kPa^2).
 
+        With `huber_delta` d an error e counts e^2 up to d and d (2 |e| - d) beyond (Huber 1964).
+
         Args:
             batch: `action` (B, 2, 3 + C) of C chambers, the previous and the present one; `action_is_pad`
                 (B, 2), true where there is none; with `previous_action_in_data` instead `action` (B, 3 + C)
@@ -447,14 +450,20 @@ class PneutacBCPolicy(PreTrainedPolicy):
         previous = torch.where(hidden[:, None], self._hold(state), previous)
         error = self._predict(state, difference, previous, recalled) - target
         # Velocity m/s to displacement per step mm.
-        motion = (error[..., :3] * (1000 / self.config.control_hz)).square().sum(-1).mean()
-        pressure = error[..., PRESSURES].square().sum(-1).mean()
+        motion = self._penalty(error[..., :3] * (1000 / self.config.control_hz))
+        pressure = self._penalty(error[..., PRESSURES])
         loss = motion + pressure
         if not loss.isfinite():
             raise InputError(
                 "The loss is not finite: the dataset contains NaN, or the learning rate is too high."
             )
         return loss, {"motion_mm2": motion.item(), "pressure_kpa2": pressure.item()}
+
+    def _penalty(self, error: Tensor) -> Tensor:
+        """Mean over samples of what the errors count, see `forward`."""
+        delta = self.config.huber_delta
+        square = 2 * huber_loss(error, torch.zeros_like(error), "none", delta) if delta else error.square()
+        return square.sum(-1).mean()
 
     # ------------------------------------------------------------ inference
 

@@ -145,6 +145,11 @@ def test_loss_is_the_papers_formula(monkeypatch):
     # Displacements at 15 Hz in mm: (2, 0, -1) missed in the first sample, 4 too much in the second.
     assert loss.item() == pytest.approx((4 + 1 + 16) / 2 + 4 / 2, rel=1e-5)
     assert terms == pytest.approx({"motion_mm2": 10.5, "pressure_kpa2": 2.0}, rel=1e-5)
+    policy.config.huber_delta = (
+        1.5  # 2 and 4 mm count 1.5 (2 * 2 - 1.5) and 1.5 (2 * 4 - 1.5), 1 mm its square
+    )
+    _, terms = policy(batch)
+    assert terms == pytest.approx({"motion_mm2": (3.75 + 1 + 9.75) / 2, "pressure_kpa2": 3.75 / 2}, rel=1e-5)
 
 
 def test_previous_action_counts_only_where_there_is_one():

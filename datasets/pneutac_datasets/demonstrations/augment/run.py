@@ -155,10 +155,10 @@ def augment_guided(
     seconds["writing"] = time.monotonic() - spent
     check(work, setup, checks, progress)
     agreements = _checked(work, checks)
-    delay = lagged_answers(setup.references)[1] if setup.method == "library" else 0
+    delay = lagged_answers(setup.references)[1] if setup.method == "library" else None
     finish(part, out_root, provenance, delay)
     shutil.rmtree(work.folder)
-    return _summary(provenance, seconds, scenes, began) | agreements | {ANSWER_DELAY: delay}
+    return _summary(provenance, seconds, scenes, began) | agreements | {ANSWER_DELAY: delay or 0}
 
 
 def _checked(work: Work, checks: int) -> dict:
@@ -340,12 +340,12 @@ def _summary(provenance: list[dict], seconds: dict, scenes: list[Scene], began: 
     }
 
 
-def finish(part: Path, out_root: Path, provenance: list[dict], answer_delay: int = 0) -> None:
+def finish(part: Path, out_root: Path, provenance: list[dict], answer_delay: int | None = None) -> None:
     """Adds provenance (a dict an episode) and card to a whole dataset and gives it its name, in one step.
 
-    `answer_delay`: frames by which the demonstrator answers a touch late, for policies.
+    `answer_delay`: frames by which the demonstrator answers a touch late, for policies; only of the library.
     """
-    if answer_delay:
+    if answer_delay is not None:
         info = load_info(part)
         action = info.features[ACTION]
         action["info"] = {**(action.get("info") or {}), ANSWER_DELAY: answer_delay}
