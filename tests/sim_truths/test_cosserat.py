@@ -74,7 +74,7 @@ def test_at_rest_it_is_where_the_static_rod_is():
     w.drive[:], w.aside[:], w.stretch[:] = 0.8, 0.2, 0.05
     told = w.rod_inputs(np.array([0]))
     body = cosserat.Moving(1e-3 * w.body.rod.length_mm, 0.18e-3 * w.body.rod.length_mm, 0.2, 1.0)
-    cosserat._tell(body, told[0], *cosserat._fields(w.body.rod))
+    cosserat._set_inputs(body, told[0], *cosserat._fields(w.body.rod))
     for _ in range(300):
         body.advance()
     still = w.body.rod.solve(told)[0][0]
