@@ -21,14 +21,13 @@ import pneutac_sim  # noqa: F401  registers the environments
 if TYPE_CHECKING:
     from lerobot_pneutac.verbs.add import Addition, add
     from lerobot_pneutac.verbs.calibrate import calibrate
-    from lerobot_pneutac.verbs.calibration import Calibration
     from lerobot_pneutac.verbs.compare import compare
     from lerobot_pneutac.verbs.control import Control, control
     from lerobot_pneutac.verbs.design import Design, PressDesign, design, design_press
     from lerobot_pneutac.verbs.design_motion import MotionDesign, design_motion
     from lerobot_pneutac.verbs.diagnose import Diagnosis, diagnose
     from lerobot_pneutac.verbs.learn import Learning, learn
-    from lerobot_pneutac.verbs.result import Comparison
+    from lerobot_pneutac.verbs.result import Calibration, Comparison
     from pneutac_datasets.demonstrations.replay.reading import Demonstrations, load_demonstrations
     from pneutac_datasets.recording.recording import Recording
     from pneutac_sim.errors import InputError
@@ -41,7 +40,7 @@ _MODULES = {
     "Demonstrations": "pneutac_datasets.demonstrations.replay.reading",
     "load_demonstrations": "pneutac_datasets.demonstrations.replay.reading",
     "calibrate": "lerobot_pneutac.verbs.calibrate",
-    "Calibration": "lerobot_pneutac.verbs.calibration",
+    "Calibration": "lerobot_pneutac.verbs.result",
     "compare": "lerobot_pneutac.verbs.compare",
     "Comparison": "lerobot_pneutac.verbs.result",
     "control": "lerobot_pneutac.verbs.control",

@@ -122,12 +122,12 @@ def _convert_tables(config) -> None:
         return
     from lerobot_pneutac.cli.tables import recording_folder  # pandas, which many commands do not need
 
-    said = getattr(config, "yes", False), getattr(config, "mapping", None)
+    table_options = getattr(config, "yes", False), getattr(config, "mapping", None)
     length_mm = getattr(config, "length_mm", None)
     if isinstance(recording, Path):
-        config.recording = recording_folder(recording, *said, length_mm)
+        config.recording = recording_folder(recording, *table_options, length_mm)
     if later:
-        config.later = [recording_folder(p, *said, length_mm) for p in later]
+        config.later = [recording_folder(p, *table_options, length_mm) for p in later]
 
 
 def name_option(sentence: str, config_class: type) -> str:
@@ -169,8 +169,8 @@ def _in_words(text: str, options: dict[str, Option]) -> str:
     if missing := re.match(r"(?:`(\w+)`: )?Missing required field\(s\) (.+) for \w+", text):
         group = f"{missing[1]}." if missing[1] else ""
         names = re.findall(r"`(\w+)`", missing[2])
-        asked = [o for o in options.values() if o.name.removeprefix(group).split(".")[0] in names]
-        shown = [f"--{o.name}{_placeholder(o.kind)}" for o in asked if not dataclasses.is_dataclass(o.kind)]
+        wanted = [o for o in options.values() if o.name.removeprefix(group).split(".")[0] in names]
+        shown = [f"--{o.name}{_placeholder(o.kind)}" for o in wanted if not dataclasses.is_dataclass(o.kind)]
         shown = [", ".join(shown[:-1]), shown[-1]] if shown[1:] else shown
         return f"Give {' and '.join(shown)}; --help lists all options."
     text = re.sub(r"^`([\w.]+?)\.\d+`", r"`\1`", text)  # an entry of a list

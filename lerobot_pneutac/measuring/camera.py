@@ -258,7 +258,7 @@ def track_dots(
     the colours are too similar or grey, or the base's dots are not seen in the first frames.
     """
     tip_hue, base_hue = _hue(tip_rgb, "tip_rgb"), _hue(base_rgb, "base_rgb")
-    if _apart(np.array(tip_hue), base_hue) < 2 * HUE_DEGREES:
+    if _hue_difference(np.array(tip_hue), base_hue) < 2 * HUE_DEGREES:
         raise InputError(f"tip_rgb {tip_rgb} and base_rgb {base_rgb} are of nearly one hue; use another dot.")
     times, tips, bases = [], [], []
     for time_s, image in frames(file):
@@ -283,7 +283,7 @@ def track_dots(
 
 def _dots(hsv: np.ndarray, hue: float, count: int, camera: Intrinsics | None) -> np.ndarray:
     """Middles (count, 2), px, of the largest dots of a hue; NaN where there are fewer."""
-    far = _apart(2.0 * hsv[..., 0].astype(float), hue) > HUE_DEGREES
+    far = _hue_difference(2.0 * hsv[..., 0].astype(float), hue) > HUE_DEGREES
     mask = (~far & (hsv[..., 1] > LEAST_SATURATION) & (hsv[..., 2] > LEAST_VALUE)).astype(np.uint8)
     _, _, stats, middles = cv2.connectedComponentsWithStats(mask)
     sizes = stats[1:, cv2.CC_STAT_AREA]
@@ -304,6 +304,6 @@ def _hue(rgb: tuple[int, int, int], option: str) -> float:
     return 2.0 * float(hue)
 
 
-def _apart(hues: np.ndarray, hue: float) -> np.ndarray:
+def _hue_difference(hues: np.ndarray, hue: float) -> np.ndarray:
     """Degrees between hues round the circle."""
     return np.abs((hues - hue + 180.0) % 360.0 - 180.0)

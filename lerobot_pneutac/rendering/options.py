@@ -146,10 +146,10 @@ def _figure(config: RenderConfig) -> AnyFigure | None:
 
 def _check_conditions(config: RenderConfig, twin: Twin) -> None:
     effects = [get_effect(name) for name in of_body(twin.effects)]
-    asked = sorted({column for effect in effects for column in effect.columns} - set(COMPUTED))
+    needed = sorted({column for effect in effects for column in effect.columns} - set(COMPUTED))
     for name in config.conditions:
-        if name not in asked:
-            wanted = f"ask for {', '.join(asked)}" if asked else "ask for none, omit it"
+        if name not in needed:
+            wanted = f"ask for {', '.join(needed)}" if needed else "ask for none, omit it"
             raise InputError(
                 f"conditions has '{name}', which the twin at {config.twin} has no use for: its effects "
                 f"{wanted}."

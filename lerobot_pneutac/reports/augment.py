@@ -98,8 +98,8 @@ def _touch(states: list[np.ndarray], sources: list[int], references: list[Refere
 
 def _paths(states: list[np.ndarray], references: list[Reference]) -> go.Figure:
     places = _places(references)
-    felt = [(s, np.flatnonzero(without_specks(s[:, places.area]))) for s in states]
-    new = [s[frames[0], places.ee] for s, frames in felt if len(frames)]
+    touched = [(s, np.flatnonzero(without_specks(s[:, places.area]))) for s in states]
+    new = [s[frames[0], places.ee] for s, frames in touched if len(frames)]
     old = [r.flange_m[r.onset] for r in references]
     figure = go.Figure()
     for name, points, size in (("new", new, 6), ("recorded", old, 12)):

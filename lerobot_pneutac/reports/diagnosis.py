@@ -361,8 +361,8 @@ def _by_level(recording: Recording, lines, column: str, effect: str) -> tuple[go
         return None
     figure, levels = go.Figure(), range(len(axis.labels))
     for name, colour, label in (("measured", MEASURED, "measured"), ("with", AFTER, "model with it")):
-        apart = lines[name] - lines["without"]
-        y = [float(np.sqrt((apart[axis.bin == i] ** 2).mean())) for i in levels]
+        difference = lines[name] - lines["without"]
+        y = [float(np.sqrt((difference[axis.bin == i] ** 2).mean())) for i in levels]
         figure.add_bar(x=axis.labels, y=np.round(y, 4), name=label, marker_color=colour)
     figure.update_xaxes(type="category", title_text=_title(axis.name))
     figure.update_yaxes(title_text=f"{_title(column)} ({unit_of(column)})")

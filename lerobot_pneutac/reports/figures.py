@@ -10,7 +10,7 @@ from lerobot_pneutac.reports.page import FLOOR, SHADE, WHISKER
 
 PASSAGE_S = 2.0
 PASSAGES = 5
-APART_S = 10.0  # between the starts of two: the next-worst place says more than the same one again
+SEPARATION_S = 10.0  # between the starts of two: the next-worst place says more than the same one again
 GAP_S = 1.0  # shown between two runs
 MOST_NAMES = 16  # more would overlap
 
@@ -117,7 +117,7 @@ def _of_run(recording, trial, rows: slice, squared: np.ndarray) -> list[dict]:
         if len(found) == PASSAGES:
             break
         if free[a]:
-            free[np.abs(t - t[a]) < APART_S] = False
+            free[np.abs(t - t[a]) < SEPARATION_S] = False
             passage = {"trial": trial, "from_s": float(t[a]), "to_s": float(t[end[a] - 1])}
             passage["error"] = float(np.sqrt(mean[a]))
             if "program" in recording.samples:

@@ -39,8 +39,10 @@ def motion_page(design) -> Report:
         titles, x, y = ("time, s", "force on the gel, N"), "time_s", "force_n"
         if c.motion.drag_mm > 0:
             titles = ("sideways path of the arm, mm", "turn of the imprint, degrees")
-            x, y = "way_mm", "turn_deg"
-        lines = ((name, getattr(felt, x), getattr(felt, y), None) for name, felt in c.felt.items())
+            x, y = "sideways_mm", "turn_deg"
+        lines = (
+            (name, getattr(response, x), getattr(response, y), None) for name, response in c.responses.items()
+        )
         figure = curves(lines, *titles)
         report.figure(figure, f"{c.motion.name}: the twin as it is, and with one thing changed.".capitalize())
     report.table(design.rows(), "Standard deviations with which each motion would show a change.")
@@ -62,7 +64,7 @@ def pressure_traces(time_s: np.ndarray, pressure_kpa: np.ndarray) -> list[go.Sca
     ]  # fmt: skip
 
 
-FORESEEN = "foreseen.csv"  # in a round's folder: its program as predicted and as measured
+PREDICTED = "foreseen.csv"  # in a round's folder: its program as predicted and as measured
 FASTER, FRAMES_HZ = 10.0, 10.0
 SIZE = (720, 400)  # width, height
 # left, top, right, bottom
@@ -72,11 +74,11 @@ CURVE, COMMAND, BARS = (60, 60, 470, 270), (60, 300, 470, 370), (530, 60, 700, 3
 def learn_page(learning) -> Report:
     report = learning.lead_page()
     report.figure(
-        _foreseen(learning),
+        _predicted_ahead(learning),
         "Error on each program before it was used for anything, by the best model until then and by the "
         "twin as it was given, re-fitted, and the error of what was found after it, where no fit saw.",
     )
-    files = {r.number: learning.folder / f"round_{r.number}" / FORESEEN for r in learning.rounds}
+    files = {r.number: learning.folder / f"round_{r.number}" / PREDICTED for r in learning.rounds}
     seen = [r for r in learning.rounds if files[r.number].is_file()]
     if seen:
         frames = list(film_frames(seen, [files[r.number] for r in seen]))
@@ -91,7 +93,7 @@ def learn_page(learning) -> Report:
     return report
 
 
-def _foreseen(learning) -> go.Figure:
+def _predicted_ahead(learning) -> go.Figure:
     rounds = learning.rounds
     at = [r.number for r in rounds]
     lines = (

@@ -198,6 +198,11 @@ def side_by_side(
     return np.concatenate(out[1:], axis=1)
 
 
+def difference(image: np.ndarray, reference: np.ndarray, times: float) -> np.ndarray:
+    """An image minus another, so many times as large, uint8 (H, W, 3); grey is no difference."""
+    return np.clip(128 + times * (image.astype(float) - reference), 0, 255).astype(np.uint8)
+
+
 def _base64(data: bytes) -> str:
     return base64.b64encode(data).decode()
 

@@ -105,18 +105,18 @@ class State:
 
     @property
     def confidence(self) -> Confidence:
-        sure = self.at_noise and self.noise_measured and not self.objections
+        all_passed = self.at_noise and self.noise_measured and not self.objections
         if self.kind is Kind.NOTHING:
-            return Confidence.CONFIRMED if sure else Confidence.LIKELY
+            return Confidence.CONFIRMED if all_passed else Confidence.LIKELY
         if self.kind is not Kind.CAUSES or self.verdict in ("ambiguous", "unknown_effect"):
             return Confidence.INCONCLUSIVE
         agreed = 1.0 if self.agreed is None else self.agreed
         unnamed = bool(self.mechanisms) and not any(m.named for m in self.mechanisms)
         if self.verdict == "insufficient_form" or unnamed:
             return Confidence.UNNAMED
-        sure = sure and not self.rivals and not self.confusable and agreed >= AGREED
-        sure = sure and all(m.certain for m in self.mechanisms[:1])
-        return Confidence.CONFIRMED if sure else Confidence.LIKELY
+        all_passed = all_passed and not self.rivals and not self.confusable and agreed >= AGREED
+        all_passed = all_passed and all(m.certain for m in self.mechanisms[:1])
+        return Confidence.CONFIRMED if all_passed else Confidence.LIKELY
 
 
 def state_of(study: EffectStudy, outcome: Outcome) -> State:
@@ -127,7 +127,7 @@ def state_of(study: EffectStudy, outcome: Outcome) -> State:
     alone = {t.name: t.heldout for t in o.tested if t.reduction is not None}
     best = min((x for n, x in alone.items() if n in o.selected), default=None)
     lower = [n for n, x in alone.items() if n not in o.selected and best is not None and x < best]
-    alike = study.alike(o.selected)
+    confusable = study.alike(o.selected)
     return State(
         device=study.recording.device,
         unit=study.unit,
@@ -158,8 +158,8 @@ def state_of(study: EffectStudy, outcome: Outcome) -> State:
         objections=tuple(e.objections) if named else (),
         black_box=e.left_to_black_box if e.unfinished else 0.0,
         untested=tuple(f"{called(u.name)} ({u.reason.removeprefix(UNTESTED)})" for u in study.untested),
-        notes=tuple(dict.fromkeys(n for n in (*study.findings, alike, *study.caveats(o)) if n)),
-        confusable=bool(alike),
+        notes=tuple(dict.fromkeys(n for n in (*study.findings, confusable, *study.caveats(o)) if n)),
+        confusable=bool(confusable),
         optimistic=not study.parts.has_test,
         experiment=next_experiment(study, o)[0],
     )

@@ -50,8 +50,6 @@ class PpoConfig:
         check_choice("task", self.task, task_names())
         check_choice("fidelity", self.student.fidelity, FIDELITIES)
         check_choice("device", self.device, ("cpu", "cuda"))
-        if self.twin is not None and not (Path(self.twin) / "twin.yaml").is_file():
-            raise InputError(f"twin is '{self.twin}', which holds no twin.yaml; give a twin's folder.")
         twin = Twin.load(self.twin) if self.twin else Twin.builtin()
         if CHAMBERS.get(twin.device, 1) > 1:
             raise InputError(
@@ -67,4 +65,3 @@ class PpoConfig:
         self.envs = self.envs if self.envs is not None else max(8, 2 * cores)
         self.parallel = self.parallel if self.parallel is not None else cores > 2
         check_least(1, steps=self.steps, envs=self.envs)
-        check_least(0, seed=self.seed)

@@ -154,17 +154,17 @@ class Compute:
 class Asymmetric(nn.Module):
     """Hidden layers of both networks: the actor's read the first `felt` entries, the critic's all."""
 
-    def __init__(self, inputs: int, felt: int, hidden: tuple[int, ...]):
+    def __init__(self, inputs: int, actor_inputs: int, hidden: tuple[int, ...]):
         super().__init__()
-        self.felt = felt
+        self.actor_inputs = actor_inputs
         self.latent_dim_pi = self.latent_dim_vf = hidden[-1]
-        self.actor, self.critic = layers(felt, hidden), layers(inputs, hidden)
+        self.actor, self.critic = layers(actor_inputs, hidden), layers(inputs, hidden)
 
     def forward(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         return self.forward_actor(features), self.forward_critic(features)
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
-        return self.actor(features[:, : self.felt])
+        return self.actor(features[:, : self.actor_inputs])
 
     def forward_critic(self, features: torch.Tensor) -> torch.Tensor:
         return self.critic(features)
@@ -174,8 +174,8 @@ class AsymmetricPolicy(MultiInputActorCriticPolicy):
     """The library's Gaussian policy around `Asymmetric`; `actor` comes before `object` in the features."""
 
     def _build_mlp_extractor(self) -> None:
-        felt = self.observation_space["actor"].shape[0]
-        self.mlp_extractor = Asymmetric(self.features_dim, felt, tuple(self.net_arch))
+        actor_inputs = self.observation_space["actor"].shape[0]
+        self.mlp_extractor = Asymmetric(self.features_dim, actor_inputs, tuple(self.net_arch))
 
 
 def make_worlds(task: str, twin: Twin | None, envs: int, parallel: bool, **options) -> VecEnv:

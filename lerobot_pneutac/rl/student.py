@@ -49,18 +49,18 @@ def record_student(
     dataset = _new_dataset(student, world)
     if station:
         station.save(Path(student.root) / "meta")
-    kept = trials = 0
+    stored = trials = 0
     with quiet_encoders():
         try:
             for episode in rolled_out(actor_dir, world, seed, student):
                 trials += 1
                 if episode is not None:
                     save_episode(dataset, episode)
-                    kept += 1
-                progress("recording demonstrations", kept, student.episodes)
+                    stored += 1
+                progress("recording demonstrations", stored, student.episodes)
         finally:
             dataset.finalize()
-    return kept, trials
+    return stored, trials
 
 
 def rolled_out(
@@ -68,15 +68,15 @@ def rolled_out(
 ) -> Iterator[Episode | None]:
     """Yields the actor's trials, None for a failed one, until as many as are wanted have succeeded."""
     actor, rng = _loaded(actor_dir, world), np.random.default_rng(seed)
-    kept = trials = 0
-    while kept < student.episodes:
-        if trials >= PATIENCE * max(kept + 1, 2):
+    stored = trials = 0
+    while stored < student.episodes:
+        if trials >= PATIENCE * max(stored + 1, 2):
             raise InputError(
-                f"The actor in '{actor_dir}' succeeded in {kept} of {trials} trials with fidelity"
+                f"The actor in '{actor_dir}' succeeded in {stored} of {trials} trials with fidelity"
                 f" '{student.fidelity}'; train it for longer, or lower the noise."
             )
         episode = roll_out(actor, world, rng, student.noise)
-        trials, kept = trials + 1, kept + bool(world.success)
+        trials, stored = trials + 1, stored + bool(world.success)
         yield episode if world.success else None
 
 

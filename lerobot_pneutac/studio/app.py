@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import viser
 import websockets.asyncio.server as websocket_server
 
-from lerobot_pneutac.studio.plots import BRAND, tell
+from lerobot_pneutac.studio.plots import BRAND, show_text
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CHAMBERS
 
@@ -46,7 +46,7 @@ class Studio:
         gui.main_panel.dock_right()
         gui.main_panel.set_width(PANEL_PX)
         self.title = gui.add_markdown("The twin is opened ...")
-        self.said = gui.add_markdown("", visible=False)
+        self.message = gui.add_markdown("", visible=False)
         self.pages: dict = {}
 
     def show(self, session: Session) -> None:
@@ -86,7 +86,7 @@ class Studio:
 
     def say(self, text: str) -> None:
         """Shows a sentence above the pages, in every browser; empty for none."""
-        tell(self.said, f"> {text}" if text else "")
+        show_text(self.message, f"> {text}" if text else "")
 
     def safely(self, work: Callable) -> Callable:
         """The same as a callback of the viewer: bad input ends in the sentence above the pages."""

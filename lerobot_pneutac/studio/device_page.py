@@ -23,7 +23,7 @@ from lerobot_pneutac.studio.plots import (
     Background,
     Lines,
     rgb,
-    tell,
+    show_text,
 )
 from pneutac_sim.effects.registry import body_effects, get_effect, of_body, of_sensor
 from pneutac_sim.errors import InputError
@@ -55,7 +55,7 @@ def solve(
 
     Raises InputError where an effect moves the tip alone, which material points do not follow.
     """
-    from lerobot_pneutac.rendering.particles import body_looks
+    from lerobot_pneutac.rendering.body import body_looks
     from pneutac_sim.mpm import devices  # brings the compiler of kernels, which takes a second
     from pneutac_sim.mpm.loads import Loads
     from pneutac_sim.mpm.solve import solve_equilibrium
@@ -195,38 +195,38 @@ class SolidPanel:
         button.on_click(studio.safely(self.solve))
         self._drawn = gui.add_dropdown("drawn as", DRAWN)
         self._drawn.on_update(lambda _: self._draw())
-        self.told = gui.add_markdown("", visible=False)
+        self.summary = gui.add_markdown("", visible=False)
 
     def solve(self) -> None:
         """The free body at rest at this pressure, without the poke."""
 
         def show(text: str, done: int, total: int) -> None:
-            self.told.content = f"Solving by material points: {done} of {total} ({text})"
+            self.summary.content = f"Solving by material points: {done} of {total} ({text})"
 
         def work(progress: Progress) -> None:
             try:
                 self._solid = found = solve(*self._now(), progress)
             except InputError as e:
-                self.told.visible = False
+                self.summary.visible = False
                 self._studio.say(str(e))
                 return
             self._draw()
             x, y, z = found.tip_mm
-            self.told.content = (
+            self.summary.content = (
                 f"{len(found.points_mm)} material points: tip at x {x:.1f}, y {y:.1f}, z {z:.1f} mm, "
                 f"stretched by {100 * found.most_strain:.1f} % at most"
             )
 
         self._begin()
         self._studio.session.begin("solving by material points", work, show)
-        tell(self.told, "Solving by material points ...")
+        show_text(self.summary, "Solving by material points ...")
 
     def _draw(self) -> None:
         if self._solid is not None:
             self._scene.show_solid(self._solid, splats=self._drawn.value == SPLATS)
 
     def hide(self) -> None:
-        self._solid, self.told.visible = None, False
+        self._solid, self.summary.visible = None, False
         self._scene.hide_solid()
 
 
@@ -367,8 +367,8 @@ class DevicePage(Background):
     def _rebuild(self) -> None:
         """The body with the effects that are switched on, long at rest under the present pressure."""
         twin = self._studio.session.twin
-        kept = {n: twin.effects[n] for n in of_sensor(twin.effects)}
-        self._twin = replace(twin, effects=kept | self._panel.values())
+        sensor_effects = {n: twin.effects[n] for n in of_sensor(twin.effects)}
+        self._twin = replace(twin, effects=sensor_effects | self._panel.values())
         body = LiveBody(self._twin, self.conditions())
         body.rest(self.pressure_kpa)
         with self._lock:

@@ -48,7 +48,7 @@ class _Switch:
         self.effect = effect
         start = effect.start(range_kpa) | dict(values or {})
         self._box = gui.add_checkbox(effect.name.replace("_", " "), values is not None, hint=_about(effect))
-        self._kept = {k: v for k, v in start.items() if k not in {p.name for p in effect.parameters}}
+        self._fixed = {k: v for k, v in start.items() if k not in {p.name for p in effect.parameters}}
         self._sliders = {
             p.name: _slider(gui, p, start[p.name], range_kpa, values is not None) for p in effect.parameters
         }
@@ -67,7 +67,7 @@ class _Switch:
         return self._box.value
 
     def values(self) -> dict[str, Value]:
-        return self._kept | {name: Value(float(s.value)) for name, s in self._sliders.items()}
+        return self._fixed | {name: Value(float(s.value)) for name, s in self._sliders.items()}
 
 
 def interval(parameter: Parameter, value: float, range_kpa: float) -> tuple[float, float]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from lerobot_pneutac.reports.diagnosis import ladder, reductions, rival_rows
 from lerobot_pneutac.reports.sentences import alternatives, meaning
-from lerobot_pneutac.studio.plots import Background, table, tell
+from lerobot_pneutac.studio.plots import Background, show_text, table
 from lerobot_pneutac.verbs.add import add
 from lerobot_pneutac.verbs.benches import save_choice
 from lerobot_pneutac.verbs.compare import compare
@@ -25,7 +25,7 @@ class ExperimentPanel:
         self._design: Design | None = None
         choose = gui.add_button("Which test is most informative?", hint="pneutac design")
         choose.on_click(studio.safely(self.design))
-        self.told = gui.add_markdown("", visible=False)
+        self.summary = gui.add_markdown("", visible=False)
         self._download = gui.add_button("Download program.csv", visible=False, icon="download")
         self._download.on_click(self._send)
         self._out = gui.add_text("folder", "outputs/studio/experiment", visible=False)
@@ -44,7 +44,7 @@ class ExperimentPanel:
         def work(show) -> None:
             show("choosing among programs", 0, 1)
             self._design = found = design(session.twin, recording, session.diagnosis)
-            tell(self.told, f"{found.sentence}\n\n{table(found.rows())}")
+            show_text(self.summary, f"{found.sentence}\n\n{table(found.rows())}")
             self._download.visible = True
             self._out.visible = self._drive.visible = session.bench is not None
 
@@ -112,8 +112,8 @@ class FindPage(Background):
         self._try = gui.add_button("3. Try it: the error before and after", visible=False, hint=hint)
         self._try.on_click(safely(self.try_it))
         self.before_after = gui.add_markdown("", visible=False)
-        self._keep = gui.add_button("4. Keep it", visible=False, color="green")
-        self._keep.on_click(safely(self.keep))
+        self._keep_button = gui.add_button("4. Keep it", visible=False, color="green")
+        self._keep_button.on_click(safely(self.keep))
         with gui.add_folder("Next experiment", expand_by_default=False):
             self.experiment = ExperimentPanel(studio, self._work)
         with gui.add_folder("History of the twin", expand_by_default=False):
@@ -145,7 +145,7 @@ class FindPage(Background):
 
         self._studio.session.begin(what, run, self._show)
         self._bar.value, self._bar.visible = 2.0, True
-        tell(self.progress, f"{what} ...")
+        show_text(self.progress, f"{what} ...")
 
     def _show(self, text: str, done: int, total: int) -> None:
         """Progress, and the candidates with the errors that they were scored with, the best first."""
@@ -164,7 +164,7 @@ class FindPage(Background):
     def compare(self) -> None:
         session = self._studio.session
         session.comparison = compare(session.twin, session.needs_recording())
-        self._tell_error()
+        self._show_error()
         self.sentence.content = session.comparison.sentence
 
     def diagnose(self) -> None:
@@ -173,7 +173,7 @@ class FindPage(Background):
 
         def work(show) -> None:
             session.diagnosis = diagnose(session.twin, recording, progress=show)
-            self._tell_diagnosis()
+            self._show_diagnosis()
 
         self._work("diagnosing", work)
 
@@ -187,7 +187,7 @@ class FindPage(Background):
         def work(show) -> None:
             what = session.diagnosis if chosen == FOUND else chosen
             session.addition = add(session.twin, recording, what, progress=show)
-            self._tell_addition()
+            self._show_addition()
 
         self._work(f"trying {chosen}", work)
 
@@ -200,11 +200,13 @@ class FindPage(Background):
                 "An earlier version is looked at; choose the newest, or go back to this one first."
             )
         session.addition = session.addition.save(session.folder)
-        kept = session.addition
+        added = session.addition
         session.look_at()
         session.comparison = compare(session.twin, session.needs_recording())
-        self._tell_error()
-        tell(self.before_after, f"Stored as version {kept.twin.history[-1]['version']}. {kept.sentence}")
+        self._show_error()
+        show_text(
+            self.before_after, f"Stored as version {added.twin.history[-1]['version']}. {added.sentence}"
+        )
 
     def back(self) -> None:
         number = self._studio.session.keep()
@@ -220,7 +222,7 @@ class FindPage(Background):
 
     # ---------------------------------------------------------------- what is shown
 
-    def _tell_error(self) -> None:
+    def _show_error(self) -> None:
         c = self._studio.session.comparison
         if c is None:
             self.error.content = "How far is the twin from the recording?"
@@ -228,7 +230,7 @@ class FindPage(Background):
         name, value = ("Held-out error", c.heldout) if c.heldout is not None else ("Error", c.train)
         self.error.content = f"**{name} {value:.3g} {c.unit}** (noise {noise_text(c.noise_floor)} {c.unit})"
 
-    def _tell_diagnosis(self) -> None:
+    def _show_diagnosis(self) -> None:
         d = self._studio.session.diagnosis
         warned = "\n".join(f"- {w}" for w in d.warnings)
         self.sentence.content = (
@@ -250,12 +252,12 @@ class FindPage(Background):
         self._choice.value = FOUND
         self._choice.visible = self._try.visible = bool(d.outcome.tested)
 
-    def _tell_addition(self) -> None:
+    def _show_addition(self) -> None:
         a = self._studio.session.addition
-        tell(self.before_after, f"{a.sentence}\n\n{table(a.rows())}")
+        show_text(self.before_after, f"{a.sentence}\n\n{table(a.rows())}")
         number = len(self._studio.session.twin.history)
-        self._keep.label = f"4. Keep it: writes version {number} of {self._studio.session.folder.name}"
-        self._keep.visible = a.accepted
+        self._keep_button.label = f"4. Keep it: writes version {number} of {self._studio.session.folder.name}"
+        self._keep_button.visible = a.accepted
 
     def _changed(self) -> None:
         """Another twin is looked at: what was found about the one before is no longer shown."""
@@ -271,9 +273,9 @@ class FindPage(Background):
         self._back.label = f"Go back: writes version {session.version} of the twin as its newest"
         self._clear()
         self.sentence.content = ""
-        self._evidence.visible = self._choice.visible = self._try.visible = self._keep.visible = False
-        tell(self.before_after, "")
-        self._tell_error()
+        self._evidence.visible = self._choice.visible = self._try.visible = self._keep_button.visible = False
+        show_text(self.before_after, "")
+        self._show_error()
 
     def _look(self) -> None:
         chosen = self._version.value

@@ -11,7 +11,7 @@ import numpy as np
 
 from lerobot_pneutac.reports.compare import by_condition
 from lerobot_pneutac.reports.figures import session_clock
-from lerobot_pneutac.reports.page import side_by_side
+from lerobot_pneutac.reports.page import difference, side_by_side
 from lerobot_pneutac.studio.live import Shape, Skin, measured_tips, shape_of
 from lerobot_pneutac.studio.plots import (
     FLOOR,
@@ -101,7 +101,7 @@ class MeasurementPage(Background):
         self._window = gui.add_dropdown("shown about it", tuple(WINDOWS), initial_value="30 s")
         session = studio.session
         self._photograph = PhotographPanel(gui, session.needs_recording(), session.twin)
-        self._charts, self._beside = [], gui.add_folder("In time")
+        self._charts, self._charts_folder = [], gui.add_folder("In time")
         self._places = gui.add_folder("Worst passages")
         self._conditions = gui.add_folder("Error against conditions", expand_by_default=False)
         self._rows, self._lock = [], threading.RLock()
@@ -139,14 +139,14 @@ class MeasurementPage(Background):
         self.player.reaches(float(self._t[-1]))
         if not self._charts:
             name, _, unit = c.columns[self._main].rpartition("_")
-            with self._beside:
-                said = f"{name.replace('_', ' ')}, {unit}"
+            with self._charts_folder:
+                title = f"{name.replace('_', ' ')}, {unit}"
                 names = c.recording.pressure_columns
                 chambers = [n.removeprefix("pressure_cmd_").removesuffix("kpa").strip("_") for n in names]
                 commands = [f"command {n}".strip() + ", kPa" for n in chambers]
                 lines = tuple(zip(commands, (PRESSURE, FLOOR, MODEL), strict=False))
                 self._charts = [
-                    Lines(gui, "time, s", (("measured", MEASURED), ("model", MODEL)), 170, said, FLOOR),
+                    Lines(gui, "time, s", (("measured", MEASURED), ("model", MODEL)), 170, title, FLOOR),
                     Lines(gui, "time, s", (("error", MODEL), ("noise", FLOOR)), 140, f"error, {c.unit}"),
                     Lines(gui, "time, s", lines, 150, "command, kPa"),
                 ]
@@ -198,10 +198,10 @@ class MeasurementPage(Background):
             self._charts[1].show(x, self._error[at], np.full(len(at), c.noise_floor or np.nan))
             self._charts[2].show(x, *self._pressure[at].T)
             drawn = f"  \nDrawn: one sample of {every}." if every > 1 else ""
-            self.readout.content = self._told(i) + drawn
+            self.readout.content = self._describe(i) + drawn
             self._photograph.show(i, shape)
 
-    def _told(self, i: int) -> str:
+    def _describe(self, i: int) -> str:
         c = self._c
         trial, own = int(c.recording.column("trial")[i]), float(c.recording.column("time_s")[i])
         heldout = "" if c.heldout is None else f"; held out {c.heldout:.3g} {c.unit} in all"
@@ -262,8 +262,7 @@ class ImagesPage(Background):
             return
         i = min(int(self._number.value), len(c.predicted)) - 1
         sample, score = c.data.samples[i], c.scores[i]
-        difference = np.clip(128 + TIMES * (c.predicted[i].astype(float) - sample.image), 0, 255)
-        three = (sample.image, c.predicted[i], difference.astype(np.uint8))
+        three = (sample.image, c.predicted[i], difference(c.predicted[i], sample.image, TIMES))
         self._picture.image = side_by_side(three, width=THUMBNAIL_PX)
         p = sample.press
         self.readout.content = (

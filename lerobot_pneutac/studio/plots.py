@@ -72,7 +72,7 @@ class Player(Background):
                 self.now_s = t if t <= self._time.max else 0.0
 
 
-def tell(markdown, text: str) -> None:
+def show_text(markdown, text: str) -> None:
     """Shows a text, or hides its place where it is empty."""
     markdown.content, markdown.visible = text, bool(text)
 

@@ -44,7 +44,7 @@ class Session:
         self.recording = None
         if recording is not None:
             # pandas and what fits recordings; without one the picture does not wait for them
-            from lerobot_pneutac.study.pair import same_body, same_device
+            from lerobot_pneutac.study.pair import same_body
             from pneutac_datasets.recording.recording import Recording
 
             if (recording / "meta" / "info.json").is_file():
@@ -53,7 +53,6 @@ class Session:
                     "--demonstrations=, and a bench recording here."
                 )
             loaded = Recording.load(recording)
-            same_device(self.twin, loaded, twin, "open")
             same_body(self.twin, loaded, "open")
             self.recording = loaded
         self.comparison: Comparison | None = None
@@ -61,10 +60,10 @@ class Session:
         self.addition: Addition | None = None
         self.working = ""
         self._lock = threading.Lock()
-        self._told: list[Callable[[], None]] = []
+        self._listeners: list[Callable[[], None]] = []
 
-    def when_changed(self, tell: Callable[[], None]) -> None:
-        self._told.append(tell)
+    def when_changed(self, listener: Callable[[], None]) -> None:
+        self._listeners.append(listener)
 
     def needs_recording(self) -> Recording:
         """The recording; raises InputError where there is none."""
@@ -79,8 +78,8 @@ class Session:
         """Shows the twin as it lies on the disk, or an earlier version of it; nothing is written."""
         self.twin, self.version = Twin.load(self.folder, version), version
         self.comparison = self.diagnosis = None
-        for tell in self._told:
-            tell()
+        for listener in self._listeners:
+            listener()
 
     def measure(self, recording: Recording) -> None:
         """From now on the twin is weighed against this recording, of which a bench measured the last part."""

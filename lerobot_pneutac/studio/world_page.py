@@ -17,7 +17,7 @@ from lerobot_pneutac.studio.plots import FLOOR, MEASURED, MODEL, Background, Lin
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import AREA, CHAMBERS, IMAGE_NAME, PRESSURE, TRIAL_S, pressure_names, task_names
 
-TOLD = "as its instruction says"
+BY_INSTRUCTION = "as its instruction says"
 
 
 class EpisodePanel:
@@ -29,16 +29,16 @@ class EpisodePanel:
         with gui.add_folder("Episodes of a dataset", expand_by_default=bool(studio.session.demonstrations)):
             self._name = gui.add_text("dataset", studio.session.demonstrations,
                                       hint="folder of a LeRobotDataset, or its name on the Hub")  # fmt: skip
-            self._task = gui.add_dropdown("its task", (TOLD, *task_names()))
+            self._task = gui.add_dropdown("its task", (BY_INSTRUCTION, *task_names()))
             self._number = gui.add_number("episode", 0, min=0, step=1)
             replay = gui.add_button("Replay it in the twin's world", icon="repeat")
             self.readout = gui.add_markdown("The arm goes as recorded; pressure and touch are the twin's.")
             label = "touch: recorded, the twin's, the difference"
             self._picture = gui.add_image(np.zeros((2, 2, 3), np.uint8), label=label, visible=False)
-            self._beside = gui.add_folder("In time", visible=False)
+            self._charts_folder = gui.add_folder("In time", visible=False)
             lines = (("recorded", MEASURED), ("twin", MODEL))
             commanded = (*lines, ("commanded", FLOOR))
-            with self._beside:
+            with self._charts_folder:
                 self._player = Player(gui, self._show)
                 self._charts = [
                     Lines(gui, "time, s", lines, 160, "contact area, %", FLOOR),
@@ -51,7 +51,10 @@ class EpisodePanel:
         name, number = self._name.value.strip(), int(self._number.value)
         if not name:
             raise InputError("Which dataset? Give its folder, such as outputs/demo/demonstrations.")
-        twin, task = self._studio.session.twin, "" if self._task.value == TOLD else self._task.value
+        twin, task = (
+            self._studio.session.twin,
+            "" if self._task.value == BY_INSTRUCTION else self._task.value,
+        )
 
         def work(_) -> None:
             from pneutac_datasets.demonstrations.replay.imprint import find_place
@@ -78,14 +81,14 @@ class EpisodePanel:
         self.readout.content = "The episode is replayed ..."
 
     def _show(self) -> None:
-        from lerobot_pneutac.verbs.compare_demonstrations import beside
+        from lerobot_pneutac.verbs.compare_demonstrations import comparison_picture
 
         e, r = self._episode, self._replayed
         if e is None or r is None:
             return
         i = min(round(self._player.now_s * e.fps), len(e) - 1)
-        self._picture.image, self._picture.visible = beside(e.images[i], r.images[i]), True
-        self._beside.visible = True
+        self._picture.image, self._picture.visible = comparison_picture(e.images[i], r.images[i]), True
+        self._charts_folder.visible = True
         t, areas = np.arange(len(e)) / e.fps, (100 * e.state[:, AREA], 100 * r.area)
         self._charts[0].show(t, *areas, now=t[i])
         off = float(np.sqrt(np.mean((r.images[i].astype(np.float32) - e.images[i]) ** 2)))
@@ -99,7 +102,7 @@ class EpisodePanel:
     def _forget(self) -> None:
         if self._episode is not None:
             self._episode = None
-            self._picture.visible = self._beside.visible = False
+            self._picture.visible = self._charts_folder.visible = False
             self.readout.content = "Another version of the twin is looked at; replay it again."
 
     def close(self) -> None:

@@ -288,7 +288,7 @@ def add(
         return Addition(accepted=False, reason=reason, twin=twin, findings=tuple(study.findings), **given)
     steps.expect(f"fitting with and without {given['effect']}", 2)
     found = study.refits(effects, steps)
-    return _judged(study, twin, effects, found, given, anyway, named=True)
+    return _addition(study, twin, effects, found, given, anyway, named=True)
 
 
 def _given(effects: Sequence[str], recording: Recording | Demonstrations, seed: int) -> dict[str, Any]:
@@ -310,10 +310,10 @@ def _whole(
     found = Refits(before, baseline or before, after, result.get("known_causes", []), contributions)
     decided = result["verdict"] in ("missing_effect", "insufficient_form")
     mechanisms = [Mechanism(m["cause"], tuple(m["ranked"].items()), ()) for m in result.get("mechanism", ())]
-    return _judged(study, twin, selected, found, given, anyway, False, decided, mechanisms)
+    return _addition(study, twin, selected, found, given, anyway, False, decided, mechanisms)
 
 
-def _judged(
+def _addition(
     study,
     twin: Twin,
     effects: Sequence[str],

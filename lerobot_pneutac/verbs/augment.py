@@ -125,10 +125,8 @@ class AugmentConfig(ExecutorOptions):
         ):
             if self.check_mpm and useless:
                 raise InputError(f"check_mpm {why}; leave it out.")
-        if self.twin is not None and not (Path(self.twin) / "twin.yaml").is_file():
-            raise InputError(f"twin is '{self.twin}', which holds no twin.yaml; give a twin's folder.")
+        twin = Twin.load(self.twin) if self.twin else Twin.builtin()
         if self.method != "naive":
-            twin = Twin.load(self.twin) if self.twin else Twin.builtin()
             check_world(twin, self.fidelity, self.conditions)
             if self.check_mpm:
                 check_bends(twin, "mpm")
@@ -171,14 +169,14 @@ class Augmentation(Result):
         return [{"variants": name, "number": number} for name, number in counts.items()]
 
     def remarks(self) -> list[str]:
-        kept, minutes = self.summary["kept"], self.summary["wall_s"] / 60
+        stored, minutes = self.summary["kept"], self.summary["wall_s"] / 60
         checks, out = self.summary.get("checks", []), []
         if checks:
             agree = sum(c["success"] for c in checks)
             out.append(f"Material points do the task in {agree} of {len(checks)} of them too.")
         out.append(
-            f"{len(self.references)} demonstrations in, {kept} new ones in {self.config.output.root}"
-            f" ({minutes:.1f} minutes, {kept / minutes:.0f} a minute)."
+            f"{len(self.references)} demonstrations in, {stored} new ones in {self.config.output.root}"
+            f" ({minutes:.1f} minutes, {stored / minutes:.0f} a minute)."
         )
         if start_range := self.summary.get("start_range_m"):
             x, y, z = (1e3 * each for each in start_range)

@@ -20,7 +20,7 @@ from pneutac_sim.features import MAX_PRESSURE_KPA
 from pneutac_sim.files import whole
 
 if TYPE_CHECKING:
-    from lerobot_pneutac.measuring.programs import MeasureConfig
+    from lerobot_pneutac.verbs.measure import MeasureConfig
 
 
 class Bench(Protocol):
@@ -142,7 +142,7 @@ def make_bench(
         return StandinBench(seed), dict(HANGING)
     if not measure.is_file():
         raise InputError(f"measure={measure} is no file; give a YAML file with the options of your bench.")
-    from lerobot_pneutac.measuring.programs import MeasureConfig
+    from lerobot_pneutac.verbs.measure import MeasureConfig
 
     config = parse_options(MeasureConfig, [f"--config_path={measure}", f"--out={out / 'round'}"])
     return MeasuredBench(config), config.conditions

@@ -14,7 +14,7 @@ import numpy as np
 from lerobot_pneutac.cli.options import PairOptions, keywords
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.study.pair import no_demonstrations
-from lerobot_pneutac.verbs.calibration import Calibration, measured_range
+from lerobot_pneutac.verbs.result import Calibration, measured_range
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations, is_dataset, load_demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import an
@@ -26,10 +26,10 @@ from pneutac_sim.twin import Twin
 
 SEARCH = "evaluations.json"  # in the folder where a search by images is stored
 BEST = "best.png"  # there, the best rendering so far
-WAYS = ("images", "markers")
+METHODS = ("images", "markers")
 THROUGH = ("mpm",)
 SERVES = {  # an option: how a recording is fitted where the option has a use
-    "by": (WAYS, "a finger or an arm"),
+    "by": (METHODS, "a finger or an arm"),
     **dict.fromkeys(("effects", "through", "image_size"), (("presses",), "a gel")),
     **dict.fromkeys(("train_kpa", "evaluations", "particles"), (("images",), "a fit by images")),
 }
@@ -75,33 +75,29 @@ def calibrate(
     Raises:
         InputError: the devices differ, or the recording does not serve.
     """
-    check_choice("by", by or WAYS[0], WAYS)
+    check_choice("by", by or METHODS[0], METHODS)
     check_choice("through", through or THROUGH[0], THROUGH)
     check_least(500, particles=particles)
     check_least(7, evaluations=evaluations)
-    if (twin.device, recording.device) not in ((recording.device, recording.device), ("finger", "gel")):
-        raise InputError(
-            f"{recording.folder} is a recording of a '{recording.device}' but the twin is of a "
-            f"'{twin.device}'; give a twin of that device."
-        )
+    _same_device(twin, recording, "the twin")
     from pneutac_datasets.recording.photographs import masked_cameras
 
     if isinstance(recording, Demonstrations):
-        way = "demonstrations"
+        method = "demonstrations"
     elif recording.device == "gel":
-        way = "presses"
+        method = "presses"
     else:
         markers = [c for c in recording.observations if not c.startswith("image")]
-        way = by or ("images" if not markers and masked_cameras(recording) else "markers")
+        method = by or ("images" if not markers and masked_cameras(recording) else "markers")
     levels = training_levels(train_kpa)
     given = {"by": by, "effects": effects, "through": through, "image_size": image_size}
     given |= {"train_kpa": levels, "evaluations": evaluations, "particles": particles}
     for name, value in given.items():
-        ways, of = SERVES[name]
-        if way not in ways and value != inspect.signature(calibrate).parameters[name].default:
+        methods, of = SERVES[name]
+        if method not in methods and value != inspect.signature(calibrate).parameters[name].default:
             more = ", and switch an effect on with `pneutac add --effect=NAME`" * (name == "effects")
             raise InputError(
-                f"{name} is for {of}, but {recording.folder} is fitted by its {way}; omit it{more}."
+                f"{name} is for {of}, but {recording.folder} is fitted by its {method}; omit it{more}."
             )
     if isinstance(recording, Demonstrations):
         from lerobot_pneutac.verbs.calibrate_demonstrations import calibrate_demonstrations
@@ -113,7 +109,7 @@ def calibrate(
         if isinstance(effects, str):
             effects = [e.strip() for e in effects.split(",") if e != "none"]
         return calibrate_gel(twin, recording, effects, through == "mpm", image_size, progress)
-    if way == "images":
+    if method == "images":
         from lerobot_pneutac.verbs.fit_photographs import PhotoOptions, calibrate_photographs
 
         options = PhotoOptions(levels, evaluations, particles, seed)
@@ -126,6 +122,15 @@ def calibrate(
     fitted = result.twin.copy()  # which knows over which pressures it was fitted
     fitted.pressure_range_kpa = measured_range(recording) or fitted.pressure_range_kpa
     return replace(result, twin=fitted)
+
+
+def _same_device(twin: Twin, recording: Recording | Demonstrations, name: str) -> None:
+    """Raises InputError where the devices differ; a finger takes the recording of its gel."""
+    if twin.device != recording.device and (twin.device, recording.device) != ("finger", "gel"):
+        raise InputError(
+            f"{recording.folder} is a recording of {an(recording.device)}, but {name} is of "
+            f"{an(twin.device)}; give a twin of that device."
+        )
 
 
 def training_levels(levels: Sequence[float] | str) -> tuple[float, ...]:
@@ -256,11 +261,7 @@ def twin_for(folder: Path, recording: Recording | Demonstrations) -> Twin:
     if (folder / "twin.yaml").exists():
         finds = isinstance(recording, Recording) and recording.device != "gel"
         twin = Twin.load(folder, calibrated=not finds)
-        if twin.device != recording.device and (twin.device, recording.device) != ("finger", "gel"):
-            raise InputError(
-                f"{recording.folder} is a recording of {an(recording.device)}, but the twin at '{folder}' is "
-                f"of {an(twin.device)}; give a twin of that device."
-            )
+        _same_device(twin, recording, f"the twin at '{folder}'")
         return twin
     if recording.device != "gel":
         raise InputError(

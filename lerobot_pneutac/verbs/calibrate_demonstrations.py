@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lerobot_pneutac.verbs.calibration import Calibration
+from lerobot_pneutac.verbs.result import Calibration
 from pneutac_datasets.demonstrations.replay.imprint import Dragging, LightDrift, light_drift, rest_image
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_sim.errors import InputError
@@ -68,7 +68,7 @@ def calibrate_demonstrations(twin: Twin, given: Demonstrations, seed: int = 0) -
             "calibrate the gel on its own camera first."
         )
     order = np.random.default_rng([seed, 6]).permutation(len(rests))
-    away, used = np.split(order, [max(1, len(rests) // 3)])
+    heldout, used = np.split(order, [max(1, len(rests) // 3)])
     new = np.median(rests[used], axis=0).round().astype(np.uint8)
     out = twin.copy()
     if not out.gel:
@@ -77,8 +77,8 @@ def calibrate_demonstrations(twin: Twin, given: Demonstrations, seed: int = 0) -
     def off(image: np.ndarray, which: np.ndarray) -> float:
         return float(np.sqrt(np.mean((rests[which] - image.astype(float)) ** 2)))
 
-    light, before = light_drift(given.episodes, model.rest_image), off(model.rest_image, away)
-    if off(new, away) >= before:  # nothing has changed by more than the camera wanders
+    light, before = light_drift(given.episodes, model.rest_image), off(model.rest_image, heldout)
+    if off(new, heldout) >= before:  # nothing has changed by more than the camera wanders
         new = model.rest_image
     out.arrays = out.arrays | {"rest_image": new}
     return LightCalibration(
@@ -86,7 +86,7 @@ def calibrate_demonstrations(twin: Twin, given: Demonstrations, seed: int = 0) -
         parameters={
             f"{c}_factor": {"value": g, "unit": ""} for c, g in zip(COLOURS, light.gain, strict=True)
         },
-        error={"train": off(new, used), "heldout": off(new, away)},
+        error={"train": off(new, used), "heldout": off(new, heldout)},
         unit="levels",
         evaluations=1,
         seconds=time.perf_counter() - began,

@@ -149,11 +149,11 @@ def _twin(path: Path) -> tuple[list[str], list[str]]:
     if faults:
         return faults, notes
     for name in of_body(twin.effects):
-        asked = [c for c in get_effect(name).columns if c not in COMPUTED]
-        if asked:
+        needed = [c for c in get_effect(name).columns if c not in COMPUTED]
+        if needed:
             notes.append(
-                f"With the effect {name} robots and environments need {', '.join(asked)}: give them as "
-                f"--env.conditions='{{{asked[0]}: ...}}'."
+                f"With the effect {name} robots and environments need {', '.join(needed)}: give them as "
+                f"--env.conditions='{{{needed[0]}: ...}}'."
             )
     if twin.device == "finger":
         missing = [n for n in WORLD if n not in twin.parameters]

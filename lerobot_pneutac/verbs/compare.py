@@ -56,15 +56,13 @@ def compare(
         InputError: the devices differ, or an effect cannot act in the full simulation.
     """
     check_fidelity(fidelity, samples)
+    if isinstance(recording, Demonstrations) and fidelity != "pipeline":
+        raise InputError(f"fidelity={fidelity} does not replay demonstrations; omit it.")
+    same_device(twin, recording, "the twin", "compare")
     if isinstance(recording, Demonstrations):
-        if fidelity != "pipeline":
-            raise InputError(f"fidelity={fidelity} does not replay demonstrations; omit it.")
-        same_device(twin, recording, "the twin", "compare")
         from lerobot_pneutac.verbs.compare_demonstrations import compare_demonstrations
 
         return compare_demonstrations(twin, recording, seed, progress)
-    if not (recording.device == "gel" and twin.gel):
-        same_device(twin, recording, "the twin", "compare")
     if recording.device == "gel":
         if fidelity != "pipeline":
             raise InputError(
@@ -118,9 +116,9 @@ class Ageing(Result):
         """Change of the bend a day, as a share, and the half-width of its interval, by weighted lines."""
         days = np.array([(d.day - self.dates[0].day).days for d in self.dates], float)
         weight = 1 / np.square([d.half for d in self.dates])
-        away = days - np.average(days, weights=weight)
-        spread = float(np.sum(weight * away**2))
-        return float(np.sum(weight * away * [d.bend for d in self.dates])) / spread, spread**-0.5
+        deviation = days - np.average(days, weights=weight)
+        spread = float(np.sum(weight * deviation**2))
+        return float(np.sum(weight * deviation * [d.bend for d in self.dates])) / spread, spread**-0.5
 
     @property
     def again(self) -> date | None:
@@ -142,15 +140,15 @@ class Ageing(Result):
     def sentence(self) -> str:
         first, last, (slope, half), again = self.dates[0], self.dates[-1], self.slope, self.again
         every, within = f"every {DAYS:.0f} days", f"{100 * half * DAYS:.1g} %"
-        said = f"No change of the bend is significant (within {within} {every})"
+        text = f"No change of the bend is significant (within {within} {every})"
         if abs(slope) > half:
             word = "more" if slope > 0 else "less"
-            said = f"It bends {100 * abs(slope) * DAYS:.2g} % {word} {every} (± {within})"
+            text = f"It bends {100 * abs(slope) * DAYS:.2g} % {word} {every} (± {within})"
         due = "no new calibration is due"
         if again is not None:
             when = "now" if last.error > AGAIN * first.error else f"about {again.isoformat()}"
             due = f"calibrate it again {when}"
-        return f"{said}; the error went from {first.error:.2g} to {last.error:.2g} {self.unit}: {due}."
+        return f"{text}; the error went from {first.error:.2g} to {last.error:.2g} {self.unit}: {due}."
 
     def rows(self) -> list[dict]:
         return [

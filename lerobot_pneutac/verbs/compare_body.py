@@ -289,8 +289,8 @@ def compare_body(twin: Twin, recording: Recording) -> BodyComparison:
     clean, findings = check(recording)
     enough_to_compare(recording, clean)
     train = train_mask(twin, clean)
-    judged = train if train.any() else np.ones(len(clean), bool)
-    clean, moved = align_mounts(clean, twin.length_mm, judged)
+    reference_rows = train if train.any() else np.ones(len(clean), bool)
+    clean, moved = align_mounts(clean, twin.length_mm, reference_rows)
     prediction = simulate(twin, read(clean, twin))
     findings += moved
     findings += [f"Effect '{name}' could not act: {why}." for name, why in prediction.left_out.items()]
@@ -309,7 +309,7 @@ def compare_body(twin: Twin, recording: Recording) -> BodyComparison:
         unit=bench.unit,
         train_samples=train,
         noise=noise,
-        band=prediction_band(twin, bench, judged, noise),
+        band=prediction_band(twin, bench, reference_rows, noise),
         axes=axes(clean),
         rate=rate,
         still=is_still(clean, rate),
@@ -369,9 +369,9 @@ def out_of_range(twin: Twin, bench: BodyData) -> tuple[float | None, str | None]
     if not outside.any():
         return share, "All samples lie within what the twin's action network was trained with."
     low, high = network.low[-1], network.high[-1]
-    asked = network.pressure_kpa(joints)
+    needed_kpa = network.pressure_kpa(joints)
     return share, (
         f"{100 * share:.2g}% of samples lie outside what the twin's action network was trained with (bending "
-        f"pressures from {low:.3g} to {high:.3g} kPa; the recording's go from {asked.min():.3g} to "
-        f"{asked.max():.3g} kPa); there its torque is extrapolated linearly."
+        f"pressures from {low:.3g} to {high:.3g} kPa; the recording's go from {needed_kpa.min():.3g} to "
+        f"{needed_kpa.max():.3g} kPa); there its torque is extrapolated linearly."
     )

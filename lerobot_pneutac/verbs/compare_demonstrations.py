@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from lerobot_pneutac.diagnosis.search import Structure
-from lerobot_pneutac.reports.page import COMMAND, MEASURED, MODEL, OTHER, Report, side_by_side
+from lerobot_pneutac.reports.page import COMMAND, MEASURED, MODEL, OTHER, Report, difference, side_by_side
 from lerobot_pneutac.study.demonstration_fit import ARM, LATE, TOUCH
 from lerobot_pneutac.study.demonstrations import UNIT, DemonstrationStudy
 from lerobot_pneutac.verbs.result import Comparison, rms_of
@@ -25,7 +25,7 @@ CHANNELS = {"arm": slice(0, 3), "gauge": slice(3, 4), "touch": TOUCH}  # of a re
 PHASES = ("free", "onset", "pressed", "release")
 NEAR = 4  # frames about the first and after the last touch that are its onset and release
 DEPTHS_MM = (0.0, 0.3, 0.6, 0.9, 1.2)
-FELT_MM = 0.03  # by which a replay's gel is pressed in where it touches; its images show it later
+TOUCHED_MM = 0.03  # by which a replay's gel is pressed in where it touches; its images show it later
 LATE_S = 0.02  # from the twin's own latency: more is reported
 
 
@@ -104,19 +104,19 @@ class DemonstrationComparison(Comparison):
         r = self.residual[rows]
         row = {k: rms_of((r[:, c] ** 2).sum(1)) for k, c in ({"error": slice(None)} | CHANNELS).items()}
         pairs = zip(self.demonstrations.episodes, self.replayed, strict=True)
-        apart = np.concatenate([e.state[:, AREA] - r.area for e, r in pairs])[rows]
-        return row | {"area": rms_of(apart**2), "frames": int(rows.sum())}
+        area_error = np.concatenate([e.state[:, AREA] - r.area for e, r in pairs])[rows]
+        return row | {"area": rms_of(area_error**2), "frames": int(rows.sum())}
 
     def _touches(self, i: int) -> dict:
         """When an episode first touches, as recorded and as replayed, and how far its images differ."""
         e, r = self.demonstrations.episodes[i], self.replayed[i]
-        felt = np.flatnonzero(r.press_mm > FELT_MM)
+        touched = np.flatnonzero(r.press_mm > TOUCHED_MM)
         first = (e.contact() or (0, 0))[0]
         pressed, rmse = phases(e) == 2, None
         if r.images is not None and pressed.any():
-            apart = r.images[pressed].astype(np.float32) - e.images[pressed]
-            rmse = float(np.sqrt(np.mean(apart**2)))
-        onset_s = float(felt[0]) / CONTROL_HZ if len(felt) else None
+            residual = r.images[pressed].astype(np.float32) - e.images[pressed]
+            rmse = float(np.sqrt(np.mean(residual**2)))
+        onset_s = float(touched[0]) / CONTROL_HZ if len(touched) else None
         row = {"onset_s": first / CONTROL_HZ, "onset_replayed_s": onset_s}
         return row | {"image_rmse_levels": rmse, "does_the_task": r.success}
 
@@ -161,10 +161,10 @@ class DemonstrationComparison(Comparison):
                 "the second half of an episode than in the first, which the twin is charged with."
             )
         out.append(self.light.sentence)
-        apart = self.study.stronger_by(self.twin) if self.residual.size else 0.0
-        if apart:
+        stronger = self.study.stronger_by(self.twin) if self.residual.size else 0.0
+        if stronger:
             out.append(
-                f"Imprints are {np.exp(apart):.2g} times as strong as in the demonstrations that the twin "
+                f"Imprints are {np.exp(stronger):.2g} times as strong as in the demonstrations that the twin "
                 "was fitted to, which counts as an error of its touch; `pneutac diagnose` finds why."
             )
         return out
@@ -225,13 +225,13 @@ def _clock_drift_s(study: DemonstrationStudy) -> float | None:
     """How much later touch is shown in the second halves of the episodes' touches than in the first."""
     f, halves = study.fitter, []
     for later in (False, True):
-        kept = []
+        masks = []
         for e in f.episodes:
             half = np.cumsum(e.contact) > e.contact.sum() // 2
-            kept.append(e.contact & (half if later else ~half))
-        if min(int(m.sum()) for m in kept) < 2 * CONTROL_HZ:
+            masks.append(e.contact & (half if later else ~half))
+        if min(int(m.sum()) for m in masks) < 2 * CONTROL_HZ:
             return None
-        halves.append(f.lateness(kept) / CONTROL_HZ)
+        halves.append(f.lateness(masks) / CONTROL_HZ)
     return halves[1] - halves[0]
 
 
@@ -274,13 +274,12 @@ def film_frames(c, number: int) -> list[np.ndarray]:
     """Of an episode: the gel as recorded and as replayed side by side, uint8 (H, W, 3) each."""
     recorded, replayed = c.demonstrations.episodes[number].images, c.replayed[number].images
     assert replayed is not None
-    return [beside(a, b) for a, b in zip(recorded, replayed, strict=True)]
+    return [comparison_picture(a, b) for a, b in zip(recorded, replayed, strict=True)]
 
 
-def beside(recorded: np.ndarray, replayed: np.ndarray) -> np.ndarray:
+def comparison_picture(recorded: np.ndarray, replayed: np.ndarray) -> np.ndarray:
     """Two images of the gel and their difference, `GAIN` times as large, side by side: uint8 (H, W, 3)."""
-    apart = np.clip(128 + GAIN * (recorded.astype(int) - replayed), 0, 255).astype(np.uint8)
-    return side_by_side((recorded, replayed, apart), width=WIDTH, gap=0)
+    return side_by_side((recorded, replayed, difference(recorded, replayed, GAIN)), width=WIDTH, gap=0)
 
 
 def _curves(c, number: int):

@@ -96,8 +96,8 @@ class Control(Result):
         page = self.lead_page()
         page.table(self.rows(), "Root mean square of the bend against what was asked for.")
         figure = stacked(("bend, rad", "pressure, kPa"), (0.7, 0.3))
-        asked = ("asked for", self.target_rad, MEASURED)
-        for name, y, colour in (asked, ("by the twin", self.predicted_rad, MODEL)):
+        target = ("asked for", self.target_rad, MEASURED)
+        for name, y, colour in (target, ("by the twin", self.predicted_rad, MODEL)):
             figure.add_scatter(x=self.time_s, y=y, name=name, line={"color": colour}, row=1, col=1)
         if self.measured_rad is not None:
             dots = {"mode": "markers", "marker": {"size": 4, "color": TRAIN}}

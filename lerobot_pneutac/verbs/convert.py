@@ -149,9 +149,9 @@ def _convert_tables(config: ConvertConfig, show: Callable[[Understood], None]) -
             raise InputError(f"base is '{config.base}'; of a table give three mm, such as 10,20,5.")
     given = Given.load(config.mapping) if config.mapping is not None else Given()
     names = ("base_x", "base_z", "length_mm", "rate_hz", "date")
-    said = {"base_mm": base} | {name: getattr(config, name) for name in names}
-    said = {n: v for n, v in said.items() if v != Given.__dataclass_fields__[n].default}
-    given = replace(given, columns=given.columns | columns, **said)
+    options = {"base_mm": base} | {name: getattr(config, name) for name in names}
+    options = {n: v for n, v in options.items() if v != Given.__dataclass_fields__[n].default}
+    given = replace(given, columns=given.columns | columns, **options)
     understood = plain.understand_files(files, given, time=config.time)
     show(understood)
     return plain.write(understood, folder)

@@ -16,11 +16,11 @@ from lerobot_pneutac.diagnosis.hands import GRAVITY, Hands, instructions, named
 from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.diagnosis.thresholds import LITTLE_GAIN
 from lerobot_pneutac.reports.learn import design_page
-from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.reports.page import Report, difference
 from lerobot_pneutac.study.gel_press import HeldChoice, PressChoice, held_choice, press_choices
 from lerobot_pneutac.study.pair import load_bench_pair, load_pair, no_demonstrations, same_device
 from lerobot_pneutac.verbs.benches import save_choice
-from lerobot_pneutac.verbs.diagnose import Diagnosis, described, load_contenders, named_terms
+from lerobot_pneutac.verbs.diagnose import Diagnosis, described, load_candidates, named_terms
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.demonstrations.replay.reading import is_dataset
 from pneutac_datasets.recording.axes import per_chamber
@@ -145,7 +145,7 @@ def design(
     """
     if recording.device == "gel":
         raise InputError(f"{recording.folder} is of a gel; `design_press` chooses its next press.")
-    contenders = load_contenders(diagnosis)
+    contenders = load_candidates(diagnosis)
     if not contenders:
         raise InputError("The diagnosis is of demonstrations; give one of a bench recording.")
     recording = usable(recording)[0]  # no program goes beyond the supply by itself
@@ -256,10 +256,9 @@ class PressDesign(Result):
         page, images = super().page(), self.best.images
         names = [f"{100 * c.probability:.0f} % {named_terms(c)}" for c in self.contenders]
         page.image(np.concatenate(images, axis=1), f"What each model predicts: {', '.join(names)}.")
-        first = images[0].astype(float)
-        apart = [np.clip(128 + 4 * (i - first), 0, 255).astype(np.uint8) for i in images[1:]]
-        if apart:
-            page.image(np.concatenate(apart, axis=1), "The others less the first, four times exaggerated.")
+        others = [difference(image, images[0], 4.0) for image in images[1:]]
+        if others:
+            page.image(np.concatenate(others, axis=1), "The others less the first, four times exaggerated.")
         return page
 
 
@@ -275,7 +274,7 @@ def design_press(twin: Twin, recording: Recording, diagnosis: str | Path | Diagn
         InputError: the recording is of no gel, the folder holds no diagnosis, or one of a body.
     """
     same_device(twin, recording, "the twin", "design for")
-    contenders = load_contenders(diagnosis)
+    contenders = load_candidates(diagnosis)
     data = GelRecording.load(recording)
     return PressDesign(
         twin=twin,

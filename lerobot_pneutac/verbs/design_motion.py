@@ -55,12 +55,12 @@ class Motion:
 
 
 @dataclass(frozen=True, eq=False)
-class Felt:
+class Response:
     """What happened in a motion, from a second after the touch on."""
 
     force_n: np.ndarray  # (T,) on the gel
     turn_deg: np.ndarray  # (T,) of the bar in the gel's frame
-    way_mm: np.ndarray  # (T,) of the flange sideways
+    sideways_mm: np.ndarray  # (T,) of the flange sideways
 
     @property
     def time_s(self) -> np.ndarray:
@@ -69,8 +69,8 @@ class Felt:
     @property
     def turn_deg_per_mm(self) -> float:
         """Least-squares turn by the way sideways; 0 where there is none."""
-        way = self.way_mm - self.way_mm.mean()
-        return float(way @ self.turn_deg / (way @ way)) if np.ptp(way) > 1.0 else 0.0
+        path_mm = self.sideways_mm - self.sideways_mm.mean()
+        return float(path_mm @ self.turn_deg / (path_mm @ path_mm)) if np.ptp(path_mm) > 1.0 else 0.0
 
 
 def held(seconds: float, kpa: float = PRESS_KPA, velocity=(0.0, 0.0, 0.0)) -> list[np.ndarray]:
@@ -97,7 +97,7 @@ MOTIONS = (
 )
 
 
-def carried_out(world, seed: int, motion: Motion) -> Felt:
+def carried_out(world, seed: int, motion: Motion) -> Response:
     """What is felt in a motion once the finger has found the bar; raises InputError where it does not."""
     world.reset(seed)
     pressures: Callable[[float], np.ndarray] = pressures_of(world)
@@ -108,16 +108,16 @@ def carried_out(world, seed: int, motion: Motion) -> Felt:
         world.step(np.array([0.04, 0.0, up, *pressures(SEARCH_KPA)]))
     else:
         raise InputError(f"The finger does not find the bar of '{TASK}' in this world; no motion was tried.")
-    force, turn, way = [], [], []
+    force, turn, path_mm = [], [], []
     for action in motion.actions:
         world.step(np.append(action[:3], pressures(float(action[PRESSURES][0]))))
         bar = world.data.site("gel").xmat.reshape(3, 3)[1]
         force.append(world.press_n)
         turn.append((np.degrees(np.arctan2(bar[1], bar[0])) + 90) % 180 - 90)
-        way.append(1e3 * world.flange_m[1])
+        path_mm.append(1e3 * world.flange_m[1])
     after = slice(round(LEFT_OUT_S * CONTROL_HZ), None)
     smooth = uniform_filter1d(np.array(force), CHATTER)
-    return Felt(smooth[after], np.array(turn)[after], np.array(way)[after])
+    return Response(smooth[after], np.array(turn)[after], np.array(path_mm)[after])
 
 
 PLAIN, CREEP, FRICTION = "as it is", "creep", "gel friction"
@@ -135,8 +135,8 @@ class MotionChoice:
     """A motion, and how significantly it separates each change from all others."""
 
     motion: Motion
-    sure: dict[str, float]  # of each change, standard deviations from what it could pass for
-    felt: dict[str, Felt]  # of every finger, by its name, at the first place
+    significance: dict[str, float]  # of each change, standard deviations from what it could pass for
+    responses: dict[str, Response]  # of every finger, by its name, at the first place
 
 
 @dataclass(frozen=True)
@@ -153,15 +153,15 @@ class Misses:
         root = np.sqrt(episodes)
         return cls(SHAPE / root, LEVEL if known_strength else np.inf, TURN / root)
 
-    def shaped(self, a: Felt, b: Felt) -> float:
+    def shaped(self, a: Response, b: Response) -> float:
         """Difference of two fingers in the shape of the force over one motion."""
         relative = a.force_n / a.force_n.mean() - b.force_n / b.force_n.mean()
         return float(np.sqrt(np.mean(np.square(relative))) / self.shape)
 
-    def levelled(self, a: Felt, b: Felt) -> float:
+    def levelled(self, a: Response, b: Response) -> float:
         return abs(float(TYPICAL * np.log(a.force_n.mean() / b.force_n.mean()) / self.level))
 
-    def turned(self, a: Felt, b: Felt) -> float:
+    def turned(self, a: Response, b: Response) -> float:
         return abs(a.turn_deg_per_mm - b.turn_deg_per_mm) / self.turn
 
 
@@ -174,39 +174,41 @@ def motion_choices(
 ) -> list[MotionChoice]:
     """Every motion, and what it would show; drags go so many mm at so many kPa of the paper's finger."""
     motions = (*MOTIONS, *(sideways(*drag) for drag in drags))
-    felt: dict[str, list[list[Felt]]] = {}
+    responses: dict[str, list[list[Response]]] = {}
     changes, done = fingers(twin), 0
     for name, (changed, friction) in changes.items():
         world = World(TASK, changed, "none", station=station, sideways=True)
         world.variation = Variation(friction=friction)
-        felt[name] = []
+        responses[name] = []
         for motion in motions:
-            felt[name].append([carried_out(world, seed, motion) for seed in PLACES])
+            responses[name].append([carried_out(world, seed, motion) for seed in PLACES])
             done += 1
             progress("motions", done, len(changes) * len(motions))
     out = []
     for i, m in enumerate(motions):
-        here = {name: each[i] for name, each in felt.items()}
-        out.append(MotionChoice(m, _sure(misses, here), {name: each[0] for name, each in here.items()}))
+        here = {name: each[i] for name, each in responses.items()}
+        out.append(
+            MotionChoice(m, _significance(misses, here), {name: each[0] for name, each in here.items()})
+        )
     return out
 
 
 def shortest(choices: Sequence[MotionChoice], change: str) -> MotionChoice:
     """The shortest motion that significantly shows a change, else the one that shows it best."""
-    told = [c for c in choices if c.sure[change] >= T.TELLS]
-    if told:
-        return min(told, key=lambda c: c.motion.seconds)
-    return max(choices, key=lambda c: c.sure[change])
+    significant = [c for c in choices if c.significance[change] >= T.TELLS]
+    if significant:
+        return min(significant, key=lambda c: c.motion.seconds)
+    return max(choices, key=lambda c: c.significance[change])
 
 
-def _sure(misses: Misses, felt: Mapping[str, list[Felt]]) -> dict[str, float]:
-    def mean(apart: Callable[[Felt, Felt], float], a: str, b: str) -> float:
-        return float(np.mean([apart(x, y) for x, y in zip(felt[a], felt[b], strict=True)]))
+def _significance(misses: Misses, responses: Mapping[str, list[Response]]) -> dict[str, float]:
+    def mean(difference: Callable[[Response, Response], float], a: str, b: str) -> float:
+        return float(np.mean([difference(x, y) for x, y in zip(responses[a], responses[b], strict=True)]))
 
-    alike = np.hypot(mean(misses.shaped, CREEP, COMPLIANCE), mean(misses.levelled, CREEP, COMPLIANCE))
+    confusable = np.hypot(mean(misses.shaped, CREEP, COMPLIANCE), mean(misses.levelled, CREEP, COMPLIANCE))
     return {
-        CREEP: min(mean(misses.shaped, CREEP, PLAIN), float(alike)),
-        COMPLIANCE: min(mean(misses.levelled, COMPLIANCE, PLAIN), float(alike)),
+        CREEP: min(mean(misses.shaped, CREEP, PLAIN), float(confusable)),
+        COMPLIANCE: min(mean(misses.levelled, COMPLIANCE, PLAIN), float(confusable)),
         FRICTION: mean(misses.turned, FRICTION, PLAIN),
     }
 
@@ -247,29 +249,29 @@ class MotionDesign(Result):
     def chosen(self) -> dict[str, MotionChoice]:
         """For each change the shortest motion that significantly shows it; without those that none shows."""
         best = {change: shortest(self.choices, change) for change in WORDS}
-        return {change: c for change, c in best.items() if c.sure[change] >= TELLS}
+        return {change: c for change, c in best.items() if c.significance[change] >= TELLS}
 
     @property
     def sentence(self) -> str:
         motions: dict[str, list[str]] = {}
         for change, c in self.chosen.items():
             changes = motions.setdefault(f"{c.motion.name} ({c.motion.seconds:.0f} s)", [])
-            changes.append(f"{WORDS[change]} ({c.sure[change]:.1f} standard deviations)")
+            changes.append(f"{WORDS[change]} ({c.significance[change]:.1f} standard deviations)")
         if not motions:
             return (
                 "None of these motions would significantly show creep, stiffness or friction; record more "
                 "episodes."
             )
-        tell = "; ".join(f"{name}, which shows {joined(changes)}" for name, changes in motions.items())
+        listed = "; ".join(f"{name}, which shows {joined(changes)}" for name, changes in motions.items())
         count = len(self.recording.episodes)
-        return f"Record {count} episodes with the finger against the bar of '{TASK}': {tell}."
+        return f"Record {count} episodes with the finger against the bar of '{TASK}': {listed}."
 
     def rows(self) -> list[dict]:
         return [
             {
                 "motion": c.motion.name,
                 "s": f"{c.motion.seconds:.0f}",
-                **{WORDS[change]: f"{c.sure[change]:.1f}" for change in WORDS},
+                **{WORDS[change]: f"{c.significance[change]:.1f}" for change in WORDS},
             }
             for c in self.choices
         ]
@@ -286,7 +288,7 @@ class MotionDesign(Result):
             if change not in self.chosen:
                 out.append(
                     f"No motion significantly shows {WORDS[change]}: {best.motion.name} does best, by "
-                    f"{best.sure[change]:.1f} standard deviations."
+                    f"{best.significance[change]:.1f} standard deviations."
                 )
         out.append(
             f"The gel's friction is taken as {GEL_FRICTION:g}, and the finger as stiff sideways as in its "
@@ -299,7 +301,7 @@ class MotionDesign(Result):
         return super().content() | {
             "episodes": len(self.recording.episodes),
             "motions": [
-                {"name": c.motion.name, "seconds": c.motion.seconds, "standard_deviations": c.sure}
+                {"name": c.motion.name, "seconds": c.motion.seconds, "standard_deviations": c.significance}
                 for c in self.choices
             ],
             "chosen": {change: c.motion.name for change, c in self.chosen.items()},

@@ -182,8 +182,11 @@ class Diagnosis(Result):
     def remarks(self) -> list[str]:
         shown = self.warnings
         more = [f"- {len(shown) - SHOWN} more in the report (--out=DIR)"] if len(shown) > SHOWN else []
-        said = [*(f"- {escape(w)}" for w in shown[:SHOWN]), *more]
-        return [*(["[bold]Warnings[/]", *said] if said else []), f"[bold]Do next:[/] {escape(self.do_next)}"]
+        lines = [*(f"- {escape(w)}" for w in shown[:SHOWN]), *more]
+        return [
+            *(["[bold]Warnings[/]", *lines] if lines else []),
+            f"[bold]Do next:[/] {escape(self.do_next)}",
+        ]
 
     def content(self) -> dict:
         o, e, study = self.outcome, self.outcome.evidence, self.study
@@ -215,7 +218,7 @@ class Diagnosis(Result):
         candidates alone are written.
         """
         o, folder = self.outcome, Path(folder)
-        save_contenders(folder, o.contenders)
+        save_candidates(folder, o.contenders)
         if self.study.recording.device == "gel":
             return self
         for name, model in ((BEFORE, o.before), (BASELINE, o.baseline), (FOUND, o.after)):
@@ -259,19 +262,19 @@ def read_found(
     return result, (Twin.load(folder / BEFORE, calibrated=False), known, Twin.load(folder / FOUND))
 
 
-def described(contenders: Sequence[Candidate]) -> list[dict]:
-    return [{"terms": list(c.terms), "probability": c.probability} for c in contenders]
+def described(candidates: Sequence[Candidate]) -> list[dict]:
+    return [{"terms": list(c.terms), "probability": c.probability} for c in candidates]
 
 
-def save_contenders(folder: str | Path, contenders: Sequence[Candidate]) -> None:
+def save_candidates(folder: str | Path, candidates: Sequence[Candidate]) -> None:
     """Writes their twins, and last what they are."""
-    for i, c in enumerate(contenders):
+    for i, c in enumerate(candidates):
         c.twin.save(Path(folder) / "contenders" / str(i))
-    write_json(Path(folder) / FILE, described(contenders))
+    write_json(Path(folder) / FILE, described(candidates))
 
 
-def load_contenders(folder: str | Path | Diagnosis) -> list[Candidate]:
-    """Those of a diagnosis, or what `save_contenders` wrote; raises InputError where there is nothing."""
+def load_candidates(folder: str | Path | Diagnosis) -> list[Candidate]:
+    """Those of a diagnosis, or what `save_candidates` wrote; raises InputError where there is nothing."""
     if isinstance(folder, Diagnosis):
         return list(folder.outcome.contenders)
     file = Path(folder) / FILE
@@ -286,8 +289,8 @@ def load_contenders(folder: str | Path | Diagnosis) -> list[Candidate]:
     ]
 
 
-def named_terms(contender: Candidate) -> str:
-    return " + ".join(map(sentences.called, contender.terms)) or "no effect"
+def named_terms(candidate: Candidate) -> str:
+    return " + ".join(map(sentences.called, candidate.terms)) or "no effect"
 
 
 @one_thread

@@ -134,12 +134,12 @@ def _figure(name: str):
 
     t, command, without, with_it = tips(name)
     figure = go.Figure()
-    apart = np.linalg.norm(with_it - without, axis=1)
+    difference = np.linalg.norm(with_it - without, axis=1)
     for label, y, colour, axis in (
         ("command (kPa)", command, COMMAND, "y2"),
         ("deflection without (mm)", without[:, 2], BEFORE, "y"),
         ("deflection with it (mm)", with_it[:, 2], AFTER, "y"),
-        ("difference (mm)", apart, MEASURED, "y"),
+        ("difference (mm)", difference, MEASURED, "y"),
     ):
         figure.add_scatter(x=t, y=np.round(y, 4), name=label, yaxis=axis, line={"color": colour})
     return figure.update_layout(

@@ -249,18 +249,18 @@ def _docstring(twin: Twin, model: Pipeline) -> str:
     needed = _needed(model)
     left = [*of_sensor(twin.effects), *(n for n in ("command_latency_s",) if n in twin.parameters)]
     low, high = twin.pressure_range_kpa
-    judged = [
+    tested = [
         f"- version {e['version']}, {e['change']}: {e['heldout']:.4g} {e.get('unit') or ''} off "
         f"on test blocks{', of ' + str(e['recording']) if e.get('recording') else ''}"
         for e in twin.history
         if isinstance(e.get("heldout"), int | float)
     ]
-    said = [
+    paragraphs = [
         f"A pneumatic {twin.device}: pressure in, pose out. Written by `pneutac export`; needs NumPy alone.",
         report(twin).sentence,
         *(
-            ["Judged on data that it was not fitted to (root mean square):\n" + "\n".join(judged[-5:])]
-            if judged
+            ["Judged on data that it was not fitted to (root mean square):\n" + "\n".join(tested[-5:])]
+            if tested
             else []
         ),
         f"It was measured from {low:g} to {high:g} kPa; beyond these it is extrapolated.",
@@ -272,7 +272,7 @@ def _docstring(twin: Twin, model: Pipeline) -> str:
         *([f"Conditions that it needs: {', '.join(needed)}."] if needed else []),
         *([f"Not in this file: {', '.join(left)}."] if left else []),
     ]
-    return "\n\n".join(s if s.startswith("    ") else _wrapped(s) for s in said) + "\n"
+    return "\n\n".join(s if s.startswith("    ") else _wrapped(s) for s in paragraphs) + "\n"
 
 
 def _wrapped(text: str) -> str:

@@ -23,7 +23,7 @@ from lerobot_pneutac.reports.page import HELDOUT, MEASURED, MODEL, Report
 from lerobot_pneutac.study.base import ANGLES, RECORD, not_identifiable, unidentified, with_unit
 from lerobot_pneutac.study.body_base import doubt, known_causes
 from lerobot_pneutac.study.pair import fit_parts, pressure_unit_doubts
-from lerobot_pneutac.verbs.calibration import Calibration, measured_range, range_sentence
+from lerobot_pneutac.verbs.result import Calibration, measured_range, range_sentence
 from pneutac_datasets.recording.mounts import align_mounts
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import joined
@@ -194,14 +194,14 @@ class BodyCalibration(Calibration):
         noted = {k: str(p["note"]) for k, p in self.parameters.items()}
         limit = [k for k, note in noted.items() if note == LIMIT]
         unknown = [k for k, note in noted.items() if note.startswith("not identifiable")]
-        said = []
+        notes = []
         if limit:
-            said.append(f"At the limit of its allowed range: {joined(limit)}. Something may be missing.")
+            notes.append(f"At the limit of its allowed range: {joined(limit)}. Something may be missing.")
         if unknown:
-            said.append(f"Not identifiable from this recording: {joined(unknown)}.")
+            notes.append(f"Not identifiable from this recording: {joined(unknown)}.")
         if NO_LOAD in self.compliance:
-            said.append(self.compliance)
-        return [*self._causes(), *said[:1]]
+            notes.append(self.compliance)
+        return [*self._causes(), *notes[:1]]
 
     def rows(self) -> list[dict]:
         return []  # the sentence has the errors, the report the parameters
@@ -248,10 +248,10 @@ def calibrate_body(
     recording, findings, train, heldout = fit_parts(twin, recording, seed)
     recording, moved = align_mounts(recording, twin.length_mm, train)
     bench, command = (BodyData.of(recording, twin, source=s) for s in ("auto", "command"))
-    told = fit_compliance(twin, recording, train, seed)
-    fits = _fit_stages(told.twin, recording, bench, train, seed, progress)
-    judge = _Judge(command, recording, heldout, seed) if heldout.any() else None
-    fits, plain, causes, doubts = _with_known_causes(fits, recording, bench, train, judge, seed, progress)
+    loads = fit_compliance(twin, recording, train, seed)
+    fits = _fit_stages(loads.twin, recording, bench, train, seed, progress)
+    test = _HeldOutTest(command, recording, heldout, seed) if heldout.any() else None
+    fits, plain, causes, doubts = _with_known_causes(fits, recording, bench, train, test, seed, progress)
     after = replace(fits[-1].twin, fitted_to={"change": "calibrated", "recording": folder, "seed": seed})
 
     def error(model: Twin, mask: np.ndarray) -> float | None:
@@ -259,10 +259,10 @@ def calibrate_body(
 
     return BodyCalibration(
         twin=after,
-        parameters=parameters(after, fits, bench) | told.parameters,
+        parameters=parameters(after, fits, bench) | loads.parameters,
         error={"train": error(after, train), "heldout": error(after, heldout)},
         unit=bench.unit,
-        evaluations=told.evaluations + sum(f.evaluations for f in fits),
+        evaluations=loads.evaluations + sum(f.evaluations for f in fits),
         seconds=time.perf_counter() - began,
         recording=folder,
         change="calibrated",
@@ -274,11 +274,11 @@ def calibrate_body(
         before=error(twin, heldout),
         without_causes=error(plain, heldout),
         causes=causes,
-        compliance=told.remark,
+        compliance=loads.remark,
     )
 
 
-class _Judge:
+class _HeldOutTest:
     """Held-out errors from the command, and whether their fall is significant."""
 
     def __init__(self, command: BodyData, recording: Recording, heldout: np.ndarray, seed: int):
@@ -306,7 +306,7 @@ def _with_known_causes(
     recording: Recording,
     bench: BodyData,
     train: np.ndarray,
-    judge: _Judge | None,
+    test: _HeldOutTest | None,
     seed: int,
     progress,
 ) -> tuple[list[PipelineFit], Twin, list[Contribution], list[str]]:
@@ -321,15 +321,15 @@ def _with_known_causes(
     def fitted(twin: Twin, effects: list[str]) -> PipelineFit:
         return fit(twin, bench, [*plain.effects, *effects], train, starts=1, seed=seed)
 
-    if not names or judge is None:
+    if not names or test is None:
         return fits, plain, [], []
     progress("fitting known causes", 0, 1 + len(names))
     now = fit(plain, bench, [*plain.effects, *names], train, seed=seed)
-    squared, lost, doubts = judge.squared(now.twin), {}, {}
+    squared, lost, doubts = test.squared(now.twin), {}, {}
     while names:
         without = {c: fitted(now.twin.without(c), [n for n in names if n != c]) for c in names}
-        lost = {c: judge.squared(f.twin) for c, f in without.items()}
-        goes = [c for c in names if judge.idle(now.twin, c) or not judge.needs(lost[c], squared)]
+        lost = {c: test.squared(f.twin) for c, f in without.items()}
+        goes = [c for c in names if test.idle(now.twin, c) or not test.needs(lost[c], squared)]
         if not goes:
             doubts |= {c: d for c in names if (d := _doubt(c, recording, bench, now, lost[c], squared))}
             goes = [c for c in names if c in doubts]
@@ -340,9 +340,9 @@ def _with_known_causes(
         now, squared = without[weakest], lost[weakest]
         progress("fitting known causes", 1, 1 + len(names))
     sentences = [d for c, d in doubts.items() if c not in names]
-    if not names or not judge.needs(judge.squared(plain), squared):
+    if not names or not test.needs(test.squared(plain), squared):
         return fits, plain, [], sentences
-    value, drop = judge.held.value, judge.held.drop
+    value, drop = test.held.value, test.held.drop
     error = float(np.sqrt(value(squared)))
     causes = [
         Contribution(c, True, float(np.sqrt(value(lost[c]))), error, drop(lost[c], squared)) for c in names

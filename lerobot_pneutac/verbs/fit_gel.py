@@ -7,14 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from PIL import Image
 
-from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.reports.page import Report, difference, side_by_side
 from lerobot_pneutac.study.gel import UNHELD
 from lerobot_pneutac.study.gel_model import at_bound, kept, predict
 from lerobot_pneutac.study.gel_modulus import Modulus, Pasted, keep_modulus, modulus_sentence
-from lerobot_pneutac.verbs.calibration import Calibration
-from lerobot_pneutac.verbs.result import rms_of
+from lerobot_pneutac.verbs.result import Calibration, rms_of
 from pneutac_datasets.recording.gel import GelRecording, GelSample, pair_faults
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect, of_sensor, sensor_effects
@@ -34,11 +32,11 @@ if TYPE_CHECKING:
     from pneutac_sim.mpm.devices import PressedGel  # which starts a compiler
 
 EFFECTS, STANDARD = "effects", "standard"  # in the history of a twin whose effects nobody chose
-OURS, PASTED, REST = "this model", "difference pasted", "rest image"
+OURS, BASELINE, REST = "this model", "difference pasted", "rest image"
 # A press is poor above this share of the rest image's error, and this many times the median share.
 LEAST_PRESSES, POOR_SHARE, POOR_TIMES = 4, 0.8, 1.6
 ENOUGH_LEVELS = ERROR_LEVELS / 4  # uncertainty besides the model's own error, which no press removes
-PICTURES = 6  # held-out images in the picture grid
+PICTURES, PICTURE_PX = 6, 213  # held-out images in the picture grid, and the height of each
 MPM = "this model, material points"  # light and all predictions on their surfaces
 
 
@@ -84,7 +82,7 @@ class GelCalibration(Calibration):
         for role in sorted({s.role for s in samples}, key=lambda r: (r == "calibration", r)):
             picked = [i for i, s in enumerate(samples) if s.role == role]
             for name, each in self.scores.items():
-                if name == PASTED and role == "calibration":
+                if name == BASELINE and role == "calibration":
                     continue  # it equals the very difference that is pasted
                 m = ImageScores.mean([each[i] for i in picked])
                 row = {"images": f"{role or 'others'} ({len(picked)})", "method": name}
@@ -255,18 +253,13 @@ def picture_grid(data: GelRecording, ours: list[np.ndarray], first: GelSample) -
     """Rows recorded, ours, error (grey is none, four times exaggerated); columns rest, first, held-out."""
     heldout = data.heldout
     spaced = np.linspace(0, len(heldout) - 1, PICTURES).astype(int)
-    picks = [heldout[i] for i in np.unique(spaced)] if heldout else []
-    columns = [_column(data.rest, data.rest)]
-    columns += [_column(data.samples[i].image, ours[i]) for i in [data.samples.index(first), *picks]]
-    return np.concatenate(columns, axis=1)
-
-
-def _column(recorded: np.ndarray, ours: np.ndarray) -> np.ndarray:
-    error = np.clip(128 + 4.0 * (ours.astype(float) - recorded), 0, 255).astype(np.uint8)
-    size = (round(160 * recorded.shape[1] / recorded.shape[0] * 4 / 3), round(160 * 4 / 3))
-    small = [Image.fromarray(a).resize(size, Image.Resampling.BOX) for a in (recorded, ours, error)]
-    gaps = ((0, 4), (0, 4), (0, 0))  # below and to the right
-    return np.concatenate([np.pad(a, gaps, constant_values=255) for a in small])
+    picks = [data.samples.index(first), *(heldout[i] for i in np.unique(spaced) if heldout)]
+    recorded = [data.rest, *(data.samples[i].image for i in picks)]
+    model = [data.rest, *(ours[i] for i in picks)]
+    errors = [difference(a, b, 4.0) for a, b in zip(model, recorded, strict=True)]
+    rows = [side_by_side(row, height=PICTURE_PX) for row in (recorded, model, errors)]
+    gap = ((0, 4), (0, 0), (0, 0))  # below each row
+    return np.concatenate([np.pad(row, gap, constant_values=255) for row in rows])
 
 
 def calibrate_gel(
@@ -371,10 +364,10 @@ def _material_points(twin: Twin, data: GelRecording, effects: Sequence[str] | No
 def render(gel: GelModel, data: GelRecording) -> dict[str, list[np.ndarray]]:
     """Predictions of every sample by the model and by the two rows that keep one honest."""
     c = data.calibration
-    pasted = Pasted.fit(Pair(c.rest, c.image, c.press, data.px_per_mm))
+    baseline = Pasted.fit(Pair(c.rest, c.image, c.press, data.px_per_mm))
     return {
         OURS: predict(gel, data),
-        PASTED: [pasted.image(s.press) for s in data.samples],
+        BASELINE: [baseline.image(s.press) for s in data.samples],
         REST: [s.rest for s in data.samples],
     }
 

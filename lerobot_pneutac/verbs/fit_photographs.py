@@ -11,7 +11,7 @@ import numpy as np
 from lerobot_pneutac.rendering.body import strip
 from lerobot_pneutac.reports.page import AFTER, OTHER, Report
 from lerobot_pneutac.study.photographs import PhotoStudy, photo_study
-from lerobot_pneutac.verbs.calibration import Calibration
+from lerobot_pneutac.verbs.result import Calibration
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.files import write_image
 from pneutac_sim.finger.fit import BY_IMAGES
@@ -170,8 +170,8 @@ def calibrate_photographs(
     found = search(
         objective, fitted, start, count, seed=seed, record=SearchRecord(file, key), progress=report
     )
-    sure, everywhere = confidence(objective, found.x), bodies(found.x, study.pressures)
-    new = fitted.twin_at(found.x, sure.ci95)
+    posterior, everywhere = confidence(objective, found.x), bodies(found.x, study.pressures)
+    new = fitted.twin_at(found.x, posterior.ci95)
     looks_into_twin(new, _looks(rest, everywhere, rest.state, DETAIL))
     whole = Objective(everywhere, study.photographs, looks)
     scores, tip_error_mm = whole.scores(everywhere.first), None
@@ -179,7 +179,7 @@ def calibrate_photographs(
         tip_error_mm = np.linalg.norm(1e3 * everywhere.first.tips[0] - study.markers_mm, axis=1)
     return PhotoCalibration(
         twin=new,
-        parameters=_rows(fitted, found, sure),
+        parameters=_rows(fitted, found, posterior),
         error=_parts(study, scores.rmse[0]),
         unit=PhotoStudy.unit,
         evaluations=len(found.objectives),
@@ -192,7 +192,7 @@ def calibrate_photographs(
         study=study,
         start=start,
         search=found,
-        confidence=sure,
+        confidence=posterior,
         objective=whole,
         bodies=everywhere.first,
         scores=scores,
@@ -200,12 +200,12 @@ def calibrate_photographs(
     )
 
 
-def _rows(fitted: BodyParameters, found: Search, sure: Posterior) -> dict[str, dict]:
+def _rows(fitted: BodyParameters, found: Search, posterior: Posterior) -> dict[str, dict]:
     rows = {}
     for name, unit, value in zip(fitted.names, fitted.units, fitted.values(found.x), strict=True):
-        unclear = name in sure.not_identified
+        unclear = name in posterior.not_identified
         note = "not identified: open by more than a tenth of its range" if unclear else ""
-        rows[name] = {"value": float(value), "ci95": list(sure.ci95[name]), "unit": unit, "note": note}
+        rows[name] = {"value": float(value), "ci95": list(posterior.ci95[name]), "unit": unit, "note": note}
     return rows
 
 

@@ -17,7 +17,7 @@ from lerobot_pneutac.diagnosis.hands import GRAVITY, Hands, instructions, named
 from lerobot_pneutac.diagnosis.programs import first_program
 from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.diagnosis.thresholds import NOISE
-from lerobot_pneutac.reports.learn import FORESEEN, learn_page
+from lerobot_pneutac.reports.learn import PREDICTED, learn_page
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import called
 from lerobot_pneutac.study.pair import same_body, same_chambers, same_length
@@ -29,7 +29,7 @@ from lerobot_pneutac.verbs.benches import (
     make_bench,
     save_choice,
 )
-from lerobot_pneutac.verbs.diagnose import Diagnosis, diagnose, load_contenders
+from lerobot_pneutac.verbs.diagnose import Diagnosis, diagnose, load_candidates
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.recording import Recording, joined
 from pneutac_datasets.recording.wording import joined as listed
@@ -165,8 +165,8 @@ class Learning(Result):
                 f" The last program was predicted to {r.predicted_error:.3g} {r.unit} before it was used "
                 f"({r.predicted_error / r.noise:.2g} times the noise)."
             )
-        if sure := [n for e, n in names.items() if e in r.confirmed_by]:
-            text += f" Confirmed, by a program of another kind that needed it: {', '.join(sure)}."
+        if proven := [n for e, n in names.items() if e in r.confirmed_by]:
+            text += f" Confirmed, by a program of another kind that needed it: {', '.join(proven)}."
         if r.unconfirmed:
             text += f" Not confirmed: {', '.join(names[e] for e in r.unconfirmed)}."
         return f"{text} It ended because {self.ended}."
@@ -228,25 +228,25 @@ def paths(twin: Twin, recording: Recording, rows: slice) -> tuple[np.ndarray, np
     return seen, measured, tuple(data.columns[: data.counted])
 
 
-def not_as_asked(
+def unlike_request(
     twin: Twin,
     recording: Recording,
     rows: slice,
     usual: Mapping[str, float],
-    asked: Mapping[str, float],
+    requested: Mapping[str, float],
     ask_below: float,
 ) -> str:
     """What the finger looks like instead of what was asked for, a sentence; empty where it agrees.
 
     An error up to `ask_below` agrees. A twin that was not fitted to such a change does not decide.
     """
-    told = error_of(twin, recording, rows)
-    if told <= ask_below:
+    error = error_of(twin, recording, rows)
+    if error <= ask_below:
         return ""
     others: dict[str, dict[str, float]] = {}
-    if "gravity" in twin.effects and any(usual.get(g) != asked.get(g) for g in GRAVITY):
+    if "gravity" in twin.effects and any(usual.get(g) != requested.get(g) for g in GRAVITY):
         others["the base had not been turned"] = {g: usual[g] for g in GRAVITY}
-    weight = asked.get("payload_g", 0.0)
+    weight = requested.get("payload_g", 0.0)
     if "payload" in twin.effects and weight:
         others |= {f"{s * weight:.0f} g hung at its tip": {"payload_g": s * weight} for s in SHARES}
     errors = {}
@@ -256,7 +256,7 @@ def not_as_asked(
             samples.loc[samples.index[rows], name] = value
         errors[text] = error_of(twin, replace(recording, samples=samples), rows)
     best = min(errors, key=lambda k: errors[k], default="")
-    return f"The finger moved as if {best}." if best and errors[best] < CLEARLY * told else ""
+    return f"The finger moved as if {best}." if best and errors[best] < CLEARLY * error else ""
 
 
 NEEDED = 1.2  # a law is confirmed if the best model without it predicted at least this factor worse
@@ -338,8 +338,8 @@ class Rounds:
         return self._out / f"round_{number}"
 
     @property
-    def _contenders(self) -> list[Candidate]:
-        return load_contenders(self._folder(self.done[-1].number) / "diagnosis")
+    def _candidates(self) -> list[Candidate]:
+        return load_candidates(self._folder(self.done[-1].number) / "diagnosis")
 
     def next(self, limits: Limits) -> tuple[Choice | None, str]:
         """The next program, and why there is none; an empty reason where there is one."""
@@ -376,17 +376,17 @@ class Rounds:
 
     def _rivals(self) -> list[Candidate]:
         """The candidates; one without each law that is not confirmed is at least as likely as `DOUBT`."""
-        contenders = self._contenders
-        best = contenders[0]
+        candidates = self._candidates
+        best = candidates[0]
         for e in (e for e in self.done[-1].unconfirmed if e in best.terms):
-            lacking = [i for i, c in enumerate(contenders[:-1]) if family(e) not in _families(c)]
+            lacking = [i for i, c in enumerate(candidates[:-1]) if family(e) not in _families(c)]
             if not lacking:
                 rest = tuple(t for t in best.terms if t != e)
-                contenders.insert(-1, Candidate(best.twin.without(e), rest, DOUBT))
+                candidates.insert(-1, Candidate(best.twin.without(e), rest, DOUBT))
                 continue
-            likely = max(lacking, key=lambda i: contenders[i].probability)
-            contenders[likely].probability = max(contenders[likely].probability, DOUBT)
-        return contenders
+            likely = max(lacking, key=lambda i: candidates[i].probability)
+            candidates[likely].probability = max(candidates[likely].probability, DOUBT)
+        return candidates
 
     def _known(self) -> str:
         last, two = self.done[-1], self.done[-2:]
@@ -407,13 +407,13 @@ class Rounds:
         recording = same_body(self._base, Recording.load(folder / "recording"), "learn")
         everything = self._joined((recording, entry["pause_s"]))
         newest = slice(len(everything) - len(recording), None)
-        foreseen = self._foreseen(everything, newest)
+        predicted_ahead = self._predicted_ahead(everything, newest)
         if self.done:
-            self._keep_paths(folder / FORESEEN, everything, newest)
+            self._write_paths(folder / PREDICTED, everything, newest)
         found = diagnose(self._base, everything, **self._how)
         found.save(folder / "diagnosis")
         self._recordings.append(recording)
-        r = self._judged(entry, found, foreseen)
+        r = self._round_of(entry, found, predicted_ahead)
         names = ", ".join(r.selected) or "nothing"
         history, given = (Twin.load(self._out / name).history for name in ("twin", "given"))
         errors = {k: found.after[k] for k in ("train", "heldout")} | {"unit": r.unit}
@@ -450,12 +450,12 @@ class Rounds:
         recording = same_body(self._base, Recording.load(folder / "recording"), "learn")
         everything = self._joined((recording, self._bench.pause_s))
         rows = slice(len(everything) - len(recording), None)
-        best, noise = self._contenders[0].twin, self.done[-1].noise
-        usual, asked = self._hands.usual, choice.conditions
-        return not_as_asked(best, everything, rows, usual, asked, CONFIRMS * noise)
+        best, noise = self._candidates[0].twin, self.done[-1].noise
+        usual, requested = self._hands.usual, choice.conditions
+        return unlike_request(best, everything, rows, usual, requested, CONFIRMS * noise)
 
-    def _keep_paths(self, file: Path, everything: Recording, rows: slice) -> None:
-        seen, measured, names = paths(self._contenders[0].twin, everything, rows)
+    def _write_paths(self, file: Path, everything: Recording, rows: slice) -> None:
+        seen, measured, names = paths(self._candidates[0].twin, everything, rows)
         entry = ["time_s", *everything.pressure_columns]
         table = everything.samples.iloc[rows][entry].reset_index(drop=True)
         for i, name in enumerate(names):
@@ -463,37 +463,39 @@ class Rounds:
         with whole(file) as part:
             table.to_csv(part, index=False, float_format="%.6g")
 
-    def _foreseen(self, everything: Recording, rows: slice) -> dict:
+    def _predicted_ahead(self, everything: Recording, rows: slice) -> dict:
         if not self.done:
             return {"predicted_error": None, "bare_error": None, "without": {}}
-        contenders = self._contenders
-        best, terms = contenders[0].twin, contenders[0].terms
-        errors = [error_of(c.twin, everything, rows) for c in contenders]
+        candidates = self._candidates
+        best, terms = candidates[0].twin, candidates[0].terms
+        errors = [error_of(c.twin, everything, rows) for c in candidates]
 
         def lacking(effect: str) -> float:
             """The least error without the effect's kind of physics, of it dropped or of another candidate."""
             dropped = error_of(best.without(effect), everything, rows, favour=True)
-            pairs = zip(errors, contenders, strict=True)
+            pairs = zip(errors, candidates, strict=True)
             return min(dropped, *(error for error, c in pairs if family(effect) not in _families(c)))
 
         without = {e: lacking(e) for e in terms}
         return {"predicted_error": errors[0], "bare_error": errors[-1], "without": without}
 
-    def _judged(self, entry: dict, found: Diagnosis, foreseen: dict) -> Round:
-        noise, needed_by, sure = found.study.noise.needed(found.study.recording.folder), {}, set()
+    def _round_of(self, entry: dict, found: Diagnosis, predicted_ahead: dict) -> Round:
+        noise = found.study.noise.needed(found.study.recording.folder)
+        needed_by, proven = {}, set()
         if self.done:
             needed_by = {family(e): k for e, k in self.done[-1].needed_by.items()}
-            sure = {family(e) for e in self.done[-1].confirmed_by}
-            error, another = foreseen["predicted_error"], entry["kind"] not in {r.kind for r in self.done}
+            proven = {family(e) for e in self.done[-1].confirmed_by}
+            error = predicted_ahead["predicted_error"]
+            another = entry["kind"] not in {r.kind for r in self.done}
             if another and error <= CONFIRMS * noise:
-                needed = [e for e, worse in foreseen["without"].items() if worse > NEEDED * error]
+                needed = [e for e, worse in predicted_ahead["without"].items() if worse > NEEDED * error]
                 needed_by = {family(e): len(self.done) for e in needed} | needed_by
         r = Round(
             number=len(self.done),
             **entry,
             unit=found.study.unit,
             noise=noise,
-            **foreseen,
+            **predicted_ahead,
             error=found.after["heldout"],
             verdict=found.verdict,
             selected=list(found.selected),
@@ -504,12 +506,12 @@ class Rounds:
         )
         if r.refutes:
             return replace(r, needed_by={}, confirmed_by={})
-        confirmed = {e: k for e, k in r.needed_by.items() if r.suffices or family(e) in sure}
+        confirmed = {e: k for e, k in r.needed_by.items() if r.suffices or family(e) in proven}
         return replace(r, confirmed_by=confirmed)
 
 
-def _families(contender: Candidate) -> set[str]:
-    return {family(e) for e in contender.terms}
+def _families(candidate: Candidate) -> set[str]:
+    return {family(e) for e in candidate.terms}
 
 
 def _body(twin: Twin) -> tuple:
@@ -567,10 +569,10 @@ def command(cfg: LearnConfig, terminal: Terminal) -> None:
 
     hands = Hands.of(named(cfg.hands), usual, cfg.payload_g, cfg.warm_c, ask)
 
-    def tell(r: Round) -> None:
-        foreseen = "" if r.predicted_error is None else f", predicted to {r.predicted_error:.3g}"
+    def show_round(r: Round) -> None:
+        predicted = "" if r.predicted_error is None else f", predicted to {r.predicted_error:.3g}"
         terminal.console.print(
-            f"round {r.number}, {r.program} ({r.seconds:.0f} s){foreseen}: {r.error:.3g} {r.unit} (noise "
+            f"round {r.number}, {r.program} ({r.seconds:.0f} s){predicted}: {r.error:.3g} {r.unit} (noise "
             f"{r.noise:.3g}) with {', '.join(r.selected) or 'nothing'}, {r.verdict}",
             highlight=False,
         )
@@ -579,7 +581,7 @@ def command(cfg: LearnConfig, terminal: Terminal) -> None:
         with terminal.progress() as progress:
             result = learn(
                 twin, bench, cfg.out, budget_s=60 * cfg.budget_min, program_s=cfg.program_s, seed=cfg.seed,
-                jobs=cfg.jobs, hands=hands, progress=progress, on_round=tell,
+                jobs=cfg.jobs, hands=hands, progress=progress, on_round=show_round,
             )  # fmt: skip
     except HardwareFault as e:
         raise InputError(f"{e} Finished rounds are stored; the same command continues after them.") from e

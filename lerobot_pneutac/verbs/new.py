@@ -12,7 +12,7 @@ from rich.markup import escape
 
 from lerobot_pneutac.cli.options import TableOptions
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.verbs.calibration import measured_range, range_sentence
+from lerobot_pneutac.verbs.result import measured_range, range_sentence
 from pneutac_datasets.demonstrations.info import is_demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import an

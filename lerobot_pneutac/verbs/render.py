@@ -4,19 +4,22 @@ import json
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
 
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.rendering.options import FPS, RenderConfig, filled
-from lerobot_pneutac.rendering.particles import Film
 from lerobot_pneutac.reports.page import Report, write_result
 from lerobot_pneutac.verbs.result import Result, about
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import write_image
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
+
+if TYPE_CHECKING:
+    from lerobot_pneutac.rendering.body import Film  # which starts a compiler
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ def render(twin: Twin, config: RenderConfig, progress: Progress = no_progress) -
     return draw_film(make_film(twin, filled(config, twin)), config.out, progress)
 
 
-def make_film(twin: Twin, config: RenderConfig) -> Film:
+def make_film(twin: Twin, config: RenderConfig) -> "Film":
     if twin.device == "gel":
         from lerobot_pneutac.rendering.body import gel_film as film_of
     else:
@@ -49,7 +52,7 @@ def make_film(twin: Twin, config: RenderConfig) -> Film:
     return film_of(twin, config)._replace(about=about(twin, config.recording or ""))
 
 
-def draw_film(film: Film, out: Path, progress: Progress = no_progress) -> RenderedFilm:
+def draw_film(film: "Film", out: Path, progress: Progress = no_progress) -> RenderedFilm:
     """Draws frames; if interrupted, what is finished is shown."""
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
@@ -72,7 +75,7 @@ def draw_film(film: Film, out: Path, progress: Progress = no_progress) -> Render
     return result
 
 
-def _write(film: Film, pictures: list[np.ndarray], result: RenderedFilm, out: Path) -> None:
+def _write(film: "Film", pictures: list[np.ndarray], result: RenderedFilm, out: Path) -> None:
     if pictures:
         from lerobot.utils.io_utils import write_video
 

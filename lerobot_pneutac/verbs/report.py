@@ -27,17 +27,17 @@ class TwinReport(Result):
     def sentence(self) -> str:
         twin = self.twin
         effects = ", ".join(twin.effects) or "no effects"
-        judged = [e for e in twin.history if e.get("heldout") is not None]
-        said = f"A twin of a {twin.device}"
-        said += "" if twin.device == "gel" else f", {twin.length_mm:g} mm long"
-        said += (
+        tested = [e for e in twin.history if e.get("heldout") is not None]
+        text = f"A twin of a {twin.device}"
+        text += "" if twin.device == "gel" else f", {twin.length_mm:g} mm long"
+        text += (
             f", with {effects}, in version {len(twin.history) - 1}" if twin.history else f", with {effects}"
         )
-        if not judged:
-            return f"{said}; it was never tested on data that it had not seen."
-        last = judged[-1]
+        if not tested:
+            return f"{text}; it was never tested on data that it had not seen."
+        last = tested[-1]
         error = f"{last['heldout']:.3g} {last.get('unit') or ''}".strip()
-        return f"{said}; where it was not fitted it was {error} off when last tested."
+        return f"{text}; where it was not fitted it was {error} off when last tested."
 
     def rows(self) -> list[dict]:
         names = ("version", "change", "train", "heldout", "unit", "recording")

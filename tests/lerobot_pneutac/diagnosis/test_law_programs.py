@@ -8,7 +8,7 @@ import pytest
 
 from lerobot_pneutac.diagnosis.experiment import predict, separations
 from lerobot_pneutac.diagnosis.law_programs import law_program
-from lerobot_pneutac.measuring.programs import read_program
+from lerobot_pneutac.verbs.measure import read_program
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.laws import TABLE, law, starts
 from pneutac_sim.finger import BodyData, fit

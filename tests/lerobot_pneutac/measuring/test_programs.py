@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from lerobot_pneutac.diagnosis.programs import menu
-from lerobot_pneutac.measuring.programs import program_chambers, read_program
+from lerobot_pneutac.verbs.measure import program_chambers, read_program
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 

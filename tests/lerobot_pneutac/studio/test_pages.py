@@ -54,7 +54,7 @@ def test_every_effect_bends_the_finger_or_leaves_it_and_none_breaks_the_page(ope
         assert np.isfinite(page.step(0.1).markers).all(), row.effect.name
         row._box.value = False
     page._rebuild()
-    assert studio.said.content == "" and page.step(0.1).bend_deg > 40
+    assert studio.message.content == "" and page.step(0.1).bend_deg > 40
 
 
 def test_a_load_whose_effect_is_off_is_told(opened, tmp_path):
@@ -62,7 +62,7 @@ def test_a_load_whose_effect_is_off_is_told(opened, tmp_path):
     page = studio.pages["Device"]
     page._payload.value = 100.0
     studio.safely(page._surroundings)()
-    assert "`payload`, which is off" in studio.said.content
+    assert "`payload`, which is off" in studio.message.content
 
 
 def arm(recording: Path, folder: Path) -> Path:
@@ -100,13 +100,13 @@ def test_what_the_bench_measures_is_weighed_from_then_on_and_only_the_button_wri
     studio = opened(arm(recording, tmp_path / "arm"), recording, "", "", Bench())
     before, panel = studio.session.recording, studio.pages["Find it"].experiment
     studio.safely(panel.drive)()
-    assert "Choose a program first" in studio.said.content
+    assert "Choose a program first" in studio.message.content
     program = SimpleNamespace(name="steps", seconds=2.0, kind="steps", conditions={})
     program.time_s, program.pressure_kpa = np.array([0.0, 1.0]), np.array([0.0, 5.0])
     panel._design, panel._out.value = SimpleNamespace(best=program), str(tmp_path / "next")
     assert not (tmp_path / "next").exists()
     panel.drive()
-    until(lambda: "weighed with the recording" in studio.said.content)
+    until(lambda: "weighed with the recording" in studio.message.content)
     both = studio.session.recording
     assert (
         len(both) == 2 * len(before)
@@ -117,7 +117,7 @@ def test_what_the_bench_measures_is_weighed_from_then_on_and_only_the_button_wri
     assert "and 1 measured here" in studio.title.content
     until(lambda: not studio.session.working)
     studio.safely(panel.drive)()
-    assert "is not empty; give a new one" in studio.said.content
+    assert "is not empty; give a new one" in studio.message.content
 
 
 @pytest.mark.slow

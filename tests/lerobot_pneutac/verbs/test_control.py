@@ -8,7 +8,7 @@ import pytest
 from verbs import verb
 
 from lerobot_pneutac import Recording, Twin, control
-from lerobot_pneutac.measuring.programs import read_program
+from lerobot_pneutac.verbs.measure import read_program
 from pneutac_datasets.generate.standin import write_program
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Value

@@ -14,8 +14,8 @@ from lerobot_pneutac.verbs.design_motion import (
     FRICTION,
     PLAIN,
     PRESS,
-    Felt,
     Misses,
+    Response,
     World,
     carried_out,
     fingers,
@@ -28,7 +28,7 @@ DEMOS = Path(__file__).parents[2] / "golden" / "recordings" / "demos"
 
 def felt(force, turn=0.0):
     way = np.linspace(-6.0, 6.0, 50)
-    return Felt(np.asarray(force, float), turn * way, way)
+    return Response(np.asarray(force, float), turn * way, way)
 
 
 def test_a_level_tells_only_where_one_is_known_and_more_episodes_tell_shapes_better():

@@ -10,7 +10,7 @@ from verbs import refused, verb
 
 from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.study.gel_press import held_choice
-from lerobot_pneutac.verbs.diagnose import save_contenders
+from lerobot_pneutac.verbs.diagnose import save_candidates
 from pneutac_datasets.generate.gel import write_gel_recording
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
@@ -43,13 +43,13 @@ def models(recording):
 
 
 def test_models_that_predict_the_same_are_told_apart_by_none(recording, models, tmp_path, capsys):
-    save_contenders(tmp_path / "same", [models[0], Candidate(models[0].twin, (), 0.4)])
+    save_candidates(tmp_path / "same", [models[0], Candidate(models[0].twin, (), 0.4)])
     twin = models[1].twin.save(tmp_path / "twin")
     common = [f"--twin={twin}", f"--recording={recording.folder}"]
     verb("design", *common, f"--diagnosis={tmp_path / 'same'}")
     assert "No press of these indenters would distinguish" in " ".join(capsys.readouterr().out.split())
 
-    save_contenders(tmp_path / "apart", models)
+    save_candidates(tmp_path / "apart", models)
     verb("design", *common, f"--diagnosis={tmp_path / 'apart'}", f"--out={tmp_path / 'out'}")
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert not result["tells_little"] and [c["terms"] for c in result["contenders"]] == [["shadow"], []]
@@ -87,7 +87,7 @@ def test_two_presses_are_asked_for_where_creep_is_in_question(recording, models,
     faint.into_twin(twin := Twin("gel", 16.0))
     small = held_choice(data, [Candidate(twin, ("gel_creep",), 0.5), made[1]])
     assert not small.seen and "too little to see" in small.sentence
-    save_contenders(tmp_path / "creep", made)
+    save_candidates(tmp_path / "creep", made)
     given = [f"--twin={made[1].twin.save(tmp_path / 'twin')}", f"--recording={recording.folder}"]
     verb("design", *given, f"--diagnosis={tmp_path / 'creep'}", f"--out={tmp_path / 'out'}")
     assert "for 60 s and lift it" in " ".join(capsys.readouterr().out.split())

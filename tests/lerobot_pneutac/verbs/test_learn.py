@@ -17,8 +17,8 @@ from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.hands import Hands
 from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.verbs.benches import StandinBench, make_bench, save_program
-from lerobot_pneutac.verbs.diagnose import load_contenders, save_contenders
-from lerobot_pneutac.verbs.learn import Rounds, not_as_asked
+from lerobot_pneutac.verbs.diagnose import load_candidates, save_candidates
+from lerobot_pneutac.verbs.learn import Rounds, unlike_request
 from lerobot_robot_pneutac.hardware.pneutac_serial import PneutacExchange
 from lerobot_robot_pneutac.hardware.serial_pressure import Command
 from lerobot_robot_pneutac.standin.finger import new_rod
@@ -160,9 +160,9 @@ def test_a_law_is_not_confirmed_by_what_another_model_without_it_foresaw_as_well
     out, last = shutil.copytree(learnt.folder, tmp_path / "out"), learnt.last
     (out / f"round_{last.number}" / "round.json").unlink()
     before = out / f"round_{last.number - 1}" / "diagnosis"
-    best, *others = load_contenders(before)
+    best, *others = load_candidates(before)
     rival = Candidate(best.twin, ("another_effect",), 0.01)
-    save_contenders(before, [best, rival, *others])
+    save_candidates(before, [best, rival, *others])
     again = Rounds(out, Twin.builtin(), Mirror(), 0, 1, None).drive(None)  # what was measured is kept
     assert again.predicted_error == last.predicted_error and last.confirmed_by
     assert not again.confirmed_by and again.unconfirmed == again.selected
@@ -184,7 +184,7 @@ def test_a_law_stays_confirmed_until_a_program_contradicts_it(learnt, foreseen, 
         outcome=SimpleNamespace(contenders=(), likely_right=None),
     )  # fmt: skip
     seen = {"predicted_error": foreseen * last.noise, "bare_error": 9.0, "without": {}}
-    assert last.confirmed_by and bool(rounds._judged(told, found, seen).confirmed_by) == stays
+    assert last.confirmed_by and bool(rounds._round_of(told, found, seen).confirmed_by) == stays
 
 
 @pytest.mark.slow
@@ -373,8 +373,8 @@ def test_what_hangs_there_is_seen_in_how_the_finger_moves(tmp_path, hung, asked,
         recordings[1].samples[name] = value
     rows = slice(len(time_s), None)
     given = (joined(recordings, [None, None]), rows, usual, usual | asked, 0.5)
-    assert not_as_asked(bench.device, *given) == sentence
-    assert not_as_asked(Twin.builtin(), *given) == ""  # which has not seen such a change
+    assert unlike_request(bench.device, *given) == sentence
+    assert unlike_request(Twin.builtin(), *given) == ""  # which has not seen such a change
 
 
 @pytest.mark.parametrize(

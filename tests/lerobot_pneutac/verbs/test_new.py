@@ -9,8 +9,8 @@ import pytest
 import trimesh
 from verbs import refused, verb
 
-from lerobot_pneutac.verbs.calibration import measured_range
 from lerobot_pneutac.verbs.new import new_twin
+from lerobot_pneutac.verbs.result import measured_range
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Pipeline

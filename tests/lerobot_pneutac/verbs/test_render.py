@@ -14,9 +14,9 @@ import trimesh
 from PIL import Image
 from verbs import refused, verb
 
-from lerobot_pneutac.rendering import particles as particle_picture
+from lerobot_pneutac.rendering import body as particle_picture
+from lerobot_pneutac.rendering.body import BODY_PX, Film, FilmFrame
 from lerobot_pneutac.rendering.options import FPS, RenderConfig, deepest_press, filled
-from lerobot_pneutac.rendering.particles import BODY_PX, Film, FilmFrame
 from lerobot_pneutac.verbs.new import new_twin
 from lerobot_pneutac.verbs.render import draw_film
 from pneutac_datasets.recording.recording import Recording

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lerobot_pneutac.verbs.calibration import measured_range
+from lerobot_pneutac.verbs.result import measured_range
 from pneutac_datasets.recording.checks import check, findings
 from pneutac_datasets.recording.pressures import supply_limits
 from pneutac_datasets.recording.recording import Recording
