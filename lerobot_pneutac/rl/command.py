@@ -18,7 +18,7 @@ def command(config: PpoConfig, terminal: Terminal) -> None:
     from lerobot_pneutac.rl.ppo import Compute, train_ppo
 
     twin = Twin.load(config.twin) if config.twin else None
-    compute = Compute(config.envs, config.parallel, config.device)
+    compute = Compute(config.envs, config.parallel, config.device, config.batch)
     station = Station.load(config.station) if config.station else None
     options = {"conditions": config.conditions} if config.conditions else {}
     options |= {"station": station} if station else {}

@@ -49,8 +49,40 @@ def goal_of(task: Task) -> Goal:
     return goal
 
 
+@dataclass(frozen=True)
+class Seen:
+    """The object in one world, or in N worlds with a first axis (N,): what the reward and the critic see."""
+
+    point_m: np.ndarray  # (..., 3) where it should be touched, metres in the world, as the next
+    geom_m: np.ndarray  # (..., 3) middle of the geom that should be
+    gel_m: np.ndarray  # (..., 3) middle of the gel's window
+    body_m: np.ndarray  # (..., 3) where it stands
+    yaw_rad: np.ndarray  # (...,) heading
+    q: np.ndarray  # (..., J) of its joints
+    dq: np.ndarray  # (..., J) their speeds
+    press_mm: np.ndarray  # (...,) how far the gel's surface is pressed in
+    progress: np.ndarray  # (...,) how much of the task is done
+
+    @property
+    def distance_m(self) -> np.ndarray:
+        return np.linalg.norm(self.point_m - self.gel_m, axis=-1)
+
+    def state(self) -> np.ndarray:
+        """The object's state (..., 13 + 2 J), about one in size.
+
+        Object relative to the gel, place and heading in the world, joints, their speeds, progress, imprint.
+        """
+        parts = [
+            (self.point_m - self.gel_m) / LENGTH_M,
+            (self.geom_m - (0.5, 0.0, 0.1)) / LENGTH_M,
+            (self.body_m - (0.55, 0.0, 0.0)) / LENGTH_M,
+        ]
+        yaws = np.stack([np.sin(self.yaw_rad), np.cos(self.yaw_rad), self.progress, self.press_mm], -1)
+        return np.concatenate([*parts, yaws, self.q, np.tanh(self.dq)], -1)
+
+
 class TaskView:
-    """Goal and privileged state of the object in one world; `size` is the length of `state()`."""
+    """Goal and object of a task in a world; `size` is the length of `Seen.state()`."""
 
     def __init__(self, world: World):
         model, name = world.model, world.task.name
@@ -62,38 +94,33 @@ class TaskView:
             raise InputError(
                 f"The task '{name}' needs a body '{name}' and the geom '{self.goal.geom}' of its goal: {e}"
             ) from e
-        self._joints = np.flatnonzero(model.body_rootid[model.jnt_bodyid] == self._body)
+        joints = np.flatnonzero(model.body_rootid[model.jnt_bodyid] == self._body)
+        self._qpos, self._qvel = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+        self._pad = int(model.joint("pad").qposadr[0])
         self._corner = np.multiply(self.goal.side, model.geom_size[self._geom])
-        self.size = 13 + 2 * len(self._joints)
+        self.size = 13 + 2 * len(joints)
 
-    def progress(self) -> float:
-        return float(self.goal.progress(self._world.task))
+    def seen(self) -> Seen:
+        """The object in this world."""
+        model, d = self._world.model, self._world.data
+        poses = (d.geom_xpos, d.geom_xmat.reshape(-1, 3, 3), d.site_xpos)
+        progress = np.asarray(self.goal.progress(self._world.task), float)
+        return self.seen_in(*poses, model.body_pos, model.body_quat, d.qpos, d.qvel, progress)
 
-    def contact_point_m(self) -> np.ndarray:
-        """Where the object should be touched (3,), metres in the world."""
-        d = self._world.data
-        return d.geom_xpos[self._geom] + d.geom_xmat[self._geom].reshape(3, 3) @ self._corner
-
-    def distance_m(self) -> float:
-        return float(np.linalg.norm(self.contact_point_m() - self._world.gel_m))
-
-    def state(self) -> np.ndarray:
-        """The object's state (size,), about one in size.
-
-        Object relative to the gel, place and heading in the world, joints, their speeds, progress, imprint.
-        """
-        w, model, data = self._world, self._world.model, self._world.data
-        place = model.body(self._body)
-        yaw = 2 * np.arctan2(place.quat[3], place.quat[0])
-        q = data.qpos[model.jnt_qposadr[self._joints]]
-        dq = data.qvel[model.jnt_dofadr[self._joints]]
-        parts = [
-            (self.contact_point_m() - w.gel_m) / LENGTH_M,
-            (data.geom_xpos[self._geom] - (0.5, 0.0, 0.1)) / LENGTH_M,
-            (place.pos - (0.55, 0.0, 0.0)) / LENGTH_M,
-        ]
-        yaws = [np.sin(yaw), np.cos(yaw), self.progress(), w.press_mm]
-        return np.concatenate([*parts, yaws, q, np.tanh(dq)])
+    def seen_in(self, geom_m, geom_mat, site_m, body_m, body_quat, qpos, qvel, progress) -> Seen:
+        """The object in worlds of this model, from arrays as MuJoCo names them, with a first axis or none."""
+        at, quat = geom_m[..., self._geom, :], body_quat[..., self._body, :]
+        return Seen(
+            at + geom_mat[..., self._geom, :, :] @ self._corner,
+            at.copy(),
+            site_m[..., self._world._gel, :].copy(),
+            body_m[..., self._body, :].copy(),
+            2 * np.arctan2(quat[..., 3], quat[..., 0]),
+            qpos[..., self._qpos],
+            qvel[..., self._qvel],
+            -1e3 * qpos[..., self._pad],
+            progress,
+        )
 
 
 # Weight of each term in one control step. Over an episode the whole progress earns 2, coming from 10 cm away
@@ -111,19 +138,19 @@ WEIGHTS: dict[str, float] = {
 
 @dataclass(frozen=True)
 class Moment:
-    """What the reward looks at after a control step."""
+    """What the reward looks at after a control step: numbers of one world, or arrays (N,) of many."""
 
-    progress: float  # how much of the task is done
-    distance_m: float  # gel to where the object should be touched
-    depth_mm: float  # deepest point of the probe grid
-    success: bool = False  # the trial has ended so
-    failure: bool = False  # or so
+    progress: np.ndarray | float  # how much of the task is done
+    distance_m: np.ndarray | float  # gel to where the object should be touched
+    depth_mm: np.ndarray | float  # deepest point of the probe grid
+    success: np.ndarray | bool = False  # the trial has ended so
+    failure: np.ndarray | bool = False  # or so
 
 
 def reward_terms(
     before: Moment, after: Moment, goal_depth_mm: float, previous: np.ndarray, action: np.ndarray
-) -> dict[str, float]:
-    """The terms of one control step, before their weights; actions (4,) have entries in [-1, 1].
+) -> dict[str, np.ndarray]:
+    """The terms (...,) of one control step, before their weights; actions (..., 4) have entries in [-1, 1].
 
     `depth` is 1 at the wanted imprint `goal_depth_mm` and falls to 0 at none and at twice of it,
     `action_rate` is the mean square of the change.
@@ -132,15 +159,15 @@ def reward_terms(
     return {
         "progress": after.progress - before.progress,
         "approach": before.distance_m - after.distance_m,
-        "contact": float(after.depth_mm > 0),
-        "depth": max(0.0, wanted),
-        "success": float(after.success),
-        "failure": float(after.failure),
-        "action_rate": float(np.mean(np.square(np.subtract(action, previous)))),
+        "contact": np.greater(after.depth_mm, 0).astype(float),
+        "depth": np.maximum(0.0, wanted),
+        "success": np.asarray(after.success, float),
+        "failure": np.asarray(after.failure, float),
+        "action_rate": np.mean(np.square(np.subtract(action, previous)), -1),
     }
 
 
-def total(terms: dict[str, float]) -> float:
+def total(terms: dict[str, np.ndarray]) -> np.ndarray:
     return sum(WEIGHTS[name] * value for name, value in terms.items())
 
 
@@ -161,8 +188,8 @@ def actor_size(joints: int = PANDA_JOINTS) -> int:
 
 
 def pool(depth_mm: np.ndarray) -> np.ndarray:
-    """Deepest point (mm) of each cell of a coarse grid `GRID`, from a probe grid (80, 59)."""
-    return np.maximum.reduceat(np.maximum.reduceat(depth_mm, _ROWS, 0), _COLS, 1)
+    """Deepest point (mm) of each cell of a coarse grid `GRID`, from probe grids (..., 80, 59)."""
+    return np.maximum.reduceat(np.maximum.reduceat(depth_mm, _ROWS, -2), _COLS, -1)
 
 
 def to_action(normal: np.ndarray, pressure_range_kpa: tuple[float, float]) -> np.ndarray:
@@ -171,22 +198,37 @@ def to_action(normal: np.ndarray, pressure_range_kpa: tuple[float, float]) -> np
     return low + share * (high - low)
 
 
-def actor_observation(world: World, state: np.ndarray, previous: np.ndarray) -> np.ndarray:
-    """What the actor observes, (actor_size(N),) float32: proprioception, its last action, the probe grid.
+def draw_start(rng: np.random.Generator, randomise: bool) -> tuple[int, Variation]:
+    """Seed and variation of an episode's start."""
+    factors = {"friction": rng.uniform(*FRICTION), "bend_gain": rng.uniform(*BEND_GAIN)} if randomise else {}
+    return int(rng.integers(2**31)), Variation(**factors)
 
-    The state (2 N + 6,) is as `features.state_names`; its contact area needs an image and is left out.
+
+def actor_observation(
+    world: World, state: np.ndarray, previous: np.ndarray, depth_mm: np.ndarray
+) -> np.ndarray:
+    """What the actor observes, (..., actor_size(N)) float32: proprioception, its last action, the probe grid.
+
+    The states (..., 2 N + 6) are as `features.state_names`; their contact area needs an image and is left
+    out. Probe grids are (..., 80, 59) in mm.
     """
     n, (low, high) = world.arm.joints, world.pressure_range_kpa
     corners = np.array([world.station.workspace_low_m, world.station.workspace_high_m]) - world.arm.base_m
     parts = (
-        (state[:n] - world.arm.home_rad) / JOINT_RANGE_RAD,
-        state[n : 2 * n] / JOINT_RATE_RAD_S,
-        (state[EE] - corners.mean(0)) / (np.diff(corners, axis=0)[0] / 2),
-        [(state[PRESSURE] - low) * (2 / (high - low)) - 1],
+        (state[..., :n] - world.arm.home_rad) / JOINT_RANGE_RAD,
+        state[..., n : 2 * n] / JOINT_RATE_RAD_S,
+        (state[..., EE] - corners.mean(0)) / (np.diff(corners, axis=0)[0] / 2),
+        (state[..., PRESSURE, None] - low) * (2 / (high - low)) - 1,
         previous,
-        pool(world.touch.depth_mm).ravel(),
+        pool(depth_mm).reshape(*depth_mm.shape[:-2], -1),
     )
-    return np.clip(np.concatenate(parts), -_LIMIT, _LIMIT).astype(np.float32)
+    return np.clip(np.concatenate(parts, -1), -_LIMIT, _LIMIT).astype(np.float32)
+
+
+def critic_observation(seen: Seen, friction: np.ndarray, bend_gain: np.ndarray) -> np.ndarray:
+    """What the critic alone observes (..., size + 2) float32: the object's state and the drawn factors."""
+    drawn = np.stack([5 * (np.asarray(friction) - 1), 10 * (np.asarray(bend_gain) - 1)], -1)
+    return np.clip(np.concatenate([seen.state(), drawn], -1), -_LIMIT, _LIMIT).astype(np.float32)
 
 
 class PpoEnv(gymnasium.Env):
@@ -216,7 +258,7 @@ class PpoEnv(gymnasium.Env):
             )
         self.world = World(task, twin, "probe", "probe", conditions, station=station)
         self.view = TaskView(self.world)
-        self.randomise, self._length = randomise, length or self.world.station.steps(EPISODE_S)
+        self.randomise, self.length = randomise, length or self.world.station.steps(EPISODE_S)
         self.action_space = spaces.Box(-1.0, 1.0, (len(ACTION_NAMES),), np.float32)
         sizes = {"actor": actor_size(self.world.arm.joints), "object": self.view.size + 2}  # friction, gain
         boxes = {name: spaces.Box(-_LIMIT, _LIMIT, (n,), np.float32) for name, n in sizes.items()}
@@ -225,11 +267,8 @@ class PpoEnv(gymnasium.Env):
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[dict, dict]:
         """Starts an episode; a seed decides it and all that follow."""
         super().reset(seed=seed)
-        rng = self.np_random
-        if self.randomise:
-            friction, gain = rng.uniform(*FRICTION), rng.uniform(*BEND_GAIN)
-            self.world.variation = Variation(friction=friction, bend_gain=gain)
-        observed = self.world.reset(int(rng.integers(2**31)))
+        start, self.world.variation = draw_start(self.np_random, self.randomise)
+        observed = self.world.reset(start)
         self._previous, self._done = np.zeros(len(ACTION_NAMES)), 0
         self._moment = self._look()
         return self._observe(observed.state), {"is_success": False, "failure": ""}
@@ -243,21 +282,16 @@ class PpoEnv(gymnasium.Env):
         self._done += 1
         info = {"terms": terms, "is_success": moment.success, "failure": self.world.failure or ""}
         over = moment.success or moment.failure
-        return self._observe(observed.state), total(terms), over, self._done >= self._length, info
+        return self._observe(observed.state), float(total(terms)), over, self._done >= self.length, info
 
     def _look(self) -> Moment:
-        return Moment(
-            self.view.progress(),
-            self.view.distance_m(),
-            float(self.world.touch.depth_mm.max()),
-            bool(self.world.success),
-            self.world.failure is not None,
-        )
+        self._seen, w = self.view.seen(), self.world
+        felt = float(w.touch.depth_mm.max()), bool(w.success), w.failure is not None
+        return Moment(float(self._seen.progress), float(self._seen.distance_m), *felt)
 
     def _observe(self, state: np.ndarray) -> dict[str, np.ndarray]:
         v = self.world.variation
-        hidden = np.concatenate([self.view.state(), [5 * (v.friction - 1), 10 * (v.bend_gain - 1)]])
         return {
-            "actor": actor_observation(self.world, state, self._previous),
-            "object": np.clip(hidden, -_LIMIT, _LIMIT).astype(np.float32),
+            "actor": actor_observation(self.world, state, self._previous, self.world.touch.depth_mm),
+            "object": critic_observation(self._seen, v.friction, v.bend_gain),
         }

@@ -10,6 +10,8 @@ from pneutac_sim.twin import Twin
 from pneutac_sim.world.checks import check_world
 from pneutac_sim.world.station import Station
 
+BATCH = 1024  # worlds of a batch
+
 
 @dataclass
 class StudentRef:
@@ -39,9 +41,11 @@ class PpoConfig:
     station: Path | None = None  # file `station.yaml` of arm, workspace and mount; if omitted, the paper's
     steps: int = 500_000  # control steps of training, of all worlds; with more than before it goes on
     seed: int = 0  # seed of networks and starts
-    envs: int | None = None  # number of worlds; if omitted, two a core, at least 8
+    envs: int | None = None  # number of worlds; if omitted, two a core, at least 8, or 1024 in a batch
     parallel: bool | None = None  # a process for each world; if omitted, on more than two cores
-    device: str = "cpu"  # of the networks, `cpu` or `cuda`; they are small, so that the CPU is seldom slower
+    device: str = "cpu"  # of the networks and of a batch, `cpu` or `cuda`
+    # whether the worlds are stepped together by MuJoCo Warp, for switch, egg and card; if omitted, on `cuda`
+    batch: bool | None = None
     # demonstrations of the actor, from which a policy with a tactile image learns; none unless their folder
     # is given
     student: StudentRef = field(default_factory=StudentRef)
@@ -62,6 +66,7 @@ class PpoConfig:
         if self.student.root is not None and Path(self.student.root).exists():
             raise InputError(f"root is '{self.student.root}', which exists; give a new folder.")
         cores = len(os.sched_getaffinity(0))
-        self.envs = self.envs if self.envs is not None else max(8, 2 * cores)
+        self.batch = self.batch if self.batch is not None else self.device == "cuda"
+        self.envs = self.envs if self.envs is not None else BATCH if self.batch else max(8, 2 * cores)
         self.parallel = self.parallel if self.parallel is not None else cores > 2
         check_least(1, steps=self.steps, envs=self.envs)

@@ -1,10 +1,9 @@
 """Proximal policy optimisation (Schulman et al., 2017) with an actor that feels and a critic that sees more.
 
 The library is Stable-Baselines3: it adds one package to what is installed already, runs worlds of one core
-each in processes, and takes a policy whose two networks read different parts of the observation.
-rsl-rl-lib has such actors and critics built in, but is made for thousands of worlds on a GPU, which these are
-not, and brings a dozen packages. On disk are safetensors and JSON; the library's own archive
-holds pickles and is not used.
+each in processes, and takes a policy whose two networks read different parts of the observation. Its vector
+environment is also what `batch.BatchedPpoEnv` is, whose worlds step together on a GPU. On disk are
+safetensors and JSON; the library's own archive holds pickles and is not used.
 
 Learning curve and checkpoint of a training, so that one that was stopped goes on.
 """
@@ -35,6 +34,7 @@ from pneutac_sim.twin import Twin
 from pneutac_sim.world.station import Station
 
 CHECKPOINT, CURVE = "checkpoint.safetensors", "curve.json"
+LEAST_STEPS = 16  # of each world between two updates, a second, so that what an action earns is in them
 
 
 class Keeper(BaseCallback):
@@ -141,7 +141,8 @@ class Compute:
 
     envs: int = 8  # worlds stepped together
     parallel: bool = False  # whether each has a process of its own
-    device: str = "cpu"  # `cpu` or `cuda`, of the networks
+    device: str = "cpu"  # `cpu` or `cuda`, of the networks, and of worlds that are a batch
+    batch: bool = False  # whether worlds are stepped together by MuJoCo Warp, see `BatchedPpoEnv`
     tries: int = 50  # trials of the test after training
 
     def check(self, steps: int) -> None:
@@ -178,17 +179,20 @@ class AsymmetricPolicy(MultiInputActorCriticPolicy):
         self.mlp_extractor = Asymmetric(self.features_dim, actor_inputs, tuple(self.net_arch))
 
 
-def make_worlds(task: str, twin: Twin | None, envs: int, parallel: bool, **options) -> VecEnv:
-    """Worlds stepped together, each in a process of its own where `parallel`."""
-    make = functools.partial(PpoEnv, task, twin, **options)
-    worlds = SubprocVecEnv([make] * envs) if parallel else DummyVecEnv([make] * envs)
-    return VecMonitor(worlds)
+def make_worlds(task: str, twin: Twin | None, compute: Compute, **options) -> VecEnv:
+    """Worlds stepped together: a batch, or each in a process of its own, or one after the other."""
+    if compute.batch:
+        from lerobot_pneutac.rl.batch import BatchedPpoEnv  # it brings Warp
+
+        return VecMonitor(BatchedPpoEnv(task, twin, compute.envs, compute.device, **options))
+    make = [functools.partial(PpoEnv, task, twin, **options)] * compute.envs
+    return VecMonitor(SubprocVecEnv(make) if compute.parallel else DummyVecEnv(make))
 
 
 def make_ppo(
     worlds: VecEnv, seed: int, device: str, settings: PpoSettings, control_hz: int = CONTROL_HZ
 ) -> PPO:
-    per_world = max(settings.update_steps // worlds.num_envs, 2)
+    per_world = max(settings.update_steps // worlds.num_envs, LEAST_STEPS)
     return PPO(
         AsymmetricPolicy,
         worlds,
@@ -233,7 +237,7 @@ def train_ppo(
     run = {"task": task, "twin": _identity(twin), "seed": seed, "settings": asdict(settings)}
     plain = {k: asdict(v) if isinstance(v, Station) else v for k, v in options.items()}
     run = json.loads(json.dumps(run | {"weights": WEIGHTS, "options": plain}))
-    worlds = make_worlds(task, twin, compute.envs, compute.parallel, **options)
+    worlds = make_worlds(task, twin, compute, **options)
     try:
         model = make_ppo(worlds, seed, compute.device, settings, env.world.station.control_hz)
         keeper = Keeper(out, run, lambda text, done: progress(text, min(done, steps), steps))

@@ -109,7 +109,7 @@ def roll_out(actor: Actor, world: World, rng: np.random.Generator, noise: float)
     previous, kpa = np.zeros(len(ACTION_NAMES)), world.pressure_range_kpa
     states, actions, images = [], [], []
     while len(states) < world.station.steps(EPISODE_S) and not (world.success or world.failure):
-        mean = actor.act(actor_observation(world, observed.state, previous))
+        mean = actor.act(actor_observation(world, observed.state, previous, world.touch.depth_mm))
         states.append(observed.state)
         actions.append(to_action(mean, kpa).astype(np.float32))
         images.append(observed.tactile)

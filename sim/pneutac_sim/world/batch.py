@@ -287,6 +287,7 @@ class BatchedWorld:
         displacement_mm: (N, 80, 59) of the gel's face; zero where nothing touches it.
         fields: model fields (N, ...) that a start decides.
         qpos, qvel: (N, nq), (N, nv) of MuJoCo.
+        poses: its `geom_xpos`, `geom_xmat` (N, ngeom, 3, 3) and `site_xpos`.
     """
 
     def __init__(
@@ -392,7 +393,9 @@ class BatchedWorld:
         self.qpos, self.qvel, self._warmstart, self._ctrl = (
             wp.to_torch(getattr(self._data, name)) for name in ("qpos", "qvel", "qacc_warmstart", "ctrl")
         )
-        self._flange_m = wp.to_torch(self._data.site_xpos)[:, g._flange]
+        names = ("geom_xpos", "geom_xmat", "site_xpos")
+        self.poses = {name: wp.to_torch(getattr(self._data, name)) for name in names}
+        self._flange_m = self.poses["site_xpos"][:, g._flange]
 
     def _bind(self, one: World) -> None:
         """Finger, gel and task in the model."""

@@ -41,7 +41,7 @@ def test_follows_gymnasium_and_repeats_under_a_seed(task):
 def test_approach_is_earned_towards_the_object_and_paid_back_away_from_it(task):
     env = PpoEnv(task, randomise=False)
     env.reset(seed=1)
-    way = env.view.contact_point_m() - env.world.gel_m
+    way = env.view.seen().point_m - env.world.gel_m
     there = move(env, way)
     assert there["approach"] > 0.1 * WEIGHTS["approach"] * np.linalg.norm(way)
     back = move(env, -way, 8)
@@ -59,6 +59,7 @@ def test_the_actor_does_not_see_the_object_but_the_critic_does():
 
     mujoco.mj_kinematics(model, data)
     env.world.touch.sense(data)
+    env._look()
     after = env._observe(env.world._observe().state)
     assert np.array_equal(before["actor"], after["actor"])
     assert not np.array_equal(before["object"], after["object"])
@@ -72,7 +73,7 @@ def test_the_actor_feels_a_touch_as_the_touch_pipeline_does():
     felt.reset(0)
     view = TaskView(world)
     for _ in range(60):
-        way = view.contact_point_m() - world.gel_m
+        way = view.seen().point_m - world.gel_m
         action = np.append(0.08 * way / np.linalg.norm(way), 5.0)
         world.step(action)
         felt.step(action)
@@ -121,7 +122,7 @@ def test_pushing_at_the_contact_point_earns_every_term_and_flips_the_switch():
     env.reset(seed=0)
     sums, touched, over = dict.fromkeys(WEIGHTS, 0.0), False, False
     while not over:  # a controller that sees the object
-        way = env.view.contact_point_m() - env.world.gel_m
+        way = env.view.seen().point_m - env.world.gel_m
         touched |= env.world.press_mm > 0.12
         beyond = way + (0.004, 0, 0)
         action = (

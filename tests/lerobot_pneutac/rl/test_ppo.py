@@ -38,7 +38,7 @@ def observations(n: int = 6) -> list[dict[str, np.ndarray]]:
 
 
 def test_only_the_critic_reads_the_objects_state():
-    worlds = make_worlds("switch", None, 1, False)
+    worlds = make_worlds("switch", None, Compute(envs=1))
     model = make_ppo(worlds, 0, "cpu", SMALL)
     one = {k: torch.as_tensor(np.stack([o[k] for o in observations()])) for k in ("actor", "object")}
     two = {"actor": one["actor"], "object": one["object"] + 1}
@@ -81,7 +81,7 @@ def test_a_checkpoint_restores_networks_and_optimiser(trained):
 
     out, card = trained
     run = {k: card[k] for k in ("task", "twin", "seed", "settings", "weights", "options")}
-    model = make_ppo(make_worlds("switch", None, 2, False), 7, "cpu", SMALL)
+    model = make_ppo(make_worlds("switch", None, TWO), 7, "cpu", SMALL)
     Keeper(out, run, lambda *_: None).resume(model)
     actor = Actor.load(out)
     for o in observations():
@@ -131,6 +131,39 @@ def test_damaged_files_are_refused(trained, tmp_path):
     (broken / "checkpoint.safetensors").write_bytes(b"nonsense")
     with pytest.raises(InputError, match="damaged; delete it"):
         train_ppo("switch", None, 1, 300, broken, TWO, SMALL)
+
+
+@pytest.mark.nightly  # MuJoCo Warp takes a minute to compile on a CPU
+def test_a_policy_does_in_a_batch_what_it_does_in_single_worlds(tmp_path):
+    """A policy that sees the object pushes the switch, until each world has ended once."""
+    pytest.importorskip("mujoco_warp", reason="the extra `warp` is not installed")
+    trials = []
+    for batch in (False, True):
+        worlds = make_worlds("switch", None, Compute(envs=2, batch=batch))
+        worlds.seed(3)
+        seen, first = worlds.reset(), {}
+        rows = [seen]
+        while len(first) < 2:
+            way, press_mm = 0.05 * seen["object"][:, :3], seen["object"][:, 12:13]
+            near = way + (0.004, 0, 0)
+            free = np.hstack([near / np.maximum(np.abs(way).max(1, keepdims=True), 0.02), [[-0.5]] * 2])
+            push = np.hstack([[[0.25]] * 2, 20 * way[:, 1:], [[0.8]] * 2])
+            seen, _, over, infos = worlds.step(np.where(press_mm > 0.12, push, free).clip(-1, 1))
+            rows.append(seen)
+            for i in np.flatnonzero(over):
+                first.setdefault(i, (infos[i]["is_success"], infos[i]["episode"]["r"]))
+                assert infos[i]["terminal_observation"]["actor"].shape == seen["actor"].shape[1:]
+        trials.append((rows[:9], first))
+    (single, ends), (batch, others) = trials
+    for a, b in zip(single, batch, strict=True):  # before the first touch: 0.1 mm, 0.01 rad
+        assert np.abs(a["object"] - b["object"]).max() < 0.002
+        assert np.abs(a["actor"] - b["actor"]).max() < 0.02
+    assert {won for won, _ in ends.values()} == {True, False}
+    for i in range(2):
+        assert ends[i][0] == others[i][0] and others[i][1] == pytest.approx(ends[i][1], abs=0.7)
+    short = replace(SMALL, update_steps=32)
+    train = train_ppo("switch", None, 1, 32, tmp_path, Compute(envs=2, tries=1, batch=True), short)
+    assert train["steps"] == 32 and np.isfinite(train["test"]["return"])
 
 
 @pytest.mark.nightly

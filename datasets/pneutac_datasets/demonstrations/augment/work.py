@@ -15,7 +15,7 @@ from pneutac_datasets.demonstrations.augment.episode import Attempt, AugmentSetu
 from pneutac_datasets.demonstrations.augment.scene import Scene
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole, write_json
-from pneutac_sim.world.base import START_SOLVES, Variation
+from pneutac_sim.world.base import START_SOLVES, Variation, solved_joints
 
 MORE = "more "  # before the names of further features
 
@@ -137,14 +137,13 @@ def save_sensed(setup: AugmentSetup, folder: Path, index: int, sensed: Sensed, p
     began, world = time.process_time(), _generator(setup, folder).world
     T, solver = len(sensed.actions), world.arm.solver()
     states = np.array(sensed.states[:T])
-    flange_m, half_m = states[:, :3] - world.arm.base_m, states[:, 3:6] * world.dt_s / 2
+    flange_m = states[:, :3] - world.arm.base_m
     for _ in range(START_SOLVES):
         solver.solve(flange_m[0])
     rows = []
-    for at, half, state, shown in zip(flange_m, half_m, states, sensed.shown, strict=False):
-        before, now, after = (solver.solve(x) for x in (at - half, at, at + half))
-        rates = (after - before) / world.dt_s  # of the joints
-        rows.append(np.concatenate([now, rates, at, sensed.contacts[shown], state[8:]]))
+    for at, state, shown in zip(flange_m, states, sensed.shown, strict=False):
+        joints = solved_joints(solver, at, state[3:6], world.dt_s)
+        rows.append(np.concatenate([*joints, at, sensed.contacts[shown], state[8:]]))
     rest, moved = world.sensor.rest_image, sensed.displacement_mm
     drawn = {t: world.sensor.draw(u) for t, u in moved.items()}
     images = np.stack([drawn.get(shown, rest) for shown in sensed.shown[:T]])
