@@ -115,14 +115,14 @@ def choices(
     for name, kind, t, p, hand in fits:
         conditions = hands.changes.get(hand, hands.usual)
         planned = _planned(recording, t, p, conditions)
-        told = [x for c in contenders if (x := _predicted(planned, c.twin)) is not None]
-        if len(told) < len(contenders):
+        predicted = [x for c in contenders if (x := _predicted(planned, c.twin)) is not None]
+        if len(predicted) < len(contenders):
             continue
         cells = visited(planned, limits)
         new = sum(n for cell, n in cells.items() if cell not in seen) / sum(cells.values())
-        rivals = nats_between(told, likely, share)
+        rivals = nats_between(predicted, likely, share)
         found.append(
-            Choice(name, kind, t, p, rivals, 0.0, new, tuple(told), hand=hand, conditions=conditions)
+            Choice(name, kind, t, p, rivals, 0.0, new, tuple(predicted), hand=hand, conditions=conditions)
         )
     found.sort(key=lambda c: -(c.rivals + c.new) / _costs_s(c))
     for i in (i for i, c in enumerate(found) if i < WEIGHED or c.hand):
@@ -138,18 +138,18 @@ def _costs_s(c: Choice) -> float:
     return c.seconds + T.OVERHEAD_S + T.HAND_S * bool(c.hand)
 
 
-def nats_between(told: Sequence[np.ndarray], probability: np.ndarray, share: float) -> float:
+def nats_between(predicted: Sequence[np.ndarray], probability: np.ndarray, share: float) -> float:
     """Nats about which of n models is true, from what each predicts of a measurement.
 
     Args:
-        told: of each model the same numbers.
+        predicted: of each model the same numbers.
         probability: (n,) of each model.
         share: what a squared difference of one number counts: one over its variance, less where neighbours
             are alike.
     """
     p = probability / probability.sum()
-    apart = np.array([[((a - b) ** 2).sum() for b in told] for a in told]) * share / 2
-    return float(-(p * np.log(np.maximum(np.exp(-apart) @ p, 1e-300))).sum())
+    distance = np.array([[((a - b) ** 2).sum() for b in predicted] for a in predicted]) * share / 2
+    return float(-(p * np.log(np.maximum(np.exp(-distance) @ p, 1e-300))).sum())
 
 
 # ---------------------------------------------------------------- what there is to choose from
@@ -205,13 +205,13 @@ def _predicted(planned: Recording, twin: Twin) -> np.ndarray | None:
     return seen if np.isfinite(seen).all() else None
 
 
-def _of_constants(planned: Recording, twin: Twin, told: np.ndarray, share: float) -> float:
+def _of_constants(planned: Recording, twin: Twin, predicted: np.ndarray, share: float) -> float:
     """Nats about the constants, each moved by one standard deviation."""
     moved = []
     for other in _perturbed(twin):
         seen = _predicted(planned, other)
         if seen is not None:
-            moved.append((seen - told).ravel())
+            moved.append((seen - predicted).ravel())
     if not moved:
         return 0.0
     J = np.array(moved)

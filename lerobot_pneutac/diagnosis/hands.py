@@ -77,14 +77,14 @@ def named(text: str) -> tuple[str, ...]:
 
 def instructions(before: Mapping[str, float], after: Mapping[str, float]) -> list[str]:
     """What a person does between two programs, a sentence each."""
-    told = []
+    steps = []
     if any(before.get(g) != after.get(g) for g in GRAVITY) and set(GRAVITY) <= set(after):
         toward = ", ".join(f"{after[g]:g}" for g in GRAVITY)
-        told.append(f"Turn the base so that gravity points along ({toward}) in its own frame.")
+        steps.append(f"Turn the base so that gravity points along ({toward}) in its own frame.")
     weight = after.get("payload_g", 0.0)
     if before.get("payload_g", 0.0) != weight:
-        told.append(f"Hang {weight:g} g at the tip." if weight else "Take the weight off the tip.")
+        steps.append(f"Hang {weight:g} g at the tip." if weight else "Take the weight off the tip.")
     warmth = after.get("temperature_c")
     if warmth is not None and before.get("temperature_c") != warmth:
-        told.append(f"Bring the finger to {warmth:g} °C.")
-    return told
+        steps.append(f"Bring the finger to {warmth:g} °C.")
+    return steps

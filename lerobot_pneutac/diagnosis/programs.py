@@ -96,11 +96,11 @@ def visited(recording: Recording, limits: Limits) -> dict[tuple, float]:
             level = np.clip((LEVELS * share).astype(int), 0, LEVELS - 1)
             pace = np.digitize(np.abs(rate) * scale, PACES)
             rest = np.digitize(np.array(still) / scale, STILL_S)
-            beside = np.delete(pressed, chamber, axis=1)
+            neighbours = np.delete(pressed, chamber, axis=1)
             for i in range(len(t)):
                 moves = abs(rate[i]) > 1e-3
                 motion = (np.sign(rate[i]), pace[i]) if moves else (0, 10 + rest[i])
-                cell = (held, level[i], *motion, chamber, *beside[i])
+                cell = (held, level[i], *motion, chamber, *neighbours[i])
                 cells[cell] = cells.get(cell, 0.0) + float(dt[i])
     return cells
 
@@ -132,9 +132,9 @@ def menu(recording: Recording) -> list[Program]:
     low, top = pressure_span(recording)
     t = np.arange(round(SECONDS * HZ)) / HZ
     made = _pressure_programs(t, low, top) + _condition_programs(recording, _triangle(t, 60.0, low, top))
-    beside = beside_one(recording)
+    neighbours = beside_one(recording)
     return [
-        Program(name, advice + beside, table(recording, t, p, change))
+        Program(name, advice + neighbours, table(recording, t, p, change))
         for name, advice, p, change in made
         if name != HIGHER or not supply_limits(recording)  # no supply gives more
     ]

@@ -128,7 +128,7 @@ class Search:
         fold: (N,) number of each row's fold; rows are in the order of time.
         floor: noise, in the unit of the error.
         run: like `map`, perhaps in parallel.
-        tell: called with a line of progress.
+        report: called with a line of progress.
         condition: (N,) number of each row's physical condition, see `parts.conditions`; None for one alone.
     """
 
@@ -139,11 +139,11 @@ class Search:
         fold,
         floor: float,
         run: Callable = map,
-        tell=lambda text: None,
+        report=lambda text: None,
         condition: np.ndarray | None = None,
     ):
         self.space, self.bootstrap, self.fold, self.noise_mse = space, bootstrap, fold, floor**2
-        self.run, self.tell = run, tell
+        self.run, self.report = run, report
         self.condition = np.zeros(len(fold), int) if condition is None else condition
 
     def score(self, model) -> Scored:
@@ -177,7 +177,7 @@ class Search:
                 break
             refined = self.score(self.space.refine(taken.model))
             best = refined if refined.value < taken.value else taken
-            self.tell(f"found {' + '.join(best.model.structure.effects)}: error {best.value**0.5:.3g}")
+            self.report(f"found {' + '.join(best.model.structure.effects)}: error {best.value**0.5:.3g}")
             found.path.append(best)
             found.rivals.append([d for d in done if d is not taken])
             beam = [best, *(d for d in done if d is not taken)][: T.BEAM]
@@ -201,7 +201,7 @@ class Search:
         front = self.run(self._with_refined_actuation, best_of_each(quick, 2))
         done = best_of_each(sorted([chosen, *front], key=lambda s: s.value), 1)
         for s in done:
-            self.tell(
+            self.report(
                 f"trying {' + '.join(s.model.structure.effects) or 'the base'}: error {s.value**0.5:.3g}"
             )
         near = done[0].value + T.SAME_ACTUATION * max(done[0].value, self.noise_mse)
@@ -224,7 +224,7 @@ class Search:
         ):
             return best
         effects = " + ".join(others[0].model.structure.effects)
-        self.tell(f"actuation {effects}: error {others[0].value ** 0.5:.3g}")
+        self.report(f"actuation {effects}: error {others[0].value ** 0.5:.3g}")
         found.path.append(others[0])
         found.rivals.append([best])
         return others[0]
@@ -257,16 +257,16 @@ class Search:
                 fine.append(s.model)
         done = self.fits([self.space.again(m) for m in fine], 8)
         for s in best_of_each(done, 1):
-            self.tell(f"tried {' + '.join(s.model.structure.effects)}: error {s.value**0.5:.3g}")
+            self.report(f"tried {' + '.join(s.model.structure.effects)}: error {s.value**0.5:.3g}")
         return done
 
     def _accepted(self, now: Scored, done: list[Scored], excess: float, start: float) -> Scored | None:
         """The simplest of the best, if the error falls significantly and worthwhile."""
         least = max(T.WORTH_OF_EXCESS * excess, T.WORTH_OF_NOISE * self.noise_mse, T.WORTH_OF_START * start)
-        alike = [d for d in done if d.value < done[0].value + T.EQUAL * max(excess, 0)]
-        alike.sort(key=lambda d: (d.model.cost, d.value))
-        rest = [d for d in done if d not in alike]
-        for d in (*alike[:3], *rest[:2]):
+        equal = [d for d in done if d.value < done[0].value + T.EQUAL * max(excess, 0)]
+        equal.sort(key=lambda d: (d.model.cost, d.value))
+        rest = [d for d in done if d not in equal]
+        for d in (*equal[:3], *rest[:2]):
             if self._significant(now, d, least):
                 return d
         return None
@@ -328,10 +328,10 @@ def best_of_each(scored: list[Scored], most: int) -> list[Scored]:
 def chosen(scored: Sequence[Scored], value: Callable[[Scored], float], noise_mse: float) -> Scored:
     """The simplest of those that are as good as the best, by some measure of worth."""
     best = min(map(value, scored))
-    alike = [
+    equal = [
         s for s in scored if value(s) <= best + max(2 * T.EQUAL * (best - noise_mse), T.EQUAL * noise_mse)
     ]
-    return min(alike, key=lambda s: (s.model.cost, value(s)))
+    return min(equal, key=lambda s: (s.model.cost, value(s)))
 
 
 def deal_folds(unit: np.ndarray, folds: int, seed: int) -> np.ndarray:

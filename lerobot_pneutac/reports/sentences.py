@@ -127,7 +127,7 @@ def state_of(study: EffectStudy, outcome: Outcome) -> State:
     alone = {t.name: t.heldout for t in o.tested if t.reduction is not None}
     best = min((x for n, x in alone.items() if n in o.selected), default=None)
     lower = [n for n, x in alone.items() if n not in o.selected and best is not None and x < best]
-    confusable = study.alike(o.selected)
+    confusable = study.confusable_with(o.selected)
     return State(
         device=study.recording.device,
         unit=study.unit,

@@ -37,6 +37,6 @@ def command(config: PpoConfig, terminal: Terminal) -> None:
 
         with terminal.progress() as progress:
             what = (config.out, config.task, twin, config.seed, config.student)
-            kept, trials = record_student(*what, progress, config.conditions, station)
-        share = f"{kept} demonstrations of {trials} trials ({100 * kept / trials:.0f} %)"
+            accepted, trials = record_student(*what, progress, config.conditions, station)
+        share = f"{accepted} demonstrations of {trials} trials ({100 * accepted / trials:.0f} %)"
         terminal.say(f"{share} in {config.student.root}.")

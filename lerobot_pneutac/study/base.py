@@ -355,7 +355,7 @@ class EffectStudy(Study, ABC):
         """The range of conditions of the recording, for which a diagnosis holds; empty where all are one."""
         return ""
 
-    def alike(self, effects: Sequence[str]) -> str:
+    def confusable_with(self, effects: Sequence[str]) -> str:
         """What this kind of recording cannot separate from effects, a sentence; empty if nothing."""
         return ""
 

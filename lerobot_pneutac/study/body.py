@@ -57,10 +57,10 @@ class BodyStudy(BodyBase):
             steps.done()
             return body_outcome(self, search, before, done, began)
 
-    def _searched(self, run, tell) -> tuple[BodySearch, Searched]:
+    def _searched(self, run, report) -> tuple[BodySearch, Searched]:
         """A search, restarted where the recording turned out not to be of one device, seen by one marker."""
         while True:
-            search = BodySearch(self, run, tell)
+            search = BodySearch(self, run, report)
             done = search.find()
             if done is not None:
                 return search, done

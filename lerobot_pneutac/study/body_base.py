@@ -280,11 +280,11 @@ class BodyBase(EffectStudy):
 
     def twin_of(self, model: FittedModel) -> Twin:
         """The fitted body with the gel, pictures and networks of the twin that was given."""
-        kept = {k: v for k, v in self.twin.effects.items() if k not in of_body(self.twin.effects)}
+        sensor_effects = {k: v for k, v in self.twin.effects.items() if k not in of_body(self.twin.effects)}
         given = self.twin.copy()
         return replace(
             model.twin,
-            effects=kept | model.twin.effects,
+            effects=sensor_effects | model.twin.effects,
             gel=given.gel,
             arrays=given.arrays,
             history=given.history,
@@ -327,7 +327,7 @@ class BodyBase(EffectStudy):
                 out.append(f"{name.partition('_')[0]} of {span} {unit}")
         return listed(out)
 
-    def alike(self, effects: Sequence[str]) -> str:
+    def confusable_with(self, effects: Sequence[str]) -> str:
         """The finding that lags of air and of body cannot be distinguished, where such a lag was found."""
         late = [e for e in effects if family(e) in LATE or get_effect(e).stage == "pneumatics"]
         missing = (f for f in self.findings if "no measured pressure" in f)

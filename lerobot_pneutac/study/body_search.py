@@ -63,14 +63,14 @@ class BodySearch:
     Args:
         study: of a finger or an arm.
         run: like `map`, perhaps in parallel.
-        tell: called with a line of progress.
+        report: called with a line of progress.
 
     Attributes:
         left_out: causes that lowered the error and yet were left out, and why, see `body_base.doubt`.
     """
 
-    def __init__(self, study: BodyBase, run: Callable, tell: Callable[[str], None]):
-        self.study, self.run, self.tell = study, run, tell
+    def __init__(self, study: BodyBase, run: Callable, report: Callable[[str], None]):
+        self.study, self.run, self.report = study, run, report
         self.left_out: dict[str, str] = {}
         learn = np.flatnonzero(study.parts.learnt)
         self.rows = learn[:: max(1, len(learn) // MOST_ROWS)]
@@ -137,8 +137,8 @@ class BodySearch:
     def engine(self, space: BodySpace, floor: float | None = None, unit: str = "") -> Search:
         """Searches a space; by the study's noise and unit where no others are given."""
         floor, unit = self.study.noise.floor if floor is None else floor, unit or self.study.unit
-        tell = lambda text: self.tell(f"{text} {unit}")  # noqa: E731
-        return Search(space, self.bootstrap, self.fold, floor, self.run, tell, self.condition)
+        report = lambda text: self.report(f"{text} {unit}")  # noqa: E731
+        return Search(space, self.bootstrap, self.fold, floor, self.run, report, self.condition)
 
     def _air(self) -> Found:
         """What lies between command and measured pressure."""
@@ -184,25 +184,25 @@ class BodySearch:
         if input_model.source == "measured":
             actuations = ((),)
         elif air is not None:
-            told = tuple(
+            gauged = tuple(
                 e for e in air.final.model.structure.effects if e not in own and get_effect(e).of_air
             )
-            values = {k: v for k, v in air.final.model.values.items() if k.rpartition(".")[0] in told}
-            actuations = (*actuations, told) if told and told not in actuations else actuations
+            values = {k: v for k, v in air.final.model.values.items() if k.rpartition(".")[0] in gauged}
+            actuations = (*actuations, gauged) if gauged and gauged not in actuations else actuations
         space = BodySpace(fitter, base, joints, candidates, actuations, input_model, values)
         found = self.engine(space).find()
         if input_model.source == "command" and (
             self.take_back_slip(found.final) or study.amend(change_break(study, self.rows, found.final))
         ):
-            self.tell(f"{study.findings[-1].partition(':')[0]}; the search starts again")
+            self.report(f"{study.findings[-1].partition(':')[0]}; the search starts again")
             return None
         widths, plain = self._trials_differ(space, found), self.simplified(space, found, own)
         if widths:
             # An offset of a run also absorbs what differs from run to run for a reason, such as a payload:
             # the known causes that are needed without offsets stay, and only runs that were left out decide.
-            self.tell("each run seems to have its own offset; the search starts again with run offsets")
+            self.report("each run seems to have its own offset; the search starts again with run offsets")
             causes = tuple(e for e in plain.model.structure.effects if e in base_effects(study))
-            left_out, space.trials, space.kept = dict(self.left_out), widths, space.base
+            left_out, space.trials, space.required = dict(self.left_out), widths, space.base
             with_offsets = self.engine(space).find()
             needed = (*own, *(e for e in causes if e not in own))
             simple, fold = self.simplified(space, with_offsets, needed), fitter.trial[self.rows]
@@ -210,11 +210,11 @@ class BodySearch:
             if better < alone:
                 own, found, plain = needed, with_offsets, simple
             else:
-                self.left_out, space.trials, space.kept = left_out, (), own
+                self.left_out, space.trials, space.required = left_out, (), own
         finished = self.without_idle(space, self._refined(space, plain), own)
         return Searched(space, found, self.engine(space).pruned(finished, found, T.WORTH_NAMING))
 
-    def without_idle(self, space: BodySpace, model: Scored, kept: Sequence[str]) -> Scored:
+    def without_idle(self, space: BodySpace, model: Scored, chosen: Sequence[str]) -> Scored:
         """The model without terms that ended where they do nothing, at the same instants of steps.
 
         A term that is as quick as the samples can show may still be needed, see `Search.is_needed`. A known
@@ -225,7 +225,7 @@ class BodySearch:
         for term in model.model.structure.effects:
             effects = model.model.structure.effects
             replaced = term in causes and term in own and not set(effects) <= set(own)
-            if (term not in kept or replaced) and space.idle(model.model, term):
+            if (term not in chosen or replaced) and space.idle(model.model, term):
                 structure, values = model.model.structure.without(term), model.model.values
                 bare = self.score(space.fitter.fit(structure, values, 8))
                 if engine.is_needed(bare, model):
@@ -272,7 +272,7 @@ class BodySearch:
         search = self.engine(space)
         final = found.final
         noise_mse = self.study.noise.floor**2
-        plain, kept = self.plain(space, final.model), final
+        plain, chosen = self.plain(space, final.model), final
         if plain is not None:
             excess = max(found.base.value - noise_mse, 0.0)
             drop, needed = (
@@ -280,14 +280,14 @@ class BodySearch:
                 search.is_significant(plain, final),
             )
             if not needed or drop < max(T.PLAIN_OF_EXCESS * excess, T.PLAIN_OF_NOISE * noise_mse):
-                kept = plain
-        space.kept = own
-        kept = search.pruned(kept, found)
-        while doubts := self.doubts(space, kept, found.without):
+                chosen = plain
+        space.required = own
+        chosen = search.pruned(chosen, found)
+        while doubts := self.doubts(space, chosen, found.without):
             self.left_out |= doubts
-            models = {t: space.without(kept.model, t) for t in doubts}
-            kept = search.pruned(min(map(self.score, models.values()), key=lambda s: s.value), found)
-        return kept
+            models = {t: space.without(chosen.model, t) for t in doubts}
+            chosen = search.pruned(min(map(self.score, models.values()), key=lambda s: s.value), found)
+        return chosen
 
     def doubts(self, space: BodySpace, fitted: Scored, without: Mapping[str, Scored]) -> dict[str, str]:
         """Causes of a model that may stand in for something else, and why.

@@ -38,13 +38,13 @@ class BodySpace(Space):
         candidates: names of effects and laws that may be added.
         actuations: alternatives for the air; only () where the measured pressure drives the body.
         input_model: to begin with.
-        told: parameters of the air found from the gauge, by name.
+        gauged: parameters of the air found from the gauge, by name.
     """
 
     def __init__(
-        self, fitter: BodyFitter, base, joints, candidates, actuations, input_model: InputModel, told=None
+        self, fitter: BodyFitter, base, joints, candidates, actuations, input_model: InputModel, gauged=None
     ):
-        self.told, self.kept = told or {}, tuple(base)
+        self.gauged, self.required = gauged or {}, tuple(base)
         self.trials: tuple[float, ...] = ()
         self.fitter, self.base, self.joints = fitter, tuple(base), tuple(joints)
         self.candidates, self.actuations, self.input_model = list(candidates), actuations, input_model
@@ -80,8 +80,8 @@ class BodySpace(Space):
                 if actuation and len(self._steps):
                     input_model = replace(input_model, switch=0.5)
                 structure = replace(model.structure, effects=(*actuation, *rest), input_model=input_model)
-                told = {k: v for k, v in self.told.items() if k.rpartition(".")[0] in actuation}
-                for start in (*_actuation_starts(actuation), *((told,) if told else ())):
+                gauged = {k: v for k, v in self.gauged.items() if k.rpartition(".")[0] in actuation}
+                for start in (*_actuation_starts(actuation), *((gauged,) if gauged else ())):
                     out.append((structure, model.values | start))
         return out
 
@@ -292,7 +292,7 @@ class BodySpace(Space):
         return self.fitter.fit(best.structure, best.values, 8)
 
     def removable(self, model: BodyModel) -> list[str]:
-        return [e for e in model.structure.effects if e not in self.kept]
+        return [e for e in model.structure.effects if e not in self.required]
 
     def without(self, model: BodyModel, *effects: str) -> BodyModel:
         """The model re-fitted without effects; without one of the air, steps seem to come otherwise."""

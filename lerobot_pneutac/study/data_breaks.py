@@ -217,13 +217,13 @@ def change_break(study: EffectStudy, rows: np.ndarray, found: Scored) -> Break |
         return None
     row, every = int(rows[at]), np.arange(len(study.recording))
     before, after = every <= rows[at - 1], every >= row
-    kept, longer = ("before", before) if before.sum() > after.sum() else ("after", after)
+    which, longer = ("before", before) if before.sum() > after.sum() else ("after", after)
     first, last = np.flatnonzero(longer)[[0, -1]]
     return Break(
         {"first_row": int(first), "last_row": int(last)},
         f"Something changed permanently in {where(study.recording, row)}: the error of one model is "
         f"{found.value**0.5:.3g} {study.unit}, that of models fitted before and after it {left**0.5:.3g}. "
-        f"Only the {longer.sum()} rows {kept} it are used.",
+        f"Only the {longer.sum()} rows {which} it are used.",
     )
 
 

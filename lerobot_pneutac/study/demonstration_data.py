@@ -144,8 +144,8 @@ def touch(e: EpisodeData, more_rad: np.ndarray, growth: float, late: float) -> t
         [np.clip(np.arange(len(e)) - int(late) - d, 0, None) for d in (0, 1)],
     )
 
-    def shown(apart: np.ndarray) -> np.ndarray:
-        x = np.clip(more_rad[:, None] + apart, grid[0], grid[-1])
+    def shown(log_ratio: np.ndarray) -> np.ndarray:
+        x = np.clip(more_rad[:, None] + log_ratio, grid[0], grid[-1])
         k = np.clip(np.searchsorted(grid, x) - 1, 0, len(grid) - 2)
         share = (x - grid[k]) / (grid[k + 1] - grid[k])
         force = np.maximum(e.press_n[rows, k] * (1 - share) + e.press_n[rows, k + 1] * share, 0.0)
@@ -224,30 +224,31 @@ class Strength:
     @classmethod
     def known(cls, history: Mapping, task: str) -> Self | None:
         """As a twin's history has it; None where it was fitted to no demonstrations of this task."""
-        kept = history.get("imprint", {})
-        if kept.get("task") != task:
+        stored = history.get("imprint", {})
+        if stored.get("task") != task:
             return None
-        return cls(**kept["strength"] | {"light": tuple(kept["strength"]["light"])})
+        return cls(**stored["strength"] | {"light": tuple(stored["strength"]["light"])})
 
-    def kept(self, task: str, light: Iterable[float]) -> dict:
+    def stored(self, task: str, light: Iterable[float]) -> dict:
         """As stored in a twin's history, with the light (3,) in which it was measured, levels."""
         return {"task": task, "strength": asdict(self) | {"light": [float(x) for x in light]}}
 
-    def apart(self, known: Self) -> float:
+    def log_ratio(self, known: Self) -> float:
         """Logarithm of how much stronger imprints are than was known; 0 where one finger's differ by that.
 
         By another stiffness all forces differ, and imprints by the power `TYPICAL` of that.
         """
         expected = known.log_gain + (TYPICAL - known.growth) * np.log(self.stiffness / known.stiffness)
-        apart = float(self.log_gain - expected)
-        return apart if abs(apart) > max(T.STRENGTH_DIFFERS, T.STRENGTH_ERRORS * self.off(known)) else 0.0
+        log_ratio = float(self.log_gain - expected)
+        limit = max(T.STRENGTH_DIFFERS, T.STRENGTH_ERRORS * self.off(known))
+        return log_ratio if abs(log_ratio) > limit else 0.0
 
     def off(self, known: Self) -> float:
         return float(np.hypot(self.error, known.error))
 
     def pressing(self, twin: Twin, known: Self) -> Twin:
         """The twin, whose finger presses as hard as imprints are strong."""
-        share, wide = np.exp(self.apart(known) / TYPICAL), np.exp(2 * self.off(known) / TYPICAL)
+        share, wide = np.exp(self.log_ratio(known) / TYPICAL), np.exp(2 * self.off(known) / TYPICAL)
         out, whole = twin.copy(), float(share * twin.parameter(STIFFNESS))
         out.parameters = out.parameters | {STIFFNESS: Value(whole, (whole / wide, whole * wide))}
         return out

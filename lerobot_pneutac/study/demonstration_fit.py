@@ -62,7 +62,7 @@ class FreeBend:
     def _bend(self, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
         return pipeline.run(self.inputs, theta).markers[:, 3]
 
-    def apart(self, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
+    def difference(self, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
         """(n,) by how much a model bends otherwise, rad.
 
         Args:
@@ -243,8 +243,8 @@ class Fitter:
         """(n,) by how much the free bend differs from the twin's, mm, as much as it counts; none of air's."""
         if all(e == LATE or get_effect(e).of_air for e in effects):
             return np.zeros(0)
-        apart = self.free_bend.apart(*self._theta(effects, values))
-        return self.mm_per_rad * apart * np.sqrt(T.BENCH_WEIGHT * self.rows.sum() / len(apart))
+        difference = self.free_bend.difference(*self._theta(effects, values))
+        return self.mm_per_rad * difference * np.sqrt(T.BENCH_WEIGHT * self.rows.sum() / len(difference))
 
     # ---------------------------------------------------------------- prediction
 
@@ -318,7 +318,7 @@ class Fitter:
         edge = [n for n, v in zip(names, found.x, strict=True) if v < STEP or v > 1 - STEP]
         J = found.jac[:size].reshape(*r.shape, -1)
         moving = (found.x > STEP) & (found.x < 1 - STEP)
-        kept = free(found.x)
+        masks = free(found.x)
         log = frozenset(n for n, s in zip(names, specs, strict=True) if s.log)
         unit = {n: (a, b) for n, a, b, m in zip(names, low, high, moving, strict=True) if m}
 
@@ -329,7 +329,7 @@ class Fitter:
 
         K = found.jac[size:][:, moving]
         bench = (found.fun[size:] @ K, K.T @ K)
-        return DemonstrationModel(structure, kept, r, J[:, :, moving], edge, unit, log, residual_at, bench)
+        return DemonstrationModel(structure, masks, r, J[:, :, moving], edge, unit, log, residual_at, bench)
 
     def base(self, columns: slice) -> DemonstrationModel:
         if columns == AIR:
@@ -337,13 +337,13 @@ class Fitter:
             return DemonstrationModel(Structure(), dict(START), r, np.zeros((*r.shape, 0)), [], {})
         return self.fit((Structure(), dict(START)), TOUCH, 20)
 
-    def lateness(self, kept: list[np.ndarray]) -> float:
+    def lateness(self, masks: list[np.ndarray]) -> float:
         """By how many frames touch is shown late in some frames of the episodes, (T,) masks each.
 
         How imprints grow is not fitted: where clocks part, that bends to make up for it.
         """
-        episodes = [replace(e, contact=m) for e, m in zip(self.episodes, kept, strict=True)]
-        part = Fitter(self.twin, episodes, np.concatenate(kept))
+        episodes = [replace(e, contact=m) for e, m in zip(self.episodes, masks, strict=True)]
+        part = Fitter(self.twin, episodes, np.concatenate(masks))
         tried = np.arange(0.0, MOST_LATE, 0.25)
         errors = []
         for late in tried:

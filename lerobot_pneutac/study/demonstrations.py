@@ -183,8 +183,8 @@ class DemonstrationStudy(EffectStudy):
         residual, curves = fitter.predict(touch.structure, touch.values)
         growth = self.known.growth if self.known else touch.values["growth"]
         self.strengths[id(twin)] = fitter.strength(touch, growth)
-        if self.charged and (apart := self.stronger_by(twin)):
-            more = curves["imprint"] * (1 - np.exp(-apart)) / fitter.slope * fitter.mm_per_rad
+        if self.charged and (log_ratio := self.stronger_by(twin)):
+            more = curves["imprint"] * (1 - np.exp(-log_ratio)) / fitter.slope * fitter.mm_per_rad
             contact = np.concatenate([e.contact for e in fitter.episodes])
             residual[:, TOUCH] += np.where(contact, more, 0.0)[:, None]
         return residual
@@ -194,7 +194,7 @@ class DemonstrationStudy(EffectStudy):
 
         0 where that is no more than those of one finger differ by.
         """
-        return self.strengths[id(twin)].apart(self.known) if self.known else 0.0
+        return self.strengths[id(twin)].log_ratio(self.known) if self.known else 0.0
 
     def residual(self, twin: Twin) -> np.ndarray:
         fitter = self.world_of(twin)
@@ -202,14 +202,14 @@ class DemonstrationStudy(EffectStudy):
 
     def refit(self, effects: Sequence[str], start: FittedModel | None, steps: Steps) -> FittedModel:
         """The twin with these effects fitted, its own where they are named again."""
-        fold, asked = self.owner[self.parts.train], effects[len(self.twin_effects) :]
+        fold, candidates_of = self.owner[self.parts.train], effects[len(self.twin_effects) :]
         if start is None:
             steps.done()
             self._errors = [self.bare_air.cv_squared(fold) + self.bare_touch.cv_squared(fold)]
             return self.bare
-        air = self._with(self.fitter, [e for e in asked if of_air(e)], AIR, self.bare_air)
+        air = self._with(self.fitter, [e for e in candidates_of if of_air(e)], AIR, self.bare_air)
         fitter = self.world_of(self.fitter.twin_with(air, {})) if air.structure.effects else self.fitter
-        touch = self._with(fitter, [e for e in asked if not of_air(e)], TOUCH, fitter.base(TOUCH))
+        touch = self._with(fitter, [e for e in candidates_of if not of_air(e)], TOUCH, fitter.base(TOUCH))
         self._errors.append(air.cv_squared(fold) + touch.cv_squared(fold))
         steps.done()
         return self.fitted(air, touch, fitter)
@@ -239,7 +239,7 @@ class DemonstrationStudy(EffectStudy):
         if strength is None:
             return {}
         own = np.mean([brightness(rest_image(e)) for e in self.recording.episodes], 0)
-        return {"imprint": strength.kept(self.recording.task, own if self.light is None else self.light)}
+        return {"imprint": strength.stored(self.recording.task, own if self.light is None else self.light)}
 
     def signals(self) -> np.ndarray:
         return command_signals(self.fitter.episodes)
@@ -293,7 +293,7 @@ class DemonstrationStudy(EffectStudy):
         base, instead = found.base.model, found.final.model.structure.effects
         if self.known is None or CREEP not in self.candidates or CREEP in map(family, instead):
             return found
-        stronger = fitter.strength(base, self.known.growth).apart(self.known) > 0
+        stronger = fitter.strength(base, self.known.growth).log_ratio(self.known) > 0
         if not stronger or set(air.final.model.structure.effects) - {LATE}:  # a slow valve makes them so too
             return found
         creep = fitter.fit((Structure((CREEP,)), base.values | fitter.start(CREEP)), TOUCH, 60)
@@ -318,8 +318,8 @@ class DemonstrationStudy(EffectStudy):
         fold = self.owner[self.parts.train]
         with ThreadPoolExecutor(jobs) as pool:
             space = DemonstrationSpace(fitter, base, candidates, columns)
-            tell = lambda text: steps.expect(text, 0)  # noqa: E731
-            search = Search(space, self._learnt(), fold, float(floor), pool.map, tell)
+            report = lambda text: steps.expect(text, 0)  # noqa: E731
+            search = Search(space, self._learnt(), fold, float(floor), pool.map, report)
             found = search.find()
             found.final = space.pruned(found.final, search.score, partial(self._least, columns))
             return found
@@ -395,22 +395,22 @@ class DemonstrationStudy(EffectStudy):
             return f"a change of the twin's {family(effect).replace('_', ' ')}"
         return super().cause(model, effect)
 
-    def alike(self, effects: Sequence[str]) -> str:
+    def confusable_with(self, effects: Sequence[str]) -> str:
         """What touch alone cannot separate from changes of the contact, which has no fitted model."""
         body = [e for e in effects if e != COMPLIANCE and not of_air(e)]
         kinds = dict.fromkeys(family(e).replace("_", " ") for e in body)
-        told = []
+        sentences = []
         if kinds:
-            told.append(
+            sentences.append(
                 f"Touch cannot distinguish {' and '.join(kinds)} from {', '.join(UNSEEN[:-1])} or "
                 f"{UNSEEN[-1]}; a bench recording of the finger can."
             )
         if COMPLIANCE in effects:
-            told.append(
+            sentences.append(
                 "A gel that has hardened makes imprints as faint; one that has softened, or more creep than "
                 "touch shows, makes them as strong. A press of known force on the gel decides."
             )
-        return " ".join(told)
+        return " ".join(sentences)
 
     def experiment(self, model: FittedModel, effect: str) -> str:
         if effect == LATE:
@@ -496,8 +496,8 @@ def pressing_as(
 
     Imprints that are stronger where a slow valve or more of the body was found may come from that.
     """
-    apart, strength = study.stronger_by(found.twin), study.strengths[id(found.twin)]
-    if study.known is None or not apart or (apart > 0 and set(selected) - {LATE}):
+    log_ratio, strength = study.stronger_by(found.twin), study.strengths[id(found.twin)]
+    if study.known is None or not log_ratio or (log_ratio > 0 and set(selected) - {LATE}):
         return None
     twin = strength.pressing(found.twin, study.known)
     study.strengths[id(twin)] = strength

@@ -29,7 +29,7 @@ from lerobot_pneutac.study.gel_model import (
     GelSpace,
     at_bound,
     for_twin,
-    kept,
+    late_effects,
     mean_squares,
     seen_by,
 )
@@ -80,9 +80,9 @@ UNHELD = "cannot be tested, record column hold_s and a time_s that runs on"
 def sort_candidates(data: GelRecording, own: Sequence[str]) -> tuple[list[str], list[Untested]]:
     """Effects to try that a twin has not got, and those that these photographs cannot test."""
     others = {n: e for n, e in sensor_effects().items() if n not in own}
-    told = any(s.earlier for s in data.samples)
-    untested = [Untested(n, UNHELD) for n, e in others.items() if e.late and not told]
-    return [n for n, e in others.items() if told or not e.late], untested
+    has_earlier = any(s.earlier for s in data.samples)
+    untested = [Untested(n, UNHELD) for n, e in others.items() if e.late and not has_earlier]
+    return [n for n, e in others.items() if has_earlier or not e.late], untested
 
 
 def deal_photographs(recording: Recording, seed: int) -> Parts:
@@ -199,7 +199,7 @@ class GelStudy(EffectStudy):
         self.parts = deal_photographs(recording, seed)
         self._stored = seen_by(GelModel.from_twin(twin), data)
         fold = photograph_folds(self.parts, seed)
-        gel = replace(self._stored, effects=kept(self._stored.effects))
+        gel = replace(self._stored, effects=late_effects(self._stored.effects))
         self.space = GelSpace(data, gel, twin, self.parts.train, fold, self.twin_effects, self.candidates)
         how = "images away from contacts, less each image's own smooth drift of light"
         self.noise = NoiseFloor(noise(self.space.photographs, data.px_per_mm), None, self.unit, how, {})
@@ -219,7 +219,7 @@ class GelStudy(EffectStudy):
             self.bootstrap,
             space.fold,
             self.noise.floor,
-            tell=lambda text: steps.expect(f"{text} {self.unit}", 0),
+            report=lambda text: steps.expect(f"{text} {self.unit}", 0),
         )
         steps.expect("the twin as it is, and with each effect", 1 + len(self.candidates))
         space.steps = steps

@@ -43,7 +43,7 @@ def predict(gel: GelModel, data: GelRecording, pressed: Pressed | None = None) -
     return [predictor.image(s.press, s.rest, s.clock, s.earlier) for s in data.samples]
 
 
-def kept(effects: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
+def late_effects(effects: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
     """Effects whose values stay where photographs do not identify them: of what earlier presses leave."""
     return {name: values for name, values in effects.items() if sensor_effects()[name].late}
 

@@ -61,10 +61,10 @@ def keep_modulus(twin: Twin, data: GelRecording) -> Modulus | None:
     soft = twin.copy()
     soft.parameters[MODULUS] = Value(MATERIAL[MODULUS])
     law = GelForce.of(soft)
-    told = {
+    moduli = {
         r: np.log([_over(law, s) for s in forced if (s.role == "calibration") == r]) for r in (True, False)
     }
-    mean, n = told[True].mean(), len(told[True])
+    mean, n = moduli[True].mean(), len(moduli[True])
     value = MATERIAL[MODULUS] * math.exp(mean)
     if not MODULUS_MPA[0] <= value <= MODULUS_MPA[1]:
         raise InputError(
@@ -73,10 +73,10 @@ def keep_modulus(twin: Twin, data: GelRecording) -> Modulus | None:
         )
     ci95 = None
     if n > 1:
-        half = stats.t.ppf(0.975, n - 1) * told[True].std(ddof=1) / math.sqrt(n)
+        half = stats.t.ppf(0.975, n - 1) * moduli[True].std(ddof=1) / math.sqrt(n)
         ci95 = value * math.exp(-half), value * math.exp(half)
     twin.parameters[MODULUS] = Value(value, ci95)
-    off, heldout = (float(np.sqrt(np.mean((t - mean) ** 2))) if len(t) else None for t in told.values())
+    off, heldout = (float(np.sqrt(np.mean((t - mean) ** 2))) if len(t) else None for t in moduli.values())
     return Modulus(value, ci95, n, off or 0.0, heldout)
 
 
@@ -89,8 +89,8 @@ def modulus_sentence(modulus: Modulus | None, twin: Twin) -> str:
     if modulus is None:
         known = twin.parameters.get(MODULUS)
         value = known.value if known else MATERIAL[MODULUS]
-        kept = "keeps its modulus of" if known else "is assumed to have a modulus of"
-        return f"No press has a force (column force_n), so the gel {kept} {value:.2g} MPa."
+        source = "keeps its modulus of" if known else "is assumed to have a modulus of"
+        return f"No press has a force (column force_n), so the gel {source} {value:.2g} MPa."
     of = f"{modulus.presses} presses" if modulus.presses > 1 else "one press"
     between = " ({:.2g} to {:.2g})".format(*modulus.ci95) if modulus.ci95 else ""
     off = (

@@ -352,6 +352,6 @@ def command(cfg: DesignConfig, terminal: Terminal) -> None:
 def _take_no_more(cfg: DesignConfig, has: str, *names: str) -> None:
     """Raises InputError where one of these options, or one of a bench's programs, is given."""
     for option in fields(cfg):
-        asked = option.name in (*names, *PROGRAM) and getattr(cfg, option.name) != option.default
-        if asked:
+        changed = option.name in (*names, *PROGRAM) and getattr(cfg, option.name) != option.default
+        if changed:
             raise InputError(f"{option.name}: {has} no such option; leave it out.")

@@ -10,7 +10,7 @@ import numpy as np
 
 from lerobot_pneutac.reports.page import Report, difference, side_by_side
 from lerobot_pneutac.study.gel import UNHELD
-from lerobot_pneutac.study.gel_model import at_bound, kept, predict
+from lerobot_pneutac.study.gel_model import at_bound, late_effects, predict
 from lerobot_pneutac.study.gel_modulus import Modulus, Pasted, keep_modulus, modulus_sentence
 from lerobot_pneutac.verbs.result import Calibration, rms_of
 from pneutac_datasets.recording.gel import GelRecording, GelSample, pair_faults
@@ -280,8 +280,10 @@ def calibrate_gel(
     if points:
         progress("material points under the presses of the calibration", 0, 1)
     given = points and points.between
-    known = kept({n: {k: v.value for k, v in twin.effects[n].items()} for n in of_sensor(twin.effects)})
-    unseen = [n for n in kept(dict.fromkeys(names or (), {})) if n not in known]
+    known = late_effects(
+        {n: {k: v.value for k, v in twin.effects[n].items()} for n in of_sensor(twin.effects)}
+    )
+    unseen = [n for n in late_effects(dict.fromkeys(names or (), {})) if n not in known]
     if unseen and not any(p.earlier for p in presses):
         raise InputError(
             f"effects={','.join(names or ())}: '{unseen[0]}' {UNHELD}, and give role 'calibration' to a "

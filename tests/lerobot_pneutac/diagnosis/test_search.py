@@ -202,9 +202,9 @@ def written(effects, row):
     return Written(effects, **(row if isinstance(row, dict) else {"value": row}))
 
 
-def find(rows, tell=lambda text: None, **options):
+def find(rows, report=lambda text: None, **options):
     table = Table(rows, **options)
-    return table, Search(table, JUDGE, FOLD, FLOOR, tell=tell).find()
+    return table, Search(table, JUDGE, FOLD, FLOOR, report=report).find()
 
 
 def test_the_thresholds_are_those_of_the_manual():

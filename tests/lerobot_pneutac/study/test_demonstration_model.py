@@ -114,7 +114,7 @@ def test_what_the_bench_told_of_the_free_bend_stays_where_demonstrations_leave_i
 
     def off(model):
         pipeline = Pipeline.of(model)
-        return np.square(true.apart(pipeline, pipeline.theta(model, 15.0))).mean()
+        return np.square(true.difference(pipeline, pipeline.theta(model, 15.0))).mean()
 
     assert off(f.twin_with(found, {})) < 0.5 * off(twin)
 
@@ -163,10 +163,10 @@ def test_an_object_that_gives_way_does_not_make_a_small_touch_a_large_error(twin
 
 def test_what_touch_alone_told_is_not_told_apart_from_the_contact():
     study = object.__new__(DemonstrationStudy)
-    told = study.alike([LATE, "power_law_memory(p)", "creep", "hysteresis"])
+    told = study.confusable_with([LATE, "power_law_memory(p)", "creep", "hysteresis"])
     assert told.startswith("Touch cannot distinguish creep and hysteresis from another friction of the gel,")
     assert "weight of the object" in told
-    assert study.alike([LATE, "valve_slew"]) == study.alike([]) == ""
+    assert study.confusable_with([LATE, "valve_slew"]) == study.confusable_with([]) == ""
 
 
 def study_of(twin, truth, gain, monkeypatch):
@@ -181,7 +181,7 @@ def study_of(twin, truth, gain, monkeypatch):
 
 def knowing(told):
     """The twin of a study, which keeps what that told of its demonstrations."""
-    kept = told.strengths[id(told.bare.twin)].kept("button", np.ones(3))
+    kept = told.strengths[id(told.bare.twin)].stored("button", np.ones(3))
     twin = told.twin.copy()
     errors = {"unit": UNIT, "imprint": kept, "touch": 0.3}
     twin.history = [{"version": 0, "change": "added", **errors}]
@@ -226,6 +226,6 @@ def test_imprints_that_are_all_fainter_tell_a_softer_finger(twin, monkeypatch, s
     assert stiffness == pytest.approx(share * twin.parameter("joint_stiffness_nm_per_rad"), rel=0.05)
     assert study.errors(found)["heldout"] < 0.5 * study.errors(bare)["heldout"]
     assert f"Your finger is {word}" in study.describe(found, COMPLIANCE)
-    assert "gel that has hardened" in study.alike([COMPLIANCE])
+    assert "gel that has hardened" in study.confusable_with([COMPLIANCE])
     if word == "stiffer":  # more creep, or a slow valve, may be what made them stronger
         assert pressing_as(study, bare, study.bare_touch, study.fitter, ["creep"]) is None

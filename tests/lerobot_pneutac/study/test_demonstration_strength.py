@@ -19,11 +19,11 @@ def test_a_softer_finger_is_told_with_its_force():
     known, twin = strength(), Twin.builtin()
     for share in (0.7, 1.4):
         seen = strength(share)
-        assert seen.apart(known) == pytest.approx(TYPICAL * np.log(share), abs=1e-9)
+        assert seen.log_ratio(known) == pytest.approx(TYPICAL * np.log(share), abs=1e-9)
         stiff = seen.pressing(twin, known).parameters[STIFFNESS]
         assert stiff.value == pytest.approx(share * twin.parameter(STIFFNESS))
         assert stiff.ci95[0] < stiff.value < stiff.ci95[1]
-    assert strength(np.exp(-0.9 * STRENGTH_DIFFERS / TYPICAL)).apart(known) == 0
+    assert strength(np.exp(-0.9 * STRENGTH_DIFFERS / TYPICAL)).log_ratio(known) == 0
 
 
 def test_a_corrected_twin_is_not_corrected_again():
@@ -31,9 +31,9 @@ def test_a_corrected_twin_is_not_corrected_again():
     softer = strength(0.7).pressing(twin, known)
     share = softer.parameter(STIFFNESS) / twin.parameter(STIFFNESS)
     gains = 0.7**TYPICAL * GAINS / share**known.growth  # its replays press with less force
-    assert Strength.of(gains, known.growth, softer).apart(known) == 0
+    assert Strength.of(gains, known.growth, softer).log_ratio(known) == 0
 
 
 def test_few_episodes_that_differ_much_tell_nothing():
     wide = Strength.of(0.7**TYPICAL * np.array([0.2, 0.8, 3.0]), 1.1, Twin.builtin())
-    assert wide.apart(strength()) == 0
+    assert wide.log_ratio(strength()) == 0
