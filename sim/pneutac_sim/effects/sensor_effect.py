@@ -68,7 +68,7 @@ class SensorEffect(Effect):
             of one make share; see `gel.layout.Layout`.
         press: (press, values) -> where and how it truly presses; see `gel.indenter.Press`.
         late: (values) -> (share, time in s) of each branch by which a surface that was held comes back
-            late, see `gel.late`.
+            late, see `gel.sensor`.
         surface: (u, cell_mm, values) -> changed displacement (rows, columns), mm into the gel.
         steps: farthest press from the centre in mm -> (p,) by which a fit moves the parameters of an effect
             of the stage `gel` to see what the images do; None for a thousandth of each range.
