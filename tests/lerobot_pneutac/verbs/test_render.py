@@ -168,7 +168,7 @@ def test_where_no_rest_is_found_the_options_that_help_are_named(tmp_path, monkey
     monkeypatch.setattr(devices, "gel", partial(devices.gel, counts=(30, 41, 7)))
     monkeypatch.setattr(solve, "solve_equilibrium", partial(solve.solve_equilibrium, max_substeps=25))
     few = ["--particles=600"] if device == "finger" else []
-    with pytest.raises(InputError, match=f"is not at rest after .* was asked; .*{said}") as refused:
+    with pytest.raises(InputError, match=f"is not at rest after .* is the tolerance; .*{said}") as refused:
         verb("render", *few, twin=folder, device="cpu", out=tmp_path / "out")
     assert "warm" not in str(refused.value) and "substeps, or" not in str(refused.value)
 
