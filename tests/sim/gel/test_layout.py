@@ -198,7 +198,7 @@ def test_a_mesh_of_a_ball_is_a_ball():
         ("triangle", "give corners in mm"),
         ("-2 -2; 2 2; 2 -2; -2 2", "crosses itself: side 1 meets side 3"),
         ("-2 0; 0 0; 2 0", "no area"),
-        ("1 1; 3 1; 2 3", "beside its origin"),
+        ("1 1; 3 1; 2 3", "does not contain its origin"),
         ("0 2; 2 nan; -2 -1", "three corners"),
     ],
 )
@@ -210,7 +210,7 @@ def test_impossible_outlines_get_one_sentence(text, says):
 
 def test_impossible_figures_get_one_sentence():
     metres = trimesh.creation.box((0.004, 0.004, 0.004)).triangles
-    for bad, says in ((metres, "give it in mm"), (1e3 * metres + [9.0, 0, 0], "beside its origin")):
+    for bad, says in ((metres, "give it in mm"), (1e3 * metres + [9.0, 0, 0], "does not contain its origin")):
         with pytest.raises(InputError, match=says):
             Figure(bad)
     with pytest.raises(InputError, match="needs a figure"):

@@ -109,12 +109,14 @@ def test_the_verbs_take_it_and_reinforcement_learning_sees_how_far_it_has_come(d
     assert BenchmarkPolicyConfig(out=tmp_path, tasks=("doorbell",)).tasks == ("doorbell",)
     env = PpoEnv("doorbell")
     env.reset(seed=0)
-    away = env.view.distance_m()
+    away = env.view.seen().distance_m
     for _ in range(8):
         env.step(np.array([1.0, 0.0, 0.0, -1.0]))
-    assert env.view.distance_m() < away - 0.03 and env.view.progress() == pytest.approx(0.0, abs=0.05)
+    assert env.view.seen().distance_m < away - 0.03 and env.view.seen().progress == pytest.approx(
+        0.0, abs=0.05
+    )
     env.world.data.joint("button").qpos = 0.003
-    assert env.view.progress() == pytest.approx(0.75)
+    assert env.view.seen().progress == pytest.approx(0.75)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import pytest
 from demonstration_sets import write_demonstrations
 from played import shown
 
-from lerobot_pneutac.verbs.compare_demonstrations import FELT_MM
+from lerobot_pneutac.verbs.compare_demonstrations import TOUCHED_MM
 from lerobot_robot_pneutac.standin.world import Physics, StandinWorld
 from pneutac_datasets.demonstrations.episodes import Episode
 from pneutac_datasets.demonstrations.replay.imprint import (
@@ -70,7 +70,7 @@ def test_the_flange_goes_where_it_went_and_its_object_is_met_when_it_was(world, 
     replayed = replay(world, episode, place)
     off_mm = 1e3 * np.linalg.norm(replayed.flange_m - episode.state[:, EE], axis=1)
     assert np.median(off_mm) < 0.5
-    onset, felt = episode.contact()[0], np.flatnonzero(replayed.press_mm > FELT_MM)
+    onset, felt = episode.contact()[0], np.flatnonzero(replayed.press_mm > TOUCHED_MM)
     assert abs(felt[0] - onset) < 0.4 * CONTROL_HZ
     away = replay(world, episode)
     assert away.press_mm.max() < 0.05
@@ -143,7 +143,7 @@ def test_another_rate_tells_the_same(world):
     place = find_place(world, slow)
     replayed = replay(world, slow, place)
     assert np.median(1e3 * np.linalg.norm(replayed.flange_m - slow.state[:, EE], axis=1)) < 0.5
-    felt = np.flatnonzero(replayed.press_mm > FELT_MM)
+    felt = np.flatnonzero(replayed.press_mm > TOUCHED_MM)
     assert abs(felt[0] / CONTROL_HZ - fast.contact()[0] / fast.fps) < 0.4
 
 
