@@ -305,5 +305,4 @@ def _hue(rgb: tuple[int, int, int], option: str) -> float:
 
 
 def _hue_difference(hues: np.ndarray, hue: float) -> np.ndarray:
-    """Degrees between hues round the circle."""
     return np.abs((hues - hue + 180.0) % 360.0 - 180.0)

@@ -371,7 +371,6 @@ def photograph_painter(twin: Twin, body: Body, recorded: Recorded, spines: np.nd
 
 
 def _window(recorded: Recorded, spines: np.ndarray, length_m: float) -> tuple[slice, slice]:
-    """Rows and columns of the pictures that show the body at all times."""
     camera = recorded.camera
     pixels, depth = camera.project(spines.reshape(-1, 3))
     size = np.array([camera.width, camera.height])

@@ -38,8 +38,7 @@ class BatchedPpoEnv(VecEnv):
         device: of the worlds, `cpu` or `cuda`.
         options: of `PpoEnv`.
 
-    Raises:
-        InputError: as `PpoEnv` and `BatchedWorld`.
+    Raises InputError: as `PpoEnv` and `BatchedWorld`.
     """
 
     def __init__(self, task: str, twin: Twin | None, envs: int, device: str, **options):

@@ -42,8 +42,6 @@ class EffectsPanel:
 
 
 class _Switch:
-    """One effect."""
-
     def __init__(self, gui, effect: Effect, values: Mapping[str, Value] | None, range_kpa: float, changed):
         self.effect = effect
         start = effect.start(range_kpa) | dict(values or {})

@@ -30,8 +30,7 @@ class InputError(ValueError):
 def from_hub(sentence: str) -> Iterator[None]:
     """Makes any fault of the Hub or of the network one sentence, which begins with this one.
 
-    Raises:
-        InputError: something failed inside.
+    Raises InputError: something failed inside.
     """
     try:
         yield

@@ -99,20 +99,13 @@ class ExecutorOptions:
 
 @dataclass(frozen=True)
 class Pieces:
-    """A step of a datatrove pipeline: each task makes pieces that follow one another.
+    """A step of a datatrove pipeline: each task makes pieces that follow one another."""
 
-    Attributes:
-        make: writes the file of a number, whole or not at all.
-        numbers: of the pieces that are missing.
-        per_task: how many of them a task makes.
-        home: folder from which relative paths lead.
-        alone: whether a task starts a process of its own; the engine's may have been forked from any other.
-    """
-
-    make: Callable[[int], object]
-    numbers: tuple[int, ...]
-    per_task: int
-    home: Path
+    make: Callable[[int], object]  # writes the file of a number, whole or not at all
+    numbers: tuple[int, ...]  # of the pieces that are missing
+    per_task: int  # how many of them a task makes
+    home: Path  # folder from which relative paths lead
+    # whether a task starts a process of its own; the engine's may have been forked from any other
     alone: bool
 
     def __call__(self, data, rank: int, world_size: int) -> None:
@@ -150,9 +143,8 @@ def run_pieces(
         text: a few words.
         there: whether the piece of a file is done.
 
-    Raises:
-        InputError: a piece has raised it, a process ended, no space is left, or the cluster refuses the work;
-            what has been made is there, and another call goes on.
+    Raises InputError: a piece has raised it, a process ended, no space is left, or the cluster refuses the
+    work; what has been made is there, and another call goes on.
     """
     options = options or ExecutorOptions()
     missing = tuple(k for k, file in enumerate(files) if not there(file))

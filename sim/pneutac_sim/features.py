@@ -42,17 +42,13 @@ class Places:
     """Where what comes after the joints is in a state (2 N + 5 + C,) of any arm, from its end.
 
     A state's first entries are the N joints' angles, then their rates.
-
-    Attributes:
-        ee: of the flange (3,).
-        area, pixels: of the contact.
-        pressure: of the C chambers (C,).
     """
 
-    ee: slice
+    ee: slice  # of the flange (3,)
+    # area, pixels: of the contact
     area: int
     pixels: int
-    pressure: slice
+    pressure: slice  # of the C chambers (C,)
 
     @classmethod
     def of(cls, chambers: int) -> "Places":

@@ -41,9 +41,8 @@ def _text(file: Path, most_bytes: int) -> str:
 def read_json[T: (dict, list)](file: Path, kind: type[T] = dict) -> T:
     """Content of a JSON file: names and values, or a list.
 
-    Raises:
-        InputError: one line: it is none, far too large, or holds something else, a name twice or control
-            characters.
+    Raises InputError: one line: it is none, far too large, or holds something else, a name twice or control
+    characters.
     """
     text = _text(file, MOST_JSON_BYTES)
     try:
@@ -98,8 +97,7 @@ def read_fields(file: Path, known: Iterable[str], required: Iterable[str] = (), 
         required: those that it must have.
         kind: what a name is, in a sentence.
 
-    Raises:
-        InputError: one line: it is none, or empty, has another name, or lacks one.
+    Raises InputError: one line: it is none, or empty, has another name, or lacks one.
     """
     content, known = read_yaml(file), list(known)
     if not isinstance(content, dict):

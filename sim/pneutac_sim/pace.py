@@ -22,18 +22,12 @@ LATE = 1.5  # periods after which a frame is late
 
 @dataclass(frozen=True)
 class Pace:
-    """Of one episode.
+    """Of one episode."""
 
-    Attributes:
-        achieved_hz: mean rate of its frames by the clock.
-        late_frames: how many came more than half a period late.
-        longest_s: the longest time between two.
-        simulated: whether the robot stood still between two frames and moved on by one period with each.
-    """
-
-    achieved_hz: float
-    late_frames: int
-    longest_s: float
+    achieved_hz: float  # mean rate of its frames by the clock
+    late_frames: int  # how many came more than half a period late
+    longest_s: float  # the longest time between two
+    # whether the robot stood still between two frames and moved on by one period with each
     simulated: bool = False
 
     @classmethod
@@ -72,7 +66,6 @@ def read_outcomes(meta: Path) -> dict[int, str]:
 
 
 def _of_episodes[T](file: Path, value: Callable[[Any], T], remedy: str) -> dict[int, T]:
-    """Episode to value, from a JSON file; empty where there is none."""
     try:
         content = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
         return {int(k): value(v) for k, v in content.items()}

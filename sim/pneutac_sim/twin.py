@@ -166,8 +166,7 @@ class Twin:
     def save(self, path: str | Path) -> Path:
         """Writes the twin into folder `path` without touching its history; returns the folder.
 
-        Raises:
-            InputError: no space is left, or another process writes there and does not end.
+        Raises InputError: no space is left, or another process writes there and does not end.
         """
         path = Path(path)
         with locked(path):
@@ -203,9 +202,8 @@ class Twin:
             recording: the recording that was used.
             errors: `train`, `heldout` and `unit`; and others of `_ENTRY`.
 
-        Raises:
-            InputError: as `save`, an error has another name or is not finite, or another process has saved
-                a version since this one was loaded.
+        Raises InputError: as `save`, an error has another name or is not finite, or another process has saved
+        a version since this one was loaded.
         """
         path = Path(path)
         number = len(self.history)
@@ -240,8 +238,7 @@ class Twin:
             version: an earlier version in it.
             calibrated: whether a body without a parameter of `CALIBRATED` is refused; a fit finds them.
 
-        Raises:
-            InputError: with file and field: there is none, or something in it is missing or malformed.
+        Raises InputError: with file and field: there is none, or something in it is missing or malformed.
         """
         file = Path(path) / ("twin.yaml" if version is None else f"history/{version:03d}/twin.yaml")
         if not file.is_file():
@@ -313,8 +310,7 @@ class Twin:
     def push_to_hub(self, repo_id: str, **kwargs) -> str:
         """Uploads a saved copy of this twin to the Hugging Face Hub; returns the commit's address.
 
-        Raises:
-            InputError: the Hub cannot be reached, or refuses it.
+        Raises InputError: the Hub cannot be reached, or refuses it.
         """
         import tempfile
 
@@ -332,8 +328,8 @@ class Twin:
     def from_pretrained(cls, name_or_path: str | Path, **kwargs) -> "Twin":
         """Loads a twin from a folder or from a Hub repository.
 
-        Raises:
-            InputError: there is no such folder and the Hub cannot be reached or has none, or it is damaged.
+        Raises InputError: there is no such folder and the Hub cannot be reached or has none, or it is
+        damaged.
         """
         if Path(name_or_path).is_dir():
             return cls.load(name_or_path)
@@ -367,8 +363,7 @@ class _Dumper(yaml.SafeDumper):
 def checked_range(pressures_kpa, name: str) -> tuple[float, float]:
     """A range of pressures as two numbers, kPa.
 
-    Raises:
-        InputError: it is not two finite numbers, the first below the second, with 0 (vented) among them.
+    Raises InputError: it is not two finite numbers, the first below the second, with 0 (vented) among them.
     """
     try:
         low, high = (float(x) for x in pressures_kpa)

@@ -33,27 +33,21 @@ MARCH_MM = 0.35  # between points of a ray at which it may be in shadow
 
 @dataclass(frozen=True)
 class Lamps:
-    """Light and lens of one sensor; millimetres in the gel's frame, z out of the sensor.
+    """Light and lens of one sensor; millimetres in the gel's frame, z out of the sensor."""
 
-    Attributes:
-        places: (lamps, 3) of the LEDs.
-        colours: (lamps, 3) how much red, green and blue of each the chip sees.
-        scattered: (3,) light from everywhere.
-        gloss: share of the glossy lobe, and its exponent.
-        camera_mm: how far below the face the lens sits.
-        softness: width of a shadow's edge over the distance from what casts it.
-    """
-
+    # (lamps, 3) of the LEDs
     places: np.ndarray = field(
         default_factory=lambda: np.array([[-8.5, 0.5, -3.4], [8.8, -2.0, -3.1], [-0.8, 10.8, -3.8]])
     )
+    # (lamps, 3) how much red, green and blue of each the chip sees
     colours: np.ndarray = field(
         default_factory=lambda: np.array([[84.0, 9.0, 9.0], [8.0, 78.0, 12.0], [5.0, 16.0, 92.0]])
     )
+    # (3,) light from everywhere
     scattered: np.ndarray = field(default_factory=lambda: np.array([0.14, 0.19, 0.23]))
-    gloss: tuple[float, float] = (0.25, 12.0)
-    camera_mm: float = 21.0
-    softness: float = 0.16
+    gloss: tuple[float, float] = (0.25, 12.0)  # share of the glossy lobe, and its exponent
+    camera_mm: float = 21.0  # how far below the face the lens sits
+    softness: float = 0.16  # width of a shadow's edge over the distance from what casts it
 
 
 def light(z_mm: np.ndarray, xs_mm: np.ndarray, ys_mm: np.ndarray, lamps: Lamps) -> np.ndarray:

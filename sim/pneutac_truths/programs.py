@@ -11,29 +11,18 @@ KINDS = ("steps", "ramps", "sine", "staircase", "random_holds", "chirp")
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Time grid and commands of one recording.
+    """Time grid and commands of one recording."""
 
-    Attributes:
-        time_s: (n,) fine grid over trials and pauses.
-        command: (n, chambers) what the computer last sent, as share of the top pressure.
-        sent_s: (n,) when it was sent, s of the fine grid.
-        starts: first row of each trial on the grid.
-        ends: row after its last.
-        programs: name of each trial.
-        pauses_s: (trials,) before each trial; the first has none.
-        row_s: between recorded samples.
-        conditions: of each trial, where somebody else decides them: `gravity` (trials, 3) unit vectors,
-            `payload_g` (trials,) and `temperature_c` (trials,); they are logged whether or not they act.
-    """
-
-    time_s: np.ndarray
-    command: np.ndarray
-    sent_s: np.ndarray
-    starts: list[int]
-    ends: list[int]
-    programs: list[str]
-    pauses_s: list[float]
-    row_s: float = ROW_S
+    time_s: np.ndarray  # (n,) fine grid over trials and pauses
+    command: np.ndarray  # (n, chambers) what the computer last sent, as share of the top pressure
+    sent_s: np.ndarray  # (n,) when it was sent, s of the fine grid
+    starts: list[int]  # first row of each trial on the grid
+    ends: list[int]  # row after its last
+    programs: list[str]  # name of each trial
+    pauses_s: list[float]  # (trials,) before each trial; the first has none
+    row_s: float = ROW_S  # between recorded samples
+    # of each trial, where somebody else decides them: `gravity` (trials, 3) unit vectors, `payload_g`
+    # (trials,) and `temperature_c` (trials,); they are logged whether or not they act
     conditions: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property

@@ -29,21 +29,13 @@ COLUMNS = 19
 
 @dataclass(frozen=True)
 class Rod:
-    """Geometry of one rod.
+    """Geometry of one rod."""
 
-    Attributes:
-        length_mm: of the flexible part.
-        tip_mm: length of the rigid tip piece behind it; the marker sits at its end.
-        shapes: (3, elements) curvature per radian of bend by air, of bend by memory, and of twist.
-        stretched: (elements,) strain per unit of stretch.
-        axial: stretching compliance over bending compliance, mm^2.
-    """
-
-    length_mm: float
-    tip_mm: float
-    shapes: np.ndarray
-    stretched: np.ndarray
-    axial: float
+    length_mm: float  # of the flexible part
+    tip_mm: float  # length of the rigid tip piece behind it; the marker sits at its end
+    shapes: np.ndarray  # (3, elements) curvature per radian of bend by air, of bend by memory, and of twist
+    stretched: np.ndarray  # (elements,) strain per unit of stretch
+    axial: float  # stretching compliance over bending compliance, mm^2
 
     @classmethod
     def of(cls, length_mm, tip_mm, start, end, taper, radius_mm, elements=ELEMENTS) -> "Rod":
@@ -103,7 +95,6 @@ def _turn(R, v):
 
 @njit(cache=True)
 def _sub_cross(m, a, b, f):
-    """Takes f times a x b from m."""
     m[0] -= f * (a[1] * b[2] - a[2] * b[1])
     m[1] -= f * (a[2] * b[0] - a[0] * b[2])
     m[2] -= f * (a[0] * b[1] - a[1] * b[0])

@@ -42,35 +42,20 @@ PAIRS: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Truth:
-    """One recording and what is behind it.
+    """One recording and what is behind it."""
 
-    Attributes:
-        device: `rod`, `arm` or `cosserat`.
-        seed: of the device.
-        day: of the recording.
-        effects: name to its drawn parameters.
-        meta: what recording.json holds.
-        samples: the table as logged.
-        observed: columns of the pose.
-        pose: (rows, columns) the log without noise, in the columns' units.
-        true_pose: (rows, columns) where the device truly is at the stamps.
-        noise_floor: rms Euclidean noise of the pose, in its unit.
-        pauses_s: (trials,) rest before each trial.
-        top_kpa: highest commanded pressure.
-    """
-
-    device: str
-    seed: int
-    day: int
-    effects: dict[str, dict[str, float]]
-    meta: dict
-    samples: pd.DataFrame
-    observed: list[str]
-    pose: np.ndarray
-    true_pose: np.ndarray
-    noise_floor: float
-    pauses_s: list[float]
-    top_kpa: float
+    device: str  # `rod`, `arm` or `cosserat`
+    seed: int  # of the device
+    day: int  # of the recording
+    effects: dict[str, dict[str, float]]  # name to its drawn parameters
+    meta: dict  # what recording.json holds
+    samples: pd.DataFrame  # the table as logged
+    observed: list[str]  # columns of the pose
+    pose: np.ndarray  # (rows, columns) the log without noise, in the columns' units
+    true_pose: np.ndarray  # (rows, columns) where the device truly is at the stamps
+    noise_floor: float  # rms Euclidean noise of the pose, in its unit
+    pauses_s: list[float]  # (trials,) rest before each trial
+    top_kpa: float  # highest commanded pressure
 
 
 def named(device: str, effects: Sequence[str], seed: int) -> tuple[str, ...]:
@@ -131,8 +116,7 @@ def generate(
             device heeds it only where one of its effects does), and the base is turned in its plane alone.
         strength: of each effect, see `make.sized`; None draws it.
 
-    Raises:
-        ValueError: an unknown name, or a gauge's fault without a gauge.
+    Raises ValueError: an unknown name, or a gauge's fault without a gauge.
     """
     names = named(device, effects, seed)
     faulty = [n for n in names if EFFECTS[n].stage == "gauge"]

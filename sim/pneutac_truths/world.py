@@ -17,37 +17,22 @@ CHAMBERS = {"rod": 1, "cosserat": 1, "arm": 3}
 
 @dataclass(frozen=True)
 class Body:
-    """One device as drawn from its seed: everything that no effect changes.
+    """One device as drawn from its seed: everything that no effect changes."""
 
-    Attributes:
-        top_kpa: highest commanded pressure.
-        bend_rad: of each chamber alone at the top pressure (chambers,).
-        direction_rad: of each chamber's bend about the axis (chambers,); 0 bends towards z, pi/2 towards y.
-        length_mm: from base to marker.
-        rod: its elastic line.
-        weight: weight of the flexible part times length squared over bending stiffness.
-        tip_share: weight of the tip piece over that of the flexible part.
-        mass_g: of the flexible part.
-        noise_mm: standard deviation of the marker per axis.
-        gauge_noise_kpa: of a pressure gauge.
-        curvatures: an arm that is measured by curvatures instead of a marker.
-        period_s: of the lowest mode where the body moves.
-        damping: ratio of that mode.
-    """
-
-    top_kpa: float
-    bend_rad: np.ndarray
+    top_kpa: float  # highest commanded pressure
+    bend_rad: np.ndarray  # of each chamber alone at the top pressure (chambers,)
+    # of each chamber's bend about the axis (chambers,); 0 bends towards z, pi/2 towards y
     direction_rad: np.ndarray
-    length_mm: float
-    rod: Rod
-    weight: float
-    tip_share: float
-    mass_g: float
-    noise_mm: float
-    gauge_noise_kpa: float
-    curvatures: bool
-    period_s: float
-    damping: float
+    length_mm: float  # from base to marker
+    rod: Rod  # its elastic line
+    weight: float  # weight of the flexible part times length squared over bending stiffness
+    tip_share: float  # weight of the tip piece over that of the flexible part
+    mass_g: float  # of the flexible part
+    noise_mm: float  # standard deviation of the marker per axis
+    gauge_noise_kpa: float  # of a pressure gauge
+    curvatures: bool  # an arm that is measured by curvatures instead of a marker
+    period_s: float  # of the lowest mode where the body moves
+    damping: float  # ratio of that mode
 
     @classmethod
     def draw(cls, device: str, seed: int) -> "Body":
@@ -87,53 +72,29 @@ def stream(*keys: int | str) -> np.random.Generator:
 
 @dataclass
 class World:
-    """One recording while it is made; effects change the series below, stage by stage.
+    """One recording while it is made; effects change the series below, stage by stage."""
 
-    Attributes:
-        body: the device.
-        plan: what is commanded; c chambers, n rows of the fine grid.
-        seed: of the device.
-        day: of the recording.
-        sent: (n, c) what reaches the regulator, share of the top pressure.
-        air: (n, c) pressure in the chamber.
-        at_gauge: (n, c) pressure where the gauge sits; None: in the chamber.
-        drive: (n, c) bend that this pressure drives, rad.
-        memory: (n, c) bend that the material adds by what it remembers, rad.
-        softer: (n,) compliance of the material over that of the plain one.
-        aside: (n,) bend out of the plane, rad.
-        twist: (n,) twist over the length, rad.
-        stretch: (n,) axial strain of the chamber.
-        base_turn: (n, 3) rotation vector of the mount, rad.
-        in_plane: whether the base is turned in the plane of bending alone.
-        gravity: (trials, 3) unit vectors where weight acts, else None.
-        weighs: whether the rod's own weight acts.
-        payload_g: (trials,) at the tip, or None.
-        temperature_c: (n,) where it is logged, else None.
-        after_pose: functions of (tips, rows) that sit at the marker or between device and world.
-        contact: a wall (see `contact`), or None.
-        dynamics: period, damping and more of a body that moves; empty for one in equilibrium.
-    """
-
-    body: Body
-    plan: Plan
-    seed: int
-    day: int
-    sent: np.ndarray = field(init=False)
-    air: np.ndarray | None = None
-    at_gauge: np.ndarray | None = None
-    drive: np.ndarray | None = None
-    memory: np.ndarray | None = None
-    softer: np.ndarray = field(init=False)
-    aside: np.ndarray = field(init=False)
-    twist: np.ndarray = field(init=False)
-    stretch: np.ndarray = field(init=False)
-    base_turn: np.ndarray = field(init=False)
-    in_plane: bool = False
-    gravity: np.ndarray | None = None
-    weighs: bool = False
-    payload_g: np.ndarray | None = None
-    temperature_c: np.ndarray | None = None
-    contact: dict | None = None
+    body: Body  # the device
+    plan: Plan  # what is commanded; c chambers, n rows of the fine grid
+    seed: int  # of the device
+    day: int  # of the recording
+    sent: np.ndarray = field(init=False)  # (n, c) what reaches the regulator, share of the top pressure
+    air: np.ndarray | None = None  # (n, c) pressure in the chamber
+    at_gauge: np.ndarray | None = None  # (n, c) pressure where the gauge sits; None: in the chamber
+    drive: np.ndarray | None = None  # (n, c) bend that this pressure drives, rad
+    memory: np.ndarray | None = None  # (n, c) bend that the material adds by what it remembers, rad
+    softer: np.ndarray = field(init=False)  # (n,) compliance of the material over that of the plain one
+    aside: np.ndarray = field(init=False)  # (n,) bend out of the plane, rad
+    twist: np.ndarray = field(init=False)  # (n,) twist over the length, rad
+    stretch: np.ndarray = field(init=False)  # (n,) axial strain of the chamber
+    base_turn: np.ndarray = field(init=False)  # (n, 3) rotation vector of the mount, rad
+    in_plane: bool = False  # whether the base is turned in the plane of bending alone
+    gravity: np.ndarray | None = None  # (trials, 3) unit vectors where weight acts, else None
+    weighs: bool = False  # whether the rod's own weight acts
+    payload_g: np.ndarray | None = None  # (trials,) at the tip, or None
+    temperature_c: np.ndarray | None = None  # (n,) where it is logged, else None
+    contact: dict | None = None  # a wall (see `contact`), or None
+    # period, damping and more of a body that moves; empty for one in equilibrium
     dynamics: dict = field(default_factory=dict)
 
     def __post_init__(self):
@@ -228,23 +189,14 @@ def curvatures(tips: np.ndarray, length_mm: float) -> np.ndarray:
 
 @dataclass
 class Seen:
-    """The marker on its way into the log.
+    """The marker on its way into the log."""
 
-    Attributes:
-        world: whose marker it is.
-        path: (m, 3) mm on the fine grid of all trials without pauses, or on the recorded rows alone.
-        fine: whether `path` is on the fine grid.
-        late_s: (rows,) by how much each sample is taken after its stamp.
-        tips: (rows, 3) mm as logged, before noise; None until `sample`.
-        frozen: (rows,) that repeat the row before, noise and all.
-    """
-
-    world: World
-    path: np.ndarray
-    fine: bool
-    late_s: np.ndarray
-    frozen: np.ndarray
-    tips: np.ndarray | None = None
+    world: World  # whose marker it is
+    path: np.ndarray  # (m, 3) mm on the fine grid of all trials without pauses, or on the recorded rows alone
+    fine: bool  # whether `path` is on the fine grid
+    late_s: np.ndarray  # (rows,) by how much each sample is taken after its stamp
+    frozen: np.ndarray  # (rows,) that repeat the row before, noise and all
+    tips: np.ndarray | None = None  # (rows, 3) mm as logged, before noise; None until `sample`
 
     def trials(self, x: np.ndarray) -> list[np.ndarray]:
         """The pieces of x (m, ...) that belong to each trial on the fine grid."""

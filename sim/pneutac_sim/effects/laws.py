@@ -574,35 +574,21 @@ COUNTED = {"temperature_c": (REFERENCE_C, 10.0), "session_time_s": (0.0, 1.0), "
 
 @dataclass(frozen=True)
 class Law:
-    """One law of the drive.
+    """One law of the drive."""
 
-    Attributes:
-        memory: M.
-        family: the library's name for such physics, see `FAMILIES`.
-        equation: LaTeX of what is added.
-        experiment: what shows it, see `EXPERIMENTS`.
-        constants: of the memory, with bounds.
-        starts: constants with which a search begins, in units of the parameters' default.
-        input: f.
-        gain: whether it is a gain; otherwise it is added.
-        minus: whether the memory's input is taken off, so that nothing is left in steady state.
-        column: condition that it needs.
-        scaled: whether the condition is a factor; otherwise it moves a constant or is the input.
-        cause: in a list of causes; empty for the family's.
-    """
-
-    memory: Callable
-    family: str
-    equation: str
-    experiment: str
-    constants: tuple[Parameter, ...] = ()
+    memory: Callable  # M
+    family: str  # the library's name for such physics, see `FAMILIES`
+    equation: str  # LaTeX of what is added
+    experiment: str  # what shows it, see `EXPERIMENTS`
+    constants: tuple[Parameter, ...] = ()  # of the memory, with bounds
+    # constants with which a search begins, in units of the parameters' default
     starts: tuple[tuple[float, ...], ...] = ((),)
-    input: Callable = pressure
-    gain: bool = False
-    minus: bool = False
-    column: str = ""
-    scaled: bool = False
-    cause: str = ""
+    input: Callable = pressure  # f
+    gain: bool = False  # whether it is a gain; otherwise it is added
+    minus: bool = False  # whether the memory's input is taken off, so that nothing is left in steady state
+    column: str = ""  # condition that it needs
+    scaled: bool = False  # whether the condition is a factor; otherwise it moves a constant or is the input
+    cause: str = ""  # in a list of causes; empty for the family's
 
     def effect(self, name: str) -> BodyEffect:
         """The effect of this name, `lag(p)` or `lag(p) #2`."""
@@ -638,21 +624,13 @@ class Law:
 
 @dataclass(frozen=True)
 class SeenLaw:
-    """One law of what is seen: an output gains a feature.
+    """One law of what is seen: an output gains a feature."""
 
-    Attributes:
-        out: index of the output, tip x, y, z or bend.
-        feature: of the markers (n, 5), the length in mm and the counted condition.
-        column: condition that it needs.
-        family: the library's name for such physics.
-        cause: in a list of causes.
-    """
-
-    out: int
-    feature: Callable
-    column: str = ""
-    family: str = "tracker"
-    cause: str = "an error of the measured tip"
+    out: int  # index of the output, tip x, y, z or bend
+    feature: Callable  # of the markers (n, 5), the length in mm and the counted condition
+    column: str = ""  # condition that it needs
+    family: str = "tracker"  # the library's name for such physics
+    cause: str = "an error of the measured tip"  # in a list of causes
 
     def effect(self, name: str) -> BodyEffect:
         """The effect of this name."""

@@ -62,8 +62,7 @@ BUILTIN = (
 def all_effects() -> dict[str, Effect]:
     """Name to effect, in the order in which they act.
 
-    Raises:
-        InputError: another package offers something that does not load or is no effect, or a name twice.
+    Raises InputError: another package offers something that does not load or is no effect, or a name twice.
     """
     found = [importlib.import_module(f"pneutac_sim.effects.{name}").EFFECT for name in BUILTIN]
     for point in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda p: p.name):

@@ -39,17 +39,11 @@ def each_channel(
 
 @dataclass(frozen=True)
 class Quiet:
-    """A photograph where nothing touches, m cells of the probe grid.
+    """A photograph where nothing touches, m cells of the probe grid."""
 
-    Attributes:
-        clock: when in the session, 0 to 1.
-        rest: (m, 3) levels without contact.
-        image: (m, 3) levels in the photograph.
-    """
-
-    clock: float
-    rest: np.ndarray
-    image: np.ndarray
+    clock: float  # when in the session, 0 to 1
+    rest: np.ndarray  # (m, 3) levels without contact
+    image: np.ndarray  # (m, 3) levels in the photograph
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,19 +17,12 @@ TOLERANCE = 1e-3
 
 @dataclass(frozen=True)
 class Confidence:
-    """Uncertainty of F fitted parameters, in the fit's own scaled units.
+    """Uncertainty of F fitted parameters, in the fit's own scaled units."""
 
-    Attributes:
-        rho: correlation of residuals of neighbouring samples.
-        sigma: standard deviation of the residuals, in the unit of the error.
-        sd: (F,) standard deviations; infinite where nothing was learned.
-        correlation: (F, F) between parameters; zero rows for those at a bound.
-    """
-
-    rho: float
-    sigma: float
-    sd: np.ndarray
-    correlation: np.ndarray
+    rho: float  # correlation of residuals of neighbouring samples
+    sigma: float  # standard deviation of the residuals, in the unit of the error
+    sd: np.ndarray  # (F,) standard deviations; infinite where nothing was learned
+    correlation: np.ndarray  # (F, F) between parameters; zero rows for those at a bound
 
 
 def autocorrelation(residual: np.ndarray, adjacent: np.ndarray) -> float:

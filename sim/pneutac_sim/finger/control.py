@@ -62,8 +62,7 @@ class BendController:
         residual_rad: by which the last measured bend was off model and offset.
         loaded: whether something else than its pressure bends the finger, by the last measured bends.
 
-    Raises:
-        InputError: a device of another kind, or a condition is missing.
+    Raises InputError: a device of another kind, or a condition is missing.
     """
 
     def __init__(self, twin: Twin, dt_s: float, conditions: Mapping[str, float] | None = None):
@@ -110,8 +109,7 @@ class BendController:
         Returns:
             kPa, within the twin's range.
 
-        Raises:
-            InputError: the target is not finite.
+        Raises InputError: the target is not finite.
         """
         kpa = self.plan(target_rad)
         self.follow(kpa)
@@ -149,8 +147,7 @@ class BendController:
 
         What is far from model and offset is no offset: nothing is learnt of it.
 
-        Raises:
-            InputError: the bend is not finite.
+        Raises InputError: the bend is not finite.
         """
         if not math.isfinite(bend_rad):
             raise InputError(f"The measured bend is {bend_rad}; it must be a finite number of radians.")

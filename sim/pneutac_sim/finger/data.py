@@ -16,27 +16,16 @@ TARGETS = ("pose", "pressure")
 
 @dataclass(frozen=True)
 class BodyData:
-    """A recording prepared once, for many simulations and fits.
+    """A recording prepared once, for many simulations and fits."""
 
-    Attributes:
-        inputs: what drives the model.
-        columns: (D,) measured columns; those that count in the error come first.
-        measured: (n, D) their values.
-        scale: (D,) what one unit of each column is worth in the unit of the error.
-        counted: how many of the columns count in the error.
-        unit: of the error.
-        device: `finger` or `arm`.
-        adjacent: (n,) True where a sample directly follows the one before in its trial.
-    """
-
-    inputs: Inputs
-    columns: tuple[str, ...]
-    measured: np.ndarray
-    scale: np.ndarray
-    counted: int
-    unit: str
-    device: str
-    adjacent: np.ndarray
+    inputs: Inputs  # what drives the model
+    columns: tuple[str, ...]  # (D,) measured columns; those that count in the error come first
+    measured: np.ndarray  # (n, D) their values
+    scale: np.ndarray  # (D,) what one unit of each column is worth in the unit of the error
+    counted: int  # how many of the columns count in the error
+    unit: str  # of the error
+    device: str  # `finger` or `arm`
+    adjacent: np.ndarray  # (n,) True where a sample directly follows the one before in its trial
 
     @classmethod
     def of(
@@ -59,8 +48,7 @@ class BodyData:
             start: see `Inputs.from_samples`; `auto` takes the twin's `pause_s` where it has one.
             switch: see there; None takes the twin's `switch_share` where it has one.
 
-        Raises:
-            InputError: the devices differ or the wanted columns are missing.
+        Raises InputError: the devices differ or the wanted columns are missing.
         """
         if recording.device != twin.device:
             raise InputError(f"The recording is of a {recording.device}, the twin is of a {twin.device}.")
@@ -123,21 +111,13 @@ class BodyData:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What a twin predicts for a recording.
+    """What a twin predicts for a recording."""
 
-    Attributes:
-        data: the prepared recording.
-        model: (n, D) predicted values of `data.columns`.
-        residual: (n, D) measured - model.
-        error: root mean square Euclidean distance in `data.unit`.
-        left_out: effects of the twin that could not act, and why.
-    """
-
-    data: BodyData
-    model: np.ndarray
-    residual: np.ndarray
-    error: float
-    left_out: dict[str, str]
+    data: BodyData  # the prepared recording
+    model: np.ndarray  # (n, D) predicted values of `data.columns`
+    residual: np.ndarray  # (n, D) measured - model
+    error: float  # root mean square Euclidean distance in `data.unit`
+    left_out: dict[str, str]  # effects of the twin that could not act, and why
 
 
 def simulate(twin: Twin, recording, effects: Sequence[str] | None = None) -> Prediction:

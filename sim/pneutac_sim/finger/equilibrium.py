@@ -373,19 +373,12 @@ LEAST_SHARE = 1e-3  # of the whole stiffness, that is left to the controller at 
 
 @dataclass(frozen=True)
 class SoftBody:
-    """Torque of a soft body by its joint angles.
+    """Torque of a soft body by its joint angles."""
 
-    Attributes:
-        powers: (T, N) of the joint angles in each term of the energy.
-        weights: (T,) of the terms, N m at a modulus of 1 MPa.
-        rest: (N,) joint angles at zero pressure, rad, where stiffnesses are compared.
-        error: root mean square of what the fit leaves of the measured torques, share of theirs.
-    """
-
-    powers: np.ndarray
-    weights: np.ndarray
-    rest: np.ndarray
-    error: float
+    powers: np.ndarray  # (T, N) of the joint angles in each term of the energy
+    weights: np.ndarray  # (T,) of the terms, N m at a modulus of 1 MPa
+    rest: np.ndarray  # (N,) joint angles at zero pressure, rad, where stiffnesses are compared
+    error: float  # root mean square of what the fit leaves of the measured torques, share of theirs
 
     @classmethod
     def fit(cls, q: np.ndarray, torque: np.ndarray, rest: np.ndarray) -> "SoftBody":
@@ -428,7 +421,6 @@ class SoftBody:
 
 
 def _terms(n: int) -> np.ndarray:
-    """(T, N) powers."""
     chosen = [(i,) for i in range(n)] + list(combinations_with_replacement(range(n), 2))
     for order in (3, 4):
         chosen += [c for c in combinations_with_replacement(range(n), order) if c[-1] - c[0] <= 1]

@@ -94,39 +94,23 @@ BY_IMAGES = "calibrated by images"  # how a twin's history calls it
 
 @dataclass(frozen=True)
 class PipelineFit:
-    """The outcome of `fit`.
+    """The outcome of `fit`."""
 
-    Attributes:
-        twin: the twin with the new parameters and their confidence intervals.
-        pipeline: the model that was fitted.
-        theta: (P,) all parameters.
-        free: (F,) indices of those that were fitted; `confidence` is in this order.
-        residual: (n, D) measured - model over all samples.
-        train: error over the training samples, in `unit`.
-        heldout: error over the others; NaN where there are none.
-        unit: of the errors.
-        confidence: spread and correlations in scaled units, effective number of samples.
-        ci95: parameter name to its interval, for all in `free`.
-        at_bound: parameter name to `lower` or `upper`, where it stopped at a bound that is no neutral point.
-        not_identified: parameters that the recording does not identify, and why.
-        evaluations: simulations made, most of them of a thinned recording or of a part of the chain.
-        seconds: wall time.
-    """
-
-    twin: Twin
-    pipeline: Pipeline
-    theta: np.ndarray
-    free: np.ndarray
-    residual: np.ndarray
-    train: float
-    heldout: float
-    unit: str
-    confidence: Confidence
-    ci95: dict[str, tuple[float, float]]
+    twin: Twin  # the twin with the new parameters and their confidence intervals
+    pipeline: Pipeline  # the model that was fitted
+    theta: np.ndarray  # (P,) all parameters
+    free: np.ndarray  # (F,) indices of those that were fitted; `confidence` is in this order
+    residual: np.ndarray  # (n, D) measured - model over all samples
+    train: float  # error over the training samples, in `unit`
+    heldout: float  # error over the others; NaN where there are none
+    unit: str  # of the errors
+    confidence: Confidence  # spread and correlations in scaled units, effective number of samples
+    ci95: dict[str, tuple[float, float]]  # parameter name to its interval, for all in `free`
+    # parameter name to `lower` or `upper`, where it stopped at a bound that is no neutral point
     at_bound: dict[str, str]
-    not_identified: dict[str, str]
-    evaluations: int
-    seconds: float
+    not_identified: dict[str, str]  # parameters that the recording does not identify, and why
+    evaluations: int  # simulations made, most of them of a thinned recording or of a part of the chain
+    seconds: float  # wall time
 
     @property
     def free_names(self) -> list[str]:
@@ -157,8 +141,7 @@ def fit(
         seed: decides the random ones among them.
         body: of a finger, with which its modulus and the joints' stiffness are fitted too.
 
-    Raises:
-        InputError: there are fewer training samples than parameters.
+    Raises InputError: there are fewer training samples than parameters.
     """
     began = time.perf_counter()
     data = recording if isinstance(recording, BodyData) else BodyData.of(recording, twin)

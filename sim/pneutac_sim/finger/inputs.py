@@ -106,22 +106,14 @@ class Inputs:
     """Everything the pipeline reads, one row a sample, m rows.
 
     A trial that starts vented has one row more, before its first sample, at zero pressure.
-
-    Attributes:
-        pressure_kpa: (m, chambers), commanded or measured.
-        dt_s: (m,) since the row before; infinite where a trial starts.
-        rows: (n,) which rows are samples.
-        columns: condition name to (m,).
-        measured: True where `pressure_kpa` was measured, so that pneumatics are skipped.
-        pressure_range_kpa: largest magnitude of the pressure; scales bounds and starting values.
     """
 
-    pressure_kpa: np.ndarray
-    dt_s: np.ndarray
-    rows: np.ndarray
-    columns: dict[str, np.ndarray]
-    measured: bool
-    pressure_range_kpa: float
+    pressure_kpa: np.ndarray  # (m, chambers), commanded or measured
+    dt_s: np.ndarray  # (m,) since the row before; infinite where a trial starts
+    rows: np.ndarray  # (n,) which rows are samples
+    columns: dict[str, np.ndarray]  # condition name to (m,)
+    measured: bool  # True where `pressure_kpa` was measured, so that pneumatics are skipped
+    pressure_range_kpa: float  # largest magnitude of the pressure; scales bounds and starting values
     _cache: dict = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
@@ -151,8 +143,7 @@ class Inputs:
                 sample to sample. Column `time_sent_s` goes before it, and every command, those of a ramp too,
                 is held until the next.
 
-        Raises:
-            InputError: a column is missing or time does not rise within a trial.
+        Raises InputError: a column is missing or time does not rise within a trial.
         """
         if source not in SOURCES or (isinstance(start, str) and start not in STARTS):
             raise InputError(

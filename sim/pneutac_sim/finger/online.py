@@ -38,8 +38,7 @@ class PressurePipeline:
         moves: whether an effect moves the tip from where the joints put it.
         measures: whether an effect changes what is read of the tip.
 
-    Raises:
-        InputError: an effect's condition was not given, or is not a finite number.
+    Raises InputError: an effect's condition was not given, or is not a finite number.
     """
 
     def __init__(self, twin: Twin, conditions: Mapping[str, float] | None = None):

@@ -52,21 +52,13 @@ BENDING_PRESSURE = "bending_pressure_kpa"
 
 @dataclass(frozen=True)
 class Run:
-    """One simulation.
+    """One simulation."""
 
-    Attributes:
-        theta: (P,) its parameters.
-        signals: what enters each link of the chain, and what leaves the last.
-        pressure_kpa: (n, chambers) in the chambers, as their sensor reads it.
-        joints: (n, N) or (n, 2 N) joint angles, rad.
-        markers: (n, 5) tip x, y, z in mm, bend towards +z and towards +y in rad.
-    """
-
-    theta: np.ndarray
-    signals: list[np.ndarray]
-    pressure_kpa: np.ndarray
-    joints: np.ndarray
-    markers: np.ndarray
+    theta: np.ndarray  # (P,) its parameters
+    signals: list[np.ndarray]  # what enters each link of the chain, and what leaves the last
+    pressure_kpa: np.ndarray  # (n, chambers) in the chambers, as their sensor reads it
+    joints: np.ndarray  # (n, N) or (n, 2 N) joint angles, rad
+    markers: np.ndarray  # (n, 5) tip x, y, z in mm, bend towards +z and towards +y in rad
 
 
 class Pipeline:
@@ -163,8 +155,7 @@ class Pipeline:
             twin: of the device.
             pressure_range_kpa: largest pressure; what the twin lacks has its defaults for it.
 
-        Raises:
-            InputError: an effect has a parameter too many.
+        Raises InputError: an effect has a parameter too many.
         """
         for name, values in twin.effects.items():
             known = [p.name for p in get_effect(name).parameters]

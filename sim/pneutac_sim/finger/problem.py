@@ -170,7 +170,6 @@ class AtRest:
         return out
 
     def _seen(self, markers: np.ndarray, computed: dict[str, np.ndarray]) -> np.ndarray:
-        """(n, D) outputs at other markers (n, 5) of the body."""
         conditions = self._inputs.conditions_with(computed, True)
         for link in self._pipeline.chain[self._pipeline.reads_joints + 1 :]:
             markers = link(markers, self._inputs.sample_dt_s, self._run.theta, conditions, np.zeros(0))

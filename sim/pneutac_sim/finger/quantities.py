@@ -14,17 +14,11 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Quantity:
-    """One thing that is measured.
+    """One thing that is measured."""
 
-    Attributes:
-        pattern: regular expression of its columns.
-        unit: of its columns.
-        devices: on which it is measured.
-    """
-
-    pattern: str
-    unit: str
-    devices: tuple[str, ...] = ("finger", "arm")
+    pattern: str  # regular expression of its columns
+    unit: str  # of its columns
+    devices: tuple[str, ...] = ("finger", "arm")  # on which it is measured
 
 
 # In the order of preference. An arm's joint bends about two axes and q_n is one of them, so its curvatures

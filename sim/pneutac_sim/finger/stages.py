@@ -40,8 +40,7 @@ def gain_profile(n_joints: int, alpha: float, beta: float) -> np.ndarray:
     Returns:
         (N,) profile, all positive, mean 1.
 
-    Raises:
-        InputError: the profile would not be positive everywhere.
+    Raises InputError: the profile would not be positive everywhere.
     """
     m = np.arange(n_joints) - (n_joints - 1) / 2
     r = np.exp(alpha * m) * (1 + beta * m * m)
@@ -350,15 +349,10 @@ class Drive:
 
 @dataclass(frozen=True)
 class HeldDrive:
-    """A drive whose parameters stay as they are.
+    """A drive whose parameters stay as they are."""
 
-    Attributes:
-        gain: (chambers, N axes) rad/kPa.
-        still: (N axes,) joints at zero pressure, rad.
-    """
-
-    gain: np.ndarray
-    still: np.ndarray
+    gain: np.ndarray  # (chambers, N axes) rad/kPa
+    still: np.ndarray  # (N axes,) joints at zero pressure, rad
     remembers = False
 
     def state_size(self, channels: int) -> int:

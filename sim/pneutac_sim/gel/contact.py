@@ -19,17 +19,11 @@ QUIET_SHARE = 0.999  # share of pixels without contact that stay below the thres
 
 
 class ContactArea(NamedTuple):
-    """Contact readout of one tactile image.
+    """Contact readout of one tactile image."""
 
-    Attributes:
-        pixels: s, number of pixels in contact.
-        area: s / N.
-        log_pixels: log(1 + s).
-    """
-
-    pixels: int
-    area: float
-    log_pixels: float
+    pixels: int  # s, number of pixels in contact
+    area: float  # s / N
+    log_pixels: float  # log(1 + s)
 
     @classmethod
     def of(cls, pixels: int, n_pixels: int) -> "ContactArea":

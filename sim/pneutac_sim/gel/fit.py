@@ -239,8 +239,7 @@ def fit_presses(
             gel's decay is then that of the closed form nearest to them.
         known: values of effects that stay where the presses do not identify them, see `fit_photographs`.
 
-    Raises:
-        InputError: a pair is no rest and indentation image, see `check_pair`.
+    Raises InputError: a pair is no rest and indentation image, see `check_pair`.
     """
     for p in presses:
         check_pair(p.rest, p.image, p.press, px_per_mm)

@@ -97,8 +97,7 @@ class GelForce:
     def of(cls, twin: Twin) -> "GelForce":
         """The law of the gel of a twin, with the size that it has as material points: whole layers of them.
 
-        Raises:
-            InputError: as the constructor.
+        Raises InputError: as the constructor.
         """
         E, nu = (twin.parameters[k].value if k in twin.parameters else v for k, v in MATERIAL.items())
         model = GelModel.from_twin(twin)

@@ -38,23 +38,14 @@ ACROSS, DOWN = ("left", "middle", "right"), ("upper", "middle", "lower")
 
 @dataclass(frozen=True)
 class Identified:
-    """What presses identify.
+    """What presses identify."""
 
-    Attributes:
-        unidentified: parameters, `effect.name (colour)`, that stay where their priors are.
-        add: the press to add, of the same indenter.
-        where: of that press, such as `lower left`.
-        deeper: whether it is deeper than all so far.
-        open_levels: standard deviation that the fit leaves to predicted contacts, a mean over the gel.
-        then_levels: the same with the press added.
-    """
-
-    unidentified: tuple[str, ...]
-    add: Press
-    where: str
-    deeper: bool
-    open_levels: float
-    then_levels: float
+    unidentified: tuple[str, ...]  # parameters, `effect.name (colour)`, that stay where their priors are
+    add: Press  # the press to add, of the same indenter
+    where: str  # of that press, such as `lower left`
+    deeper: bool  # whether it is deeper than all so far
+    open_levels: float  # standard deviation that the fit leaves to predicted contacts, a mean over the gel
+    then_levels: float  # the same with the press added
 
 
 def identify(

@@ -31,15 +31,11 @@ SPOTS = 40_000  # on a mesh, from which distances are measured
 class Outline:
     """A flat punch.
 
-    Attributes:
-        corners_mm: (n, 2), in order; the polygon is closed by itself.
-
-    Raises:
-        InputError: fewer than three corners, one that is no number, a side that crosses another, no area, or
-            the contact's centre outside.
+    Raises InputError: fewer than three corners, one that is no number, a side that crosses another, no area,
+    or the contact's centre outside.
     """
 
-    corners_mm: tuple[tuple[float, float], ...]
+    corners_mm: tuple[tuple[float, float], ...]  # (n, 2), in order; the polygon is closed by itself
 
     def __post_init__(self):
         corners = np.asarray(self.corners_mm, float)
@@ -107,16 +103,11 @@ class Outline:
 class Figure:
     """Triangles, whose lowest point goes deepest.
 
-    Attributes:
-        triangles_mm: (n, 3, 3) corners.
-        name: for messages.
-
-    Raises:
-        InputError: the contact's centre lies outside its box in x and y, or it is as flat as a line.
+    Raises InputError: the contact's centre lies outside its box in x and y, or it is as flat as a line.
     """
 
-    triangles_mm: np.ndarray
-    name: str = "the mesh"
+    triangles_mm: np.ndarray  # (n, 3, 3) corners
+    name: str = "the mesh"  # for messages
     _radii: tuple = field(init=False, repr=False)
 
     def __post_init__(self):
@@ -338,8 +329,7 @@ class Press:
     def shapes(self) -> tuple:
         """`kinds, sizes, positions, rotations` for `probe_grid`, in metres.
 
-        Raises:
-            InputError: a figure is made of no such shapes; `depths` knows it.
+        Raises InputError: a figure is made of no such shapes; `depths` knows it.
         """
         if self.figure is not None:
             raise InputError(f"An indenter '{self.indenter}' is made of none of the shapes {INDENTERS}.")

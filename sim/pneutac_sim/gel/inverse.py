@@ -108,8 +108,7 @@ class TouchReader:
 
         `rest` is the image without contact of the same session; the gel's own where None.
 
-        Raises:
-            ValueError: the image is no uint8 (H, W, 3).
+        Raises ValueError: the image is no uint8 (H, W, 3).
         """
         if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
             raise ValueError(f"a tactile image is uint8 (H, W, 3); got {image.dtype} {image.shape}")

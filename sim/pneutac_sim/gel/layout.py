@@ -28,15 +28,11 @@ CELLS, STRENGTH_LEVELS = 48, 8.0
 
 @dataclass(frozen=True, eq=False)
 class SensorPrior:
-    """One sensor of a make.
+    """One sensor of a make."""
 
-    Attributes:
-        rest: its image without contact as a prior keeps it, (16, 12, 3) levels, by which it is known again.
-        field: what the model leaves over on it, for a light of strength 1.
-    """
-
+    # its image without contact as a prior keeps it, (16, 12, 3) levels, by which it is known again
     rest: np.ndarray
-    field: ResidualField
+    field: ResidualField  # what the model leaves over on it, for a light of strength 1
 
     @classmethod
     def of(cls, rest: np.ndarray, leftovers: Sequence[Leftover], strength: float) -> "SensorPrior":
@@ -82,36 +78,26 @@ THUMB, BLUR = (24, 32), 2.0  # columns and rows to which they are shrunk, and th
 
 @dataclass(frozen=True)
 class Layout:
-    """What sensors of one make share, red, green and blue, seen in an upright, unmirrored RGB image.
+    """What sensors of one make share, red, green and blue, seen in an upright, unmirrored RGB image."""
 
-    Attributes:
-        name: of the make.
-        positions_mm: (3, 2), x and y of each light from the window's centre.
-        exponents: of the rest colour, see the effect `rest_colour`.
-        proportions: width of the images over their height.
-        rest: what such a sensor shows without contact, (16, 12, 3) levels; None where unknown.
-        distances_sd_mm: spread of the lights' distances between sensors.
-        directions_sd_rad: spread of their directions.
-        exponents_sd: spread of the exponents.
-        units: sensors of the make whose residual field is known, seen as the lights are.
-    """
-
-    name: str
-    positions_mm: tuple[tuple[float, float], ...]
-    exponents: tuple[float, float, float]
-    proportions: float
+    name: str  # of the make
+    positions_mm: tuple[tuple[float, float], ...]  # (3, 2), x and y of each light from the window's centre
+    exponents: tuple[float, float, float]  # of the rest colour, see the effect `rest_colour`
+    proportions: float  # width of the images over their height
+    # what such a sensor shows without contact, (16, 12, 3) levels; None where unknown
     rest: np.ndarray | None = field(default=None, compare=False)
+    # spread of the lights' distances between sensors
     distances_sd_mm: tuple[float, float, float] = (MAKE_SD_MM,) * 3
-    directions_sd_rad: tuple[float, float, float] = (MAKE_SD_RAD,) * 3
-    exponents_sd: tuple[float, float, float] = (MAKE_SD,) * 3
+    directions_sd_rad: tuple[float, float, float] = (MAKE_SD_RAD,) * 3  # spread of their directions
+    exponents_sd: tuple[float, float, float] = (MAKE_SD,) * 3  # spread of the exponents
+    # sensors of the make whose residual field is known, seen as the lights are
     units: tuple[SensorPrior, ...] = field(default=(), compare=False)
 
     @classmethod
     def read(cls, file: Path) -> "Layout":
         """From a file of `write`.
 
-        Raises:
-            InputError: one sentence with file, and what is missing or wrong.
+        Raises InputError: one sentence with file, and what is missing or wrong.
         """
         own = ("format", "name", "proportions", *CHANNELS, "rest")
         content = read_fields(file, (*own, "source", "units"), own)
@@ -192,17 +178,12 @@ DIGIT = Layout.read(Path(__file__).parent / "makes" / "digit.yaml")
 
 @dataclass(frozen=True)
 class Orientation:
-    """How a sensor's images differ from its make's.
+    """How a sensor's images differ from its make's."""
 
-    Attributes:
-        channels: which of the make's lights each of the image's channels shows, e.g. (2, 1, 0) for BGR.
-        mirror_x: left and right swapped.
-        mirror_y: up and down swapped.
-    """
-
+    # which of the make's lights each of the image's channels shows, e.g. (2, 1, 0) for BGR.
     channels: tuple[int, int, int] = (0, 1, 2)
-    mirror_x: bool = False
-    mirror_y: bool = False
+    mirror_x: bool = False  # left and right swapped
+    mirror_y: bool = False  # up and down swapped
 
     def __str__(self):
         order = "".join("RGB"[c] for c in self.channels)

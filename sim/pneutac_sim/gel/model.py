@@ -169,8 +169,7 @@ class GelModel:
     def resized(self, height: int, width: int) -> "GelModel":
         """The same gel seen by an image of another size but the same proportions (within 2 %).
 
-        Raises:
-            InputError: the proportions differ, or there would be no pixels left.
+        Raises InputError: the proportions differ, or there would be no pixels left.
         """
         if min(height, width) < LEAST_PX:
             raise InputError(f"An image of {width} x {height} px is too small; give {LEAST_PX} px or more.")
@@ -197,8 +196,7 @@ class GelModel:
     def from_twin(cls, twin: Twin | None) -> "GelModel":
         """The twin's gel; the generated DIGIT where the twin has none.
 
-        Raises:
-            InputError: a field of the twin's gel is missing, unknown or malformed.
+        Raises InputError: a field of the twin's gel is missing, unknown or malformed.
         """
         if twin is None or not twin.gel:
             return cls.builtin()
@@ -242,7 +240,6 @@ class GelModel:
 
 
 def _arrays(name: str) -> tuple[str, str]:
-    """Under which names a twin keeps a field."""
     return f"{name}_centres", f"{name}_weights"
 
 

@@ -34,7 +34,6 @@ MIRRORED = (("mirrored left to right", -1, 1), ("mirrored top to bottom", 1, -1)
 
 
 def _disc(image: np.ndarray, press: Press, px_per_mm: float, radii: float) -> np.ndarray:
-    """Pixels within so many contact radii of the press."""
     x, y = press_px(press, image.shape, px_per_mm)
     return disc(image.shape, x, y, radii * press.contact_radius_mm * px_per_mm)
 
@@ -48,22 +47,14 @@ def press_px(press: Press, shape: tuple[int, ...], px_per_mm: float) -> tuple[fl
 class Pair:
     """One rest and one indentation image of a gel, checked.
 
-    Attributes:
-        rest: image without contact, uint8 (H, W, 3).
-        indentation: image under the indenter, uint8, same shape.
-        press: which indenter, where and how deep.
-        px_per_mm: scale of the images.
-        thickness_mm: gel thickness.
-
-    Raises:
-        InputError: the pair is no rest and indentation image, see `check_pair`.
+    Raises InputError: the pair is no rest and indentation image, see `check_pair`.
     """
 
-    rest: np.ndarray
-    indentation: np.ndarray
-    press: Press
-    px_per_mm: float
-    thickness_mm: float = THICKNESS_MM
+    rest: np.ndarray  # image without contact, uint8 (H, W, 3)
+    indentation: np.ndarray  # image under the indenter, uint8, same shape
+    press: Press  # which indenter, where and how deep
+    px_per_mm: float  # scale of the images
+    thickness_mm: float = THICKNESS_MM  # gel thickness
 
     def __post_init__(self):
         check_pair(self.rest, self.indentation, self.press, self.px_per_mm)
@@ -133,7 +124,6 @@ def _stands_out(there: float, elsewhere: float) -> bool:
 
 
 def _check_shapes(rest: np.ndarray, indentation: np.ndarray, press: Press, px_per_mm: float) -> None:
-    """Raises InputError where the images cannot be compared or the press lies outside them."""
     if rest.shape != indentation.shape:
         raise InputError(
             f"the indentation image is {_size(indentation)} but the rest image is {_size(rest)} pixels; "
@@ -153,7 +143,6 @@ def _check_shapes(rest: np.ndarray, indentation: np.ndarray, press: Press, px_pe
 
 
 def _check_mirrored(difference: np.ndarray, press: Press, px_per_mm: float) -> None:
-    """Raises InputError where a contact shows at the mirrored place."""
     x, y = press_px(press, difference.shape, px_per_mm)
     for how, sx, sy in MIRRORED:
         turned = replace(press, x_mm=sx * press.x_mm, y_mm=sy * press.y_mm)
@@ -204,18 +193,12 @@ def cell_px(px_per_mm: float) -> int:
 
 @dataclass(frozen=True)
 class RestDifference:
-    """How a rest image differs from another one of the same gel.
+    """How a rest image differs from another one of the same gel."""
 
-    Attributes:
-        gain: the other's brightness as a share of this one's, mean of the colours.
-        levels: largest difference of places half a millimetre wide, in equal brightness of each colour.
-        typical: median of these differences.
-        x_mm, y_mm: where it is largest, from the image's centre.
-    """
-
-    gain: float
-    levels: float
-    typical: float
+    gain: float  # the other's brightness as a share of this one's, mean of the colours
+    levels: float  # largest difference of places half a millimetre wide, in equal brightness of each colour
+    typical: float  # median of these differences
+    # x_mm, y_mm: where it is largest, from the image's centre
     x_mm: float
     y_mm: float
 
@@ -247,21 +230,13 @@ CONTACT_DISC = 2.0  # radius of the contact region, in contact radii
 
 @dataclass
 class ImageScores:
-    """Agreement of one image, or the mean of several.
+    """Agreement of one image, or the mean of several."""
 
-    Attributes:
-        rmse: whole frame, levels.
-        psnr: whole frame, dB.
-        ncc: whole frame, -1 to 1.
-        contact_rmse: in the contact region, levels.
-        contact_dncc: NCC of (image - rest) in the contact region; 0 where the prediction changes nothing.
-    """
-
-    rmse: float
-    psnr: float
-    ncc: float
-    contact_rmse: float
-    contact_dncc: float
+    rmse: float  # whole frame, levels
+    psnr: float  # whole frame, dB
+    ncc: float  # whole frame, -1 to 1
+    contact_rmse: float  # in the contact region, levels
+    contact_dncc: float  # NCC of (image - rest) in the contact region; 0 where the prediction changes nothing
 
     @classmethod
     def mean(cls, scores: list["ImageScores"]) -> "ImageScores":

@@ -30,23 +30,15 @@ NEAR_RADII = 3.0  # pixels within so many contact radii belong to the gel, those
 
 @dataclass
 class PressPhotograph:
-    """One indentation.
+    """One indentation."""
 
-    Attributes:
-        press: which indenter, where and how deep, as the recording states it.
-        image: uint8 (H, W, 3).
-        rest: the image without contact of the same session, uint8 (H, W, 3).
-        clock: when in the session, from 0 to 1.
-        sd: attributes of the press to the standard deviation with which they are stated; all others hold.
-        earlier: presses since the rest image that were over before; empty if the recording does not state
-            them.
-    """
-
-    press: Press
-    image: np.ndarray
-    rest: np.ndarray
-    clock: float = 0.0
+    press: Press  # which indenter, where and how deep, as the recording states it
+    image: np.ndarray  # uint8 (H, W, 3)
+    rest: np.ndarray  # the image without contact of the same session, uint8 (H, W, 3)
+    clock: float = 0.0  # when in the session, from 0 to 1
+    # attributes of the press to the standard deviation with which they are stated; all others hold
     sd: dict[str, float] = field(default_factory=dict)
+    # presses since the rest image that were over before; empty if the recording does not state them
     earlier: tuple[Earlier, ...] = ()
 
     def near(self, px_per_mm: float, radii: float = NEAR_RADII) -> np.ndarray:

@@ -57,8 +57,7 @@ def probe_grid(
     Returns:
         Depth in mm, float32, `shape`: the maximum over objects, zero where nothing touches.
 
-    Raises:
-        ValueError: a shape number is unknown.
+    Raises ValueError: a shape number is unknown.
     """
     n, depth = len(kinds), np.zeros(shape, np.float32)
     known = _probe(
@@ -117,7 +116,6 @@ def _shapes(kinds, sizes) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _metres(window_mm: tuple[float, float], thickness_mm: float) -> tuple[float, float, float]:
-    """Width, height and thickness of the gel in m."""
     return window_mm[0] * 1e-3, window_mm[1] * 1e-3, thickness_mm * 1e-3
 
 

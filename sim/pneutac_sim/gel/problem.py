@@ -260,35 +260,25 @@ TRUST_IN_REST = 10.0  # the same where the rest image identifies the sensor mode
 
 @dataclass
 class GelFit:
-    """What a fit found.
+    """What a fit found."""
 
-    Attributes:
-        gel: the calibrated gel at the images' own resolution.
-        cost: half the sum of squares, with priors, that the fit made least.
-        evaluations: how many surfaces were tried.
-        make: the sensor's make, where its light was recognised.
-        orientation: which way round its images are against the make's.
-        likeness: correlation of the rest image with the likest make's; None where no make was looked for.
-        by_rest: whether the rest image identified the sensor model; else the less certain directions of the
-            light did.
-        channels: as solved, red, green and blue.
-        presses: where the photographs' presses were found to be, within what is uncertain of them.
-        leftovers: what the light alone leaves over of each, where there are enough to learn from.
-        prior_share: share of the prior residual field that was taken.
-        refined: whether its light was refined through splats, see `splat.refine`; None where nobody tried.
-    """
-
-    gel: GelModel
-    cost: float
-    evaluations: int
-    make: str = ""
+    gel: GelModel  # the calibrated gel at the images' own resolution
+    cost: float  # half the sum of squares, with priors, that the fit made least
+    evaluations: int  # how many surfaces were tried
+    make: str = ""  # the sensor's make, where its light was recognised
+    # which way round its images are against the make's
     orientation: Orientation = field(default_factory=Orientation)
+    # correlation of the rest image with the likest make's; None where no make was looked for
     likeness: float | None = None
+    # whether the rest image identified the sensor model; else the less certain directions of the light did
     by_rest: bool = False
-    channels: list[Channel] = field(default_factory=list, repr=False)
+    channels: list[Channel] = field(default_factory=list, repr=False)  # as solved, red, green and blue
+    # where the photographs' presses were found to be, within what is uncertain of them
     presses: list[Press] = field(default_factory=list, repr=False)
+    # what the light alone leaves over of each, where there are enough to learn from
     leftovers: list[Leftover] = field(default_factory=list, repr=False)
-    prior_share: float = 0.0
+    prior_share: float = 0.0  # share of the prior residual field that was taken
+    # whether its light was refined through splats, see `splat.refine`; None where nobody tried
     refined: bool | None = None
 
 

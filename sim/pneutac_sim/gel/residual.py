@@ -42,16 +42,11 @@ ROUNDING_LEVELS = 12**-0.5  # of an 8-bit image: a field far below it is none
 class ResidualField:
     """Levels to add to each channel of the image.
 
-    Attributes:
-        centres: z_j of red, green and blue, (3, n, 7) float32.
-        weights: c_j, (3, n) levels, float32.
-
-    Raises:
-        InputError: they are no such numbers.
+    Raises InputError: they are no such numbers.
     """
 
-    centres: np.ndarray
-    weights: np.ndarray
+    centres: np.ndarray  # z_j of red, green and blue, (3, n, 7) float32
+    weights: np.ndarray  # c_j, (3, n) levels, float32
     _reaches: dict = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self):
@@ -114,19 +109,12 @@ def faded(weight: np.ndarray) -> np.ndarray:
 
 @dataclass
 class Leftover:
-    """What a model leaves over of one photograph.
+    """What a model leaves over of one photograph."""
 
-    Attributes:
-        features: z of each channel, (3, n, 7), of n cells near the contact.
-        factor: what the field is multiplied by in each channel, (3, n): a, less where w is small.
-        levels: (3, n).
-        in_contact: which cells lie in the contact, (n,) bool.
-    """
-
-    features: np.ndarray
-    factor: np.ndarray
-    levels: np.ndarray
-    in_contact: np.ndarray
+    features: np.ndarray  # z of each channel, (3, n, 7), of n cells near the contact
+    factor: np.ndarray  # what the field is multiplied by in each channel, (3, n): a, less where w is small
+    levels: np.ndarray  # (3, n)
+    in_contact: np.ndarray  # which cells lie in the contact, (n,) bool
 
     @classmethod
     def of(cls, u, cell_mm, coefficients, weight, levels, near, in_contact) -> "Leftover":

@@ -26,17 +26,11 @@ LEAST_MM = 2e-4  # what is left of a press that is not drawn: a fiftieth of a gr
 
 @dataclass(frozen=True)
 class Earlier:
-    """A press that was over before a photograph was taken.
+    """A press that was over before a photograph was taken."""
 
-    Attributes:
-        press: which indenter, where and how deep.
-        held_s: how long it was in the gel.
-        since_s: from its release to the photograph.
-    """
-
-    press: Press
-    held_s: float
-    since_s: float
+    press: Press  # which indenter, where and how deep
+    held_s: float  # how long it was in the gel
+    since_s: float  # from its release to the photograph
 
 
 class Memory:

@@ -33,17 +33,11 @@ FAR_MM, STEP_MM = 30.0, 0.05  # of the table of a point load's reach
 
 @dataclass(frozen=True)
 class Spring:
-    """Force F = k1 x + k3 x^3 of a gel whose face is pressed in by x.
+    """Force F = k1 x + k3 x^3 of a gel whose face is pressed in by x."""
 
-    Attributes:
-        k1: N/m, 0 or more.
-        k3: N/m^3, 0 or more.
-        depth_m: at which it was fitted, m.
-    """
-
-    k1: float
-    k3: float
-    depth_m: float
+    k1: float  # N/m, 0 or more
+    k3: float  # N/m^3, 0 or more
+    depth_m: float  # at which it was fitted, m
 
     def force(self, x_m: float) -> float:
         """F in N."""

@@ -21,17 +21,11 @@ GOOD = 0.01  # relative error at which the search ends
 
 @dataclass(frozen=True)
 class Material:
-    """Neo-Hookean solid, P = mu (F - F^-T) + lambda ln(J) F^-T.
+    """Neo-Hookean solid, P = mu (F - F^-T) + lambda ln(J) F^-T."""
 
-    Attributes:
-        youngs_modulus_pa: at small strain, Pa.
-        poissons_ratio: in [0, 0.495]: above, an explicit step gets too small to be of use.
-        density_kg_m3: kg/m3.
-    """
-
-    youngs_modulus_pa: float
-    poissons_ratio: float
-    density_kg_m3: float = 1100.0
+    youngs_modulus_pa: float  # at small strain, Pa
+    poissons_ratio: float  # in [0, 0.495]: above, an explicit step gets too small to be of use
+    density_kg_m3: float = 1100.0  # kg/m3
 
     def __post_init__(self):
         for name in ("youngs_modulus_pa", "density_kg_m3"):
@@ -59,23 +53,15 @@ class Material:
 
 @dataclass(frozen=True)
 class Body:
-    """Particles of a body at rest.
+    """Particles of a body at rest."""
 
-    Attributes:
-        name: shown in errors.
-        cells: (P, 3) int lattice coordinates of the particles.
-        spacing_m: of the lattice, m; each particle stands for spacing^3 of material.
-        origin_m: (3,) m; particle position = origin + (cells + 1/2) spacing.
-        clamp: side of the body that is held, `x-`, `y-` or `z-` (the least x, y, z of the lattice), or empty.
-        material: neo-Hookean solid.
-    """
-
-    name: str
-    cells: np.ndarray
-    spacing_m: float
-    origin_m: np.ndarray
+    name: str  # shown in errors
+    cells: np.ndarray  # (P, 3) int lattice coordinates of the particles
+    spacing_m: float  # of the lattice, m; each particle stands for spacing^3 of material
+    origin_m: np.ndarray  # (3,) m; particle position = origin + (cells + 1/2) spacing
+    # side of the body that is held, `x-`, `y-` or `z-` (the least x, y, z of the lattice), or empty
     clamp: str
-    material: Material
+    material: Material  # neo-Hookean solid
 
     @property
     def positions(self) -> np.ndarray:
@@ -153,37 +139,24 @@ class RestGrid:
     """A body's cells and nodes.
 
     Attributes:
-        dx: grid spacing, m.
-        nodes: (N, 3) rest positions of the nodes that the body touches, m.
-        volume: (N,) material volume that each node carries, m3.
-        cell_nodes: (C, 27) node of each cell's corner, index 9 i + 3 j + k.
-        cell_mask: (C,) int bits: particle 4 i + 2 j + k of the cell exists.
-        slots: (N, 27) cell whose local node a this node is; C where there is none.
-        ghost: (N,) node beyond the clamped side that mirrors this one, -1 for none: it moves the opposite
         way, so that the side itself stands still.
-        mirrored: (N,) bool: this node is such a ghost.
-        particle_cell: (P,) cell of each particle.
-        particle_local: (P,) its number in the cell.
-        surface_cell: (S,) cell of each point of the body's surface, sorted.
-        surface_weights: (S, 3, 3) spline weights along x, y, z.
-        surface_points: (S, 3) at rest, m.
-        surface_start: (C + 1,) first surface point of each cell.
     """
 
-    dx: float
-    nodes: np.ndarray
-    volume: np.ndarray
-    cell_nodes: np.ndarray
-    cell_mask: np.ndarray
-    slots: np.ndarray
+    dx: float  # grid spacing, m
+    nodes: np.ndarray  # (N, 3) rest positions of the nodes that the body touches, m
+    volume: np.ndarray  # (N,) material volume that each node carries, m3
+    cell_nodes: np.ndarray  # (C, 27) node of each cell's corner, index 9 i + 3 j + k
+    cell_mask: np.ndarray  # (C,) int bits: particle 4 i + 2 j + k of the cell exists
+    slots: np.ndarray  # (N, 27) cell whose local node a this node is; C where there is none
+    # (N,) node beyond the clamped side that mirrors this one, -1 for none: it moves the opposite
     ghost: np.ndarray
-    mirrored: np.ndarray
-    particle_cell: np.ndarray
-    particle_local: np.ndarray
-    surface_cell: np.ndarray
-    surface_weights: np.ndarray
-    surface_points: np.ndarray
-    surface_start: np.ndarray
+    mirrored: np.ndarray  # (N,) bool: this node is such a ghost
+    particle_cell: np.ndarray  # (P,) cell of each particle
+    particle_local: np.ndarray  # (P,) its number in the cell
+    surface_cell: np.ndarray  # (S,) cell of each point of the body's surface, sorted
+    surface_weights: np.ndarray  # (S, 3, 3) spline weights along x, y, z
+    surface_points: np.ndarray  # (S, 3) at rest, m
+    surface_start: np.ndarray  # (C + 1,) first surface point of each cell
 
     @staticmethod
     def of(body: Body) -> "RestGrid":
@@ -266,28 +239,17 @@ class Spine:
     """A chain of hinges along x; a positive angle bends towards +z (and, with two axes, towards +y).
 
     Torque of the controller: stiffness (q_cmd - q) - damping q'.
-
-    Attributes:
-        joint_positions_m: (N,) along x, m.
-        length_m: where the last link ends, m.
-        y_m: of the axis, m.
-        z_m: of the axis, m.
-        radius_m: nodes of the body within this distance of the axis move with the links, m.
-        axes: hinges a joint: 1 (in the plane) or 2.
-        stiffness_nm_per_rad: of the controller.
-        damping_nms_per_rad: of the controller.
-        cap_m: length at the far end over which the whole body moves with the last link, m.
     """
 
-    joint_positions_m: tuple[float, ...]
-    length_m: float
-    y_m: float
-    z_m: float
-    radius_m: float
-    axes: int = 1
-    stiffness_nm_per_rad: float = 10.0
-    damping_nms_per_rad: float = 0.01
-    cap_m: float = 0.0
+    joint_positions_m: tuple[float, ...]  # (N,) along x, m
+    length_m: float  # where the last link ends, m
+    y_m: float  # of the axis, m
+    z_m: float  # of the axis, m
+    radius_m: float  # nodes of the body within this distance of the axis move with the links, m
+    axes: int = 1  # hinges a joint: 1 (in the plane) or 2
+    stiffness_nm_per_rad: float = 10.0  # of the controller
+    damping_nms_per_rad: float = 0.01  # of the controller
+    cap_m: float = 0.0  # length at the far end over which the whole body moves with the last link, m
 
     def __post_init__(self):
         places = np.asarray(self.joint_positions_m, float)

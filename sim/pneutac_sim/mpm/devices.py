@@ -58,8 +58,7 @@ def finger(twin: Twin, batch: int = 1, particles: int = 4000, mesh=None, device:
     Returns:
         `TotalLagrangian`.
 
-    Raises:
-        InputError: another device's twin, a mesh that is shorter than the spine, an impossible parameter.
+    Raises InputError: another device's twin, a mesh that is shorter than the spine, an impossible parameter.
     """
     return _bending("finger", twin, batch, particles, device, mesh)
 
@@ -171,8 +170,7 @@ def joint_targets(
         time_s: (T,) rising; None where each pressure has been held for long by itself.
         conditions: what effects ask for, such as `temperature_c`, `gravity_x` or `payload_g`.
 
-    Raises:
-        InputError: a pressure is not a finite number; an effect of the twin cannot act here.
+    Raises InputError: a pressure is not a finite number; an effect of the twin cannot act here.
     """
     if twin.device not in CHAMBERS:
         raise InputError(f"The twin is of a {twin.device}, which has no joints.")

@@ -11,25 +11,18 @@ from pneutac_sim.mpm.state import FRICTION, GRAVITY, POSE, SIZE
 
 @dataclass
 class Loads:
-    """What acts on each body of a batch.
+    """What acts on each body of a batch."""
 
-    Attributes:
-        q_cmd: (B, H) joint targets, rad.
-        gravity: (3,) or (B, 3) m/s2.
-        indenter: one of `indenter.SHAPES` or one a body.
-        size_m: (3,) or (B, 3) m, see `indenter.distance`.
-        position_m: (3,) or (B, 3) of the indenter's tip, m.
-        rotation: (3, 3) or (B, 3, 3) of the indenter, whose body lies towards its own +z.
-        friction: Coulomb's coefficient, or (B,).
-    """
-
-    q_cmd: np.ndarray | None = None
-    gravity: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    indenter: str | list[str] = "none"
+    q_cmd: np.ndarray | None = None  # (B, H) joint targets, rad
+    gravity: np.ndarray = field(default_factory=lambda: np.zeros(3))  # (3,) or (B, 3) m/s2
+    indenter: str | list[str] = "none"  # one of `indenter.SHAPES` or one a body
+    # (3,) or (B, 3) m, see `indenter.distance`
     size_m: np.ndarray = field(default_factory=lambda: np.ones(3))
+    # (3,) or (B, 3) of the indenter's tip, m
     position_m: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    # (3, 3) or (B, 3, 3) of the indenter, whose body lies towards its own +z
     rotation: np.ndarray = field(default_factory=lambda: np.eye(3))
-    friction: float | np.ndarray = 0.5
+    friction: float | np.ndarray = 0.5  # Coulomb's coefficient, or (B,)
 
     def fill(self, row: np.ndarray) -> None:
         """Writes itself into the rows (B, LOAD) that the kernels read."""

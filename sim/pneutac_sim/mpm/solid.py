@@ -129,8 +129,7 @@ def _tube(length_m: float, section: np.ndarray, depth: np.ndarray) -> trimesh.Tr
 def bending_body(twin: Twin, particles: int = 4000, mesh=None) -> Body:
     """The straight particles of a finger or an arm; `particles` and `mesh` as in `devices.finger`.
 
-    Raises:
-        InputError: an impossible mesh or parameter.
+    Raises InputError: an impossible mesh or parameter.
     """
     material = Material(
         1e6 * parameter(twin, "youngs_modulus_mpa"),
@@ -144,17 +143,11 @@ def bending_body(twin: Twin, particles: int = 4000, mesh=None) -> Body:
 
 @dataclass(frozen=True)
 class Links:
-    """What each of N + 1 links of a spine carries; link 0 is held at the base.
+    """What each of N + 1 links of a spine carries; link 0 is held at the base."""
 
-    Attributes:
-        mass_kg: (N + 1,).
-        centre_m: (N + 1, 3) of mass, straight finger, m.
-        inertia_kg_m2: (N + 1, 3, 3) about it.
-    """
-
-    mass_kg: np.ndarray
-    centre_m: np.ndarray
-    inertia_kg_m2: np.ndarray
+    mass_kg: np.ndarray  # (N + 1,)
+    centre_m: np.ndarray  # (N + 1, 3) of mass, straight finger, m
+    inertia_kg_m2: np.ndarray  # (N + 1, 3, 3) about it
 
     @classmethod
     def of(cls, body: Body, joints_m) -> "Links":

@@ -30,29 +30,17 @@ class MpmDiverged(RuntimeError):  # noqa: N818
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """Bodies at rest under load.
+    """Bodies at rest under load."""
 
-    Attributes:
-        positions: (B, P, 3) of the particles, m.
-        gradients: (B, P, 3, 3) deformation gradients.
-        q: (B, H) joint angles, rad.
-        controller_torque: (B, H) of the controller, N m.
-        body_torque: (B, H) of body and gravity on the joints, N m; the two add up to nearly nothing.
-        contact_force: (B, 3) of the indenter on the body, N.
-        penetration_m: (B,) deepest surface point inside the indenter, m.
-        residual: (B,) unbalanced forces over those from outside.
-        substeps: taken.
-    """
-
-    positions: np.ndarray
-    gradients: np.ndarray
-    q: np.ndarray
-    controller_torque: np.ndarray
-    body_torque: np.ndarray
-    contact_force: np.ndarray
-    penetration_m: np.ndarray
-    residual: np.ndarray
-    substeps: int
+    positions: np.ndarray  # (B, P, 3) of the particles, m
+    gradients: np.ndarray  # (B, P, 3, 3) deformation gradients
+    q: np.ndarray  # (B, H) joint angles, rad
+    controller_torque: np.ndarray  # (B, H) of the controller, N m
+    body_torque: np.ndarray  # (B, H) of body and gravity on the joints, N m; the two add up to nearly nothing
+    contact_force: np.ndarray  # (B, 3) of the indenter on the body, N
+    penetration_m: np.ndarray  # (B,) deepest surface point inside the indenter, m
+    residual: np.ndarray  # (B,) unbalanced forces over those from outside
+    substeps: int  # taken
 
 
 def solve_equilibrium(
@@ -74,8 +62,7 @@ def solve_equilibrium(
         progress: called with the percentage by which the unbalanced forces have fallen, on a
             logarithmic scale, since they die away exponentially.
 
-    Raises:
-        MpmDiverged: no equilibrium was found; says which body and what to change.
+    Raises MpmDiverged: no equilibrium was found; says which body and what to change.
     """
     _begin(solver, loads, warm)
     solver.heavy_edges(True)
@@ -197,23 +184,14 @@ def _controller_torque(solver: TotalLagrangian, loads: Loads, q: np.ndarray) -> 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Bodies in motion, T frames.
+    """Bodies in motion, T frames."""
 
-    Attributes:
-        time_s: (T,).
-        q: (T, B, H) rad.
-        q_vel: (T, B, H) rad/s.
-        body_torque: (T, B, H) N m.
-        contact_force: (T, B, 3) N.
-        positions: (T, B, P, 3) m, or None where particles were not asked for.
-    """
-
-    time_s: np.ndarray
-    q: np.ndarray
-    q_vel: np.ndarray
-    body_torque: np.ndarray
-    contact_force: np.ndarray
-    positions: np.ndarray | None
+    time_s: np.ndarray  # (T,)
+    q: np.ndarray  # (T, B, H) rad
+    q_vel: np.ndarray  # (T, B, H) rad/s
+    body_torque: np.ndarray  # (T, B, H) N m
+    contact_force: np.ndarray  # (T, B, 3) N
+    positions: np.ndarray | None  # (T, B, P, 3) m, or None where particles were not asked for
 
 
 def simulate(

@@ -119,17 +119,11 @@ VERTICES, FACES = "mesh_vertices_mm", "mesh_faces"
 
 @dataclass(frozen=True)
 class UserMesh:
-    """A closed mesh in the base frame.
+    """A closed mesh in the base frame."""
 
-    Attributes:
-        mesh: mm, from x = 0, its neutral axis at y = z = 0.
-        notes: what was repaired or should be known, a sentence each.
-        shift_mm: (3,) by which it was moved once its axes had been renamed.
-    """
-
-    mesh: trimesh.Trimesh
-    notes: tuple[str, ...]
-    shift_mm: np.ndarray
+    mesh: trimesh.Trimesh  # mm, from x = 0, its neutral axis at y = z = 0
+    notes: tuple[str, ...]  # what was repaired or should be known, a sentence each
+    shift_mm: np.ndarray  # (3,) by which it was moved once its axes had been renamed
 
     @property
     def length_mm(self) -> float:
@@ -145,8 +139,7 @@ def read_mesh(file: str | Path, unit: str = "mm", axis: str | None = None) -> Us
         axis: x, y or z, along which it lies in the file, base first; None for the longest side. Axes are
             renamed in cyclic order: with z it bends towards the file's y, with y towards x, with x towards z.
 
-    Raises:
-        InputError: not a mesh, no closed body, several bodies, an implausible size, or a hollow one.
+    Raises InputError: not a mesh, no closed body, several bodies, an implausible size, or a hollow one.
     """
     check_choice("unit", unit, UNITS)
     check_choice("axis", axis or AXES[0], AXES)
@@ -172,8 +165,7 @@ def store_mesh(twin: Twin, mesh: trimesh.Trimesh) -> None:
 def stored_mesh(twin: Twin) -> trimesh.Trimesh | None:
     """The twin's own mesh in m, or None where it is parametric.
 
-    Raises:
-        InputError: one array without the other, or of a wrong shape.
+    Raises InputError: one array without the other, or of a wrong shape.
     """
     if VERTICES not in twin.arrays and FACES not in twin.arrays:
         return None

@@ -33,14 +33,10 @@ MOVE = 0.25  # the same by material points, which come to rest within a toleranc
 
 @dataclass(frozen=True)
 class Coarse:
-    """What silhouettes determine.
+    """What silhouettes determine."""
 
-    Attributes:
-        x: (P,) coordinates; the material's are those of the twin.
-        hessian: (P, P) of half the squared difference at the least blur, coordinates; material's rows are 0.
-    """
-
-    x: np.ndarray
+    x: np.ndarray  # (P,) coordinates; the material's are those of the twin
+    # (P, P) of half the squared difference at the least blur, coordinates; material's rows are 0
     hessian: np.ndarray
 
 
@@ -128,8 +124,7 @@ def coarse_fit(
 ) -> Coarse:
     """Actuation parameters from silhouettes at pressures (T, chambers) kPa; the material stays.
 
-    Raises:
-        InputError: a photograph shows no such body.
+    Raises InputError: a photograph shows no such body.
     """
     model = Skinned(parameters, pressures, photographs, conditions, device)
     tried = [np.clip(x, parameters.lower, parameters.upper) for x in _starts(parameters, pressures)]

@@ -25,25 +25,15 @@ MATERIAL = {"youngs_modulus_mpa": (0.2, 4.0), "poissons_ratio": (0.38, 0.49)}
 
 @dataclass(frozen=True)
 class BodyParameters:
-    """Parameters in the coordinates that a fit moves in: logarithms where only the magnitude counts.
+    """Parameters in the coordinates that a fit moves in: logarithms where only the magnitude counts."""
 
-    Attributes:
-        twin: whose other parameters stay as they are.
-        names: (P,) the material's two last.
-        units: (P,) as shown to people.
-        log: (P,) bool.
-        lower: (P,) bounds, coordinates.
-        upper: (P,) bounds, coordinates.
-        step: (P,) first step of a search, coordinates.
-    """
-
-    twin: Twin
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    log: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    step: np.ndarray
+    twin: Twin  # whose other parameters stay as they are
+    names: tuple[str, ...]  # (P,) the material's two last
+    units: tuple[str, ...]  # (P,) as shown to people
+    log: np.ndarray  # (P,) bool
+    lower: np.ndarray  # (P,) bounds, coordinates
+    upper: np.ndarray  # (P,) bounds, coordinates
+    step: np.ndarray  # (P,) first step of a search, coordinates
 
     def __len__(self):
         return len(self.names)
@@ -120,19 +110,12 @@ def joint_targets(twin: Twin, pressures: np.ndarray, conditions: dict | None) ->
 
 
 class Bodies(NamedTuple):
-    """K candidates at T pressures.
+    """K candidates at T pressures."""
 
-    Attributes:
-        positions: (K, T, P, 3) of the particles, m.
-        gradients: (K, T, P, 3, 3) deformation gradients.
-        q: (K, T, H) joint angles, rad.
-        tips: (K, T, 3) of the spine, m.
-    """
-
-    positions: np.ndarray
-    gradients: np.ndarray
-    q: np.ndarray
-    tips: np.ndarray
+    positions: np.ndarray  # (K, T, P, 3) of the particles, m
+    gradients: np.ndarray  # (K, T, P, 3, 3) deformation gradients
+    q: np.ndarray  # (K, T, H) joint angles, rad
+    tips: np.ndarray  # (K, T, 3) of the spine, m
 
 
 class Equilibria:
@@ -173,8 +156,7 @@ class Equilibria:
     def solve(self, x: np.ndarray) -> Bodies:
         """Candidates (K, P) in coordinates, at every pressure.
 
-        Raises:
-            MpmDiverged: a body found no rest.
+        Raises MpmDiverged: a body found no rest.
         """
         k, t = len(x), len(self.pressures)
         solver = self._solver(x, k * t)

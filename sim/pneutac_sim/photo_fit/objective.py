@@ -88,34 +88,21 @@ SOLID = 0.5  # coverage from which a pixel belongs to the silhouette
 
 @dataclass(frozen=True)
 class MaskedPhotograph:
-    """One segmented photograph of a body at rest under a pressure.
+    """One segmented photograph of a body at rest under a pressure."""
 
-    Attributes:
-        state: index of the pressure.
-        camera: from where, base frame.
-        image: RGB uint8 (H, W, 3).
-        mask: bool (H, W), where the body is.
-        name: shown in errors.
-    """
-
-    state: int
-    camera: Camera
-    image: np.ndarray
-    mask: np.ndarray
-    name: str = "a photograph"
+    state: int  # index of the pressure
+    camera: Camera  # from where, base frame
+    image: np.ndarray  # RGB uint8 (H, W, 3)
+    mask: np.ndarray  # bool (H, W), where the body is
+    name: str = "a photograph"  # shown in errors
 
 
 class Scores(NamedTuple):
-    """Of K candidates on n photographs.
+    """Of K candidates on n photographs."""
 
-    Attributes:
-        appearance: (K, n) mean absolute difference inside the mask, 0 to 1.
-        iou: (K, n) overlap of the silhouettes over their union.
-        rmse: (K, n) root mean square difference over the union of both silhouettes, on black, 8-bit levels.
-    """
-
-    appearance: np.ndarray
-    iou: np.ndarray
+    appearance: np.ndarray  # (K, n) mean absolute difference inside the mask, 0 to 1
+    iou: np.ndarray  # (K, n) overlap of the silhouettes over their union
+    # (K, n) root mean square difference over the union of both silhouettes, on black, 8-bit levels
     rmse: np.ndarray
 
     @property

@@ -26,34 +26,22 @@ OUTSIDE = 1.0  # objective that a candidate pays for each first step beyond a bo
 
 @dataclass(frozen=True)
 class SearchRecord:
-    """Where a search keeps what it has tried, so that it can go on from there.
+    """Where a search keeps what it has tried, so that it can go on from there."""
 
-    Attributes:
-        file: of all candidates and their objectives, written after each generation; None for nowhere.
-        key: what the objective depends on; a file of another key is restarted.
-    """
-
+    # of all candidates and their objectives, written after each generation; None for nowhere
     file: Path | None = None
-    key: str = ""
+    key: str = ""  # what the objective depends on; a file of another key is restarted
 
 
 @dataclass(frozen=True)
 class Search:
-    """All that a search has tried.
+    """All that a search has tried."""
 
-    Attributes:
-        x: (P,) the best candidate, coordinates.
-        objective: its.
-        tried: (n, P) candidates in the order of evaluation, coordinates.
-        objectives: (n,).
-        resumed: how many of them came from the file.
-    """
-
-    x: np.ndarray
-    objective: float
-    tried: np.ndarray
-    objectives: np.ndarray
-    resumed: int
+    x: np.ndarray  # (P,) the best candidate, coordinates
+    objective: float  # its
+    tried: np.ndarray  # (n, P) candidates in the order of evaluation, coordinates
+    objectives: np.ndarray  # (n,)
+    resumed: int  # how many of them came from the file
 
 
 def search(
@@ -79,8 +67,7 @@ def search(
         record: where to keep them.
         progress: called after each generation with the evaluations so far, the best candidate and its value.
 
-    Raises:
-        InputError: there is no whole generation, or the objective is no number.
+    Raises InputError: there is no whole generation, or the objective is no number.
     """
     if evaluations < POPULATION:
         raise InputError(f"evaluations={evaluations} must be at least one generation, {POPULATION}.")
@@ -169,17 +156,11 @@ TELLING = 0.1  # of the prior's standard deviation: where more is left, the para
 
 @dataclass(frozen=True)
 class Posterior:
-    """Of P parameters.
+    """Of P parameters."""
 
-    Attributes:
-        sd: (P,) posterior standard deviation, coordinates.
-        ci95: name to interval, physical values, inside the bounds.
-        not_identified: names of those whose posterior is not ten times narrower than their bounds.
-    """
-
-    sd: np.ndarray
-    ci95: dict[str, tuple[float, float]]
-    not_identified: list[str]
+    sd: np.ndarray  # (P,) posterior standard deviation, coordinates
+    ci95: dict[str, tuple[float, float]]  # name to interval, physical values, inside the bounds
+    not_identified: list[str]  # names of those whose posterior is not ten times narrower than their bounds
 
 
 def confidence(objective: Objective, x: np.ndarray) -> Posterior:

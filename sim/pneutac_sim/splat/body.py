@@ -163,8 +163,7 @@ def fit_body_looks(
     Returns:
         Gaussians of the straight body; `follow.carried` brings them to other states.
 
-    Raises:
-        InputError: image, mask, camera and particles do not fit together.
+    Raises InputError: image, mask, camera and particles do not fit together.
     """
     check_photograph(positions, image, mask, camera)
     looks = blank_looks(body, detail)

@@ -10,23 +10,16 @@ from pneutac_sim.errors import InputError, finite_array
 
 @dataclass(frozen=True)
 class Camera:
-    """One camera. Pixel (row i, column j) has its centre at (x, y) = (j + 0.5, i + 0.5).
+    """One camera. Pixel (row i, column j) has its centre at (x, y) = (j + 0.5, i + 0.5)."""
 
-    Attributes:
-        intrinsics: (3, 3) pixels, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]].
-        extrinsics: (4, 4) world to camera in OpenCV's axes (x right, y down, z forward), metres.
-        width: of the image, pixels.
-        height: of the image, pixels.
-        distortion: OpenCV's k1, k2, p1, p2, k3, or fewer of them; empty for a pure pinhole.
-        largest_r2: squared distance from the axis, at unit depth, up to which the distortion is one-to-one;
-            what lies farther out is never visible. Found from `distortion`.
-    """
-
-    intrinsics: np.ndarray
-    extrinsics: np.ndarray
-    width: int
-    height: int
+    intrinsics: np.ndarray  # (3, 3) pixels, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]
+    extrinsics: np.ndarray  # (4, 4) world to camera in OpenCV's axes (x right, y down, z forward), metres
+    width: int  # of the image, pixels
+    height: int  # of the image, pixels
+    # OpenCV's k1, k2, p1, p2, k3, or fewer of them; empty for a pure pinhole
     distortion: tuple[float, ...] = ()
+    # squared distance from the axis, at unit depth, up to which the distortion is one-to-one; what lies
+    # farther out is never visible. Found from `distortion`.
     largest_r2: float = field(init=False, repr=False)
 
     def __post_init__(self):
@@ -70,8 +63,8 @@ class Camera:
     def look_at(cls, eye, target, up, fov_y_deg: float, width: int, height: int) -> "Camera":
         """A camera at `eye` (3,) m that sees `target` (3,) m in the middle, with `up` (3,) upwards.
 
-        Raises:
-            InputError: `eye` is `target`, `up` lies along the view, or the angle is not in 0 to 180 degrees.
+        Raises InputError: `eye` is `target`, `up` lies along the view, or the angle is not in 0 to 180
+        degrees.
         """
         eye, target, up = (np.asarray(v, np.float64) for v in (eye, target, up))
         if not 0 < fov_y_deg < 180:

@@ -89,8 +89,7 @@ def fit_looks(
     Returns:
         Colours (n, 3) and opacities (n,) of the best iteration, float32.
 
-    Raises:
-        InputError: a shape is wrong or a number not finite.
+    Raises InputError: a shape is wrong or a number not finite.
     """
     camera = splats.camera
     target = numbers("target", target, (camera.height, camera.width, 3))

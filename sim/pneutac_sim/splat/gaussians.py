@@ -10,21 +10,13 @@ from pneutac_sim.errors import InputError, finite_array
 
 @dataclass
 class Gaussians:
-    """n Gaussians.
+    """n Gaussians."""
 
-    Attributes:
-        means: (n, 3) m.
-        scales: (n, 3) m, standard deviations along the Gaussian's own axes.
-        rotations: (n, 3, 3), own axes to world, as columns.
-        colours: (n, 3) red, green, blue, 0 to 1.
-        opacities: (n,) 0 to 1.
-    """
-
-    means: np.ndarray
-    scales: np.ndarray
-    rotations: np.ndarray
-    colours: np.ndarray
-    opacities: np.ndarray
+    means: np.ndarray  # (n, 3) m
+    scales: np.ndarray  # (n, 3) m, standard deviations along the Gaussian's own axes
+    rotations: np.ndarray  # (n, 3, 3), own axes to world, as columns
+    colours: np.ndarray  # (n, 3) red, green, blue, 0 to 1
+    opacities: np.ndarray  # (n,) 0 to 1
 
     def __post_init__(self):
         n = len(self.means)
@@ -60,8 +52,7 @@ class Gaussians:
             deformation_gradients: F, (n, 3, 3): each Gaussian turns by the rotation U of F = U P, P
                 symmetric positive definite. None: no turn.
 
-        Raises:
-            InputError: a shape is wrong, a number not finite, or a determinant of F not positive.
+        Raises InputError: a shape is wrong, a number not finite, or a determinant of F not positive.
         """
         if deformation_gradients is None:
             return replace(self, means=means)

@@ -48,8 +48,7 @@ class SplatSensor:
         camera: the gel's camera, in the gel's frame.
         looks: colours and opacities.
 
-    Raises:
-        InputError: `layers` or `looks` do not fit, there is no such device, or CUDA or gsplat is missing.
+    Raises InputError: `layers` or `looks` do not fit, there is no such device, or CUDA or gsplat is missing.
     """
 
     def __init__(

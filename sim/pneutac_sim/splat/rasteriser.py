@@ -353,15 +353,10 @@ MOST_THREADS = 8  # starting more costs longer than they save on a picture of a 
 
 
 class Rendering(NamedTuple):
-    """A picture of Gaussians.
+    """A picture of Gaussians."""
 
-    Attributes:
-        image: (H, W, 3) float32, 0 to 1 where colours and background are.
-        alpha: coverage, (H, W) float32, 0 to 1: one minus the share of the background in a pixel.
-    """
-
-    image: np.ndarray
-    alpha: np.ndarray
+    image: np.ndarray  # (H, W, 3) float32, 0 to 1 where colours and background are
+    alpha: np.ndarray  # coverage, (H, W) float32, 0 to 1: one minus the share of the background in a pixel
 
 
 class Splats:
@@ -379,8 +374,7 @@ class Splats:
         camera: as given.
         means, covariances, opacities: as given, float32.
 
-    Raises:
-        InputError: a shape is wrong, a number not finite or an opacity outside 0 to 1.
+    Raises InputError: a shape is wrong, a number not finite or an opacity outside 0 to 1.
     """
 
     def __init__(self, camera: Camera, means, covariances, opacities):

@@ -149,7 +149,6 @@ def _parts(photographs: Sequence[PressPhotograph], px_per_mm: float) -> Iterator
 
 
 def _squared(viewed: Sequence[Viewed], masks: Sequence[np.ndarray], gel: GelModel) -> float:
-    """Mean squared error over the pixels of some masks."""
     off = np.concatenate([v.off(gel)[m] for v, m in zip(viewed, masks, strict=True)])
     return float(np.square(off).mean()) if len(off) else 0.0
 

@@ -44,8 +44,7 @@ def rasterise(
         background: (3,) 0 to 1.
         device: `cpu`, `cuda`, or `auto` for CUDA where gsplat and a device are there.
 
-    Raises:
-        InputError: an input is malformed or not finite, or CUDA or gsplat is missing.
+    Raises InputError: an input is malformed or not finite, or CUDA or gsplat is missing.
     """
     splats = on(device)(camera, gaussians.means, gaussians.covariances(), gaussians.opacities)
     return splats.render(gaussians.colours, background)

@@ -33,26 +33,21 @@ class Evaluation:
     """Motion of the skeleton under the network against that of the full finger, on held-out trajectories.
 
     Means of absolute errors over joints and time, with the standard error of the mean over trajectories.
-
-    Attributes:
-        position_deg, position_sem: joint angles.
-        velocity_deg_s, velocity_sem: joint rates.
-        torque_nm: root mean square error of f_r on the held-out pairs.
-        bare_position_deg, bare_velocity_deg_s, bare_torque_nm: the same with f_r = 0.
-        in_range: share of frames in the range of training.
-        trajectories: how many.
     """
 
+    # position_deg, position_sem: joint angles
     position_deg: float
     position_sem: float
+    # velocity_deg_s, velocity_sem: joint rates
     velocity_deg_s: float
     velocity_sem: float
-    torque_nm: float
+    torque_nm: float  # root mean square error of f_r on the held-out pairs
+    # bare_position_deg, bare_velocity_deg_s, bare_torque_nm: the same with f_r = 0
     bare_position_deg: float
     bare_velocity_deg_s: float
     bare_torque_nm: float
-    in_range: float
-    trajectories: int
+    in_range: float  # share of frames in the range of training
+    trajectories: int  # how many
 
 
 def train_action(

@@ -126,23 +126,15 @@ SIDE_BY_SIDE = {"cpu": 4, "cuda": 64}
 
 @dataclass(frozen=True)
 class Plan:
-    """What is collected.
+    """What is collected."""
 
-    Attributes:
-        trajectories: the last sixth is for the evaluation, the sixth before it for early stopping.
-        duration_s: of each; 24 of 1 s give 8,000 state-torque pairs to train on.
-        particles: of the finger, about.
-        damping_per_s: of the body's momentum. A neo-Hookean solid has no losses and would ring on for ever
-            after each step; 60/s is a tenth of critical at its slowest swing, 50 Hz, as is the twin's joint
-            damping in the world.
-        seed: of the programs.
-    """
-
-    trajectories: int = 24
-    duration_s: float = 1.0
-    particles: int = 4000
+    trajectories: int = 24  # the last sixth is for the evaluation, the sixth before it for early stopping
+    duration_s: float = 1.0  # of each; 24 of 1 s give 8,000 state-torque pairs to train on
+    particles: int = 4000  # of the finger, about
+    # of the body's momentum. A neo-Hookean solid has no losses and would ring on for ever after each step;
+    # 60/s is a tenth of critical at its slowest swing, 50 Hz, as is the twin's joint damping in the world.
     damping_per_s: float = 60.0
-    seed: int = 0
+    seed: int = 0  # of the programs
 
     def __post_init__(self):
         if self.trajectories < 1 or self.particles < 1:
@@ -161,19 +153,12 @@ class Plan:
 
 @dataclass(frozen=True)
 class Motion:
-    """One trajectory of T frames, `FRAME_S` apart.
+    """One trajectory of T frames, `FRAME_S` apart."""
 
-    Attributes:
-        q: (T, N) rad.
-        q_vel: (T, N) rad/s.
-        target: (T, N) joint targets, rad; straight lines between frames.
-        pressure_kpa: (T,) bending pressure.
-    """
-
-    q: np.ndarray
-    q_vel: np.ndarray
-    target: np.ndarray
-    pressure_kpa: np.ndarray
+    q: np.ndarray  # (T, N) rad
+    q_vel: np.ndarray  # (T, N) rad/s
+    target: np.ndarray  # (T, N) joint targets, rad; straight lines between frames
+    pressure_kpa: np.ndarray  # (T,) bending pressure
 
     def accelerations(self) -> np.ndarray:
         """(T - 2, N) rad/s2 of the frames but the first and last.

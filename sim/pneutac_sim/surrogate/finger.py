@@ -74,8 +74,7 @@ class SurrogateFinger:
         in_range: whether the last step was in the range in which the network was trained. Where it was not,
             the body's torque goes on straight.
 
-    Raises:
-        InputError: the network was trained for another body, or the body is stiffer than the whole finger.
+    Raises InputError: the network was trained for another body, or the body is stiffer than the whole finger.
     """
 
     def __init__(self, twin: Twin, network: ActionNetwork):
@@ -131,15 +130,10 @@ def _of(twin: Twin, network: ActionNetwork | GelSurrogate):
 
 @dataclass(frozen=True)
 class Networks:
-    """What stands in for the material points of one twin.
+    """What stands in for the material points of one twin."""
 
-    Attributes:
-        action: f_r, of the finger.
-        gel: f_m, of the gel.
-    """
-
-    action: ActionNetwork
-    gel: GelSurrogate
+    action: ActionNetwork  # f_r, of the finger
+    gel: GelSurrogate  # f_m, of the gel
 
     @classmethod
     def of(cls, twin: Twin) -> "Networks":

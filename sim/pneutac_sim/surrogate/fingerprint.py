@@ -68,7 +68,6 @@ def _sha256(what: dict, arrays: list[np.ndarray]) -> str:
 
 
 def _floats(x):
-    """Numbers as floats, so that 110 and 110.0 are one."""
     if isinstance(x, dict):
         return {k: _floats(v) for k, v in x.items()}
     if isinstance(x, list):

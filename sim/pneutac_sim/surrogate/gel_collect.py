@@ -49,17 +49,11 @@ RIM_SHARE = 0.25  # of contacts whose centre lies within 1 mm of the window's ri
 
 @dataclass(frozen=True)
 class Contact:
-    """One indenter pressed into the gel.
+    """One indenter pressed into the gel."""
 
-    Attributes:
-        press: indenter, size, place, depth of its deepest point, and yaw.
-        tilt_rad: turn of the indenter about its tip.
-        tilt_towards_rad: direction of the axis of that turn, from x towards y.
-    """
-
-    press: Press
-    tilt_rad: float = 0.0
-    tilt_towards_rad: float = 0.0
+    press: Press  # indenter, size, place, depth of its deepest point, and yaw
+    tilt_rad: float = 0.0  # turn of the indenter about its tip
+    tilt_towards_rad: float = 0.0  # direction of the axis of that turn, from x towards y
 
     @property
     def _tilt(self) -> Rotation:
@@ -131,30 +125,19 @@ STEP_MM = 0.35  # finer ones change the displacement by 2 um
 
 @dataclass(frozen=True)
 class Pairs:
-    """One contact, K equilibria on the way to its full depth.
+    """One contact, K equilibria on the way to its full depth."""
 
-    Attributes:
-        indenter: its name.
-        depth_mm: (K, 80, 59) probe grids, float32.
-        displacement_mm: (K, 80, 59) of the material points' face, float32.
-    """
-
-    indenter: str
-    depth_mm: np.ndarray
-    displacement_mm: np.ndarray
+    indenter: str  # its name
+    depth_mm: np.ndarray  # (K, 80, 59) probe grids, float32
+    displacement_mm: np.ndarray  # (K, 80, 59) of the material points' face, float32
 
 
 @dataclass(frozen=True)
 class Collected:
-    """What a call of `collect_gel` found or made.
+    """What a call of `collect_gel` found or made."""
 
-    Attributes:
-        contacts: pressed to their full depth.
-        diverged: contacts without an equilibrium, which are left out.
-    """
-
-    contacts: int
-    diverged: int
+    contacts: int  # pressed to their full depth
+    diverged: int  # contacts without an equilibrium, which are left out
 
 
 def collect_gel(

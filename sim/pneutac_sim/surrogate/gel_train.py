@@ -124,8 +124,7 @@ def train_gel(
         progress: called after each epoch with the number of those done and of all.
         start: another gel's network to begin with, which counts as the first epoch; None for random weights.
 
-    Raises:
-        InputError: no contacts, damaged ones, or too few; no such device.
+    Raises InputError: no contacts, damaged ones, or too few; no such device.
     """
     check_choice("device", device, ("auto", "cpu", "cuda"))
     if device == "cuda" and not torch.cuda.is_available():
@@ -211,8 +210,7 @@ def evaluate_gel(surrogate: GelSurrogate, contacts: Sequence[Pairs], twin: Twin)
     - `image_rmse_levels`: of the tactile images, over all pixels and channels;
     - `area_error_px`: absolute error of the number of pixels in contact.
 
-    Raises:
-        InputError: in no contact anything touches.
+    Raises InputError: in no contact anything touches.
     """
     gel = replace(GelModel.from_twin(twin), depth_scale=1.0)  # the network's input is the object's own depth
     seen_by = {

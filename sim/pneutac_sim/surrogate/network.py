@@ -134,32 +134,27 @@ class ActionNetwork:
     Inputs are q (N), q' (N) and the bending pressure in kPa; outputs torques (N) in N m. The body knows of no
     pressure, only of how it is bent: one network serves a body whatever drives it, and the bending pressure
     is that of the drive with which it was trained, p = mean(q_cmd) / G - p0.
-
-    Attributes:
-        layers: float32 `w1` (2 N + 1, 128), `b1`, `w2` (128, 128), `b2`, `w3` (128, N), `b3`, with softsign
-            between them.
-        slope: (2 N + 1, N) N m by normalised inputs: the straight part of the torque, which is most of an
-            elastic body's, besides the layers. Layers alone smear it over joints that mostly move together.
-        mean, scale: (2 N + 1,) that normalise inputs.
-        torque_mean, torque_scale: (N,) that undo the normalisation of outputs, N m.
-        low, high: (2 N + 1,) box of the inputs seen in training.
-        drive: (2,) G in rad/kPa and p0 in kPa.
-        skeleton: of the same finger.
-        fingerprint: of the twin, see `surrogate.fingerprint`.
-        modulus_mpa: Young's modulus of the body in training; None where an earlier version wrote the file.
     """
 
+    # float32 `w1` (2 N + 1, 128), `b1`, `w2` (128, 128), `b2`, `w3` (128, N), `b3`, with softsign between
+    # them
     layers: tuple[np.ndarray, ...]
+    # (2 N + 1, N) N m by normalised inputs: the straight part of the torque, which is most of an elastic
+    # body's, besides the layers. Layers alone smear it over joints that mostly move together.
     slope: np.ndarray
+    # mean, scale: (2 N + 1,) that normalise inputs
     mean: np.ndarray
     scale: np.ndarray
+    # torque_mean, torque_scale: (N,) that undo the normalisation of outputs, N m
     torque_mean: np.ndarray
     torque_scale: np.ndarray
+    # low, high: (2 N + 1,) box of the inputs seen in training
     low: np.ndarray
     high: np.ndarray
-    drive: np.ndarray
-    skeleton: Skeleton
-    fingerprint: str
+    drive: np.ndarray  # (2,) G in rad/kPa and p0 in kPa
+    skeleton: Skeleton  # of the same finger
+    fingerprint: str  # of the twin, see `surrogate.fingerprint`
+    # Young's modulus of the body in training; None where an earlier version wrote the file
     modulus_mpa: float | None = None
 
     @property

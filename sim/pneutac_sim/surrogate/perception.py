@@ -38,8 +38,7 @@ class GelSurrogate:
         heldout: indenters that it was not trained with.
         errors: what `evaluate_gel` found, stored with the weights.
 
-    Raises:
-        ValueError: the weights are not those of such a network, or not finite.
+    Raises ValueError: the weights are not those of such a network, or not finite.
     """
 
     def __init__(

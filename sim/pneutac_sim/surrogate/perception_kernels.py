@@ -117,7 +117,6 @@ def _pool(fine, grid, rows, cols, coarse, coarse_grid, coarse_cols):
 
 @njit(cache=True)
 def _enlarge(coarse, coarse_grid, coarse_cols, fine, grid, rows, cols):
-    """Each cell becomes 2 x 2."""
     half = (rows + 1) // 2
     for k in range(len(coarse)):
         for i in range(rows):

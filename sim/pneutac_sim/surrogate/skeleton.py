@@ -30,21 +30,13 @@ BACK = 1 / (G * (2 - G))  # weight of where that ends in the backward formula
 
 @dataclass(frozen=True)
 class Skeleton:
-    """A planar chain of N links.
+    """A planar chain of N links."""
 
-    Attributes:
-        coupling: (N, N) complex A, kg m2.
-        inertia: (N,) of each link about its centre of mass, kg m2.
-        stiffness_nm_per_rad: K of the controller.
-        damping_nms_per_rad: D of the controller.
-        loss_per_s: d, of the momentum.
-    """
-
-    coupling: np.ndarray
-    inertia: np.ndarray
-    stiffness_nm_per_rad: float
-    damping_nms_per_rad: float
-    loss_per_s: float
+    coupling: np.ndarray  # (N, N) complex A, kg m2
+    inertia: np.ndarray  # (N,) of each link about its centre of mass, kg m2
+    stiffness_nm_per_rad: float  # K of the controller
+    damping_nms_per_rad: float  # D of the controller
+    loss_per_s: float  # d, of the momentum
 
     @classmethod
     def of(cls, body: Body, spine: Spine, loss_per_s: float = 0.0) -> "Skeleton":

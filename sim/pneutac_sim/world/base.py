@@ -27,42 +27,26 @@ CONTACT_N = 0.02  # a smaller force on the gel is no contact
 
 @dataclass
 class Observation:
-    """What a robot senses once a control step.
+    """What a robot senses once a control step."""
 
-    Attributes:
-        state: (2 N + 5 + C,) float32 as `features.state_names` of an arm of N joints and C chambers.
-        tactile: uint8 (H, W, 3) of the sensor's size, or None where the world has no image.
-    """
-
-    state: np.ndarray
-    tactile: np.ndarray | None
+    state: np.ndarray  # (2 N + 5 + C,) float32 as `features.state_names` of an arm of N joints and C chambers
+    tactile: np.ndarray | None  # uint8 (H, W, 3) of the sensor's size, or None where the world has no image
 
 
 @dataclass(frozen=True)
 class Variation:
-    """What is different from the scene that the task itself draws.
+    """What is different from the scene that the task itself draws."""
 
-    Attributes:
-        start_m: flange position (3,) at the start, metres; None for the task's own.
-        shift_m: displacement (3,) of the task's objects, metres.
-        bend_gain: factor on the bend that the pressure makes.
-        more_rad: bend in addition to that, shared by the joints.
-        friction: factor on the friction of the gel.
-        late_commands: control steps by which commands act later than the station says.
-        at_once: whether commands act without any latency in place of that.
-        late_touch: control steps by which touch is shown too late.
-        conditions: in place of those that the world draws.
-    """
-
+    # flange position (3,) at the start, metres; None for the task's own
     start_m: tuple[float, float, float] | None = None
-    shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    bend_gain: float = 1.0
-    friction: float = 1.0
-    late_commands: int = 0
-    late_touch: int = 0
-    conditions: dict[str, float] = field(default_factory=dict)
-    at_once: bool = False
-    more_rad: float = 0.0
+    shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # displacement (3,) of the task's objects, metres
+    bend_gain: float = 1.0  # factor on the bend that the pressure makes
+    friction: float = 1.0  # factor on the friction of the gel
+    late_commands: int = 0  # control steps by which commands act later than the station says
+    late_touch: int = 0  # control steps by which touch is shown too late
+    conditions: dict[str, float] = field(default_factory=dict)  # in place of those that the world draws
+    at_once: bool = False  # whether commands act without any latency in place of that
+    more_rad: float = 0.0  # bend in addition to that, shared by the joints
 
 
 def solved_joints(solver, flange_m: np.ndarray, velocity_m_s: np.ndarray, dt_s: float) -> np.ndarray:
@@ -153,7 +137,6 @@ class BaseWorld(ABC):
         self._queue = deque([self.command] * self._late_commands)
 
     def _lay_out(self) -> None:
-        """Places the task's objects as a random start has them."""
         self.task.reset(self.model, self.data, self._rng)
 
     @property

@@ -21,9 +21,8 @@ USUAL = {"gravity_x": 1.0, "gravity_y": 0.0, "gravity_z": 0.0, "payload_g": 0.0}
 def conditions_for(twin: Twin, given: Conditions | None) -> Conditions:
     """All conditions of a world with this twin: those given, else gravity in the base's frame and no payload.
 
-    Raises:
-        InputError: a condition is neither a finite number nor a range [low, high] of such, or one that an
-            effect of the twin needs is not given.
+    Raises InputError: a condition is neither a finite number nor a range [low, high] of such, or one that an
+    effect of the twin needs is not given.
     """
     given = given or {}
     for name, value in given.items():
@@ -47,8 +46,7 @@ def draw(conditions: Conditions, rng: np.random.Generator) -> dict[str, float]:
 def check_bends(twin: Twin, fidelity: str) -> None:
     """Whether the world has joints for what the twin is of, at this fidelity.
 
-    Raises:
-        InputError: it is a gel's, or has several chambers at a fidelity of networks or material points.
+    Raises InputError: it is a gel's, or has several chambers at a fidelity of networks or material points.
     """
     if twin.device not in CHAMBERS:
         raise InputError(
@@ -64,9 +62,8 @@ def check_bends(twin: Twin, fidelity: str) -> None:
 def check_networks(twin: Twin, fidelity: str) -> None:
     """Whether the networks that the fidelity asks for belong to the twin, and its finger is stable with them.
 
-    Raises:
-        InputError: it has none, they are older than its shape or material, or its soft body alone is stiffer
-            than the whole finger, which no controller makes stable; or as `check_bends`.
+    Raises InputError: it has none, they are older than its shape or material, or its soft body alone is
+    stiffer than the whole finger, which no controller makes stable; or as `check_bends`.
     """
     check_bends(twin, fidelity)
     if fidelity == "surrogate":  # its modules take a second to start

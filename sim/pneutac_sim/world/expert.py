@@ -45,19 +45,12 @@ NEAR_M = 0.005  # heights that it distinguishes
 
 @dataclass(frozen=True)
 class Lanes:
-    """A search in lanes along x, from -y to +y, each begun at the near side.
+    """A search in lanes along x, from -y to +y, each begun at the near side."""
 
-    Attributes:
-        height_m: of the gel while it looks for the object, metres above the table.
-        rise_m: how far above that it withdraws.
-        middles_m: y of the flange in each lane, ascending and evenly spaced.
-        back_m: x of the flange at which a lane begins.
-    """
-
-    height_m: float
-    rise_m: float
-    middles_m: tuple[float, ...]
-    back_m: float
+    height_m: float  # of the gel while it looks for the object, metres above the table
+    rise_m: float  # how far above that it withdraws
+    middles_m: tuple[float, ...]  # y of the flange in each lane, ascending and evenly spaced
+    back_m: float  # x of the flange at which a lane begins
 
     def ahead(self, world: World, habits: Habits, speed: float) -> np.ndarray:
         """Velocity (3,) along the lane, at the height of the search."""
@@ -149,12 +142,10 @@ class ScriptedExpert:
         return self._expert(self._world, self._habits, self._pressure)
 
     def _trembling(self, wish: np.ndarray) -> np.ndarray:
-        """Velocity (3,) that the hand adds to what it wants."""
         return self._rng.normal(0, self._habits.tremor, 3) if np.any(wish) else np.zeros(3)
 
 
 def _expert_of(world: World) -> Callable[..., Wish]:
-    """The library's expert of a task, or the task's own."""
     task = world.task
     if task.name in EXPERTS:
         return EXPERTS[task.name]
@@ -186,8 +177,7 @@ def towards_gel(twin: Twin, far_kpa: float) -> tuple[np.ndarray, float]:
     With the directions d_c of the pipeline's drive, sum of p_c d_c = (b, 0) with p >= 0 (p <= 0 if it bends
     by vacuum) and no more chambers than that takes; the highest pressure is `far_kpa`.
 
-    Raises:
-        InputError: its chambers bend it so by no pressures.
+    Raises InputError: its chambers bend it so by no pressures.
     """
     pipeline = Pipeline.of(twin)
     gain = pipeline.chain[pipeline.drive].held_at(pipeline.theta(twin)).gain  # (C, 2 N) rad/kPa
@@ -342,8 +332,7 @@ class Person(ScriptedExpert):
         rng: draws habits, errors and the unrest of the hand.
         strength: of all imperfections, 0 to 1.
 
-    Raises:
-        InputError: the strength is out of range, or the task has no scripted expert.
+    Raises InputError: the strength is out of range, or the task has no scripted expert.
     """
 
     def __init__(self, world: World, rng: np.random.Generator, strength: float = 1.0):

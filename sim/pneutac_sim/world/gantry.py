@@ -47,8 +47,7 @@ class Gantry(World):
     def __init__(self, world: World):
         """A gantry for `world`; its state is taken over by `mirror`.
 
-        Raises:
-            InputError: as `World`.
+        Raises InputError: as `World`.
         """
         limits = {"pressure_range_kpa": world.pressure_range_kpa, "station": world.station}
         super().__init__(world.task.name, world.twin, "area", "probe", world.conditions, **limits)

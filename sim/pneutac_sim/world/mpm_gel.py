@@ -157,8 +157,7 @@ class MpmFinger:
         substeps: taken in the last step.
         in_range: always; there is no range to leave.
 
-    Raises:
-        InputError: the body is stiffer than the whole finger.
+    Raises InputError: the body is stiffer than the whole finger.
     """
 
     in_range = True

@@ -32,17 +32,13 @@ DIVERGED = (  # what MuJoCo warns of, and answers with a fresh scene
 
 @dataclass(frozen=True)
 class Finger:
-    """MJCF of a finger with its gel.
+    """MJCF of a finger with its gel."""
 
-    Attributes:
-        body: for the frame `flange`, with the sites `tip` and `gel` and the geom `pad`.
-        defaults, materials: that it names.
-        actuators, tendons: it may have none.
-    """
-
-    body: str
+    body: str  # for the frame `flange`, with the sites `tip` and `gel` and the geom `pad`
+    # defaults, materials: that it names
     defaults: str
     materials: str
+    # actuators, tendons: it may have none
     actuators: str = ""
     tendons: str = ""
 

@@ -44,8 +44,7 @@ class Pad:
     Attributes:
         spring: that acts.
 
-    Raises:
-        InputError: the gel's material is out of range, see `GelForce`.
+    Raises InputError: the gel's material is out of range, see `GelForce`.
     """
 
     def __init__(self, model: mujoco.MjModel, twin: Twin, triangles: np.ndarray = NO_TRIANGLES):

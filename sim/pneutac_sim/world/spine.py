@@ -356,14 +356,12 @@ def ball_torques(mass, centre, inertia, ways, before, rate, slope, K, D, h, out)
 
 @njit(cache=True)
 def _turn(R, x, out):
-    """R x into `out` (3,)."""
     for r in range(3):
         out[r] = R[r, 0] * x[0] + R[r, 1] * x[1] + R[r, 2] * x[2]
 
 
 @njit(cache=True)
 def _add_cross(a, b, out):
-    """Adds a x b to `out` (3,)."""
     out[0] += a[1] * b[2] - a[2] * b[1]
     out[1] += a[2] * b[0] - a[0] * b[2]
     out[2] += a[0] * b[1] - a[1] * b[0]

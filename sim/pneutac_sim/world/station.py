@@ -25,29 +25,21 @@ FILE = "station.yaml"
 
 @dataclass(frozen=True)
 class Station:
-    """A station. Its origin lies on the table, x forwards and z up; the tasks are laid out in its frame.
+    """A station. Its origin lies on the table, x forwards and z up; the tasks are laid out in its frame."""
 
-    Attributes:
-        arm: `panda`, `ur5`, `so101`, or an arm's own description.
-        base_m: where the arm's base stands (x, y, z), so that the table is at -z in the arm's own frame; if
-            omitted, the origin, and for `so101` where it reaches the tasks.
-        workspace_low_m: corner (x, y, z) of the box to which the flange is held with a finger of 110 mm on a
-            mount of 20 mm; with what is longer its floor is as much higher.
-        workspace_high_m: the opposite corner.
-        mount_mm: from the flange to the finger's base.
-        home_m: where the flange starts (x, y, z) in place of the task's own start.
-        latency_s: by which commands act late, in whole control steps.
-        control_hz: control rate, a whole number of Hz; demonstrations are recorded at it.
-    """
-
+    # corner (x, y, z) of the box to which the flange is held with a finger of 110 mm on a mount of 20 mm;
+    # with what is longer its floor is as much higher
     workspace_low_m: tuple[float, float, float] = (0.30, -0.20, 0.18)
-    workspace_high_m: tuple[float, float, float] = (0.66, 0.20, 0.55)
-    mount_mm: float = 20.0
-    arm: ArmFile | str = "panda"
+    workspace_high_m: tuple[float, float, float] = (0.66, 0.20, 0.55)  # the opposite corner
+    mount_mm: float = 20.0  # from the flange to the finger's base
+    arm: ArmFile | str = "panda"  # `panda`, `ur5`, `so101`, or an arm's own description
+    # where the arm's base stands (x, y, z), so that the table is at -z in the arm's own frame; if omitted,
+    # the origin, and for `so101` where it reaches the tasks
     base_m: tuple[float, float, float] | None = None
+    # where the flange starts (x, y, z) in place of the task's own start
     home_m: tuple[float, float, float] | None = None
-    latency_s: float = 0.0
-    control_hz: int = CONTROL_HZ
+    latency_s: float = 0.0  # by which commands act late, in whole control steps
+    control_hz: int = CONTROL_HZ  # control rate, a whole number of Hz; demonstrations are recorded at it
 
     def __post_init__(self):
         if self.base_m is None:
@@ -115,8 +107,7 @@ class Station:
     def load(cls, file: str | Path) -> "Station":
         """Reads a `station.yaml`; fields that are left out are the paper's.
 
-        Raises:
-            InputError: one sentence with file, field and what to do.
+        Raises InputError: one sentence with file, field and what to do.
         """
         file = Path(file)
         if not file.is_file():

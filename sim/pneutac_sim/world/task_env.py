@@ -44,8 +44,7 @@ class SceneCameras:
     `sizes` is each camera's name, of `SCENE_CAMERAS`, to height and width of its picture in px. With
     `randomise_look` light, colours and the table's texture are newly drawn in every episode.
 
-    Raises:
-        InputError: there is no such camera, no such size, or no OpenGL.
+    Raises InputError: there is no such camera, no such size, or no OpenGL.
     """
 
     def __init__(self, world, sizes: Mapping[str, tuple[int, int]], randomise_look: bool = False):
@@ -192,8 +191,7 @@ class TaskEnv(gymnasium.Env):
             points: puts touch as data, `tactile.points`, into the observation.
             start_width: see `BaseWorld.widen_starts`.
 
-        Raises:
-            InputError: as `SceneCameras`, or points without touch.
+        Raises InputError: as `SceneCameras`, or points without touch.
         """
         self.world, self._begun = world, False
         world.widen_starts(start_width)

@@ -85,11 +85,9 @@ class World(BaseWorld):
             sideways: whether a load bends a finger of one chamber across its plane too: its joints are balls,
                 as stiff across as in the plane, which is an assumption, as a bench measures the plane alone.
 
-        Raises:
-            InputError: unknown task, touch mode, fidelity or render; an arm that does not reach; a twin
-                that is of a gel, or has no networks or outdated ones, or a body stiffer than all of it, or
-                several chambers with another fidelity than `probe` or with `sideways`; an effect without its
-                conditions.
+        Raises InputError: unknown task, touch mode, fidelity or render; an arm that does not reach; a twin
+        that is of a gel, or has no networks or outdated ones, or a body stiffer than all of it, or several
+        chambers with another fidelity than `probe` or with `sideways`; an effect without its conditions.
         """
         self.twin = twin or Twin.builtin()
         check_choice("fidelity", fidelity, FIDELITIES)
@@ -121,7 +119,6 @@ class World(BaseWorld):
         self.reset(0)
 
     def _bind_model(self) -> None:
-        """Finds the finger in the model, which has been built."""
         self._bends = Spine(self.model, self.twin)
         self._spine = self._bends.dofs
         self._physics = Substeps(self.model, self.data)
@@ -395,7 +392,6 @@ class World(BaseWorld):
         return self._read if self._pipeline.measures else self.tip
 
     def _measure(self, dt_s: float) -> None:
-        """Takes the markers of this control step, where effects change what is read."""
         if self._pipeline.measures:
             self._read = self._pipeline.read(self.tip, dt_s)
 

@@ -14,24 +14,15 @@ from pneutac_truths.gel.scene import Look, Sensor, grid
 
 @dataclass
 class Session:
-    """A recording of n photographs in the making; the first is the rest image.
+    """A recording of n photographs in the making; the first is the rest image."""
 
-    Attributes:
-        sensor: what photographs.
-        time_s: (n,) when each was taken.
-        rng: of the session.
-        power: (n, LEDs) of each LED, 1 as designed.
-        exposure: share of full scale that the brightest tenth of the rest image reaches.
-        looks: n states of coat, dust and camera.
-        rows: (n, H) what each row of the chip collects, 1 as designed.
-    """
-
-    sensor: Sensor
-    time_s: np.ndarray
-    rng: np.random.Generator
-    power: np.ndarray
-    exposure: float = 0.62
-    looks: list[Look] = field(default_factory=list)
+    sensor: Sensor  # what photographs
+    time_s: np.ndarray  # (n,) when each was taken
+    rng: np.random.Generator  # of the session
+    power: np.ndarray  # (n, LEDs) of each LED, 1 as designed
+    exposure: float = 0.62  # share of full scale that the brightest tenth of the rest image reaches
+    looks: list[Look] = field(default_factory=list)  # n states of coat, dust and camera
+    # (n, H) what each row of the chip collects, 1 as designed
     rows: np.ndarray = field(default_factory=lambda: np.ones((0, 0)))
 
 

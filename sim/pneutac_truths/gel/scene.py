@@ -24,31 +24,20 @@ ROOM_MM = 3.0  # from the window's edge to the walls
 
 @dataclass(frozen=True)
 class Sensor:
-    """One sensor; millimetres in the gel's frame: x along columns, y along rows, z out of the sensor.
+    """One sensor; millimetres in the gel's frame: x along columns, y along rows, z out of the sensor."""
 
-    Attributes:
-        image_px: width and height.
-        window_mm: what the camera sees of the face.
-        block_mm: thickness of gel and plate together.
-        index: of refraction of both.
-        camera_mm: of the pinhole below the plate.
-        leds: (side, z_mm, half length in mm) of each; side is -x, x, -y or y.
-        colours: (leds, 3) what the chip's channels see of each.
-        reflectance: of the coat's matt part.
-        gloss: share of metal in the coat.
-        roughness: of that metal.
-    """
-
-    image_px: tuple[int, int] = (320, 240)
-    window_mm: tuple[float, float] = (16.0, 12.0)
-    block_mm: float = 10.0
-    index: float = 1.43
-    camera_mm: float = 14.0
+    image_px: tuple[int, int] = (320, 240)  # width and height
+    window_mm: tuple[float, float] = (16.0, 12.0)  # what the camera sees of the face
+    block_mm: float = 10.0  # thickness of gel and plate together
+    index: float = 1.43  # of refraction of both
+    camera_mm: float = 14.0  # of the pinhole below the plate
+    # (side, z_mm, half length in mm) of each; side is -x, x, -y or y
     leds: tuple[tuple[str, float, float], ...] = (("-x", -7.0, 4.0), ("x", -6.6, 4.0), ("y", -7.4, 5.0))
+    # (leds, 3) what the chip's channels see of each
     colours: tuple[tuple[float, float, float], ...] = ((1, 0.08, 0.06), (0.09, 1, 0.12), (0.05, 0.14, 1))
-    reflectance: float = 0.55
-    gloss: float = 0.25
-    roughness: float = 0.4
+    reflectance: float = 0.55  # of the coat's matt part
+    gloss: float = 0.25  # share of metal in the coat
+    roughness: float = 0.4  # of that metal
 
     @property
     def px_per_mm(self) -> float:
@@ -72,18 +61,14 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Look:
-    """How the sensor is at one moment.
+    """How the sensor is at one moment."""
 
-    Attributes:
-        coat: (rows, columns) share of the coat's reflectance that is left over the window and its rim; empty
-            for all of it.
-        specks_mm: (n, 3) x, y and radius of dust on the plate.
-        tilt_rad: turn of the camera about x and y.
-    """
-
+    # (rows, columns) share of the coat's reflectance that is left over the window and its rim; empty for all
+    # of it
     coat: np.ndarray = field(default_factory=lambda: np.ones((0, 0)))
+    # (n, 3) x, y and radius of dust on the plate
     specks_mm: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    tilt_rad: tuple[float, float] = (0.0, 0.0)
+    tilt_rad: tuple[float, float] = (0.0, 0.0)  # turn of the camera about x and y
 
     @property
     def plain(self) -> bool:

@@ -24,18 +24,13 @@ KINDS = ("sphere", "cylinder", "cube", "edge", "cone", "outline")
 
 @dataclass(frozen=True)
 class Punch:
-    """A rigid indenter.
+    """A rigid indenter."""
 
-    Attributes:
-        kind: one of `KINDS`; `cylinder` stands on its flat end, `edge` is a cube on an edge along x, `cone`
-            has a right angle at its apex, `outline` is a prism that stands on a polygon.
-        size_mm: radius of sphere and cylinder, side of cube and edge; unused for cone and outline.
-        outline_mm: (n, 2) corners of the polygon, in order.
-    """
-
+    # one of `KINDS`; `cylinder` stands on its flat end, `edge` is a cube on an edge along x, `cone` has a
+    # right angle at its apex, `outline` is a prism that stands on a polygon
     kind: str
-    size_mm: float = 3.0
-    outline_mm: tuple[tuple[float, float], ...] = field(default=())
+    size_mm: float = 3.0  # radius of sphere and cylinder, side of cube and edge; unused for cone and outline
+    outline_mm: tuple[tuple[float, float], ...] = field(default=())  # (n, 2) corners of the polygon, in order
 
     def __post_init__(self):
         if self.kind not in KINDS:
@@ -130,17 +125,11 @@ NEWTON, CLOSE = 30, 1e-3  # steps, and the share of the load's nodal forces that
 
 @dataclass(frozen=True)
 class Rubber:
-    """The layer.
+    """The layer."""
 
-    Attributes:
-        thickness_mm: of the layer, bonded below.
-        mu_kpa: shear modulus.
-        poisson: ratio at small strain.
-    """
-
-    thickness_mm: float = 3.0
-    mu_kpa: float = 40.0
-    poisson: float = 0.49
+    thickness_mm: float = 3.0  # of the layer, bonded below
+    mu_kpa: float = 40.0  # shear modulus
+    poisson: float = 0.49  # ratio at small strain
 
     @property
     def kappa_kpa(self) -> float:
@@ -150,21 +139,13 @@ class Rubber:
 
 @dataclass(frozen=True)
 class Face:
-    """The pressed face in the indenter's frame.
+    """The pressed face in the indenter's frame."""
 
-    Attributes:
-        x_mm: (n,) where its nodes rest.
-        y_mm: (m,)
-        moved_mm: (n, m, 3) displacements; z points out of the gel.
-        touching: (n, m) nodes that carry pressure.
-        force_n: on the indenter.
-    """
-
-    x_mm: np.ndarray
-    y_mm: np.ndarray
-    moved_mm: np.ndarray
-    touching: np.ndarray
-    force_n: float
+    x_mm: np.ndarray  # (n,) where its nodes rest
+    y_mm: np.ndarray  # (m,)
+    moved_mm: np.ndarray  # (n, m, 3) displacements; z points out of the gel
+    touching: np.ndarray  # (n, m) nodes that carry pressure
+    force_n: float  # on the indenter
 
     def at(self, x_mm: np.ndarray, y_mm: np.ndarray) -> np.ndarray:
         """Displacements (..., 3) of points that rest at x and y, cubic between nodes; 0 beyond the mesh."""
@@ -317,7 +298,6 @@ class Mesh:
         return inside, force
 
     def _stretched(self, u, grad):
-        """Deformation gradients F (elements, points, 3, 3)."""
         return np.eye(3) + np.einsum("eai,eqaj->eqij", u[self.nodes], grad, optimize=True)
 
     def _energy(self, u, punch: Punch, depth_mm: float) -> float:
@@ -378,7 +358,6 @@ def _iso(F, mu: float):
 
 
 def _volume(F, kappa: float):
-    """As `_iso`, for the volumetric part."""
     J = np.linalg.det(F)[..., None, None]
     G = np.linalg.inv(F).swapaxes(-1, -2)
     g = _flat(G)

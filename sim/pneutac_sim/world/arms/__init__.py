@@ -39,15 +39,12 @@ LEFT_OUT = (  # of a file: all that the chain does not need
 
 @dataclass(frozen=True)
 class Link:
-    """One body of the chain in the frame of the one before.
+    """One body of the chain in the frame of the one before."""
 
-    Attributes:
-        pos, quat: its frame, m.
-        hinges: joints (origin (3,), axis (3,), lowest, highest angle in rad), mostly one or none.
-    """
-
+    # pos, quat: its frame, m
     pos: np.ndarray
     quat: np.ndarray
+    # joints (origin (3,), axis (3,), lowest, highest angle in rad), mostly one or none
     hinges: tuple[tuple[np.ndarray, np.ndarray, float, float], ...]
 
 
@@ -139,8 +136,7 @@ class Chain:
     def __init__(self, file: str, flange: str, home_rad: Sequence[float], base_m: Sequence[float]):
         """An arm from a URDF or MJCF whose link (body, site) `flange` points down at home.
 
-        Raises:
-            InputError: one sentence with file and fault.
+        Raises InputError: one sentence with file and fault.
         """
         self.base_m, self.home_rad = np.array(base_m, float), np.array(home_rad, float)
         self._links = read_chain(Path(file), flange)
@@ -242,8 +238,7 @@ class Chain:
 def read_chain(file: Path, flange: str) -> list[Link]:
     """The bodies from an arm's base to its flange, a body or site of a URDF or MJCF.
 
-    Raises:
-        InputError: one sentence with file and fault.
+    Raises InputError: one sentence with file and fault.
     """
     if not file.is_file():
         raise InputError(f"There is no file '{file}'; give the arm's URDF or MJCF.")
@@ -311,17 +306,11 @@ _HERE = Path(__file__).parent
 
 @dataclass(frozen=True)
 class ArmFile:
-    """An arm described by a URDF or an MJCF.
+    """An arm described by a URDF or an MJCF."""
 
-    Attributes:
-        urdf: that file; only its joints count, so its meshes may be missing.
-        flange: link of the URDF, or body or site of the MJCF, that carries the finger, z outwards.
-        home_rad: joint angles (N,) from the base to there at which the flange points down.
-    """
-
-    urdf: str
-    flange: str
-    home_rad: tuple[float, ...]
+    urdf: str  # that file; only its joints count, so its meshes may be missing
+    flange: str  # link of the URDF, or body or site of the MJCF, that carries the finger, z outwards
+    home_rad: tuple[float, ...]  # joint angles (N,) from the base to there at which the flange points down
 
     def __post_init__(self):
         for name in ("urdf", "flange"):

@@ -20,22 +20,15 @@ Wish = tuple[np.ndarray, float]  # velocity (3,) m/s and pressure kPa
 
 @dataclass
 class Habits:
-    """How one person acts in one episode, newly drawn each time.
+    """How one person acts in one episode, newly drawn each time."""
 
-    Attributes:
-        speed: factor on all speeds.
-        offset_m: error of the height at which it searches, metres.
-        low_kpa, high_kpa: pressures of search and of manipulation.
-        ramp_kpa_s: how fast the pressure is turned up.
-        tremor: standard deviation of the velocity's noise, m/s.
-    """
-
-    speed: float
-    offset_m: float
+    speed: float  # factor on all speeds
+    offset_m: float  # error of the height at which it searches, metres
+    # low_kpa, high_kpa: pressures of search and of manipulation
     low_kpa: float
     high_kpa: float
-    ramp_kpa_s: float
-    tremor: float = 0.003
+    ramp_kpa_s: float  # how fast the pressure is turned up
+    tremor: float = 0.003  # standard deviation of the velocity's noise, m/s
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Habits:
@@ -50,19 +43,14 @@ class Habits:
 
 @dataclass(frozen=True)
 class Goal:
-    """A task as the reward of reinforcement learning sees it.
+    """A task as the reward of reinforcement learning sees it."""
 
-    Attributes:
-        progress: how much is done, 0 at the start and 1 at success; less than 0 where it goes wrong.
-        geom: the part of the object that the gel is to touch.
-        side: of that part, in its own frame: corner of the unit cube (3,), times the geom's half sizes.
-        depth_mm: imprint that does the task well.
-    """
-
+    # how much is done, 0 at the start and 1 at success; less than 0 where it goes wrong
     progress: Callable[[Task], float]
-    geom: str
+    geom: str  # the part of the object that the gel is to touch
+    # of that part, in its own frame: corner of the unit cube (3,), times the geom's half sizes
     side: tuple[float, float, float]
-    depth_mm: float
+    depth_mm: float  # imprint that does the task well
 
 
 class Task:

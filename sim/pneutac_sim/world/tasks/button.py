@@ -16,27 +16,20 @@ DRAGS, DRAG_M_S = 2, 0.010  # how often it drags to both sides, and how fast
 
 @dataclass
 class ButtonTask(Task):
-    """A round bar that does not give way, on a post.
-
-    Attributes:
-        presses: how often it is to be pressed.
-        press_n: force that counts as a press.
-        hold_s: for how long.
-        limit_n: pressing it harder than this breaks it.
-        drag_m: how far the expert drags the finger sideways along the bar, to and fro, before it lets go.
-        spread_x_m, spread_y_m, spread_z_m: half widths of the random start.
-    """
+    """A round bar that does not give way, on a post."""
 
     name = "button"
     description = "Press the call button twice and hold it."
     home_m = (0.40, 0.0, 0.255)
     goal = Goal(lambda task: task.pressed / task.presses, "button", (-1, 0, 0), depth_mm=0.9)
 
-    presses: int = 2
-    press_n: float = 0.5
-    hold_s: float = 3.0
-    limit_n: float = 6.0
+    presses: int = 2  # how often it is to be pressed
+    press_n: float = 0.5  # force that counts as a press
+    hold_s: float = 3.0  # for how long
+    limit_n: float = 6.0  # pressing it harder than this breaks it
+    # how far the expert drags the finger sideways along the bar, to and fro, before it lets go
     drag_m: float = 0.0
+    # spread_x_m, spread_y_m, spread_z_m: half widths of the random start
     spread_x_m: float = 0.020
     spread_y_m: float = 0.002
     spread_z_m: float = 0.002

@@ -19,11 +19,6 @@ class CableTask(Task):
     """A cable on the front of a board, from a clip that is known to a plug that is not.
 
     The cable turns by a random angle at each of its joints, so that nothing but following it leads there.
-
-    Attributes:
-        turn_rad: largest turn of the first part, and of each to the one before.
-        limit_n: pressing harder than this damages the cable.
-        spread_x_m, spread_z_m: half widths of the random place of the board and of the clip's height.
     """
 
     name = "cable"
@@ -31,8 +26,9 @@ class CableTask(Task):
     home_m = (0.405, START_M[0], 0.262)
     goal = Goal(lambda task: task.followed, "plug", (0, 0, 1), depth_mm=0.6)
 
-    turn_rad: float = 0.45
-    limit_n: float = 3.0
+    turn_rad: float = 0.45  # largest turn of the first part, and of each to the one before
+    limit_n: float = 3.0  # pressing harder than this damages the cable
+    # spread_x_m, spread_z_m: half widths of the random place of the board and of the clip's height
     spread_x_m: float = 0.020
     spread_z_m: float = 0.004
 

@@ -20,14 +20,6 @@ class CardTask(Task):
     `mu_i N + i edge_n`: N presses on the front card and is the same at every interface, `edge_n` is the drag
     of the holder on one card. So the next card follows where (mu_1 - mu_2) N exceeds the drag: who presses
     too hard draws two. The friction follows N once a control step.
-
-    Attributes:
-        cards: number of loose cards; fewer are quicker and do for planning.
-        friction: lowest and highest friction coefficient between two cards.
-        edge_n: drag of the holder's edges on one card, N.
-        lean_rad: lean of the holder towards the robot.
-        draw_m, second_m: how far the front card must come out, and the next one must not.
-        spread_x_m, spread_y_m: half widths of the random start.
     """
 
     name = "card"
@@ -35,12 +27,14 @@ class CardTask(Task):
     home_m = (0.385, 0.0, 0.315)
     wider = {"spread_x_m": 0.012, "spread_y_m": 0.008}
 
-    cards: int = 10
-    friction: tuple[float, float] = (0.2, 0.4)
-    edge_n: float = 0.18
-    lean_rad: float = 0.40
+    cards: int = 10  # number of loose cards; fewer are quicker and do for planning
+    friction: tuple[float, float] = (0.2, 0.4)  # lowest and highest friction coefficient between two cards
+    edge_n: float = 0.18  # drag of the holder's edges on one card, N
+    lean_rad: float = 0.40  # lean of the holder towards the robot
+    # draw_m, second_m: how far the front card must come out, and the next one must not
     draw_m: float = 0.030
     second_m: float = 0.010
+    # spread_x_m, spread_y_m: half widths of the random start
     spread_x_m: float = 0.040
     spread_y_m: float = 0.020
 

@@ -20,17 +20,6 @@ class EggTask(Task):
     Off the magnet the lid opens by itself, as pulp does that was folded shut. Only the tab stands out over
     the front wall, by a few millimetres; the rest of the lid lies behind it. The random start is that of the
     front wall's middle, about which the carton is turned.
-
-    Attributes:
-        latch_n: pull of the latch at the front edge, N.
-        spring_nm_per_rad, spring_rest_rad: stiffness of the hinge, and the lid's angle at which it is slack.
-        overhang_m: how far the tab stands out over the front wall.
-        tab_half_m: half the tab's width.
-        recess_m: how far the rest of the lid lies behind the front wall.
-        open_rad: lid angle that counts as open.
-        limit_n: pressing the carton harder than this breaks the eggs.
-        wall_limit_n: pressing its front wall harder than this dents it.
-        spread_x_m, spread_y_m, spread_yaw_rad: half widths of the random start.
     """
 
     name = "egg"
@@ -39,15 +28,17 @@ class EggTask(Task):
     starts_m = (-0.015, 0.0, 0.015)
     wider = {"spread_yaw_rad": np.radians(8)}
 
-    latch_n: float = 1.0
+    latch_n: float = 1.0  # pull of the latch at the front edge, N
+    # spring_nm_per_rad, spring_rest_rad: stiffness of the hinge, and the lid's angle at which it is slack
     spring_nm_per_rad: float = 0.012
     spring_rest_rad: float = 2.0
-    overhang_m: float = 0.004
-    tab_half_m: float = 0.008
-    recess_m: float = 0.010
-    open_rad: float = np.radians(60)
-    limit_n: float = 8.0
-    wall_limit_n: float = 1.2
+    overhang_m: float = 0.004  # how far the tab stands out over the front wall
+    tab_half_m: float = 0.008  # half the tab's width
+    recess_m: float = 0.010  # how far the rest of the lid lies behind the front wall
+    open_rad: float = np.radians(60)  # lid angle that counts as open
+    limit_n: float = 8.0  # pressing the carton harder than this breaks the eggs
+    wall_limit_n: float = 1.2  # pressing its front wall harder than this dents it
+    # spread_x_m, spread_y_m, spread_yaw_rad: half widths of the random start
     spread_x_m: float = 0.045
     spread_y_m: float = 0.028
     spread_yaw_rad: float = np.radians(15)

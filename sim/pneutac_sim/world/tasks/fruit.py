@@ -23,13 +23,6 @@ class FruitTask(Task):
 
     The gel holds the fruit against the wall and draws it up between the rails; let go, it falls back. It
     gives way where it is touched and bursts beyond `limit_n`.
-
-    Attributes:
-        mass_kg: of the fruit.
-        wall_friction: between it and the wall.
-        limit_n: squeezing it harder than this bursts it.
-        lift_m: how far it must be lifted.
-        spread_x_m, spread_y_m: half widths of the random start.
     """
 
     name = "fruit"
@@ -37,10 +30,11 @@ class FruitTask(Task):
     home_m = (0.395, 0.0, 0.255)
     goal = Goal(lambda task: task.lifted_m / task.lift_m, "fruit", (0, 0, 0), depth_mm=HELD_MM)
 
-    mass_kg: float = 0.030
-    wall_friction: float = 0.15
-    limit_n: float = 1.6
-    lift_m: float = 0.020
+    mass_kg: float = 0.030  # of the fruit
+    wall_friction: float = 0.15  # between it and the wall
+    limit_n: float = 1.6  # squeezing it harder than this bursts it
+    lift_m: float = 0.020  # how far it must be lifted
+    # spread_x_m, spread_y_m: half widths of the random start
     spread_x_m: float = 0.040
     spread_y_m: float = 0.005
 

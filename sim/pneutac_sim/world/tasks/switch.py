@@ -22,15 +22,6 @@ class SwitchTask(Task):
 
     The lever has some play sideways: pushed off its middle it gives way and the finger slips off. The
     random start is that of the bar, about which the console is turned.
-
-    Attributes:
-        ridge_torque_nm: torque that passes the ridge, N m.
-        well_rad: lever angle in a well; the task starts at -well (towards the robot) and ends at +well.
-        tilt_rad: how far the console leans towards the robot.
-        bar_half_m: half the length of the barrel-shaped bar on the lever.
-        play_nm_per_rad: stiffness of the lever sideways.
-        limit_n: pressing the switch harder than this breaks it.
-        spread_x_m, spread_y_m, spread_yaw_rad: half widths of the random start.
     """
 
     name = "switch"
@@ -39,12 +30,14 @@ class SwitchTask(Task):
     starts_m = (-0.020, 0.0, 0.020)
     wider = {"spread_yaw_rad": np.radians(8)}
 
-    ridge_torque_nm: float = 0.058
+    ridge_torque_nm: float = 0.058  # torque that passes the ridge, N m
+    # lever angle in a well; the task starts at -well (towards the robot) and ends at +well
     well_rad: float = 0.4
-    tilt_rad: float = 0.3
-    bar_half_m: float = 0.012
-    play_nm_per_rad: float = 0.12
-    limit_n: float = 8.0
+    tilt_rad: float = 0.3  # how far the console leans towards the robot
+    bar_half_m: float = 0.012  # half the length of the barrel-shaped bar on the lever
+    play_nm_per_rad: float = 0.12  # stiffness of the lever sideways
+    limit_n: float = 8.0  # pressing the switch harder than this breaks it
+    # spread_x_m, spread_y_m, spread_yaw_rad: half widths of the random start
     spread_x_m: float = 0.040
     spread_y_m: float = 0.032
     spread_yaw_rad: float = np.radians(15)
