@@ -37,7 +37,7 @@ def recording_folder(
     known = mapping or (folder / plain.MAPPING if plain.is_ours(folder) else None)
     given = plain.Given.load(known) if known else plain.Given()
     given = replace(given, length_mm=length_mm or given.length_mm)
-    understood = plain.understand_files(files, given)
+    understood = plain.Understood(files, given)
     if understood.faults:
         raise InputError(understood.faults[0])
     console = Console()
@@ -45,7 +45,7 @@ def recording_folder(
         show_understood(understood, console)
     if known is None and not yes:
         _confirm(path)
-    plain.write(understood, folder)
+    understood.write(folder)
     how = f", by {known}" if known else ""
     console.print(f"Stored in {folder}{how}.", highlight=False, soft_wrap=True, markup=False)
     return folder

@@ -116,7 +116,7 @@ def _tables(path: Path, files: list[Path]) -> Checked:
         return _bench(folder)
     try:
         known = plain.Given.load(folder / plain.MAPPING) if plain.is_ours(folder) else plain.Given()
-        understood = plain.understand_files(files, known)
+        understood = plain.Understood(files, known)
     except InputError as e:
         return Checked(path, "table", [str(e)], [])
     notes = [] if understood.faults else check(understood.recording)[1]

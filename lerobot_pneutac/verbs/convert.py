@@ -152,9 +152,9 @@ def _convert_tables(config: ConvertConfig, show: Callable[[Understood], None]) -
     options = {"base_mm": base} | {name: getattr(config, name) for name in names}
     options = {n: v for n, v in options.items() if v != Given.__dataclass_fields__[n].default}
     given = replace(given, columns=given.columns | columns, **options)
-    understood = plain.understand_files(files, given, time=config.time)
+    understood = plain.Understood(files, given, time=config.time)
     show(understood)
-    return plain.write(understood, folder)
+    return understood.write(folder)
 
 
 def _columns(config: ConvertConfig) -> dict[str, str]:
@@ -176,7 +176,7 @@ def _log(config: ConvertConfig) -> Source:
     assert config.log is not None
     columns = _columns(config)
     given = Given(columns, rate_hz=config.rate_hz)
-    table = plain.understand_files([config.log], given, log=True, time=config.time).recording.samples
+    table = plain.Understood([config.log], given, log=True, time=config.time).recording.samples
     times = table["time_s"].to_numpy(float)
     names = [c for c in table if c not in ("time_s", "trial", "run")]
     return Source(config.log, {}, {c: (times, table[c].to_numpy()) for c in names})

@@ -31,9 +31,8 @@ class LeRobotHooks(logging.Handler):
     it announces in the log, and how many frames it counts, show which observations belong to an episode: the
     first ones after the last announcement. It makes the robot, then the dataset, and connects the robot last.
 
-    Args:
-        announced: is called with whether an episode begins (or else has ended).
-        write_json: in place of the function that writes the files of a dataset's `meta`, with its arguments.
+    `announced` is called with whether an episode begins (or else has ended), `write_json` in place of the
+    function that writes the files of a dataset's `meta`.
     """
 
     def __init__(self, announced: Callable[[bool], None], write_json: Callable[[dict, Path], None]):

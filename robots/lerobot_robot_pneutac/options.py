@@ -133,12 +133,10 @@ def check_station(option: str, file: Path | None) -> None:
 
 
 def check_scene(group: str, start_width: float, cameras: dict[str, tuple[int, int]]) -> None:
-    """Refuses what a scene does not have.
+    """Refuses what a scene does not have, of options of a group `env` or `robot`.
 
-    Args:
-        group: `env` or `robot`, to which the options belong.
-        start_width: of random starts, beyond what the arm is safe with.
-        cameras: to height and width of their pictures, which need OpenGL.
+    That is starts that are wider than the arm is safe with, and pictures, (height, width) by camera, without
+    OpenGL.
     """
     from pneutac_sim.world.base import MOST_WIDE
     from pneutac_sim.world.scene import check_camera

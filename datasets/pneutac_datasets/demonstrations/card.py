@@ -13,15 +13,10 @@ from pneutac_sim.world.station import Station, station_file
 def write_card(
     folder: str | Path, licence: str = "apache-2.0", source: str = "Recorded by a teleoperator."
 ) -> Path:
-    """Writes `README.md` into a dataset's folder; returns it.
+    """Writes `README.md` into the folder of a LeRobotDataset; returns it.
 
-    Args:
-        folder: of a LeRobotDataset.
-        licence: of the data, by the Hub's identifiers.
-        source: who or what made it; of a dataset of `pneutac augment` the card says so itself.
-
-    Raises:
-        InputError: its `info.json` or its station is damaged.
+    `licence` is by the Hub's identifiers, `source` who or what made it; of a dataset of `pneutac augment` the
+    card says so itself. Raises InputError where `info.json` or the station is damaged.
     """
     folder = Path(folder)
     write_text(folder / "README.md", dataset_card(folder, licence, source))

@@ -50,14 +50,10 @@ OFF_MM, MOST_POSES = 10.0, 500  # by which joints and flange may disagree, and h
 def demonstration_faults(
     folder: str | Path, twin: Twin, station: Station | None = None, measured: bool = False
 ) -> list[str]:
-    """One sentence for each fault of recorded demonstrations.
+    """One sentence for each fault of recorded demonstrations, which are to be augmented on a twin.
 
-    Args:
-        folder: root of the LeRobotDataset.
-        twin: on which they are to be augmented.
-        station: in which they were recorded; if omitted, the paper's.
-        measured: whether they are measurements of the finger: their rate may differ from the station's, and
-            whether the task was done does not matter.
+    The station is where they were recorded, if omitted the paper's. `measured` are measurements of the
+    finger: their rate may differ from the station's, and whether the task was done does not matter.
     """
     folder = Path(folder)
     file = folder / "meta" / "info.json"
@@ -92,13 +88,8 @@ def demonstration_faults(
 def failed_demonstrations(folder: str | Path) -> dict[int, str]:
     """Demonstrations that nothing can be learnt from: number of the episode to why it failed.
 
-    Those that `meta/outcomes.json` calls failed, where a robot or a person left it, and those without touch.
-
-    Args:
-        folder: root of a LeRobotDataset without damage, of this robot's features.
-
-    Raises:
-        InputError: `outcomes.json` is damaged.
+    Those that `meta/outcomes.json` calls failed, and those without touch, of a dataset without damage. Raises
+    InputError where `outcomes.json` is damaged.
     """
     folder = Path(folder)
     info = read_info(folder / "meta" / "info.json")
@@ -146,11 +137,7 @@ def _named(failed: dict[int, str]) -> str:
 
 
 def motion_faults(folder: str | Path) -> list[str]:
-    """One sentence for each command that the flange does not follow, and for joints that are no radians.
-
-    Args:
-        folder: root of a LeRobotDataset without damage, of this robot's features.
-    """
+    """One sentence for each command that the flange does not follow, and for joints that are no radians."""
     info = read_info(Path(folder) / "meta" / "info.json")
     return _of_motion(Path(folder), info, _read_episodes(Path(folder), info))[0]
 
@@ -169,12 +156,7 @@ def _read_episodes(folder: Path, info: dict) -> Episodes:
 
 
 def demonstration_notes(folder: str | Path, station: Station) -> list[str]:
-    """What is poor but usable in demonstrations without faults.
-
-    Episodes whose control loop was slower or faster than the dataset's rate, commands that move the flange
-    less or more than they say, joints that put it elsewhere than the state says, and what cannot serve as a
-    measurement.
-    """
+    """What is poor but usable in demonstrations without faults."""
     folder = Path(folder)
     info = read_info(folder / "meta" / "info.json")
     episodes = _read_episodes(folder, info)

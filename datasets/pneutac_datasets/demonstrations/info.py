@@ -117,11 +117,7 @@ def dataset_faults(folder: Path, info: dict) -> list[str]:
     """One sentence for each thing for which LeRobot would not read a dataset, or read it wrongly.
 
     Every file is opened: numbers, tasks, episodes, statistics, and of each episode's videos or images the
-    first and the last frame.
-
-    Args:
-        folder: of the dataset.
-        info: its `meta/info.json`, as `read_info` gives it.
+    first and the last frame. `info` is as `read_info` gives it.
     """
     file = folder / "meta" / "info.json"
     try:

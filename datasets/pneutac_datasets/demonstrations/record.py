@@ -35,22 +35,12 @@ def record_episodes(
     use_videos: bool,
     progress: Progress = no_progress,
 ) -> Path:
-    """Records demonstrations of a scripted teleoperator; a failed one is recorded again, as a person would.
+    """Records demonstrations of a scripted teleoperator into a new folder `root`, which is returned.
 
-    An episode ends when the task is done, as if the person pressed the key for the next one.
-
-    Args:
-        robot: the simulated robot; one that is not connected is connected for the recording only.
-        teleop: its teleoperator, likewise; its `steps` are an episode's longest.
-        repo_id: name of the dataset.
-        root: folder of the dataset, which must not exist; it is returned.
-        episodes: number of demonstrations.
-        task_text: instruction stored with every frame.
-        use_videos: store the tactile images as video instead of PNG.
-        progress: is called with a text, and how many of how many demonstrations are recorded.
-
-    Raises:
-        InputError: `root` exists, or three of four demonstrations fail.
+    An episode ends when the task is done, as if the person pressed the key for the next one, or after the
+    teleoperator's `steps`; a failed one is recorded again. A robot that is not connected is connected for the
+    recording only. `task_text` is stored with every frame; without `use_videos` images are PNG. Raises
+    InputError where `root` exists, or three of four demonstrations fail.
     """
     features = combine_feature_dicts(
         hw_to_dataset_features(robot.action_features, ACTION, use_videos),

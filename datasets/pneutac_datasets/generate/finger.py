@@ -64,10 +64,8 @@ class ProgramTrial:
 def session(top: float, seconds: float, hz: float, rng: np.random.Generator) -> list[ProgramTrial]:
     """A whole bench session of about `seconds`, hz samples a second; `rng` decides levels and orders.
 
-    600 s run everything at its natural pace, less shortens every part. The largest pressure is `top`, kPa.
-
-    Returns:
-        The main trial, two equal ones, one with the base flipped, one warm, one with a payload.
+    600 s run everything at its natural pace, less shortens every part; the largest pressure is `top`, kPa.
+    The main trial comes first, then two equal ones, one with the base flipped, one warm, one with a payload.
     """
     s = seconds / 600.0
     hang = (1.0, 0.0, 0.0) if rng.random() < 0.5 else (0.0, 0.0, -1.0)
@@ -172,7 +170,7 @@ def generate(
     hz: float = 20.0,
     measured_pressure: bool = True,
 ) -> dict:
-    """Writes a recording into folder `out`, and the truth into `truth/<name of out>.json` beside it.
+    """Writes a recording into `out`, and the truth, which is returned, into `truth/<name of out>.json`.
 
     Args:
         effects: one name, several, or `none`; those of `TRUTHS`, and of `pneutac_truths.EFFECTS` for a rod.
@@ -183,9 +181,6 @@ def generate(
         minutes: length of the session; below about 2 the parts become very short.
         hz: samples a second.
         measured_pressure: whether the recording has `pressure_kpa`.
-
-    Returns:
-        The truth: effects with simulation and parameters; noise.
 
     Raises:
         InputError: an unknown effect, or a number out of its range.

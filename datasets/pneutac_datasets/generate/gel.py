@@ -42,15 +42,10 @@ def write_presses(
     px_per_mm: float,
     notes: str,
 ) -> Recording:
-    """Writes a gel's recording; returns it as loaded.
+    """Writes a gel's recording into a folder; returns it as loaded.
 
-    Args:
-        folder: where it goes.
-        rest: image without contact, (H, W, 3) levels.
-        photographs: of each press, the first of which is to calibrate by: the press, its image and what else
-            is known of it, by column.
-        px_per_mm: scale of the images.
-        notes: on their origin.
+    `rest` (H, W, 3) levels is the image without contact; of each press, the first of which is to calibrate
+    by, come the press, its image and what else is known of it, by column.
     """
     folder, rows = Path(folder), []
     (folder / "images").mkdir(parents=True, exist_ok=True)
@@ -153,16 +148,11 @@ HOLDS_S, GAP_S = (60.0, 2.0), 3.0  # in turn, where what earlier presses leave i
 
 
 def write_hidden_gel(folder: str | Path, hidden: list[str], seed: int = 0, images: int = 16) -> Recording:
-    """Writes a rest image and indentations by three balls, made by the built-in gel with more effects.
+    """Writes a rest image and indentations by three balls, made by the built-in gel with hidden effects.
 
-    Args:
-        folder: where the recording goes; what is hidden goes to `truth/<name>.json` next to the folder.
-        hidden: effects to switch on.
-        seed: decides places, depths, sizes of the effects and noise.
-        images: indentations, the first of role `calibration`.
-
-    Raises:
-        InputError: an effect is no optics effect, or there are fewer than two images.
+    What is hidden goes to `truth/<name>.json` next to the folder; the seed decides places, depths, sizes of
+    the effects and noise. Raises InputError where an effect is no optics effect, or images are fewer than
+    two.
     """
     rng, known = np.random.default_rng(seed), sensor_effects()
     for name in hidden:

@@ -292,9 +292,8 @@ def bent_meshes(
 ) -> tuple[list[trimesh.Trimesh], np.ndarray, np.ndarray, np.ndarray]:
     """Surface meshes of a twin's body at rest under joint targets (T, H) rad, by full material points.
 
-    Returns:
-        T meshes (m), the vertices (V, 3) of the straight one, the joint angles (T, H) at rest, rad, and the
-        spine's tips (T, 3), m.
+    T meshes (m), the vertices (V, 3) of the straight one, the joint angles (T, H) at rest, rad, and the
+    spine's tips (T, 3), m.
     """
     solver = devices.BODIES[twin.device](twin, batch=len(q_cmd), particles=particles)
     state = solve_equilibrium(solver, Loads(q_cmd=q_cmd))

@@ -152,11 +152,7 @@ class GelRecording:
 
 
 def gel_faults(recording: Recording) -> tuple[list[str], list[str]]:
-    """All for which `calibrate` refuses a gel's recording, every image opened, and what is poor but usable.
-
-    Returns:
-        One sentence for each fault; one for each note, where there is no fault.
-    """
+    """A sentence for each fault of a gel's recording that `calibrate` refuses; else one for each note."""
     faults: list[str] = []
     try:
         gel, rests = _begun(recording)

@@ -24,18 +24,10 @@ DAMAGED = (*DAMAGED, struct.error, zlib.error, Image.DecompressionBombError, Mem
 
 
 def read_image(source: str | Path | bytes, name: str = "", plain: bool = False) -> np.ndarray:
-    """Reads an image file: its size from the header first, its pixels only where it is within the limits.
+    """RGB uint8 (H, W, 3) of an image file or its content: first its size from the header, then its pixels.
 
-    Args:
-        source: a file, or the content of one.
-        name: what the message calls it; the file's path where it is empty.
-        plain: whether it must be RGB with 8 bits a channel, as calibration needs it.
-
-    Returns:
-        RGB uint8 (H, W, 3).
-
-    Raises:
-        InputError: it is too large, damaged, of another format than `FORMATS`, or not plain.
+    `name` is what the message calls it, if empty the file; a `plain` one must be RGB with 8 bits a channel.
+    Raises InputError where it is too large, damaged, of another format than `FORMATS`, or not plain.
     """
     name = name or str(source)
     size = len(source) if isinstance(source, bytes) else Path(source).stat().st_size

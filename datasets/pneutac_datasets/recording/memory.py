@@ -39,12 +39,7 @@ def regress(design: np.ndarray, y: np.ndarray) -> np.ndarray:
 class Memory:
     """A map with memory, fitted a round at a time.
 
-    Args:
-        p: pressure (n, chambers), of the order of 1.
-        past: (j, n, chambers), see `history`.
-
-    Attributes:
-        weight: (j,) of each history.
+    Of pressures (n, chambers), of the order of 1, and their `history`; `weight` (j,) is that of each history.
     """
 
     def __init__(self, p: np.ndarray, past: np.ndarray):
@@ -52,15 +47,10 @@ class Memory:
         self.weight = np.zeros(len(past))
 
     def round(self, y: np.ndarray, rows: np.ndarray, moves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """One step of Gauss and Newton on some rows.
+        """One step of Gauss and Newton on rows (n,) of what was measured, y (n, k).
 
-        Args:
-            y: measured (n, k).
-            rows: (n,) mask.
-            moves: (n, k, m) what else may be added to `y`.
-
-        Returns:
-            Prediction (n, k), also of all other rows, and how much of each move to add (m,).
+        `moves` (n, k, m) may be added to y. Returns the prediction (n, k), also of all other rows, and how
+        much of each move to add (m,).
         """
         columns = static_columns(self._drive())
         bend, tiny = regress(columns[rows], y[rows]), 1e-4
@@ -84,11 +74,8 @@ class Memory:
 def history(recording: Recording, p: np.ndarray, start: str) -> np.ndarray:
     """(j, n, chambers): lags of the pressure over 0.1 s to minutes, its largest value yet, and drift.
 
-    Args:
-        recording: whose trials they are.
-        p: pressure (n, chambers), of the order of 1.
-        start: how trials begin: `held` at their first pressure for ever, `vented` for ever, or `carried` on
-            from where the trial before ended, after its pause where that is known.
+    Trials start `held` at their first pressure for ever, `vented` for ever, or `carried` on from where the
+    trial before ended, after its pause where that is known.
     """
     time, begun = recording.column("time_s"), recording.starts
     tau = np.array(TIMES_S)[:, None]

@@ -114,12 +114,7 @@ class Bench:
 
 
 class Case:
-    """One session against trials of the first mount.
-
-    Args:
-        bench: the recording.
-        first: trials of the first mount.
-        session: trials that were perhaps mounted otherwise.
+    """One session, of trials perhaps mounted otherwise, against the `first` trials of the first mount.
 
     Attributes:
         error: distance from a map of the first mount, as measured and moved, on rows that were not used to

@@ -206,12 +206,9 @@ def _detrended(x: np.ndarray, window: int) -> np.ndarray:
 
 
 def contrasts(recording: Recording, columns: list[str], at_rest: bool = False) -> dict[str, float]:
-    """Standard deviation of the noise of columns; those that cannot be determined are left out.
+    """Standard deviation of the noise of a body's columns; those that cannot be determined are left out.
 
-    Args:
-        recording: of a body.
-        columns: of its samples.
-        at_rest: by rows without pressure alone, in which no regulator hunts.
+    `at_rest` by rows without pressure alone, in which no regulator hunts.
     """
     rows, trial = _pieces(recording)
     if len(rows) < LEAST_ROWS or not columns:

@@ -21,17 +21,10 @@ LEAST = 1e-3  # of the picture that a body fills
 
 
 def segment(image: np.ndarray, background: np.ndarray) -> np.ndarray:
-    """Mask of the body: what differs from the empty scene, refined by GrabCut.
+    """Mask (H, W) of the body, its largest piece without holes: what differs from the empty scene.
 
-    Args:
-        image: RGB uint8 (H, W, 3).
-        background: the same scene without the body, RGB uint8 (H, W, 3).
-
-    Returns:
-        bool (H, W): the largest connected piece, without holes.
-
-    Raises:
-        InputError: shapes that differ, or nothing found.
+    Image and background are RGB uint8 (H, W, 3); GrabCut refines the mask. Raises InputError where their
+    shapes differ, or nothing is found.
     """
     if background.shape != image.shape:
         raise InputError(

@@ -171,13 +171,10 @@ class Recording:
         return blocks.time_blocks(self.samples)
 
     def split(self, seed: int = 0, fractions: tuple[float, ...] = (0.7, 0.3)) -> tuple[np.ndarray, ...]:
-        """Parts by whole blocks of time, stratified by program, orientation, temperature and payload.
+        """Masks (n,) of parts by whole blocks of time, stratified by program, orientation and conditions.
 
         A gel is split by role instead where it has one: `calibration` trains, everything else is held out.
         Three fractions make train, validation and an untouched test part.
-
-        Returns:
-            One boolean mask (n,) a part; every sample is in exactly one.
         """
         if self.device == "gel" and self.has("role") and len(fractions) == 2:
             train = (self.samples["role"] == "calibration").to_numpy()
@@ -193,15 +190,11 @@ def _time(seconds: float) -> str:
 
 
 def joined(recordings: Sequence[Recording], pauses_s: Sequence[float | None]) -> Recording:
-    """All trials of all recordings in their order, renumbered.
+    """All trials of several recordings of one device in their order, renumbered.
 
-    Args:
-        recordings: of one device, with the same columns.
-        pauses_s: seconds without pressure before each recording, since the one before it; None where its
-            first trial begins as its own `recording.json` says, or at an unknown state.
-
-    Raises:
-        InputError: they differ in device, length or columns.
+    `pauses_s` are the seconds without pressure before each recording, since the one before it; None where its
+    first trial begins as its own `recording.json` says, or at an unknown state. Raises InputError where they
+    differ in device, length or columns.
     """
     first = recordings[0]
     columns = set(first.samples)

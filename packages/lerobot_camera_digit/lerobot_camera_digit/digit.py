@@ -166,10 +166,7 @@ class Digit(OpenCVCamera):
 
     @check_if_already_connected
     def connect(self, warmup: bool = True) -> None:
-        """Finds the sensor, sets stream and LEDs, starts reading.
-
-        Args:
-            warmup: whether to read for a second, in which the exposure settles.
+        """Finds the sensor, sets stream and LEDs, starts reading; a warm-up of a second settles the exposure.
 
         Raises:
             HardwareFault: no DIGIT, or more than one, has this serial number and port, its firmware is too

@@ -68,14 +68,8 @@ class Framing:
 def framed(name: str, config: Any, height: int, width: int) -> Framing:
     """The framing that a camera's options ask for, whose `width` and `height` become those of its image.
 
-    Args:
-        name: of the camera, for the sentences.
-        config: options with `rotation`, `crop`, `mirror`, `width` and `height`.
-        height: rows of the picture before it is turned, px.
-        width: its columns.
-
-    Raises:
-        DecodingError: one sentence where they make no image.
+    `name` is for sentences, `height` and `width` are those of the picture before it is turned, px. Raises
+    DecodingError where the options make no image.
     """
     refuse_if(
         config.rotation not in _TURNS,

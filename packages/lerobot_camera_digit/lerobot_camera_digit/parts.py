@@ -45,9 +45,6 @@ def wait(
         limit_s: pauses in sum, s; infinite where `until` itself ends the waiting.
         tick_s: a pause, s.
         pause: waits for up to so many seconds, such as a thread's `join`; by default the clock's `sleep`.
-
-    Returns:
-        whether it became true within the limit.
     """
     waited_s, pauses = 0.0, 0
     while not until():

@@ -29,14 +29,7 @@ MOTION_LEVELS = 2.0  # a touch moves its blocks by more than `THRESHOLD_LEVELS`
 
 
 def capture_rest_image(camera: Camera, frames: int = 30) -> np.ndarray:
-    """Mean of the next images while nothing touches the gel.
-
-    Args:
-        camera: connected camera with images uint8 (H, W, 3).
-        frames: number of images, at least 2.
-
-    Returns:
-        uint8 (H, W, 3).
+    """Mean uint8 (H, W, 3) of the next images, two or more, of a camera while nothing touches the gel.
 
     Raises:
         HardwareFault: some block of 8 x 8 pixels differed from its mean by more than 2 levels in one image:

@@ -24,13 +24,9 @@ TOUCH_LEVELS = 25.0  # a difference to the twin's rest image that no imprint mak
 
 
 class Tactile:
-    """The camera behind the gel.
+    """The camera behind the gel, which gives RGB frames uint8 of a shape.
 
-    Args:
-        camera: gives RGB frames uint8 of one size.
-        shape: (H, W, 3) of them.
-        threshold_levels: of contact, see `pneutac_sim.gel.contact.contact_area`.
-        gel: of the sensor's twin, with whose rest image the first frames are compared; None for none.
+    The first frames are compared with the rest image of the gel, of the sensor's twin, where there is one.
 
     Attributes:
         rest_image: mean of the first frames, once connected.

@@ -21,13 +21,9 @@ END_S = 1.0  # how long an end waits for the thread
 
 
 class LeRobotArm:
-    """The arm `lerobot`.
+    """The arm `lerobot`: LeRobot's, not connected, with its names of the joints' positions from the base on.
 
-    Args:
-        robot: LeRobot's, not connected.
-        motors: its names of the joints' positions (N,), from the base on.
-        chain: its kinematics, base at the origin.
-        per_rad: what LeRobot's robot counts in one radian.
+    The chain is its kinematics, base at the origin; `per_rad` is what LeRobot's robot counts in one radian.
     """
 
     def __init__(self, robot: Robot, motors: tuple[str, ...], chain: Chain, per_rad: float):

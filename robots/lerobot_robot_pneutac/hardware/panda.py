@@ -24,15 +24,11 @@ logger = logging.getLogger(__name__)
 
 
 class PandaArm:
-    """The arm `panda`.
+    """The arm `panda` at an address.
 
-    Args:
-        ip: address of the robot.
-        dynamics: share of the robot's acceleration and jerk that is used, above 0 up to 1.
-        speed_m_s: no motion of the flange is faster, whatever is asked for.
-        collision_n: contact force at which the robot's own reflex stops it.
-        collision_nm: the same for the torque of each joint.
-        realtime: whether a real-time kernel is demanded; without one the robot may stop by itself.
+    `dynamics` is the share of the robot's acceleration and jerk that is used; no motion of the flange is
+    faster than `speed_m_s`; a contact force or torque of a joint above `collision_n`, `collision_nm` stops it
+    by its own reflex; without a real-time kernel, which `realtime` demands, it may stop by itself.
     """
 
     def __init__(

@@ -311,10 +311,8 @@ class PneutacExchange:
 class PneutacSerial(SerialPressure):
     """A controller that runs PneuTac's firmware; vents by itself 80 ms after the last heartbeat.
 
-    Args:
-        port: serial port, such as /dev/serial/by-id/usb-...
-        max_kpa: the highest set-point; default the controller's own limit.
-        reconnect_s: how long a silent controller is waited for; a board that restarts takes about 2 s.
+    The highest set-point is by default the controller's own limit. A silent controller is waited for by
+    `reconnect_s`; a board that restarts takes about 2 s.
     """
 
     def __init__(self, port: str, max_kpa: float | None = None, reconnect_s: float = 3.0):

@@ -12,14 +12,9 @@ PERIOD_S = 0.05
 
 
 def check_pressure_controller(controller: PressureController, kpa: float) -> None:
-    """Fills to a pressure, lets the command grow old, vents, and lets go.
+    """Fills a controller, not connected, to a pressure, lets the command grow old, vents, and lets go.
 
-    Args:
-        controller: not connected.
-        kpa: a pressure that the finger withstands.
-
-    Raises:
-        HardwareFault: the controller reported a fault, or did not do what it must; the message says what.
+    Raises HardwareFault where it reported a fault, or did not do what it must; the message says what.
     """
     _must_raise(HardwareFault, controller.pressure, "measures before it is connected")
     controller.connect()

@@ -93,9 +93,7 @@ class Guard:
     def act(self, values: np.ndarray) -> np.ndarray:
         """Carries out an action (3 + chambers,), flange velocity m/s and pressures kPa, within the limits.
 
-        Returns:
-            What was carried out (3 + chambers,); zeros, the arm at rest and the chamber vented, where it was
-            refused.
+        Returns what was carried out; zeros, the arm at rest and the chamber vented, where it was refused.
 
         Raises:
             HardwareFault: as `look`, or `REFUSALS` of the last `RECENT` actions were refused.

@@ -282,16 +282,10 @@ class TextExchange:
 
 
 class TextSerial(SerialPressure):
-    """A rig that answers each line `P <kPa>` with the measured pressure.
+    """A rig that answers each line `P <kPa>` with the measured pressure; options as of `PneutacSerial`.
 
     Nothing here proves that a command arrived whole, and whether the chamber is vented when the lines stop is
-    up to the rig: docs/reference/pressure_protocol.md says what to build in.
-
-    Args:
-        port: serial port, such as /dev/serial/by-id/usb-...
-        max_kpa: the highest set-point; a rig of this kind does not report it.
-        baud: of the port.
-        reconnect_s: how long a silent rig is waited for; a board that restarts takes about 2 s.
+    up to the rig: docs/reference/pressure_protocol.md says what to build in. It does not report `max_kpa`.
     """
 
     def __init__(self, port: str, max_kpa: float, baud: int = 115200, reconnect_s: float = 3.0):

@@ -19,12 +19,7 @@ if TYPE_CHECKING:
 
 
 class SimulatedArm:
-    """The arm `simulated`: starts at the home pose of the simulated tasks and follows velocities exactly.
-
-    Args:
-        clock: seconds, rising.
-        arm: whose kinematics; default the Panda.
-    """
+    """The arm `simulated`: starts at the home pose of the simulated tasks and follows velocities exactly."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic, arm: Chain | Panda | None = None):
         self._clock, self._arm = clock, arm
@@ -86,11 +81,7 @@ class SimulatedArm:
 class SimulatedPressure:
     """A first-order chamber: the pressure approaches the target, or zero where the command is void.
 
-    Args:
-        max_kpa: the highest set-point.
-        min_kpa: the lowest, 0 or, with a vacuum pump, below.
-        time_constant_s: after this long 63 % of a step is done.
-        clock: gives seconds.
+    After `time_constant_s` 63 % of a step is done; with a vacuum pump `min_kpa` is below 0.
     """
 
     def __init__(

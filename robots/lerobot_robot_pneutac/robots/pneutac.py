@@ -29,12 +29,8 @@ class Pneutac(BaseRobot):
     """The real robot; its features are those of `pneutac_sim`, and so are its datasets and policies.
 
     An action is a dict of `features.action_names`, with `--robot.bend=true` with `bend.pos` in place of the
-    pressure; a pose, as lerobot-rollout sends it between episodes,
-    moves the arm towards that pose. Every action passes the `Guard`, which see for limits and faults.
-
-    Attributes:
-        cameras: `tactile` and those of the configuration.
-        guard: while connected.
+    pressure; a pose, as lerobot-rollout sends it between episodes, moves the arm towards that pose. Every
+    action passes the `guard`, while connected; see `Guard` for limits and faults.
     """
 
     config_class = PneutacConfig
@@ -125,10 +121,7 @@ class Pneutac(BaseRobot):
 
     @check_if_not_connected
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:
-        """Carries an action out as far as the limits allow, and returns at once.
-
-        Returns:
-            what was carried out.
+        """Carries an action out as far as the limits allow, and returns at once what was carried out.
 
         Raises:
             HardwareFault: a part failed, a limit is broken, or many actions in a row were refused.

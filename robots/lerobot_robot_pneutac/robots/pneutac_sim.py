@@ -33,13 +33,10 @@ _made: WeakSet["PneutacSim"] = WeakSet()
 
 
 class SpreadStarts:
-    """Chooses so that the mean distance to the nearest start done is least, one after the other.
+    """Chooses seeds so that the mean distance to the nearest start done is least, one after the other.
 
     The greedy way through the k-median problem: Cornuejols, Fisher and Nemhauser, Management Science 23
-    (1977) 789.
-
-    Args:
-        places: seed of a start to where its things are (N, 3), m.
+    (1977) 789. Of each seed are given the places (N, 3) of the things, m.
     """
 
     def __init__(self, places: dict[int, np.ndarray]):
@@ -143,13 +140,9 @@ class PneutacSim(BaseRobot):
 
     @check_if_not_connected
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:
-        """Moves the world on by one control step.
+        """Moves the world on by one control step; returns the action that was carried out, after clipping.
 
-        Returns:
-            the action that was carried out, after clipping.
-
-        Raises:
-            InputError: keys are missing, or a value is not a finite number.
+        Raises InputError where keys are missing, or a value is not a finite number.
         """
         names = action_names(action, self.config.bend, self.chambers)
         values = [action[name] for name in names]

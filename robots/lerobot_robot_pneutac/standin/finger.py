@@ -71,9 +71,7 @@ def gel_force_n(depth_mm: float) -> float:
 def body(axes: str, place: str) -> str:
     """MJCF of the finger with its DIGIT, in its base frame: x along it, z towards where it bends.
 
-    Args:
-        axes: of the base frame in its parent's, `xyaxes` of MJCF.
-        place: of its origin there, m.
+    `axes` (`xyaxes` of MJCF) and `place`, m, are those of that frame in its parent's.
     """
     h, end = 1e-3 * LENGTH_MM / PARTS, 1e-3 * TIP_MM
     xml = (
@@ -137,11 +135,7 @@ def _digit(start: float) -> str:
 
 
 class RodBody:
-    """The rod's body in a model, bent by its air.
-
-    Attributes:
-        rod: air and memory.
-    """
+    """The rod's body in a model, bent by its air."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, rod: OnlineRod | None = None):
         self._model, self._data, self.rod = model, data, rod or new_rod()

@@ -119,8 +119,7 @@ class StandinWorld(BaseWorld):
     def reset(self, seed: int | None = None) -> Observation:
         """Starts an episode, before which the finger has long rested.
 
-        Args:
-            seed: decides everything; None draws the next start of the same stream.
+        The seed decides everything; without one the next start of the same stream is drawn.
         """
         if seed is not None:
             self._rng, self._noise = np.random.default_rng(seed), np.random.default_rng([seed, 1])
@@ -133,15 +132,10 @@ class StandinWorld(BaseWorld):
         return self._observe()
 
     def step(self, action: np.ndarray) -> Observation:
-        """Advances one control step, `dt_s`.
+        """Advances one control step, `dt_s`, by an action (4,) as `features.ACTION_NAMES`.
 
-        Args:
-            action: (4,) as `features.ACTION_NAMES`: flange velocity m/s in the world frame, pressure kPa.
-                What exceeds the limits is clipped and counted in `clipped`.
-
-        Raises:
-            InputError: the action has another shape or is not finite.
-            FloatingPointError: the physics has diverged.
+        What exceeds the limits is clipped and counted in `clipped`. Raises InputError where the action has
+        another shape or is not finite, FloatingPointError where the physics has diverged.
         """
         joints, pressures_kpa = self._send(action)
         self._shown = self._felt()

@@ -1,7 +1,6 @@
 """A lab's own tables: the same numbers come back in kPa, mm, s and rad, or one sentence says what is open."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -70,7 +69,7 @@ def lab(names, units, pattern="{} [{}]"):
 
 
 def understood(file, **given):
-    return plain.understand_files([file], Given(**given))
+    return plain.Understood([file], Given(**given))
 
 
 def same(recording, columns, atol=2e-6):
@@ -310,9 +309,9 @@ def test_answers_are_taken_and_repeated_by_the_mapping(tmp_path):
     same(found.recording, kept)
     assert np.abs(found.recording.column("pressure_kpa")[:5]).max() < 1e-9  # less what it reads at rest
     assert found.recording.column("flow")[0] == 1.5
-    written = plain.write(found, tmp_path / "lab.recording")
+    written = found.write(tmp_path / "lab.recording")
     assert plain.is_current(tmp_path / "lab.recording", [tmp_path / "lab.csv"])
-    again = plain.understand_files(
+    again = plain.Understood(
         [tmp_path / "lab.csv"], Given.load(tmp_path / "lab.recording" / "mapping.yaml")
     )
     pd.testing.assert_frame_equal(again.recording.samples, found.recording.samples)
@@ -326,19 +325,19 @@ def test_several_files_are_trials_in_the_order_of_their_numbers(tmp_path):
         rows.drop(columns="trial").to_csv(tmp_path / f"run_{9 + run}.csv", index=False)
     files = plain.table_files(tmp_path / "run_*.csv")
     assert [f.name for f in files] == ["run_9.csv", "run_10.csv", "run_11.csv"]
-    found = plain.understand_files(files, Given())
+    found = plain.Understood(files, Given())
     same(found.recording, TRUTH)
     assert list(found.recording.samples["run"].unique()) == ["run_9", "run_10", "run_11"]
     assert plain.folder_of(files).name == "run_9_to_run_11.recording"
     assert plain.table_files(f"{files[1]},{files[0]}") == files[:2]
     loaded = pd.read_csv(files[0])
     loaded.drop(columns="payload_g").to_csv(files[0], index=False)
-    found = plain.understand_files(files, Given())
+    found = plain.Understood(files, Given())
     same(found.recording, ["payload_g"])
     assert any("has no 'payload_g': 0 there" in n for n in found.notes)
     loaded.drop(columns="tip_y_mm").to_csv(files[0], index=False)
     with pytest.raises(InputError, match="run_9.csv has no column 'tip_y_mm', which .*run_10.csv has"):
-        plain.understand_files(files, Given())
+        plain.Understood(files, Given())
 
 
 def test_the_trackers_frame_is_turned_into_the_bases(tmp_path):
@@ -410,7 +409,7 @@ def test_what_is_not_recognised_is_retained_and_what_is_empty_said(tmp_path):
     assert len(found.recording) == len(TRUTH) - 4
     notes = " ".join(found.notes)
     assert "4 rows without" in notes and "'leer' is empty" in notes and "'Tx' is empty in 11 rows" in notes
-    stored = plain.write(found, tmp_path / "lab.recording")
+    stored = found.write(tmp_path / "lab.recording")
     assert set(found.notes) <= set(stored.warnings)
     assert "frames were dropped" not in " ".join(check(stored)[1])
 
@@ -483,6 +482,6 @@ def test_spoilt_bytes_end_in_a_recording_or_one_sentence(tmp_path, seed):
         try:
             found = understood(file)
             if not found.faults:
-                assert len(plain.write(replace(found), tmp_path / "out.recording"))
+                assert len(found.write(tmp_path / "out.recording"))
         except InputError as e:
             assert "\n" not in str(e)

@@ -422,12 +422,7 @@ def _write_frames(video: Path, first: int, length: int, folder: Path) -> list[st
 def place_videos(
     root: Path, info: DatasetInfo, known: list[dict], found: list[Rows], remarks: list[str]
 ) -> tuple[dict[str, list[Place]], dict[int, str]]:
-    """Where each episode lies in each camera's videos, all of which are opened.
-
-    Returns:
-        Camera to one place for each episode, as LeRobot's metadata state it, and episode to the reason why a
-        video of it is missing.
-    """
+    """Camera to the places of the episodes in its videos, all opened; episode to why a video is missing."""
     places: dict[str, list[Place]] = {}
     lacking: dict[int, str] = {}
     for key in (k for k, f in info.features.items() if f["dtype"] == "video"):

@@ -46,18 +46,12 @@ def is_whole(file: Path) -> bool:
 
 
 def fix_footer(file: Path, schema: pa.Schema, out: Path) -> tuple[int, int]:
-    """Writes the complete row groups of a file without a footer to another one, with a footer.
+    """Writes the complete row groups of a file without a footer to `out`, with a footer.
 
-    Args:
-        file: as `pyarrow.parquet.ParquetWriter` wrote it with dictionaries, one row group a call.
-        schema: of the tables that were written.
-        out: the new file; it is not written where no row group is complete.
-
-    Returns:
-        The number of row groups, and how many bytes follow them.
-
-    Raises:
-        InputError: the schema has a column that is written without a dictionary.
+    The file is as `pyarrow.parquet.ParquetWriter` wrote it with dictionaries, one row group a call; `schema`
+    is of the tables that were written. Returns the number of row groups, and how many bytes follow them;
+    where none is complete `out` is not written. Raises InputError where a column is written without a
+    dictionary.
     """
     footer = _template(schema)
     chunks = footer[4][1][1][0][1][1][1]  # row_groups -> the only one -> columns

@@ -76,16 +76,12 @@ def imprint_centres_mm(images: np.ndarray, area: np.ndarray, sensor: TactileSens
 
 
 def strengths(images: np.ndarray, rest: np.ndarray, gain: np.ndarray | float = 1.0) -> np.ndarray:
-    """How strong the imprints are (T,), levels: the mean change beyond `FAINT_LEVELS` over each image.
+    """Strength (T,) of the imprints in images uint8 (T, H, W, 3), levels: mean change beyond `FAINT_LEVELS`.
 
     Contact area counts pixels above a threshold; this weighs them by their change. The light drifts while a
     finger presses, by about as much as an imprint grows: each colour of a frame is first brought to the
-    brightness of the rest image, by the median of their ratio, as most of the gel is not touched.
-
-    Args:
-        images: uint8 (T, H, W, 3).
-        rest: uint8 (H, W, 3).
-        gain: by which each colour (3,) is brighter than the light in which imprints are measured.
+    brightness of the rest image, by the median of their ratio, as most of the gel is not touched. Each colour
+    is brighter by `gain` (3,) than the light in which imprints are measured.
     """
     return np.array([change.mean() for change in _changes(images, rest, gain)])
 
@@ -205,15 +201,11 @@ def first_touches(
     axes: np.ndarray,
     seen_mm: np.ndarray,
 ) -> Iterator[Place]:
-    """Places at which the gel just feels the objects.
+    """Places at which the gel just feels the objects, of starts whose seeds `lay_out` puts into the world.
 
-    Args:
-        world: whose objects are laid out.
-        lay_out: puts them where the task's start of a seed has them.
-        starts: seeds.
-        gels: poses at which the gel may first have felt them; the first that reaches them is taken.
-        axes: (3, 3), rows by which objects are moved: across the gel, along it, and the way that it looks.
-        seen_mm: (T, 2) middles of the imprint from the onset on; NaN where it is not known.
+    Of the poses `gels` the first that reaches them is taken. Objects are moved by the rows of `axes` (3, 3):
+    across the gel, along it, and the way that it looks; `seen_mm` (T, 2) are middles of the imprint from the
+    onset on, NaN where it is not known.
     """
     seen = np.nanmedian(seen_mm, axis=0) if np.isfinite(seen_mm).any() else None
     for start in starts:

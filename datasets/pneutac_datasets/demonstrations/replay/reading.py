@@ -94,18 +94,11 @@ def load_demonstrations(
     only: Sequence[int] | None = None,
     station: Path | None = None,
 ) -> Demonstrations:
-    """Reads a dataset of episodes of any rate.
+    """Reads a dataset of episodes of any rate, of a folder or of a name on the Hub.
 
-    Args:
-        name: its folder, or its name on the Hub.
-        task: in front of the robot; if omitted, the one that the dataset's instruction names.
-        twin: whose sensor and range of pressures they have; if omitted, the built-in one.
-        only: numbers of the episodes that are read; left out, all.
-        station: file `station.yaml` of where they were recorded; if omitted, the one that the robot left in
-            the dataset's `meta`, or the paper's.
-
-    Raises:
-        InputError: it is no dataset of this robot, has no such episode, or they cannot serve as measurements.
+    If omitted, the task is that of the dataset's instruction, the twin the built-in one, the episodes are
+    all, and the station that in the dataset's `meta`, or the paper's. Raises InputError where it is no
+    dataset of this robot, has no such episode, or they cannot serve as measurements.
     """
     from lerobot.datasets import LeRobotDataset
 

@@ -66,14 +66,8 @@ def frames_of(
 ) -> Iterator[int]:
     """Carries a demonstration out from a reset; yields the number of each frame when the world shows it.
 
-    Commands act at once: the path is the measured one, and who delays them delays `pressures`.
-
-    Args:
-        world: any state.
-        path: (T, 3) of the flange, m.
-        pressures: (T, C) when they act, kPa.
-        place: of the objects.
-        more_rad: bend in addition to that of the pressure, shared by the joints.
+    Path (T, 3) m of the flange, pressures (T, C) kPa when they act: commands act at once, and who delays them
+    delays the pressures. `more_rad` is a bend in addition to that of the pressure, shared by the joints.
     """
     world.variation = Variation(tuple(path[0]), place.shift_m, at_once=True, more_rad=more_rad)
     world.reset(place.seed)
@@ -87,14 +81,9 @@ def frames_of(
 def replay(
     world: World, episode: Episode, place: Place = NOWHERE, more_rad: float = 0.0, keep: bool = False
 ) -> Replayed:
-    """Carries an episode out in a world of the twin, in any state.
+    """Carries an episode out in a world of the twin, in any state; images are stored if they are to `keep`.
 
-    Args:
-        world: its touch is `image` or, faster, `probe`.
-        episode: as recorded.
-        place: of its objects; if omitted, they are out of the way.
-        more_rad: see `frames_of`.
-        keep: whether to store the tactile images.
+    The world's touch is `image` or, faster, `probe`; without a place the objects are out of the way.
     """
     path, pressures = smooth(episode.state[:, EE]), late(episode.action[:, 3:], latency_s(world.twin))
     rows, images = [], []

@@ -1,13 +1,13 @@
 """What the columns of a lab's table are: by their names, in English and German, their units and numbers."""
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
 
-from pneutac_datasets.recording.rules import LABELS
+from pneutac_datasets.recording.rules import LABELS, pressure_commands
 from pneutac_datasets.recording.units import UNITS, Unit, unit_named
 from pneutac_datasets.recording.wording import listed
 from pneutac_sim.errors import InputError, shown
@@ -36,6 +36,7 @@ WORDS = {
     " luft valve ventil lab abs absolute absolut rel relative",
 }
 KIND = {word: kind for kind, words in WORDS.items() for word in words.split()}
+SHORT = {"axis", "pressure", "gravity", "force", "joint"}  # kinds whose single letters may be in a compound
 OWN = re.compile(
     r"trial|time_s|time_sent_s|pressure_(cmd_)?(\d+_)?kpa|tip_[xyz]_mm|bend_angle_rad|q_\d+_rad|temperature_c"
     rf"|curvature_[xy]_1_per_m|gravity_[xyz]|payload_g|force_[xyz]_n|base_[xyz]_mm|{LABELS}"
@@ -51,6 +52,38 @@ PARTS = re.compile(
     r"(?P<column>[^\[*]*?)\s*(\[(?P<unit>[^\]]*)\])?\s*(\*\s*(?P<factor>[-+\d.eE]+))?\s*"
     r"((?P<sign>[+-])\s*(?P<shift>[\d.eE+-]+))?"
 )
+EXAMPLES = {
+    "pressure": "kPa, bar, mbar, hPa, psi, Pa or MPa, each with abs where it counts from a vacuum",
+    "length": "mm, cm, m or in",
+    "time": "s, ms, us, ns, min or h",
+    "angle": "rad or deg",
+    "mass": "g or kg",
+    "temperature": "C, K or F",
+    "force": "N or mN",
+}
+# Of each kind of name: the recording's column (`i` is an axis or a number), and the dimension of its unit.
+KINDS = {
+    "command": ("pressure_cmd_{chamber}kpa", "pressure"), "measured": ("pressure_{chamber}kpa", "pressure"),
+    "pressure": ("", "pressure"), "tip": ("tip_{i}_mm", "length"), "base": ("base_{i}_mm", "length"),
+    "gravity": ("gravity_{i}", "acceleration"), "force": ("force_{i}_n", "force"),
+    "angle": ("bend_angle_rad", "angle"), "joint": ("q_{i}_rad", "angle"),
+    "temperature": ("temperature_c", "temperature"), "payload": ("payload_g", "mass"),
+    "time": ("time_s", "time"), "sent": ("time_sent_s", "time"), "trial": ("trial", ""),
+    "program": ("program", ""),
+}  # fmt: skip
+# Kind to the kinds whose words may occur with it.
+ALLOWED = {
+    "sent": {"time", "command"},
+    "joint": {"angle", "measured"},
+    "angle": {"tip", "measured"},
+    "temperature": {"?", "measured", "tip", "base"},
+    "payload": {"tip"},
+    "trial": set(),
+    "program": {"pressure"},
+    "time": {"measured"},
+    "date": {"time"},
+    "frame": set(),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -72,31 +105,31 @@ class Column:
         Raises:
             InputError: it is none of these, or the unit is unknown or of another kind.
         """
-        if text.strip() == name.strip() and not OWN.fullmatch(name):
+        text = text.strip()
+        if text == name.strip() and not OWN.fullmatch(name):
             return cls(name, name, retained=True)
-        if text.strip() == LEAVE_OUT:
+        if text == LEAVE_OUT:
             return cls(name, LEAVE_OUT)
-        found = PARTS.fullmatch(text.strip())
-        wrong = (
-            f"columns: {shown(name)} is {shown(text)}; write COLUMN, COLUMN [UNIT] or COLUMN [UNIT] * FACTOR"
-            " + SHIFT, such as 'pressure_cmd_kpa [bar]'."
-        )
-        if not found or not found["column"]:
-            raise InputError(wrong)
-        column, unit = found["column"], None
-        if found["unit"]:
-            unit = unit_named(found["unit"], dimension_of(column))
-            if unit is None:
-                raise InputError(
-                    f"columns: {shown(found['unit'])} of {shown(name)} is no unit of"
-                    f" {dimension_of(column) or 'any kind'}; {shown(column)} takes"
-                    f" {EXAMPLES.get(dimension_of(column), 'none')}."
-                )
         try:
+            found = PARTS.fullmatch(text)
+            if not found or not found["column"]:
+                raise ValueError("no column")
             factor = float(found["factor"] or 1)
             shift = float((found["sign"] or "") + (found["shift"] or "0"))
         except ValueError as e:
-            raise InputError(wrong) from e
+            raise InputError(
+                f"columns: {shown(name)} is {shown(text)}; write COLUMN, COLUMN [UNIT] or COLUMN [UNIT] *"
+                " FACTOR + SHIFT, such as 'pressure_cmd_kpa [bar]'."
+            ) from e
+        column, unit = found["column"], None
+        dimension = dimension_of(column)
+        if found["unit"]:
+            unit = unit_named(found["unit"], dimension)
+            if unit is None:
+                raise InputError(
+                    f"columns: {shown(found['unit'])} of {shown(name)} is no unit of"
+                    f" {dimension or 'any kind'}; {shown(column)} takes {EXAMPLES.get(dimension, 'none')}."
+                )
         return cls(name, column, unit, factor, shift, retained=not OWN.fullmatch(column))
 
     def __str__(self):
@@ -118,17 +151,6 @@ class Column:
         return values.astype(float) * scale + shift
 
 
-EXAMPLES = {
-    "pressure": "kPa, bar, mbar, hPa, psi, Pa or MPa, each with abs where it counts from a vacuum",
-    "length": "mm, cm, m or in",
-    "time": "s, ms, us, ns, min or h",
-    "angle": "rad or deg",
-    "mass": "g or kg",
-    "temperature": "C, K or F",
-    "force": "N or mN",
-}
-
-
 def dimension_of(column: str) -> str:
     """Which kind of unit a recording's column has; empty for none."""
     if re.fullmatch(r"gravity_[xyz]", column):
@@ -147,16 +169,16 @@ def parse_columns(text: str | dict[str, str]) -> dict[str, str]:
         return {str(k): str(v) for k, v in text.items()}
     inner = text.strip()
     inner = inner[1:-1] if inner.startswith("{") and inner.endswith("}") else inner
-    parts = re.findall(r"(?:\"[^\"]*\"|'[^']*'|[^,\"'])+", inner)
     found = {}
-    for part in (p.strip() for p in parts if p.strip()):
-        name, colon, column = part.rpartition(":")
-        if not colon or not name.strip() or not column.strip():
+    for part in map(str.strip, re.findall(r"(?:\"[^\"]*\"|'[^']*'|[^,\"'])+", inner)):
+        name, _, column = part.rpartition(":")
+        if part and not (name.strip() and column.strip()):
             raise InputError(
                 f"columns is {shown(part)}, which names no column of the recording; write NAME: COLUMN, such"
                 " as --columns='p_soll: pressure_cmd_kpa [bar]'."
             )
-        found[name.strip().strip("\"'")] = column.strip().strip("\"'")
+        if part:
+            found[name.strip().strip("\"'")] = column.strip().strip("\"'")
     return found
 
 
@@ -180,7 +202,8 @@ def read_name(name: str, unit: str = "") -> Named:
         warmth = unit_named(found, "temperature") if found and not kind else None
         if warmth is not None and len(warmth.name) > 1 and unit_named(found, "angle") is None:
             kind = "temperature"
-        suits = kind in DIMENSION and unit_named(found, DIMENSION[kind]) is not None
+        dimension = KINDS.get(kind, ("", ""))[1]
+        suits = dimension and unit_named(found, dimension) is not None
         if kind and (not found or suits or "[" in name or "(" in name or unit):
             return Named(kind, index, found)
     last = name.rpartition(".")[2]
@@ -189,24 +212,14 @@ def read_name(name: str, unit: str = "") -> Named:
     return Named("", "", next((u for _, u in options if u), ""))
 
 
-DIMENSION = {
-    "command": "pressure", "measured": "pressure", "pressure": "pressure", "tip": "length", "base": "length",
-    "angle": "angle", "joint": "angle", "temperature": "temperature", "payload": "mass", "time": "time",
-    "sent": "time", "force": "force", "gravity": "acceleration",
-}  # fmt: skip
-
-
-def _with_unit(name: str) -> list[tuple[str, str]]:
+def _with_unit(name: str) -> Iterator[tuple[str, str]]:
     """A name split into what is measured and its unit, in the ways that labs write it."""
-    found = []
     for match in reversed(list(re.finditer(r"[\[({<]([^\])}>]*)[\])}>]", name))):
         if unit_named(match[1]) is not None or match[0].startswith("["):
-            found.append((name[: match.start()] + " " + name[match.end() :], match[1].strip()))
-    for pattern in UNIT_BEHIND:
-        match = re.fullmatch(pattern, name.strip())
+            yield name[: match.start()] + " " + name[match.end() :], match[1].strip()
+    for match in (re.fullmatch(pattern, name.strip()) for pattern in UNIT_BEHIND):
         if match and unit_named(match[2]) is not None:
-            found.append((match[1], match[2]))
-    return found
+            yield match[1], match[2]
 
 
 def _kind(base: str, unit: str) -> tuple[str, str]:
@@ -242,21 +255,6 @@ def _kind(base: str, unit: str) -> tuple[str, str]:
     return "", ""
 
 
-# Kind to the kinds whose words may occur with it.
-ALLOWED = {
-    "sent": {"time", "command"},
-    "joint": {"angle", "measured"},
-    "angle": {"tip", "measured"},
-    "temperature": {"?", "measured", "tip", "base"},
-    "payload": {"tip"},
-    "trial": set(),
-    "program": {"pressure"},
-    "time": {"measured"},
-    "date": {"time"},
-    "frame": set(),
-}  # fmt: skip
-
-
 def _segments(token: str) -> list[str] | None:
     """A compound such as `solldruck` or `tipx` as known words; None where it is none."""
     if token in KIND:
@@ -267,9 +265,6 @@ def _segments(token: str) -> list[str] | None:
             if sum(len(w) for w in joined) > 1 and all(len(w) > 1 or KIND[w] in SHORT for w in joined):
                 return joined
     return None
-
-
-SHORT = {"axis", "pressure", "gravity", "force", "joint"}  # kinds whose single letters may be in a compound
 
 
 # ---------------------------------------------------------------- what they are
@@ -283,101 +278,222 @@ def understand(
     length_mm: float | None = None,
     log: bool = False,
 ) -> list[Column]:
-    """What each column of a table is.
+    """What each column of a table is; what is `given`, name to text of `Column.parsed`, wins.
 
-    Args:
-        frame: the table.
-        units: of columns, from a line of units.
-        given: name to text of `Column.parsed`, which wins over what is recognised.
-        file: its name, for sentences.
-        length_mm: of the finger, where it is known.
-        log: whether the table need not hold the pose, which markers give.
-
-    Raises:
-        InputError: one sentence with all that is open, and the option that answers it.
+    `units` are those of a line of units; with `log` the table need not hold the pose, which markers give.
+    Raises InputError with all that is open, and the option that answers it.
     """
     given = {n: t for n, t in given.items() if n in frame or t not in (n, LEAVE_OUT)}
     unknown = [n for n in given if n not in frame]
     if unknown:
         raise InputError(f"{file} has no column {shown(unknown[0])}; it has {listed(map(shown, frame))}.")
-    columns, named = {n: Column.parsed(n, t) for n, t in given.items()}, {}
-    for name in (n for n in frame if n not in given):
-        own = name.strip().lower() if OWN.fullmatch(name.strip().lower()) else ""
-        unit = unit_named(units[name], dimension_of(own)) if own and name in units else None
-        if own and not re.fullmatch(LABELS, own) and dimension_of(own) and unit is None:
-            unit = unit_named(BASE_UNIT.get(dimension_of(own), ""), dimension_of(own))
-        if own:
+    table = _Table(frame, given, file, length_mm)
+    table.recognise(units)
+    if not table.questions:
+        table.find_units()
+        table.take_ambient_off()
+    table.look_for_what_is_missing(log)
+    if table.questions:
+        what, answers = (dict.fromkeys(part) for part in zip(*table.questions, strict=True))
+        has = f" It has {listed(map(shown, frame))}." if any("NAME" in a for a in answers) else ""
+        raise InputError(
+            f"{file}: {'; '.join(what)}.{has} Give it as `pneutac convert {file}"
+            f" --columns='{', '.join(answers)}'`."
+        )
+    return table.columns
+
+
+@dataclass
+class _Table:
+    frame: pd.DataFrame
+    given: dict[str, str]
+    file: str
+    length_mm: float | None
+    columns: list[Column] = field(default_factory=list)
+    questions: list[tuple[str, str]] = field(default_factory=list)  # what is open, and how to answer it
+
+    def recognise(self, units: dict[str, str]) -> None:
+        """Finds each column by what is given, by a recording's own name, or by its words."""
+        columns, named = {n: Column.parsed(n, t) for n, t in self.given.items()}, {}
+        for name in (n for n in self.frame if n not in self.given):
+            own = name.strip().lower()
+            if not OWN.fullmatch(own):
+                named[name] = read_name(name, units.get(name, ""))
+                continue
+            dimension = dimension_of(own)
+            unit = unit_named(units[name], dimension) if name in units else None
+            if unit is None and dimension and not re.fullmatch(LABELS, own):
+                unit = unit_named(BASE_UNIT.get(dimension, ""), dimension)
             columns[name] = Column(name, own, unit)
-        else:
-            named[name] = read_name(name, units.get(name, ""))
-    named = _of_time(frame, named, columns)
-    taken = {c.column for c in columns.values()}
-    targets = _targets(named, taken)
-    questions = _doubled(targets)
-    for name, target in targets.items():
-        column = Column(name, target)
-        columns[name] = _with_given_unit(column, named[name].unit, file) if named[name].unit else column
-    found = [columns.get(n) or Column(n, n, retained=True) for n in frame]
-    if not questions:
-        for i, column in enumerate(found):
-            found[i], question = _measured_in(column, frame[column.name], found, frame, length_mm, given)
-            questions += question
-        questions += _absolute(found, frame, given)
-    have = {c.column for c in found}
-    if not questions and not any(re.fullmatch(r"pressure_cmd_(\d+_)?kpa", c) for c in have):
-        gauge = next((shown(c.name) for c in found if re.fullmatch(r"pressure_(\d+_)?kpa", c.column)), "")
-        what = f"{gauge} is a measured pressure and none is the commanded one"
-        questions.append((what if gauge else "no column is the commanded pressure", "NAME: pressure_cmd_kpa"))
-    posed = any(re.match(r"(tip_[xz]|bend_|q_|curvature_|image)", c) for c in have)
-    if not (questions or log or posed):
-        answer = "NAME: tip_x_mm [mm], NAME: tip_z_mm [mm]"
-        questions.append(("no column has the motion of the finger", answer))
-    if questions:
-        raise InputError(_question(file, questions, frame))
-    return found
+        taken = {c.column for c in columns.values()}
+        named = _one_clock(named, "time_s" in taken)
+        targets = _targets(named, taken)
+        for name, target in targets.items():
+            column = Column(name, target)
+            columns[name] = self._in_written_unit(column, named[name].unit) if named[name].unit else column
+        self.columns = [columns.get(n) or Column(n, n, retained=True) for n in self.frame]
+        for target in dict.fromkeys(targets.values()):
+            names = [n for n, t in targets.items() if t == target]
+            if len(names) > 1:
+                what = f"{' and '.join(map(shown, names))} could each be {target}"
+                self.questions.append((what, f"{names[0]}: {target}, {names[1]}: -"))
+
+    def _in_written_unit(self, column: Column, text: str) -> Column:
+        dimension = dimension_of(column.column)
+        if not dimension:
+            return column
+        unit = unit_named(text, dimension)
+        if unit is None and unit_named(text, "voltage") is not None:
+            return replace(column, guess="voltage")
+        unitless = text in ("-", "1", "")
+        if unit is None and not (unitless or dimension in ("time", "acceleration") and unit_named(text)):
+            raise InputError(
+                f"{self.file}: the unit {shown(text)} of {shown(column.name)} is unknown for {column.column},"
+                f" which takes {EXAMPLES.get(dimension, 'm/s^2 or none')}; give it as `pneutac convert"
+                f" {self.file} --columns='{column.name}: {column.column} [UNIT]'`."
+            )
+        return replace(column, unit=unit)
+
+    def find_units(self) -> None:
+        """Units that are not written, by those of the others or by the size of the numbers."""
+        for i, column in enumerate(self.columns):
+            target, name, dimension = column.column, column.name, dimension_of(column.column)
+            if column.guess == "voltage":
+                what = f"{shown(name)} is no pressure but a signal; give kPa for each of its units"
+                self.questions.append((what, f"{name}: {target} * KPA_PER_UNIT + KPA_AT_ZERO"))
+                continue
+            if column.unit is not None or column.retained or target == LEAVE_OUT or not dimension:
+                continue
+            if self.frame[name].dtype.kind not in "fiu":
+                continue  # times of day, or what the rules refuse
+            if name in self.given:  # its name says the unit; a pressure with a factor is stated in full
+                unit = "" if dimension == "pressure" and column.factor != 1 else BASE_UNIT.get(dimension, "")
+                self.columns[i] = replace(column, unit=unit_named(unit, dimension))
+                continue
+            kin = [
+                c for c in self.columns if c.column[:4] == target[:4] and c.unit is not None and not c.guess
+            ]
+            written = {str(c.unit): c.unit for c in kin if dimension_of(c.column) == dimension == "length"}
+            if len(written) == 1:
+                self.columns[i] = replace(column, unit=next(iter(written.values())), guess="as the others")
+                continue
+            unit = self._by_size(column)
+            if isinstance(unit, tuple):
+                what, *units = unit
+                question = f"{shown(name)} ({what}) has no unit", f"{name}: {target} [{'|'.join(units)}]"
+                self.questions.append(question)
+            elif unit:
+                self.columns[i] = replace(column, unit=unit_named(unit, dimension), guess="by size")
+
+    def _by_size(self, column: Column) -> str | tuple[str, ...]:
+        """The only unit that such numbers have, empty for none, else what they are and the choice."""
+        dimension, numbers = dimension_of(column.column), self.frame[column.name].to_numpy(float)
+        numbers = numbers[np.isfinite(numbers)]
+        top = float(np.abs(numbers).max(initial=0.0))
+        if dimension == "pressure":
+            extent = f"{numbers.min():.4g} to {numbers.max():.4g}" if len(numbers) else "empty"
+            return extent, "kPa", "bar", "psi"
+        if dimension == "length":  # by how far the tip is from the base
+            tips = [
+                c.name for c in self.columns if re.fullmatch(r"tip_[xyz]_mm", c.column) and c.unit is None
+            ]
+            places = self.frame[tips].apply(pd.to_numeric, errors="coerce").to_numpy(float)
+            reach = float(np.nanmax(np.linalg.norm(places, axis=1))) if len(places) else 0.0
+            if self.length_mm:
+                factors = {u: UNITS["length"][u] for u in ("m", "cm", "mm", "in")}
+                good = [u for u, mm in factors.items() if 0.7 < reach * mm / self.length_mm < 1.4]
+                if len(good) == 1:
+                    return good[0]
+            if 0.01 <= reach < 1 or reach >= 20:
+                return "m" if reach < 1 else "mm"
+            return f"{reach:.3g} from the origin", "mm", "cm", "m", "in"
+        if dimension == "angle":
+            return "deg" if top > 7 else (f"up to {top:.3g}", "rad", "deg")
+        if dimension == "temperature":
+            middle = float(np.median(numbers)) if len(numbers) else 20.0
+            if 60 <= middle <= 212:
+                return f"{middle:.3g} in the middle", "C", "F"
+            return "K" if 230 <= middle <= 420 else "C"
+        if dimension == "mass":
+            return "g" if top >= 1 or top == 0 else (f"up to {top:.3g}", "g", "kg")
+        if dimension == "acceleration":
+            three = self.frame[[c.name for c in self.columns if c.column.startswith("gravity_")]]
+            norm = float(np.nanmedian(np.linalg.norm(three.to_numpy(float), axis=1)))
+            return "m/s2" if 9 < norm < 10.5 else ""
+        if dimension != "time" or not len(numbers):
+            return BASE_UNIT[dimension]
+        if re.search(r"frame|bild|sample|index", column.name, re.I):
+            return "frames"
+        for unit, least in (("ns", 1e17), ("us", 1e14), ("ms", 1e11), ("s", 1e8)):
+            if numbers.min() > least:
+                return unit  # since 1970
+        steps = np.diff(numbers)
+        step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+        return "s" if step < 1 else (f"in steps of {step:.3g}", "s", "ms")
+
+    def take_ambient_off(self) -> None:
+        """Turns absolute pressures into those above the surroundings; asks where one seems to be absolute."""
+        commands = [c for c in self.columns if pressure_commands([c.column])]
+        for i, column in enumerate(self.columns):
+            if not re.fullmatch(r"pressure_(cmd_)?(\d+_)?kpa", column.column) or column.unit is None:
+                continue
+            values = pd.to_numeric(self.frame[column.name], errors="coerce")
+            kpa = (values.astype(float) * column.unit.factor * column.factor).to_numpy()
+            seen = np.isfinite(kpa)
+            if not seen.any() or column.shift:
+                continue
+            rest = float(np.min(kpa[seen]))
+            if commands and commands[0] is not column:
+                driven = pd.to_numeric(self.frame[commands[0].name], errors="coerce").to_numpy(float)
+                low = seen & (driven <= np.nanquantile(driven, 0.05))
+                rest = float(np.median(kpa[low])) if low.any() else rest
+            near, unit = NEAR_AMBIENT_KPA[0] < rest < NEAR_AMBIENT_KPA[1], column.unit
+            if unit.against == "abs":
+                ambient = round(rest if near else AMBIENT_KPA, 4)
+                self.columns[i] = replace(
+                    column, unit=replace(unit, against=""), shift=-ambient, guess="absolute"
+                )
+            elif near and unit.against != "gauge":
+                what = f"{shown(column.name)} is {rest:.4g} kPa at rest, as the air is: an absolute pressure?"
+                answer = f"{column.name}: {column.column} [{unit.name} abs|{unit.name} gauge]"
+                self.questions.append((what, answer))
+
+    def look_for_what_is_missing(self, log: bool) -> None:
+        have = {c.column for c in self.columns}
+        if not self.questions and not pressure_commands(have):
+            gauge = next(
+                (shown(c.name) for c in self.columns if re.fullmatch(r"pressure_(\d+_)?kpa", c.column)), ""
+            )
+            what = f"{gauge} is a measured pressure and none is the commanded one"
+            what = what if gauge else "no column is the commanded pressure"
+            self.questions.append((what, "NAME: pressure_cmd_kpa"))
+        posed = any(re.match(r"(tip_[xz]|bend_|q_|curvature_|image)", c) for c in have)
+        if not (self.questions or log or posed):
+            answer = "NAME: tip_x_mm [mm], NAME: tip_z_mm [mm]"
+            self.questions.append(("no column has the motion of the finger", answer))
 
 
-Question = list[tuple[str, str]]
-
-
-def _question(file: str, questions: Question, frame: pd.DataFrame) -> str:
-    open_questions = "; ".join(dict.fromkeys(q for q, _ in questions))
-    answer = ", ".join(dict.fromkeys(a for _, a in questions))
-    has = f" It has {listed(map(shown, frame))}." if any("NAME" in a for _, a in questions) else ""
-    return f"{file}: {open_questions}.{has} Give it as `pneutac convert {file} --columns='{answer}'`."
-
-
-def _of_time(frame: pd.DataFrame, named: dict[str, Named], columns: dict[str, Column]) -> dict[str, Named]:
+def _one_clock(named: dict[str, Named], has_time: bool) -> dict[str, Named]:
     """The names, with one clock: `T` next to a time is a temperature; frames and dates count without one."""
-    has_time = any(c.column == "time_s" for c in columns.values())
     kinds = {n.kind for n in named.values()}
-    for kind in ("time", "T", "date", "frame"):
-        if has_time:
-            break
-        has_time = kind in kinds
-        if has_time and kind != "time":
-            named = {n: replace(v, kind="time") if v.kind == kind else v for n, v in named.items()}
-    return {
-        n: replace(v, kind={"T": "temperature", "date": "", "frame": ""}.get(v.kind, v.kind))
-        for n, v in named.items()
-    }
+    clock = next((k for k in ("time", "T", "date", "frame") if k in kinds), "") if not has_time else ""
+    renamed = {"T": "temperature", "date": "", "frame": ""} | ({clock: "time"} if clock else {})
+    return {n: replace(v, kind=renamed.get(v.kind, v.kind)) for n, v in named.items()}
 
 
 def _targets(named: dict[str, Named], taken: set[str]) -> dict[str, str]:
     """Name in the table to column of the recording."""
-    kinds = {n.kind for n in named.values()}
-    roles = {"command", "measured"} & kinds
-    roles |= {"command"} if any("pressure_cmd" in t for t in taken) else set()
+    commanded = any(v.kind == "command" for v in named.values()) or any("pressure_cmd" in t for t in taken)
     tips = {n for n, v in named.items() if v.kind == "tip"}
     bare = {n for n in tips if not re.search(r"tip|spitze|marker|tcp|end|pos|koord", n, re.I)}
     out = {}
     for name, v in named.items():
         kind = v.kind
         if kind == "pressure":
-            kind = "measured" if "command" in roles else "command"
+            kind = "measured" if commanded else "command"
         if kind == "tip" and name in bare and len(tips - bare) >= 2:
             continue  # `x` next to `tip x` is something else
-        target = TARGETS.get(kind, "").format(i=v.index, chamber=f"{v.index}_" if v.index else "")
+        target = KINDS.get(kind, ("", ""))[0].format(i=v.index, chamber=f"{v.index}_" if v.index else "")
         if target and target not in taken and (kind != "joint" or v.index):
             out[name] = target
     for role in ("cmd_", ""):  # one chamber is no arm
@@ -388,144 +504,3 @@ def _targets(named: dict[str, Named], taken: set[str]) -> dict[str, str]:
     if len(gravity) != 3 and not any(t.startswith("gravity") for t in taken):
         out = {n: t for n, t in out.items() if n not in gravity}
     return out
-
-
-# Kind of a column to the recording's column; `i` is an axis or a number.
-TARGETS = {
-    "command": "pressure_cmd_{chamber}kpa", "measured": "pressure_{chamber}kpa", "tip": "tip_{i}_mm",
-    "base": "base_{i}_mm", "gravity": "gravity_{i}", "force": "force_{i}_n", "angle": "bend_angle_rad",
-    "joint": "q_{i}_rad", "temperature": "temperature_c", "payload": "payload_g", "time": "time_s",
-    "sent": "time_sent_s", "trial": "trial", "program": "program",
-}  # fmt: skip
-
-
-def _doubled(targets: dict[str, str]) -> Question:
-    """A question for each column of the recording that several could be."""
-    names: dict[str, list[str]] = {}
-    for name, target in targets.items():
-        names.setdefault(target, []).append(name)
-    return [
-        (f"{' and '.join(map(shown, n))} could each be {t}", f"{n[0]}: {t}, {n[1]}: -")
-        for t, n in names.items()
-        if len(n) > 1
-    ]
-
-
-def _with_given_unit(column: Column, text: str, file: str) -> Column:
-    dimension = dimension_of(column.column)
-    if not dimension:
-        return column
-    unit = unit_named(text, dimension)
-    if unit is None and unit_named(text, "voltage") is not None:
-        return replace(column, guess="voltage")
-    unitless = text in ("-", "1", "")
-    if unit is None and not (unitless or dimension in ("time", "acceleration") and unit_named(text)):
-        raise InputError(
-            f"{file}: the unit {shown(text)} of {shown(column.name)} is unknown for {column.column}, which"
-            f" takes {EXAMPLES.get(dimension, 'm/s^2 or none')}; give it as `pneutac convert {file}"
-            f" --columns='{column.name}: {column.column} [UNIT]'`."
-        )
-    return replace(column, unit=unit)
-
-
-def _measured_in(
-    column: Column, values: pd.Series, found: Sequence[Column], frame: pd.DataFrame, length_mm: float | None,
-    given: dict[str, str],
-) -> tuple[Column, Question]:  # fmt: skip
-    """The column with its unit, by the size of its numbers where that leaves one, else a question."""
-    target, name, dimension = column.column, column.name, dimension_of(column.column)
-    if column.guess == "voltage":
-        what = f"{shown(name)} is no pressure but a signal; give kPa for each of its units"
-        return column, [(what, f"{name}: {target} * KPA_PER_UNIT + KPA_AT_ZERO")]
-    if column.unit is not None or column.retained or target == LEAVE_OUT or not dimension:
-        return column, []
-    if values.dtype.kind not in "fiu":
-        return column, []  # times of day, or what the rules refuse
-    if name in given:  # its name says the unit; a pressure with a factor is stated in full
-        unit = "" if dimension == "pressure" and column.factor != 1 else BASE_UNIT.get(dimension, "")
-        return replace(column, unit=unit_named(unit, dimension)), []
-    if dimension == "length":
-        kin = [c for c in found if c.column[:4] == target[:4] and dimension_of(c.column) == "length"]
-        written = {str(c.unit): c.unit for c in kin if c.unit is not None and not c.guess}
-        if len(written) == 1:
-            return replace(column, unit=next(iter(written.values())), guess="as the others"), []
-    numbers = values.to_numpy(float)
-    unit = _by_size(column, numbers[np.isfinite(numbers)], found, frame, length_mm)
-    if isinstance(unit, str):
-        return (replace(column, unit=unit_named(unit, dimension), guess="by size") if unit else column), []
-    what, *units = unit
-    return column, [(f"{shown(name)} ({what}) has no unit", f"{name}: {target} [{'|'.join(units)}]")]
-
-
-def _by_size(
-    column: Column, numbers: np.ndarray, found: Sequence[Column], frame: pd.DataFrame, length_mm: float | None
-) -> str | tuple[str, ...]:  # fmt: skip
-    """The only unit that numbers of such a size have, empty for none, else what they are and the choice."""
-    dimension = dimension_of(column.column)
-    top = float(np.abs(numbers).max(initial=0.0))
-    if dimension == "pressure":
-        extent = f"{numbers.min():.4g} to {numbers.max():.4g}" if len(numbers) else "empty"
-        return extent, "kPa", "bar", "psi"
-    if dimension == "length":  # by how far the tip is from the base
-        tips = [c.name for c in found if re.fullmatch(r"tip_[xyz]_mm", c.column) and c.unit is None]
-        places = frame[tips].apply(pd.to_numeric, errors="coerce").to_numpy(float)
-        reach = float(np.nanmax(np.linalg.norm(places, axis=1))) if len(places) else 0.0
-        if length_mm:
-            factors = {u: UNITS["length"][u] for u in ("m", "cm", "mm", "in")}
-            good = [u for u, mm in factors.items() if 0.7 < reach * mm / length_mm < 1.4]
-            if len(good) == 1:
-                return good[0]
-        if 0.01 <= reach < 1 or reach >= 20:
-            return "m" if reach < 1 else "mm"
-        return f"{reach:.3g} from the origin", "mm", "cm", "m", "in"
-    if dimension == "angle":
-        return "deg" if top > 7 else (f"up to {top:.3g}", "rad", "deg")
-    if dimension == "temperature":
-        middle = float(np.median(numbers)) if len(numbers) else 20.0
-        if 60 <= middle <= 212:
-            return f"{middle:.3g} in the middle", "C", "F"
-        return "K" if 230 <= middle <= 420 else "C"
-    if dimension == "mass":
-        return "g" if top >= 1 or top == 0 else (f"up to {top:.3g}", "g", "kg")
-    if dimension == "acceleration":
-        three = frame[[c.name for c in found if c.column.startswith("gravity_")]]
-        norm = float(np.nanmedian(np.linalg.norm(three.to_numpy(float), axis=1)))
-        return "m/s2" if 9 < norm < 10.5 else ""
-    if dimension != "time" or not len(numbers):
-        return BASE_UNIT[dimension]
-    if re.search(r"frame|bild|sample|index", column.name, re.I):
-        return "frames"
-    for unit, least in (("ns", 1e17), ("us", 1e14), ("ms", 1e11), ("s", 1e8)):
-        if numbers.min() > least:
-            return unit  # since 1970
-    steps = np.diff(numbers)
-    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
-    return "s" if step < 1 else (f"in steps of {step:.3g}", "s", "ms")
-
-
-def _absolute(found: list[Column], frame: pd.DataFrame, given: dict[str, str]) -> Question:
-    """Turns absolute pressures into those above the surroundings; asks where one seems to be absolute."""
-    questions: Question = []
-    command = next((c for c in found if re.fullmatch(r"pressure_cmd_(\d+_)?kpa", c.column)), None)
-    for i, column in enumerate(found):
-        if not re.fullmatch(r"pressure_(cmd_)?(\d+_)?kpa", column.column) or column.unit is None:
-            continue
-        values = pd.to_numeric(frame[column.name], errors="coerce")
-        kpa = (values.astype(float) * column.unit.factor * column.factor).to_numpy()
-        seen = np.isfinite(kpa)
-        if not seen.any() or column.shift:
-            continue
-        rest = float(np.min(kpa[seen]))
-        if command is not None and command is not column:
-            driven = pd.to_numeric(frame[command.name], errors="coerce").to_numpy(float)
-            low = seen & (driven <= np.nanquantile(driven, 0.05))
-            rest = float(np.median(kpa[low])) if low.any() else rest
-        near = NEAR_AMBIENT_KPA[0] < rest < NEAR_AMBIENT_KPA[1]
-        unit = column.unit
-        if unit.against == "abs":
-            ambient = round(rest if near else AMBIENT_KPA, 4)
-            found[i] = replace(column, unit=replace(unit, against=""), shift=-ambient, guess="absolute")
-        elif near and unit.against != "gauge":
-            what = f"{shown(column.name)} is {rest:.4g} kPa at rest, as the air is: an absolute pressure?"
-            questions.append((what, f"{column.name}: {column.column} [{unit.name} abs|{unit.name} gauge]"))
-    return questions

@@ -191,17 +191,10 @@ def commanded(tip: Track, log: Source, columns: dict[str, str]) -> np.ndarray:
 
 
 def joined(tip: Track, frame: BaseFrame, log: Source, columns: dict[str, str], length_mm: float) -> Recording:
-    """A recording with a row for each time at which the tip was seen while the log ran.
+    """A recording with a row for each time at which the tip was seen while the log, on the same clock, ran.
 
-    Args:
-        tip: of the finger's tip.
-        frame: of the finger's base.
-        log: numbers on the same clock.
-        columns: name in the log to column of the recording.
-        length_mm: of the straight finger.
-
-    Raises:
-        InputError: the two hardly overlap, or the log lacks a column.
+    `columns`: name in the log to column of the recording. Raises InputError where the two hardly overlap, or
+    the log lacks a column.
     """
     log.need(columns)
     begin = max(log.columns[n][0][0] for n in columns)

@@ -158,17 +158,12 @@ MM_A_M = 1000.0  # ROS counts in metres
 
 
 def read_rosbag(folder: Path) -> Source:
-    """Poses and numbers of every topic of a bag, on the times of its messages' headers.
+    """Poses and numbers of every topic of a bag (folder or .mcap), on the times of its messages' headers.
 
     A message with a position, also inside `pose`, `pose.pose`, `transform` or `point`, is a marker by its
     topic's name. Every number of any message is a column `topic.field`, such as `/valve/command.data`; times
     begin with the bag's first message. Messages without a header have the time at which they were logged.
-
-    Args:
-        folder: the bag's, with its metadata.yaml (or the file of an .mcap).
-
-    Raises:
-        InputError: rosbags is not installed, or the bag cannot be read.
+    Raises InputError where rosbags is not installed, or the bag cannot be read.
     """
     try:
         from rosbags.highlevel import AnyReader, AnyReaderError
@@ -241,17 +236,11 @@ TIME = "time_s"
 
 
 def mat_table(file: Path, time: str = "") -> TextTable:
-    """Every numeric vector of a `.mat` file that is as long as its times.
+    """Every numeric vector of a `.mat` file, of version 7 or earlier, that is as long as its times.
 
     Fields of a struct are called `struct.field`. A matrix of as many rows (or columns) as there are times
-    becomes one column each: `tip_1`, `tip_2` ...
-
-    Args:
-        file: of MATLAB's version 7 or earlier.
-        time: name of the variable that holds the times; if omitted, the one whose name says so.
-
-    Raises:
-        InputError: the file is none of these, or has no such variable.
+    becomes one column each: `tip_1`, `tip_2` ... Without the name of the times' variable the one whose name
+    says so is taken; raises InputError where there is none.
     """
     from scipy.io import loadmat
 
