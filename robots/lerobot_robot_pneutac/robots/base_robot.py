@@ -1,9 +1,13 @@
 """What every robot of this plugin shares: one definition, so that datasets and policies fit all."""
 
+import math
 from abc import abstractmethod
 from collections.abc import Iterable
+from typing import Any
 
+import numpy as np
 from lerobot.robots import Robot
+from lerobot.utils.decorators import check_if_not_connected
 
 from pneutac_sim import features
 from pneutac_sim.errors import InputError
@@ -44,6 +48,38 @@ class BaseRobot(Robot):
     def action_features(self) -> dict[str, type]:
         """Velocities (m/s) and pressures (kPa), with `--robot.bend=true` bend (rad)."""
         return dict.fromkeys(BEND_NAMES if self.config.bend else features.action_names(self.chambers), float)
+
+    @check_if_not_connected
+    def send_action(self, action: dict[str, Any]) -> dict[str, float]:
+        """Carries an action out as far as the limits allow; returns what was carried out.
+
+        Raises:
+            HardwareFault: a part failed, a limit is broken, or many actions in a row were refused.
+            InputError: keys are missing, or a value is no number.
+        """
+        try:
+            names = action_names(action, self.config.bend, self.chambers)
+            values = np.array([_number(action, name) for name in names])
+        except InputError:
+            self._misled()
+            raise
+        if names == BEND_NAMES:
+            values[3] = self._bend.pressure_kpa(values[3])
+        pose = names == pose_names(self.chambers)
+        if not pose:
+            self._hooks.acted()
+        done = self._carry_out(values, pose)
+        sent = dict(zip(features.action_names(self.chambers), np.asarray(done, float).tolist(), strict=True))
+        if names == BEND_NAMES:
+            sent = {name: sent.get(name, float(action[name])) for name in BEND_NAMES}
+        return sent
+
+    @abstractmethod
+    def _carry_out(self, values: np.ndarray, pose: bool) -> np.ndarray:
+        """One control step by velocities, or towards a pose, m, and pressures; the action (3 + chambers,)."""
+
+    def _misled(self) -> None:
+        """What came was no action."""
 
     @property
     def is_calibrated(self) -> bool:
@@ -90,3 +126,12 @@ def action_names(keys: Iterable[str], bend: bool = False, chambers: int = 1) -> 
         f"The action has the keys {', '.join(keys)}; the robot takes {', '.join(own)}, or the pose"
         f" {', '.join(pose)}."
     )
+
+
+def _number(action: dict[str, Any], name: str) -> float:
+    try:
+        return float(action[name])
+    except OverflowError:  # a whole number beyond all floats
+        return math.inf
+    except (TypeError, ValueError):
+        raise InputError(f"The action's '{name}' is {action[name]!r}; it must be a number.") from None

@@ -1,7 +1,6 @@
 """The robot `pneutac`: arm, pressure controller and tactile camera behind LeRobot's Robot interface."""
 
 import logging
-import math
 from typing import Any
 
 import numpy as np
@@ -10,11 +9,10 @@ from lerobot.utils.decorators import check_if_already_connected, check_if_not_co
 
 from lerobot_robot_pneutac.cameras.tactile import LiveCamera, Tactile
 from lerobot_robot_pneutac.hardware.safety import Guard, within
-from lerobot_robot_pneutac.robots.base_robot import BEND_NAMES, BaseRobot, action_names, pose_names
+from lerobot_robot_pneutac.robots.base_robot import BaseRobot
 from lerobot_robot_pneutac.robots.bend import BendCommands
 from lerobot_robot_pneutac.robots.config_pneutac import PneutacConfig
 from lerobot_robot_pneutac.robots.episode_hooks import EpisodeHooks
-from pneutac_sim import features
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, IMAGE_NAME
 from pneutac_sim.gel.model import GelModel
@@ -119,36 +117,19 @@ class Pneutac(BaseRobot):
         state = {name: float(v) for name, v in zip(self.state_names, values, strict=True)}
         return state | {IMAGE_NAME: image} | extra
 
-    @check_if_not_connected
-    def send_action(self, action: dict[str, Any]) -> dict[str, float]:
-        """Carries an action out as far as the limits allow, and returns at once what was carried out.
-
-        Raises:
-            HardwareFault: a part failed, a limit is broken, or many actions in a row were refused.
-            InputError: keys are missing, or a value is no number; everything halts.
-        """
-        guard = self.guard
-        try:
-            names = action_names(action, self.config.bend, self.chambers)
-            values = _numbers(action, names)
-        except InputError:
-            guard.halt()
-            raise
-        if names == BEND_NAMES:
-            values[3] = self._bend.pressure_kpa(values[3])
-        if names == pose_names(self.chambers):
-            velocity = (values[:3] - guard.look()[0].flange_m) * self.config.control_hz
+    def _carry_out(self, values: np.ndarray, pose: bool) -> np.ndarray:
+        if pose:
+            velocity = (values[:3] - self.guard.look()[0].flange_m) * self.config.control_hz
             # Far away is no fault of a pose, infinitely far is.
             near = np.clip(velocity, ACTION_LOW[:3], ACTION_HIGH[:3])
             values[:3] = np.where(np.isfinite(velocity), near, velocity)
-        else:
-            self._hooks.acted()
-        sent = dict(zip(features.action_names(self.chambers), guard.act(values).tolist(), strict=True))
+        done = self.guard.act(values)
         if self.config.bend:
-            self._bend.sent(sent["pressure.pos"])
-        if names == BEND_NAMES:
-            sent = {name: sent.get(name, float(action[name])) for name in BEND_NAMES}
-        return sent
+            self._bend.sent(float(done[3]))
+        return done
+
+    def _misled(self) -> None:
+        self.guard.halt()
 
     @check_if_not_connected
     def disconnect(self) -> None:
@@ -169,16 +150,3 @@ class Pneutac(BaseRobot):
                     within(LET_GO_S, "It", part.disconnect)
             except Exception as e:
                 logger.error("Letting go of %s: %s", type(part).__name__, e)
-
-
-def _numbers(action: dict[str, Any], names: tuple[str, ...]) -> np.ndarray:
-    """Those values of an action; raises InputError where one is no number."""
-    values = []
-    for name in names:
-        try:
-            values.append(float(action[name]))
-        except OverflowError:  # a whole number beyond all floats
-            values.append(math.inf)
-        except (TypeError, ValueError):
-            raise InputError(f"The action's '{name}' is {action[name]!r}; it must be a number.") from None
-    return np.array(values)

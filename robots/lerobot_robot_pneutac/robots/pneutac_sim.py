@@ -8,7 +8,7 @@ import numpy as np
 from lerobot.utils.decorators import check_if_already_connected, check_if_not_connected
 
 from lerobot_robot_pneutac.options import standin_sensor, station_of, tactile_shape, twin_of
-from lerobot_robot_pneutac.robots.base_robot import BEND_NAMES, BaseRobot, action_names, pose_names
+from lerobot_robot_pneutac.robots.base_robot import BaseRobot
 from lerobot_robot_pneutac.robots.bend import BendCommands
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.episode_hooks import EpisodeHooks
@@ -138,28 +138,21 @@ class PneutacSim(BaseRobot):
             touch[POINTS_KEY] = tactile_points(self.world).ravel()
         return dict(state) | touch | self._scene.pictures()
 
-    @check_if_not_connected
+    @override
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:
         """Moves the world on by one control step; returns the action that was carried out, after clipping.
 
         Raises InputError where keys are missing, or a value is not a finite number.
         """
-        names = action_names(action, self.config.bend, self.chambers)
-        values = [action[name] for name in names]
-        if names == BEND_NAMES:
-            values[3] = self._bend.pressure_kpa(float(values[3]))
-        if names == pose_names(self.chambers):
-            self._go_to(np.array(values, float))
-        else:
-            self._step(values)
-            self._hooks.acted()
-        command = np.asarray(self.world.command, float).tolist()
-        sent = dict(zip(features.action_names(self.chambers), command, strict=True))
-        if names == BEND_NAMES:
-            sent = {name: sent.get(name, float(action[name])) for name in BEND_NAMES}
+        sent = super().send_action(action)
         if action.get("reset"):
             self.reset()
         return sent
+
+    @override
+    def _carry_out(self, values: np.ndarray, pose: bool) -> np.ndarray:
+        (self._go_to if pose else self._step)(values)
+        return self.world.command
 
     @override
     def announced(self, begins: bool) -> None:

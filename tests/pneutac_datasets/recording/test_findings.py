@@ -244,14 +244,6 @@ def test_a_steady_drift_is_found_and_measured(clean):
     assert findings(wandering) == []
 
 
-def test_a_gauge_whose_range_ends_is_found_beneath_its_noise(clean):
-    top, rng = clean.column("pressure_cmd_kpa").max(), np.random.default_rng(0)
-    f = only(
-        by_trial(clean, "pressure_kpa", lambda x: np.minimum(x, 0.8 * top) + 0.01 * rng.normal(size=len(x)))
-    )
-    assert f.kind == "saturated" and f.numbers["at"] == pytest.approx(0.8 * top, rel=0.01)
-
-
 def test_an_output_that_sticks_to_its_extreme_is_found(clean):
     limit = np.quantile(clean.column("tip_z_mm"), 0.9)
     f = only(by_trial(clean, "tip_z_mm", lambda x: np.minimum(x, limit)))
@@ -285,8 +277,3 @@ def test_a_gauge_whose_scale_is_off_is_in_no_other_unit_and_left_out(clean):
         assert f.kind == "gauge_scale" and f.numbers["ratio"] == pytest.approx(factor, rel=0.02)
         assert not check(r)[0].has("pressure_kpa")
     assert findings(by_trial(clean, "pressure_kpa", lambda x: 0.9 * x)) == []
-
-
-def test_a_gels_recording_has_no_findings_here():
-    s = pd.DataFrame({"trial": [0], "time_s": [0.0], "image": ["a.png"], "indenter": ["sphere"]})
-    assert findings(Recording(Path("r"), {}, s, "gel")) == []

@@ -70,11 +70,6 @@ def test_holds_tell_what_was_pressed_before_since_the_rest_image(write):
 # ---------------------------------------------------------------- rest images
 
 
-def test_without_a_column_every_photograph_has_the_recordings_rest_image(write):
-    data = write()
-    assert all(s.rest is data.rest for s in data.samples) and (data.rest == 60).all()
-
-
 def test_a_row_may_have_a_rest_image_of_its_own(write):
     data = write({"rest_image": ["", "later.png", "later.png"]})
     assert data.samples[0].rest is data.rest
@@ -82,24 +77,6 @@ def test_a_row_may_have_a_rest_image_of_its_own(write):
     assert data.samples[2].rest is data.samples[1].rest, "one session, one image"
     photograph = data.samples[1].photograph
     assert photograph.rest is data.samples[1].rest and (photograph.image == 110).all()
-
-
-@pytest.mark.parametrize(
-    "spoil, says",
-    [
-        (lambda f: Image.new("RGB", (40, 80)).save(f), "row 2: rest image 'later.png' is 40 x 80 pixels"),
-        (lambda f: Image.new("L", (60, 80)).save(f), "later.png is grey"),
-        (lambda f: Image.new("RGBA", (60, 80)).save(f), "later.png is with an alpha channel"),
-        (lambda f: f.write_text("no picture"), "later.png cannot be read"),
-        (lambda f: f.unlink(), "later.png is missing"),
-    ],
-)
-def test_a_bad_rest_image_of_a_row_gets_one_sentence(spoil, says, write, tmp_path):
-    write({"rest_image": ["", "later.png", ""]})
-    spoil(tmp_path / "later.png")
-    with pytest.raises(InputError, match=says) as e:
-        GelRecording.load(Recording.load(tmp_path))
-    assert "\n" not in str(e.value)
 
 
 # ---------------------------------------------------------------- clock
@@ -204,28 +181,12 @@ def test_any_indenter_is_read_from_a_file_or_an_outline(write, tmp_path):
     assert punch.size_mm == pytest.approx(np.sqrt(5)) and ball.figure is None and punch.depths().any()
 
 
-def test_a_photograph_of_another_size_is_refused(write, tmp_path):
-    write()
-    Image.new("RGB", (60, 60)).save(tmp_path / "c.png")
-    with pytest.raises(InputError, match="row 3: image 'c.png' is 60 x 60 pixels .* 60 x 80"):
-        GelRecording.load(Recording.load(tmp_path))
-
-
 def test_a_clock_that_restarts_with_each_trial_gives_way_to_the_trials():
     table = pd.DataFrame({"trial": [0, 0, 1, 1, 2], "time_s": [0.0, 1.0, 0.0, 1.0, 0.0]})
     np.testing.assert_allclose(_clock(table), [0, 0, 0.5, 0.5, 1])
 
 
 # ---------------------------------------------------------------- labels that cannot be
-
-
-def test_labels_that_run_against_the_images_are_noted(tmp_path):
-    recording = once(write_hidden_gel, tmp_path / "presses", [], images=6)
-    assert GelRecording.load(recording).warnings == []
-    recording.samples["x_mm"] *= -1
-    assert GelRecording.load(recording).warnings == [
-        "the images show contacts opposite to x_mm: it, or they, are mirrored."
-    ]
 
 
 def test_photographs_to_score_by_that_show_nothing_are_noted(tmp_path):

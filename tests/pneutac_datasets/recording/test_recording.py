@@ -309,23 +309,6 @@ def test_poor_data_loads_with_a_warning(tmp_path, change, message):
     assert all((np.diff(r.column("time_s")[s]) > 0).all() for s in r.trials().values())
 
 
-@pytest.mark.parametrize(
-    ("sep", "decimal", "encoding"),
-    [
-        (";", ",", "utf-8"),
-        (";", ".", "utf-8-sig"),
-        ("\t", ",", "utf-16"),
-        (";", ",", "utf-16"),
-        (",", ".", "utf-16"),
-    ],
-)
-def test_what_a_spreadsheet_saves_is_read(tmp_path, sep, decimal, encoding):
-    folder = write(tmp_path / "r")
-    wanted = Recording.load(folder).samples
-    table().to_csv(folder / "samples.csv", sep=sep, decimal=decimal, encoding=encoding, index=False)
-    pd.testing.assert_frame_equal(Recording.load(folder).samples, wanted)
-
-
 def test_numbers_that_lerobot_keeps_as_vectors_of_one_entry_are_read(tmp_path):
     t = table(80)
     names = {"trial": "episode_index", "time_s": "timestamp", "pressure_cmd_kpa": "pressure_cmd_kpa"}

@@ -311,9 +311,7 @@ def test_answers_are_taken_and_repeated_by_the_mapping(tmp_path):
     assert found.recording.column("flow")[0] == 1.5
     written = found.write(tmp_path / "lab.recording")
     assert plain.is_current(tmp_path / "lab.recording", [tmp_path / "lab.csv"])
-    again = plain.Understood(
-        [tmp_path / "lab.csv"], Given.load(tmp_path / "lab.recording" / "mapping.yaml")
-    )
+    again = plain.Understood([tmp_path / "lab.csv"], Given.load(tmp_path / "lab.recording" / "mapping.yaml"))
     pd.testing.assert_frame_equal(again.recording.samples, found.recording.samples)
     same(written, kept, atol=1e-4)
     table.iloc[:-1].to_csv(tmp_path / "lab.csv", index=False)

@@ -238,7 +238,7 @@ class Understood:
             found[name] = c.converted(frame[c.name])
         if clock is not None:
             raw = frame[clock.name]
-            found["time_s"] = self._seconds(raw, found["time_s"])
+            found["time_s"] = self._seconds(raw, found["time_s"], clock)
             sent = found.get("time_sent_s")
             if sent is not None and sent.dtype.kind in "fiu" and raw.dtype.kind in "fiu":
                 found["time_sent_s"] = sent + (found["time_s"] - clock.converted(raw))
@@ -257,18 +257,17 @@ class Understood:
             table["run"] = pd.Series([self.files[i].stem for i in self._of_file])
         return pd.DataFrame(table)
 
-    def _seconds(self, raw: pd.Series, values: pd.Series) -> pd.Series:
+    def _seconds(self, raw: pd.Series, values: pd.Series, clock: Column) -> pd.Series:
         """Times in seconds; those since 1970, of a day or of a calendar begin with 0 in each file."""
-        clock, rate_hz = self._clock, self.given.rate_hz
         if raw.dtype.kind not in "fiu":
-            stamps = self._stamps(raw)
+            stamps = self._stamps(raw, shown(clock.name))
         elif clock.unit is not None and clock.unit.name == "frames":
-            if not rate_hz:
+            if not self.given.rate_hz:
                 raise InputError(
                     f"{self.files[0]}: {shown(clock.name)} counts frames; give their number a second by"
                     " --rate_hz."
                 )
-            stamps = values.astype(float) / rate_hz
+            stamps = values.astype(float) / self.given.rate_hz
         else:
             factor = (clock.unit.factor if clock.unit else 1.0) * clock.factor
             if raw.dropna().abs().max() * factor < EPOCH_S:
@@ -280,7 +279,7 @@ class Understood:
     def _firsts(self, values: pd.Series) -> pd.Series:
         return values.groupby(self._of_file).transform("min")
 
-    def _stamps(self, raw: pd.Series) -> pd.Series:
+    def _stamps(self, raw: pd.Series, source: str) -> pd.Series:
         """Seconds of texts: times of a day, or ISO and German dates with a time."""
         texts = raw.astype("string").str.strip().str.replace(r"(\d),(\d+)", r"\1.\2", regex=True)
         day = texts.str.extract(r"^(?:(\d+):)?(\d{1,2}):(\d{1,2}(?:\.\d+)?)$").astype(float)
@@ -300,7 +299,7 @@ class Understood:
             row = int(np.argmax(bad))
             value = "empty" if pd.isna(raw.iloc[row]) else shown(str(raw.iloc[row]))
             raise InputError(
-                f"{self.files[self._of_file[row]]}: column {shown(self._clock.name)}, line {self._line[row]}"
+                f"{self.files[self._of_file[row]]}: column {source}, line {self._line[row]}"
                 f" is {value}, which is no time ({plural(int(bad.sum()), 'such row')}); write seconds, or"
                 " times as 2026-03-01T12:00:00.05."
             )
@@ -423,15 +422,16 @@ class Understood:
 
     def _date(self, frame: pd.DataFrame) -> str:
         """Day of the measurement, if the clock is unambiguous."""
-        first = None if self._clock is None else frame[self._clock.name].iloc[0]
+        clock = self._clock
+        first = None if clock is None else frame[clock.name].iloc[0]
         if isinstance(first, str):
             iso = re.match(r"(\d{4})-(\d\d)-(\d\d)", first)
             german = re.match(r"(\d{1,2})\.(\d{1,2})\.(\d{4})", first)
             parts = iso.groups() if iso else german.groups()[::-1] if german else ()
             return "-".join(f"{int(p):02d}" for p in parts)
-        if not isinstance(first, int | float | np.number):
+        if clock is None or not isinstance(first, int | float | np.number):
             return ""
-        seconds = float(first) * (self._clock.unit.factor if self._clock.unit else 1.0)
+        seconds = float(first) * (clock.unit.factor if clock.unit else 1.0)
         return f"{pd.Timestamp(seconds, unit='s'):%Y-%m-%d}" if 1e9 < seconds < 4e9 else ""
 
     def _faults(self) -> list[str]:
