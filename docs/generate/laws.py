@@ -3,7 +3,7 @@
 from mkdocs.structure.files import File
 
 from lerobot_pneutac.verbs.effects import units
-from pneutac_sim.effects.laws import family, law, law_names
+from pneutac_sim.effects.laws import family, law, law_names, plain_name
 
 HELD = ("scale_kpa",)  # of every law on pressure; stated once, above the table
 
@@ -48,4 +48,6 @@ def _row(name: str) -> str:
     needs = ", ".join(f"`{c}`" for c in effect.columns if c not in ("length_mm", "session_time_s"))
     equation = effect.equation.replace("|", r"\vert ")
     shown = name.replace("|", r"\|")
-    return f"| `{shown}` | \\({equation}\\) | {', '.join(told) or '-'} | {needs or '-'} |"
+    return (
+        f"| `{shown}` | {plain_name(name)} | \\({equation}\\) | {', '.join(told) or '-'} | {needs or '-'} |"
+    )

@@ -20,6 +20,7 @@ from lerobot_pneutac.diagnosis.programs import Limits, common_programs, on_chamb
 from lerobot_pneutac.diagnosis.result import Candidate
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import plural
+from pneutac_sim.effects.laws import plain_name
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.data import BodyData
 from pneutac_sim.twin import Twin, Value
@@ -180,7 +181,7 @@ def _programs(
                 along = np.where(
                     shares > 0, np.clip(p[:, None], limits.low_kpa, limits.high_kpa), limits.rest_kpa
                 )
-                yield on_chambers(f"for {effect}", way), f"for {effect}", grid, along, ""
+                yield on_chambers(f"for {plain_name(effect)}", way), f"for {effect}", grid, along, ""
 
 
 # ---------------------------------------------------------------- the information of each

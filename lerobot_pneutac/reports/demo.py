@@ -8,6 +8,8 @@ from PIL import Image
 from lerobot_pneutac.reports.diagnosis import error_bars
 from lerobot_pneutac.reports.figures import curves
 from lerobot_pneutac.reports.page import AFTER, BEFORE, MEASURED, Report
+from pneutac_datasets.recording.wording import joined
+from pneutac_sim.effects.laws import plain_name
 
 FILMS = 3  # starts of which both films are shown
 TITLES = {
@@ -96,7 +98,7 @@ def _another_day(before, after):
 
 def _errors(state: dict, added: list[str]):
     errors = (state[stage]["tip_error_mm"] for stage in ("twin", "add"))
-    names = ("calibrated", f"with {', '.join(added)}")
+    names = ("calibrated", f"with {joined(map(plain_name, added))}")
     steps = [(n, e, None, c) for n, e, c in zip(names, errors, (BEFORE, AFTER), strict=True)]
     return error_bars(steps, "mm", state["add"]["noise_mm"])
 

@@ -33,7 +33,7 @@ from lerobot_pneutac.reports.sentences import State, alternatives, evidence, hed
 from lerobot_pneutac.study.base import EffectStudy
 from pneutac_datasets.recording.axes import Axis, axes, numbers, unit_of
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.effects.laws import family
+from pneutac_sim.effects.laws import family, plain_name
 from pneutac_sim.effects.registry import get_effect
 
 SLOW = ("creep", "valve_lag", "ringing", "leak", "tracker")  # families that a step response shows
@@ -100,7 +100,7 @@ def _contributions(page: Report, study: EffectStudy, o: Outcome) -> None:
 
 def contributions(study: EffectStudy, o: Outcome) -> go.Figure:
     shown = sorted(o.contributions, key=lambda c: c.drop[0])
-    names = [c.name.replace("_", " ") for c in shown]
+    names = [plain_name(c.name) for c in shown]
     rise = [c.error_without - c.error_with for c in shown]
     least, most = (  # rises of the error at the ends of the interval of the mean square's
         [max(c.error_with**2 + c.drop[i], 0.0) ** 0.5 - c.error_with for c in shown] for i in (1, 2)
@@ -129,7 +129,11 @@ def _candidates(page: Report, study: EffectStudy, o: Outcome, state: State) -> N
     names = [t.name for t in o.tested]
     for name in [*(e for e in o.selected if e not in names), *names]:
         t = next((t for t in o.tested if t.name == name), None)
-        row = {"effect": name, "in the headline": "yes" if name in o.selected else ""}
+        row = {
+            "effect": plain_name(name),
+            "name": name,
+            "in the headline": "yes" if name in o.selected else "",
+        }
         row |= {f"test error alone ({study.unit})": t and t.heldout, "removes alone": "not tried alone"}
         row |= {"in the contact": t.errors["heldout_contact"]} if t and "heldout_contact" in t.errors else {}
         if t is not None:
@@ -139,12 +143,16 @@ def _candidates(page: Report, study: EffectStudy, o: Outcome, state: State) -> N
         rows.append(row | {"tested by": t.tested_by if t else "with the others"})
     page.table(rows)
     page.table(rival_rows(o), "Effects that fit the data about as well.")
-    page.table([{"not tested": u.name, "why": u.reason} for u in study.untested])
+    page.table([{"not tested": plain_name(u.name), "why": u.reason} for u in study.untested])
 
 
 def rival_rows(o: Outcome) -> list[dict]:
     return [
-        {"cause": r.effect, "instead": r.rival, "its mean square error": f"{100 * r.difference:+.1f} %"}
+        {
+            "cause": plain_name(r.effect),
+            "instead": plain_name(r.rival),
+            "its mean square error": f"{100 * r.difference:+.1f} %",
+        }
         for r in o.rivals
     ]
 
@@ -165,7 +173,13 @@ def _parameters(page: Report, study: EffectStudy, o: Outcome) -> None:
     if not o.selected:
         return
     page.heading("How well each parameter is known")
-    page.table([row for e in o.selected for row in parameter_rows(study.parameters(o.after, e), effect=e)])
+    page.table(
+        [
+            row
+            for e in o.selected
+            for row in parameter_rows(study.parameters(o.after, e), effect=plain_name(e))
+        ]
+    )
 
 
 def ladder(study: EffectStudy, o: Outcome) -> go.Figure:
@@ -175,6 +189,7 @@ def ladder(study: EffectStudy, o: Outcome) -> go.Figure:
         steps.append(("with known causes", o.baseline, KNOWN))
     for label, model in o.ladder[1:-1]:
         text = label.removeprefix("how it bends").strip().removeprefix("+").strip()
+        text = " + ".join(map(plain_name, text.split(" + ")))
         steps += [(f"+ {text}", model, OTHER)] if text else []
     if o.selected or o.known:
         steps.append(("with all", o.after, AFTER))
@@ -201,7 +216,7 @@ def reductions(o: Outcome) -> go.Figure:
     value = [100 * share for _, share, _ in shown]
     colours = [AFTER if t.name in o.selected else OTHER for t, *_ in shown]
     ends = ([100 * ci[k] for *_, ci in shown] for k in (0, 1))
-    bar = go.Bar(y=[t.name for t, *_ in shown], x=value, orientation="h", marker_color=colours)
+    bar = go.Bar(y=[plain_name(t.name) for t, *_ in shown], x=value, orientation="h", marker_color=colours)
     figure = go.Figure(bar.update(error_x=whiskers(value, *ends)))
     return figure.update_xaxes(
         title="error above the noise removed (%)", range=[min(-10, *value, 0) - 5, 105]

@@ -15,6 +15,7 @@ from plotly.subplots import make_subplots
 from lerobot_pneutac.reports.figures import curves, stacked
 from lerobot_pneutac.reports.page import CHAMBERS, HELDOUT, INK, MEASURED, MODEL, PALE, PAPER, TRAIN, Report
 from lerobot_pneutac.reports.sentences import called
+from pneutac_sim.effects.laws import plain_name
 
 
 def design_page(design) -> Report:
@@ -125,7 +126,7 @@ def _likely(learning) -> go.Figure:
     figure = go.Figure()
     for r in learning.rounds:
         for name, p in sorted(r.probabilities.items(), key=lambda item: -item[1]):
-            label = name or "no effect"
+            label = " + ".join(map(plain_name, name.split(" + "))) or "no effect"
             text = {"name": label, "hovertext": label, "text": label.split(" + ")[-1]}
             figure.add_bar(x=[r.number], y=[p], showlegend=False, **text)
     figure.update_layout(barmode="stack")

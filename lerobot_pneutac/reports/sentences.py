@@ -11,7 +11,7 @@ from lerobot_pneutac.diagnosis.thresholds import AS_IS_NOISE
 from lerobot_pneutac.diagnosis.verdict import NONE, Explained, Mechanism
 from lerobot_pneutac.study.base import EffectStudy
 from pneutac_datasets.recording.wording import joined
-from pneutac_sim.effects.laws import family, is_law
+from pneutac_sim.effects.laws import family, is_law, plain_name
 from pneutac_sim.twin import Twin
 
 LEAST_SHOWN = 0.05  # probability of a mechanism that is shown
@@ -366,9 +366,9 @@ def _removed(s: State) -> str:
 
 
 def called(name: str, twin: Twin | None = None) -> str:
-    """A law by its family, with the constants of a twin where one is given, and its own name."""
+    """A law by its family, with the constants of a twin where one is given, and its plain name."""
     kind = (family(name) if twin is None else family_in(twin, name)).replace("_", " ")
-    return f"{kind} ({name})" if is_law(name) else kind
+    return f"{kind} ({plain_name(name)})" if is_law(name) else kind
 
 
 def hedged(description: str, kind: str, mechanisms: Sequence[Mechanism]) -> str:

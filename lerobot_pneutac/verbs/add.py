@@ -21,6 +21,7 @@ from lerobot_pneutac.verbs.result import Result, command_on
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import joined
+from pneutac_sim.effects.laws import plain_name
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.executor import one_thread
@@ -116,7 +117,8 @@ class Addition(Result):
     @property
     def title(self) -> str:
         stored = "Added" if self.accepted else "Added without confirmation:" if self.unconfirmed else ""
-        return f"{stored} {self.effect}" if stored else f"{self.effect} was not added"
+        names = _plain(self.effect.split(", "))
+        return f"{stored} {names}" if stored else f"Not added: {names}"
 
     @property
     def sentence(self) -> str:
@@ -124,16 +126,16 @@ class Addition(Result):
         if not self.accepted or before is None or base is None or after is None:
             return self.reason
         noise = "" if self.noise_floor is None else f" (noise {self.noise_floor:.3g} {self.unit})"
-        text, causes = "", [c.replace("_", " ") for c in self.known]
+        text, causes = "", self.known
         if causes:
             was, now = (f"{e['heldout']:.3g}" for e in (before, base))
             verb = "lower" if base["heldout"] < before["heldout"] else "raise"
             change = f"{verb}{'s' if len(causes) == 1 else ''} the test error from {was} to {now}"
             if was == now:
                 change = f"leave{'s' if len(causes) == 1 else ''} the test error at {now}"
-            text = f"Known causes: {joined(causes)} {change} {self.unit}{'' if self._effects else noise}."
+            text = f"Known causes: {_plain(causes)} {change} {self.unit}{'' if self._effects else noise}."
         if self._effects:
-            names = joined(self._effects)
+            names = _plain(self._effects)
             text += f" With {names} it falls from {base['heldout']:.3g} to {after['heldout']:.3g} {self.unit}"
             text = text.replace(" it falls", " the test error falls") if not causes else text
             text += f"{noise}."
@@ -165,12 +167,12 @@ class Addition(Result):
     def remarks(self) -> list[str]:
         out = []
         if len(self.contributions) > 1:
-            worth = ", ".join(f"{c.name} {c.error_without:.3g}" for c in self.contributions)
+            worth = "; ".join(f"{plain_name(c.name)} {c.error_without:.3g}" for c in self.contributions)
             out.append(f"Test error without each term, all else re-fitted, {self.unit}: {worth}.")
         if self.instead and self.accepted:
             out.append(
-                f"{self.instead} by itself explains slightly more: test error {self.instead_error:.3g} "
-                f"{self.unit}. This recording hardly distinguishes the two."
+                f"{plain_name(self.instead)} by itself explains slightly more: test error "
+                f"{self.instead_error:.3g} {self.unit}. This recording hardly distinguishes the two."
             )
         if self.at_bound:
             out.append(f"[yellow]at a bound:[/] {', '.join(self.at_bound)}")
@@ -210,7 +212,7 @@ class Addition(Result):
         page.table(
             [
                 {
-                    "term": c.name,
+                    "term": plain_name(c.name),
                     "known cause": "yes" if c.known else "",
                     f"test error without it, {self.unit}": c.error_without,
                     "with all": c.error_with,
@@ -228,9 +230,13 @@ class Addition(Result):
 
     def _steps(self) -> list[tuple[str, dict, str]]:
         steps = [("before", self.before, BEFORE)]
-        steps += [(f"with known causes ({', '.join(self.known)})", self.baseline, KNOWN)] * bool(self.known)
-        steps += [(f"with {', '.join(self._effects)}", self.after, AFTER)] * bool(self._effects)
+        steps += [(f"with known causes ({_plain(self.known)})", self.baseline, KNOWN)] * bool(self.known)
+        steps += [(f"with {_plain(self._effects)}", self.after, AFTER)] * bool(self._effects)
         return [(name, e, colour) for name, e, colour in steps if e is not None]
+
+
+def _plain(effects: Sequence[str]) -> str:
+    return joined(map(plain_name, effects)) if effects else ""
 
 
 @one_thread
@@ -335,7 +341,7 @@ def _addition(
     reason = _refusal(study, effects, found, named)
     if not reason and not decided:
         reason = (
-            f"Not added: the diagnosis is inconclusive; {joined(effects)} only compensates for something "
+            f"Not added: the diagnosis is inconclusive; {_plain(effects)} only compensates for something "
             f"that no known effect describes. --anyway stores it marked as unconfirmed."
         )
     stored = not reason or anyway
@@ -373,7 +379,7 @@ def _refusal(study, effects: Sequence[str], found: Refits, named: bool) -> str:
     """Why effects are not added, a sentence; empty where they are."""
     base, after, unit = found.baseline if named else found.before, found.after, study.unit
     errors = [study.errors(m)["heldout"] for m in (base, after)]
-    names = joined(effects)
+    names = _plain(effects)
     fall = study.test.paired(base.squared, after.squared, study.across_trials)
     if found.better is not None and fall.significant:
         other, model = found.better
@@ -381,12 +387,12 @@ def _refusal(study, effects: Sequence[str], found: Refits, named: bool) -> str:
         if without - all_in <= T.NEARLY * (without - instead):  # else the effects remove nearly as much
             return (
                 f"Not added: {names} lowers the test error from {errors[0]:.4g} to {errors[1]:.4g} {unit}, "
-                f"but {other} lowers it to {study.errors(model)['heldout']:.4g} {unit} and leaves nothing to "
-                f"{names}."
+                f"but {plain_name(other)} lowers it to {study.errors(model)['heldout']:.4g} {unit} and "
+                f"leaves nothing to {names}."
             )
     if idle := [e for e in effects if study.idle(after, e)]:
         plural = "their constants end where they do" if len(idle) > 1 else "its constants end where it does"
-        return f"Not added: {joined(idle)} changes nothing; {plural} nothing{_known_help(study, found)}."
+        return f"Not added: {_plain(idle)} changes nothing; {plural} nothing{_known_help(study, found)}."
     if named and fall.significant and not found.significant:
         return (
             f"Not added: with {names} the test error falls from {errors[0]:.4g} to {errors[1]:.4g} {unit}, "
@@ -406,7 +412,7 @@ def _refusal(study, effects: Sequence[str], found: Refits, named: bool) -> str:
     if named and len(effects) > 1 and useless:
         useful = [e for e in effects if e not in useless]
         instead = f"; give --effect={','.join(useful)}" if useful else "; give one of them alone"
-        return f"Not added: {joined(useless)} adds nothing significant to the others{instead}."
+        return f"Not added: {_plain(useless)} adds nothing significant to the others{instead}."
     return ""
 
 
@@ -432,7 +438,7 @@ def _known_help(study, found: Refits) -> str:
     if not found.known or study.test.drop(found.before.squared, found.baseline.squared)[1] <= 0:
         return ""
     before, base = (study.errors(m)["heldout"] for m in (found.before, found.baseline))
-    causes = joined([k.replace("_", " ") for k in found.known])
+    causes = _plain(found.known)
     return (
         f". The known causes {causes} lower it from {before:.4g} to {base:.4g} {study.unit}; "
         "`pneutac calibrate` fits them"

@@ -33,7 +33,7 @@ from lerobot_pneutac.verbs.diagnose import Diagnosis, diagnose, load_candidates
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.recording import Recording, joined
 from pneutac_datasets.recording.wording import joined as listed
-from pneutac_sim.effects.laws import family
+from pneutac_sim.effects.laws import family, plain_name
 from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.executor import one_thread
 from pneutac_sim.files import whole, write_json
@@ -181,7 +181,8 @@ class Learning(Result):
                 "as given": "" if r.bare_error is None else f"{r.bare_error:.3g}",
                 f"after, {r.unit}": f"{r.error:.3g}",
                 "noise": f"{r.noise:.3g}",
-                "found": ", ".join(f"{e}{'*' if e in r.confirmed_by else ''}" for e in r.selected) or "-",
+                "found": "; ".join(f"{plain_name(e)}{'*' if e in r.confirmed_by else ''}" for e in r.selected)
+                or "-",
                 "right": "" if r.likely_right is None else f"{100 * r.likely_right:.0f} %",
                 "verdict": r.verdict,
             }
@@ -573,7 +574,7 @@ def command(cfg: LearnConfig, terminal: Terminal) -> None:
         predicted = "" if r.predicted_error is None else f", predicted to {r.predicted_error:.3g}"
         terminal.console.print(
             f"round {r.number}, {r.program} ({r.seconds:.0f} s){predicted}: {r.error:.3g} {r.unit} (noise "
-            f"{r.noise:.3g}) with {', '.join(r.selected) or 'nothing'}, {r.verdict}",
+            f"{r.noise:.3g}) with {listed(map(plain_name, r.selected or ['nothing']))}, {r.verdict}",
             highlight=False,
         )
 

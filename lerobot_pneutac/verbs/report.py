@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 from lerobot_pneutac.reports.page import Report, span
 from lerobot_pneutac.verbs.result import Result
+from pneutac_datasets.recording.wording import joined
+from pneutac_sim.effects.laws import plain_name
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.twin import Twin
 
@@ -26,7 +28,7 @@ class TwinReport(Result):
     @property
     def sentence(self) -> str:
         twin = self.twin
-        effects = ", ".join(twin.effects) or "no effects"
+        effects = joined(map(plain_name, twin.effects)) if twin.effects else "no effects"
         tested = [e for e in twin.history if e.get("heldout") is not None]
         text = f"A twin of a {twin.device}"
         text += "" if twin.device == "gel" else f", {twin.length_mm:g} mm long"

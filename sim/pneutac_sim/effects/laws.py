@@ -788,6 +788,54 @@ SEEN = {
     "bend += dT": SeenLaw(3, counted_condition, "temperature_c", cause=_OF_BEND),
 }
 TRACKER = "tracker_lag"
+# fmt: off
+# Law to its plain name in sentences.
+PLAIN = {
+    "power(p)": "a gain that follows a power of the pressure",
+    "tanh(p)": "a gain that saturates with pressure",
+    "hinge(p)": "another gain above a threshold of the pressure",
+    "p^2": "a gain that grows with pressure",
+    "p^3": "a gain that grows with the square of the pressure",
+    "step(p)": "a smooth step of the bend at a pressure",
+    "play(p)": "play between pressure and bend",
+    "dead_band(p)": "a dead band of small steps of the pressure",
+    "play_two(p)": "play of different widths up and down",
+    "play(p)^3": "cubed play between pressure and bend",
+    "loop(p)": "a Bouc-Wen loop between pressure and bend",
+    "p play(p)": "play that grows with pressure",
+    "flip(p)": "play through a sigmoid",
+    "lag(p)": "a lag between pressure and bend",
+    "lag(p^2)": "a lag of the squared pressure",
+    "power_law_memory(p)": "a power-law memory of the pressure",
+    "power_law_memory(p^2)": "a power-law memory of the squared pressure",
+    "p lag(p)": "a gain that follows past pressure",
+    "p lag(p^2)": "a gain that follows past squared pressure",
+    "lag(p; time moves with p)": "a lag whose time changes with pressure",
+    "fill_vent(p)": "lags of different times up and down",
+    "mode(p)": "a damped swing of the bend",
+    "held(p)": "a loss while the pressure is held",
+    "tanh(dp/dt)": "friction by the sign of the pressure's rate",
+    "p tanh(|dp/dt|)": "a gain that saturates with the pressure's rate",
+    "p root lag(|dp/dt|)": "a gain that follows the root of the pressure's rate",
+    "p fading_max(p)": "softening by the recent largest pressure",
+    "p below_max(p)": "softening below the largest pressure so far",
+    "p path(p)": "softening with use",
+    "p lag(|dp/dt|)": "softening by recent motion",
+    "p lag(p |dp/dt|)": "softening by recent motion under pressure",
+    "p exp(-t)": "a gain that settles as the session goes on",
+    "p lag(dT)": "a gain that follows the temperature late",
+    "p dT": "a gain that follows the temperature",
+    "lag(p) dT": "a lag that grows with temperature",
+    "lag(p; time moves with dT)": "a lag whose time changes with temperature",
+    **{f"tip_{a} += {f}": f"an error of the measured tip along {a} by {g}"
+       for a in "xyz"
+       for f, g in (("z^2", "z squared"), ("x z", "x times z"), ("dT", "temperature"))},
+    "tip_y += g_y": "a sag to the side",
+    "bend += bend^2": "an error of the measured bend by its square",
+    "bend += dT": "an error of the measured bend by temperature",
+    TRACKER: "a lag of the tracker",
+}
+# fmt: on
 
 
 def law_names() -> list[str]:
@@ -800,6 +848,16 @@ def is_law(name: str) -> bool:
     structure, mark, number = name.partition(" #")
     known = structure in TABLE or structure in SEEN or structure == TRACKER
     return known and (not mark or number.isdigit())
+
+
+ORDINALS = ("second", "third", "fourth", "fifth", "sixth")
+
+
+def plain_name(name: str) -> str:
+    """The name in sentences; `play(p) #2` is `play between pressure and bend, second one`."""
+    structure, _, number = name.partition(" #")
+    plain = PLAIN.get(structure, structure).replace("_", " ")
+    return f"{plain}, {ORDINALS[int(number) - 2]} one" if number and is_law(name) else plain
 
 
 @cache

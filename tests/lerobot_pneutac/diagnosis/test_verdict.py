@@ -80,7 +80,7 @@ def test_too_few_samples_or_pieces_of_time_are_no_base_for_a_claim(given, few):
         ),
         ({"forward": False}, ["fitted to the earlier part, it does not hold in the later one"]),
         ({"agreed": 2 / 7}, ["only 29 % of the splits chose it"]),
-        ({"at_bound": ["a.b", "c.d"]}, ["a.b, c.d stopped at a bound"]),
+        ({"at_bound": ["a.b", "c.d"]}, ["b of a, d of c stopped at a bound"]),
         (
             {"cancelling": ["a", "b"]},
             ["a and b would alone move it by more than it travels, and cancel with the rest"],

@@ -8,7 +8,17 @@ from scipy.integrate import quad, solve_ivp
 from scipy.signal import lfilter, lsim
 
 from pneutac_sim.effects import get_effect, in_order
-from pneutac_sim.effects.laws import REFERENCE_C, TABLE, TIMES_S, family, is_law, law, law_names, starts
+from pneutac_sim.effects.laws import (
+    REFERENCE_C,
+    TABLE,
+    TIMES_S,
+    family,
+    is_law,
+    law,
+    law_names,
+    plain_name,
+    starts,
+)  # fmt: skip
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Inputs, Pipeline, PressurePipeline
 from pneutac_sim.twin import Twin, Value
@@ -420,6 +430,10 @@ def test_a_law_may_act_twice_and_statics_come_first():
     assert family("lag(p)", {"time_s": 5.0}) == "creep" and family("lag(p)", {"time_s": 0.05}) == "valve_lag"
     assert "snap" not in law("flip(p)").as_cause(flip | {"slope_kpa": 20.0})
     assert family("lag(p) #2") == "creep" == family("power_law_memory(p)") and family("creep") == "creep"
+    plain = [plain_name(n) for n in law_names()]
+    assert len(set(plain)) == len(plain) and not any("(p" in n or "_" in n for n in plain)
+    assert plain_name("play(p) #2") == "play between pressure and bend, second one"
+    assert plain_name("valve_lag") == "valve lag"
     assert is_law("lag(p) #2") and not is_law("creep")
 
 
