@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from lerobot_pneutac.diagnosis.verdict import Evidence, Explained, Mechanism, explained
-from pneutac_sim.effects.laws import family
+from pneutac_sim.effects.laws import curvature, family
 from pneutac_sim.finger.quantities import squared_distance
 from pneutac_sim.twin import Twin
 
@@ -37,8 +37,12 @@ class FittedModel:
 
 
 def family_in(twin: Twin, effect: str) -> str:
-    """The family of an effect, by the constants that a twin has for it."""
-    return family(effect, {k: v.value for k, v in twin.effects.get(effect, {}).items()})
+    """The family of an effect, by the constants that a twin has for it and for its other static curves."""
+    constants = {e: {k: v.value for k, v in values.items()} for e, values in twin.effects.items()}
+    kind = family(effect, constants.get(effect))
+    if not curvature(effect, constants.get(effect, {})):
+        return kind
+    return "stiffening" if sum(curvature(e, v) for e, v in constants.items()) > 0 else "gain_saturation"
 
 
 PROFILE = "bend_profile"  # among known causes: the device bends by a profile of its own, which is no effect

@@ -893,6 +893,34 @@ QUICK_S = 0.2  # a lag that is over by then is of the air or the tracker; materi
 ABRUPT, NARROW = 0.1, 0.01  # of the range: a snap comes within, and a loop narrower than that is a curve
 FAST = 1.0  # ranges a second: friction that still grows there is viscous
 OPEN = 0.5  # of the range: a valve that opens in proportion over more of it makes a lag, not a ramp
+COOLING_S = 20.0  # a wall of 2 mm cools in minutes: what motion changes for a shorter time is no heat
+GROWS = (
+    0.2  # of the vent rate, over the range: an orifice vents faster from a higher pressure, a ramp does not
+)
+
+# Laws that are a static curve, where they are one: its value at a share u of the range, per range.
+CURVES: dict[str, Callable[[float, Mapping[str, float]], float]] = {
+    "power(p)": lambda u, v: u ** v["exponent"],
+    "tanh(p)": lambda u, v: math.tanh(v["slope"] * u) / v["slope"],
+    "p^2": lambda u, v: u**2,
+    "p^3": lambda u, v: u**3,
+    "step(p)": lambda u, v: math.tanh((u * v["scale_kpa"] - v["centre_kpa"]) / v["slope_kpa"]),
+    "flip(p)": lambda u, v: math.tanh((u * v["scale_kpa"] - v["centre_kpa"]) / v["slope_kpa"]),
+    "lag(p^2)": lambda u, v: u**2,
+    "p lag(p)": lambda u, v: u**2,
+    "p lag(p^2)": lambda u, v: u**3,
+}
+
+
+def curvature(name: str, values: Mapping[str, float]) -> float:
+    """Second difference of a static curve over half the range, of the range; 0 of a law that is none.
+
+    Positive where each further kPa bends more.
+    """
+    curve = CURVES.get(name.partition(" #")[0])
+    if curve is None or _kind(name, values) not in ("stiffening", "gain_saturation"):
+        return 0.0
+    return values["weight"] * (curve(1.0, values) - 2 * curve(0.5, values) + curve(0.0, values))
 
 
 def family(name: str, values: Mapping[str, float] | None = None) -> str:
@@ -901,8 +929,14 @@ def family(name: str, values: Mapping[str, float] | None = None) -> str:
     Args:
         name: of a law or an effect.
         values: fitted constants. One equation may be several kinds of physics: `flip(p)`, a play through a
-            sigmoid (generalised Prandtl-Ishlinskii operator), is a snap only where it is abrupt.
+            sigmoid (generalised Prandtl-Ishlinskii operator), is a snap only where it is abrupt; a static
+            curve is a saturation where each further kPa bends less, see `curvature`.
     """
+    bent = curvature(name, values) if values else 0.0
+    return ("stiffening" if bent > 0 else "gain_saturation") if bent else _kind(name, values)
+
+
+def _kind(name: str, values: Mapping[str, float] | None) -> str:
     structure = name.partition(" #")[0]
     entry = TABLE.get(structure) or SEEN.get(structure)
     kind = entry.family if entry else "tracker" if structure == TRACKER else name
@@ -917,6 +951,10 @@ def family(name: str, values: Mapping[str, float] | None = None) -> str:
         return "rate"
     if structure == "valve_slew" and values["band_kpa"] > OPEN * range_kpa:
         return "valve_lag"
+    if structure == "valve_slew" and values["vent_growth"] > GROWS:
+        return "orifice_flow"
+    if kind == "self_heating" and structure in TABLE and values["time_s"] < COOLING_S:
+        return "cyclic_softening" if values["weight"] > 0 else "rate"
     return kind
 
 

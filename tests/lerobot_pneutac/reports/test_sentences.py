@@ -124,7 +124,9 @@ def test_warnings_have_findings_of_the_data_and_what_was_not_tested():
 
 
 def test_what_to_record_next_is_the_effects_own():
-    assert next_experiment(*given())[0] == "To confirm creep (a lag between pressure and bend): Step and hold."
+    assert (
+        next_experiment(*given())[0] == "To confirm creep (a lag between pressure and bend): Step and hold."
+    )
     assert next_experiment(*given(selected=(), after=0.43))[0] == "Nothing."
     study, outcome = given(selected=(), near_miss=["creep"])
     outcome.not_yet = "Record about 12 more minutes of the same programs."

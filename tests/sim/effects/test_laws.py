@@ -426,7 +426,19 @@ def test_a_law_may_act_twice_and_statics_come_first():
     flip = {"scale_kpa": 60.0, "width_kpa": 5.0, "centre_kpa": 30.0}
     assert family("flip(p)", flip | {"slope_kpa": 3.0}) == "snap"
     assert family("flip(p)", flip | {"slope_kpa": 20.0}) == "hysteresis"
-    assert family("flip(p)", flip | {"slope_kpa": 20.0, "width_kpa": 0.2}) == "stiffening"
+    narrow = flip | {"slope_kpa": 20.0, "width_kpa": 0.2, "centre_kpa": 50.0}
+    assert family("flip(p)", narrow | {"weight": 0.2}) == "stiffening"
+    assert family("flip(p)", narrow | {"weight": -0.2}) == "gain_saturation"
+    power = {"weight": 0.2, "scale_kpa": 60.0}
+    assert family("power(p)", power | {"exponent": 2.0}) == "stiffening"
+    assert family("power(p)", power | {"exponent": 0.5}) == "gain_saturation"
+    assert family("tanh(p)", power | {"slope": 1.0}) == "gain_saturation"
+    motion, slew = power | {"time_s": 60.0}, {"scale_kpa": 60.0, "band_kpa": 1.0}
+    assert family("p lag(|dp/dt|)", motion) == "self_heating"
+    assert family("p lag(|dp/dt|)", motion | {"time_s": 5.0}) == "cyclic_softening"
+    assert family("p lag(|dp/dt|)", motion | {"time_s": 5.0, "weight": -0.2}) == "rate"
+    assert family("valve_slew", slew | {"vent_growth": 0.0}) == "valve_slew"
+    assert family("valve_slew", slew | {"vent_growth": 1.5}) == "orifice_flow"
     assert family("lag(p)", {"time_s": 5.0}) == "creep" and family("lag(p)", {"time_s": 0.05}) == "valve_lag"
     assert "snap" not in law("flip(p)").as_cause(flip | {"slope_kpa": 20.0})
     assert family("lag(p) #2") == "creep" == family("power_law_memory(p)") and family("creep") == "creep"
