@@ -81,6 +81,7 @@ class State:
     interval: tuple[float, float] | None = None  # 95 %, of the error that remains, over the noise
     later: float | None = None  # error over noise of the later part, predicted from the earlier one
     program: float | None = None  # error over noise of programs, each predicted from all others
+    unseen: str = ""  # what was not recorded of an effect found, a clause
     recorded: str = ""  # the range of conditions for which the answers hold, such as `up to 62 kPa`
     mechanisms: tuple[Mechanism, ...] = ()  # what each may be; empty without calibrated probabilities
     objections: tuple[str, ...] = ()  # checks that failed, one phrase each
@@ -153,6 +154,7 @@ def state_of(study: EffectStudy, outcome: Outcome) -> State:
         interval=e.interval,
         later=e.later,
         program=e.program,
+        unseen=e.unseen,
         recorded=study.recorded,
         mechanisms=tuple(o.mechanisms) if named else (),
         objections=tuple(e.objections) if named else (),
@@ -193,6 +195,8 @@ def explanation(s: State) -> str:
         case Explained.FULLY:
             where = f", as far as was recorded ({s.recorded})" if s.recorded else ""
             return f"Explained: fully{where}. The error is {times}."
+        case Explained.MOSTLY if s.at_noise and s.unseen:
+            return f"Explained: mostly. The error is {times}, but {s.unseen}."
         case Explained.MOSTLY if s.at_noise:
             where = {
                 "the last part, predicted from the first": s.later,

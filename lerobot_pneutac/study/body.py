@@ -427,7 +427,21 @@ def _evidence(
         forward=done.forward,
         later=done.later,
         program=done.program,
+        unseen=_unseen(study, after),
     )
+
+
+def _unseen(study: "BodyStudy", model: FittedModel) -> str:
+    """That a finger's weight was not seen to bend it sideways, where the base was not turned to that side.
+
+    How stiff it is to that side, its bending in its plane does not show.
+    """
+    sideways = study.recording.samples.get("gravity_y")
+    if study.recording.device != "finger" or "gravity" not in model.effects or sideways is None:
+        return ""
+    if not study.recording.has("tip_y_mm") or sideways.abs().max() > T.GRAVITY_CHANGE:
+        return ""
+    return "the base was never turned to its side, so that how far its weight bends it that way is not known"
 
 
 def _cancelling(study: "BodyStudy", model: FittedModel, terms: Sequence[str]) -> list[str]:

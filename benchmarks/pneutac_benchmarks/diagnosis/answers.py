@@ -26,7 +26,7 @@ from pneutac_sim.effects.laws import family
 
 ENDS = 1.3
 EDGES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
-RIDGE, RIDGE_FAMILY = 1.0, 0.3  # of the weights, on features of unit variance, and of each family's own
+RIDGE, RIDGE_FAMILY = 1.0, 0.2  # of the weights, on features of unit variance, and of each family's own
 BETWEEN = (  # what changes between the days, so that a diagnosis of one cannot predict the other
     "marker_slip", "mount_knock", "mount_turned", "camera_warm_up", "slip_and_swelling", "stand_shakes",
     "tracker_freezes", "gauge_drifting",

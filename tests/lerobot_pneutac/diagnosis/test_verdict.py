@@ -109,6 +109,7 @@ def test_objections_add_up():
         ({"interval": (1.0, 1.1)}, "fully"),
         ({"interval": (0.9, 1.51), "later": 1.1}, "undetermined"),
         ({"interval": (1.0, 1.1), "later": 1.21}, "mostly"),
+        ({"interval": (1.0, 1.1), "later": 1.1, "unseen": "it was never turned"}, "mostly"),
         ({"interval": (1.0, 1.1), "later": 1.1, "program": 1.2}, "fully"),
         ({"interval": (1.0, 1.1), "later": 1.1, "program": 1.21}, "mostly"),
         ({"interval": (1.0, 1.1), "at_bound": ["a.b"], "forward": False, "later": 1.2}, "fully"),
