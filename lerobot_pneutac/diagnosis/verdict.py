@@ -209,11 +209,12 @@ class Mechanism:
 
 
 # Logistic regression (ridge) on 448 causes found on 292 simulated fingers and 188 arms, seeds 577, 613, 709
-# and 823 of the set `truths`: constant, per unit of the log of the fall of the squared error over the noise's,
-# of the share of the excess removed, and of the share of splits that missed a further cause. `FAMILY` is added
-# for the family found, 0 where it is not listed. `STOOD_FOR` has the shares of a family's wrong causes that
-# were in truth another family. Each seed judged by numbers fitted to the three others: of 268 causes above
-# `CERTAIN` 249 were right. All are printed by `python -m pneutac_benchmarks.diagnosis.answers --fit FOLDER`.
+# and 823 of the set `truths`: constant, per unit of the log of the fall of the squared error over the
+# noise's, of the share of the excess removed, and of the share of splits that missed a further cause.
+# `FAMILY` is added for the family found, 0 where it is not listed. `STOOD_FOR` has the shares of a family's
+# wrong causes that were in truth another family. Each seed judged by numbers fitted to the three others: of
+# 268 causes above `CERTAIN` 249 were right. All are printed by `python -m
+# pneutac_benchmarks.diagnosis.answers --fit FOLDER`.
 WEIGHTS = (-2.15, 0.36, 3.39, -0.71)
 FAMILY = {
     "dead_band": 2.22, "tracker": 2.02, "self_heating": 1.47, "payload": 1.41, "gravity": 1.18,
