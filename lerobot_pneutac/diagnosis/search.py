@@ -64,8 +64,8 @@ class Space(ABC):
     def without(self, model: Any, term: str) -> Any:
         """The model re-fitted without a term."""
 
-    def with_actuations(self, model: Any) -> Sequence[Start]:
-        """The model with each actuation model in place of its own."""
+    def with_actuations(self, model: Any, starts: bool) -> Sequence[Start]:
+        """The model with each actuation model in place of its own; with `starts` however trials may begin."""
         return []
 
     def refine_actuation(self, model: Any) -> Any:
@@ -110,6 +110,8 @@ class Found:
         final: after the backward check.
         rivals: of each acceptance, the other models that were fitted well.
         without: of the final model, term to the model without it.
+        actuated: the model when its actuation was last chosen again; None where it was not.
+        others: those with another actuation at that time, the best first.
     """
 
     base: Scored
@@ -117,6 +119,8 @@ class Found:
     final: Scored
     rivals: list[list[Scored]] = field(default_factory=list)
     without: dict[str, Scored] = field(default_factory=dict)
+    actuated: Scored | None = None
+    others: list[Scored] = field(default_factory=list)
 
 
 class Search:
@@ -160,6 +164,15 @@ class Search:
         out = self.run(fitted, list(trials))
         return sorted((s for s in out if s and np.isfinite(s.value)), key=lambda s: s.value)
 
+    def _roughly(self, trials: Sequence[Start]) -> list[Scored]:
+        """Fits trials by two steps and a quarter of the rows; the best by their own errors come first."""
+
+        def fitted(trial: Start) -> Scored | None:
+            model = self.space.fit(trial, 2, 4)
+            return model and Scored(model, model.squared, self.bootstrap.value(model.squared))
+
+        return sorted((s for s in self.run(fitted, trials) if s), key=lambda s: s.value)
+
     def find(self) -> Found:
         beam = self._begin()
         base = best = beam[0]
@@ -197,7 +210,7 @@ class Search:
             if self._significant(cheap, bare[0], T.WORTH_OF_BASE * max(cheap.value - self.noise_mse, 0))
             else cheap
         )
-        quick = self.fits(self.space.with_actuations(chosen.model), 2, 4)
+        quick = self._roughly(self.space.with_actuations(chosen.model, starts=True))
         front = self.run(self._with_refined_actuation, best_of_each(quick, 2))
         done = best_of_each(sorted([chosen, *front], key=lambda s: s.value), 1)
         for s in done:
@@ -218,11 +231,12 @@ class Search:
         The line was chosen while most of the error was of what has been found since, and may have stood in
         for it.
         """
-        others = self.other_actuations(best)
-        if not others or not self._significant(
-            best, others[0], T.WORTH_OF_EXCESS * (best.value - self.noise_mse)
+        found.actuated, found.others = best, self.other_actuations(best)
+        if not found.others or not self._significant(
+            best, found.others[0], T.WORTH_OF_EXCESS * (best.value - self.noise_mse)
         ):
             return best
+        others, found.actuated, found.others = found.others, found.others[0], [best, *found.others[1:]]
         effects = " + ".join(others[0].model.structure.effects)
         self.report(f"actuation {effects}: error {others[0].value ** 0.5:.3g}")
         found.path.append(others[0])
@@ -233,10 +247,8 @@ class Search:
         """The most promising models with another line, fitted well, the best first; none at the noise."""
         if model.value < T.AS_IS_NOISE**2 * self.noise_mse:
             return []
-        quick, now = (
-            self.fits(self.space.with_actuations(model.model), 2, 4),
-            set(model.model.structure.effects),
-        )
+        quick = self._roughly(self.space.with_actuations(model.model, starts=False))
+        now = set(model.model.structure.effects)
         others = [s for s in best_of_each(quick, 1) if set(s.model.structure.effects) != now]
         front = self.run(self._with_refined_actuation, others[: T.OTHER_ACTUATIONS])
         return sorted(front, key=lambda s: s.value)
@@ -246,9 +258,11 @@ class Search:
 
     def _round(self, beam: list[Scored]) -> list[Scored]:
         """The best models with one or two terms more, fitted well."""
-        trials = []
-        for k, s in enumerate(beam):
-            trials += self.space.grow(s.model, T.COARSE if k == 0 else 4, 4 if k == 0 else 2)
+
+        def grown(k: int) -> Sequence[Start]:
+            return self.space.grow(beam[k].model, *((T.COARSE, 4) if k == 0 else (4, 2)))
+
+        trials = [trial for new in self.run(grown, range(len(beam))) for trial in new]
         done, seen, fine = self.fits(trials, 5, 2), set(), []
         for s in done:
             key = tuple(sorted(s.model.structure.effects))

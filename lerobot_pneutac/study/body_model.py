@@ -211,6 +211,11 @@ class BodyModel:
         self.slope = lambda: J  # and no longer the recording and the run that it came from
         return J
 
+    @property
+    def squared(self) -> np.ndarray:
+        """(N,) squared errors on the rows of the search, as they were fitted."""
+        return (self.residual[:, : self.counted] ** 2).sum(axis=1)
+
     @cached_property
     def normal(self) -> np.ndarray:
         return self.jacobian.T @ self.jacobian + self.weight

@@ -211,7 +211,7 @@ class BodySearch:
                 own, found, plain = needed, with_offsets, simple
             else:
                 self.left_out, space.trials, space.required = left_out, (), own
-        finished = self.without_idle(space, self._refined(space, plain), own)
+        finished = self.without_idle(space, self._refined(space, plain, found), own)
         return Searched(space, found, self.engine(space).pruned(finished, found, T.WORTH_NAMING))
 
     def without_idle(self, space: BodySpace, model: Scored, chosen: Sequence[str]) -> Scored:
@@ -238,15 +238,18 @@ class BodySearch:
                     )
         return model
 
-    def _refined(self, space: BodySpace, model: Scored) -> Scored:
+    def _refined(self, space: BodySpace, model: Scored, found: Found) -> Scored:
         """The model with its air fitted to the moments after steps, or another actuation if it is worth it.
 
-        The actuation was chosen before all terms were known.
+        Where the actuation was chosen before all terms were known, others are looked for again.
         """
-        engine = self.engine(space)
-        own, *others = (
-            min(s, self.score(space.refine_air(s.model)), key=lambda s: s.value)
-            for s in (model, *engine.other_actuations(model)[:2])
+        engine, last = self.engine(space), found.actuated
+        as_it_was = last and replace(last.model.structure, input_model=model.model.structure.input_model)
+        same = as_it_was == model.model.structure
+        others = found.others if same else engine.other_actuations(model)
+        own, *others = self.run(
+            lambda s: min(s, self.score(space.refine_air(s.model)), key=lambda s: s.value),
+            (model, *others[:2]),
         )
         best = min(others, key=lambda s: s.value, default=own)
         return best if engine.is_worth(own, best) else own

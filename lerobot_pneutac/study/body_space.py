@@ -66,14 +66,12 @@ class BodySpace(Space):
                 out.append((structure, self.fitter.rough(structure)))
         return out
 
-    def with_actuations(self, model: BodyModel) -> list[Start]:
+    def with_actuations(self, model: BodyModel, starts: bool) -> list[Start]:
         of_actuations, out = {e for actuation in self.actuations for e in actuation}, []
         rest = tuple(e for e in model.structure.effects if e not in of_actuations)
-        begins = (
-            model.structure.input_model.start,
-            "held",
-            *(("vented",) if self._begins_under_pressure else ()),
-        )
+        begins = (model.structure.input_model.start,)
+        if starts:
+            begins += ("held", *(("vented",) if self._begins_under_pressure else ()))
         for begin in dict.fromkeys(begins):
             for actuation in self.actuations:
                 input_model = replace(model.structure.input_model, start=begin)

@@ -23,6 +23,7 @@ COST = (
 )
 _AFTER = 6  # samples after a step that show its instant
 _GRID = np.linspace(0, 1, 25)
+_FIRST, _NEARER = 4, (2, 1)  # apart in the grid: what is tried first, and on both sides of the best so far
 
 
 def step_rows(recording) -> np.ndarray:
@@ -54,7 +55,6 @@ class StepRows:
         data = read(0.5)
         self._last, self._near = data.inputs.rows[self.at], data.thin(self.rows.ravel())
         self._known = "time_sent_s" in recording.samples
-        self._data = [self.switched(share) for share in (_GRID[:1] if self._known else _GRID)]
 
     def switched(self, share: float | np.ndarray) -> BodyData:
         """These rows with all steps at one share of the time between two samples, or each at its own.
@@ -72,8 +72,8 @@ class StepRows:
         return r.reshape(*self.rows.shape, -1)
 
     def errors(self, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
-        """(shares, steps) sums of squares over the rows of a step."""
-        return self._errors(self.residuals(pipeline, theta)).sum(axis=2)
+        """(shares, steps) sums of squares over the rows of a step; infinite where it was not tried."""
+        return self.squared(self.residuals(pipeline, theta)).sum(axis=2)
 
     def judged(self, pipeline: Pipeline, theta: np.ndarray, variance: float) -> tuple[np.ndarray, np.ndarray]:
         """By what models are compared: residual (steps, 6, D) and what is added to its squares (steps, 6).
@@ -81,24 +81,53 @@ class StepRows:
         `variance` is the mean square of the model's residual, summed over outputs.
         """
         R = self.residuals(pipeline, theta)
-        E = self._errors(R)
-        total = E.sum(axis=2)
-        one, best = int(total.sum(axis=1).argmin()), total.argmin(axis=0)
+        E = self.squared(R)
+        best, one = E.sum(axis=2).argmin(axis=0), self._at_one(R, pipeline, theta)
         step = np.arange(len(self.at))
         low, high = np.maximum(best - 1, 0), np.minimum(best + 1, len(R) - 1)
-        moved = self._errors((R[high, step] - R[low, step])[None])[0]
+        moved = self.squared((R[high, step] - R[low, step])[None])[0]
         leverage = moved / np.maximum(moved.sum(axis=1, keepdims=True), 1e-300)
         cost = COST * variance * leverage
-        if total[one].sum() <= E[best, step].sum() + cost.sum():
-            return R[one], np.zeros_like(cost)
+        if self.squared(one).sum() <= E[best, step].sum() + cost.sum():
+            return one, np.zeros_like(cost)
         return R[best, step], cost
 
-    def residuals(self, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
-        """`residual` (shares, steps, 6, D) of all steps at each share."""
-        return np.stack([self.residual(data, pipeline, theta) for data in self._data])
+    def _at_one(self, R: np.ndarray, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
+        """`residual` at the share that is best for all steps together, where `residuals` are R."""
+        tried = {share: R[share] for share in range(0, len(R), _FIRST)}
+        least = lambda share: float(self.squared(tried[share]).sum())  # noqa: E731
+        for away in _NEARER if len(R) > 1 else ():
+            best = min(tried, key=least)
+            for share in {best - away, best + away} & set(range(len(_GRID))):
+                tried[share] = self.residual(self.switched(_GRID[share]), pipeline, theta)
+        return tried[min(tried, key=least)]
 
-    def _errors(self, R: np.ndarray) -> np.ndarray:
-        return (R**2).sum(axis=-1) * self.own
+    def residuals(self, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
+        """`residual` (shares, steps, 6, D) of each step at the shares that are tried; infinite at others.
+
+        Each step is tried nearer and nearer to its best share, so that this and its neighbours are known.
+        """
+        if self._known:
+            return self.residual(self._near, pipeline, theta)[None]
+        each = np.arange(len(self.at))
+        out = np.full((len(_GRID), *self.rows.shape, len(self._near.columns)), np.inf)
+
+        def run(share: np.ndarray) -> None:
+            new, share = (share >= 0) & (share < len(_GRID)), np.clip(share, 0, len(_GRID) - 1)
+            residual = self.residual(self.switched(_GRID[share]), pipeline, theta)
+            out[share[new], each[new]] = residual[new]
+
+        for share in range(0, len(_GRID), _FIRST):
+            run(np.full(len(each), share))
+        for away in _NEARER:
+            error = self.squared(out).sum(axis=2)
+            run(error.argmin(axis=0) - away)
+            run(error.argmin(axis=0) + away)
+        return out
+
+    def squared(self, R: np.ndarray) -> np.ndarray:
+        """(shares, steps, 6) of `residuals`, summed over outputs; 0 in rows of other steps."""
+        return np.where(self.own, (R**2).sum(axis=-1), 0.0)
 
 
 class StepProblem:
@@ -127,8 +156,8 @@ class StepProblem:
 
     def residual(self, v: np.ndarray) -> np.ndarray:
         """Model - measured (rows D,), in the unit of the error."""
-        R = self._residuals(v) * self._steps.own[:, :, None]
-        self._best, k = (R**2).sum(axis=(2, 3)).argmin(axis=0), np.arange(R.shape[1])
+        R = np.where(self._steps.own[:, :, None], self._residuals(v), 0.0)
+        self._best, k = self._steps.squared(R).sum(axis=2).argmin(axis=0), np.arange(R.shape[1])
         inner = np.clip(self._best, 1, len(R) - 2)
         along = R[inner + 1, k] - R[inner - 1, k] if len(R) > 1 else np.zeros_like(R[0])
         self._along = np.where((inner == self._best)[:, None, None], along, 0.0)

@@ -16,9 +16,8 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numba import njit
 
-from pneutac_sim.effects.body_effect import BodyEffect
+from pneutac_sim.effects.body_effect import BodyEffect, kernel
 from pneutac_sim.effects.effect import Parameter
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CHAMBERS
@@ -119,7 +118,7 @@ def forward_kinematics_spatial(
     return tip, q.sum(axis=-2)
 
 
-@njit(cache=True)
+@kernel
 def _chain(q, first, links, tip):
     """Tips (n, 3) of chains of joints (n, N, 2), by Rodrigues' formula joint by joint."""
     x, y, z = np.empty(3), np.empty(3), np.empty(3)  # the frame's columns

@@ -51,7 +51,7 @@ class LinearSpace:
     def bases(self):
         return [()]
 
-    def with_actuations(self, model):
+    def with_actuations(self, model, starts=True):
         return []
 
     def fit(self, trial, steps=0, every=1):
@@ -147,10 +147,10 @@ class Written:
         self.effects, self.cost = effects, len(effects) + 1 if cost is None else cost
         self.ahead = value if ahead is None else ahead
         self.structure = SimpleNamespace(effects=effects)
-        self._crossed = np.where(UNIT >= UNITS - 4, 0.0, value / 0.9) if patchy else np.full(N, float(value))
+        self.squared = np.where(UNIT >= UNITS - 4, 0.0, value / 0.9) if patchy else np.full(N, float(value))
 
     def cv_squared(self, fold):
-        return self._crossed if np.min(fold) >= 0 else np.where(fold < 0, 0.0, float(self.ahead))
+        return self.squared if np.min(fold) >= 0 else np.where(fold < 0, 0.0, float(self.ahead))
 
 
 class Table:
@@ -171,7 +171,7 @@ class Table:
     def bases(self):
         return [tuple(b) for b in self.begins]
 
-    def with_actuations(self, model):
+    def with_actuations(self, model, starts=True):
         rest = [e for e in model.effects if e not in "".join(self.lines)]
         return [(*line, *rest) for line in self.lines]
 
@@ -399,7 +399,7 @@ def test_of_each_line_the_best_two_are_settled_and_the_best_is_kept():
     class Lines(Table):
         settled = ()
 
-        def with_actuations(self, model):
+        def with_actuations(self, model, starts=True):
             return [(2.0,), (2.2,), (2.1,)]
 
         def fit(self, trial, steps=0, every=None):

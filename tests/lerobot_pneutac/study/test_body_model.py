@@ -4,7 +4,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lerobot_pneutac.diagnosis.search import Scored
+from lerobot_pneutac.diagnosis.search import Found, Scored
 from lerobot_pneutac.study.body_model import BodyFitter, BodyStructure, InputModel, rate
 from lerobot_pneutac.study.body_search import BodySearch
 from pneutac_datasets.recording.recording import Recording
@@ -39,13 +39,15 @@ def test_a_better_fit_of_the_same_effects_needs_no_test_and_other_effects_must_b
 
     now, better = scored(("valve_lag",), 0.5, 2.0), scored(effects, 0.4, 1.0)
     search = SimpleNamespace(
+        run=map,
         engine=lambda space: SimpleNamespace(
             other_actuations=lambda model: [] if taken else [better], is_worth=lambda before, after: False
         ),
         score=lambda model: better if taken or model is better.model else now,
     )
     space = SimpleNamespace(refine_air=lambda model: model)
-    assert BodySearch._refined(search, space, now) is (better if taken else now)
+    found = Found(now, [now], now)
+    assert BodySearch._refined(search, space, now, found) is (better if taken else now)
 
 
 @pytest.mark.parametrize("needed", [True, False])
