@@ -32,7 +32,7 @@ def run(tmp_path_factory):
         assert code == 0, f"{command} {' '.join(options)}\n{output[-8000:]}"
         return output
 
-    call.work = work
+    call.work, call.commands = work, commands
     return call
 
 
@@ -203,3 +203,60 @@ def test_other_policies_train_and_evaluate_by_the_pages_commands(run, policy):
         run(command, *(f"--{k}={str(v).replace('outputs/', f'{outputs}/')}" for k, v in given.items()))
     (result,) = outputs.rglob("eval_info.json")
     assert json.loads(result.read_text())["overall"]["n_episodes"] == 1
+
+
+DEMOS = ROOT / "tests/golden/recordings/demos"
+ON_DEMOS = f"--dataset.repo_id=local/demos --dataset.root={DEMOS}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("command", "sentence"),
+    [
+        (
+            "lerobot-train --policy.type=act --dataset.repo_id=local/a --dataset.root=nowhere",
+            "error: --dataset.root: 'nowhere' holds no LeRobotDataset",
+        ),
+        (
+            "lerobot-train --policy.type=act --policy.push_to_hub=false --dataset.repo_id=local/a",
+            "lerobot/local/a' holds no LeRobotDataset",
+        ),
+        (
+            "lerobot-train --policy.type=act --dataset.repo_id=local/a --dataset.root=old",
+            "codebase_version is 'v2.1', and v3.0 is read here; convert it with",
+        ),
+        (
+            f"lerobot-train --policy.type=pneutac_bc {ON_DEMOS} --output_dir=file",
+            "error: --output_dir=file is a file; give a folder.",
+        ),
+        (
+            f"lerobot-train --policy.type=pneutac_bc {ON_DEMOS} --policy.device=cpu --policy.control_hz=30",
+            "error: Dataset 'local/demos' has 15 frames per second and the policy's control_hz is 30;",
+        ),
+        (
+            f"lerobot-train --policy.type=pneutac_bc {ON_DEMOS} --policy.device=cpu --dataset.episodes=[9]",
+            "demos has no episode 9; give one of 0 to 1.",
+        ),
+        (
+            "lerobot-eval --policy.path=old --env.type=pneutac",
+            "error: --policy.path=old holds no policy (no config.json)",
+        ),
+        (
+            "lerobot-record --robot.type=pneutac_sim --teleop.type=pneutac_scripted --dataset.single_task=x"
+            " --dataset.repo_id=local/a --dataset.root=old",
+            "error: --dataset.root=old exists; give a new folder (--resume=true adds episodes to a dataset).",
+        ),
+        (
+            "lerobot-replay --robot.type=pneutac_sim --robot.task=swich --dataset.episode=0 " + ON_DEMOS,
+            "error: --robot.task is 'swich'; it must be one of switch,",
+        ),
+    ],
+)
+def test_what_a_user_gave_wrongly_ends_in_one_sentence(run, command, sentence):
+    (run.work / "file").touch()
+    info = (DEMOS / "meta/info.json").read_text().replace('"v3.0"', '"v2.1"')
+    (run.work / "old/meta").mkdir(parents=True, exist_ok=True)
+    (run.work / "old/meta/info.json").write_text(info)
+    code, output = run.commands.run(*shlex.split(command))
+    assert code == 1 and "Traceback" not in output
+    assert sentence in output.splitlines()[-1]

@@ -16,6 +16,7 @@ from pneutac_sim.effects.laws import TABLE
 MOST_S = 600.0
 MOST_HZ = 100.0
 WARMER_C = 8.0
+EVENLY = "by as much at both"  # of what motion changed and comes back, at low and at high pressures
 
 Knots = list[tuple[float, float]]  # seconds since the one before, kPa
 
@@ -226,9 +227,7 @@ def _work(row, c, low, top):
     count, knots = round(move / 2), []
     for a, b in ((low, middle), (middle, top)):
         knots += [(2.0, a), *_strokes(a, b, 2.0, count), (2.0, top), (move, top)]
-    more = (
-        "more so about the high pressures" if row.experiment == "motion, by pressure" else "alike about both"
-    )
+    more = "more so about the high pressures" if row.experiment == "motion, by pressure" else EVENLY
     text = (
         f"Make strokes of 2 s for {move:.3g} s between {low:.3g} and {middle:.3g} kPa, hold {top:.3g} kPa as "
         f"long, then the same between {middle:.3g} and {top:.3g} kPa: what motion changed comes back "

@@ -34,13 +34,6 @@ from pneutac_sim.finger.quantities import root_mean
 from pneutac_sim.twin import Twin, Value
 
 SIGNED = ("gain_rad_per_kpa",)  # parameters whose sign must be known
-ANGLES = "record the angles of the joints (q_1_rad ...)"
-RECORD = {
-    "gain": "record holds at five pressures or more over the whole range",
-    "rest": "record holds at five pressures or more over the whole range",
-    "joint": "record a known weight at the tip (payload_g), with the base level and upright",
-    "youngs": "record a known weight at the tip (payload_g), with the base level and upright",
-}  # first word of a body's parameter to what shows it
 
 
 def with_unit(value: Value, unit: str) -> dict:

@@ -10,6 +10,7 @@ stiffness alone; it is fitted along and not taken for either.
 """
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 
@@ -20,7 +21,7 @@ from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
 from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.diagnosis.result import Contribution
 from lerobot_pneutac.reports.page import HELDOUT, MEASURED, MODEL, Report
-from lerobot_pneutac.study.base import ANGLES, RECORD, not_identifiable, unidentified, with_unit
+from lerobot_pneutac.study.base import not_identifiable, unidentified, with_unit
 from lerobot_pneutac.study.body_base import doubt, known_causes
 from lerobot_pneutac.study.pair import fit_parts, pressure_unit_doubts
 from lerobot_pneutac.verbs.result import Calibration, measured_range, range_sentence
@@ -156,6 +157,52 @@ def _found(twin: Twin, found: PipelineFit, body: SoftBody) -> Compliance:
     return Compliance(new, rows, remark, found.evaluations)
 
 
+# What a body's parameter means.
+MEANING = {
+    "gain_rad_per_kpa": "how far it bends per kPa",
+    "gain_alpha": "whether it bends more near the tip or near the base",
+    "gain_beta": "whether its ends bend more than its middle",
+    "rest_pressure_kpa": "the pressure that would make the bend it has at rest",
+}
+HOLDS = "record holds at five pressures or more over the whole range"
+WEIGHT = "record a known weight at the tip (payload_g), with the base level and upright"
+SHOWN_BY = {
+    "gain_rad_per_kpa": HOLDS,
+    "rest_pressure_kpa": HOLDS,
+    "joint_stiffness_nm_per_rad": WEIGHT,
+    "youngs_modulus_mpa": WEIGHT,
+}
+
+
+def _shown_by(name: str, columns: Sequence[str]) -> str:
+    """What to record to identify a body's parameter, where these columns of the pose were recorded."""
+    if name in SHOWN_BY:
+        return SHOWN_BY[name]
+    if any(c.startswith("q_") for c in columns):
+        return "record larger bends: their shape shows little at the pressures of this recording"
+    return "record the angles of the joints (q_1_rad ...)"
+
+
+def unknown_parameter(name: str, row: dict, columns: Sequence[str]) -> str:
+    """Why a recording of these columns does not identify a parameter, and what to record, in two sentences.
+
+    Args:
+        name: of the parameter.
+        row: its `ci95`, `unit` and `note`, which begins with `unidentified`.
+        columns: of the pose that were fitted.
+    """
+    meaning = f" ({MEANING[name]})" if name in MEANING else ""
+    if row["ci95"]:
+        values = "Any value from {:.3g} to {:.3g}".format(*row["ci95"])
+        why = f"{values}{' ' * bool(row['unit'])}{row['unit']} fits this recording about as well"
+    else:
+        why = "Other parameters can make up for any change of it in this recording"
+    if name in ("gain_alpha", "gain_beta") and not any(c.startswith("q_") for c in columns):
+        why += ", for it has the tip and no joint angles"
+    remedy = str(row["note"]).partition(": ")[2]
+    return f"Not identifiable: {name}{meaning}. {why}; {remedy}."
+
+
 LIMIT = "at the limit of its allowed range: the model is probably missing something"
 MOST_POINTS = 4000  # of a line in the report
 
@@ -193,12 +240,16 @@ class BodyCalibration(Calibration):
         """Known causes, then the one thing that a reader should know most; the report has all."""
         noted = {k: str(p["note"]) for k, p in self.parameters.items()}
         limit = [k for k, note in noted.items() if note == LIMIT]
-        unknown = [k for k, note in noted.items() if note.startswith("not identifiable")]
+        unknown = [
+            unknown_parameter(name, self.parameters[name], self.bench.columns[: self.bench.counted])
+            for name, note in noted.items()
+            if note.startswith("not identifiable")
+        ]
         notes = []
         if limit:
             notes.append(f"At the limit of its allowed range: {joined(limit)}. Something may be missing.")
         if unknown:
-            notes.append(f"Not identifiable from this recording: {joined(unknown)}.")
+            notes.append(" ".join(unknown))
         if NO_LOAD in self.compliance:
             notes.append(self.compliance)
         return [*self._causes(), *notes[:1]]
@@ -402,9 +453,8 @@ def parameters(twin: Twin, fits: list[PipelineFit], bench: BodyData) -> dict[str
             known = row["value"], row["ci95"], spec, bench.inputs.pressure_range_kpa
             if name in f.not_identified or not_identifiable(*known):
                 effect, dot, _ = name.partition(".")
-                shown_by = (
-                    get_effect(effect).experiment if dot else RECORD.get(name.partition("_")[0], ANGLES)
+                row["note"] = unidentified(
+                    get_effect(effect).experiment if dot else _shown_by(name, bench.columns[: bench.counted])
                 )
-                row["note"] = unidentified(shown_by)
         out[name] = row
     return out

@@ -13,7 +13,7 @@ from lerobot.cameras.opencv import OpenCVCameraConfig  # noqa: F401  registers t
 
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis.hands import instructions
-from lerobot_pneutac.diagnosis.law_programs import law_programs
+from lerobot_pneutac.diagnosis.law_programs import EVENLY, law_programs
 from lerobot_pneutac.diagnosis.programs import Limits, menu, sampled, sent_s, turning
 from lerobot_pneutac.measuring.camera import Intrinsics, MarkerTracker, calibrate_camera
 from lerobot_robot_pneutac import DigitConfig  # noqa: F401  registers the tactile cameras
@@ -185,6 +185,7 @@ def _proposed(path: Path, recording: Path | None, hz: float, chambers: int) -> P
             f"{recording} has {plural(len(r.pressure_columns), 'chamber')}, and {chambers} would be driven;"
             " give the bench of the device that was diagnosed."
         )
+    advice = advice.replace("alike about both", EVENLY)  # as it was worded before 0.2
     found = {e: {k: v["value"] for k, v in c.items()} for e, c in diagnosed.get("parameters", {}).items()}
     for p in [*menu(r), *law_programs(r, found)]:
         if p.advice in advice:

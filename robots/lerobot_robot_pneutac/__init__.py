@@ -7,6 +7,7 @@ from lerobot_camera_digit.digit import DigitConfig
 from lerobot_camera_digit.elastomer import ElastomerConfig
 from lerobot_robot_pneutac.cameras.simulated import DigitGeneratedConfig, PneutacSceneConfig
 from lerobot_robot_pneutac.env import PneutacEnvConfig, PneutacHubConfig, PneutacStandinConfig
+from lerobot_robot_pneutac.lerobot_inside import prepare
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PneutacBCConfig
 from lerobot_robot_pneutac.robots.config_pneutac import PneutacConfig
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
@@ -33,3 +34,5 @@ __all__ = [
     "PneutacSpacemouseConfig",
     "PneutacStandinConfig",
 ]
+
+prepare()

@@ -7,14 +7,23 @@ would make each part superfluous stands in docs/upstream.
 
 import importlib
 import importlib.metadata
-import json
 import logging
+import re
 import sys
+import traceback
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import override
 
-from pneutac_sim.errors import InputError
+from draccus.utils import DecodingError, ParsingError
+from huggingface_hub.constants import HF_HUB_OFFLINE
+from lerobot.utils.constants import HF_LEROBOT_HOME
+from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
+
+from pneutac_sim.errors import InputError, printable
+from pneutac_sim.files import check_writable
+from pneutac_sim.pace import info_file, read_info, refuse_version
 
 TRIED_ON = "0.6.1"
 KNOWN = TRIED_ON.rpartition(".")[0]  # series of LeRobot whose inside `LeRobotHooks` knows
@@ -64,7 +73,6 @@ class LeRobotHooks(logging.Handler):
         if io_utils is None:
             return False
         io_utils.write_json = self._write_json
-        sys.modules["lerobot.datasets.dataset_reader"].load_nested_dataset = _load_episodes
         return True
 
     def listen(self) -> None:
@@ -97,17 +105,128 @@ def paced() -> bool:
     return program.name.startswith("lerobot-") or "lerobot" in program.parts
 
 
-def _load_episodes(data: Path, features=None, episodes: list[int] | None = None):
-    """In place of LeRobot's, which says of an episode that is not there that "train" has no data.
+# Errors that are meant for who typed the command, and those of what is to be downloaded.
+_OF_USERS = (InputError, DecodingError, DeviceNotConnectedError, DeviceAlreadyConnectedError)
+_OF_HUB = ("huggingface_hub", "httpx", "urllib")  # packages whose errors those are
+
+
+def prepare() -> None:
+    """Has a command of LeRobot's refuse bad folders at once, and end in one sentence where its user erred.
+
+    It imports the plugin before it reads its options, and would end in a traceback of anything raised later.
 
     Raises:
-        InputError: the dataset has no such episode.
+        SystemExit: a dataset that is to be read is none, or a folder that is to be written cannot be.
     """
-    total = json.loads((data.parent / "meta" / "info.json").read_text(encoding="utf-8"))["total_episodes"]
-    if missing := [e for e in episodes or () if not 0 <= e < total]:
-        raise InputError(f"{data.parent} has no episode {missing[0]}; give one of 0 to {total - 1}.")
-    io_utils = sys.modules["lerobot.datasets.io_utils"]
-    return io_utils.load_nested_dataset(data, features=features, episodes=episodes)
+    if not paced():
+        return
+    shown = sys.excepthook
+
+    def one_sentence(kind: type[BaseException], error: BaseException, trace) -> None:
+        sentence = explained(error)
+        if sentence is None:
+            shown(kind, error, trace)
+        else:
+            sys.stderr.write(f"error: {sentence}\n")
+
+    sys.excepthook = one_sentence
+    try:
+        _check_folders(_options())
+    except InputError as e:
+        sys.exit(f"error: {e}")
+
+
+def _options() -> dict[str, str]:
+    """What the command line gives, by option."""
+    words, out = sys.argv[1:], {}
+    for word, following in zip(words, [*words[1:], "--"], strict=False):
+        name, given, value = word.partition("=")
+        if name.startswith("--") and (given or not following.startswith("--")):
+            out[name.removeprefix("--")] = value if given else following
+    return out
+
+
+def _records(options: dict[str, str]) -> bool:
+    """Whether the command makes a new dataset."""
+    makes = Path(sys.argv[0]).stem.replace("_", "-") in ("lerobot-record", "lerobot-rollout")
+    return makes and options.get("resume") != "true"
+
+
+def _check_folders(options: dict[str, str]) -> None:
+    """Raises InputError where a folder is unfit; LeRobot would notice after its work, or not say which."""
+    if out := options.get("output_dir"):
+        check_writable(Path(out), f"--output_dir={out}")
+    policy = Path(options.get("policy.path", ""))
+    if (policy.is_absolute() or policy.is_dir()) and (fault := _fault_of_policy(options)):
+        raise InputError(fault)
+    if not (root := options.get("dataset.root")):
+        return
+    if _records(options):
+        if not Path(root).exists():
+            check_writable(Path(root), f"--dataset.root={root}")
+            return
+        empty = False
+        with suppress(InputError):
+            empty = not read_info(info_file(root)).get("total_episodes")
+        remedy = "it holds no episode: delete it" if empty else "--resume=true adds episodes to a dataset"
+        raise InputError(f"--dataset.root={root} exists; give a new folder ({remedy}).")
+    try:
+        file = info_file(root)
+    except InputError as e:
+        if HF_HUB_OFFLINE:
+            raise InputError(f"--dataset.root: {e}") from e
+        return  # to be downloaded
+    refuse_version(file, read_info(file))
+
+
+def explained(error: BaseException) -> str | None:
+    """The sentence for an error that the user of a LeRobot command can correct; None for any other."""
+    parsed = False
+    while isinstance(error, ParsingError) and isinstance(error.__cause__, Exception):
+        error, parsed = error.__cause__, True
+    if isinstance(error, _OF_USERS):
+        return printable(str(error))
+    options = _options()
+    files = [frame.filename.replace("\\", "/") for frame in traceback.extract_tb(error.__traceback__)]
+    reason = " ".join(str(error).split())
+    of_hub = type(error).__module__.partition(".")[0] in _OF_HUB
+    usual = of_hub or isinstance(error, OSError | ValueError | NotImplementedError)
+    if usual and not _records(options) and any("/lerobot/datasets/" in file for file in files):
+        return _fault_of_dataset(options, reason)
+    if (of_hub or isinstance(error, FileNotFoundError)) and (fault := _fault_of_policy(options)):
+        return fault
+    if of_hub:
+        return printable(f"What LeRobot wanted to download was not reached: {reason}")
+    given = any(len(value) > 1 and value in reason for value in options.values())
+    return printable(reason) if usual and (parsed or given or "/lerobot/configs/" in files[-1]) else None
+
+
+def _fault_of_policy(options: dict[str, str]) -> str | None:
+    """What is wrong with the folder of a policy; None where it holds one, or the Hub may have it."""
+    path = options.get("policy.path")
+    if not path or (Path(path) / "config.json").is_file():
+        return None
+    return printable(
+        f"--policy.path={path} holds no policy (no config.json); give a folder `pretrained_model` of"
+        " lerobot-train, or the name of a policy on the Hub that can be reached."
+    )
+
+
+def _fault_of_dataset(options: dict[str, str], reason: str) -> str:
+    """What is wrong with the dataset that the command line names and LeRobot did not read."""
+    repo_id = options.get("dataset.repo_id", "")
+    root = Path(options.get("dataset.root") or HF_LEROBOT_HOME / repo_id)
+    try:
+        info = read_info(info_file(root))
+        refuse_version(info_file(root), info)
+    except InputError as e:
+        return f"Dataset '{repo_id}': {e}"
+    episodes = options.get("dataset.episodes", options.get("dataset.episode", ""))
+    total = info.get("total_episodes", 0)
+    missing = [e for e in map(int, re.findall(r"-?\d+", episodes)) if not 0 <= e < total]
+    if missing:
+        return f"{root} has no episode {missing[0]}; give one of 0 to {total - 1}."
+    return printable(f"{root} cannot be read; `pneutac check {root}` says what is wrong ({reason}).")
 
 
 # Functions by which LeRobot describes what it has recorded, by their module in `lerobot.datasets`; repair and

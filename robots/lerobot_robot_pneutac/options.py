@@ -58,7 +58,9 @@ def check_range(option: str, value: float | None, low: float, high: float = math
     above = low <= value if ends[0] == "[" else low < value
     below = value <= high if ends[1] == "]" else value < high
     words = f"{low:g} or more" if ends[0] == "[" else f"above {low:g}"
-    if high < math.inf:
+    if high == math.inf:
+        below = value < high
+    else:
         words += f" and at most {high:g}" if ends[1] == "]" else f" and below {high:g}"
     refuse_if(not (above and below), f"{option} is {value}; it must be {words}.")
 

@@ -1,9 +1,10 @@
-"""What a robot stores of each episode in a dataset's `meta`: how fast its control loop ran, and how it ended.
+"""A dataset's `meta`: its `info.json`, how fast a robot's loop ran in each episode, and how each ended.
 
 LeRobot's times do not show a loop that falls behind, and its recorder does not ask whether the task was done.
 """
 
 import json
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,13 +12,61 @@ from typing import Any
 
 import numpy as np
 
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, shown
+from pneutac_sim.files import read_json
 
 PACE_FILE = "achieved_rate.json"  # in a dataset's `meta`; LeRobot drops what it does not know from info.json
 OUTCOME_FILE = "outcomes.json"  # likewise: episode to `DONE` or why it failed
 DONE = "done"
 SHORT, FAST = 0.98, 1.02  # of the rate that was asked for: less and more are reported
+VERSION = 3  # of LeRobot's datasets
 LATE = 1.5  # periods after which a frame is late
+
+
+def info_file(folder: str | Path) -> Path:
+    """`meta/info.json` of a dataset; raises InputError where there is none."""
+    file = Path(folder) / "meta" / "info.json"
+    if not file.is_file():
+        raise InputError(f"'{folder}' holds no LeRobotDataset (no meta/info.json).")
+    return file
+
+
+def read_info(file: Path) -> dict:
+    """The content of its `meta/info.json`; raises InputError where that is damaged."""
+    info = read_json(file)
+    info.setdefault("features", {})
+    if not isinstance(info["features"], dict) or not all(
+        isinstance(f, dict) for f in info["features"].values()
+    ):
+        raise InputError(f"{file}: 'features' must be an object of objects; the dataset is damaged.")
+    return info
+
+
+def refuse_version(file: Path, info: dict) -> None:
+    """Raises InputError where an `info.json` is of another version of LeRobot's datasets than 3."""
+    version = info.get("codebase_version")
+    found = re.fullmatch(r"v?(\d+)\.\d+(\.\d+)?", str(version))
+    if found and int(found[1]) == VERSION:
+        return
+    root = file.parent.parent
+    if str(version) == "v2.1":
+        remedy = (
+            "convert it with `python -m lerobot.scripts.convert_dataset_v21_to_v30"
+            f" --repo-id=local/{root.name} --root={root} --push-to-hub=false`"
+        )
+    elif str(version) == "v2.0":
+        remedy = (
+            "convert it first to v2.1, on the Hub, with an older LeRobot: `uvx --from lerobot==0.3.3 python"
+            " -m lerobot.datasets.v21.convert_dataset_v20_to_v21 --repo-id=NAME`, then to v3.0 with `python"
+            " -m lerobot.scripts.convert_dataset_v21_to_v30 --repo-id=NAME`"
+        )
+    elif found and int(found[1]) < VERSION:
+        remedy = "convert it with the LeRobot that recorded it, first to v2.1 and then to v3.0"
+    elif found:
+        remedy = "it was recorded with a newer LeRobot; install that one, or record again"
+    else:
+        remedy = "restore the file"
+    raise InputError(f"{file}: codebase_version is {shown(version)}, and v3.0 is read here; {remedy}.")
 
 
 @dataclass(frozen=True)

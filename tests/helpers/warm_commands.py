@@ -66,5 +66,12 @@ def _run(
         os.environ.pop(name, None)
     sys.argv = [command, *options]
     (entry,) = entry_points(group="console_scripts", name=command)
+    import lerobot_robot_pneutac
+
     with contextlib.suppress(KeyboardInterrupt):
-        sys.exit(entry.load()())
+        try:
+            lerobot_robot_pneutac.prepare()  # as the import would, were it not long done
+            sys.exit(entry.load()())
+        except Exception:
+            sys.excepthook(*sys.exc_info())
+            sys.exit(1)

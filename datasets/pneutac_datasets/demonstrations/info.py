@@ -14,12 +14,12 @@ from pneutac_datasets.demonstrations.films import TOLERANCE_S, Film, film_of, fr
 from pneutac_datasets.recording.image_file import read_image
 from pneutac_sim.errors import InputError, shown
 from pneutac_sim.files import read_json, refuse_pointer
+from pneutac_sim.pace import info_file, read_info, refuse_version
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 ROBOT = "pneutac"
-VERSION = 3  # of LeRobot's datasets
 STATE, ACTION = "observation.state", "action"
 OWN = ("timestamp", "frame_index", "episode_index", "index", "task_index")  # LeRobot's, in every dataset
 COUNTS = ("total_episodes", "total_frames", "total_tasks")
@@ -48,52 +48,6 @@ def _names(feature: dict) -> list:
     names = feature.get("names") or []
     names = next(iter(names.values()), []) if isinstance(names, dict) else names
     return names if isinstance(names, list) else []
-
-
-def read_info(file: Path) -> dict:
-    """The content of its `meta/info.json`; raises InputError where that is damaged."""
-    info = read_json(file)
-    info.setdefault("features", {})
-    if not isinstance(info["features"], dict) or not all(
-        isinstance(f, dict) for f in info["features"].values()
-    ):
-        raise InputError(f"{file}: 'features' must be an object of objects; the dataset is damaged.")
-    return info
-
-
-def refuse_version(file: Path, info: dict) -> None:
-    """Raises InputError where an `info.json` is of another version of LeRobot's datasets than 3."""
-    version = info.get("codebase_version")
-    found = re.fullmatch(r"v?(\d+)\.\d+(\.\d+)?", str(version))
-    if found and int(found[1]) == VERSION:
-        return
-    root = file.parent.parent
-    if str(version) == "v2.1":
-        remedy = (
-            "convert it with `python -m lerobot.scripts.convert_dataset_v21_to_v30"
-            f" --repo-id=local/{root.name} --root={root} --push-to-hub=false`"
-        )
-    elif str(version) == "v2.0":
-        remedy = (
-            "convert it first to v2.1, on the Hub, with an older LeRobot: `uvx --from lerobot==0.3.3 python"
-            " -m lerobot.datasets.v21.convert_dataset_v20_to_v21 --repo-id=NAME`, then to v3.0 with `python"
-            " -m lerobot.scripts.convert_dataset_v21_to_v30 --repo-id=NAME`"
-        )
-    elif found and int(found[1]) < VERSION:
-        remedy = "convert it with the LeRobot that recorded it, first to v2.1 and then to v3.0"
-    elif found:
-        remedy = "it was recorded with a newer LeRobot; install that one, or record again"
-    else:
-        remedy = "restore the file"
-    raise InputError(f"{file}: codebase_version is {shown(version)}, and v3.0 is read here; {remedy}.")
-
-
-def info_file(folder: str | Path) -> Path:
-    """`meta/info.json` of a dataset; raises InputError where there is none."""
-    file = Path(folder) / "meta" / "info.json"
-    if not file.is_file():
-        raise InputError(f"'{folder}' holds no LeRobotDataset (no meta/info.json).")
-    return file
 
 
 def refuse_damaged(folder: str | Path) -> None:

@@ -560,8 +560,8 @@ EXPERIMENTS = {
     "from rest": "After a night's rest make a stroke now and then: it changes with the time alone.",
     "warming": "Make equal strokes while it warms, for several time constants: they follow the temperature "
     "late.",
-    "motion": "Make quick strokes, then hold: what the motion changed comes back, alike about low and high "
-    "pressures.",
+    "motion": "Make quick strokes, then hold: what the motion changed comes back, by as much at low as at "
+    "high pressures.",
     "motion, by pressure": "Make quick strokes, then hold: what the motion changed comes back, more so about "
     "high pressures.",
 }

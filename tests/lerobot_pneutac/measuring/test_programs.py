@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from lerobot_pneutac.diagnosis.law_programs import law_programs
 from lerobot_pneutac.diagnosis.programs import menu
 from lerobot_pneutac.verbs.measure import program_chambers, read_program
 from pneutac_datasets.recording.recording import Recording
@@ -76,6 +77,12 @@ def test_the_experiment_that_a_diagnosis_proposes_can_be_driven(tmp_path):
     (trial,) = read_program(str(result), 15.0, 15.0, folder)
     assert trial.program == "long hold"
     assert trial.pressure_kpa[(trial.time_s > 1) & (trial.time_s < 79)].std() == pytest.approx(0, abs=1e-9)
+    (warmed,) = law_programs(Recording.load(folder), worn := {"p lag(|dp/dt|)": {"time_s": 20.0}})
+    constants = {law: {k: {"value": v} for k, v in found.items()} for law, found in worn.items()}
+    older = warmed.advice.replace("by as much at both", "alike about both")
+    assert older != warmed.advice
+    result.write_text(json.dumps({"next_experiment": f"To confirm it: {older}", "parameters": constants}))
+    assert read_program(str(result), 15.0, 15.0, folder)[0].program == "for p lag(|dp/dt|)"
     result.write_text(json.dumps({"next_experiment": "Hang weights on it."}))
     with pytest.raises(InputError, match="Hang weights"):
         read_program(str(result), 15.0, 15.0, folder)
