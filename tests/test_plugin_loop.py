@@ -27,39 +27,26 @@ def run(tmp_path_factory):
         work, {"HF_HOME": str(work / "hf"), "HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1"}
     )
 
-    def call(command: str, *options: str) -> str:
+    def call(text: str) -> str:
+        command, *options = shlex.split(text)
         code, output = commands.run(command, *options)
-        assert code == 0, f"{command} {' '.join(options)}\n{output[-8000:]}"
+        assert code == 0, f"{text}\n{output[-8000:]}"
         return output
 
     call.work, call.commands = work, commands
     return call
 
 
-def dataset_options(name: str, work: Path, episodes: int, seconds: float) -> list[str]:
-    return [
-        f"--dataset.repo_id=local/{name}",
-        f"--dataset.root={work / name}",
-        "--dataset.no_stamp=true",
-        "--dataset.single_task=Flip the toggle switch.",
-        "--dataset.fps=15",
-        f"--dataset.episode_time_s={seconds}",
-        "--dataset.reset_time_s=0",
-        f"--dataset.num_episodes={episodes}",
-        "--dataset.streaming_encoding=true",
-        "--dataset.push_to_hub=false",
-        "--play_sounds=false",
-    ]
+def dataset_options(name: str, work: Path, episodes: int, seconds: float) -> str:
+    return (
+        f"--dataset.repo_id=local/{name} --dataset.root={work / name} --dataset.no_stamp=true --dataset.fps=15"
+        f" --dataset.single_task='Flip the toggle switch.' --dataset.episode_time_s={seconds}"
+        f" --dataset.reset_time_s=0 --dataset.num_episodes={episodes} --dataset.streaming_encoding=true"
+        " --dataset.push_to_hub=false --play_sounds=false"
+    )
 
 
-TRAIN = [
-    "--policy.device=cpu",
-    "--batch_size=8",
-    "--num_workers=0",
-    "--save_freq=0",
-    "--env_eval_freq=0",
-    "--wandb.enable=false",
-]
+SIMULATED = "--robot.type=pneutac_sim --robot.id=twin"
 
 
 @pytest.mark.slow
@@ -69,14 +56,10 @@ def test_record_train_eval_rollout_replay_merge(run):
 
     def recorded():
         shutil.rmtree(work / "demo", ignore_errors=True)
+        # Of seed 6 the object is met within the 5 s.
         run(
-            "lerobot-record",
-            "--robot.type=pneutac_sim",
-            "--robot.id=twin",
-            "--robot.seed=6",  # the object is met within the 5 s
-            "--teleop.type=pneutac_scripted",
-            "--teleop.id=script",
-            *dataset_options("demo", work, 2, STEPS / 15),
+            f"lerobot-record {SIMULATED} --robot.seed=6 --teleop.type=pneutac_scripted --teleop.id=script "
+            + dataset_options("demo", work, 2, STEPS / 15)
         )
         demo = LeRobotDatasetMetadata("local/demo", work / "demo")
         assert demo.total_episodes == 2
@@ -95,29 +78,17 @@ def test_record_train_eval_rollout_replay_merge(run):
     assert np.linalg.norm(np.diff(state[:, EE], axis=0), axis=1)[within].max() < 0.02  # m; no scene anew
 
     log = run(
-        "lerobot-train",
-        "--policy.type=pneutac_bc",
-        "--dataset.repo_id=local/demo",
-        f"--dataset.root={work / 'demo'}",
-        f"--output_dir={work / 'train'}",
-        "--steps=20",
-        "--log_freq=10",
-        *TRAIN,
+        f"lerobot-train --policy.type=pneutac_bc --dataset.repo_id=local/demo --dataset.root={work / 'demo'}"
+        f" --output_dir={work / 'train'} --steps=20 --log_freq=10 --policy.device=cpu --batch_size=8"
+        " --num_workers=0 --save_freq=0 --env_eval_freq=0 --wandb.enable=false"
     )
     assert "motion_mm2" in log
     assert (policy / "model.safetensors").is_file()
 
-    log = run(
-        "lerobot-eval",
-        f"--policy.path={policy}",
-        "--policy.device=cpu",
-        "--env.type=pneutac",
-        "--env.task=switch",
-        "--env.episode_length=20",
-        "--eval.n_episodes=2",
-        "--eval.batch_size=2",
-        "--eval.use_async_envs=true",
-        f"--output_dir={work / 'eval'}",
+    run(
+        f"lerobot-eval --policy.path={policy} --policy.device=cpu --env.type=pneutac --env.task=switch"
+        " --env.episode_length=20 --eval.n_episodes=2 --eval.batch_size=2 --eval.use_async_envs=true"
+        f" --output_dir={work / 'eval'}"
     )
     overall = json.loads((work / "eval/eval_info.json").read_text())["overall"]
     assert overall["n_episodes"] == 2
@@ -127,15 +98,8 @@ def test_record_train_eval_rollout_replay_merge(run):
     def rolled_out():
         shutil.rmtree(work / "rollout_demo", ignore_errors=True)
         run(
-            "lerobot-rollout",
-            "--strategy.type=episodic",
-            f"--policy.path={policy}",
-            "--device=cpu",
-            "--robot.type=pneutac_sim",
-            "--robot.id=twin",
-            "--fps=15",
-            "--task=Flip the toggle switch.",
-            *dataset_options("rollout_demo", work, 2, 2),
+            f"lerobot-rollout --strategy.type=episodic --policy.path={policy} --device=cpu {SIMULATED}"
+            " --fps=15 --task='Flip the toggle switch.' " + dataset_options("rollout_demo", work, 2, 2)
         )
         rollout = LeRobotDatasetMetadata("local/rollout_demo", work / "rollout_demo")
         assert rollout.total_episodes == 2
@@ -148,22 +112,13 @@ def test_record_train_eval_rollout_replay_merge(run):
     }
 
     run(
-        "lerobot-replay",
-        "--robot.type=pneutac_sim",
-        "--robot.id=twin",
-        "--dataset.repo_id=local/demo",
-        f"--dataset.root={work / 'demo'}",
-        "--dataset.episode=1",
-        "--play_sounds=false",
+        f"lerobot-replay {SIMULATED} --dataset.repo_id=local/demo --dataset.root={work / 'demo'}"
+        " --dataset.episode=1 --play_sounds=false"
     )
-
     run(
-        "lerobot-edit-dataset",
-        "--new_repo_id=local/merged",
-        f"--new_root={work / 'merged'}",
-        "--operation.type=merge",
-        "--operation.repo_ids=['local/demo','local/rollout_demo']",
-        f"--operation.roots=['{work / 'demo'}','{work / 'rollout_demo'}']",
+        f"lerobot-edit-dataset --new_repo_id=local/merged --new_root={work / 'merged'} --operation.type=merge"
+        " --operation.repo_ids=\"['local/demo','local/rollout_demo']\""
+        f" --operation.roots=\"['{work / 'demo'}','{work / 'rollout_demo'}']\""
     )
     merged = LeRobotDatasetMetadata("local/merged", work / "merged")
     assert merged.total_frames == demo.total_frames + rollout.total_frames
@@ -200,7 +155,8 @@ def test_other_policies_train_and_evaluate_by_the_pages_commands(run, policy):
     }
     for (command, *options), other in ((train, small | SMALL[policy]), (evaluate, trial)):
         given = dict(o.removeprefix("--").split("=", 1) for o in options) | other
-        run(command, *(f"--{k}={str(v).replace('outputs/', f'{outputs}/')}" for k, v in given.items()))
+        given = {k: str(v).replace("outputs/", f"{outputs}/") for k, v in given.items()}
+        run(shlex.join([command, *(f"--{k}={v}" for k, v in given.items())]))
     (result,) = outputs.rglob("eval_info.json")
     assert json.loads(result.read_text())["overall"]["n_episodes"] == 1
 

@@ -27,22 +27,11 @@ def truth(runs=3, seconds=12.0, hz=10.0):
         p = np.round(24 + 24 * np.sin(0.9 * t + run - np.pi / 2), 2)
         p[:5] = 0.0
         bend = 0.02 + 0.02 * p
-        rows.append(
-            pd.DataFrame(
-                {
-                    "trial": run,
-                    "time_s": np.round(t, 3),
-                    "pressure_cmd_kpa": p,
-                    "pressure_kpa": np.round(p + 0.3, 2),
-                    "tip_x_mm": np.round(LENGTH * np.sin(bend) / bend, 3),
-                    "tip_y_mm": np.round(0.1 * np.cos(t), 3),
-                    "tip_z_mm": np.round(LENGTH * (1 - np.cos(bend)) / bend, 3),
-                    "bend_angle_rad": np.round(bend, 5),
-                    "temperature_c": 21.5 + run,
-                    "payload_g": 2.7 * (run == 1),
-                }
-            )
-        )
+        table = {"trial": run, "time_s": np.round(t, 3), "pressure_cmd_kpa": p}
+        table |= {"pressure_kpa": np.round(p + 0.3, 2), "tip_x_mm": np.round(LENGTH * np.sin(bend) / bend, 3)}
+        table |= {"tip_y_mm": np.round(0.1 * np.cos(t), 3), "bend_angle_rad": np.round(bend, 5)}
+        table |= {"tip_z_mm": np.round(LENGTH * (1 - np.cos(bend)) / bend, 3), "temperature_c": 21.5 + run}
+        rows.append(pd.DataFrame(table | {"payload_g": 2.7 * (run == 1)}))
     return pd.concat(rows, ignore_index=True)
 
 
@@ -77,46 +66,18 @@ def same(recording, columns, atol=2e-6):
         np.testing.assert_allclose(recording.column(c), TRUTH[c], atol=atol, rtol=1e-6, err_msg=c)
 
 
-GERMAN = {
-    "trial": "Lauf",
-    "time_s": "Zeit",
-    "pressure_cmd_kpa": "p_soll",
-    "pressure_kpa": "p_ist",
-    "tip_x_mm": "Spitze x",
-    "tip_y_mm": "Spitze y",
-    "tip_z_mm": "Spitze z",
-    "bend_angle_rad": "Winkel",
-    "temperature_c": "Temperatur",
-    "payload_g": "Gewicht",
-}
-ENGLISH = {
-    "trial": "Run",
-    "time_s": "Time",
-    "pressure_cmd_kpa": "Pressure setpoint",
-    "pressure_kpa": "Measured pressure",
-    "tip_x_mm": "Tip X",
-    "tip_y_mm": "Tip Y",
-    "tip_z_mm": "Tip Z",
-    "bend_angle_rad": "Bending angle",
-    "temperature_c": "Temp",
-    "payload_g": "Payload",
-}
-SHORT = {
-    "trial": "run_id", "time_s": "t", "pressure_cmd_kpa": "p_cmd", "pressure_kpa": "p", "tip_x_mm": "x",
-    "tip_y_mm": "y", "tip_z_mm": "z", "bend_angle_rad": "theta", "temperature_c": "T", "payload_g": "load",
-}  # fmt: skip
-COMPOUND = {
-    "trial": "Versuch Nr.",
-    "time_s": "Zeitstempel",
-    "pressure_cmd_kpa": "Solldruck",
-    "pressure_kpa": "Istdruck",
-    "tip_x_mm": "xTip",
-    "tip_y_mm": "yTip",
-    "tip_z_mm": "zTip",
-    "bend_angle_rad": "Biegewinkel",
-    "temperature_c": "Temperatur Ofen",
-    "payload_g": "Zusatzmasse",
-}
+COLUMNS = "trial time_s pressure_cmd_kpa pressure_kpa tip_x_mm tip_y_mm tip_z_mm bend_angle_rad temperature_c"
+COLUMNS = [*COLUMNS.split(), "payload_g"]
+GERMAN, ENGLISH, SHORT, COMPOUND = (
+    dict(zip(COLUMNS, names.split(", "), strict=True))
+    for names in (
+        "Lauf, Zeit, p_soll, p_ist, Spitze x, Spitze y, Spitze z, Winkel, Temperatur, Gewicht",
+        "Run, Time, Pressure setpoint, Measured pressure, Tip X, Tip Y, Tip Z, Bending angle, Temp, Payload",
+        "run_id, t, p_cmd, p, x, y, z, theta, T, load",
+        "Versuch Nr., Zeitstempel, Solldruck, Istdruck, xTip, yTip, zTip, Biegewinkel, Temperatur Ofen,"
+        " Zusatzmasse",
+    )
+)
 UNITS = [
     ("bar", "m", "deg", "s", "g", "°C"),
     ("mbar", "cm", "°", "ms", "kg", "K"),
@@ -125,11 +86,11 @@ UNITS = [
     ("MPa", "m", "rad", "ms", "kg", "°C"),
     ("hPa", "mm", "deg", "s", "g", "K"),
 ]
-COLUMNS = ("pressure_cmd_kpa", "tip_x_mm", "bend_angle_rad", "time_s", "payload_g", "temperature_c")
+WITH_UNIT = ("pressure_cmd_kpa", "tip_x_mm", "bend_angle_rad", "time_s", "payload_g", "temperature_c")
 
 
 def units_of(choice):
-    units = dict(zip(COLUMNS, choice, strict=True))
+    units = dict(zip(WITH_UNIT, choice, strict=True))
     units |= {"pressure_kpa": units["pressure_cmd_kpa"]}
     return units | dict.fromkeys(("tip_y_mm", "tip_z_mm"), units["tip_x_mm"])
 
