@@ -242,6 +242,7 @@ _OF_DATASETS = {
     "update_chunk_file_indices": "utils",
     "write_info": "io_utils",
     "write_stats": "io_utils",
+    "write_table_one_row_group_per_episode": "io_utils",
     "write_tasks": "io_utils",
 }
 

@@ -38,6 +38,7 @@ from lerobot_robot_pneutac.lerobot_inside import (
     update_chunk_file_indices,
     write_info,
     write_stats,
+    write_table_one_row_group_per_episode,
     write_tasks,
 )
 from pneutac_datasets.demonstrations.films import Film, film_of, frame_size, read_film
@@ -268,30 +269,23 @@ def _without(
         if mine[-1].episode < min(dropped):
             stay, first_row = [*stay, *mine], first_row + sum(r.length for r in mine)
             continue
-        out = work / file.relative_to(work if file.is_relative_to(work) else root)
+        out, tables = work / file.relative_to(work if file.is_relative_to(work) else root), []
         out.parent.mkdir(parents=True, exist_ok=True)
-        part, writer = out.with_suffix(".part"), None
         for rows in mine:
             table = rows.table()
             if rows.episode in dropped:
                 pq.write_table(table, work / LEFT_OUT / f"episode-{rows.episode:06d}.parquet")
                 continue
-            for name, values in (
-                ("episode_index", np.full(rows.length, len(stay))),
-                ("index", first_row + np.arange(rows.length)),
-            ):
+            numbers = {"episode_index": np.full(rows.length, len(stay))}
+            for name, values in (numbers | {"index": first_row + np.arange(rows.length)}).items():
                 at = table.schema.get_field_index(name)
-                table = table.set_column(
-                    at, table.schema.field(at), pa.array(values, table.schema.field(at).type)
-                )
-            writer = writer or pq.ParquetWriter(part, table.schema, compression="snappy", use_dictionary=True)
-            writer.write_table(table)
-            group = sum(r.file == out for r in stay)
-            stay.append(replace(rows, episode=len(stay), file=out, group=group))
+                field = table.schema.field(at)
+                table = table.set_column(at, field, pa.array(values, field.type))
+            stay.append(replace(rows, episode=len(stay), file=out, group=len(tables)))
+            tables.append(table)
             first_row += rows.length
-        if writer:
-            writer.close()
-            part.replace(out)
+        if tables:
+            write_table_one_row_group_per_episode(pa.concat_tables(tables), out)
         else:
             out.write_bytes(b"")
     return stay, {k: [p for e, p in enumerate(v) if e not in dropped] for k, v in places.items()}
@@ -382,7 +376,7 @@ def describe(meta: LeRobotDatasetMetadata, root: Path, info: DatasetInfo, rows: 
     names = [] if meta.tasks is None else list(meta.tasks.index)
     names += [f"task {i}" for i in range(len(names), int(numbers.max()) + 1)]
     meta.save_episode_tasks(names)
-    chunk, file = file_numbers(rows.file)
+    chunk, file = map(int, FILE_NUMBERS.search(rows.file.as_posix()).groups())
     begin = meta.total_frames
     place = {"data/chunk_index": chunk, "data/file_index": file}
     place |= {"dataset_from_index": begin, "dataset_to_index": begin + rows.length}
@@ -449,13 +443,13 @@ class _Films:
 
         How many episodes a missing or torn file held is not known, so that none is looked for after it.
         """
-        numbers = (
-            self._next(tuple(known[-1][f"videos/{self.key}/{n}"] for n in PLACE[:2])) if known else (0, 0)
-        )
-        out, at, begun = [], 0, False
+        numbers, out, at, begun = (0, 0), [], 0, False
+        if known:
+            last = (known[-1][f"videos/{self.key}/{n}"] for n in PLACE[:2])
+            numbers = update_chunk_file_indices(*last, self.info.chunks_size)
         for rows in new:
             if begun:
-                following = self._next(numbers)
+                following = update_chunk_file_indices(*numbers, self.info.chunks_size)
                 if self._ended(numbers, at, rows.length) and self._file(following).is_file():
                     numbers, at, begun = following, 0, False
             if not begun:
@@ -489,9 +483,6 @@ class _Films:
     def _file(self, place: Place) -> Path:
         return video_file(self.root, self.info, self.key, place)
 
-    def _next(self, numbers: tuple[int, int]) -> tuple[int, int]:
-        return update_chunk_file_indices(*numbers, self.info.chunks_size)
-
 
 def describe_videos(root: Path, info: DatasetInfo, videos: dict[str, list[Place]]) -> None:
     """Codec and size in `info.json`, which LeRobot writes after a dataset's first video."""
@@ -504,12 +495,6 @@ def describe_videos(root: Path, info: DatasetInfo, videos: dict[str, list[Place]
 def video_file(root: Path, info: DatasetInfo, key: str, place: Place) -> Path:
     """The video of a place as `place_videos` gives it."""
     return root / info.video_path.format(video_key=key, chunk_index=place[0], file_index=place[1])
-
-
-def file_numbers(file: Path) -> tuple[int, int]:
-    """Chunk and file that a name states; names compare as they were written."""
-    chunk, number = FILE_NUMBERS.search(file.as_posix()).groups()
-    return int(chunk), int(number)
 
 
 def _take_whole_one(file: Path, least: int, remarks: list[str]) -> None:
