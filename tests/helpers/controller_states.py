@@ -1,6 +1,6 @@
 """The firmware's states and what leads from one to another, found by bringing each about in the simulator.
 
-python tests/helpers/controller_states.py writes table and picture of the controller's promise anew.
+python tests/helpers/controller_states.py writes the table of the controller's promise anew.
 """
 
 import os
@@ -103,57 +103,12 @@ def table(found) -> str:
     return "\n".join(lines) + "\n"
 
 
-PLACES = {
-    "waiting": (110, 60), "ready": (430, 60), "following": (430, 330), "heartbeat lost": (790, 60),
-    "fault": (790, 330),
-}  # fmt: skip
-
-
-def svg(found) -> str:
-    """States as boxes, an arrow for each pair, its events beside it."""
-    arrows: dict[tuple[str, str], list[str]] = {}
-    for (state, event), new in found.items():
-        if new != state:
-            arrows.setdefault((state, new), []).append(event)
-    lines = [
-        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 960 410"'
-        ' font-family="sans-serif" font-size="11">',
-        '<defs><marker id="tip" viewBox="0 0 8 8" refX="8" refY="4" markerWidth="8" markerHeight="8"'
-        ' orient="auto"><path d="M0 0L8 4L0 8z" fill="#2a3f5f"/></marker></defs>',
-        '<rect width="960" height="410" fill="#ffffff"/>',
-    ]
-    for (state, new), events in arrows.items():
-        (x, y), (u, v) = PLACES[state], PLACES[new]
-        length = ((u - x) ** 2 + (v - y) ** 2) ** 0.5
-        dx, dy = (u - x) / length, (v - y) / length
-        side, short = 12, min(75 / max(abs(dx), 1e-9), 26 / max(abs(dy), 1e-9))
-        x, y, u, v = (x + dx * short - dy * side, y + dy * short + dx * side,
-                      u - dx * short - dy * side, v - dy * short + dx * side)  # fmt: skip
-        lines.append(f'<path d="M{x:.0f} {y:.0f}L{u:.0f} {v:.0f}" stroke="#2a3f5f" marker-end="url(#tip)"/>')
-        share = 0.42 if min(abs(dx), abs(dy)) < 0.1 else 0.3  # of the way; texts of diagonals keep apart
-        at_x, at_y = x + share * (u - x) - dy * 8, y + share * (v - y) + dx * 12
-        at_y -= 13 * (len(events) - 1) if dx < -0.9 else 0
-        anchor = "middle" if abs(dy) < 0.1 else "end" if dy > 0 else "start"
-        rows = [f'<tspan x="{at_x:.0f}" dy="{13 if k else 0}">{e}</tspan>' for k, e in enumerate(events)]
-        lines.append(f'<text x="{at_x:.0f}" y="{at_y:.0f}" text-anchor="{anchor}">{"".join(rows)}</text>')
-    for state, (x, y) in PLACES.items():
-        fill = "#fff7e6" if state == "following" else "#f5f7fb"
-        lines.append(
-            f'<rect x="{x - 75}" y="{y - 26}" width="150" height="52" rx="8" fill="{fill}" stroke="#2a3f5f"/>'
-        )
-        what = "pressure follows" if state == "following" else "vent open"
-        lines.append(f'<text x="{x}" y="{y - 3}" text-anchor="middle" font-size="14">{state}</text>')
-        lines.append(f'<text x="{x}" y="{y + 15}" text-anchor="middle">{what}</text>')
-    return "\n".join([*lines, "</svg>", ""])
-
-
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         os.environ["PNEUTAC_TEST_RECORDINGS"] = folder
         found = transitions(build())
     before, rest = PAGE.read_text().split(BEGIN)
     PAGE.write_text(before + BEGIN + "\n" + table(found) + "\n" + END + rest.split(END)[1])
-    PICTURE.write_text(svg(found))
 
 
 if __name__ == "__main__":
