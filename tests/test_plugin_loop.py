@@ -39,8 +39,9 @@ def run(tmp_path_factory):
 
 def dataset_options(name: str, work: Path, episodes: int, seconds: float) -> str:
     return (
-        f"--dataset.repo_id=local/{name} --dataset.root={work / name} --dataset.no_stamp=true --dataset.fps=15"
-        f" --dataset.single_task='Flip the toggle switch.' --dataset.episode_time_s={seconds}"
+        f"--dataset.repo_id=local/{name} --dataset.root={work / name} --dataset.no_stamp=true"
+        " --dataset.single_task='Flip the toggle switch.'"
+        f" --dataset.fps=15 --dataset.episode_time_s={seconds}"
         f" --dataset.reset_time_s=0 --dataset.num_episodes={episodes} --dataset.streaming_encoding=true"
         " --dataset.push_to_hub=false --play_sounds=false"
     )

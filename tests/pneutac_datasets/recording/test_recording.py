@@ -95,68 +95,42 @@ def break_(column, row, value):
     return change
 
 
-BAD = {
-    "missing column": (
-        lambda s: s.drop(columns="pressure_cmd_kpa"),
-        "'pressure_cmd_kpa' is missing; add .* in kPa",
-    ),
-    "unit in the name": (
-        lambda s: s.rename(columns={"pressure_cmd_kpa": "pressure_cmd_pa"}),
-        "there is 'pressure_cmd_pa'",
-    ),
-    "no observation": (lambda s: s.drop(columns=["tip_x_mm", "tip_y_mm", "tip_z_mm"]), "tip_x_mm"),
-    "pascal": (lambda s: s.assign(pressure_cmd_kpa=1000 * s.pressure_cmd_kpa), "pascal.*divide"),
-    "measured in bar": (lambda s: s.assign(pressure_kpa=s.pressure_cmd_kpa / 100), "'pressure_kpa', row 50"),
-    "metres": (
-        lambda s: s.assign(**{f"tip_{a}_mm": s[f"tip_{a}_mm"] / 1000 for a in "xyz"}),
-        "metres.*multiply",
-    ),
-    "degrees": (lambda s: s.assign(bend_angle_rad=s.pressure_cmd_kpa), "degrees"),
-    "kelvin": (lambda s: s.assign(temperature_c=294.0), "kelvin"),
-    "gravity in m/s2": (lambda s: s.assign(gravity_x=9.81, gravity_y=0, gravity_z=0), "unit vector"),
-    "half a gravity vector": (lambda s: s.assign(gravity_x=1.0), "'gravity_y' is missing"),
-    "time backwards": (
-        break_("time_s", 12, 0.01),
-        r"'time_s', row 13 \(line 14 of the file\) goes back.*sort",
-    ),
-    "milliseconds": (
-        lambda s: s.assign(time_s=np.round(s.time_s * 1e4)),
-        "time_s.*milliseconds; divide it by 1000",
-    ),
-    "many doubled stamps": (lambda s: s.assign(time_s=np.round(s.time_s, 1)), "repeats the stamp.*digits"),
-    "nan": (
+P, TIPS = "pressure_cmd_kpa", ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
+BAD = [
+    (lambda s: s.drop(columns=P), "'pressure_cmd_kpa' is missing; add .* in kPa"),
+    (lambda s: s.rename(columns={P: "pressure_cmd_pa"}), "there is 'pressure_cmd_pa'"),
+    (lambda s: s.drop(columns=TIPS), "tip_x_mm"),
+    (lambda s: s.assign(pressure_cmd_kpa=1000 * s[P]), "pascal.*divide"),
+    (lambda s: s.assign(pressure_kpa=s[P] / 100), "'pressure_kpa', row 50"),
+    (lambda s: s.assign(**{c: s[c] / 1000 for c in TIPS}), "metres.*multiply"),
+    (lambda s: s.assign(bend_angle_rad=s[P]), "degrees"),
+    (lambda s: s.assign(temperature_c=294.0), "kelvin"),
+    (lambda s: s.assign(gravity_x=9.81, gravity_y=0, gravity_z=0), "unit vector"),
+    (lambda s: s.assign(gravity_x=1.0), "'gravity_y' is missing"),
+    (break_("time_s", 12, 0.01), r"'time_s', row 13 \(line 14 of the file\) goes back.*sort"),
+    (lambda s: s.assign(time_s=np.round(s.time_s * 1e4)), "time_s.*milliseconds; divide it by 1000"),
+    (lambda s: s.assign(time_s=np.round(s.time_s, 1)), "repeats the stamp.*digits"),
+    (
         break_("tip_x_mm", 12, np.nan),
         r"'tip_x_mm', row 13 \(line 14 of the file\) is empty \(1 such row\).*leave out that row",
     ),
-    "inf": (break_("tip_z_mm", 3, np.inf), "'tip_z_mm', row 4"),
-    "text": (
-        break_("pressure_cmd_kpa", 7, "n/a!"),
-        r"'pressure_cmd_kpa', row 8 \(line 9 of the file\) is 'n/a!'",
-    ),
-    "condition with a hole": (break_("temperature_c", 0, np.nan), "'temperature_c', row 1"),
-    "fractional trial": (lambda s: s.assign(trial=s.trial + 0.5), "'trial', row 1"),
-    "trial resumed": (lambda s: pd.concat([s, s[s.trial == 0]]), "'trial', row 401 .*goes back to trial 0"),
-    "no rows": (lambda s: s.iloc[:0], "no rows"),
-    "a time sent that is empty": (lambda s: with_sent(s, 12, np.nan), "'time_sent_s', row 13 .* is empty"),
-    "sent on another clock": (
-        lambda s: s.assign(time_sent_s=s.time_s + 1.7e9),
+    (break_("tip_z_mm", 3, np.inf), "'tip_z_mm', row 4"),
+    (break_(P, 7, "n/a!"), r"'pressure_cmd_kpa', row 8 \(line 9 of the file\) is 'n/a!'"),
+    (break_("temperature_c", 0, np.nan), "'temperature_c', row 1"),
+    (lambda s: s.assign(trial=s.trial + 0.5), "'trial', row 1"),
+    (lambda s: pd.concat([s, s[s.trial == 0]]), "'trial', row 401 .*goes back to trial 0"),
+    (lambda s: s.iloc[:0], "no rows"),
+    (lambda s: with_sent(s, 12, np.nan), "'time_sent_s', row 13 .* is empty"),
+    (
+        lambda s: s.assign(time_sent_s=s.time_s + 1.7e9),  # on another clock
         r"row 1 \(line 2 of the file\) \(trial 0\) is 1.7e\+09 s, later than the time 0.05 s of the next "
         "row; give it on the clock of time_s",
     ),
-    "sent after the next row": (
-        lambda s: with_sent(s, 40, s.time_s[41] + 0.01),
-        "row 41 .* later than the time",
-    ),
-    "sent before the row before": (
-        lambda s: with_sent(s, 40, s.time_s[38] + 0.045),
-        "row 41 .* earlier than the time 1.95 s of the row before",
-    ),
-    "sent out of order": (lambda s: with_sent(s, 40, s.time_s[39] - 0.04), "row 41 .* goes back from"),
-    "two commands at one time": (
-        lambda s: with_sent(s, 40, s.time_s[39] - 0.01),
-        "row 41 .* as in the row before, though the command is another",
-    ),
-}
+    (lambda s: with_sent(s, 40, s.time_s[41] + 0.01), "row 41 .* later than the time"),
+    (lambda s: with_sent(s, 40, s.time_s[38] + 0.045), "row 41 .* earlier than the time 1.95 s of the row b"),
+    (lambda s: with_sent(s, 40, s.time_s[39] - 0.04), "row 41 .* goes back from"),
+    (lambda s: with_sent(s, 40, s.time_s[39] - 0.01), "row 41 .* as in the row before, though the command"),
+]
 
 
 def with_sent(samples, row, time_s):
@@ -166,9 +140,8 @@ def with_sent(samples, row, time_s):
     return samples
 
 
-@pytest.mark.parametrize("case", BAD)
-def test_bad_table_is_one_sentence_with_file_column_and_remedy(tmp_path, case):
-    change, message = BAD[case]
+@pytest.mark.parametrize(("change", "message"), BAD)
+def test_bad_table_is_one_sentence_with_file_column_and_remedy(tmp_path, change, message):
     write(tmp_path / "r", change(table()))
     with pytest.raises(InputError, match=message) as e:
         Recording.load(tmp_path / "r")
@@ -176,62 +149,49 @@ def test_bad_table_is_one_sentence_with_file_column_and_remedy(tmp_path, case):
     assert "samples.csv" in text and "\n" not in text and text.endswith(".")
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("{", "recording.json is not valid JSON"),
-        ("[1]", "JSON object"),
-        ('{"device": "claw"}', "'claw'; it must be one of finger, arm, gel"),
-        ('{"length_mm": 110}', "'device' is missing"),
-        ('{"device": "finger", "length_mm": 0.11}', "only be metres"),
-        ('{"device": "finger", "length_mm": NaN}', "length_mm"),
-        ('{"device": "finger", "length_mm": 110, "spine_joint_positions_mm": [50, 10]}', "spine_joint"),
-        *(
-            (f'{{"device": "finger", "length_mm": 110, "samples": "samples.csv", "noise": {noise}}}', message)
-            for noise, message in (
-                ('"0.2"', "noise.*standard deviation"),
-                ("0.2", "noise.*standard deviation"),
-                ("[0.2]", "noise.*standard deviation"),
-                ('{"tip_x_mm": -1}', "'noise' of 'tip_x_mm' is -1"),
-                ('{"tip_x_mm": "0.2"}', "'noise' of 'tip_x_mm' is '0.2'"),
-                ('{"tip_x_mm": NaN}', "'noise' of 'tip_x_mm' is nan"),
-                ('{"tipx": 0.2}', "'tipx', which is not measured"),
-                ('{"temperature_c": 0.2}', "'temperature_c', which is not measured"),
-                ('{"tip_x_mm": 0.2, "tip_z_mm": 0.2}', "does not name 'tip_y_mm'"),
-            )
-        ),
-        *(
-            (f'{{"device": "finger", "length_mm": 110, "samples": "samples.csv", "trials": {told}}}', message)
-            for told, message in (
-                ("[3]", "'trials' is .3.; name trials by number"),
-                ('{"1": "rested"}', "'trials' of trial '1' is 'rested'; give 'start'"),
-                ('{"1": {"pause_s": 3}}', "give 'start' and perhaps 'pause_s'"),
-                ('{"1": {"start": "rested", "rest_s": 3}}', "give 'start' and perhaps 'pause_s'"),
-                (
-                    '{"1": {"start": "warm"}}',
-                    "'start' is 'warm'; it must be one of rested, continues, unknown",
-                ),
-                ('{"1": {"start": ["rested"]}}', "it must be one of rested"),
-                ('{"1": {"start": "continues", "pause_s": -1}}', "'pause_s' is -1; give seconds, 0 or more"),
-                ('{"1": {"start": "continues", "pause_s": NaN}}', "'pause_s' is nan; give seconds"),
-                ('{"1": {"start": "continues", "pause_s": Infinity}}', "'pause_s' is inf; give seconds"),
-                ('{"1": {"start": "continues", "pause_s": "1"}}', "'pause_s' is '1'; give seconds"),
-                (
-                    '{"1": {"start": "rested", "pause_s": 12}}',
-                    "12 though its start is 'rested'.*leave it out",
-                ),
-                (
-                    '{"7": {"start": "rested"}}',
-                    "trial '7', which is not in the table; its trials are 0, 1, 2, 3",
-                ),
-                ('{"0": {"start": "continues"}}', "lets trial 0 continue, but it is the first"),
-            )
-        ),
-        ('{"device": "finger", "samples": "other.csv"}', "other.csv is missing"),
-        ('{"device": "finger", "samples": "../r2/samples.csv"}', "inside the folder"),
-        ('{"device": "finger", "samples": "samples.pkl"}', "samples"),
-    ],
-)
+NOISE = [  # field `noise`, and of which the sentence speaks
+    ('"0.2"', "noise.*standard deviation"),
+    ("0.2", "noise.*standard deviation"),
+    ("[0.2]", "noise.*standard deviation"),
+    ('{"tip_x_mm": -1}', "'noise' of 'tip_x_mm' is -1"),
+    ('{"tip_x_mm": "0.2"}', "'noise' of 'tip_x_mm' is '0.2'"),
+    ('{"tip_x_mm": NaN}', "'noise' of 'tip_x_mm' is nan"),
+    ('{"tipx": 0.2}', "'tipx', which is not measured"),
+    ('{"temperature_c": 0.2}', "'temperature_c', which is not measured"),
+    ('{"tip_x_mm": 0.2, "tip_z_mm": 0.2}', "does not name 'tip_y_mm'"),
+]
+STARTS = [  # field `trials`
+    ("[3]", "'trials' is .3.; name trials by number"),
+    ('{"1": "rested"}', "'trials' of trial '1' is 'rested'; give 'start'"),
+    ('{"1": {"pause_s": 3}}', "give 'start' and perhaps 'pause_s'"),
+    ('{"1": {"start": "rested", "rest_s": 3}}', "give 'start' and perhaps 'pause_s'"),
+    ('{"1": {"start": "warm"}}', "'start' is 'warm'; it must be one of rested, continues, unknown"),
+    ('{"1": {"start": ["rested"]}}', "it must be one of rested"),
+    ('{"1": {"start": "continues", "pause_s": -1}}', "'pause_s' is -1; give seconds, 0 or more"),
+    ('{"1": {"start": "continues", "pause_s": NaN}}', "'pause_s' is nan; give seconds"),
+    ('{"1": {"start": "continues", "pause_s": Infinity}}', "'pause_s' is inf; give seconds"),
+    ('{"1": {"start": "continues", "pause_s": "1"}}', "'pause_s' is '1'; give seconds"),
+    ('{"1": {"start": "rested", "pause_s": 12}}', "12 though its start is 'rested'.*leave it out"),
+    ('{"7": {"start": "rested"}}', "trial '7', which is not in the table; its trials are 0, 1, 2, 3"),
+    ('{"0": {"start": "continues"}}', "lets trial 0 continue, but it is the first"),
+]
+META_TEXTS = [
+    ("{", "recording.json is not valid JSON"),
+    ("[1]", "JSON object"),
+    ('{"device": "claw"}', "'claw'; it must be one of finger, arm, gel"),
+    ('{"length_mm": 110}', "'device' is missing"),
+    ('{"device": "finger", "length_mm": 0.11}', "only be metres"),
+    ('{"device": "finger", "length_mm": NaN}', "length_mm"),
+    ('{"device": "finger", "length_mm": 110, "spine_joint_positions_mm": [50, 10]}', "spine_joint"),
+    *((f'{{"device": "finger", "length_mm": 110, "noise": {noise}}}', says) for noise, says in NOISE),
+    *((f'{{"device": "finger", "length_mm": 110, "trials": {starts}}}', says) for starts, says in STARTS),
+    ('{"device": "finger", "samples": "other.csv"}', "other.csv is missing"),
+    ('{"device": "finger", "samples": "../r2/samples.csv"}', "inside the folder"),
+    ('{"device": "finger", "samples": "samples.pkl"}', "samples"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), META_TEXTS)
 def test_bad_metadata_names_the_field(tmp_path, text, message):
     write(tmp_path / "r")
     write(tmp_path / "r2")

@@ -92,7 +92,7 @@ class DiaryArmConfig(ArmConfig):
 }
 
 
-DIARY = ("--robot.pressure.type=diary", "--robot.pressure.options={max_kpa: 15.0}")
+DIARY = '--robot.pressure.type=diary --robot.pressure.options={"max_kpa":15.0}'
 
 
 class Record:
@@ -104,34 +104,16 @@ class Record:
             (work / "plugin" / name).write_text(text)
         self.work, self.root = work, work / "demo"
         env = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
-        env |= {
-            "HF_HOME": str(work / "hf"),
-            "HF_HUB_OFFLINE": "1",
-            "OMP_NUM_THREADS": "1",
-            "PYTHONPATH": str(work / "plugin"),
-            "DIARY": str(work / "diary"),
-        }
-        options = [
-            "--robot.type=pneutac",
-            "--robot.id=bench",
-            "--robot.arm.type=diary",
-            *(("--robot.pressure.type=pneutac_serial", f"--robot.pressure.port={port}") if port else DIARY),
-            "--robot.digit.type=digit_generated",
-            "--robot.limits.speed_m_s=0.05",
-            "--teleop.type=hand",
-            "--dataset.repo_id=local/demo",
-            f"--dataset.root={self.root}",
-            "--dataset.no_stamp=true",
-            "--dataset.single_task=Press.",
-            "--dataset.fps=15",
-            "--dataset.episode_time_s=1",
-            "--dataset.reset_time_s=0",
-            "--dataset.num_episodes=50",
-            "--dataset.video=false",
-            "--dataset.push_to_hub=false",
-            "--play_sounds=false",
-            f"--resume={resume}",
-        ]
+        env |= {"HF_HOME": str(work / "hf"), "HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1"}
+        env |= {"PYTHONPATH": str(work / "plugin"), "DIARY": str(work / "diary")}
+        pressure = f"--robot.pressure.type=pneutac_serial --robot.pressure.port={port}" if port else DIARY
+        options = (
+            f"--robot.type=pneutac --robot.id=bench --robot.arm.type=diary {pressure} --teleop.type=hand"
+            " --robot.digit.type=digit_generated --robot.limits.speed_m_s=0.05 --dataset.repo_id=local/demo"
+            f" --dataset.root={self.root} --dataset.no_stamp=true --dataset.single_task=Press."
+            " --dataset.fps=15 --dataset.episode_time_s=1 --dataset.reset_time_s=0 --dataset.num_episodes=50"
+            f" --dataset.video=false --dataset.push_to_hub=false --play_sounds=false --resume={resume}"
+        ).split()
         self._log = (work / "log").open("w+")
         command = [str(Path(sys.executable).parent / "lerobot-record"), *options]
         self.process = subprocess.Popen(
