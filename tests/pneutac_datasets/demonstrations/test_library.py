@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pneutac_datasets.demonstrations.augment.library import (
-    Follower,
+    Followers,
     Library,
     lagged_answers,
     regular,
@@ -17,8 +17,6 @@ from pneutac_sim.gel.sensor import centre_mm
 from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.expert import Person
 from pneutac_sim.world.world import World
-
-NOTHING = np.full(2, np.nan)
 
 
 def walk(source, start_m=(0.0, 0.0, 0.3), touch=(40, 60), frames=90, y_m_s=0.02) -> Reference:
@@ -33,12 +31,26 @@ def walk(source, start_m=(0.0, 0.0, 0.3), touch=(40, 60), frames=90, y_m_s=0.02)
     return Reference(source, flange, area, action, "walk", centre)
 
 
+def follower_of(references, start_m, seed=0) -> Followers:
+    """One run of demonstrations as they are, whose touch is not answered."""
+    follower = Followers(Library.of(references, np.zeros((3, 3)), 15.0))
+    follower.begin(0, np.random.default_rng(seed), np.array(start_m))
+    return follower
+
+
+def next_action(follower, area, flange_m, pressure_kpa):
+    centre_mm = np.full((1, 2), 0.0 if area else np.nan)
+    felt = np.array([area]), centre_mm, flange_m[None], pressure_kpa[None]
+    (action,), (goes_on,) = follower.actions(np.zeros(1, int), *felt)
+    return action if goes_on else None
+
+
 def run(follower, felt, steps, start_m):
     """Actions and places where areas `felt(flange, step)` come back; ends where no action comes."""
     flange, pressure, actions, places = np.array(start_m, float), np.full(1, 3.0), [], []
     for k in range(steps):
         area = felt(flange, k)
-        action = follower.action(area, NOTHING if not area else np.zeros(2), flange, pressure)
+        action = next_action(follower, area, flange, pressure)
         if action is None:
             break
         actions.append(action)
@@ -49,7 +61,7 @@ def run(follower, felt, steps, start_m):
 
 def test_a_free_way_is_followed_and_led_back_to():
     r = walk(0)
-    follower = Follower(Library([r], np.zeros((3, 3)), 15.0), np.random.default_rng(0), r.flange_m[0])
+    follower = follower_of([r], r.flange_m[0])
     _, places = run(follower, lambda *_: 0.0, 35, r.flange_m[0] + (0.006, 0.0, 0.0))
     aside = places[:, 0]
     assert aside[0] == pytest.approx(0.006) and abs(aside[-1]) < 1e-3
@@ -60,8 +72,7 @@ def test_a_free_way_is_followed_and_led_back_to():
 def test_contact_follows_relative_to_where_touch_came(early):
     """Twenty frames too soon, in time, or five too late: the press is done from there."""
     r, at = walk(0), 40 + early
-    library = Library([r], np.zeros((3, 3)), 15.0)
-    follower = Follower(library, np.random.default_rng(0), r.flange_m[0])
+    follower = follower_of([r], r.flange_m[0])
     felt = lambda flange, k: 0.05 if at <= k < at + 20 else 0.0  # noqa: E731
     actions, places = run(follower, felt, 75, r.flange_m[0])
     assert (actions[at : at + 18, 3] == 6.0).all() and (actions[: at - 1, 3] == 3.0).all()
@@ -73,29 +84,50 @@ def test_where_touch_does_not_come_it_searches_on_with_another_demonstration():
     """The second begins where the first expected its touch, and still has 30 free frames ahead."""
     first = walk(0)
     second = walk(1, first.flange_m[38], touch=(40, 60))
-    follower = Follower(
-        Library([first, second], np.zeros((3, 3)), 15.0), np.random.default_rng(2), first.flange_m[0]
+    follower = next(
+        f
+        for seed in range(9)
+        if (f := follower_of([first, second], first.flange_m[0], seed)).paths[0][0][1] == 0
     )
-    follower._go(0, -1)
     _, places = run(follower, lambda *_: 0.0, 80, first.flange_m[0])
-    assert [p[1] for p in follower.path][-1] == 1
+    assert follower.paths[0][-1][1] == 1
     assert places[-1][1] > second.flange_m[20][1]
 
 
 def test_alone_it_searches_the_same_way_again_where_touch_does_not_come():
     r = walk(0)
-    follower = Follower(Library([r], np.zeros((3, 3)), 15.0), np.random.default_rng(0), r.flange_m[0])
+    follower = follower_of([r], r.flange_m[0])
     actions, _ = run(follower, lambda *_: 0.0, 200, r.flange_m[0])
-    assert len(follower.path) > 2 and (actions[50:, 1] < 0).any() and (actions[50:, 1] > 0).any()
+    assert len(follower.paths[0]) > 2 and (actions[50:, 1] < 0).any() and (actions[50:, 1] > 0).any()
 
 
 def test_far_from_all_demonstrations_it_gives_up():
     r = walk(0)
     far_m = r.flange_m[0] + (0.3, 0.0, 0.0)
-    follower = Follower(Library([r], np.zeros((3, 3)), 15.0), np.random.default_rng(0), far_m)
-    action = follower.action(0.0, NOTHING, far_m, np.full(1, 3.0))
-    follower._frame = len(r)
-    assert action is not None and follower.action(0.0, NOTHING, far_m, np.full(1, 3.0)) is None
+    follower = follower_of([r], far_m)
+    given = [next_action(follower, 0.0, far_m, np.full(1, 3.0)) for _ in range(100)]
+    assert given[0] is not None and given[-1] is None
+
+
+def test_runs_side_by_side_are_those_of_each_alone():
+    """Three that feel a touch at other frames; whoever is asked acts, in any order."""
+    demonstrations = [walk(0), walk(1, (0.01, 0.0, 0.3), (30, 55))]
+    starts = np.add(demonstrations[0].flange_m[0], [[0.0, 0.0, 0.0], [0.006, 0.0, 0.0], [0.0, 0.01, 0.002]])
+    together = Followers(Library.of(demonstrations, np.zeros((3, 3)), 15.0), 3)
+    alone = [follower_of(demonstrations, start, seed) for seed, start in enumerate(starts)]
+    for k, start in enumerate(starts):
+        together.begin(k, np.random.default_rng(k), start)
+    flange, pressure = starts.copy(), np.full((3, 1), 3.0)
+    for step in range(90):
+        which = np.roll(np.arange(3), step)[: 2 + step % 2]
+        area = np.where((30 + 5 * which <= step) & (step < 50 + 5 * which), 0.05, 0.0)
+        centre_mm = np.where(area[:, None] > 0, 0.0, np.full((len(which), 2), np.nan))
+        actions, goes_on = together.actions(which, area, centre_mm, flange[which], pressure[which])
+        for k, a, action, on in zip(which, area, actions, goes_on, strict=True):
+            expected = next_action(alone[k], a, flange[k], pressure[k])
+            assert on == (expected is not None) and (not on or np.array_equal(action, expected))
+            flange[k], pressure[k] = flange[k] + action[:3] / 15, action[3:]
+    assert together.paths == [f.paths[0] for f in alone] and any(len(p) > 1 for p in together.paths)
 
 
 def test_late_answers_are_found_where_the_same_frame_shows_nothing():
@@ -125,7 +157,7 @@ def test_the_answers_of_a_modelled_person_are_found():
         person = Person(world, np.random.default_rng(seed), 0.5)
         while not (world.success or world.failure) and len(rows) < 200:
             depth_mm, felt = world.touch.depth_mm, world.touch.area > 0
-            centre = centre_mm(depth_mm, world.sensor.model.window_mm) if felt else NOTHING
+            centre = centre_mm(depth_mm, world.sensor.model.window_mm) if felt else np.full(2, np.nan)
             rows.append((world.flange_m, world.touch.area, person.action(), centre))
             world.step(rows[-1][2])
         flange, area, action, centre = map(np.array, zip(*rows, strict=True))

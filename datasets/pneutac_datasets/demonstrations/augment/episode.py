@@ -9,7 +9,7 @@ import numpy as np
 from lerobot.utils.constants import OBS_IMAGES
 
 from pneutac_datasets.demonstrations.augment.course import Course
-from pneutac_datasets.demonstrations.augment.library import Follower, Library
+from pneutac_datasets.demonstrations.augment.library import Followers, Library, lagged_answers, regular
 from pneutac_datasets.demonstrations.augment.planner import CemPlanner, PlannerConfig
 from pneutac_datasets.demonstrations.augment.reference import (
     EXTRA_STEPS,
@@ -115,7 +115,8 @@ class Generator:
         self.late_commands = command_latency(self.world, s.references)
         self.bend_gain_sd = bend_gain_sd(twin)
         if s.method == "library":
-            self.library = Library.of(s.references, float(np.ptp(self.world.pressure_range_kpa)))
+            width_kpa, answers = float(np.ptp(self.world.pressure_range_kpa)), lagged_answers(s.references)[0]
+            self.library = Library.of([regular(r) for r in s.references], answers, width_kpa)
         if s.method == "planner":
             self.sigma_m, self.reaction_hz = onset_sigma_m(s.references), reaction_hz(s.references)
 
@@ -212,12 +213,13 @@ class Generator:
     def _follow(self, rng: np.random.Generator) -> Iterator[np.ndarray]:
         """Yields the library's actions; begins at the first, after the world was reset."""
         world, limits = self.world, self.world.action_limits
-        follower = Follower(self.library, rng, world.flange_m)
-        self._path = follower.path
-        pressure = self.library.pressure_kpa[0]
+        follower, pressure, alone = Followers(self.library), self.library.pressure_kpa[0], np.zeros(1, int)
+        follower.begin(0, rng, world.flange_m)
+        self._path = follower.paths[0]
         while True:
-            action = follower.action(world.touch.area, self._centre_mm(), world.flange_m, pressure)
-            if action is None:
+            felt = (np.array(x, float)[None] for x in (world.touch.area, self._centre_mm(), world.flange_m))
+            (action,), goes_on = follower.actions(alone, *felt, pressure[None])
+            if not goes_on:
                 return
             action = np.clip(action, *limits)
             pressure = action[PRESSURES]
@@ -372,7 +374,7 @@ def rejection(failure: str | None, success: bool, early: bool, missed: bool) -> 
 
 
 def pieces(path: list[tuple[int, int, int]]) -> dict:
-    """Provenance of a path of `library.Follower`."""
+    """Provenance of a path of `library.Followers`."""
     named = [dict(zip(("frame", "source_episode", "source_frame"), p, strict=True)) for p in path]
     return {"path": named} if named else {}
 

@@ -6,13 +6,15 @@ demonstration is over, the controller jumps to the nearest free frame of any dem
 searches. A touch elsewhere on the gel than demonstrated, or more of it, is answered as they answer it.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
-from pneutac_datasets.demonstrations.augment.reference import FIRM, Reference, frames_at
-from pneutac_datasets.demonstrations.replay.replaying import follow
-from pneutac_sim.features import MAX_PRESSURE_KPA, PRESSURES
+from pneutac_datasets.demonstrations.augment.reference import FIRM, Reference
+from pneutac_datasets.demonstrations.replay.replaying import FEEDBACK_HZ
+from pneutac_sim.features import CONTROL_HZ, MAX_PRESSURE_KPA, MAX_SPEED_M_S, PRESSURES
 
 TOUCH = 0.0007  # area from which it is a touch: some 50 pixels of 76,800
 # Frames of the paper's rate, see `reference.frames_at`.
@@ -23,6 +25,7 @@ WAIT = 8  # by which touch may come too late
 SEARCHING, LEFT = 4, 12  # free frames ahead of where a jump may land: after a contact, and where none came
 # Distances that count 1 where frames are compared.
 NEAR_M, NEAR_HEIGHT_M, NEAR_KPA, NEAR_AREA, NEAR_MM = 0.012, 0.006, 1.5, 0.05, 3.0
+UNSEEN = 4.0  # squared distance of a touch from a frame whose imprint's middle was not seen
 FARTHEST = 40.0  # squared distance beyond which no frame is near
 FAR_M = 0.02  # displacement at a release from which the demonstration is not gone on with
 START_M = (0.02, 0.01, 0.02)  # distances that count 1 where starts are compared
@@ -89,205 +92,321 @@ def regular(r: Reference) -> Reference:
     return replace(r, flange_m=r.flange_m[keep], area=r.area[keep], action=action[keep], centre_mm=centre)
 
 
-@dataclass
-class Library:
-    """The demonstrations, prepared once.
+class Library(NamedTuple):
+    """The demonstrations, prepared once: R references, whose F frames follow one another.
 
     Attributes:
-        contacts: of each reference, first and last frame of those that are to come.
-        at: (F, 2) reference and frame of all frames.
-        free: (F,) whether a frame is outside of contacts.
+        begins: (R + 1,) first frame of each reference, and F.
+        sources: (R,) their episodes.
+        contacts: (R, K, 2) first frame of each contact that is to come and that of its release, counted from
+            the reference's first frame; -1 where it has fewer.
+        within: (F, 2) the same of the contact in which a frame lies; -1 outside of contacts.
         ahead: (F,) frames until the next contact, or the end.
-        flange_m, pressure_kpa, area, centre_mm: (F, ...) at all frames.
+        flange_m, area, action, centre_mm: (F, ...) as in `Reference`.
+        felt_mm: (F, 2) as `centre_mm`; that of its contact's first one where it was not seen.
+        pressure_kpa: (F, C) commanded before each frame.
+        answers: (3, 3) see `lagged_answers`.
+        unit_kpa: difference of pressures that counts 1.
+        control_hz: rate of the frames.
     """
 
-    references: list[Reference]  # without pauses
-    answers: np.ndarray  # see `lagged_answers`
-    width_kpa: float  # of the pressure range
+    begins: np.ndarray
+    sources: np.ndarray
+    contacts: np.ndarray
+    within: np.ndarray
+    ahead: np.ndarray
+    flange_m: np.ndarray
+    area: np.ndarray
+    action: np.ndarray
+    centre_mm: np.ndarray
+    felt_mm: np.ndarray
+    pressure_kpa: np.ndarray
+    answers: np.ndarray
+    unit_kpa: float
+    control_hz: int
 
     @classmethod
-    def of(cls, references: list[Reference], width_kpa: float) -> "Library":
-        """Of recorded demonstrations; answers are estimated before pauses are left out."""
-        return cls([regular(r) for r in references], lagged_answers(references)[0], width_kpa)
-
-    def __post_init__(self):
-        self.contacts, at, free, ahead, pressure, centre = [], [], [], [], [], []
-        for i, r in enumerate(self.references):
-            contacts = [c for c in r.contacts if c[1] - c[0] >= r.frames(LONG)]
-            self.contacts.append(contacts)
-            outside = np.ones(len(r), bool)
-            for first, end in r.contacts:
-                outside[first:end] = False
-            firsts, t = np.array([c[0] for c in contacts] + [len(r)]), np.arange(len(r))
+    def of(cls, references: list[Reference], answers: np.ndarray, width_kpa: float) -> "Library":
+        """Of demonstrations without pauses, see `regular`, for a pressure range of that width."""
+        begins = np.cumsum([0] + [len(r) for r in references])
+        coming = [[c for c in r.contacts if c[1] - c[0] >= r.frames(LONG)] for r in references]
+        contacts = np.full((len(references), max(map(len, coming)) + 1, 2), -1)
+        within, columns = np.full((begins[-1], 2), -1), []
+        for i, (r, to_come) in enumerate(zip(references, coming, strict=True)):
+            contacts[i, : len(to_come)] = np.reshape(to_come, (-1, 2))
+            t, firsts = np.arange(len(r)), np.array([c[0] for c in to_come] + [len(r)])
             next_first = firsts[np.minimum(np.searchsorted(firsts, t, "right"), len(firsts) - 1)]
-            at.append(np.column_stack([np.full(len(r), i), t]))
-            free.append(outside)
-            ahead.append(next_first - t)
-            pressure.append(r.action[np.maximum(t - 1, 0), PRESSURES])
-            centre.append(np.full((len(r), 2), np.nan) if r.centre_mm is None else r.centre_mm)
-        self.at, self.free, self.ahead = map(np.concatenate, (at, free, ahead))
-        self.pressure_kpa, self.centre_mm = np.concatenate(pressure), np.concatenate(centre)
-        self.flange_m = np.concatenate([r.flange_m for r in self.references])
-        self.area = np.concatenate([r.area for r in self.references])
-
-    def kpa_away(self, pressure_kpa: np.ndarray, most: float) -> np.ndarray:
-        """(F,) squared distance of pressures, at most so many units."""
-        unit = NEAR_KPA * self.width_kpa / MAX_PRESSURE_KPA
-        away = np.abs(self.pressure_kpa - pressure_kpa).max(1) / unit
-        return np.minimum(away, most) ** 2
+            centre = np.full((len(r), 2), np.nan) if r.centre_mm is None else r.centre_mm
+            felt = centre.copy()
+            for first, end in r.contacts:
+                within[begins[i] + first : begins[i] + end] = first, end
+                seen, part = np.isfinite(centre[first:end, 0]), felt[first:end]
+                part[~seen] = part[seen][0] if seen.any() else np.nan
+            before = r.action[np.maximum(t - 1, 0), PRESSURES]
+            columns.append((next_first - t, r.flange_m, r.area, r.action, centre, felt, before))
+        joined = (np.concatenate(column) for column in zip(*columns, strict=True))
+        sources, unit = np.array([r.source for r in references]), NEAR_KPA * width_kpa / MAX_PRESSURE_KPA
+        hz = references[0].control_hz
+        return cls(begins, sources, contacts, within, *joined, np.array(answers), unit, hz)
 
 
-class Follower:
-    """One run of a library; `action` is asked once a control step.
+RUN = np.dtype(
+    [
+        ("reference", np.int64),
+        ("frame", np.int64),  # of the reference
+        ("first", np.int64),  # of the contact that has come, and its release; -1 for none
+        ("end", np.int64),
+        ("waited", np.int64),  # frames
+        ("lost", np.int64),
+        ("largest", np.float64),  # area in this contact
+        ("offset_m", np.float64, 3),  # of the reference's path
+        ("step", np.int64),
+        ("begun", np.int64),  # pieces in this step
+        ("pieces", np.int64, (4, 2)),  # reference and frame with which they begin
+    ]
+)
+
+
+class Followers:
+    """Runs of a library, side by side; `actions` is asked once a control step of them all.
 
     Args:
         library: of demonstrations.
-        rng: draws the first demonstration among the nearest.
-        flange_m: (3,) where the run starts.
+        runs: their number N.
 
     Attributes:
-        path: (frame of the run, reference, its frame) wherever another piece begins.
+        paths: (frame of the run, reference, its frame) wherever another piece begins, a list for each run.
     """
 
-    def __init__(self, library: Library, rng: np.random.Generator, flange_m: np.ndarray):
-        self._library, self.path, self._step = library, [], 0
-        self._dt_s = 1 / library.references[0].control_hz
-        starts = np.array([r.flange_m[0] for r in library.references])
-        far = np.linalg.norm((starts - flange_m) / START_M, axis=1)
-        self._go(int(rng.choice(np.argsort(far)[:NEAREST])), -1)
+    def __init__(self, library: Library, runs: int = 1):
+        self._library, self._runs = library, np.zeros(runs, RUN)
+        self.paths: list[list[tuple[int, int, int]]] = [[] for _ in range(runs)]
 
-    def action(
-        self, area: float, centre_mm: np.ndarray, flange_m: np.ndarray, pressure_kpa: np.ndarray
-    ) -> np.ndarray | None:
-        """The next action (3 + C,); None where no demonstration goes on from here.
+    def begin(self, k: int, rng: np.random.Generator, flange_m: np.ndarray) -> None:
+        """Begins run `k` at (3,); `rng` draws its first demonstration among the nearest."""
+        starts = self._library.flange_m[self._library.begins[:-1]]
+        far = np.linalg.norm((starts - flange_m) / START_M, axis=1)
+        self._runs[k], self.paths[k] = np.zeros((), RUN), []
+        _go(self._runs[k], int(rng.choice(np.argsort(far)[:NEAREST])), -1)
+        self._note(k)
+
+    def actions(
+        self,
+        which: np.ndarray,
+        area: np.ndarray,
+        centre_mm: np.ndarray,
+        flange_m: np.ndarray,
+        pressure_kpa: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The next actions of some runs; arrays are float64.
 
         Args:
-            area: contact area that the gel feels.
-            centre_mm: (2,) middle of the imprint; NaN without touch.
-            flange_m: (3,) where the flange is.
-            pressure_kpa: (C,) commanded last.
+            which: (K,) numbers of the runs.
+            area: (K,) contact areas that the gels feel.
+            centre_mm: (K, 2) middles of the imprints; NaN without touch.
+            flange_m: (K, 3) where the flanges are.
+            pressure_kpa: (K, C) commanded last.
+
+        Returns:
+            (K, 3 + C), zero where no demonstration goes on from here, and (K,) whether one does.
         """
-        self._step += 1
-        if not self._advance(area, centre_mm, flange_m, pressure_kpa):
-            return None
-        r = self._reference
-        t = min(self._frame, len(r) - 1)
-        answer = self._answer(t, area, centre_mm)
-        self._offset_m = self._offset_m + answer * self._dt_s
-        action = r.action[t].copy()
-        if self._contact is not None or not self._waited:
-            action = follow(action[None], flange_m, r.flange_m[t] + self._offset_m, self._dt_s)[0]
-        action[:3] += answer
-        return action
+        actions = np.zeros((len(which), self._library.action.shape[1]))
+        felt = (area, centre_mm, flange_m, pressure_kpa)
+        goes_on = _actions(self._library, self._runs, which, *felt, actions)
+        for k in which[self._runs["begun"][which] > 0]:
+            self._note(k)
+        return actions, goes_on
 
-    # ---------------------------------------------------------------- which frame comes next
+    def _note(self, k: int) -> None:
+        run = self._runs[k]
+        for reference, frame in run["pieces"][: run["begun"]].tolist():
+            self.paths[k].append((int(run["step"]), int(self._library.sources[reference]), frame))
+        run["begun"] = 0
 
-    def _go(self, reference: int, frame: int) -> None:
-        self._number, self._reference, self._frame = reference, self._library.references[reference], frame
-        self._contact, self._offset_m = None, np.zeros(3)
-        self._waited = self._lost = 0
-        self._largest = 0.0
-        self.path.append((self._step, self._reference.source, max(frame, 0)))
 
-    def _jump(self, flange_m: np.ndarray, pressure_kpa: np.ndarray, ahead: int) -> bool:
-        """To the nearest free frame with free frames ahead; False where none is near."""
-        lib = self._library
-        away = (((lib.flange_m - flange_m) / NEAR_M) ** 2).sum(1) + lib.kpa_away(pressure_kpa, 2.5)
-        away[~(lib.free & (lib.ahead >= self._frames(ahead)))] = np.inf
-        nearest = int(np.argmin(away))
-        if not away[nearest] <= FARTHEST:
+# ---------------------------------------------------------------- one run, compiled
+
+
+@njit(cache=True)
+def _actions(library, runs, which, area, centre_mm, flange_m, pressure_kpa, actions):
+    goes_on = np.zeros(len(which), np.bool_)
+    for i, k in enumerate(which):
+        if _advance(library, runs[k], area[i], centre_mm[i], flange_m[i], pressure_kpa[i]):
+            goes_on[i] = True
+            _act(library, runs[k], area[i], centre_mm[i], flange_m[i], actions[i])
+    return goes_on
+
+
+@njit(cache=True)
+def _act(library, run, area, centre_mm, flange_m, action):
+    """As the demonstration's frame, led back to its path and answering the touch, see `replaying.follow`."""
+    begin, end = library.begins[run.reference], library.begins[run.reference + 1]
+    t = begin + min(run.frame, end - begin - 1)
+    action[:] = library.action[t]
+    led = run.first >= 0 or not run.waited
+    known = run.first >= 0 and np.isfinite(centre_mm[0]) and np.isfinite(library.felt_mm[t, 0])
+    for i in range(3):
+        answer = 0.0
+        if known:
+            for j in range(2):
+                answer += library.answers[i, j] * (1e-3 * (centre_mm[j] - library.felt_mm[t, j]))
+            answer += library.answers[i, 2] * (area - library.area[t])
+            answer = min(max(answer, -LARGEST_ANSWER_M_S), LARGEST_ANSWER_M_S)
+        run.offset_m[i] += answer * (1 / library.control_hz)
+        if led:
+            back = library.flange_m[t, i] + run.offset_m[i] - flange_m[i]
+            action[i] = min(max(action[i] + FEEDBACK_HZ * back, -MAX_SPEED_M_S), MAX_SPEED_M_S)
+        action[i] += answer
+
+
+@njit(cache=True)
+def _frames(library, paper):
+    return max(1, round(paper * library.control_hz / CONTROL_HZ))
+
+
+@njit(cache=True)
+def _go(run, reference, frame):
+    run.reference, run.frame = reference, frame
+    run.first = run.end = -1
+    run.offset_m[:] = 0.0
+    run.waited = run.lost = 0
+    run.largest = 0.0
+    _begins(run)
+
+
+@njit(cache=True)
+def _begins(run):
+    run.pieces[run.begun, 0], run.pieces[run.begun, 1] = run.reference, max(run.frame, 0)
+    run.begun += 1
+
+
+@njit(cache=True)
+def _touched(library, run, first, end, flange_m, frame):
+    run.first, run.end, run.frame = first, end, frame
+    run.waited = run.lost = 0
+    run.largest = 0.0
+    for i in range(3):
+        run.offset_m[i] = flange_m[i] - library.flange_m[library.begins[run.reference] + frame, i]
+    _begins(run)
+
+
+@njit(cache=True)
+def _kpa_away(library, t, pressure_kpa, most):
+    """Squared distance of pressures from those of a frame, at most so many units."""
+    away = 0.0
+    for c in range(len(pressure_kpa)):
+        away = max(away, abs(library.pressure_kpa[t, c] - pressure_kpa[c]))
+    return min(away / library.unit_kpa, most) ** 2
+
+
+@njit(cache=True)
+def _at(library, t):
+    """Reference and frame of one of all frames."""
+    reference = np.searchsorted(library.begins, t, "right") - 1
+    return reference, t - library.begins[reference]
+
+
+@njit(cache=True)
+def _jump(library, run, flange_m, pressure_kpa, paper):
+    """To the nearest free frame with free frames ahead; False where none is near."""
+    ahead, nearest, least = _frames(library, paper), -1, np.inf
+    for t in range(len(library.ahead)):
+        if library.within[t, 0] >= 0 or library.ahead[t] < ahead:
+            continue
+        away = 0.0
+        for i in range(3):
+            away += ((library.flange_m[t, i] - flange_m[i]) / NEAR_M) ** 2
+        if away < least:  # saves the rest
+            away += _kpa_away(library, t, pressure_kpa, 2.5)
+            if away < least:
+                nearest, least = t, away
+    if not least <= FARTHEST:
+        return False
+    _go(run, *_at(library, nearest))
+    return True
+
+
+@njit(cache=True)
+def _into_contact(library, run, area, centre_mm, flange_m, pressure_kpa):
+    """Into the middle of whichever contact is nearest; False where no demonstration has one."""
+    nearest, least = -1, np.inf
+    for t in range(len(library.ahead)):
+        if library.within[t, 0] < 0:
+            continue
+        away = ((library.flange_m[t, 2] - flange_m[2]) / NEAR_HEIGHT_M) ** 2
+        away += _kpa_away(library, t, pressure_kpa, 5.0)
+        away += ((library.area[t] - area) / NEAR_AREA) ** 2
+        if np.isfinite(centre_mm[0]):
+            x = (library.centre_mm[t, 0] - centre_mm[0]) / NEAR_MM
+            y = (library.centre_mm[t, 1] - centre_mm[1]) / NEAR_MM
+            away += UNSEEN if np.isnan(x) else x**2 + y**2
+        if away < least:
+            nearest, least = t, away
+    if nearest < 0:
+        return False
+    reference, frame = _at(library, nearest)
+    _go(run, reference, frame)
+    _touched(library, run, library.within[nearest, 0], library.within[nearest, 1], flange_m, frame)
+    return True
+
+
+@njit(cache=True)
+def _advance(library, run, area, centre_mm, flange_m, pressure_kpa):
+    """Goes on by a frame; False where it is at a loss."""
+    run.step += 1
+    run.frame += 1
+    if run.first >= 0:
+        return _in_contact(library, run, area, flange_m, pressure_kpa)
+    first = end = -1  # of the next contact
+    for c in library.contacts[run.reference]:
+        if c[1] > run.frame:
+            first, end = c
+            break
+    if area > TOUCH:
+        if first >= 0:
+            _touched(library, run, first, end, flange_m, first)
+            return True
+        return _into_contact(library, run, area, centre_mm, flange_m, pressure_kpa)
+    if first >= 0 and run.frame >= first:
+        run.waited += 1
+        run.frame = max(first - 1, 0)
+        wait = _frames(library, WAIT)
+        late = run.waited > wait and not _jump(library, run, flange_m, pressure_kpa, LEFT)
+        return not late or run.waited < 3 * wait
+    if run.frame >= library.begins[run.reference + 1] - library.begins[run.reference]:
+        return _jump(library, run, flange_m, pressure_kpa, LEFT)
+    return True
+
+
+@njit(cache=True)
+def _in_contact(library, run, area, flange_m, pressure_kpa):
+    begin, first, end = library.begins[run.reference], run.first, run.end
+    length = library.begins[run.reference + 1] - begin
+    lasts, gone = end >= length, _frames(library, GONE)
+    run.largest = max(run.largest, area)
+    run.lost = 0 if area > TOUCH and area >= FIRM * run.largest else run.lost + 1
+    if run.lost >= gone and end - run.frame <= _frames(library, EARLY) and not lasts:
+        run.frame = end
+    elif run.lost > _frames(library, LOST):
+        return _jump(library, run, flange_m, pressure_kpa, SEARCHING)
+    elif run.frame >= end and (run.lost < gone or lasts):
+        run.waited += 1
+        if run.waited > _frames(library, HOLD):
             return False
-        self._go(*map(int, lib.at[nearest]))
-        return True
-
-    def _into_contact(
-        self, area: float, centre_mm: np.ndarray, flange_m: np.ndarray, pressure_kpa: np.ndarray
-    ) -> bool:
-        """Into the middle of whichever contact is nearest."""
-        lib = self._library
-        if lib.free.all():
+        for i in range(3):
+            onward_m = library.flange_m[begin + end - 1, i] - library.flange_m[begin + first, i]
+            run.offset_m[i] += onward_m / max(end - 1 - first, 1)
+        run.frame = end - 1
+    if run.frame >= end:
+        far = np.sqrt(run.offset_m[0] ** 2 + run.offset_m[1] ** 2 + run.offset_m[2] ** 2) > FAR_M
+        run.first = run.end = -1
+        run.waited = 0
+        run.offset_m[:] = 0.0
+        if far and not _jump(library, run, flange_m, pressure_kpa, SEARCHING):
             return False
-        away = ((lib.flange_m[:, 2] - flange_m[2]) / NEAR_HEIGHT_M) ** 2 + lib.kpa_away(pressure_kpa, 5.0)
-        away += ((lib.area - area) / NEAR_AREA) ** 2
-        if np.isfinite(centre_mm).all():
-            away += np.nan_to_num((((lib.centre_mm - centre_mm) / NEAR_MM) ** 2).sum(1), nan=4.0)
-        away[lib.free] = np.inf
-        number, frame = map(int, lib.at[int(np.argmin(away))])
-        self._go(number, frame)
-        contact = next(c for c in self._reference.contacts if c[0] <= frame < c[1])
-        self._touched(contact, flange_m, frame)
-        return True
-
-    def _touched(self, contact: tuple[int, int], flange_m: np.ndarray, frame: int) -> None:
-        self._contact, self._frame = contact, frame
-        self._waited = self._lost = 0
-        self._largest = 0.0
-        self._offset_m = flange_m - self._reference.flange_m[frame]
-        self.path.append((self._step, self._reference.source, frame))
-
-    def _advance(self, area: float, centre_mm, flange_m, pressure_kpa) -> bool:
-        """Goes on by a frame; False where it is at a loss."""
-        self._frame += 1
-        if self._contact is not None:
-            return self._in_contact(area, flange_m, pressure_kpa)
-        left = [c for c in self._library.contacts[self._number] if c[1] > self._frame]
-        if area > TOUCH:
-            if left:
-                self._touched(left[0], flange_m, left[0][0])
-                return True
-            return self._into_contact(area, centre_mm, flange_m, pressure_kpa)
-        if left and self._frame >= left[0][0]:
-            self._waited += 1
-            self._frame = max(left[0][0] - 1, 0)
-            late = self._waited > self._frames(WAIT) and not self._jump(flange_m, pressure_kpa, LEFT)
-            return not late or self._waited < 3 * self._frames(WAIT)
-        if self._frame >= len(self._reference):
-            return self._jump(flange_m, pressure_kpa, LEFT)
-        return True
-
-    def _in_contact(self, area: float, flange_m: np.ndarray, pressure_kpa: np.ndarray) -> bool:
-        r, (first, end) = self._reference, self._contact
-        lasts, gone = end >= len(r), self._frames(GONE)
-        self._largest = max(self._largest, area)
-        firm = area > TOUCH and area >= FIRM * self._largest
-        self._lost = 0 if firm else self._lost + 1
-        if self._lost >= gone and end - self._frame <= self._frames(EARLY) and not lasts:
-            self._frame = end
-        elif self._lost > self._frames(LOST):
-            return self._jump(flange_m, pressure_kpa, SEARCHING)
-        elif self._frame >= end and (self._lost < gone or lasts):
-            self._waited += 1
-            if self._waited > self._frames(HOLD):
-                return False
-            onward_m = (r.flange_m[end - 1] - r.flange_m[first]) / max(end - 1 - first, 1)
-            self._offset_m = self._offset_m + onward_m
-            self._frame = end - 1
-        if self._frame >= end:
-            far = np.linalg.norm(self._offset_m) > FAR_M
-            self._contact, self._waited, self._offset_m = None, 0, np.zeros(3)
-            if far and not self._jump(flange_m, pressure_kpa, SEARCHING):
-                return False
-            if self._frame >= len(self._reference):
-                return self._jump(flange_m, pressure_kpa, LEFT)
-        return True
-
-    def _answer(self, frame: int, area: float, centre_mm: np.ndarray) -> np.ndarray:
-        """(3,) m/s, by how the touch differs from the demonstrated one."""
-        r = self._reference
-        if self._contact is None or r.centre_mm is None or not np.isfinite(centre_mm).all():
-            return np.zeros(3)
-        then = r.centre_mm[frame]
-        if not np.isfinite(then).all():
-            seen = r.centre_mm[slice(*self._contact)]
-            seen = seen[np.isfinite(seen[:, 0])]
-            if not len(seen):
-                return np.zeros(3)
-            then = seen[0]
-        felt = np.append(1e-3 * (centre_mm - then), area - r.area[frame])
-        return np.clip(self._library.answers @ felt, -LARGEST_ANSWER_M_S, LARGEST_ANSWER_M_S)
-
-    def _frames(self, paper: int) -> int:
-        return frames_at(self._reference.control_hz, paper)
+        if run.frame >= library.begins[run.reference + 1] - library.begins[run.reference]:
+            return _jump(library, run, flange_m, pressure_kpa, LEFT)
+    return True
 
 
 def start_spread_m(references: list[Reference]) -> tuple[float, float, float]:

@@ -9,7 +9,7 @@ import time
 from collections import defaultdict, deque
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -24,8 +24,8 @@ from pneutac_datasets.demonstrations.augment.episode import (
     pieces,
     rejection,
 )
-from pneutac_datasets.demonstrations.augment.library import Follower
-from pneutac_datasets.demonstrations.augment.work import Sensed, Work, save_sensed
+from pneutac_datasets.demonstrations.augment.library import Followers
+from pneutac_datasets.demonstrations.augment.work import CONTACT, Sensed, Work, save_sensed
 from pneutac_sim.executor import process_pool
 from pneutac_sim.features import PRESSURES
 from pneutac_sim.progress import Progress
@@ -41,11 +41,11 @@ class Run:
     number: int
     where: dict
     rng: np.random.Generator
-    late_touch: int
-    sensed: Sensed
-    follower: Follower | None = None
-    missed: bool = True
+    start: tuple[int, Variation]  # seed and variation
+    displacement_mm: dict[int, np.ndarray] = field(default_factory=dict)  # see `Sensed`
     reason: str | None = None
+    sensed: Sensed | None = None  # once it has done the task
+    path: list[tuple[int, int, int]] | None = None
 
 
 class Lockstep:
@@ -76,6 +76,13 @@ class Lockstep:
         frames = setup.references[0].frames
         self._longest, self._shortest, self._limits = frames(LONGEST), frames(SHORTEST), single.action_limits
         self._runs: list[Run | None] = [None] * worlds
+        self._followers = Followers(self._generator.library, worlds)
+        # Of each world: whether an attempt goes on in it, its control steps so far, ...
+        self._busy, self._t = np.zeros(worlds, bool), np.zeros(worlds, int)
+        self._late_touch, self._missed = np.zeros(worlds, int), np.zeros(worlds, bool)
+        self._states = np.zeros((worlds, self._longest + 1, self._world.state.shape[1]))
+        self._actions = np.zeros((worlds, self._longest + 1, len(self._limits[0])), np.float32)
+        self._pressure_kpa = np.zeros((worlds, self._world.chambers))
         self._ready: deque[tuple[int, Run]] = deque()
         self.seconds, self.steps = {"world": 0.0, "controllers": 0.0}, 0
 
@@ -98,18 +105,12 @@ class Lockstep:
             while self._open:
                 with self._timed("world"):
                     self._fill()
-                    rows, displacement_mm = self._look()
+                    sensed = self._look()
                 with self._timed("controllers"):
-                    actions = np.zeros((len(self._runs), len(self._limits[0])), np.float32)
-                    for k, run in enumerate(self._runs):
-                        if run is None or run.index not in self._open:  # it need not be known any more
-                            self._runs[k] = None
-                        elif (action := self._act(run, rows[k], displacement_mm.get(k), k)) is not None:
-                            actions[k] = action
-                        else:
-                            self._runs[k] = None
-                            if accepted := self._decide(run):
-                                saved.append(pool.submit(save, *accepted))
+                    actions, ended = self._act(*sensed)
+                    for run in ended:
+                        if accepted := self._decide(run):
+                            saved.append(pool.submit(save, *accepted))
                 with self._timed("world"):
                     self._world.step(actions)
                 self.steps += len(self._runs)
@@ -127,14 +128,15 @@ class Lockstep:
 
     def _fill(self) -> None:
         """Begins attempts in the worlds that have none."""
-        free = deque(k for k, run in enumerate(self._runs) if run is None)
+        free = deque(np.flatnonzero(~self._busy).tolist())
         while free:
             worlds, starts = [], []
             while free and self._ready:
                 start, run = self._ready.popleft()
                 if run.index in self._open:
-                    self._runs[free[0]] = run
-                    worlds.append(free.popleft())
+                    worlds.append(k := free.popleft())
+                    self._runs[k], self._late_touch[k] = run, run.start[1].late_touch
+                    self._busy[k], self._t[k], self._missed[k] = True, 0, True
                     starts.append(start)
             sent = (torch.tensor(x, device=self._world.torch_device) for x in (worlds, starts))
             if worlds:
@@ -148,12 +150,12 @@ class Lockstep:
         for index, number in self._jobs:
             variant, where, rng = self._generator.variant(index, number)
             start = self._generator.start(variant, rng)
-            runs.append(Run(index, number, where, rng, variant.late_touch, Sensed(start)))
+            runs.append(Run(index, number, where, rng, start))
             if len(runs) == N:
                 break
         if not runs:
             return False
-        starts = [runs[k % len(runs)].sensed.start for k in range(N)]
+        starts = [runs[k % len(runs)].start for k in range(N)]
         variations = [replace(v, late_touch=0, conditions={}) for _, v in starts]
         self._staged = self._world.stage([seed for seed, _ in starts], variations)
         self._ready.extend(enumerate(runs))
@@ -171,40 +173,55 @@ class Lockstep:
         moved = w.displacement_mm[touched].cpu().numpy()
         return rows, dict(zip(touched.tolist(), moved, strict=True))
 
-    def _act(self, run: Run, row: np.ndarray, displacement_mm: np.ndarray | None, world: int):
-        """The next action (3 + C,) of an attempt; None where it has ended. As `Generator._carried_out`."""
-        flange_m, contact, (*centre_mm, force, success, failure) = row[:3], row[6:8], row[-5:]
-        s, t = run.sensed, len(run.sensed.actions)
-        s.states.append(row[:-5])
-        if displacement_mm is not None:
-            s.displacement_mm[t] = displacement_mm.copy()
-        s.contacts.append(contact)
-        s.shown.append(max(t - run.late_touch, 0))
-        area = s.contacts[s.shown[t]][0]
-        if t == 0:
-            if force > 0 or success or failure:
-                run.reason = IN_THE_WAY
-                return None
-            library = self._generator.library
-            run.follower, s.pressure_kpa = Follower(library, run.rng, flange_m), library.pressure_kpa[0]
-        else:
-            run.missed = run.missed and not area > 0
-        action = None
-        if not (success or failure):
-            centre_mm = np.array(centre_mm) if area > 0 else np.full(2, np.nan)
-            action = run.follower.action(area, centre_mm, flange_m, s.pressure_kpa)
-        if action is None or t >= self._longest:
-            why = self._world.why_failed(world) if failure else None
-            run.reason = rejection(why, bool(success), t < self._shortest, run.missed)
-            return None
-        action = np.clip(action, *self._limits)
-        s.pressure_kpa = action[PRESSURES]
-        s.actions.append(action.astype(np.float32))
-        return s.actions[-1]
+    def _act(self, rows: np.ndarray, displacement_mm: dict[int, np.ndarray]) -> tuple[np.ndarray, list[Run]]:
+        """Actions (N, 3 + C) of all worlds, and the attempts that have ended. As `Generator._carried_out`."""
+        library, busy = self._generator.library, np.flatnonzero(self._busy)
+        t, sensed, longest = self._t[busy], rows[busy], self._longest
+        flange_m, centre_mm, flags = sensed[:, :3], sensed[:, -5:-3], sensed[:, -3:] > 0
+        touches, done = flags[:, 0], flags[:, 1:].any(1)
+        self._states[busy, t] = sensed[:, :-5]
+        for k in displacement_mm.keys() & set(busy.tolist()):
+            self._runs[k].displacement_mm[int(self._t[k])] = displacement_mm[k].copy()
+        area = self._states[busy, np.maximum(t - self._late_touch[busy], 0), CONTACT.start]
+        centre_mm[~(area > 0)] = np.nan
+        self._missed[busy] &= (t == 0) | ~(area > 0)
+        for k, at in zip(busy[t == 0], flange_m[t == 0], strict=True):
+            self._followers.begin(k, self._runs[k].rng, at)
+            self._pressure_kpa[k] = library.pressure_kpa[0]
+        on = ~done & ~(touches & (t == 0))
+        felt = (area[on], centre_mm[on], flange_m[on], self._pressure_kpa[busy[on]])
+        made, goes_on = self._followers.actions(busy[on], *felt)
+        goes_on &= t[on] < longest
+        on[on] = goes_on
+        acting, made = busy[on], np.clip(made[goes_on], *self._limits)
+        self._pressure_kpa[acting] = made[:, PRESSURES]
+        self._actions[acting, t[on]] = made
+        actions = np.zeros((len(self._runs), made.shape[1]), np.float32)
+        actions[acting] = made
+        self._t[acting] += 1
+        return actions, [self._end(k, *f) for k, f in zip(busy[~on].tolist(), flags[~on], strict=True)]
+
+    def _end(self, k: int, touches: bool, success: bool, failure: bool) -> Run:
+        """The attempt of world `k`, which is free from now on."""
+        run, t = self._runs[k], self._t[k]
+        self._busy[k] = False
+        if t == 0 and (touches or success or failure):
+            run.reason = IN_THE_WAY
+            return run
+        why = self._world.why_failed(k) if failure else None
+        run.reason = rejection(why, success, t < self._shortest, self._missed[k])
+        if run.reason is None:
+            run.path = self._followers.paths[k]
+            states, actions = self._states[k, :t].copy(), self._actions[k, :t].copy()
+            run.sensed = Sensed(run.start, states, actions, run.displacement_mm)
+        return run
 
     def _decide(self, ended: Run) -> tuple[int, Sensed, dict] | None:
         """The accepted attempt at a demonstration, with its provenance, once it is known."""
-        runs, index, rejected = self._ended[ended.index], ended.index, []
+        index, rejected = ended.index, []
+        if index not in self._open:
+            return None
+        runs = self._ended[index]
         runs[ended.number] = ended
         for number in range(self._setup.attempts):
             run = runs.get(number)
@@ -213,9 +230,9 @@ class Lockstep:
             if run.reason is None:
                 self._open.remove(index)
                 del self._ended[index]
-                made = run.where | pieces(run.follower.path)
-                frames = len(run.sensed.actions)
+                for k in np.flatnonzero(self._busy):  # others at it need not be known any more
+                    self._busy[k] = self._runs[k].index != index
+                made, frames = run.where | pieces(run.path), len(run.sensed.actions)
                 return index, run.sensed, self._generator.provenance(index, number, made, frames, rejected)
-            run.sensed = None  # its memory
             rejected.append({"attempt": number, "reason": run.reason, **run.where})
         raise self._generator.none_worked(index, rejected)

@@ -6,8 +6,9 @@ workers, and pieces made twice are equal.
 
 import json
 import time
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole, write_json
 from pneutac_sim.world.base import START_SOLVES, Variation, solved_joints
 
+CONTACT = slice(6, 8)  # contact area and log(1 + pixels) in a state of `BatchedWorld`
 MORE = "more "  # before the names of further features
 
 
@@ -118,37 +120,32 @@ def make_episode(setup: AugmentSetup, folder: Path, scenes: list[Scene], index: 
     Work(folder).save_episode(index, attempt, provenance, seconds)
 
 
-@dataclass
-class Sensed:
-    """An attempt in a batch of worlds, which have neither the arm's joints nor images."""
+class Sensed(NamedTuple):
+    """An attempt of T frames in a batch of worlds, which have neither the arm's joints nor images."""
 
     start: tuple[int, Variation]  # seed and variation
-    states: list[np.ndarray] = field(default_factory=list)  # of each frame, as `BatchedWorld.state`
-    contacts: list[np.ndarray] = field(default_factory=list)  # area and log(1 + pixels) of each frame
-    shown: list[int] = field(default_factory=list)  # of each frame, the one whose touch was shown in it
-    # (80, 59) of the gel's face, of the frames in which it was touched
-    displacement_mm: dict[int, np.ndarray] = field(default_factory=dict)
-    actions: list[np.ndarray] = field(default_factory=list)  # (3 + C,) of each frame
-    pressure_kpa: np.ndarray | None = None  # (C,) commanded last
+    states: np.ndarray  # (T, 8 + C) as `BatchedWorld.state`
+    actions: np.ndarray  # (T, 3 + C) float32
+    displacement_mm: dict[
+        int, np.ndarray
+    ]  # (80, 59) of the gel's face, of the frames in which it was touched
 
 
 def save_sensed(setup: AugmentSetup, folder: Path, index: int, sensed: Sensed, provenance: dict) -> None:
     """Adds joints and images to an accepted attempt, and saves it as the demonstration of an index."""
     began, world = time.process_time(), _generator(setup, folder).world
-    T, solver = len(sensed.actions), world.arm.solver()
-    states = np.array(sensed.states[:T])
+    solver, states = world.arm.solver(), sensed.states
     flange_m = states[:, :3] - world.arm.base_m
     for _ in range(START_SOLVES):
         solver.solve(flange_m[0])
+    shown = np.maximum(np.arange(len(states)) - sensed.start[1].late_touch, 0)
     rows = []
-    for at, state, shown in zip(flange_m, states, sensed.shown, strict=False):
+    for at, state, contact in zip(flange_m, states, states[shown, CONTACT], strict=True):
         joints = solved_joints(solver, at, state[3:6], world.dt_s)
-        rows.append(np.concatenate([*joints, at, sensed.contacts[shown], state[8:]]))
-    rest, moved = world.sensor.rest_image, sensed.displacement_mm
-    drawn = {t: world.sensor.draw(u) for t, u in moved.items()}
-    images = np.stack([drawn.get(shown, rest) for shown in sensed.shown[:T]])
-    state, action = np.array(rows, np.float32), np.array(sensed.actions)
-    attempt = Attempt(state, action, images, None, 0.0, 1.0, sensed.start)
+        rows.append(np.concatenate([*joints, at, contact, state[8:]]))
+    drawn = {t: world.sensor.draw(u) for t, u in sensed.displacement_mm.items()}
+    images = np.stack([drawn.get(t, world.sensor.rest_image) for t in shown.tolist()])
+    attempt = Attempt(np.array(rows, np.float32), sensed.actions, images, None, 0.0, 1.0, sensed.start)
     seconds = {"core": time.process_time() - began}
     Work(folder).save_episode(index, attempt, provenance, seconds)
 
