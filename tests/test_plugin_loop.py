@@ -195,6 +195,10 @@ ON_DEMOS = f"--dataset.repo_id=local/demos --dataset.root={DEMOS}"
             "demos has no episode 9; give one of 0 to 1.",
         ),
         (
+            f"lerobot-train --policy.type=pneutac_bc {ON_DEMOS} --output_dir={DEMOS}/o",
+            f"/o lies in --dataset.root={DEMOS}; give another folder.",
+        ),
+        (
             "lerobot-eval --policy.path=old --env.type=pneutac",
             "error: --policy.path=old holds no policy (no config.json)",
         ),

@@ -19,9 +19,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pneutac_sim.errors import InputError, check_least
-from pneutac_sim.files import check_writable, read_yaml
+from pneutac_sim.files import check_writable, inside, read_yaml
 
 COLUMN = 28  # where help texts begin
+OUTPUTS = ("out", "output.root", "student.root")  # options that name a folder to be written
 
 
 @dataclass(frozen=True)
@@ -106,13 +107,47 @@ def parse_options(config_class: type, argv: list[str], what: str | None = None):
         raise cause if isinstance(cause, InputError) else InputError(_in_words(str(e), options)) from e
     if (seed := getattr(config, "seed", None)) is not None:
         check_least(0, seed=seed)
-    out = getattr(config, "out", None)
-    if out is not None and getattr(config, "names_a_file", False):
-        check_writable(out.parent, f"{out.parent}, the folder of --out={out},")
-    elif out is not None:
-        check_writable(out, f"--out={out}")
+    _check_outputs(config)
     _convert_tables(config)
     return config
+
+
+def _check_outputs(config) -> None:
+    """Raises InputError where a folder to write cannot be, is one that is read, or holds something else.
+
+    A class of options says `names_a_file` where `out` is a file, by `outputs` which others are written, and
+    by `resumed_by` of what file or folder in `out` a command knows what an earlier run left there.
+    """
+    paths = list(_paths(config))
+    outputs = {*OUTPUTS, *getattr(config, "outputs", ())}
+    for name, path in paths:
+        if name not in outputs:
+            continue
+        if getattr(config, "names_a_file", False):
+            check_writable(path.parent, f"{path.parent}, the folder of --{name}={path},")
+            continue
+        check_writable(path, f"--{name}={path}")
+        for source, folder in paths:
+            if source not in outputs and folder.is_dir() and inside(folder, path):
+                raise InputError(
+                    f"--{name}={path} lies in --{source}={folder}, which is read; give another folder."
+                )
+        mark = getattr(config, "resumed_by", "") if name == "out" else ""
+        if mark and path.is_dir() and any(path.iterdir()) and not (path / mark).exists():
+            raise InputError(
+                f"--{name}={path} is not empty and holds no earlier run of this; give a new folder."
+            )
+
+
+def _paths(config, group: str = "") -> Iterator[tuple[str, Path]]:
+    """All paths that options give, by the option's name."""
+    for field in dataclasses.fields(config):
+        value, name = getattr(config, field.name), group + field.name
+        if dataclasses.is_dataclass(value):
+            yield from _paths(value, f"{name}.")
+        for path in value if isinstance(value, list | tuple) else [value]:
+            if isinstance(path, Path):
+                yield name, path
 
 
 def _convert_tables(config) -> None:

@@ -3,6 +3,7 @@
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import ClassVar
 
 from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.features import CHAMBERS, FIDELITIES, task_names
@@ -30,6 +31,8 @@ class StudentRef:
 @dataclass
 class PpoConfig:
     """Options of `pneutac ppo`."""
+
+    resumed_by: ClassVar = "checkpoint.safetensors"
 
     out: Path  # folder of the actor, its curve and the checkpoint
     # object in front of the robot: `switch`, `egg`, `card`, `fruit`, `cable`, `button`, or your own

@@ -33,7 +33,7 @@ from pneutac_datasets.recording.wording import joined
 from pneutac_sim.effects.laws import plain_name
 from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.features import CONTROL_HZ, TRIAL_S
-from pneutac_sim.files import write_json
+from pneutac_sim.files import read_json, write_json
 from pneutac_sim.pace import DONE, read_outcomes
 from pneutac_sim.progress import Progress
 from pneutac_sim.twin import Twin
@@ -51,6 +51,8 @@ RESAMPLED = 10_000
 @dataclass
 class DemoConfig:
     """Options of `pneutac demo`."""
+
+    resumed_by: ClassVar = "state.json"
 
     # folder of everything that the demo writes; of the quick one outputs/quick, where none is given
     out: Path = Path("outputs/demo")
@@ -214,12 +216,16 @@ class Demo:
     def __init__(self, cfg: DemoConfig, announce: Announce, progress: Progress):
         self.cfg, self._announce, self._progress = cfg, announce, progress
         self._file = cfg.out / "state.json"
+        options = {k: v for k, v in vars(cfg).items() if k not in ("fresh", "out", "quick")}
+        self.state = read_json(self._file) if self._file.exists() else {"options": options}
+        found = self.state.get("options")
+        if not (isinstance(found, dict) and options.keys() == found.keys()):
+            raise InputError(f"{self._file} is of no demo; give a new folder.")
         if cfg.fresh and self._file.exists():
             shutil.rmtree(cfg.out)
-        cfg.out.mkdir(parents=True, exist_ok=True)
-        options = {k: v for k, v in vars(cfg).items() if k not in ("fresh", "out", "quick")}
-        self.state = json.loads(self._file.read_text()) if self._file.exists() else {}
-        if self.state.setdefault("options", options) != options:
+            self.state = {"options": options}
+        write_json(self._file, self.state)  # first of all: by it a later call knows what it may continue
+        if self.state["options"] != options:
             raise InputError(f"{cfg.out} holds a demo with other options; give fresh=true.")
         self.twin = self._path("twin")
         self.finger, self.gel = self._path("bench/finger"), self._path("bench/gel")

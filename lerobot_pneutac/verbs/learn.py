@@ -1,6 +1,5 @@
 """Finds what a twin lacks at the bench: measure, search on everything, choose the next program, repeat."""
 
-import json
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -36,7 +35,7 @@ from pneutac_datasets.recording.wording import joined as listed
 from pneutac_sim.effects.laws import family, plain_name
 from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.executor import one_thread
-from pneutac_sim.files import whole, write_json
+from pneutac_sim.files import read_json, whole, write_json
 from pneutac_sim.finger.quantities import root_mean
 from pneutac_sim.twin import Twin
 
@@ -332,7 +331,7 @@ class Rounds:
             raise InputError(f"{out} holds rounds of another twin; give another --out.")
         self.done: list[Round] = []
         while (file := self._folder(len(self.done)) / "round.json").is_file():
-            self.done.append(Round(**json.loads(file.read_text())))
+            self.done.append(Round(**read_json(file)))
         self._recordings = [Recording.load(self._folder(r.number) / "recording") for r in self.done]
 
     def _folder(self, number: int) -> Path:
@@ -439,7 +438,7 @@ class Rounds:
                     raise InputError(f"{wrong} Twice; weigh what hangs there, and start again after it.")
             entry = {"program": choice.name, "kind": choice.kind, "seconds": choice.seconds}
             write_json(file, entry | {"pause_s": self._bench.pause_s, "hand": choice.hand})
-        return json.loads(file.read_text())
+        return read_json(file)
 
     def _driven(self, folder: Path, choice: Choice) -> str:
         """Drives a program; what a hand did instead of what was asked, empty where that is not seen."""
@@ -524,6 +523,7 @@ class LearnConfig:
     """Options of `pneutac learn`."""
 
     described_by: ClassVar = learn
+    resumed_by: ClassVar = "given"
 
     twin: Path  # folder of the finger's or arm's twin, which is not changed
     # folder of programs, recordings and the learnt twin; a call with a folder that holds rounds continues

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from rich.markup import escape
@@ -17,7 +17,7 @@ from pneutac_datasets.demonstrations.info import is_demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import an
 from pneutac_sim.errors import InputError, check_choice
-from pneutac_sim.files import check_writable, whole
+from pneutac_sim.files import whole
 from pneutac_sim.finger import Pipeline
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import DEVICES, PAPER_FINGER, Twin, Value
@@ -137,6 +137,8 @@ def write_geometry(twin: Twin, folder: Path) -> None:
 class NewConfig(TableOptions):
     """Options of `pneutac new`."""
 
+    outputs: ClassVar = ("twin",)
+
     twin: Path  # folder to write; it must not hold a twin yet
     device: str | None = None  # `finger`, `arm` or `gel`; if omitted, the recording's own, else a finger
     # bench recording whose recording.json gives the geometry, or tables as `pneutac convert` reads them
@@ -167,7 +169,6 @@ def command(config: NewConfig, terminal: Terminal) -> None:
     """Makes a twin from the parametric device, a mesh, or the geometry of a recording."""
     if (config.twin / "twin.yaml").exists():
         raise InputError(f"{config.twin} already holds a twin; choose another folder, or delete that one.")
-    check_writable(config.twin, f"--twin={config.twin}")
     if config.recording is not None and is_demonstrations(config.recording):
         raise InputError(f"{config.recording} holds demonstrations; give a bench recording of the device.")
     recording = Recording.load(config.recording) if config.recording is not None else None

@@ -22,7 +22,7 @@ from lerobot.utils.constants import HF_LEROBOT_HOME
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 
 from pneutac_sim.errors import InputError, printable
-from pneutac_sim.files import check_writable
+from pneutac_sim.files import check_writable, inside
 from pneutac_sim.pace import info_file, read_info, refuse_version
 
 TRIED_ON = "0.6.1"
@@ -156,6 +156,9 @@ def _check_folders(options: dict[str, str]) -> None:
     """Raises InputError where a folder is unfit; LeRobot would notice after its work, or not say which."""
     if out := options.get("output_dir"):
         check_writable(Path(out), f"--output_dir={out}")
+        for name in ("dataset.root", "policy.path"):
+            if (source := options.get(name)) and Path(source).is_dir() and inside(Path(source), Path(out)):
+                raise InputError(f"--output_dir={out} lies in --{name}={source}; give another folder.")
     policy = Path(options.get("policy.path", ""))
     if (policy.is_absolute() or policy.is_dir()) and (fault := _fault_of_policy(options)):
         raise InputError(fault)

@@ -108,6 +108,29 @@ REFUSED = (
     ("compare", "--twin=bench/samples.csv --recording=bench", "is a file; give the folder of a twin"),
     ("measure", "--out=bench --bench=standin", "^out=bench is not empty; give a new folder"),
     ("export", "--twin=finger --out=finger/twin.yaml/x.py", "the folder of --out=.*, is a file"),
+    *(
+        (
+            verb,
+            f"{options} --out=bench",
+            "^--out=bench is not empty and holds no earlier run of this",
+        )
+        for verb, options in (("ppo", ""), ("learn", "--twin=finger"), ("demo", "--quick"))
+    ),
+    *(
+        (verb, f"--twin=finger {more} --out=finger/o", "^--out=finger/o lies in --twin=finger")
+        for verb, more in (("compare", "--recording=bench"), ("render", ""), ("control", ""), ("learn", ""))
+    ),
+    (
+        "diagnose",
+        "--twin=finger --recording=bench --out=bench",
+        "^--out=bench lies in --recording=bench",
+    ),
+    ("new", "--twin=bench --recording=bench", "^--twin=bench lies in --recording=bench, which is read"),
+    (
+        "augment",
+        AUGMENT + "--method=naive --dataset.root=shown --output.root=shown/o",
+        "^--output.root=shown/o lies in --dataset.root=shown, which is read",
+    ),
     ("report", "finger --rrd=finger/twin.yaml/x.rrd", "the folder of --rrd=.*, is a file; give a folder"),
     ("report", "gel --rrd=x.txt", "must end in .rrd"),
     ("report", "gel --recording=x", "goes with --rrd"),
