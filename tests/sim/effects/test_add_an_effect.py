@@ -147,14 +147,6 @@ def conditions(effect, n=400):
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
-def test_does_exactly_nothing_at_its_neutral_point(effect):
-    x, dt = signal(effect), np.full(400, 0.05)
-    dt[[150, 300]] = np.inf  # trials
-    neutral = {k: v.value for k, v in effect.neutral().items()}
-    np.testing.assert_array_equal(effect.apply(x, dt, neutral, conditions(effect)), x)
-
-
-@pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
 def test_does_something_at_its_start_and_stays_finite_within_its_bounds(effect):
     x, dt, c = signal(effect), np.full(400, 0.05), conditions(effect)
     rng = np.random.default_rng(2)
@@ -172,17 +164,6 @@ def test_does_something_at_its_start_and_stays_finite_within_its_bounds(effect):
         assert np.isfinite(y).all()
         changed |= not np.array_equal(y, x)
     assert changed
-
-
-@pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)
-def test_one_call_equals_many_with_the_state_carried(effect):
-    x, dt, c = signal(effect), np.full(400, 0.05), conditions(effect)
-    dt[[0, 170]] = np.inf
-    values = {k: v.value for k, v in effect.start(12.0).items()}
-    whole = effect.apply(x, dt, values, c, np.zeros(effect.state_size(x.shape[1])))
-    state = np.zeros(effect.state_size(x.shape[1]))
-    parts = [effect.apply(x[i : i + 1], dt[i : i + 1], values, c[i : i + 1], state) for i in range(400)]
-    np.testing.assert_array_equal(np.concatenate(parts), whole)
 
 
 def test_effects_act_stage_by_stage_in_a_fixed_order():

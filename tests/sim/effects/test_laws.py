@@ -20,7 +20,7 @@ from pneutac_sim.effects.laws import (
     starts,
 )  # fmt: skip
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger import Inputs, Pipeline, PressurePipeline
+from pneutac_sim.finger import Inputs, Pipeline
 from pneutac_sim.twin import Twin, Value
 
 P = 10.0
@@ -447,26 +447,6 @@ def test_a_law_may_act_twice_and_statics_come_first():
     assert plain_name("play(p) #2") == "play between pressure and bend, second one"
     assert plain_name("valve_lag") == "valve lag"
     assert is_law("lag(p) #2") and not is_law("creep")
-
-
-@pytest.mark.parametrize("device", ["finger", "arm"])
-def test_step_by_step_equals_the_whole_recording(device):
-    n = 300
-    names = ["pressure_cmd_kpa"] if device == "finger" else [f"pressure_cmd_{i}_kpa" for i in (1, 2, 3)]
-    samples = {"trial": np.zeros(n, int), "time_s": DT * np.arange(n)}
-    samples |= {c: np.r_[2.0, polyline(n - 1, seed=k)] for k, c in enumerate(names)}
-    samples["temperature_c"] = np.full(n, 31.0)
-    twin = twin_with(LAWS, device)
-    inputs = Inputs.from_samples(samples, device, start="held")
-    model = Pipeline.of(twin, inputs)
-    joints = model.run(inputs, model.theta(twin, P)).joints
-    online = PressurePipeline(twin, {"temperature_c": 31.0})
-    online.reset(2.0)
-    found = []
-    for k in range(1, n):
-        command = np.array([samples[c][k] for c in names])
-        found.append(online.step(command, DT).ravel())
-    np.testing.assert_allclose(found, joints[1:], atol=1e-12)
 
 
 def test_a_law_is_kept_as_its_name_and_its_constants(tmp_path):

@@ -47,12 +47,6 @@ def test_optics_are_found_by_name_and_are_no_effects_of_a_body():
 
 
 @pytest.mark.parametrize("name", SENSOR)
-def test_every_effect_of_a_sensor_changes_the_image(name):
-    plain = TactileSensor(lit(())).image(DEPTH).astype(int)
-    assert np.abs(TactileSensor(lit((name,))).image(DEPTH) - plain).max() > 5
-
-
-@pytest.mark.parametrize("name", SENSOR)
 def test_every_effect_of_a_sensor_leaves_a_gel_at_rest_alone(name):
     sensor = TactileSensor(lit((name,)))
     np.testing.assert_array_equal(sensor.image(np.zeros_like(DEPTH)), sensor.rest_image)

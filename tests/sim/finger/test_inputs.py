@@ -344,12 +344,6 @@ def test_command_is_linear_in_pressure_and_zero_at_minus_rest_pressure():
     np.testing.assert_allclose(q[1].sum(), 4 * 0.01114 * 10.7)
 
 
-def test_straight_finger_ends_at_its_length():
-    tip, bend = forward_kinematics(np.zeros((3, 4)), JOINTS, 110.0)
-    np.testing.assert_allclose(tip, [[110, 0]] * 3)
-    np.testing.assert_allclose(bend, 0)
-
-
 def test_spatial_bend_in_either_plane_equals_the_planar_finger():
     q = np.array([0.3, -0.1, 0.2, 0.4])
     planar, bend = forward_kinematics(q, JOINTS, 110.0)

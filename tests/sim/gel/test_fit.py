@@ -27,13 +27,15 @@ def angles_deg(a, b):
     return np.degrees(np.abs((a - b + np.pi) % (2 * np.pi) - np.pi))
 
 
-def test_the_linear_model_is_recovered(linear, photograph):
+@pytest.mark.parametrize("depth_scale", [1.0, 0.7])
+def test_the_linear_model_is_recovered(depth_scale, linear, photograph):
+    linear.depth_scale = depth_scale
     fit = fit_presses([PressPhotograph(BALL, photograph(linear, BALL, noise=2), linear.rest_image)], 20.0, ())
     assert fit.gel.effects == {} and fit.make == "" and fit.evaluations > 10
     assert fit.gel.decay_mm == pytest.approx(1.1, rel=0.05)
-    assert fit.gel.depth_scale == pytest.approx(1.0, abs=0.03)
+    assert fit.gel.depth_scale == pytest.approx(depth_scale, abs=0.03)
     np.testing.assert_allclose(fit.gel.light, linear.light, atol=4)
-    np.testing.assert_allclose(fit.gel.depth_light, linear.depth_light, atol=2)
+    np.testing.assert_allclose(fit.gel.depth_light, linear.depth_light, atol=2 / depth_scale)
 
 
 def test_a_drift_of_the_light_does_not_mislead_the_fit(linear, photograph):
@@ -43,20 +45,6 @@ def test_a_drift_of_the_light_does_not_mislead_the_fit(linear, photograph):
     strength, truth = (np.linalg.norm(g.light, axis=1) for g in (gel, linear))
     np.testing.assert_allclose(strength / truth, 1, atol=0.06)
     assert gel.decay_mm == pytest.approx(1.1, rel=0.1)
-
-
-def test_mirrored_axes_and_swapped_channels_are_found(linear, photograph):
-    linear.light = linear.light[::-1] * [-1, 1]
-    gel = fit_presses([PressPhotograph(BALL, photograph(linear, BALL), linear.rest_image)], 20.0, ()).gel
-    np.testing.assert_allclose(gel.light, linear.light, atol=4)
-
-
-def test_skin_over_a_gel_draws_the_imprint_back(linear, photograph):
-    linear.depth_scale = 0.7
-    gel = fit_presses(
-        [PressPhotograph(BALL, photograph(linear, BALL, noise=2), linear.rest_image)], 20.0, ()
-    ).gel
-    assert gel.depth_scale == pytest.approx(0.7, abs=0.05)
 
 
 def test_one_pair_predicts_other_places_and_depths_of_a_sensor_with_every_effect(bent, photograph):

@@ -84,11 +84,6 @@ def mismatch_deg(layout, light, x_mm, y_mm):
     return np.degrees(np.arccos(np.clip(cosine, -1, 1))).max()
 
 
-@pytest.mark.parametrize("x_mm, y_mm", PLACES)
-def test_a_digits_own_directions_are_recognised(x_mm, y_mm):
-    assert recognise(light_of(DIGIT, x_mm, y_mm), x_mm, y_mm, SIZE) == Orientation()
-
-
 @pytest.mark.parametrize("orientation", EVERY, ids=str)
 @pytest.mark.parametrize("x_mm, y_mm", PLACES)
 def test_every_order_of_channels_and_mirroring_is_found(orientation, x_mm, y_mm):

@@ -86,20 +86,6 @@ def test_image_is_the_photometric_formula(sensor):
     assert np.abs(image - m.rest_image).max() > 20
 
 
-def test_a_gel_survives_the_twins_file(tmp_path):
-    rng = np.random.default_rng(1)
-    gel = GelModel(
-        rng.integers(0, 256, (320, 240, 3), dtype=np.uint8), rng.normal(size=(3, 2)), rng.normal(size=3), 19.5
-    )
-    twin = Twin.builtin()
-    gel.into_twin(twin)
-    twin.save(tmp_path)
-    read = TactileSensor(Twin.load(tmp_path)).model
-    assert read.window_mm == pytest.approx((240 / 19.5, 320 / 19.5))
-    np.testing.assert_array_equal(read.rest_image, gel.rest_image)
-    np.testing.assert_array_equal(read.light, gel.light)
-
-
 @pytest.mark.parametrize(
     "field, value, says",
     [

@@ -1,8 +1,6 @@
 """Points that follow particles: affine deformations exactly, bending to second order of the spacing.
 
 Masks from photographs against the renderer's own.
-
-Pictures of triangles and disks whose pixels are known.
 """
 
 import cv2
@@ -10,7 +8,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from pneutac_benchmarks.baselines.triangles import draw_triangles
 from pneutac_datasets.recording.photographs import segment
 from pneutac_sim.errors import InputError
 from pneutac_sim.photo_fit.objective import cover
@@ -192,32 +189,11 @@ def test_bad_input_is_named(photographed):
 
 
 SEE = Camera(np.array([[100.0, 0, 32], [0, 100.0, 24], [0, 0, 1]]), np.eye(4), 64, 48)
-RED, BLUE = np.array([1.0, 0, 0]), np.array([0, 0, 1.0])
 
 
 def square(half, z):
     corners = np.array([[-half, -half, z], [half, -half, z], [half, half, z], [-half, half, z]])
     return corners, np.array([[0, 1, 2], [0, 2, 3]])
-
-
-def test_a_square_fills_its_pixels_and_no_others():
-    vertices, faces = square(0.1, 1.0)  # 20 x 20 px
-    image, alpha = draw_triangles(SEE, vertices, faces, np.tile(RED, (4, 1)))
-    assert alpha.sum() == pytest.approx(400, abs=1)
-    np.testing.assert_allclose(image[14:34, 22:42], np.broadcast_to(RED, (20, 20, 3)), atol=1e-6)
-    assert image[:13].max() == 0
-
-
-def test_the_nearest_is_on_top_in_any_order():
-    near, faces = square(0.05, 1.0)
-    far, _ = square(0.2, 2.0)
-    for order in (1, -1):
-        parts = [(near, RED), (far, BLUE)][::order]
-        vertices = np.concatenate([v for v, _ in parts])
-        colours = np.concatenate([np.tile(c, (4, 1)) for _, c in parts])
-        image, _ = draw_triangles(SEE, vertices, np.concatenate([faces, faces + 4]), colours)
-        np.testing.assert_allclose(image[24, 32], RED, atol=1e-6)
-        np.testing.assert_allclose(image[24, 40], BLUE, atol=1e-6)
 
 
 def test_coverage_is_the_area_of_a_triangle_and_of_a_ball():

@@ -64,16 +64,6 @@ def test_many_sequences_are_each_by_itself(task, fidelity, tilts):
     np.testing.assert_array_equal(gantry.rollout(tried[4])[1], area[4])
 
 
-def test_what_was_sent_and_acts_too_late_goes_first():
-    world, action = in_contact("switch", late=1)
-    gantry = Gantry(world)
-    gantry.mirror(world)
-    other = np.stack([np.tile(action, (3, 1)), np.tile(action + [0.0, 0.03, 0.0, 0.0], (3, 1))])
-    flange, _ = gantry.rollouts(other)
-    np.testing.assert_array_equal(flange[0, 0], flange[1, 0])
-    assert flange[1, 2, 1] - flange[0, 2, 1] > 1e-3
-
-
 def test_the_reduced_world_has_nothing_to_look_at_but_the_same_physics():
     world = World("egg", touch="area")
     gantry = Gantry(world)

@@ -51,16 +51,6 @@ def test_a_person_sees_late_and_with_an_error_aside(world):
     assert seen.success == world.success
 
 
-def test_strength_scales_pauses_and_unrest(world):
-    def unevenness(strength):
-        taken = np.concatenate(
-            [actions(world, lambda w, rng: Person(w, rng, strength), 60, seed) for seed in range(4)]
-        )
-        return np.abs(np.diff(taken[:, :3], axis=0)).std()
-
-    assert unevenness(1.0) != unevenness(0.25)
-
-
 @pytest.mark.parametrize("strength", [-0.1, 1.1, float("nan")])
 def test_strength_out_of_range_ends_in_a_sentence(world, strength):
     with pytest.raises(InputError, match="must be from 0"):

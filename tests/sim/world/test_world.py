@@ -14,7 +14,7 @@ import pytest
 
 import pneutac_sim  # noqa: F401  registers the environments
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, N_PIXELS, POINTS_SHAPE, STATE_NAMES, TASK_NAMES
+from pneutac_sim.features import ACTION_HIGH, ACTION_LOW, N_PIXELS, POINTS_SHAPE, STATE_NAMES
 from pneutac_sim.world import scene, view
 from pneutac_sim.world.base import Variation
 from pneutac_sim.world.expert import ScriptedExpert
@@ -22,7 +22,6 @@ from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.soft_finger import GEL_FRICTION
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.task_env import contact_force_n, tactile_points
-from pneutac_sim.world.tasks import TASKS
 from pneutac_sim.world.view import CAMERA
 from pneutac_sim.world.world import Substeps, World
 
@@ -47,10 +46,6 @@ def rollout(world, seed, steps=30):
         states.append(o.state)
         images.append(o.tactile)
     return np.array(states), np.array(images)
-
-
-def test_every_task_has_a_world():
-    assert tuple(TASKS) == TASK_NAMES
 
 
 def test_same_seed_is_bitwise_the_same_also_in_another_instance(world):
