@@ -33,13 +33,13 @@ def main() -> None:
     calibrated = fit_presses(
         [PressPhotograph(press, photograph, generated.rest_image)], generated.px_per_mm
     ).gel
-    lent = layout.DIGIT.prior_field(generated.rest_image, layout.Orientation())
-    assert lent is not None
-    lent = lent.times(float(np.linalg.norm(calibrated.light)) / 2)
+    prior = layout.DIGIT.prior_field(generated.rest_image, layout.Orientation())
+    assert prior is not None
+    prior = prior.times(float(np.linalg.norm(calibrated.light)) / 2)
     gels = {
         "generated DIGIT": generated,
-        "calibrated DIGIT, all optics effects": replace(calibrated, lent=None),
-        "the same with a residual field that its make lends": replace(calibrated, lent=lent),
+        "calibrated DIGIT, all optics effects": replace(calibrated, prior_residual=None),
+        "the same with the prior residual field of its make": replace(calibrated, prior_residual=prior),
     }
     rng = np.random.default_rng(0)
     presses = [

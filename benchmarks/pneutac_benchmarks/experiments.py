@@ -95,7 +95,7 @@ def _solve(
     name, strategy = cases[number]
     with tempfile.TemporaryDirectory() as tmp:
         other_day = generate(
-            cfg.device, [name], cfg.seed, day=2, minutes=4.0, tell_pauses=True, tell_sent=True
+            cfg.device, [name], cfg.seed, day=2, minutes=4.0, state_pauses=True, log_sent=True
         )
         judge, floor = check(Recording.load(write(other_day, Path(tmp) / "2")))[0], other_day.noise_floor
         twin = Twin(DEVICES[cfg.device][0], judge.length_mm or 110.0)
@@ -109,7 +109,7 @@ def _solve(
 def _standard(name, strategy, cfg, tmp, twin, judge, floor) -> list[dict]:
     """The truth's own session of ten minutes, once."""
     learn = Recording.load(
-        write(generate(cfg.device, [name], cfg.seed, day=1, tell_pauses=True, tell_sent=True), tmp / "1")
+        write(generate(cfg.device, [name], cfg.seed, day=1, state_pauses=True, log_sent=True), tmp / "1")
     )
     d = diagnose(twin, learn, jobs=1, seed=cfg.seed)
     ratio = error_of(d.twin, judge) / floor

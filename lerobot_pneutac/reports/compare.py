@@ -87,7 +87,6 @@ def _line(parts: list[np.ndarray], digits: int) -> np.ndarray:
 
 
 def _heldout(c) -> list[np.ndarray]:
-    """Row numbers of each stretch of held-out samples."""
     out = []
     for rows in c.recording.trials().values():
         index = np.arange(rows.start, rows.stop)

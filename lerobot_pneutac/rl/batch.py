@@ -65,7 +65,6 @@ class BatchedPpoEnv(VecEnv):
         return self._observe()
 
     def _begin(self, worlds: np.ndarray) -> None:
-        """Notes that worlds (k,) have been put to their starts."""
         self._previous[worlds], self._done[worlds] = 0.0, 0
         self._moment = self._look()
         for i in worlds:

@@ -17,36 +17,9 @@ from pneutac_sim.twin import Twin
 from pneutac_sim.world.base import Variation
 from pneutac_sim.world.checks import Conditions
 from pneutac_sim.world.station import Station
-from pneutac_sim.world.tasks.base import Goal, Task
 from pneutac_sim.world.world import World
 
 LENGTH_M = 0.05  # scales lengths of the object's state to about one
-
-
-GOALS: dict[str, Goal] = {
-    "switch": Goal(
-        lambda t: np.clip((t.lever_rad + t.well_rad) / (2 * t.well_rad), 0, 1), "bar", (-1, 0, 0), 1.0
-    ),
-    # From below, at the front edge of the tab.
-    "egg": Goal(lambda t: np.clip(t.lid_rad / t.open_rad, 0, 1), "carton_tab", (-1, 0, -1), 0.6),
-    # The front face, below the upper edge: what the second card gives is lost.
-    "card": Goal(
-        lambda t: np.clip(t.drawn_m(1) / t.draw_m, 0, 1) - np.clip(t.drawn_m(2) / t.second_m, 0, 1),
-        "card_1",
-        (-1, 0, 0.85),
-        0.5,
-    ),
-}
-
-
-def goal_of(task: Task) -> Goal:
-    """The goal of a task; raises InputError where it has none."""
-    goal = GOALS.get(task.name) or task.goal
-    if goal is None:
-        raise InputError(
-            f"The task '{task.name}' has no goal for reinforcement learning; give its class one."
-        )
-    return goal
 
 
 @dataclass(frozen=True)
@@ -86,8 +59,9 @@ class TaskView:
 
     def __init__(self, world: World):
         model, name = world.model, world.task.name
-        self._world = world
-        self.goal = goal_of(self._world.task)
+        self._world, self.goal = world, world.task.goal
+        if self.goal is None:
+            raise InputError(f"The task '{name}' has no goal for reinforcement learning; give its class one.")
         try:
             self._body, self._geom = model.body(name).id, model.geom(self.goal.geom).id
         except KeyError as e:

@@ -267,7 +267,6 @@ def actor_of(model: PPO, settings: PpoSettings, joints: int = PANDA_JOINTS) -> A
 
 
 def _identity(twin: Twin | None) -> str | None:
-    """Which finger it is; None for the built-in one."""
     if twin is None:
         return None
     from pneutac_sim.surrogate.fingerprint import fingerprint  # it brings Taichi, which training needs not

@@ -81,7 +81,6 @@ def rolled_out(
 
 
 def _loaded(actor_dir: str | Path, world: World) -> Actor:
-    """The actor; raises InputError where it is missing, damaged, another task's or another arm's."""
     actor, task = Actor.load(actor_dir), world.task.name
     if actor.card.get("task", task) != task:
         raise InputError(f"The actor in '{actor_dir}' was trained on '{actor.card['task']}', not '{task}'.")

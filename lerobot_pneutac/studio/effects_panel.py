@@ -87,6 +87,5 @@ def _slider(gui, parameter: Parameter, value: Value, range_kpa: float, visible: 
 
 
 def _about(effect: Effect) -> str:
-    """The first sentence of an effect's summary at its defaults."""
     text = effect.describe({k: v.value for k, v in effect.start().items()}, "device")
     return text.partition(". ")[0]

@@ -132,7 +132,6 @@ class FindPage(Background):
     # ---------------------------------------------------------------- the loop
 
     def _work(self, what: str, work) -> None:
-        """Does something that takes long; how far it is stands under the buttons."""
         self._scored = {}
 
         def run(show) -> None:
@@ -148,7 +147,6 @@ class FindPage(Background):
         show_text(self.progress, f"{what} ...")
 
     def _show(self, text: str, done: int, total: int) -> None:
-        """Progress, and the candidates with the errors that they were scored with, the best first."""
         name, found, error = text.rpartition(": error ")
         if found:
             value, _, unit = error.partition(" ")
@@ -260,7 +258,6 @@ class FindPage(Background):
         self._keep_button.visible = a.accepted
 
     def _changed(self) -> None:
-        """Another twin is looked at: what was found about the one before is no longer shown."""
         session = self._studio.session
         newest = session.twin if session.version is None else None
         if newest is not None:

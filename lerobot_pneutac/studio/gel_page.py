@@ -75,7 +75,6 @@ class GelPage(Background):
         self._handle.on_update(self._pulled)
 
     def _pulled(self, _) -> None:
-        """The arrows of the indenter: along the gel as it is, into it as it is drawn."""
         x, y, z = np.array(self._handle.position) / UNIT
         for slider, value in ((self._x, x), (self._y, -y), (self._depth, -z / DEPTH_DRAWN)):
             value = float(np.clip(value, slider.min, slider.max))

@@ -174,7 +174,6 @@ def run_pieces(
 
 @contextmanager
 def _shown(progress: Progress, text: str, files: Sequence[Path], missing: Sequence[int], there: Callable):
-    """Shows, until the context ends, how many files are there."""
     ended, total = threading.Event(), len(files)
 
     def look() -> None:
@@ -224,7 +223,6 @@ def _local(pipeline: list, tasks: int, logs: Path, options: ExecutorOptions) -> 
 
 
 def _run_task(engine, rank: int) -> None:
-    """A task; what is wrong with it goes to its log, and to whoever waits for it."""
     with redirect_stderr(io.StringIO()):
         engine._run_for_rank(rank, local_rank=1)
 
@@ -301,7 +299,6 @@ def _nothing() -> None:
 
 
 def _quiet():
-    """The executors of datatrove, which log to files alone."""
     from datatrove import executor
     from datatrove.utils.logging import logger
 

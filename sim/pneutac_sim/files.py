@@ -26,7 +26,6 @@ POINTERS = {b"version https://git-lfs": "git lfs pull", b"/annex/objects/": "git
 
 
 def _text(file: Path, most_bytes: int) -> str:
-    """Content of a text file; raises InputError, one line, where it is none, or far too large."""
     try:
         if file.stat().st_size > most_bytes:
             raise InputError(f"{file} is larger than {most_bytes} bytes; it is no file of this product.")

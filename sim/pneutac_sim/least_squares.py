@@ -36,16 +36,12 @@ def minimise(
     tolerance: float = 1e-6,
     prior: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Solution:
-    """Minimises the sum of squares over v in [0, 1]^F.
+    """Minimises the sum of squares of residuals v -> (m,) over v in [0, 1]^F, from `v` (F,) on.
 
-    Args:
-        residual: v to (m,).
-        jacobian: v to (m, F); called at the v at which `residual` was called last.
-        v: (F,) start.
-        steps: most Jacobians to take.
-        tolerance: stops where a step promises or brings less than this share of the cost.
-        prior: (F,) centres and (F, F) weights W, so that (v - centre) W (v - centre) is added to the cost; a
-            slight pull towards the start where it is not given.
+    The Jacobian, v -> (m, F), is called at the v at which the residual was called last, `steps` times at
+    most; it stops where a step promises or brings less than the share `tolerance` of the cost. A prior of
+    centres (F,) and weights W (F, F) adds (v - centre) W (v - centre) to the cost; without one there is a
+    slight pull towards the start.
     """
     v = np.clip(v, 0.0, 1.0)
     r = residual(v)

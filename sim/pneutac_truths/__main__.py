@@ -18,8 +18,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--gauge", choices=("yes", "no"), help="whether pressure is measured; default drawn")
     parser.add_argument("--minutes", type=float, help="of recording")
     parser.add_argument("--presses", type=int, default=13, help="of a gel, the first to calibrate by")
-    parser.add_argument("--tell-noise", choices=("yes", "no"), default="yes")
-    parser.add_argument("--tell-pauses", choices=("yes", "no"), default="no")
+    parser.add_argument("--state-noise", "--tell-noise", choices=("yes", "no"), default="yes")
+    parser.add_argument("--state-pauses", "--tell-pauses", choices=("yes", "no"), default="no")
     parser.add_argument("--out", type=Path, help="folder to write, which must not exist")
     parser.add_argument("--list", action="store_true", help="names the effects and pairs")
     o = parser.parse_args(arguments)
@@ -44,8 +44,8 @@ def main(arguments: list[str] | None = None) -> int:
             o.day,
             None if o.gauge is None else o.gauge == "yes",
             o.minutes,
-            o.tell_noise == "yes",
-            o.tell_pauses == "yes",
+            o.state_noise == "yes",
+            o.state_pauses == "yes",
         )
     except (ValueError, ImportError, ArithmeticError) as e:
         parser.error(str(e))

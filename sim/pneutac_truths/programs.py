@@ -126,7 +126,6 @@ def _levels(rng, n) -> np.ndarray:
 
 
 def _program(rng, kind, t, seconds) -> np.ndarray:
-    """Wanted shares of the top pressure at times t (n,)."""
     if kind == "steps":  # up to a level and back to zero
         hold = rng.uniform(2, 7)
         level = _levels(rng, int(seconds / hold) + 2)

@@ -92,9 +92,9 @@ def generate(
     day: int = 1,
     gauge: bool | None = None,
     minutes: float | None = None,
-    tell_noise: bool = True,
-    tell_pauses: bool = False,
-    tell_sent: bool = False,
+    state_noise: bool = True,
+    state_pauses: bool = False,
+    log_sent: bool = False,
     plan: Plan | None = None,
     lab: bool = False,
     strength: float | None = None,
@@ -108,9 +108,9 @@ def generate(
         day: another day is the same device with other programs, pauses and noise.
         gauge: whether the pressure is measured; None draws it.
         minutes: of recording; None takes the usual time of the device.
-        tell_noise: whether recording.json states the noise.
-        tell_pauses: whether recording.json states how long the device rested before each trial.
-        tell_sent: whether the log has when each command was sent; otherwise it is drawn.
+        state_noise: whether recording.json states the noise.
+        state_pauses: whether recording.json states how long the device rested before each trial.
+        log_sent: whether the log has when each command was sent; otherwise it is drawn.
         plan: what is commanded, see `programs.given`; None draws it.
         lab: whether a third of the trials are in a room that is `WARMER_C` warmer, as the log shows (the
             device heeds it only where one of its effects does), and the base is turned in its plane alone.
@@ -128,7 +128,7 @@ def generate(
     w = World.start(device, seed, day, MINUTES[device] if minutes is None else minutes, plan)
     w.in_plane = lab
     truly, seen = run(w, drawn)
-    samples = _commands(w, rng, tell_sent)
+    samples = _commands(w, rng, log_sent)
     noise = {}
     if gauged:
         read = read_gauge(w, drawn)[w.plan.rows] * w.body.top_kpa
@@ -147,9 +147,9 @@ def generate(
     _conditions(w, samples, rng, lab)
     kind = "arm" if device == "arm" else "finger"
     meta = {"device": kind, "length_mm": round(w.body.length_mm, 2), "samples": "samples.csv"}
-    if tell_noise:
+    if state_noise:
         meta["noise"] = noise
-    if tell_pauses:
+    if state_pauses:
         starts = {str(i): {"start": "continues", "pause_s": p} for i, p in enumerate(w.plan.pauses_s)}
         meta["trials"] = starts | {"0": {"start": "rested"}}
     floor, pauses = float(sd * np.sqrt(len(observed))), [float(p) for p in w.plan.pauses_s]
@@ -161,7 +161,7 @@ def _numbered(pattern: str, n: int) -> list[str]:
     return [pattern.format("" if n == 1 else f"{i + 1}_") for i in range(n)]
 
 
-def _commands(w: World, rng: np.random.Generator, tell_sent: bool) -> pd.DataFrame:
+def _commands(w: World, rng: np.random.Generator, log_sent: bool) -> pd.DataFrame:
     """Trial, clock, program and commands of each row; some computers log when they sent a command."""
     p, rows = w.plan, w.plan.rows
     trial = p.trial[rows]
@@ -170,13 +170,12 @@ def _commands(w: World, rng: np.random.Generator, tell_sent: bool) -> pd.DataFra
     table["time_s"] = p.time_s[rows] - p.time_s[start]
     for j, name in enumerate(_numbered("pressure_cmd_{}kpa", p.command.shape[1])):
         table[name] = p.command[rows, j] * w.body.top_kpa
-    if rng.random() < 0.4 or tell_sent:
+    if rng.random() < 0.4 or log_sent:
         table["time_sent_s"] = p.sent_s[rows] - p.time_s[start]
     return table
 
 
 def _conditions(w: World, samples: pd.DataFrame, rng: np.random.Generator, lab: bool) -> None:
-    """Columns of weight, payload and temperature; a thermometer is at times logged where it is irrelevant."""
     rows = w.plan.rows
     trial = w.plan.trial[rows]
     set_by = w.plan.conditions

@@ -55,7 +55,7 @@ def test_a_plain_device_follows_the_command_at_once_and_without_memory(device):
 def test_recordings_load_without_a_warning(tmp_path, device, curved):
     seed = 0 if curved else 2
     many = ["gravity", "payload", "temperature_drift", "gauge_late", "marker_slip"]
-    truth = generate(device, many, seed, day=2, tell_pauses=True, **SHORT)
+    truth = generate(device, many, seed, day=2, state_pauses=True, **SHORT)
     recording = Recording.load(write(truth, tmp_path / "r"))
     assert recording.warnings == []
     assert recording.observations == truth.observed

@@ -210,7 +210,7 @@ def generate(
         {c: np.array([getattr(t, c) for t in trials]) for c in ("gravity", "payload_g", "temperature_c")},
     )
     used = [TRUTHS.get(n, n) for n in names]
-    how = {"plan": plan, "strength": strength, "tell_noise": False}
+    how = {"plan": plan, "strength": strength, "state_noise": False}
     try:
         made = simulate("rod", used, seed, gauge=measured_pressure, **how)
     except (ValueError, ArithmeticError) as e:  # a gauge's fault without a gauge, loads beyond buckling

@@ -49,7 +49,7 @@ class TruthBench:
             return self._recorded([one], out, 1 + 1000 * self._noise + number)
         self.pause_s = RESTED_S if number else None
         self._programs = [*self._programs[:number], one]
-        r = self._recorded(self._programs, out, 1 + 1000 * self._noise, tell_pauses=False)
+        r = self._recorded(self._programs, out, 1 + 1000 * self._noise, state_pauses=False)
         r = r.keep(r.column("trial") == number)
         r.write(out)
         return Recording.load(out)
@@ -71,8 +71,8 @@ class TruthBench:
         commands = table[command_columns(CHAMBERS[self._device])].to_numpy(float)
         return name, table["time_s"].to_numpy(float), np.round(commands / self._top_kpa, 5)
 
-    def _recorded(self, programs: list, out: Path, day: int, tell_pauses: bool = True) -> Recording:
-        options = {"tell_sent": True, "tell_pauses": tell_pauses, "plan": given(programs, RESTED_S)}
+    def _recorded(self, programs: list, out: Path, day: int, state_pauses: bool = True) -> Recording:
+        options = {"log_sent": True, "state_pauses": state_pauses, "plan": given(programs, RESTED_S)}
         truth = generate(self._device, self._effects, self._seed, day, **options)
         write(truth, out)
         r = Recording.load(out)

@@ -85,14 +85,9 @@ def lag_weights(h):
 
 @kernel
 def _lag(s, f, late, dt, tau):
-    """Exact steps of tau s' = f - s, row 2 of s.
+    """Exact steps of tau s' = f - s, row 2 of s, for tau (1 or n, 1 or channels) s.
 
-    Args:
-        s: as above.
-        f: as above.
-        late: 0 where f is a straight line between samples, 1 where it holds since the sample before.
-        dt: as above.
-        tau: (1 or n, 1 or channels) s.
+    `late` is 0 where f is a straight line between samples, 1 where it holds since the sample before.
     """
     out = np.empty((len(f) - 1, f.shape[1]))
     known, keep, old = -1.0, 0.0, 0.0
@@ -433,19 +428,9 @@ def fading_time(f, dt, k, s, P, x, c, late):
 def run_drive(x, dt, theta, conditions, state, *, input, memory, late, gain, minus, scaled, counted):
     """A law of the drive: p becomes p + w c (M[f] - minus f), the term times p / P for a gain.
 
-    Args:
-        x: (n, channels) kPa, changed.
-        dt: (n,) s.
-        theta: weight, P and the memory's constants.
-        conditions: (n, 1) or (n, 0).
-        state: (SLOTS * channels,), changed; a row a slot.
-        input: f.
-        memory: M.
-        late: 1 where the input holds since the sample before, 0 where it is a straight line.
-        gain: whether it is a gain.
-        minus: 1 where the memory's input is taken off, so that nothing is left in steady state.
-        scaled: whether the condition is a factor.
-        counted: zero and unit of the condition; empty where there is none.
+    The first five arguments are those of any effect, with theta = weight, P and the memory's constants, and a
+    row of the state a slot; the others are `Law.choices`: `late` is 1 where the input holds since the sample
+    before, `counted` zero and unit of the condition, empty where there is none.
     """
     weight, P, k, s = theta[0], theta[1], theta[2:], state.reshape(SLOTS, x.shape[1])
     c = (conditions[:, 0] - counted[0]) / counted[1] if counted else np.empty(0)
@@ -926,11 +911,9 @@ def curvature(name: str, values: Mapping[str, float]) -> float:
 def family(name: str, values: Mapping[str, float] | None = None) -> str:
     """What the library calls the physics of a law; the name itself where it has no name for it.
 
-    Args:
-        name: of a law or an effect.
-        values: fitted constants. One equation may be several kinds of physics: `flip(p)`, a play through a
-            sigmoid (generalised Prandtl-Ishlinskii operator), is a snap only where it is abrupt; a static
-            curve is a saturation where each further kPa bends less, see `curvature`.
+    One equation may be several kinds of physics, by its fitted constants: `flip(p)`, a play through a sigmoid
+    (generalised Prandtl-Ishlinskii operator), is a snap only where it is abrupt; a static curve is a
+    saturation where each further kPa bends less, see `curvature`.
     """
     bent = curvature(name, values) if values else 0.0
     return ("stiffening" if bent > 0 else "gain_saturation") if bent else _kind(name, values)

@@ -165,7 +165,6 @@ class BendController:
         self.loaded = abs(self._streak) >= LOAD_STEPS
 
     def _nearer(self, plan: np.ndarray, target: np.ndarray) -> np.ndarray:
-        """A plan (STEPS,) whose bends are nearer to the target's."""
         low, high = self._range_kpa
         probe = PROBE_KPA if plan.mean() < 0.5 * (low + high) else -PROBE_KPA
         bends = self._bends(plan)

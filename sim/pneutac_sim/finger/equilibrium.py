@@ -323,19 +323,12 @@ def _add_between(q, of, group, low, step, deflection):
 def sensitivities(q, free, loads, stiffness, links, by_markers, by_free, by_load, by_stiffness):
     """How outputs change with free angles, loads and stiffness, by one factorisation a sample (adjoint).
 
-    The torques levers . load - K (q - free) are zero, so that of an output o, with A z = do/dq,
-    do/dfree = K z, do/dload = levers z and do/dK = -(q - free) z.
+    The torques levers . load - K (q - free) are zero, so that of an output o, with A z = do/dq, do/dfree = K
+    z, do/dload = levers z and do/dK = -(q - free) z.
 
-    Args:
-        q: (n, size) loaded angles, rad.
-        free: (n, size) without loads.
-        loads: (n, 6) as in `solve`.
-        stiffness: as in `solve`.
-        links: as in `solve`.
-        by_markers: (n, D, 5) outputs by tip x, y, z, mm, and bend towards +z and +y, rad.
-        by_free: (n, D, size) becomes outputs by free angles.
-        by_load: (n, D, 6) by loads.
-        by_stiffness: (n, D) by stiffness.
+    Of loaded and free angles (n, size) rad, with loads, stiffness and links as in `solve`, and outputs by tip
+    x, y, z, mm, and bend towards +z and +y, rad, (n, D, 5); the last three arguments become outputs by free
+    angles (n, D, size), by loads (n, D, 6) and by stiffness (n, D).
     """
     n, size = q.shape
     joints = len(links) // 2
@@ -439,7 +432,6 @@ def _derivative(powers: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 @kernel
 def _resist(q, powers, weights, f, B):
-    """Torque into f (N,) and stiffness into B (N, N), both per modulus."""
     n = len(q)
     f[:], B[:] = 0.0, 0.0
     to_the = np.ones((n, powers.max() + 1))
@@ -507,22 +499,23 @@ def loaded(q_free, loads, links, controller: float, modulus: float, body: SoftBo
 
 @kernel
 def _rest(q, loads, links, controller, powers, weights):
-    """Unloaded joint angles to loaded ones."""
     n = q.shape[1]
     bend, free = np.zeros(n), np.empty(n)
-    f, B, at_free = np.empty(n), np.empty((n, n)), np.empty(n)
-    torque, stretch = np.empty(n), np.empty(n)
+    f, B, at_free, torque = np.empty(n), np.empty((n, n)), np.empty(n), np.empty(n)
+    at, levers, A = np.zeros((n + 1, 3)), np.zeros((6, n)), np.empty((n, n))
     for t in range(len(q)):
         free[:] = q[t]
         _resist(free, powers, weights, at_free, B)
         for _ in range(ITERATIONS):
-            _moments(free + bend, loads[t], links, torque, stretch)
+            _planar(free, bend, loads[t], links, at, levers, A)
             _resist(free + bend, powers, weights, f, B)
             for i in range(n):
-                torque[i] += f[i] - at_free[i] - controller * bend[i]
+                torque[i] = f[i] - at_free[i] - controller * bend[i]
+                for m in range(6):
+                    torque[i] += levers[m, i] * loads[t, m]
                 B[i, i] += controller
                 for j in range(n):
-                    B[i, j] += stretch[max(i, j)]
+                    B[i, j] += A[max(i, j), min(i, j)]
             step = np.linalg.solve(B, torque)
             largest = 0.0
             for i in range(n):
@@ -532,22 +525,3 @@ def _rest(q, loads, links, controller, powers, weights):
             if not largest > TOLERANCE_RAD:
                 break
         q[t] = free + bend
-
-
-@kernel
-def _moments(q, load, links, torque, stretch):
-    """Moments of the loads about the joints, and less what they change by when the joint or one before turns.
-
-    Turning a joint turns every link beyond it: d Im(conj(w) F) = -Re(conj(w) F) dq for a link w under F.
-    """
-    n, heading = len(q), q.sum()
-    fx, fz, pull, turn = load[0], load[2], 0.0, 0.0
-    for i in range(n - 1, -1, -1):
-        x, z = links[i] * np.cos(heading), links[i] * np.sin(heading)
-        half = 0.5 * links[n + i]  # of its own weight, which acts at the middle
-        gx, gz = fx + half * load[3], fz + half * load[5]
-        turn += x * gz - z * gx
-        pull += x * gx + z * gz
-        torque[i], stretch[i] = turn, pull
-        fx, fz = gx + half * load[3], gz + half * load[5]
-        heading -= q[i]

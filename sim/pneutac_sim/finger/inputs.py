@@ -283,7 +283,6 @@ class Inputs:
 
 
 def _switch_start(share: float | np.ndarray, whole: np.ndarray) -> np.ndarray:
-    """Seconds from the sample before to the switch."""
     return np.clip(np.clip(share, 0, 1) * whole, SWITCH_S, whole - 2 * SWITCH_S)
 
 
@@ -338,7 +337,6 @@ def _conditions(samples: Mapping, drive: list[str], own: tuple[str, ...]) -> dic
 
 
 def _session_time(time: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Seconds since the recording began; a trial whose clock restarts follows right after the one before."""
     shift, out = -time[0], np.empty_like(time)
     starts = np.flatnonzero(first)
     for a, b in zip(starts, np.r_[starts[1:], len(time)], strict=True):

@@ -136,15 +136,7 @@ class StepProblem:
     The derivative leaves out what moving the instants does as well (variable projection, Kaufman's form:
     Golub, Pereyra, Inverse Problems 19, 2003).
 
-    Args:
-        steps: the rows.
-        pipeline: the model.
-        theta: (P,) values of the parameters that are not free.
-        bounds: bounds of all parameters.
-        free: (F,) indices of the free ones.
-
-    Attributes:
-        theta: all parameters (P,) of scaled values (F,), see `Problem.theta`.
+    `theta` takes scaled values (F,) to all parameters (P,), see `Problem.theta`; arguments as of `Problem`.
     """
 
     def __init__(self, steps: StepRows, pipeline: Pipeline, theta: np.ndarray, bounds: Bounds, free):

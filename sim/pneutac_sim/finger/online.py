@@ -56,7 +56,8 @@ class PressurePipeline:
     def _held(self) -> list:
         """The chain, its drive once for all at the twin's parameters."""
         chain = self._model.chain
-        drive = chain[self._model.drive].held_at(self._theta)
+        drive = chain[self._model.drive]
+        drive = replace(drive, held=drive.line(self._theta))
         chain = [replace(link, drive=drive) if isinstance(link, BodyLink) else link for link in chain]
         chain[self._model.drive] = drive
         return chain
@@ -112,14 +113,9 @@ class PressurePipeline:
         return joints.reshape(-1, 2) if self._arm else joints
 
     def step(self, pressure_cmd_kpa: float | np.ndarray, dt_s: float) -> np.ndarray:
-        """Advances by one control step.
+        """Advances by one control step of `dt_s` under a command, a number or (chambers,).
 
-        Args:
-            pressure_cmd_kpa: command, a number or (chambers,).
-            dt_s: length of the step.
-
-        Returns:
-            Joint targets at which the free body rests, (N,) for a finger, (N, 2) for an arm, rad.
+        Returns joint targets at which the free body rests, (N,) for a finger, (N, 2) for an arm, rad.
         """
         if 0 not in self._began:
             self.rest()

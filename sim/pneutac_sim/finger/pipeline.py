@@ -149,13 +149,9 @@ class Pipeline:
     # ---------------------------------------------------------------- parameters
 
     def theta(self, twin: Twin, pressure_range_kpa: float = 1.0) -> np.ndarray:
-        """(P,) values in the twin.
+        """(P,) values in the twin; what it lacks has its defaults for this largest pressure.
 
-        Args:
-            twin: of the device.
-            pressure_range_kpa: largest pressure; what the twin lacks has its defaults for it.
-
-        Raises InputError: an effect has a parameter too many.
+        Raises InputError where an effect has a parameter too many.
         """
         for name, values in twin.effects.items():
             known = [p.name for p in get_effect(name).parameters]

@@ -34,13 +34,7 @@ def changes(
 ) -> np.ndarray:
     """(n, D, F) what D outputs change by where one parameter alone takes another value, to first order.
 
-    Args:
-        pipeline: the model.
-        inputs: that drive it.
-        run: from which the changes count.
-        columns: (D,) outputs.
-        indices: (F,) parameters.
-        values: (F,) what each is moved to.
+    They count from a run with these inputs; (F,) parameters move to (F,) values.
     """
     only_air = pipeline.until(columns) <= pipeline.drive
     end = pipeline.reads_pressure if only_air else pipeline.drive
@@ -69,7 +63,6 @@ def changes(
 
 
 def _with(run: Run, index: int, value: float) -> np.ndarray:
-    """(P,) the run's parameters with another value of one."""
     theta = run.theta.copy()
     theta[index] = value
     return theta
@@ -78,12 +71,8 @@ def _with(run: Run, index: int, value: float) -> np.ndarray:
 class AtRest:
     """Derivatives of the outputs of a body that remembers nothing behind its drive.
 
-    Args:
-        pipeline: drive, loads where there are any, and markers directly behind.
-        inputs: that drive it.
-        run: where they are taken.
-        columns: (D,) outputs.
-        at: (n, D) their values.
+    They are taken at a run of a pipeline that has loads, if any, and markers directly behind the drive; `at`
+    (n, D) are the values of the outputs there.
 
     Attributes:
         by_free: (n, D, Q) by joint angles without loads, 1/rad.
@@ -160,7 +149,6 @@ class AtRest:
         return self._load.loads(self._inputs.sample_dt_s, theta, self._inputs.conditions_with({}, True))
 
     def _by_markers(self) -> np.ndarray:
-        """(n, D, 5) by where the body's tip is."""
         g, out = self._pipeline.geometry, np.zeros((*self._at.shape, 5))
         markers = self._run.signals[self._pipeline.reads_joints + 1]
         for m in (0, 2, 3) if g.axes == 1 else range(5):
@@ -233,18 +221,11 @@ SHORTEST_PERIOD_ROWS = 4.0
 
 
 class Bounds:
-    """Bounds of all parameters of a pipeline, and their map to [0, 1] (of the logarithm where that matters).
+    """Bounds `lower` and `upper` (P,) of all parameters of a pipeline, and their map to [0, 1].
 
-    Args:
-        pipeline: the model.
-        pressure_range_kpa: of the recording.
-        row_s: time between rows; times and periods that are too short to show stay outside the bounds. None
-            takes the effects' own bounds.
-
-    Attributes:
-        default: (P,) starting values for the recording's pressure range.
-        lower: (P,) bounds.
-        upper: (P,) bounds.
+    It is that of the logarithm where that matters. `default` (P,) are starting values for the recording's
+    pressure range. With a time between rows, `row_s`, times and periods that are too short to show stay
+    outside the bounds.
     """
 
     def __init__(self, pipeline: Pipeline, pressure_range_kpa: float, row_s: float | None = None):
@@ -274,17 +255,10 @@ class Bounds:
 
 
 class Problem:
-    """Residuals of one recording as a function of the free parameters, scaled to [0, 1].
+    """Residuals of one recording, whole or thinned, as a function of the free parameters, scaled to [0, 1].
 
-    Args:
-        pipeline: the model.
-        data: the recording, whole or thinned.
-        theta: (P,) values of the parameters that are not free.
-        bounds: bounds of all parameters.
-        free: (F,) indices of the free ones.
-
-    Attributes:
-        evaluations: simulations so far.
+    `free` (F,) are their indices, `theta` (P,) has the values of the others; `evaluations` counts
+    simulations.
     """
 
     def __init__(
@@ -383,12 +357,8 @@ class Problem:
 def past_jumps(problem, jumps: np.ndarray, v: np.ndarray) -> np.ndarray:
     """The best v nearby along each parameter that moves the error in jumps, which derivatives do not show.
 
-    Of each width the best by `nearby` is tried in full.
-
-    Args:
-        problem: with `residual` and `nearby`, see `Problem`.
-        jumps: (F,) of the first F parameters, see `Problem.jumps`.
-        v: from where.
+    Of each width the best by `nearby` is tried in full; `jumps` (F,) are those of the first F parameters, see
+    `Problem.jumps`.
     """
     where = np.flatnonzero(jumps)
     if not len(where):
@@ -409,15 +379,9 @@ def past_jumps(problem, jumps: np.ndarray, v: np.ndarray) -> np.ndarray:
 def level_stretch(
     residual: Callable[[np.ndarray], np.ndarray], v: np.ndarray, j: int, width: float
 ) -> tuple[float, float] | None:
-    """From where to where parameter j explains as much as at v: up to a 95 % profile of white residuals.
+    """From where to where parameter j explains as much as at the best v: a 95 % profile of white residuals.
 
-    None where it does so farther than is looked for.
-
-    Args:
-        residual: of v.
-        v: (F,) the best.
-        j: one of its parameters.
-        width: farthest that is looked for on either side.
+    None where it does so farther than `width` on either side.
     """
     r = residual(v)
     most = float(r @ r) * (1 + Z95**2 / len(r))

@@ -27,19 +27,12 @@ from pneutac_sim.twin import PAPER_FINGER
 
 
 def gain_profile(n_joints: int, alpha: float, beta: float) -> np.ndarray:
-    """How the bending is shared between the joints, r_n(alpha, beta) with unit mean (the paper's profile).
+    """How N joints share the bending: (N,) r_n(alpha, beta), positive, of mean 1 (the paper's profile).
 
-    r_n ∝ exp(alpha (n - nbar)) (1 + beta (n - nbar)^2), n = 1 at the base, nbar = (N + 1) / 2.
+    r_n ∝ exp(alpha (n - nbar)) (1 + beta (n - nbar)^2), n = 1 at the base, nbar = (N + 1) / 2: alpha skews it
+    towards the tip, or negative the base; with a positive beta the ends bend more than the middle.
 
-    Args:
-        n_joints: N >= 1.
-        alpha: skew towards the tip (positive) or the base (negative).
-        beta: positive where the ends bend more than the middle; above -1 / ((N - 1) / 2)^2.
-
-    Returns:
-        (N,) profile, all positive, mean 1.
-
-    Raises InputError: the profile would not be positive everywhere.
+    Raises InputError where it would not be positive everywhere.
     """
     m = np.arange(n_joints) - (n_joints - 1) / 2
     r = np.exp(alpha * m) * (1 + beta * m * m)
@@ -55,18 +48,10 @@ def gain_profile(n_joints: int, alpha: float, beta: float) -> np.ndarray:
 def joint_command(
     pressure_kpa: np.ndarray | float, gain: float, alpha: float, beta: float, rest_pressure: float, n: int
 ) -> np.ndarray:
-    """Target angle of each spine joint, q_n = G r_n(alpha, beta) (p + p0), in rad.
+    """Target angles (..., N) in rad of a finger's N joints, q_n = G r_n(alpha, beta) (p + p0).
 
-    Args:
-        pressure_kpa: (...) gauge pressure.
-        gain: G, rad/kPa.
-        alpha: see `gain_profile`.
-        beta: see `gain_profile`.
-        rest_pressure: p0, kPa: the pressure that would make the bend already present at rest.
-        n: number of joints N.
-
-    Returns:
-        (..., N) joint angles.
+    At gauge pressures (...) in kPa, with the gain G in rad/kPa, `gain_profile` r_n, and p0, the pressure in
+    kPa that would make the bend already present at rest.
     """
     drive = gain * (np.asarray(pressure_kpa, dtype=float) + rest_pressure)
     return drive[..., None] * gain_profile(n, alpha, beta)
@@ -75,15 +60,10 @@ def joint_command(
 def forward_kinematics(
     q: np.ndarray, joint_positions: np.ndarray, length: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Tip of a finger that bends in the xz plane.
+    """Tip (..., 2), x and z, and its bend (...), rad, of a finger that bends in the xz plane.
 
-    Args:
-        q: (..., N) joint angles, rad.
-        joint_positions: (N,) arc length of each joint from the base.
-        length: arc length of the tip.
-
-    Returns:
-        Tip (..., 2) as x, z in the unit of `length`; bend angle (...) of the tip, rad.
+    Of joint angles (..., N) rad, with the arc lengths of each joint, (N,), and of the tip from the base, in
+    one unit, which the tip has too.
     """
     q = np.asarray(q, dtype=float)
     heading = q @ np.triu(np.ones((q.shape[-1], q.shape[-1])))  # cumulative sum, faster than np.cumsum here
@@ -98,18 +78,10 @@ def forward_kinematics(
 def forward_kinematics_spatial(
     q: np.ndarray, joint_positions: np.ndarray, length: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Tip of an arm whose joints bend towards z and y.
+    """Tip (..., 3) and bend (..., 2) = sum of q_n, rad, of an arm whose joints bend towards +z and +y.
 
-    Each joint turns the next link, in the frame of the link before it, by the angle |q_n| in the direction
-    (0, q_n[1], q_n[0]) / |q_n|.
-
-    Args:
-        q: (..., N, 2) joint angles towards +z and towards +y, rad.
-        joint_positions: (N,) arc length of each joint from the base.
-        length: arc length of the tip.
-
-    Returns:
-        Tip (..., 3) as x, y, z in the unit of `length`; bend (..., 2) = sum of q_n, towards +z and +y, rad.
+    Of joint angles (..., N, 2) rad; lengths as of `forward_kinematics`. Each joint turns the next link, in
+    the frame of the link before it, by the angle |q_n| in the direction (0, q_n[1], q_n[0]) / |q_n|.
     """
     q = np.asarray(q, dtype=float)
     tip = np.empty((*q.shape[:-2], 3))
@@ -194,11 +166,8 @@ class Geometry:
 def base_parameters(geometry: Geometry, of_stiffness: bool = False) -> tuple[Parameter, ...]:
     """Parameters that every twin of this device has.
 
-    Bounds: a joint bends at most 2 rad at the largest pressure, and every joint in the same direction.
-
-    Args:
-        geometry: of the device.
-        of_stiffness: the joints' stiffness is fitted, and at the end the soft body's share of it.
+    Bounds: a joint bends at most 2 rad at the largest pressure, and every joint in the same direction. With
+    `of_stiffness` that of the joints is fitted, and at the end the soft body's share of it.
     """
     half = (geometry.n_joints - 1) / 2
     shape = (
@@ -244,6 +213,15 @@ def base_parameters(geometry: Geometry, of_stiffness: bool = False) -> tuple[Par
     )
 
 
+class Link:
+    """A link that remembers nothing."""
+
+    remembers = False  # whether what it does depends on what was before
+
+    def state_size(self, channels: int) -> int:
+        return 0
+
+
 @dataclass(frozen=True)
 class EffectLink:
     """One effect in the chain."""
@@ -286,15 +264,9 @@ _profile = lru_cache(256)(gain_profile)  # a fit asks for the same again and aga
 
 
 def drive_line(values: np.ndarray, profile: np.ndarray, axes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Joint angles as a straight line of the pressures, see `Drive`.
+    """Joints by pressure (chambers, N axes) in rad/kPa, and at zero pressure (N axes,) in rad, see `Drive`.
 
-    Args:
-        values: the base parameters before the stiffness, in their order.
-        profile: (N,) of `gain_profile`.
-        axes: bending axes of a joint.
-
-    Returns:
-        Joints by pressure (chambers, N axes) in rad/kPa, joints at zero pressure (N axes,) in rad.
+    By the base parameters before the stiffness, in their order, and `profile` (N,) of `gain_profile`.
     """
     n = len(profile)
     profile = profile * (1 + values[-1 - n : -1])
@@ -312,7 +284,7 @@ def drive_line(values: np.ndarray, profile: np.ndarray, axes: int) -> tuple[np.n
 
 
 @dataclass(frozen=True)
-class Drive:
+class Drive(Link):
     """Pressure to free joint angles, q_n = G r_n(alpha, beta) (1 + d_n) (p + p0) + curl / N.
 
     d_n and curl are zero in the paper: they let a body bend where its own chamber makes it. In an arm
@@ -322,64 +294,35 @@ class Drive:
 
     geometry: Geometry
     indices: tuple[int, ...]
-    remembers = False
-
-    def state_size(self, channels: int) -> int:
-        return 0
+    held: tuple[np.ndarray, np.ndarray] | None = None  # its line, where the parameters stay as they are
 
     def __call__(self, x, dt, theta, conditions: Conditions, state) -> np.ndarray:
         """Returns joints (m, N axes)."""
         gain, still = self.line(theta)
         return x @ gain + still
 
-    def rest(self, theta) -> np.ndarray:
-        """Joint angles (N axes,) at zero pressure: a curl without stress."""
-        return self.line(theta)[1]
-
     def line(self, theta) -> tuple[np.ndarray, np.ndarray]:
-        """Joints by pressure (chambers, N axes), and joints at zero pressure (N axes,)."""
+        """Joints by pressure (chambers, N axes), and at zero pressure (N axes,): a curl without stress."""
+        if self.held is not None:
+            return self.held
         values, g = theta[list(self.indices)], self.geometry
         return drive_line(values, _profile(g.n_joints, float(values[1]), float(values[2])), g.axes)
-
-    def held_at(self, theta) -> "HeldDrive":
-        """The same where the parameters stay as they are."""
-        return HeldDrive(*self.line(theta))
-
-
-@dataclass(frozen=True)
-class HeldDrive:
-    """A drive whose parameters stay as they are."""
-
-    gain: np.ndarray  # (chambers, N axes) rad/kPa
-    still: np.ndarray  # (N axes,) joints at zero pressure, rad
-    remembers = False
-
-    def state_size(self, channels: int) -> int:
-        return 0
-
-    def __call__(self, x, dt, theta, conditions: Conditions, state) -> np.ndarray:
-        """Returns joints (m, N axes)."""
-        return x @ self.gain + self.still
-
-    def rest(self, theta) -> np.ndarray:
-        """Joint angles (N axes,) at zero pressure: a curl without stress."""
-        return self.still
 
 
 @dataclass(frozen=True)
 class BodyLink(EffectLink):
     """An effect on the joints: it acts on what is strained, not on the curl that the device has at rest."""
 
-    drive: Drive | HeldDrive
+    drive: Drive
 
     def __call__(self, x, dt, theta, conditions: Conditions, state) -> np.ndarray:
         """Returns the changed joints (m, N axes); `state` is updated."""
-        strained = x - self.drive.rest(theta)
+        strained = x - self.drive.line(theta)[1]
         return x + (super().__call__(strained, dt, theta, conditions, state) - strained)
 
 
 @dataclass(frozen=True)
-class LoadLink:
+class LoadLink(Link):
     """Static equilibrium with the loads on the body: those of effects, and a force measured at the tip.
 
     Joints are springs of one stiffness; with a `body` of material points they are the chamber's controller
@@ -391,7 +334,6 @@ class LoadLink:
     stiffness: int
     measured: bool = False
     body: SoftBody | None = None
-    remembers = False
 
     @property
     def indices(self) -> tuple[int, ...]:
@@ -431,15 +373,11 @@ class LoadLink:
 
 
 @dataclass(frozen=True)
-class Markers:
+class Markers(Link):
     """Joint angles to what a camera sees: tip x, y, z in mm, bend towards +z and +y in rad."""
 
     geometry: Geometry
     indices: tuple[int, ...] = ()
-    remembers = False
-
-    def state_size(self, channels: int) -> int:
-        return 0
 
     def __call__(self, x, dt, theta, conditions: Conditions, state) -> np.ndarray:
         """Returns markers (m, 5)."""

@@ -129,7 +129,7 @@ class TactileBatch:
         self._cell_mm = width / COLS, height / ROWS
         coefficients, _, residual_light = m.lighting
         self._light = _Light(coefficients, self._cell_mm, residual_light is not None, self._device)
-        fields = [f for f in (m.lent, m.residual) if f is not None]
+        fields = [f for f in (m.prior_residual, m.residual) if f is not None]
         self._fields = [_Field(f, self._cell_mm, self._device) for f in fields]
         self._share = self._sent(m.field_share) if fields else None
         self._rest, self._weight = self._sent(m.rest_image), self._sent(m.weight)

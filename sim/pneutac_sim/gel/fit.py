@@ -186,7 +186,7 @@ def add_prior_field(make: Layout, problem: Problem, fit: GelFit) -> None:
     if fit.prior_share:
         problem.seen, fit.channels = tried[best]
         fit.gel = problem.gel = problem.lit(fit.channels)
-        fit.gel.lent = prior.times(fit.prior_share)
+        fit.gel.prior_residual = prior.times(fit.prior_share)
 
 
 def learn_residual(problem: Problem, fit: GelFit) -> None:

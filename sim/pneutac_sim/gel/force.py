@@ -129,7 +129,6 @@ class GelForce:
         return self._solve(p, d, max(TOLERANCE * float(d.max()), FINEST_MM))
 
     def _solve(self, p: np.ndarray, d: np.ndarray, tolerance: float) -> np.ndarray:
-        """Pressure (rows, columns) under an imprint from the guess `p`, by Polonsky & Keer's steps."""
         touchable = d > 0
         t = np.zeros_like(p)
         norm, restart = 1.0, True
@@ -153,7 +152,6 @@ class GelForce:
         return p
 
     def _move(self, p: np.ndarray) -> np.ndarray:
-        """C * p: displacement (rows, columns) of a pressure, mm."""
         wave = fft.rfft2(p, self._padded)
         wave *= self._compliance
         return fft.irfft2(wave, self._padded, overwrite_x=True)[: self._shape[0], : self._shape[1]]

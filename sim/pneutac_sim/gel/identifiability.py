@@ -91,7 +91,6 @@ def open_levels(
 
 
 def _grams(gel: GelModel, channels: Sequence[Channel], press: Press) -> list[np.ndarray]:
-    """`Channel.gram` of each channel in the contact of a press."""
     rest = to_grid(gel.rest_image)
     u = gel.surface(surface(gel.imprint(press_depth(press, gel)), gel.cell_mm, gel.decay_mm), gel.cell_mm)
     near = to_grid(PressPhotograph(press, gel.rest_image, gel.rest_image).near(gel.px_per_mm)) > 0.5
@@ -99,12 +98,10 @@ def _grams(gel: GelModel, channels: Sequence[Channel], press: Press) -> list[np.
 
 
 def _levels(grams: np.ndarray, covariances: Sequence[np.ndarray]) -> float:
-    """Root mean square over presses and channels of the light's standard deviation."""
     return float(np.sqrt(np.einsum("pkfg,kgf->pk", grams, np.array(covariances)).mean()))
 
 
 def _unidentified(channels: Sequence[Channel]) -> tuple[str, ...]:
-    """Parameters of effects of which no channel learnt much."""
     learnt: dict[str, float] = {}
     for channel, colour in zip(channels, ("red", "green", "blue"), strict=True):
         for (effect, name), share in channel.learnt().items():

@@ -88,7 +88,7 @@ class TouchReader:
         self._rest = to_grid(gel.rest_image)
         self._weight = gel.weight_on(self._rest).transpose(2, 0, 1).astype(float)
         # Residual fields double the time and make depths no truer (benchmarks/notes/tactile.md).
-        self._light = replace(gel, lent=None, residual=None).lighting
+        self._light = replace(gel, prior_residual=None, residual=None).lighting
         J, lap = _derivative(self._light[0], self._weight, self._cell), _laplacian(self._cell)
         damping = MU**2 * sparse.eye(ROWS * COLS) + LAMBDA**2 * lap.T @ lap
         self._solve, self._JT = splu((J.T @ J + damping).tocsc()).solve, J.T.tocsr()
@@ -143,7 +143,6 @@ class TouchReader:
         return out
 
     def _touch(self, u: np.ndarray) -> Touch:
-        """Contacts, depth and force of a surface; each contact ends at a share of its own depth."""
         parts, count = ndimage.label(u > SHALLOWEST_MM)
         deepest = np.concatenate([[np.inf], ndimage.maximum(u, parts, range(1, count + 1))])
         contact = u > EDGE * deepest[parts]
@@ -173,8 +172,6 @@ def _differences(n: int, step: float) -> sparse.csr_matrix:
 
 
 def _laplacian(cell_mm) -> sparse.csr_matrix:
-    """(n, n) over the grid; nothing flows over its rim."""
-
     def line(n: int, step: float):
         d = sparse.diags([1.0, -2.0, 1.0], [-1, 0, 1], shape=(n, n), format="lil")
         d[0, 0] = d[-1, -1] = -1.0

@@ -24,7 +24,8 @@ from pneutac_sim.gel.surface import DECAY_MM
 from pneutac_sim.twin import GEL, Twin, Value
 
 LEAST_PX = 32  # a side of the image
-FIELDS = ("lent", "residual")
+FIELDS = ("prior_residual", "residual")
+EARLIER = "lent"  # what the first one was called in twins of earlier versions
 OWN_PLACE = ("rest_image", "effects", *FIELDS)  # in a twin, not among the gel's numbers
 
 
@@ -45,7 +46,7 @@ class GelModel:
             surface, up to 1; the skin over a gel bridges the edge of a contact.
         effects: of the sensor, name to parameters; without any this is the paper's linear model.
         threshold_levels: difference to the rest image above which a pixel counts as contact.
-        lent: prior residual field from other sensors of the model, scaled as it was taken, or None.
+        prior_residual: residual field from other sensors of the make, scaled as it was taken, or None.
         residual: field learnt from several presses besides that, or None.
     """
 
@@ -58,7 +59,7 @@ class GelModel:
     depth_scale: float = 1.0
     threshold_levels: float = THRESHOLD_LEVELS
     effects: dict[str, dict[str, float]] = field(default_factory=dict)
-    lent: ResidualField | None = None
+    prior_residual: ResidualField | None = None
     residual: ResidualField | None = None
 
     def __post_init__(self):
@@ -146,7 +147,7 @@ class GelModel:
     @property
     def lighting(self) -> tuple[np.ndarray, list[optics.Further], optics.ResidualLight | None]:
         """What `optics.light` takes after a surface and its grid's spacing."""
-        learnt = [f for f in (self.lent, self.residual) if f is not None]
+        learnt = [f for f in (self.prior_residual, self.residual) if f is not None]
         if not learnt:
             return self.coefficients, self.further, None
         share = self.field_share
@@ -217,8 +218,8 @@ class GelModel:
             )
         effects = {n: {k: v.value for k, v in twin.effects[n].items()} for n in of_sensor(twin.effects)}
         learnt = {
-            name: ResidualField(*(twin.arrays[array] for array in _arrays(name)))
-            for name in FIELDS
+            FIELDS[0] if name == EARLIER else name: ResidualField(*(twin.arrays[a] for a in _arrays(name)))
+            for name in (EARLIER, *FIELDS)
             if set(_arrays(name)) <= set(twin.arrays)
         }
         return cls(twin.arrays["rest_image"], **twin.gel, effects=effects, **learnt)
@@ -231,9 +232,9 @@ class GelModel:
         twin.effects |= {n: {k: Value(float(v)) for k, v in e.items()} for n, e in self.effects.items()}
         twin.gel = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in own.items()}
         twin.arrays["rest_image"] = self.rest_image.copy()
-        for name in FIELDS:
+        for name in (EARLIER, *FIELDS):
             centres, weights = _arrays(name)
-            learnt = getattr(self, name)
+            learnt = getattr(self, name, None)
             twin.arrays = {k: v for k, v in twin.arrays.items() if k not in (centres, weights)}
             if learnt is not None:
                 twin.arrays |= {centres: learnt.centres, weights: learnt.weights}

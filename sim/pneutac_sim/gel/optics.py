@@ -65,12 +65,9 @@ def light(
 ) -> np.ndarray:
     """What the surface adds to each channel before the weight w: s in levels, float32 (3, rows, columns).
 
-    Args:
-        displacement_mm: (rows, columns), positive into the gel.
-        cell_mm: grid spacing along x and y.
-        coefficients: (3, 12), see the top of this module; lengths in mm from the window's centre.
-        further: what effects outside the compiled light make of it, in this order.
-        residual_light: added at last.
+    Of a displacement (rows, columns), positive into the gel, with the grid spacing along x and y and
+    coefficients (3, 12), see the top of this module. What effects outside the compiled light make of it comes
+    after it, and the residual light last.
     """
     u = np.ascontiguousarray(displacement_mm, np.float32)
     if np.shape(coefficients) != (3, SIZE):

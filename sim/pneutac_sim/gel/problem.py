@@ -436,5 +436,10 @@ class Problem:
         rows = np.array([c.row for c in channels])
         effects = self.gel.effects | effects_of([c.values for c in channels], self.effects)
         return replace(
-            self.gel, light=rows[:, :2], depth_light=rows[:, 2], effects=effects, lent=None, residual=None
+            self.gel,
+            light=rows[:, :2],
+            depth_light=rows[:, 2],
+            effects=effects,
+            prior_residual=None,
+            residual=None,
         )

@@ -161,14 +161,11 @@ def joint_targets(
 ) -> np.ndarray:
     """Joint targets (T, H) in rad, hinge by hinge as in `Spine`, from the twin's own pipeline.
 
-    Weight and payload bend the joints by their torque over the twin's `joint_stiffness_nm_per_rad`, as in the
-    skeleton; the spine's controller is a stiff servo and not what yields to them.
-
-    Args:
-        twin: a finger's or an arm's.
-        pressure_kpa: (T,) commands for a finger, (T, 3) for an arm.
-        time_s: (T,) rising; None where each pressure has been held for long by itself.
-        conditions: what effects ask for, such as `temperature_c`, `gravity_x` or `payload_g`.
+    At commands (T,) for a finger, (T, 3) for an arm, at rising times (T,); None where each has been held for
+    long by itself. `conditions` are what effects ask for, such as `temperature_c`, `gravity_x` or
+    `payload_g`. Weight and payload bend the joints by their torque over the twin's
+    `joint_stiffness_nm_per_rad`, as in the skeleton; the spine's controller is a stiff servo and not what
+    yields to them.
 
     Raises InputError: a pressure is not a finite number; an effect of the twin cannot act here.
     """
@@ -207,8 +204,7 @@ def joint_targets(
 def press_loads(press: Press) -> Loads:
     """Loads of an indenter on a gel, the same as `Press.depths` puts onto the probe grid.
 
-    Args:
-        press: where and how deep, gel frame. A figure needs a solver with the table of `mpm.figure`.
+    A figure needs a solver with the table of `mpm.indenter`.
     """
     s = 1e-3 * press.size_mm
     tip = 1e-3 * np.array([press.x_mm, press.y_mm, -press.depth_mm])
@@ -313,7 +309,6 @@ class PressedGel:
         return (1 - part) * found[0][k] + part * found[0][k + 1]
 
     def _surfaces(self, press: Press, shares: np.ndarray) -> np.ndarray:
-        """(K, 80, 59) on the way in."""
         if press.figure is not None:
             self._solver.set_table(distances_m(press.figure))
         try:

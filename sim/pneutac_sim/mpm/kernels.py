@@ -425,41 +425,22 @@ def within(
 
 
 @ti.kernel
-def across(taken: int, data: State, soa: ti.template(), touching: ti.template()):
-    """One substep, cells and then nodes side by side; `taken` counts those since the loads were set."""
-    spread = SPREAD_CPU
-    stride = 1
-    if ti.static(soa):
-        spread = GPU_LANES
-        stride = GPU_LANES
+def across(taken: int, data: State, touching: ti.template()):
+    """One substep on the CPU, cells and then nodes side by side, the one after `taken`."""
     if ti.static(touching):
         for t in range(data.bodies * data.points):
-            touch(t // data.points, t % data.points, taken, data, soa)
-    if ti.static(soa):
-        for t in range(data.bodies * 3 * data.cells):
-            b, i = t // (3 * data.cells), t % (3 * data.cells)
-            strain(b, i % data.cells, i % data.cells, i // data.cells, data.cells, data, soa)
-        for t in range(data.bodies * 8 * data.cells):
-            b, i = t // (8 * data.cells), t % (8 * data.cells)
-            stress(b, i % data.cells, i % data.cells, i // data.cells, data.cells, data, soa)
-        for t in range(data.bodies * 3 * data.cells):
-            b, i = t // (3 * data.cells), t % (3 * data.cells)
-            spread(b, i % data.cells, i % data.cells, i // data.cells, data.cells, data, touching, soa)
-    else:
-        for task in range(ROOM * SPREAD_CPU):
-            if task % SPREAD_CPU == 0:
-                t = task // SPREAD_CPU
-                for i in range(
-                    t * data.bodies * data.cells // ROOM, (t + 1) * data.bodies * data.cells // ROOM
-                ):
-                    cell(i // data.cells, i % data.cells, t, ROOM, data, touching, soa)
+            touch(t // data.points, t % data.points, taken, data, False)
+    for task in range(ROOM * SPREAD_CPU):
+        if task % SPREAD_CPU == 0:
+            t = task // SPREAD_CPU
+            for i in range(t * data.bodies * data.cells // ROOM, (t + 1) * data.bodies * data.cells // ROOM):
+                cell(i // data.cells, i % data.cells, t, ROOM, data, touching, False)
     for t in range(data.bodies * data.nodes):
-        move(t // data.nodes, t % data.nodes, data, soa)
+        move(t // data.nodes, t % data.nodes, data, False)
     if data.hinges > 0:
-        for t in range(data.bodies * spread):
-            b, lane = t // spread, t % spread
-            if ti.static(soa) or lane == 0:
-                spine_step(b, lane, stride, data, soa)
+        for t in range(data.bodies * SPREAD_CPU):
+            if t % SPREAD_CPU == 0:
+                spine_step(t // SPREAD_CPU, 0, 1, data, False)
 
 
 @ti.kernel

@@ -26,18 +26,13 @@ _started: tuple[str, int] | None = None  # device and process
 
 
 def start(device: str = "auto", threads: int = 0) -> str:
-    """Starts the compiler's runtime once a process; later calls with the same device do nothing.
+    """Starts the compiler's runtime once a process, on `cpu`, `cuda`, or `auto` for CUDA where there is one.
 
-    Args:
-        device: `cpu`, `cuda`, or `auto` for CUDA where there is one.
-        threads: of the CPU; 0 for all cores.
+    `threads` are of the CPU; 0 for all cores. Returns `cpu` or `cuda`; later calls with the same device do
+    nothing else.
 
-    Returns:
-        `cpu` or `cuda`.
-
-    Raises:
-        InputError: no such device, CUDA is missing, the runtime runs on another device already, or this
-        process was forked from one in which it had been started (it would hang).
+    Raises InputError: no such device, CUDA is missing, the runtime runs on another device already, or this
+    process was forked from one in which it had been started (it would hang).
     """
     global _started
     check_choice("device", device, ("auto", "cpu", "cuda"))

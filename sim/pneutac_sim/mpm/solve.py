@@ -177,7 +177,6 @@ def _particles(solver: TotalLagrangian) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _controller_torque(solver: TotalLagrangian, loads: Loads, q: np.ndarray) -> np.ndarray:
-    """(B, H) N m at rest: K (q_cmd - q)."""
     stiffness = solver.spine.stiffness_nm_per_rad if solver.spine else 0.0
     return stiffness * (loads.targets(*q.shape) - q)
 
@@ -203,13 +202,13 @@ def simulate(
     dt: float | None = None,
     particles: bool = True,
 ) -> Trajectory:
-    """Moves bodies on from their present state; the first frame is that state.
+    """Moves bodies on from their present state; the first frame is that state, the others `frame_s` apart.
 
     Args:
         solver: holds the bodies.
         loads: what acts, or a function of time; held constant during a frame.
         duration_s: s.
-        frame_s: time between frames, s.
+        frame_s: s.
         damping: of the momentum by a surrounding medium, 1/s.
         dt: largest step, s; None for the largest stable one of the batch.
         particles: keep their positions.
@@ -252,7 +251,6 @@ def _round(rate: np.ndarray) -> np.ndarray:
 
 
 def _outside(solver: TotalLagrangian) -> None:
-    """Refuses to begin a motion with an indenter well inside a body: it would be shot away."""
     if not solver.touching:
         return
     overlap = solver.overlap()

@@ -16,15 +16,10 @@ GPU_BLOCKS = 64  # of 256 lanes that any card since 2017 holds at once
 
 
 class TotalLagrangian:
-    """A batch of bodies of one shape.
+    """A batch of bodies of one shape, material and clamped side; `materials`, one a body, where they differ.
 
-    Args:
-        body: shape, material and clamped side.
-        spine: of every body, or None.
-        batch: number of bodies B.
-        materials: one a body where they differ.
-        device: see `runtime.start`.
-        table: (n, n, n) signed distances (m) over a cube of half edge `size_m[0]` for the indenter `mesh`.
+    Each has a spine or none. `table` (n, n, n) are signed distances in m over a cube of half edge
+    `size_m[0]`, for the indenter `mesh`.
     """
 
     def __init__(
@@ -117,12 +112,9 @@ class TotalLagrangian:
     def apply(self, loads: Loads, damping=0.0, dt=None, contact_rate=0.0, drift_m=None) -> None:
         """Sets the loads of every body from now on; numbers may be (B,), one a body.
 
-        Args:
-            loads: of every body.
-            damping: of the momentum, 1/s.
-            dt: step in s; None for the largest stable one of each body.
-            contact_rate: how fast penetration is pushed out, 1/s.
-            drift_m: (B, 3) by which the indenter moves in each substep, m.
+        The momentum is damped by `damping` in 1/s and penetration pushed out by `contact_rate` in 1/s; the
+        step is `dt` in s, or the largest stable one of each body, in which the indenter moves by `drift_m`
+        (B, 3).
         """
         row = self.load
         loads.fill(row)
@@ -173,7 +165,7 @@ class TotalLagrangian:
         """Advances by a number of substeps."""
         if not self.soa and len(self.grid.cell_mask) >= LARGE and self.batch < 8:
             for i in range(substeps):
-                steps.across(self.taken + i, self.state, self.soa, self.touching)
+                steps.across(self.taken + i, self.state, self.touching)
         else:
             self.gate.fill(0)
             steps.within(self.taken, substeps, self.blocks, self.gate, self.state, self.soa, self.touching)

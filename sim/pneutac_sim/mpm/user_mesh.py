@@ -131,13 +131,10 @@ class UserMesh:
 
 
 def read_mesh(file: str | Path, unit: str = "mm", axis: str | None = None) -> UserMesh:
-    """Reads a mesh, repairs it and places it.
+    """Reads a mesh (STL, OBJ, PLY) with coordinates in mm or m, repairs it and places it.
 
-    Args:
-        file: STL, OBJ or PLY.
-        unit: of its coordinates, mm or m.
-        axis: x, y or z, along which it lies in the file, base first; None for the longest side. Axes are
-            renamed in cyclic order: with z it bends towards the file's y, with y towards x, with x towards z.
+    It lies along `axis`, x, y or z, in the file, base first; None for the longest side. Axes are renamed in
+    cyclic order: with z it bends towards the file's y, with y towards x, with x towards z.
 
     Raises InputError: not a mesh, no closed body, several bodies, an implausible size, or a hollow one.
     """

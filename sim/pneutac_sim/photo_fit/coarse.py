@@ -162,7 +162,6 @@ def _fit_skinned(model: Skinned, x: np.ndarray, blur: float) -> np.ndarray:
 
 
 def _refine(model: Skinned, x: np.ndarray) -> Coarse:
-    """Gauss-Newton steps with derivatives from material points, as long as they help."""
     parameters = model.parameters
     free, lower, upper = parameters.of_pose, parameters.lower, parameters.upper
     scale = parameters.step[free]
@@ -199,7 +198,6 @@ def _steps(parameters: BodyParameters, y: np.ndarray, share: float) -> np.ndarra
 
 
 def _check(model: Skinned, x: np.ndarray, photographs: list[MaskedPhotograph]) -> None:
-    """Raises InputError where a photograph shows no such body in any pose that was found."""
     at = model.positions(x)
     for p, small in zip(photographs, model.photographs, strict=True):
         try:

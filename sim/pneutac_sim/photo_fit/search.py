@@ -53,19 +53,11 @@ def search(
     record: SearchRecord = SearchRecord(),
     progress: Callable[[int, np.ndarray, float], None] = lambda done, best, value: None,
 ) -> Search:
-    """Minimises an objective from a warm start.
+    """Minimises an objective, (K, P) coordinates to (K,), from a warm start; the seed decides all candidates.
 
     Where the record's file has the same key, seed and start, its generations are replayed instead of
-    evaluated, after which the search goes on as if it had never stopped.
-
-    Args:
-        objective: (K, P) coordinates to (K,).
-        parameters: bounds and first steps.
-        start: where to begin, and what silhouettes determine about it.
-        evaluations: rounded up to whole generations.
-        seed: decides all candidates.
-        record: where to keep them.
-        progress: called after each generation with the evaluations so far, the best candidate and its value.
+    evaluated, after which the search goes on as if it had never stopped. Evaluations are rounded up to whole
+    generations; `progress` is called after each with those so far, the best candidate and its value.
 
     Raises InputError: there is no whole generation, or the objective is no number.
     """

@@ -257,7 +257,6 @@ def surroundings(
 
 
 def _there(looks: Gaussians, picture: np.ndarray, camera: Camera) -> np.ndarray:
-    """(n, ...) what a picture (H, W, ...) shows where the centres of Gaussians are."""
     pixels, _ = camera.project(looks.means)
     at = np.floor(pixels).clip(0, (camera.width - 1, camera.height - 1)).astype(int)
     return picture[at[:, 1], at[:, 0]]

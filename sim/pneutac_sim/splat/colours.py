@@ -76,18 +76,11 @@ def fit_looks(
     iterations: int = 100,
     coverage: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Colours and opacities that render best as a picture: `solve_colours`, then Adam on both.
+    """Colours (n, 3) and opacities (n,), float32, that render best as a picture (H, W, 3), 0 to 1.
 
-    Args:
-        splats: Gaussians as the picture's camera sees them; opacities to start from are clipped to 0.01 to
-            0.99.
-        target: the picture, (H, W, 3), 0 to 1.
-        background: (3,).
-        iterations: of Adam, at the paper's rate on colours and on logits of opacities; 0 for colours alone.
-        coverage: wanted coverage, (H, W), 0 to 1, such as a silhouette; free where None.
-
-    Returns:
-        Colours (n, 3) and opacities (n,) of the best iteration, float32.
+    `solve_colours`, then Adam on colours and on logits of opacities, at the paper's rate; those to start from
+    are clipped to 0.01 to 0.99, and the best iteration is taken. `coverage` (H, W), 0 to 1, is what is
+    wanted, such as a silhouette; free where None.
 
     Raises InputError: a shape is wrong or a number not finite.
     """

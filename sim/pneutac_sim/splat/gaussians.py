@@ -45,12 +45,10 @@ class Gaussians:
         return axes @ axes.transpose(0, 2, 1)
 
     def moved(self, means, deformation_gradients=None) -> "Gaussians":
-        """The same Gaussians carried along by their body, of unchanged scales.
+        """The same Gaussians carried along by their body to means (n, 3) in m, of unchanged scales.
 
-        Args:
-            means: where they are now, (n, 3) m.
-            deformation_gradients: F, (n, 3, 3): each Gaussian turns by the rotation U of F = U P, P
-                symmetric positive definite. None: no turn.
+        With deformation gradients F (n, 3, 3) each turns by the rotation U of F = U P, P symmetric positive
+        definite.
 
         Raises InputError: a shape is wrong, a number not finite, or a determinant of F not positive.
         """

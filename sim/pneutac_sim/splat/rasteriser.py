@@ -193,7 +193,6 @@ def _begin(state, x0, y0, width, height):
 
 @njit(inline="always")
 def _finished(state):
-    """Whether no pixel of a tile takes more colour."""
     most = -_ONE
     for row in range(TILE):
         for lane in range(TILE):
@@ -242,57 +241,16 @@ def composite(share, shares, starts, ids, splats, colours, background, tiles_x, 
 
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
-def pull_back(share, shares, starts, ids, splats, grad_image, tiles_x, out):
-    """Adds to each Gaussian's `out` (n, 3) its weight at each pixel times `grad_image` (H, W, 3) there."""
-    height, width = grad_image.shape[:2]
-    state = np.empty((TILE, 4 * TILE), np.float32)  # transmittance, gradient by red, green, blue
-    sums = np.empty(3 * TILE, np.float32)
-    for tile in range(share, len(starts) - 1, shares):
-        if starts[tile] == starts[tile + 1]:
-            continue
-        x0, y0 = tile % tiles_x * TILE, tile // tiles_x * TILE
-        _begin(state, x0, y0, width, height)
-        for row in range(min(TILE, height - y0)):
-            for lane in range(min(TILE, width - x0)):
-                for k in range(3):
-                    state[row, lane + 16 * (k + 1)] = grad_image[y0 + row, x0 + lane, k]
-        for k in range(starts[tile], starts[tile + 1]):
-            if (k & 15) == 0 and _finished(state):
-                break
-            i = ids[k]
-            s = splats[i]
-            x, y, a, b, c, opacity = s[0] - np.float32(x0), s[1] - np.float32(y0), s[2], s[3], s[4], s[5]
-            first, last = max(np.int64(s[6]) - y0, 0), min(np.int64(s[7]) - y0, TILE - 1)
-            sums[:] = _ZERO
-            for row in range(first, last + 1):
-                dy = np.float32(row) + _HALF - y
-                bdy, cdy2, line = b * dy, c * dy * dy, state[row]
-                for lane in range(TILE):
-                    raw, _ = _alpha(lane, x, bdy, cdy2, a, opacity)
-                    w = _cut(raw) * line[lane]
-                    left = line[lane] - w
-                    goes_on = left > LEAST_TRANSMITTANCE
-                    w = w if goes_on else _ZERO
-                    line[lane] = left if goes_on else -abs(line[lane])
-                    sums[lane] += w * line[lane + 16]
-                    sums[lane + 16] += w * line[lane + 32]
-                    sums[lane + 32] += w * line[lane + 48]
-            for k3 in range(3):
-                total = _ZERO
-                for lane in range(TILE):
-                    total += sums[lane + 16 * k3]
-                out[i, k3] += total
+def pull_back(share, shares, starts, ids, splats, grad_image, shading, tiles_x, out):
+    """Gradients by colour, added to `out` (n, 3), by the pixels' `grad_image` (H, W, 3).
 
-
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
-def replay(share, shares, starts, ids, splats, colours, image, alpha, grad_image, grad_alpha, tiles_x, out):
-    """Gradients by colour and opacity, added to `out` (n, 4): composites once more, near to far.
-
-    With r = g . (what lies behind a Gaussian, background included), g the gradient by the pixel (H, W, 3),
-    dL/dalpha = T g . c - r / (1 - alpha); a gradient by coverage (H, W) acts as a background of its negative.
-    `image` and `alpha` are what `composite` gave. All are float32.
+    With `shading`, colours (n, 3), what `composite` made of them, `image` and `alpha`, and the gradient by
+    coverage (H, W), `out` is (n, 4) with those by opacity: all is composited once more, near to far. With
+    r = g . (what lies behind a Gaussian, background included), g the gradient by the pixel,
+    dL/dalpha = T g . c - r / (1 - alpha); a gradient by coverage acts as a background of its negative. All
+    are float32.
     """
-    height, width = alpha.shape
+    height, width = grad_image.shape[:2]
     state = np.empty((TILE, 5 * TILE), np.float32)  # transmittance, g, r
     sums = np.empty(4 * TILE, np.float32)
     for tile in range(share, len(starts) - 1, shares):
@@ -303,19 +261,23 @@ def replay(share, shares, starts, ids, splats, colours, image, alpha, grad_image
         for row in range(min(TILE, height - y0)):
             for lane in range(min(TILE, width - x0)):
                 p, q = y0 + row, x0 + lane
-                # r_0 = g . C - dL/dA T_end, all that lies behind the camera's plane
-                behind = -grad_alpha[p, q] * (_ONE - alpha[p, q])
                 for k in range(3):
                     state[row, lane + 16 * (k + 1)] = grad_image[p, q, k]
-                    behind += grad_image[p, q, k] * image[p, q, k]
-                state[row, lane + 64] = behind
+                if shading is not None:
+                    _, image, alpha, grad_alpha = shading
+                    # r_0 = g . C - dL/dA T_end, all that lies behind the camera's plane
+                    behind = -grad_alpha[p, q] * (_ONE - alpha[p, q])
+                    for k in range(3):
+                        behind += grad_image[p, q, k] * image[p, q, k]
+                    state[row, lane + 64] = behind
         for k in range(starts[tile], starts[tile + 1]):
             if (k & 15) == 0 and _finished(state):
                 break
             i = ids[k]
             s = splats[i]
             x, y, a, b, c, opacity = s[0] - np.float32(x0), s[1] - np.float32(y0), s[2], s[3], s[4], s[5]
-            red, green, blue = colours[i, 0], colours[i, 1], colours[i, 2]
+            if shading is not None:
+                red, green, blue = shading[0][i, 0], shading[0][i, 1], shading[0][i, 2]
             first, last = max(np.int64(s[6]) - y0, 0), min(np.int64(s[7]) - y0, TILE - 1)
             sums[:] = _ZERO
             for row in range(first, last + 1):
@@ -323,30 +285,30 @@ def replay(share, shares, starts, ids, splats, colours, image, alpha, grad_image
                 bdy, cdy2, line = b * dy, c * dy * dy, state[row]
                 for lane in range(TILE):
                     raw, e = _alpha(lane, x, bdy, cdy2, a, opacity)
-                    cut = _cut(raw)
-                    before = line[lane]
+                    cut, before = _cut(raw), line[lane]
                     w = cut * before
                     left = before - w
                     goes_on = left > LEAST_TRANSMITTANCE
                     w = w if goes_on else _ZERO
                     line[lane] = left if goes_on else -abs(before)
-                    g_colour = line[lane + 16] * red + line[lane + 32] * green + line[lane + 48] * blue
-                    behind = line[lane + 64] - w * g_colour
-                    line[lane + 64] = behind
-                    # dL/dopacity = dL/dalpha exp(-sigma), zero where alpha is cut
-                    slope = (before * g_colour - behind / (_ONE - cut)) * e
-                    slope = slope if goes_on else _ZERO
-                    slope = slope if raw >= LEAST_ALPHA else _ZERO
-                    slope = slope if raw <= MOST_ALPHA else _ZERO
+                    if shading is not None:
+                        g_colour = line[lane + 16] * red + line[lane + 32] * green + line[lane + 48] * blue
+                        behind = line[lane + 64] - w * g_colour
+                        line[lane + 64] = behind
+                        # dL/dopacity = dL/dalpha exp(-sigma), zero where alpha is cut
+                        slope = (before * g_colour - behind / (_ONE - cut)) * e
+                        slope = slope if goes_on else _ZERO
+                        slope = slope if raw >= LEAST_ALPHA else _ZERO
+                        slope = slope if raw <= MOST_ALPHA else _ZERO
+                        sums[lane + 48] += slope
                     sums[lane] += w * line[lane + 16]
                     sums[lane + 16] += w * line[lane + 32]
                     sums[lane + 32] += w * line[lane + 48]
-                    sums[lane + 48] += slope
-            for k4 in range(4):
+            for column in range(out.shape[1]):
                 total = _ZERO
                 for lane in range(TILE):
-                    total += sums[lane + 16 * k4]
-                out[i, k4] += total
+                    total += sums[lane + 16 * column]
+                out[i, column] += total
 
 
 MOST_THREADS = 8  # starting more costs longer than they save on a picture of a few milliseconds
@@ -362,17 +324,8 @@ class Rendering(NamedTuple):
 class Splats:
     """Gaussians projected, ordered by depth and listed by image tile, ready for any colours.
 
-    The image is linear in colours: image = W colours + (1 - alpha) background.
-
-    Args:
-        camera: from where.
-        means: (n, 3) m.
-        covariances: (n, 3, 3) m^2, symmetric.
-        opacities: (n,) 0 to 1.
-
-    Attributes:
-        camera: as given.
-        means, covariances, opacities: as given, float32.
+    The image is linear in colours: image = W colours + (1 - alpha) background. Means are (n, 3) m,
+    covariances (n, 3, 3) m^2, symmetric, opacities (n,) 0 to 1; they and the camera are attributes, float32.
 
     Raises InputError: a shape is wrong, a number not finite or an opacity outside 0 to 1.
     """
@@ -420,7 +373,7 @@ class Splats:
     def transpose(self, image) -> np.ndarray:
         """W^T times an image (H, W, 3): the gradient by colours alone, (n, 3) float32; raises as `render`."""
         image = numbers("image", image, (self.camera.height, self.camera.width, 3))
-        return self._gather(pull_back, 3, image)
+        return self._pull_back(image, None, 3)
 
     def gradients(
         self, colours, background, grad_image, grad_alpha=None, rendering: Rendering | None = None
@@ -437,13 +390,14 @@ class Splats:
         if grad_alpha is None:
             grad_alpha = np.zeros((h, w), np.float32)
         grad_alpha = numbers("grad_alpha", grad_alpha, (h, w))
-        out = self._gather(replay, 4, colours, image, alpha, grad_image, grad_alpha)
+        out = self._pull_back(grad_image, (colours, image, alpha, grad_alpha), 4)
         return out[:, :3], out[:, 3]
 
-    def _gather(self, kernel, columns: int, *inputs) -> np.ndarray:
-        """Sum over threads of what `kernel` adds to each Gaussian, (n, columns)."""
+    def _pull_back(self, grad_image: np.ndarray, shading: tuple | None, columns: int) -> np.ndarray:
+        """Sum over threads of what they add to each Gaussian, (n, columns)."""
         out = np.zeros((_shares(), len(self), columns), np.float32)
-        _share(lambda k, n, *rest: kernel(k, n, *rest, out[k]), *self._lists, *inputs, self._tiles_x)
+        inputs = *self._lists, grad_image, shading, self._tiles_x
+        _share(lambda k, n, *rest: pull_back(k, n, *rest, out[k]), *inputs)
         return out.sum(0)
 
 
@@ -456,7 +410,6 @@ def numbers(name: str, values, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _shares() -> int:
-    """Threads to use: NUMBA_NUM_THREADS, at most `MOST_THREADS`."""
     return min(config.NUMBA_NUM_THREADS, MOST_THREADS)
 
 

@@ -135,7 +135,6 @@ def refine_fit(fit: GelFit, photographs: Sequence[PressPhotograph], pressed: Pre
 
 
 def _parts(photographs: Sequence[PressPhotograph], px_per_mm: float) -> Iterator[list[np.ndarray]]:
-    """Pixels of each photograph that are held out together."""
     shapes = [p.rest.shape[:2] for p in photographs]
     if len(photographs) > 1:
         for i in range(len(photographs)):
@@ -154,7 +153,6 @@ def _squared(viewed: Sequence[Viewed], masks: Sequence[np.ndarray], gel: GelMode
 
 
 def _polar(gel: GelModel) -> np.ndarray:
-    """The unknowns (3, 3), one row a channel."""
     strength, angle = np.linalg.norm(gel.light, axis=1), np.arctan2(-gel.light[:, 1], -gel.light[:, 0])
     return np.stack([strength, angle, gel.depth_light], -1)
 
@@ -165,6 +163,5 @@ def _with_light(gel: GelModel, x: np.ndarray) -> GelModel:
 
 
 def _moved(x: np.ndarray) -> Iterator[tuple[np.ndarray, np.float32]]:
-    """The unknowns with one of them moved in all channels, and by how much."""
     for j, step in enumerate(STEPS):
         yield x + step * (np.arange(3) == j), np.float32(step)

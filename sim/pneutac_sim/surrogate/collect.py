@@ -26,7 +26,7 @@ from pneutac_sim.executor import ExecutorOptions, run_pieces
 from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.files import whole
 from pneutac_sim.finger.online import COMPUTED, PressurePipeline
-from pneutac_sim.finger.stages import gain_profile
+from pneutac_sim.finger.stages import joint_command
 from pneutac_sim.mpm import devices, runtime
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import simulate, solve_equilibrium
@@ -47,10 +47,9 @@ def bending_pressure(twin: Twin, q_cmd: np.ndarray) -> np.ndarray:
 
 def joint_targets(twin: Twin, pressure_kpa: np.ndarray) -> np.ndarray:
     """Joint targets (..., N) in rad at bending pressures (...)."""
-    n = len(twin.spine_joint_positions_mm)
-    profile = gain_profile(n, *(twin.parameters[k].value if k in twin.parameters else 0.0 for k in _SHAPE))
-    drive = np.asarray(pressure_kpa, float) + twin.parameter("rest_pressure_kpa")
-    return twin.parameter("gain_rad_per_kpa") * drive[..., None] * profile
+    alpha, beta = (twin.parameters[k].value if k in twin.parameters else 0.0 for k in _SHAPE)
+    gain, rest_kpa = twin.parameter("gain_rad_per_kpa"), twin.parameter("rest_pressure_kpa")
+    return joint_command(pressure_kpa, gain, alpha, beta, rest_kpa, len(twin.spine_joint_positions_mm))
 
 
 _SHAPE = ("gain_alpha", "gain_beta")
@@ -178,19 +177,11 @@ def collect_action(
     progress: Callable[[str], None] = lambda _: None,
     executor: ExecutorOptions | None = None,
 ) -> list[Path]:
-    """Moves the full finger under all programs of the plan and keeps its trajectories.
+    """Moves the full finger under all programs of the plan and keeps its trajectories; returns their files.
 
-    Args:
-        twin: of a finger.
-        out_dir: folder; trajectories in it that belong to this twin and plan are not collected again.
-        plan: what to collect; None for the default, 24 trajectories of 1 s.
-        device: see `pneutac_sim.mpm.runtime.start`.
-        progress: is given a line after each batch.
-        executor: collects one by one, each on one core; None for batches on all cores, or the GPU, of this
-            process.
-
-    Returns:
-        The files, all of the plan.
+    Those in the folder that belong to this twin and plan are not collected again. `progress` is given a line
+    after each batch. An `executor` collects one by one, each on one core; None takes batches on all cores, or
+    the GPU, of this process.
 
     Raises:
         InputError: the twin is not a finger's, or the folder holds trajectories of another twin or plan.
@@ -324,7 +315,6 @@ def _write(file: Path, motion: Motion, label: dict[str, str]) -> None:
 
 
 def _drive(twin: Twin) -> str:
-    """What the bending pressure of the trajectories is made of."""
     return json.dumps([twin.parameter("gain_rad_per_kpa"), twin.parameter("rest_pressure_kpa")])
 
 

@@ -122,7 +122,6 @@ def fits(file: Path, name: str, twin: Twin) -> bool:
 
 
 def _of(twin: Twin, network: ActionNetwork | GelSurrogate):
-    """The network as this twin has it; None where it was trained for another one."""
     if isinstance(network, ActionNetwork):
         return network_of(twin, network)
     return network if network.fingerprint == gel_fingerprint(twin) else None

@@ -233,7 +233,6 @@ def read_contacts(folder: str | Path) -> list[Pairs]:
 
 
 def _claim(folder: Path, what: dict) -> None:
-    """Writes what a folder's contacts are of, or refuses a folder of others."""
     file = folder / "collection.json"
     if not file.exists():
         write_json(file, what)

@@ -46,16 +46,11 @@ def _twice(inputs: int, outputs: int) -> nn.Sequential:
 
 
 def _onto(coarse: torch.Tensor, skip: torch.Tensor) -> torch.Tensor:
-    """A coarse level enlarged and laid onto the finer one's channels."""
     return torch.cat([F.interpolate(coarse, size=skip.shape[-2:]), skip], 1)
 
 
 class UNet(nn.Module):
-    """g, from grids (B, 1, 80, 59) to grids of the same shape, mm.
-
-    Args:
-        channels: of the three levels, even numbers.
-    """
+    """g, from grids (B, 1, 80, 59) to grids of that shape, mm; `channels` of the three levels are even."""
 
     def __init__(self, channels: tuple[int, int, int] = CHANNELS):
         super().__init__()
@@ -114,15 +109,9 @@ def train_gel(
 ) -> GelSurrogate:
     """Trains on the contacts of a folder, and keeps the weights that were best on the contacts for checking.
 
-    Args:
-        folder: of `collect_gel`.
-        fingerprint: of the gel, stored with the weights.
-        heldout: indenters that are not trained on.
-        seed: of weights and batches.
-        epochs: at most.
-        device: `cpu`, `cuda`, or `auto` for CUDA where there is one.
-        progress: called after each epoch with the number of those done and of all.
-        start: another gel's network to begin with, which counts as the first epoch; None for random weights.
+    The gel's fingerprint is stored with the weights; the indenters held out are not trained on. `progress` is
+    called after each epoch with the number of those done and of all. `start` is another gel's network to
+    begin with, which counts as the first epoch; None for random weights.
 
     Raises InputError: no contacts, damaged ones, or too few; no such device.
     """
@@ -179,7 +168,6 @@ def _fit(train, check, seed, epochs, device, progress, start=None) -> UNet:
 
 
 def _tensors(contacts: list[Pairs], device: str) -> tuple[torch.Tensor, torch.Tensor]:
-    """(N, 1, 80, 59) depths and displacements of all steps in which something touches."""
     depth = np.concatenate([p.depth_mm for p in contacts])
     moved = np.concatenate([p.displacement_mm for p in contacts])
     touched = depth.any((1, 2))

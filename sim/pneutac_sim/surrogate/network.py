@@ -284,7 +284,6 @@ class ActionNetwork:
 
 
 def _modulus(label: dict[str, str], file: Path) -> float | None:
-    """Young's modulus in MPa of the label; None if it has none."""
     if "modulus_mpa" not in label:
         return None
     try:

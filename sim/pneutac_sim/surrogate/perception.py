@@ -30,13 +30,10 @@ LAYERS = (*(f"{level}.{i}" for level in ("down1", "down2", "down3", "up2", "up1"
 class GelSurrogate:
     """A trained perception network, evaluated on one thread.
 
-    Args:
-        weights: float32 of g, the entries of `gel_train.UNet.weights`.
-        fingerprint: of the gel that it was trained for.
-        deepest_mm: largest probe grid value that it was trained with.
-        largest_share: largest share of the window in contact that it was trained with.
-        heldout: indenters that it was not trained with.
-        errors: what `evaluate_gel` found, stored with the weights.
+    The weights are float32, those of `gel_train.UNet.weights`, for the gel with this fingerprint.
+    `deepest_mm` is the largest value of a probe grid and `largest_share` the largest share of the window in
+    contact that it was trained with, `heldout` the indenters that it was not; `errors` are what
+    `evaluate_gel` found.
 
     Raises ValueError: the weights are not those of such a network, or not finite.
     """

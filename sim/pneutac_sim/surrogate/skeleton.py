@@ -59,7 +59,7 @@ class Skeleton:
 
     def mass(self, q: np.ndarray) -> np.ndarray:
         """M (N, N) in kg m2 at joint angles `q` (N,) in rad."""
-        return _dynamics(self.coupling, self.inertia, np.asarray(q, float), np.zeros(len(q)))[0]
+        return dynamics(self.coupling, self.inertia, np.asarray(q, float), np.zeros(len(q)))[0]
 
     def residual_torque(self, q, q_vel, q_acc, target) -> np.ndarray:
         """tau_r* = M (q'' + d q') + c + D q' + K q - tau_mpm (T, N) in N m, by inverse dynamics.
@@ -69,7 +69,7 @@ class Skeleton:
         """
         out = np.empty(np.shape(q))
         for t in range(len(out)):
-            M, c = _dynamics(self.coupling, self.inertia, q[t], q_vel[t])
+            M, c = dynamics(self.coupling, self.inertia, q[t], q_vel[t])
             out[t] = M @ (q_acc[t] + self.loss_per_s * q_vel[t]) + c
         return (
             out
@@ -89,17 +89,16 @@ def coupling(mass: np.ndarray, centre: np.ndarray, joints: np.ndarray) -> np.nda
 
 
 @njit(cache=True)
-def _dynamics(A, inertia, q, qd):
+def dynamics(A, inertia, q, qd):
     """M (N, N) and c (N,) in joint angles, from those in absolute angles."""
     n = len(q)
     M, c = np.zeros((n, n)), np.zeros(n)
-    phi, rate = np.cumsum(q), np.cumsum(qd)
+    turn, rate = np.exp(1j * np.cumsum(q)), np.cumsum(qd)
     for i in range(n):
         for j in range(n):
-            s, k = np.sin(phi[j] - phi[i]), np.cos(phi[j] - phi[i])
-            # Re(A e^{i(phi_j - phi_i)}) and -Im(A e^{i(phi_j - phi_i)}) phi_j'^2, see above
-            M[i, j] = A[i, j].real * k - A[i, j].imag * s
-            c[i] -= (A[i, j].real * s + A[i, j].imag * k) * rate[j] ** 2
+            z = A[i, j] * np.conj(turn[i]) * turn[j]
+            M[i, j] = z.real
+            c[i] -= z.imag * rate[j] ** 2
         M[i, i] += inertia[i]
     # A joint turns its own link and all beyond it: sums from the tip.
     for i in range(n - 2, -1, -1):
@@ -123,7 +122,7 @@ def advance(A, inertia, K, D, loss, q, qd, target, end, extra, h, fastest):
     a = 0.5 * G * h
     middle, new = qd.copy(), qd.copy()
     for _ in range(2):  # the second time with the rates in the middle, for the second order of M and c
-        M, c = _dynamics(A, inertia, q + a * middle, middle)
+        M, c = dynamics(A, inertia, q + a * middle, middle)
         # (M (1 + a d) + a (D + a K)) q'_1 = M (1 - a d) q' + a (2 (f - c + K (target - q)) - (D + a K) q')
         b = (1.0 - a * loss) * (M @ qd)
         for i in range(n):
@@ -141,7 +140,7 @@ def advance(A, inertia, K, D, loss, q, qd, target, end, extra, h, fastest):
         rate[i] = BACK * new[i] - (BACK - 1.0) * qd[i]
         middle[i] = new[i] + (1.0 - G) / G * (new[i] - qd[i])
     # (M (1 + a d) + a (D + a K)) q'_2 = M rate + a (f - c + K (end - angle)), q_2 = angle + a q'_2
-    M, c = _dynamics(A, inertia, later, middle)
+    M, c = dynamics(A, inertia, later, middle)
     b = M @ rate
     for i in range(n):
         b[i] += a * (extra[i] - c[i] + K * (end[i] - angle[i]))

@@ -144,7 +144,6 @@ class BaseWorld(ABC):
         return self.task.starts_m
 
     def _settle(self, drive) -> None:
-        """Brings arm and finger to rest under a constant drive, before the clock starts."""
         for _ in range(self.station.steps(scene.SETTLE_S)):
             self._advance(self._joints, drive)
         self.data.time = 0.0
@@ -176,7 +175,6 @@ class BaseWorld(ABC):
 
     @property
     def _late_commands(self) -> int:
-        """Control steps by which commands act late."""
         return self.station.late_commands
 
     def widen_starts(self, width: float) -> None:

@@ -180,7 +180,7 @@ def towards_gel(twin: Twin, far_kpa: float) -> tuple[np.ndarray, float]:
     Raises InputError: its chambers bend it so by no pressures.
     """
     pipeline = Pipeline.of(twin)
-    gain = pipeline.chain[pipeline.drive].held_at(pipeline.theta(twin)).gain  # (C, 2 N) rad/kPa
+    gain = pipeline.chain[pipeline.drive].line(pipeline.theta(twin))[0]  # (C, 2 N) rad/kPa
     gain = np.sign(far_kpa) * gain.reshape(len(gain), -1, 2).sum(1)
     share, missing = nnls(gain.T, np.array([1.0, 0.0]))
     if missing > 1e-6:
@@ -327,10 +327,7 @@ class _Perceived:
 class Person(ScriptedExpert):
     """Demonstrates the world's task as a person would; used as `ScriptedExpert`.
 
-    Args:
-        world: whose task is demonstrated.
-        rng: draws habits, errors and the unrest of the hand.
-        strength: of all imperfections, 0 to 1.
+    `rng` draws habits, errors and the unrest of the hand; `strength` is that of all imperfections, 0 to 1.
 
     Raises InputError: the strength is out of range, or the task has no scripted expert.
     """

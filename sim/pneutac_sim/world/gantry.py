@@ -181,7 +181,6 @@ _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 def _memory(attributes: dict) -> dict:
-    """What a task remembers as numbers, not its handles into a model."""
     return {k: copy.copy(v) for k, v in attributes.items() if isinstance(v, int | float | tuple | np.ndarray)}
 
 

@@ -36,11 +36,7 @@ STEP_M = 0.3e-3  # by which objects go in at most at a time
 
 
 class MpmGel:
-    """One gel, at rest under what touches it in this control step.
-
-    Args:
-        twin: a finger's with a gel, or a gel's.
-        device: see `pneutac_sim.mpm.runtime.start`.
+    """One gel of a finger's or gel's twin, at rest under what touches it in this control step.
 
     Attributes:
         friction: Coulomb's coefficient between objects and gel.

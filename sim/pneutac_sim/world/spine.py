@@ -23,7 +23,7 @@ import numpy as np
 from numba import njit
 
 from pneutac_sim.finger.online import PressurePipeline
-from pneutac_sim.surrogate.skeleton import coupling
+from pneutac_sim.surrogate.skeleton import coupling, dynamics
 from pneutac_sim.twin import Twin
 
 BALL = int(mujoco.mjtJoint.mjJNT_BALL)
@@ -246,29 +246,17 @@ def _torques(A, inertia, before, rate, slope, K, D, h, out):
     """
     steps, n = out.shape
     q, v, new = before.copy(), rate.copy(), np.empty(n)
-    turn, pull = np.empty(n, np.complex128), np.empty(n, np.complex128)
     for k in range(steps):
         s = (k + 1) / steps
-        heading, spin, faster = 0.0, 0.0, 0.0  # of absolute angles, see `skeleton`
+        M, c = dynamics(A, inertia, q, v)
         for i in range(n):
             # the sum of s (1 - s) is (S^2 - 1) / (6 S), so that all steps together go as far as the slope
             bow = 3.0 * steps / (steps + 1.0) * (slope[i] - rate[i])
             new[i] = rate[i] + (slope[i] - rate[i]) * s + bow * s * (1.0 - s)
-            heading += q[i]
-            spin += v[i]
-            faster += (new[i] - v[i]) / h
-            turn[i] = np.exp(1j * heading)
-            pull[i] = turn[i] * (faster + 1j * spin * spin)
-        torque = 0.0
-        for i in range(n - 1, -1, -1):  # a joint turns its own link and all beyond it
-            for j in range(n):
-                torque += (A[i, j] * np.conj(turn[i]) * pull[j]).real
-            torque += inertia[i] * faster
-            faster -= (new[i] - v[i]) / h
-            out[k, i] = torque
         for i in range(n):
+            out[k, i] = c[i]
             for j in range(n):
-                out[k, i] += K[i, j] * q[j] + D[i, j] * new[j]
+                out[k, i] += M[i, j] * (new[j] - v[j]) / h + K[i, j] * q[j] + D[i, j] * new[j]
         for i in range(n):  # not whole arrays: numba takes two seconds to compile the check of their shapes
             q[i] += h * new[i]
             v[i] = new[i]

@@ -183,7 +183,6 @@ def station_faults(file: str | Path) -> list[str]:
 
 
 def _alone(name: str, value: Any, folder: Path) -> Any:
-    """A field as a station takes it; raises InputError where it is wrong whatever the others are."""
     if name in CORNERS:
         return None if value is None and name == "home_m" else check_corner(value, name)
     value = read_arm(value, folder) if name == "arm" else value

@@ -100,7 +100,6 @@ class Look:
 
 
 def _shades(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
-    """Factors on colours of a shape (..., 3): one brightness each, and a tint."""
     return rng.uniform(*SHADE, (*shape[:-1], 1)) * rng.uniform(1 - TINT, 1 + TINT, shape)
 
 

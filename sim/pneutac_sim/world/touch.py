@@ -129,7 +129,6 @@ def _shapes(model: mujoco.MjModel, geoms: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _closed(triangles: np.ndarray, size: np.ndarray) -> bool:
-    """Whether the mesh of a size of `_shapes` has an inside."""
     first, count = int(size[0]), int(size[1])
     corners = triangles[first : first + count].reshape(-1, 3)
     return trimesh.Trimesh(corners, np.arange(3 * count).reshape(-1, 3)).is_watertight

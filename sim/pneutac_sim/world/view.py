@@ -159,7 +159,6 @@ class Renderer:
 
 
 def _inset(image: np.ndarray, tactile: np.ndarray) -> None:
-    """Puts the tactile image with a light frame into the lower right corner, in place."""
     height, width = image.shape[:2]
     rows = int(INSET * height)
     cols = rows * tactile.shape[1] // tactile.shape[0]

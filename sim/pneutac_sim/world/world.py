@@ -291,8 +291,7 @@ class World(BaseWorld):
     def _resist(self, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Stiffness K (N, N) in N m/rad and the motors' torque beyond it, about the present joint angles.
 
-        Args:
-            drive: where the free finger is at present, rad.
+        `drive` is where the free finger is at present, rad.
         """
         if self.finger is None:
             return self._controller, np.zeros(self._spine.stop - self._spine.start)

@@ -218,5 +218,4 @@ def gauge_span(w: World, read: np.ndarray, size: float) -> np.ndarray:
 
 
 def _uneven(read: np.ndarray, size: float) -> np.ndarray:
-    """The gauges of several chambers are not equally bad, nor all the same way."""
     return size * np.array([1.0, -0.5, 0.3])[: read.shape[1]]

@@ -4,11 +4,12 @@ Every one is a function of a `Session`; its parameters are drawn from the seed w
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 
+from pneutac_truths.effects.table import Effect
 from pneutac_truths.gel.scene import Look, Sensor, grid
 
 
@@ -26,16 +27,8 @@ class Session:
     rows: np.ndarray = field(default_factory=lambda: np.ones((0, 0)))
 
 
-@dataclass(frozen=True)
-class Fault:
-    """One departure from the plain sensor: as `pneutac_truths.Effect`, of a gel."""
-
-    name: str
-    summary: str
-    source: str
-    ranges: dict[str, tuple[float, float]]
-    act: Callable
-    physics: bool = True
+class Fault(Effect):
+    """One departure from the plain sensor."""
 
     def draw(self, rng: np.random.Generator) -> dict[str, float]:
         """Parameters, uniform within their ranges."""
@@ -47,7 +40,8 @@ GEL_EFFECTS: dict[str, Fault] = {}
 
 def _fault(summary: str, source: str, **ranges):
     def enter(act: Callable) -> Callable:
-        GEL_EFFECTS[act.__name__] = Fault(act.__name__, summary, source, ranges, act)
+        name = act.__name__
+        GEL_EFFECTS[name] = Fault(name, summary, True, ("gel",), source, "light", ranges, act)
         return act
 
     return enter
@@ -55,7 +49,7 @@ def _fault(summary: str, source: str, **ranges):
 
 def _looks(s: Session, **each) -> None:
     """Sets fields of every look from arrays or lists of n."""
-    s.looks = [Look(**(vars(look) | {k: v[i] for k, v in each.items()})) for i, look in enumerate(s.looks)]
+    s.looks = [replace(look, **{k: v[i] for k, v in each.items()}) for i, look in enumerate(s.looks)]
 
 
 @_fault(

@@ -32,18 +32,13 @@ def named(effects: list[str]) -> tuple[str, ...]:
 def write_gel(
     effects: list[str], folder: str | Path, seed: int = 0, day: int = 1, presses: int = PRESSES
 ) -> Path:
-    """Makes and writes one recording.
+    """Makes and writes one recording into a new folder, by effects of `GEL_EFFECTS` or `plain`.
 
-    Args:
-        effects: names of `GEL_EFFECTS`, or `plain`.
-        folder: new; gets recording.json, samples.csv, images, truth.json and surfaces.npz.
-        seed: which sensor, with the sizes of its effects.
-        day: other presses of the same sensor.
-        presses: how many; the first is to calibrate by.
+    It holds recording.json, samples.csv, images, truth.json and surfaces.npz. The seed decides the sensor,
+    with the sizes of its effects, and the day the presses, of which the first is to calibrate by.
 
-    Raises:
-        ValueError: an effect is unknown, or there are fewer than two presses.
-        FileExistsError: the folder exists.
+    Raises ValueError where an effect is unknown or presses are fewer than two, FileExistsError where the
+    folder exists.
     """
     names, folder = named(effects), Path(folder)
     if presses < 2:

@@ -95,7 +95,6 @@ class Punch:
 
 
 def _corner(u, v):
-    """Distance to a right-angled corner, beyond whose sides a point lies by u and v."""
     return np.hypot(np.maximum(u, 0), np.maximum(v, 0)) + np.minimum(np.maximum(u, v), 0)
 
 
@@ -259,7 +258,6 @@ class Mesh:
         )
 
     def _along(self, u, way, energy: float, slope: float, punch: Punch, depth_mm: float) -> np.ndarray:
-        """As far as the energy falls (Armijo's rule); one that must climb takes a small step."""
         length = 1.0
         for _ in range(6):
             there = u + length * way

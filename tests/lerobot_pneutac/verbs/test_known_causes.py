@@ -39,7 +39,7 @@ def several_loaded(folder, effect, seed):
         "payload_g": 50.0 * rng.permutation(np.arange(n) % 3 == 0),
     }
     plan = replace(plan, row_s=1 / HZ, conditions=conditions)
-    made = simulate("rod", effect, seed, plan=plan, strength=1.0, gauge=False, tell_noise=False)
+    made = simulate("rod", effect, seed, plan=plan, strength=1.0, gauge=False, state_noise=False)
     joints = [made.meta["length_mm"] * (k + 0.5) / 4 for k in range(4)]
     meta = made.meta | {"spine_joint_positions_mm": joints, "notes": ""}
     samples = made.samples.drop(columns="time_sent_s", errors="ignore")

@@ -29,7 +29,7 @@ def test_a_dead_time_without_any_lag_is_told_to_a_millisecond(tmp_path, seed, de
     Commands, delay and samples of the truth all lie on a grid of 5 ms, so that every delay within its last
     step looks alike; the middle of that step is told.
     """
-    truth = generate("rod", ["dead_time"], seed, minutes=1.0, tell_sent=True, gauge=False)
+    truth = generate("rod", ["dead_time"], seed, minutes=1.0, log_sent=True, gauge=False)
     r = Recording.load(write(truth, tmp_path / "r"))
     assert truth.effects["dead_time"]["size"] == pytest.approx(delay_s, abs=0.0025)
     f = fit(Twin("finger", r.length_mm), r, ["dead_time"], starts=2)

@@ -414,7 +414,7 @@ PRESSES = (
 
 def gels() -> dict[str, GelModel]:
     plain = GelModel.builtin()
-    lent = layout.DIGIT.prior_field(plain.rest_image, layout.Orientation()).times(20)
+    prior = layout.DIGIT.prior_field(plain.rest_image, layout.Orientation()).times(20)
     shadow = {f"shadow_{c}_levels": 60.0 for c in ("red", "green", "blue")}
     shadow |= {"elevation_red": 0.2, "elevation_green": 0.3, "elevation_blue": 0.1, "edge_mm": 0.1}
     shadow["shadow_blue_levels"] = 0.0
@@ -424,8 +424,8 @@ def gels() -> dict[str, GelModel]:
         "linear": replace(plain, effects={}, depth_scale=0.8),
         "shadows": replace(plain, effects=plain.effects | {"shadow": shadow}),
         "lights above the gel": replace(plain, effects=plain.effects | near | {"shadow": shadow}),
-        "lent field": replace(plain, lent=lent, effects=plain.effects | {"shadow": shadow}),
-        "two fields": replace(plain, lent=lent, residual=lent.times(-0.5)),
+        "prior field": replace(plain, prior_residual=prior, effects=plain.effects | {"shadow": shadow}),
+        "two fields": replace(plain, prior_residual=prior, residual=prior.times(-0.5)),
         "wide cells": replace(plain, px_per_mm=12.0),
     }
 

@@ -12,11 +12,12 @@ from pneutac_sim.gel.fit import fit_presses
 from pneutac_sim.gel.identifiability import library, save
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.layout import DIGIT, Layout, Orientation, SensorPrior, recognise_rest, stored_rest
-from pneutac_sim.gel.model import rest_image
+from pneutac_sim.gel.model import GelModel, rest_image
 from pneutac_sim.gel.pair import rmse
 from pneutac_sim.gel.photograph import Predictor, PressPhotograph
 from pneutac_sim.gel.problem import priors
 from pneutac_sim.gel.residual import FEATURES, PLACE, ResidualField
+from pneutac_sim.twin import Twin
 
 
 @pytest.fixture(autouse=True)
@@ -72,11 +73,11 @@ def test_a_make_lends_what_it_left_over_on_other_sensors_and_never_on_the_very_o
     for own in DIGIT.units:
         image = cv2.resize(own.rest.clip(0, 255).astype(np.uint8), (240, 320))
         for way in (Orientation(), Orientation((2, 1, 0), True, False)):
-            lent = DIGIT.prior_field(np.ascontiguousarray(way.shown(image)), way)
+            prior = DIGIT.prior_field(np.ascontiguousarray(way.shown(image)), way)
             others = [
                 u.field.shown(way.channels, way.mirror_x, way.mirror_y) for u in DIGIT.units if u is not own
             ]
-            assert np.array_equal(lent.centres, np.concatenate([f.centres for f in others], 1))
+            assert np.array_equal(prior.centres, np.concatenate([f.centres for f in others], 1))
     one = DIGIT.units[0]
     alone = replace(DIGIT, units=(one,))
     alone.write(tmp_path / "alone.yaml", "a test")
@@ -86,11 +87,11 @@ def test_a_make_lends_what_it_left_over_on_other_sensors_and_never_on_the_very_o
 
 
 @pytest.mark.parametrize("true", [True, False])
-def test_as_much_of_a_lent_field_is_taken_as_explains_the_press(linear, photograph, true):
+def test_as_much_of_a_prior_field_is_taken_as_explains_the_press(linear, photograph, true):
     linear.effects = {"rest_colour": {f"exponent_{c}": 0.5 for c in CHANNELS}}
     other = unit(np.zeros((16, 12, 3)), 4)
     strength = np.linalg.norm(linear.light)
-    truth = replace(linear, lent=other.field.times(strength if true else -strength))
+    truth = replace(linear, prior_residual=other.field.times(strength if true else -strength))
     press = Press("sphere", 3.0, 0.6, -1.0, 0.9)
     pair = PressPhotograph(press, photograph(truth, press), linear.rest_image)
     towards = -linear.light / np.linalg.norm(linear.light, axis=1)[:, None]
@@ -102,12 +103,23 @@ def test_as_much_of_a_lent_field_is_taken_as_explains_the_press(linear, photogra
         for m in (replace(make, units=()), make)
     )
     assert fit.make == "lab" and bare.prior_share == 0
-    assert (fit.prior_share > 0) == true and (fit.gel.lent is not None) == true
+    assert (fit.prior_share > 0) == true and (fit.gel.prior_residual is not None) == true
     if true:
         there = Press("sphere", 3.0, -2.0, 1.5, 0.8)
         real = photograph(truth, there)
         own, without = (rmse(Predictor(f.gel).image(there, linear.rest_image), real) for f in (fit, bare))
         assert own < 0.9 * without
+
+
+def test_a_twin_of_an_earlier_version_keeps_its_prior_field(linear):
+    twin, field = Twin("gel"), unit(np.zeros((16, 12, 3)), 4).field
+    replace(linear, prior_residual=field).into_twin(twin)
+    for part in ("centres", "weights"):
+        twin.arrays[f"lent_{part}"] = twin.arrays.pop(f"prior_residual_{part}")
+    again = GelModel.from_twin(twin)
+    assert np.array_equal(again.prior_residual.weights, field.weights)
+    again.into_twin(twin)
+    assert "prior_residual_weights" in twin.arrays and "lent_weights" not in twin.arrays
 
 
 def test_five_presses_save_a_field_that_others_of_the_make_are_lent(own, linear, session):

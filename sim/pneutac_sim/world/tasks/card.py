@@ -5,7 +5,7 @@ from typing import override
 
 import numpy as np
 
-from pneutac_sim.world.tasks.base import Task, contact_force, place
+from pneutac_sim.world.tasks.base import Goal, Task, contact_force, place
 
 POSITION_M = (0.56, 0.0, 0.0)
 STAND_M = 0.09  # height of the holder's floor
@@ -26,6 +26,13 @@ class CardTask(Task):
     description = "Pull the front card out of the deck."
     home_m = (0.385, 0.0, 0.315)
     wider = {"spread_x_m": 0.012, "spread_y_m": 0.008}
+    # the front face, below the upper edge: what the second card gives is lost
+    goal = Goal(
+        lambda t: np.clip(t.drawn_m(1) / t.draw_m, 0, 1) - np.clip(t.drawn_m(2) / t.second_m, 0, 1),
+        "card_1",
+        (-1, 0, 0.85),
+        depth_mm=0.5,
+    )
 
     cards: int = 10  # number of loose cards; fewer are quicker and do for planning
     friction: tuple[float, float] = (0.2, 0.4)  # lowest and highest friction coefficient between two cards

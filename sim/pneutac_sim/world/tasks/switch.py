@@ -5,7 +5,7 @@ from typing import override
 
 import numpy as np
 
-from pneutac_sim.world.tasks.base import Task, contact_force, lately, place
+from pneutac_sim.world.tasks.base import Goal, Task, contact_force, lately, place
 
 LEVER_M = 0.045  # hinge to bar
 HINGE_M = 0.085  # hinge above the table
@@ -29,6 +29,12 @@ class SwitchTask(Task):
     home_m = (0.40, 0.0, 0.255)
     starts_m = (-0.020, 0.0, 0.020)
     wider = {"spread_yaw_rad": np.radians(8)}
+    goal = Goal(
+        lambda t: np.clip((t.lever_rad + t.well_rad) / (2 * t.well_rad), 0, 1),
+        "bar",
+        (-1, 0, 0),
+        depth_mm=1.0,
+    )
 
     ridge_torque_nm: float = 0.058  # torque that passes the ridge, N m
     # lever angle in a well; the task starts at -well (towards the robot) and ends at +well
