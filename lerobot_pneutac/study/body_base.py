@@ -20,7 +20,7 @@ from lerobot_pneutac.study.data_breaks import Break, without_break
 from lerobot_pneutac.study.pair import LONGER, device_moves, enough_rows
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.mounts import align_mounts
-from pneutac_datasets.recording.noise import noise_floor
+from pneutac_datasets.recording.noise import headline, noise_floor
 from pneutac_datasets.recording.pressures import supply_limits
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import joined, listed, plural
@@ -145,6 +145,7 @@ class BodyBase(EffectStudy):
 
     Attributes:
         measured: columns of measured pressure, empty where it has no information.
+        remounted: trials that were mounted differently and moved, see `mounts`.
         checked: number of findings before a search.
         start: how trials are taken to begin, before a search asks.
         joints: of the spine, tried besides the twin's own number.
@@ -168,7 +169,10 @@ class BodyBase(EffectStudy):
             return
         largest = max(body_effects(), key=lambda e: len(get_effect(e).parameters))
         enough_rows(twin, self.recording, [*self.twin_effects, *(adding or [largest])], self.parts.train)
-        self.recording, moved = align_mounts(self.recording, twin.length_mm, self.parts.train)
+        before, columns = self.recording, headline(self.recording)[0]
+        self.recording, moved = align_mounts(before, twin.length_mm, self.parts.train)
+        differs = (self.recording.samples[columns] != before.samples[columns]).any(axis=1)
+        self.remounted = set(before.samples["trial"][differs])
         self.findings = self.findings + moved
         self.checked = len(self.findings)
         self.noise = noise_floor(self.recording)
@@ -211,7 +215,7 @@ class BodyBase(EffectStudy):
 
     def apply_break(self, correction: dict) -> None:
         self.recording = without_break(self.recording, correction)
-        if "shift" not in correction:
+        if "first_row" in correction:
             self.parts = deal(self.recording, self.seed)
         self.breaks = (*self.breaks, correction)
 

@@ -13,7 +13,7 @@ from lerobot_pneutac.diagnosis.search import Found, Scored, Search, chosen_in, d
 from lerobot_pneutac.study.body_base import COMES_WITH, BodyBase, base_effects, doubt
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, BodyStructure, InputModel
 from lerobot_pneutac.study.body_space import ACTUATIONS, BodySpace
-from lerobot_pneutac.study.data_breaks import change_break, slip_break
+from lerobot_pneutac.study.data_breaks import Break, change_break, mount_break, slip_break
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.laws import family
 from pneutac_sim.effects.registry import get_effect
@@ -196,13 +196,18 @@ class BodySearch:
         ):
             self.report(f"{study.findings[-1].partition(':')[0]}; the search starts again")
             return None
-        widths, plain = self._trials_differ(space, found), self.simplified(space, found, own)
-        if widths:
+        differ = self._trials_differ(space, found)
+        if differ and input_model.source == "command" and study.amend(self._mounts(differ.model)):
+            self.report("runs differ in how they were mounted; the search starts again")
+            return None
+        plain = self.simplified(space, found, own)
+        if differ:
             # An offset of a run also absorbs what differs from run to run for a reason, such as a payload:
             # the known causes that are needed without offsets stay, and only runs that were left out decide.
             self.report("each run seems to have its own offset; the search starts again with run offsets")
             causes = tuple(e for e in plain.model.structure.effects if e in base_effects(study))
-            left_out, space.trials, space.required = dict(self.left_out), widths, space.base
+            left_out, space.trials = dict(self.left_out), differ.model.structure.trials
+            space.required = space.base
             with_offsets = self.engine(space).find()
             needed = (*own, *(e for e in causes if e not in own))
             simple, fold = self.simplified(space, with_offsets, needed), fitter.trial[self.rows]
@@ -254,21 +259,31 @@ class BodySearch:
         best = min(others, key=lambda s: s.value, default=own)
         return best if engine.is_worth(own, best) else own
 
-    def _trials_differ(self, space: BodySpace, found: Found) -> tuple[float, ...]:
-        """Widths of what trials have of their own if that explains a good part of what a search leaves.
+    def _mounts(self, model: BodyModel) -> Break | None:
+        """Runs that were mounted differently, by a model in which each run has its own offset; asked once."""
+        study = self.study
+        if any("motions" in b for b in study.breaks):
+            return None
+        fitter, offsets = BodyFitter(study.recording, study.twin, self.rows), model.of_trials.shape[1] - 3
+        own = replace(model, of_trials=model.of_trials * (np.arange(offsets + 3) >= offsets))
+        bare = replace(model, of_trials=np.zeros_like(model.of_trials))
+        return mount_break(study, fitter.predict(bare), fitter.predict(own), study.remounted)
+
+    def _trials_differ(self, space: BodySpace, found: Found) -> Scored | None:
+        """The final model with what trials have of their own, if that explains a good part of what it leaves.
 
         Of the widths tried, those that predict best what no fit saw.
         """
         now, noise_mse = found.final, self.study.noise.floor**2
         if now.value < T.CLOSE**2 * noise_mse or self.study.recording.samples["trial"].nunique() < T.FEW_RUNS:
-            return ()
+            return None
         structure, values = now.model.structure, now.model.values
         tried = self.engine(space).fits([(replace(structure, trials=w), values) for w in TRIAL_WIDTHS], 8)
         if not tried:
-            return ()
+            return None
         best = tried[0]
         differ = now.value - best.value > T.RUNS_WORTH * (now.value - noise_mse)
-        return best.model.structure.trials if differ and self.engine(space).is_significant(now, best) else ()
+        return best if differ and self.engine(space).is_significant(now, best) else None
 
     def simplified(self, space: BodySpace, found: Found, own: tuple[str, ...]) -> Scored:
         """The final model with the paper's base, and without parts of the base, where that is as good."""

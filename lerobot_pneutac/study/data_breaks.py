@@ -1,4 +1,4 @@
-"""Breaks in a recording: a marker that slips once, and a device that changes once for good.
+"""Breaks in a recording: a marker that slips once, a device that changes once for good, runs mounted anew.
 
 A slip shifts everything that is seen from a moment on by one distance. No device does that: what its pressure
 history moves comes with the pressure or fades, and differs from pressure to pressure. So a slip is the moment
@@ -10,9 +10,12 @@ A change for good (a knocked mount, a layer that peels off) makes two devices of
 that stand in for it. So all parameters of a fitted model may differ from a row on, to first order, at every
 row; where that explains most of what is left, and much less at moments farther away, something changed there.
 What goes on for a while, as fatigue does, has no such moment.
+
+How sessions were mounted is first judged by a map of the pressure without any physics (`mounts`), which
+places them to some millimetres. A fitted model in which each run has its own offset places them better.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +25,7 @@ from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
 from lerobot_pneutac.diagnosis.search import Scored
 from lerobot_pneutac.study.base import EffectStudy
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel
+from pneutac_datasets.recording.mounts import Motion, moved, remounted, trials_named
 from pneutac_datasets.recording.noise import headline
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.sensors import where
@@ -45,8 +49,13 @@ def without_break(recording: Recording, correction: dict) -> Recording:
     Args:
         recording: with the break.
         correction: `from_row` and `shift` (mm or rad by column) of a marker that slipped, or `first_row` and
-            `last_row` of what is on one side of a change for good.
+            `last_row` of what is on one side of a change for good, or `motions` of runs mounted differently.
     """
+    if "motions" in correction:
+        motions = {
+            m["trial"]: Motion(np.array(m["turn"]), np.array(m["shift"])) for m in correction["motions"]
+        }
+        return moved(recording, headline(recording)[0], motions)
     if "shift" not in correction:
         rows = np.arange(len(recording))
         return recording.keep((rows >= correction["first_row"]) & (rows <= correction["last_row"]))
@@ -201,6 +210,36 @@ def slip_break(
         correction,
         f"The marker slipped in {where(recording, row)}: from there on everything is seen "
         f"elsewhere, {moved}; rows from {row + 1} on are moved back for this judgement.",
+    )
+
+
+def mount_break(
+    study: EffectStudy, predicted: np.ndarray, own: np.ndarray, known: Collection[int]
+) -> Break | None:
+    """Runs that a model of all of them places elsewhere than they were seen, see `mounts.remounted`.
+
+    Args:
+        study: of the recording.
+        predicted: (n, D) of all samples, the headline first, without what runs have of their own.
+        own: the same with their gains, zeros and clocks, but without their offsets.
+        known: trials that were moved onto another mount before.
+    """
+    recording, rows = study.recording, study.parts.learnt
+    found = remounted(recording, predicted, own, rows, study.twin.length_mm, known)
+    if not found:
+        return None
+    names, unit = trials_named(sorted(found)), study.unit
+    far, angle = max(f.reach for f in found.values()), max(f.motion.angle_deg for f in found.values())
+    turned = f" turned by up to {angle:.0f} degrees and" if unit == "mm" else ""
+    motions = [
+        {"trial": int(t), "turn": f.motion.turn.tolist(), "shift": f.motion.shift.tolist()}
+        for t, f in sorted(found.items())
+    ]
+    return Break(
+        {"motions": motions},
+        f"By the fitted model {names} {'were' if len(found) > 1 else 'was'} mounted differently, early and "
+        f"late in a trial: for this judgement they are{turned} shifted by up to {far:.3g} {unit} onto the "
+        "mount of the others. Errors hold for a mount that is known; a new one may differ as much.",
     )
 
 

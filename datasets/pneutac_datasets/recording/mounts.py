@@ -8,7 +8,7 @@ history of the pressure cannot explain it as well. Every verb that weighs a twin
 it through `align_mounts`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -253,14 +253,20 @@ class Case:
         """Whether the error at least halves, significantly: paired bootstrap over the pieces of trials."""
         here = self._here
         weight = np.where(here, 1 / here.sum(), 1 / (~here).sum())  # one mount counts as much as the other
-        at = np.unique(self._piece[rows], return_inverse=True)[1]
-        a, b = (np.bincount(at, (weight * e)[rows]) for e in (before, after))
-        draws = np.random.default_rng(0).integers(len(a), size=(DRAWS, len(a)))
-        significant = np.quantile((a - b)[draws].sum(1), SIGNIFICANCE) > 0
-        return bool(significant and b.sum() <= LEFT**2 * a.sum())
+        return _halves((weight * before)[rows], (weight * after)[rows], self._piece[rows])
+
+
+def _halves(before: np.ndarray, after: np.ndarray, piece: np.ndarray) -> bool:
+    """Whether an error (n,) at least halves, significantly: squared errors, drawn by pieces of time."""
+    at = np.unique(piece, return_inverse=True)[1]
+    a, b = (np.bincount(at, e) for e in (before, after))
+    draws = np.random.default_rng(0).integers(len(a), size=(DRAWS, len(a)))
+    significant = np.quantile((a - b)[draws].sum(1), SIGNIFICANCE) > 0
+    return bool(significant and b.sum() <= LEFT**2 * a.sum())
 
 
 FAR = 0.05  # of the device's length: the least distance that is looked into
+FAR_OF_MODEL = 0.025  # the same where a fitted model says so: it leaves less than half of what a map leaves
 TURNED_DEG = 45.0
 SWEEP = 0.3  # of the whole pressure range that a trial must cover to fit its rest and direction
 CONDITIONS = {"gravity_x": 0.1, "gravity_y": 0.1, "gravity_z": 0.1, "temperature_c": 2.0, "payload_g": 0.1}
@@ -294,22 +300,78 @@ def align_mounts(
     first = order[: order.index(different[0])]  # later ones may be of any mount
     begun = _begun(recording)
     others = [t for t in bench.trials if t not in first and _same(begun, first[0], t)]
-    moved: dict[int, Motion] = {}
+    motions: dict[int, Motion] = {}
     sentences = []
     for session in _runs(sweeps, order, different, far):
-        case = Case(bench, first, [t for t in session if t not in moved])
+        case = Case(bench, first, [t for t in session if t not in motions])
         if case.moved_significantly():
             rough, motion = case.motions()
             opposite = _opposite(sweeps[order[0]], sweeps[session[0]])
-            free = [t for t in others if t not in moved]
+            free = [t for t in others if t not in motions]
             free = [t for t in free if t not in sweeps or _opposite(sweeps[order[0]], sweeps[t]) == opposite]
             joined = [t for t in free if Case(bench, first, [t]).halves(rough)]
-            moved |= dict.fromkeys(joined, motion)
+            motions |= dict.fromkeys(joined, motion)
             sentences += [_sentence(case, motion, first, joined, unit)] if joined else []
-    return (_moved(recording, columns, moved), sentences) if moved else (recording, [])
+    return (moved(recording, columns, motions), sentences) if motions else (recording, [])
 
 
-def _moved(recording: Recording, columns: list[str], motions: dict[int, Motion]) -> Recording:
+@dataclass(frozen=True)
+class Remounted:
+    """A trial's motion onto where a model places it, and how far that brings its samples."""
+
+    motion: Motion
+    reach: float
+
+
+def remounted(
+    recording: Recording,
+    predicted: np.ndarray,
+    own: np.ndarray,
+    rows: np.ndarray,
+    length_mm: float,
+    known: Collection[int],
+) -> dict[int, Remounted]:
+    """Trials that were mounted elsewhere than a fitted model places them, with their motions onto it.
+
+    Of a trial that is known to have been mounted differently the motion is fitted again. Any other must lie
+    `FAR_OF_MODEL` away, under the conditions of the first one, and the motion that is fitted to its early
+    half must significantly halve the error of its late half, and vice versa, although the trial may have a
+    zero, a gain and a clock of its own.
+
+    Args:
+        recording: cleaned, of a finger or an arm.
+        predicted: (n, D) of the model, the headline first.
+        own: the same with the zero, the gain and the clock of each trial.
+        rows: (n,) mask of samples to judge and fit by.
+        length_mm: of the device.
+        known: trials that were moved before.
+    """
+    columns, unit = headline(recording)
+    turns = columns[0].startswith("tip_") and len(columns) > 1
+    far = FAR_OF_MODEL * length_mm / quantities.weight(unit, "mm", length_mm)
+    y, goal = recording.samples[columns].to_numpy(float), predicted[:, : len(columns)]
+    begun, out = _begun(recording), {}
+    for trial, at in recording.trials().items():
+        mine = np.arange(at.start, at.stop)[rows[at]]
+        if len(mine) < FINE or not _same(begun, next(iter(begun)), trial):
+            continue
+        a, b = y[mine], goal[mine]
+        motion = Motion.fit(a, b, turns)
+        reach = float(np.sqrt(((motion(a) - a) ** 2).sum(1).mean()))
+        if trial not in known:
+            b, piece = own[mine, : len(columns)], np.arange(len(mine)) * PIECES // len(mine)
+            late, before = piece >= PIECES // 2, ((a - b) ** 2).sum(1)
+            after = before.copy()
+            for half in (late, ~late):
+                after[~half] = ((Motion.fit(a[half], b[half], turns)(a[~half]) - b[~half]) ** 2).sum(1)
+            if reach < far or not _halves(before, after, piece):
+                continue
+        out[trial] = Remounted(motion, reach)
+    return out
+
+
+def moved(recording: Recording, columns: list[str], motions: dict[int, Motion]) -> Recording:
+    """A recording with these columns of each of these trials moved."""
     samples, trials = recording.samples.copy(), recording.trials()
     for trial, motion in motions.items():
         rows = samples.index[trials[trial]]
@@ -380,20 +442,20 @@ def _runs(
     return runs
 
 
-def _sentence(case: Case, motion: Motion, first: list[int], moved: list[int], unit: str) -> str:
+def _sentence(case: Case, motion: Motion, first: list[int], again: list[int], unit: str) -> str:
     turns = len(motion.shift) > 1 and unit == "mm"
     how = f"turned by {motion.angle_deg:.0f} degrees and shifted" if turns else "shifted"
     far, (before, after) = case.reach(motion), case.error
     return (
-        f"The device was mounted differently in {_trials(moved)}: at equal pressures it is {far:.3g} {unit} "
-        f"away from {_trials(first)}, early and late in a trial, and no memory effect explains that. "
-        f"Data of {_trials(moved)} are {how} onto the first mount. On rows that were not used to fit the "
-        f"motion this reduces the distance from {before:.3g} to {after:.3g} {unit}."
+        f"The device was mounted differently in {trials_named(again)}: at equal pressures it is {far:.3g} "
+        f"{unit} away from {trials_named(first)}, early and late in a trial, and no memory effect explains "
+        f"that. Data of {trials_named(again)} are {how} onto the first mount. On rows that were not used to "
+        f"fit the motion this reduces the distance from {before:.3g} to {after:.3g} {unit}."
     )
 
 
-def _trials(numbers: list[int]) -> str:
-    """`trial 3`, `trials 3 to 5 and 8`."""
+def trials_named(numbers: list[int]) -> str:
+    """Names of trials: `trial 3`, `trials 3 to 5 and 8`."""
     runs = np.split(numbers, np.flatnonzero(np.diff(numbers) != 1) + 1)
     items = [x for r in runs for x in ([f"{r[0]} to {r[-1]}"] if len(r) > 2 else map(str, r))]
     *first, last = items

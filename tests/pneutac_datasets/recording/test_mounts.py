@@ -7,7 +7,7 @@ from scipy import signal
 from scipy.spatial.transform import Rotation
 
 from pneutac_datasets.generate.finger import generate
-from pneutac_datasets.recording.mounts import align_mounts
+from pneutac_datasets.recording.mounts import align_mounts, moved, remounted
 from pneutac_datasets.recording.recording import Recording
 
 TIP = ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
@@ -133,6 +133,18 @@ def test_a_creeping_finger_that_was_put_back_keeps_its_creep(creeping):
     again = np.isin(r.column("trial"), AGAIN)
     off = np.linalg.norm(back.samples[TIP].to_numpy() - r.samples[TIP].to_numpy(), axis=1)[again]
     assert np.sqrt(np.mean(off**2)) < 2.0
+
+
+def test_a_model_places_trials_that_a_map_of_the_pressure_left_and_only_those_that_lie_far_away(plain):
+    r = cut(plain)
+    rows, truth = r.split(0)[0], r.samples[TIP].to_numpy()
+    off = put_back(put_back(r, MOVES["tilted"], [3]), lambda y: y + [0.0, 1.0, 0.0], [4, 5])
+    for known, trials in ((set(), [3]), ({4}, [3, 4])):
+        found = remounted(off, truth, truth, rows, r.length_mm, known)
+        assert sorted(found) == trials
+        back = moved(off, TIP, {t: f.motion for t, f in found.items()})
+        mine = np.isin(r.column("trial"), trials)
+        assert np.abs(back.samples[TIP][mine] - truth[mine]).max().max() < 0.5
 
 
 def test_held_out_rows_do_not_tell_the_motion(plain):
