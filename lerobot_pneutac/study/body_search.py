@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter1d
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
 from lerobot_pneutac.diagnosis.parts import conditions, out_of_time
-from lerobot_pneutac.diagnosis.search import Found, Scored, Search, chosen_in, deal_folds
+from lerobot_pneutac.diagnosis.search import Found, Scored, Search, Start, chosen_in, deal_folds
 from lerobot_pneutac.study.body_base import COMES_WITH, BodyBase, base_effects, doubt
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, BodyStructure, InputModel
 from lerobot_pneutac.study.body_space import ACTUATIONS, BodySpace
@@ -249,9 +249,10 @@ class BodySearch:
         Where the actuation was chosen before all terms were known, others are looked for again.
         """
         engine, last = self.engine(space), found.actuated
-        as_it_was = last and replace(last.model.structure, input_model=model.model.structure.input_model)
-        same = as_it_was == model.model.structure
-        others = found.others if same else engine.other_actuations(model)
+        if last and set(last.model.structure.effects) == set(model.model.structure.effects):
+            others = engine.fits([_with_air_of(model.model, s.model) for s in found.others[:2]], 8)
+        else:
+            others = engine.other_actuations(model)
         own, *others = self.run(
             lambda s: min(s, self.score(space.refine_air(s.model)), key=lambda s: s.value),
             (model, *others[:2]),
@@ -400,6 +401,16 @@ class BodySearch:
         before = float(done.found.base.model.cv_squared(fold)[rows].mean())
         holds = before - after > T.FORWARD_FALL * fall * (before / max(done.found.base.value, 1e-12))
         return holds, later
+
+
+def _with_air_of(model: BodyModel, other: BodyModel) -> Start:
+    """The model with another one's air, which has the same effects besides."""
+    structure, values = other.structure, dict(model.values)
+    structure = replace(model.structure, effects=structure.effects, input_model=structure.input_model)
+    for name, value in other.values.items():
+        if (effect := name.rpartition(".")[0]) and get_effect(effect).stage == "pneumatics":
+            values[name] = value
+    return structure, values
 
 
 def _actuations(own: tuple[str, ...], excluded: Iterable[str]) -> tuple[tuple[str, ...], ...]:

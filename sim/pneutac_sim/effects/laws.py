@@ -253,19 +253,22 @@ def _bouc_wen(s, f, dt, width, curve):
     """
     out = np.empty((len(f) - 1, f.shape[1]))
     last = len(curve) - 1
+    near = np.full(out.shape[1], last)  # where z ended, and mostly begins again
     for t in range(len(out)):
         for i in range(out.shape[1]):
             d = (f[t + 1, i] - f[t, i]) / width
             if d != 0.0:
                 way = math.copysign(1.0, d)
                 z = way * s[2, i]
-                k = min(max(np.searchsorted(curve, z), 1), last)
+                k = near[i]
+                if not curve[k - 1] < z <= curve[k]:
+                    k = min(max(np.searchsorted(curve, z), 1), last)
                 at = k - 1 + (z - curve[k - 1]) / (curve[k] - curve[k - 1]) + abs(d) / _APART
                 if at >= last:
-                    z = 1.0
+                    near[i], z = last, 1.0
                 else:
                     k = int(at) if at > 0.0 else 0  # also where it is not finite
-                    z = curve[k] + (at - k) * (curve[k + 1] - curve[k])
+                    near[i], z = k + 1, curve[k] + (at - k) * (curve[k + 1] - curve[k])
                 s[2, i] = way * z
             out[t, i] = width * s[2, i]
     return out
@@ -441,14 +444,16 @@ def run_drive(x, dt, theta, conditions, state, *, input, memory, late, gain, min
     now = input(x, dt, s[1], c, P)
     f = np.concatenate((now[:1] if fresh else s[-1:], now))
     s[0], s[1], s[-1] = 1.0, x[-1], f[-1]
-    g = memory(f, dt, k, s, P, x, c, late)
+    g = memory(f, dt, k, s, P, x, c, late)  # f is used up from here on: all in place
     if minus:
-        g = g - f[1:]
+        g -= f[1:]
     if scaled:
-        g = g * c[:, None]
+        g *= c[:, None]
     if gain:
-        g = g * x / P
-    x += weight * g
+        g *= x
+        g /= P
+    g *= weight
+    x += g
 
 
 def run_seen(x, dt, theta, conditions, state, *, out, feature, counted):
