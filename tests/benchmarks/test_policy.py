@@ -12,7 +12,7 @@ import pytest
 
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.cli.options import parse_options
-from lerobot_robot_pneutac.policy.configuration_pneutac_bc import HUBER_DELTA
+from lerobot_robot_pneutac.policy.configuration_pneutac_bc import HUBER_DELTA, NETWORKS
 from pneutac_benchmarks.policy import run as benchmark_policy_run
 from pneutac_benchmarks.policy import units
 from pneutac_benchmarks.policy.main import BenchmarkPolicyConfig
@@ -51,12 +51,13 @@ def test_plan_has_each_policy_and_shares_what_they_share():
     names = [u.name for u in units]
     assert len(set(names)) == len(names)
     cells = 3 * 8  # tasks and seeds
-    counts = {"record": 2, "augment": 12, "scenes": 1, "naive": 1, "ppo": 1, "student": 1, "train": 15}
+    counts = {"record": 2, "augment": 12, "scenes": 1, "naive": 1, "ppo": 1, "student": 1, "train": 16}
     assert {k: len(by_kind(units, k)) for k in counts} == {k: cells * n for k, n in counts.items()}
-    assert len(by_kind(units, "evaluate")) == cells * 15 * 5  # 50 trials in tens
+    assert len(by_kind(units, "evaluate")) == cells * 16 * 5  # 50 trials in tens
     for i, unit in enumerate(units):  # what is needed comes first
         assert set(unit.needs) <= set(names[:i])
-    assert CONDITIONS["library"].huber_delta == HUBER_DELTA  # what pneutac_bc does after `augment`
+    library = CONDITIONS["library"]  # as pneutac_bc does after `augment`
+    assert (library.huber_delta, library.networks) == (HUBER_DELTA, NETWORKS)
 
 
 def test_all_policies_of_a_seed_have_the_same_updates_network_and_trials():

@@ -56,13 +56,14 @@ class Condition:
     networks: int = 1
 
 
-AFTER_AUGMENT = {"memory": True, "huber_delta": 0.5}  # by default
+AFTER_AUGMENT = {"memory": True, "huber_delta": 0.5, "networks": 3}  # by default
 CONDITIONS = {
     "real": Condition("ten real ones"),
+    "real_tuned": Condition("ten real ones, trained as with the library's", **AFTER_AUGMENT),
     "real_20": Condition("twenty real ones", real=2),
     "real_100": Condition("a hundred real ones", real=10),
     "library": Condition("ten real ones and the library's", "library", **AFTER_AUGMENT),
-    "library_3": Condition("the same, three networks", "library", **AFTER_AUGMENT, networks=3),
+    "library_1": Condition("the same, one network", "library", **AFTER_AUGMENT | {"networks": 1}),
     "expert": Condition("ten real ones and the scripted expert's on the twin", "expert"),
     "planner": Condition("ten real ones and planned ones", "planner"),
     "sim_real": Condition("planned ones, then ten real ones", "planner", then=True),
@@ -74,7 +75,7 @@ CONDITIONS = {
     "real_5": Condition("five real ones", real=0.5),
     "real_50": Condition("fifty real ones", real=5),
 }
-ALIASES = {"mixed": "planner"}  # old name to new, for one more version
+ALIASES = {"mixed": "planner", "library_3": "library"}  # old name to new, for one more version
 # What correcting the twin changes: `twin_before` against `twin`.
 COMPARED = {
     "sim_only_before": Condition("the library's alone, twin before", "library_before", real=0),

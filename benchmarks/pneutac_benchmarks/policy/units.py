@@ -191,7 +191,7 @@ def train(folder: Path, options: dict, needs: list[Path]) -> dict:
     if o["memory"]:
         known = real.first_episodes(min(o["episodes"], real.episodes))
         delay = lagged_answers(known.references(np.array(Station().base_m)))[1]
-        made, real = (f.answered_early(delay) for f in (made, real))
+        made, real = (f and f.answered_early(delay) for f in (made, real))
     every = Frames.joined([x for x in (made, real) if x is not None])
     network = {k: o[k] for k in ("use_tactile", "memory", "huber_delta", "networks")}
     policy = new_policy(lr=o["lr"], seed=seed, device=o["device"], scaling=every.scaling, **network)

@@ -31,6 +31,7 @@ POOLED_FROM = "pooled_from"  # rows and columns, in the feature's `info`
 MOST_STEPS = 10**9  # LeRobot fits the fall of the learning rate into the steps that there are
 ANSWER_DELAY = "answer_delay_frames"  # in the `info` of a dataset's action
 MOST_AHEAD_S = 0.2  # a label farther ahead is of another place
+NETWORKS = 3  # on what the library made
 HUBER_DELTA = 0.5  # mm a control step and kPa; a hand's tremor is 0.4 mm a step
 TACTILE = f"{OBS_IMAGES}.{IMAGE_NAME}"
 PREVIOUS_ACTION = "observation.previous_action"
@@ -57,8 +58,8 @@ class PneutacBCConfig(PreTrainedConfig):
     # squared loss. If omitted, 0.5 on a dataset that `pneutac augment --method=library` made, else 0.
     huber_delta: float | None = None
     # networks that are trained together from different initial weights; the action is the mean of theirs.
-    # Each costs as much as one.
-    networks: int = 1
+    # If omitted, three on a dataset that `pneutac augment --method=library` made, else one.
+    networks: int | None = None
     # rate of the data and of the robot, which turns velocities into displacements per step; if omitted, the
     # first dataset's
     control_hz: int | None = None
@@ -218,6 +219,8 @@ class PneutacBCConfig(PreTrainedConfig):
             self.answer_delay = info.get(ANSWER_DELAY, 0)
         if self.huber_delta is None:
             self.huber_delta = HUBER_DELTA if ANSWER_DELAY in info else 0.0
+        if self.networks is None:
+            self.networks = NETWORKS if ANSWER_DELAY in info else 1
         if self.use_tactile:
             if TACTILE not in meta.features:
                 raise InputError(f"{where} has no '{TACTILE}'; record it, or use --policy.use_tactile=false.")

@@ -3,7 +3,8 @@
 The paper's policy network and loss (Sec. "Policy training"): a 64-D embedding of the tactile difference
 with a 24-D observation {q, q', x, s/N, log(1+s), p, a_(t-1)}, two hidden layers of 256, 4-D action. Beyond
 the paper, and off with `memory=False`: what it remembers of the episode, see `memory`; with `huber_delta` a
-loss in which large errors weigh less; and with `networks=3` the mean of three such networks.
+loss in which large errors weigh less; and with `networks=3` the mean of three such networks. Both are the
+default on what `pneutac augment --method=library` made.
 
 How the policy scales state and action: about what its demonstrations show, in units of what matters.
 
@@ -242,6 +243,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
         config.control_hz = config.control_hz or features.CONTROL_HZ
         if config.memory is None:
             config.memory = dataset_meta is not None
+        config.networks = config.networks or 1
         config.validate_features()
         if dataset_meta is not None:
             self._demonstrations = Demonstrations.of(dataset_meta)
@@ -525,6 +527,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
             parts.append(memory.scaled(recalled, kpa)[:, self._recalled])
         inputs = [torch.cat(parts, 1)] * self.config.networks
         if self.encoder is not None:
+            difference = difference.contiguous(memory_format=torch.channels_last)  # faster on a CPU
             size = difference.abs()
             touch = [self.encoder(difference), *(other["layers"](size) for other in self.others)]
             inputs = [torch.cat(both, 1) for both in zip(touch, inputs, strict=True)]

@@ -183,6 +183,7 @@ def test_starts_are_as_wide_as_the_recorded_ones():
     made = [walk(k, tuple(p)) for k, p in enumerate(places)]
     x, y, z = start_spread_m(made)
     assert x == pytest.approx(0.02, rel=0.1) and y == pytest.approx(0.01, rel=0.1) and z == 0.004
+    assert start_spread_m(made[:1]) == (0.004,) * 3
 
 
 def test_the_bend_varies_as_far_as_the_twin_knows_its_own():

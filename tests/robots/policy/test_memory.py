@@ -15,6 +15,7 @@ from lerobot_robot_pneutac.policy import memory
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import (
     ANSWER_DELAY,
     HUBER_DELTA,
+    NETWORKS,
     TACTILE,
     PneutacBCConfig,
     ahead,
@@ -113,13 +114,11 @@ def test_a_dataset_names_its_delay_and_the_loss_counts_from_moved_labels(dataset
     meta = LeRobotDatasetMetadata("local/demos", tmp_path / "late")
     assert meta.features[ACTION]["info"][ANSWER_DELAY] == 2
     policy = make_policy(PneutacBCConfig(device="cpu"), meta).eval()
-    assert policy.config.answer_delay == 2 and policy.config.huber_delta == HUBER_DELTA
-    assert (
-        make_policy(
-            PneutacBCConfig(device="cpu"), LeRobotDatasetMetadata("local/demos", dataset)
-        ).config.huber_delta
-        == 0
-    )
+    known = policy.config
+    assert (known.answer_delay, known.huber_delta, known.networks) == (2, HUBER_DELTA, NETWORKS)
+    assert make_policy(PneutacBCConfig(device="cpu", networks=1), meta).config.networks == 1
+    plain = make_policy(PneutacBCConfig(device="cpu"), LeRobotDatasetMetadata("local/demos", dataset)).config
+    assert (plain.huber_delta, plain.networks) == (0, 1)
     data = LeRobotDataset("local/demos", root=tmp_path / "late", delta_timestamps={ACTION: [-1 / HZ, 0.0]})
     given = []
     policy.loss = lambda state, previous, hidden, target, *rest: given.append((previous, target))

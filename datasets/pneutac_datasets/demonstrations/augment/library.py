@@ -411,5 +411,5 @@ def _in_contact(library, run, area, flange_m, pressure_kpa):
 
 def start_spread_m(references: list[Reference]) -> tuple[float, float, float]:
     """Half widths of new starts about the recorded ones: their standard deviation, 4 mm at least."""
-    spread = np.std([r.flange_m[0] for r in references], axis=0, ddof=1)
+    spread = np.std([r.flange_m[0] for r in references], axis=0, ddof=min(len(references) - 1, 1))
     return tuple(np.maximum(spread, LEAST_START_M).tolist())
