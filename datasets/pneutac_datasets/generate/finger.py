@@ -1,8 +1,6 @@
-"""A bench session of a finger with hidden physics, simulated by `pneutac_truths`; the answer lies apart.
+"""A bench session of a finger with hidden physics, simulated by `pneutac_truths`.
 
-Pressure programs as an experimenter runs them: stairs, triangles, minor loops, holds, steps, cycles.
-
-Where the answer to a generated recording is: next to its folder, never in it.
+The answer lies next to the recording's folder, never in it.
 """
 
 import json

@@ -1,11 +1,8 @@
-"""A generated gel recording, for use where no photographs are at hand.
+"""Generated gel recordings, for use where no photographs are at hand.
 
-Its light is deliberately not the model's: three point LEDs with inverse-square fall-off and Lambert's cosine
-on a Hertz half-space, with attached shadows, sensor noise and a drift of brightness between images.
-
-What generated gel recordings share: where balls are pressed in, and the table of what was done.
-
-`write_hidden_gel` hides effects of the light in the built-in gel; the answer is stored elsewhere.
+The light of `write_gel_recording` is deliberately not the model's: three point LEDs with inverse-square
+fall-off and Lambert's cosine on a Hertz half-space, with attached shadows, sensor noise and a drift of
+brightness between images. `write_hidden_gel` hides effects of the light in the built-in gel.
 """
 
 from collections.abc import Iterable, Iterator

@@ -5,14 +5,6 @@
 
 The body is brought to rest by full material points at each pressure, its surface mesh follows them, and
 MuJoCo photographs it from all sides. What the twin has to find is in `truth/<name>.json` next to the folder.
-An effect is hidden in it so, here with two photographs a pressure, 2 s and 60 s after the step:
-
-    creeping = Disturbances(effects={"creep": {"weight_4s": 0.06, "weight_40s": 0.08}})
-    write_photographs("outputs/photos", seed=3, disturbances=creeping, after_s=(2, 60))
-
-Which hidden device is photographed under which pressures, and how its joints follow them.
-
-Where the cameras of generated photographs stand, and where they stand after they were knocked.
 """
 
 from dataclasses import asdict, dataclass, field
@@ -184,28 +176,17 @@ def write_photographs(
     after_s: tuple[float, ...] = (),
     conditions: dict | None = None,
 ) -> Recording:
-    """Photographs a hidden device at each pressure.
+    """Photographs a hidden device, `finger` or `arm`, at pressures (T,) or (T, 3) kPa.
 
-    By default each is held for long by itself (one trial a pressure). With `after_s` all are one trial, in
-    the order given: the pressure changes evenly until the first of these times and then stays.
+    By default each is held for long by itself (one trial a pressure). With `after_s`, rising times after each
+    step, all are one trial, in the order given: the pressure changes evenly until the first of these times
+    and then stays; the last is that of the next step. The hidden body has about so many particles, not those
+    of a twin, whose lattice would be the same; `conditions` are further columns, a number or (T,) numbers
+    each.
 
-    Args:
-        folder: of the recording.
-        seed: decides parameters, looks, lamps, cameras and noise.
-        device: `finger` or `arm`.
-        pressures_kpa: (T,), or (T, 3) of an arm; None for `default_pressures`.
-        disturbances: what is wrong with the session; None for nothing.
-        particles: of the hidden body, about; not those of a twin, whose lattice would be the same.
-        after_s: rising times after each step at which it is photographed; the last is that of the next step.
-        conditions: further columns of the recording, such as `gravity_x`: a number, or (T,) numbers.
-
-    Returns:
-        The recording: `image_front`, `mask_front` and so on, `tip_x_mm, tip_y_mm, tip_z_mm` with noise; each
-        camera's `background` is a photograph without the body.
-
-    Raises:
-        InputError: another device, pressures that are no finite numbers, times that do not rise, or an effect
-            that lacks a condition.
+    The recording has `image_front`, `mask_front` and so on, `tip_x_mm, tip_y_mm, tip_z_mm` with noise; each
+    camera's `background` is a photograph without the body. Raises InputError for another device, pressures
+    that are no finite numbers, times that do not rise, or an effect that lacks a condition.
     """
     twin, wrong = hidden_twin(seed, device), disturbances or Disturbances()
     for name, values in wrong.effects.items():
@@ -410,17 +391,11 @@ class Studio:
 def photograph(
     mesh: trimesh.Trimesh | None, rest: np.ndarray, studio: Studio, camera: Camera, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Photographs a body, with a backdrop behind it as seen from the camera.
+    """RGB uint8 (H, W, 3) and mask bool (H, W) of a body, with a backdrop behind it as seen from the camera.
 
-    Args:
-        mesh: of the deformed body, m, in the base frame; None for the empty studio.
-        rest: (V, 3) its vertices when it is straight; they say which part of the texture is where.
-        studio: lamps and texture.
-        camera: in the base frame, with square pixels, its axis in the middle, and no distortion.
-        rng: of the sensor's noise.
-
-    Returns:
-        RGB uint8 (H, W, 3) and mask bool (H, W) of the body.
+    The mesh, m, is that of the deformed body in the base frame, None for the empty studio; `rest` (V, 3) are
+    its vertices when it is straight, which say which part of the texture is where. The camera has square
+    pixels, its axis in the middle, and no distortion; `rng` is of the sensor's noise.
     """
     size = camera.width, camera.height
     spec = mujoco.MjSpec.from_string(_studio_xml(studio, FINE * camera.width, FINE * camera.height))

@@ -29,10 +29,8 @@ def write_finger(folder: str | Path, seed: int = 0, minutes: float = 6.0, hz: fl
     """Writes a session with the stand-in's finger: stairs, triangles, loops, holds, steps, and two repeats.
 
     Each trial begins rested. The pressure is logged by the gauge of the robot, so that air and body can be
-    told apart. The seed decides the programs' random levels and the noise.
-
-    Raises:
-        InputError: `minutes` or `hz`, samples a second, is out of its range.
+    told apart. The seed decides the programs' random levels and the noise. Raises InputError where `minutes`
+    or `hz`, samples a second, is out of its range.
     """
     if not 1 <= minutes <= 60 or not 5 <= hz <= 50:
         raise InputError(f"minutes={minutes}, hz={hz}: minutes must be 1 to 60 and hz 5 to 50.")
@@ -74,15 +72,10 @@ def _write(
 def write_program(folder: str | Path, program: str | Path, seed: int = 0) -> Recording:
     """Writes what the stand-in's finger, long without pressure, did under a program of commands.
 
-    Args:
-        folder: where the recording goes.
-        program: CSV with `time_s`, when a command is sent, and `pressure_cmd_kpa`, as `pneutac control` and
-            `pneutac design` write it; the finger hears it at the next sample, which come at the pace of most
-            rows. By `gravity_x`, `gravity_y`, `gravity_z` the base is turned, `payload_g` hangs at the tip.
-        seed: decides the noise.
-
-    Raises:
-        InputError: the program cannot be read, or goes beyond the finger's pressures.
+    The program is a CSV with `time_s`, when a command is sent, and `pressure_cmd_kpa`, as `pneutac control`
+    and `pneutac design` write it; the finger hears it at the next sample, which come at the pace of most
+    rows. By `gravity_x`, `gravity_y`, `gravity_z` the base is turned, `payload_g` hangs at the tip. Raises
+    InputError where the program cannot be read, or goes beyond the finger's pressures.
     """
     try:
         table = pd.read_csv(program)
@@ -111,10 +104,7 @@ def write_trials(
     """Writes what the stand-in's finger did, long without pressure before each of several trials.
 
     A trial is a name and commands (n,), kPa; the conditions are the direction of gravity in the base's frame
-    and `payload_g`.
-
-    Raises:
-        InputError: a command lies beyond the finger's pressures.
+    and `payload_g`. Raises InputError where a command lies beyond the finger's pressures.
     """
     for name, command in trials:
         if command.min() < 0 or command.max() > MAX_PRESSURE_KPA:

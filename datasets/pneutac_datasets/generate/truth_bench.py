@@ -19,14 +19,9 @@ ARM_SEED, ARM_EFFECTS = 5, ("creep_fractional",)  # of the arm that stands in fo
 
 
 class TruthBench:
-    """A truth that remembers the programs before, in order, or has long been without pressure before each.
+    """A truth, `rod` or `arm` of three chambers, that remembers the programs before, in order.
 
-    Args:
-        effects: names of truths.
-        seed: of the device.
-        device: `rod`, or `arm` of three chambers.
-        rested: whether nothing of the programs before is left.
-        noise: another number is another day.
+    A `rested` one has long been without pressure before each; another number `noise` is another day.
     """
 
     hz = 20.0

@@ -68,10 +68,9 @@ def closed_loop(recording: Recording) -> list[Finding]:
     """Whether the command answers to the measured motion (Granger's test on the command's own changes).
 
     A programmed command is predictable from its own past and owes nothing to the noise of the marker; a
-    controller's next command follows the marker's last pose. Only rows are looked at in which the command
-    changes, as a controller may be slower than the log. A pose of the row itself answers to the command too,
-    but with the device's own sign, and a controller has the other. Held and ramped programs are never
-    suspected.
+    controller's next command follows the marker's last pose. Only rows in which the command changes are
+    looked at, as a controller may be slower than the log. A pose of the row itself answers to the command
+    too, but with the device's own sign, and a controller has the other.
     """
     columns, _ = headline(recording)
     gains = {"before": [0.0, 0], "same": [0.0, 0]}
@@ -462,12 +461,10 @@ LOOKS = (
 
 
 def check(recording: Recording) -> tuple[Recording, list[str]]:
-    """Finds faults and undoes those that are certain.
+    """Finds faults and undoes those that are certain; returns the recording and a sentence for each.
 
-    Returns:
-        The recording without rows where the tracker jumped away and came back or stood still, with angles
-        that do not wrap, and with pressures as `pressures.usable` gives them; and one plain sentence for each
-        finding (the loader's warnings first).
+    It is left without rows where the tracker jumped away and came back or stood still, with angles that do
+    not wrap, and with pressures as `pressures.usable` gives them. The loader's warnings come first.
     """
     clean, found = _looked(recording)
     keep = np.ones(len(recording), bool)

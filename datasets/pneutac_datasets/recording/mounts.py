@@ -91,8 +91,6 @@ class Bench:
         p: pressures (n, inputs), also of neighbouring devices, of the order of 1.
         own: (inputs,) mask of the device's own chambers; a neighbour's push, but leave no memory in it.
         static: (n, m) columns of a static map.
-        trials: trial number to rows.
-        train: (n,) mask.
         turns: whether `y` are points of space.
     """
 
@@ -275,18 +273,13 @@ CONDITIONS = {"gravity_x": 0.1, "gravity_y": 0.1, "gravity_z": 0.1, "temperature
 def align_mounts(
     recording: Recording, length_mm: float, train: np.ndarray | None = None
 ) -> tuple[Recording, list[str]]:
-    """Moves trials with a significantly different mount onto the mount of the first one.
+    """Moves trials of a finger or arm with a significantly different mount onto the mount of the first one.
 
-    Of tip coordinates the motion turns and shifts; angles, curvatures and a single coordinate are shifted. A
-    recording of a single mount is returned as it is.
-
-    Args:
-        recording: cleaned, of a finger or an arm.
-        length_mm: of the device.
-        train: (n,) mask of samples to judge and fit by, others are moved too; None means all.
+    Of tip coordinates the motion turns and shifts; angles, curvatures and a single coordinate are shifted.
+    Samples of the mask `train` (n,), by default all, are judged and fitted by; the others are moved too.
 
     Returns:
-        The recording and a sentence for each session that was moved.
+        The recording, as it is where it has a single mount, and a sentence for each session that was moved.
     """
     columns, unit = headline(recording)
     train = np.ones(len(recording), bool) if train is None else train

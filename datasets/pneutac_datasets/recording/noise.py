@@ -145,10 +145,9 @@ def _norm(by: dict[str, float], columns: list[str]) -> float:
 def repeats(recording: Recording) -> list[tuple[np.ndarray, np.ndarray, int]]:
     """Pairs of stretches run under equal conditions.
 
-    Returns:
-        Row numbers of the first and of the second run, sample by sample, and the samples in one detrending
-        window. Runs are compared from their start on: equal command, program, orientation, temperature
-        (within 1 K) and payload, at least three seconds of it.
+    Row numbers of the first and of the second run, sample by sample, and the samples in one detrending
+    window. Runs are compared from their start on: equal command, program, orientation, temperature (within 1
+    K) and payload, at least three seconds of it.
     """
     s = recording.samples
     time = s["time_s"].to_numpy()

@@ -76,10 +76,8 @@ def _disc(radius: int) -> np.ndarray:
 def masked_cameras(recording: Recording) -> list[str]:
     """Names of cameras that took images with masks, or with a photograph of the empty scene.
 
-    Columns `image` and `mask` are those of the only camera that `recording.json` describes.
-
-    Raises:
-        InputError: there are columns `image` and `mask`, but not one camera only.
+    Columns `image` and `mask` are those of the only camera that `recording.json` describes; raises InputError
+    where it describes none or several.
     """
     names = [str(c).removeprefix("image_") for c in recording.samples if re.match(r"image_\w", str(c))]
     names = [n for n in names if recording.has(f"mask_{n}") or background_of(recording, n)]

@@ -44,7 +44,6 @@ class DigitConfig(CameraConfig):
     """A DIGIT, found by its serial number.
 
     Attributes:
-            never sends the same image twice: the pixels are noisy.
         width: columns of the image, to which it is scaled; follows from the resolution if omitted.
         height: rows of the image; likewise.
     """
@@ -61,7 +60,8 @@ class DigitConfig(CameraConfig):
     exposure: int | None = None
     white_balance: int | None = None  # colour temperature in K, which then stays; None: as it is
     lock: bool = False  # whether exposure and white balance stay as they are after the warm-up
-    # seconds without a new image after which reading says that the sensor hangs. A working one
+    # seconds without a new image after which reading says that the sensor hangs; a working one never sends
+    # the same image twice, for its pixels are noisy
     frozen_s: float = 0.5
     rotation: int = 0  # clockwise, 0, 90, 180 or 270 degrees, of a sensor that is mounted otherwise
     # shares cut off at top, bottom, left and right of the turned image

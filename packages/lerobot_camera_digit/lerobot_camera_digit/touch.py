@@ -67,10 +67,8 @@ def contact_share(
 ) -> float:
     """Share of the pixels in contact: where the mean over R, G, B of |image - rest| exceeds the threshold.
 
-    Both images, uint8 (H, W, 3), are first freed of single noisy pixels by medians of 3 x 3.
-
-    Raises:
-        ValueError: the images differ in shape or are not uint8.
+    Both images, uint8 (H, W, 3), are first freed of single noisy pixels by medians of 3 x 3. Raises
+    ValueError where they differ in shape or are not uint8.
     """
     return float((np.abs(_difference(image, rest_image)).sum(2) > int(3 * threshold_levels)).mean())
 
@@ -78,18 +76,11 @@ def contact_share(
 def depth_m(image: np.ndarray, rest_image: np.ndarray, light: np.ndarray, px_per_mm: float) -> np.ndarray:
     """Depth of an imprint by photometric stereo: float32 (H, W, 1), m, 0 along the mean border.
 
-    The difference to the rest image is light @ slope (Johnson and Adelson, CVPR 2009, linearised), of which
-    the slope is the least-squares solution; the depth is its integral with free borders (Frankot and
-    Chellappa, IEEE PAMI 10, 1988, by cosines).
-
-    Args:
-        image: uint8 (H, W, 3), H and W even.
-        rest_image: the same without contact.
-        light: (3, 2) levels per unit slope of R, G, B along columns and rows.
-        px_per_mm: scale.
-
-    Raises:
-        ValueError: shapes do not fit, or a side of the image is odd.
+    The difference of the images, uint8 (H, W, 3) with H and W even, is light @ slope (Johnson and Adelson,
+    CVPR 2009, linearised), of which the slope is the least-squares solution; the depth is its integral with
+    free borders (Frankot and Chellappa, IEEE PAMI 10, 1988, by cosines). `light` (3, 2) is in levels per unit
+    slope of R, G, B along columns and rows. Raises ValueError where shapes do not fit, or a side of the image
+    is odd.
     """
     height, width = image.shape[:2]
     if height % 2 or width % 2:

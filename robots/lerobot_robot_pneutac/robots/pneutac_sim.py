@@ -65,18 +65,14 @@ class PneutacSim(BaseRobot):
     """A simulated robot that moves on by one control step of its station with every action that it is sent.
 
     An action is a dict of `features.action_names`, with `--robot.bend=true` with `bend.pos` in place of the
-    pressure, clipped to its limits. Two more dicts are taken:
-
-    - with the additional key `reset` (true) the scene starts afresh after the step, as a person would put the
-      object back between demonstrations, where nobody announces episodes;
-    - a pose (`ee_x.pos`, `ee_y.pos`, `ee_z.pos` and pressures, other keys are ignored), as lerobot-rollout
-      sends it between episodes and at the end, moves the arm one step towards that pose. A pose at the task's
-      home starts the scene afresh.
+    pressure, clipped to its limits. With the additional key `reset` (true) the scene starts afresh after the
+    step, as a person would put the object back between demonstrations, where nobody announces episodes. A
+    pose (`ee_x.pos`, `ee_y.pos`, `ee_z.pos` and pressures), as lerobot-rollout sends it between episodes and
+    at the end, moves the arm one step towards that pose; at the task's home it starts the scene afresh.
 
     Every episode that LeRobot announces starts with a fresh scene.
 
     Attributes:
-        world: the world, while connected.
         recording: whether an episode that LeRobot has announced is going on; None where it announced none.
         scenes: how many scenes were started, the present one included.
         successes: for each finished episode whether the task was done at its end.

@@ -76,20 +76,13 @@ class StandinWorld(BaseWorld):
         window_mm: tuple[float, float] = WINDOW_MM,
         station: Station | None = None,
     ):
-        """The stand-in before a task.
+        """The stand-in before a task; `touch` is `image`, `area` (contact area without an image) or `none`.
 
-        Args:
-            task: a task's name, see `features.task_names`.
-            touch: `image`, `area` (contact area without an image) or `none`.
-            contact_threshold: mean difference of R, G, B to the rest image, 8-bit levels, above which a pixel
-                is in contact; the calibrated one of a lab's twin, as on its real robot.
-            physics: what is otherwise than on its bench.
-            image_shape: height, width and channels of the tactile images, where they are none of a DIGIT's.
-            window_mm: width and height of what they show of the gel.
-            station: arm, workspace and mount; default the paper's. Its latency comes on top of its own.
-
-        Raises:
-            InputError: unknown task or touch mode, or an arm that does not reach.
+        `contact_threshold` is the mean difference of R, G, B to the rest image, 8-bit levels, above which a
+        pixel is in contact; that of a lab's twin, as on its real robot. Tactile images, where they are none
+        of a DIGIT's, have a shape and show `window_mm` (width, height) of the gel. The latency of the
+        station, by default the paper's, comes on top of its own. Raises InputError for an unknown task or
+        touch mode, or an arm that does not reach.
         """
         super().__init__(task, station, LENGTH_MM + TIP_MM)
         self._physics = physics or Physics()

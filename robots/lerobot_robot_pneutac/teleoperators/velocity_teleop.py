@@ -48,10 +48,10 @@ MAX_REPORTS = 200  # per tick; the device sends about 125 a second
 class VelocityTeleop(BaseTeleop):
     """Turns a direction and a pressure change into velocities (m/s) and a pressure (kPa).
 
-    With nothing pressed the velocity is zero and the pressure held. A device that is lost while in use gives
-    the same and is reported once. The pressure starts at 0, also after a pause as long as that in which the
-    robot vents, and nothing counts before everything was let go once: triggers can read half pressed until
-    they are first moved.
+    With nothing pressed the velocity is zero and the pressure held; a lost device gives the same and is
+    reported once. The pressure starts at 0, also after a pause as long as that in which the robot vents, and
+    nothing counts before everything was let go once: triggers can read half pressed until they are first
+    moved.
     """
 
     def __init__(self, config: VelocityTeleopConfig):

@@ -83,10 +83,9 @@ class Repaired:
 def repair_dataset(root: str | Path, like: str | Path | None = None, drop: bool = False) -> Repaired:
     """Makes a dataset whole whose recording was killed, so that it can be read and resumed offline.
 
-    Args:
-        root: the dataset's folder; nothing else may be writing there.
-        like: a whole dataset of the same robot and frame rate, wanted only where `meta/info.json` is torn.
-        drop: leave out episodes whose videos are missing; their numbers move to `left_out`.
+    Nothing else may be writing in `root`. `like`, a whole dataset of the same robot and frame rate, is wanted
+    only where `meta/info.json` is torn; with `drop` episodes whose videos are missing are left out, and their
+    numbers move to `left_out`.
 
     Raises:
         InputError: the folder is no dataset of LeRobot or cannot be written, `info.json` is torn and `like`

@@ -1,9 +1,4 @@
-"""From the frame of a measuring system into the frame of the finger's base.
-
-Markers and a log of pressures, each on its clock, as one bench recording.
-
-What other systems log, before it is a bench recording: moving markers, and numbers over time.
-"""
+"""Markers and a log of pressures, each on its clock, as one bench recording in the frame of the base."""
 
 import dataclasses
 import difflib
@@ -127,10 +122,8 @@ def of_body(base: Track, x: str, z: str, offset_mm: np.ndarray) -> BaseFrame:
     """The base frame of a tracked body that stands still at the base.
 
     `x` and `z` are axes of the body along the straight finger and in the bending direction, such as `-y`; the
-    offset goes from its origin to the finger's base, in the base frame.
-
-    Raises:
-        InputError: the axes are none, or not at right angles, or the body is never seen.
+    offset goes from its origin to the finger's base, in the base frame. Raises InputError where they are
+    none, or not at right angles, or the body is never seen.
     """
     axes = axes_of(x, z)
     assert base.rotation is not None
@@ -144,10 +137,8 @@ def of_body(base: Track, x: str, z: str, offset_mm: np.ndarray) -> BaseFrame:
 def of_motion(base_mm: np.ndarray, tip_mm: np.ndarray, pressure_kpa: np.ndarray) -> BaseFrame:
     """The base frame where the base has a marker only: x to where the tip rests, z the way that it bends.
 
-    Places are of the base's marker (3,) and the tip (n, 3), pressures (n,) commanded.
-
-    Raises:
-        InputError: the tip hardly moves, or is never seen.
+    Of places of the base's marker (3,) and the tip (n, 3), and commanded pressures (n,). Raises InputError
+    where the tip hardly moves, or is never seen.
     """
     seen = np.isfinite(tip_mm).all(1)
     tip, kpa = tip_mm[seen], np.abs(pressure_kpa[seen])

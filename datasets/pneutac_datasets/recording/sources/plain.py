@@ -467,9 +467,7 @@ class Understood:
         """Writes the recording with its `mapping.yaml` and reads it back with all checks.
 
         What somebody added to an earlier `recording.json` there (noise, starts of trials, notes) stays.
-
-        Raises:
-            InputError: the rules refuse it, or the folder cannot be written.
+        Raises InputError where the rules refuse it, or the folder cannot be written.
         """
         if self.faults:
             raise InputError(self.faults[0])

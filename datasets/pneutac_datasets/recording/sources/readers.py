@@ -23,11 +23,9 @@ MM = {"meters": 1000.0, "centimeters": 10.0, "millimeters": 1.0, "m": 1000.0, "c
 def read_optitrack(file: Path) -> Source:
     """A take that Motive exported as CSV (tracking data): its bodies and markers.
 
-    The first line holds pairs, `Length Units` among them; four lines of headers name each column's object
-    and its kind; times are seconds since the take began.
-
-    Raises:
-        InputError: the file is none, its unit is unknown, or its orientations are no quaternions.
+    The first line holds pairs, `Length Units` among them; four lines of headers name each column's object and
+    its kind; times are seconds since the take began. Raises InputError where the file is none, its unit is
+    unknown, or its orientations are no quaternions.
     """
     rows = _rows(file)
     first = rows[0]
@@ -62,10 +60,7 @@ def read_vicon(file: Path) -> Source:
 
     Each section has its rate in Hz, a line of names (`Subject:Marker` above the first column of each), one of
     axes (X, Y, Z; of bodies RX, RY, RZ, perhaps RW, TX, TY, TZ), one of units. Bodies have orientations where
-    these are quaternions.
-
-    Raises:
-        InputError: the file has no such section, or a unit is unknown.
+    these are quaternions. Raises InputError where the file has no such section, or a unit is unknown.
     """
     rows = _rows(file)
     source = Source(file)
