@@ -20,22 +20,17 @@ from pneutac_sim.twin import Twin
 
 
 @dataclass
-class PneutacTaskConfig(EnvConfig):
+class PneutacTaskConfig(options.SceneOptions, EnvConfig):
     """What every environment of this robot has."""
 
     task: str | None = "switch"  # `switch`, `egg`, `card`, `fruit`, `cable`, `button`, or your own
     fps: int = 0  # control rate, Hz; if omitted, the station's, and there is no other
     # control steps after which a trial counts as failed; if omitted, those of 20 s
     episode_length: int | None = None
-    # how much wider than the task's own random starts of hand and objects are, 0 to 2
-    start_width: float = 0.0
     # scene cameras besides the tactile image, such as [front,wrist]
     cameras: list[str] = field(default_factory=list)
     observation_height: int = CAMERA_SHAPE[0]  # rows of their pictures, px
     observation_width: int = CAMERA_SHAPE[1]  # columns of their pictures, px
-    randomise_look: bool = False  # light, colours and texture of the scene are newly drawn in every episode
-    # touch as data too, `observation.tactile.points`: displacement and force on a grid
-    tactile_points: bool = False
     features: dict[str, PolicyFeature] = field(
         default_factory=lambda: {
             ACTION: PolicyFeature(FeatureType.ACTION, (len(own.ACTION_NAMES),)),
@@ -66,11 +61,9 @@ class PneutacTaskConfig(EnvConfig):
 
     @property
     def gym_kwargs(self) -> dict:
-        look = {"cameras": self._sizes} if self.cameras else {}
-        look |= {"randomise_look": True} if self.randomise_look else {}
-        points = {"points": True} if self.tactile_points else {}
-        wide = {"start_width": self.start_width} if self.start_width else {}
-        return {"max_episode_steps": self.episode_length} | look | points | wide
+        given = {"cameras": self._sizes, "randomise_look": self.randomise_look}
+        given |= {"points": self.tactile_points, "start_width": self.start_width}
+        return {"max_episode_steps": self.episode_length} | {k: v for k, v in given.items() if v}
 
     def _set_tactile(self, twin: Path | None) -> None:
         """Sets the size of the tactile image to that of the twin's sensor."""

@@ -42,6 +42,19 @@ class WorldOptions:
     station: Path | None = None
 
 
+@dataclass(kw_only=True)
+class SceneOptions:
+    """Options of every simulated scene before a task."""
+
+    # how much wider than the task's own random starts of hand and objects are: 0 the task's own, 1 wide, 2 at
+    # most
+    start_width: float = 0.0
+    randomise_look: bool = False  # light, colours and texture of the scene are newly drawn in every episode
+    # touch is data too, `tactile.points`: displacement and force on a grid; lerobot-record 0.6 has no place
+    # for it and leaves it out, `record_episodes` writes it
+    tactile_points: bool = False
+
+
 @contextmanager
 def named(option: str) -> Iterator[None]:
     """Refuses what is an InputError inside, and names the option."""

@@ -1,8 +1,9 @@
 """What every robot of this plugin shares: one definition, so that datasets and policies fit all."""
 
+import logging
 import math
 from abc import abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,12 @@ from lerobot.utils.decorators import check_if_not_connected
 from pneutac_sim import features
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_NAME, VELOCITY_NAMES, pressure_names, state_names
+from pneutac_sim.finger.control import BendController
+from pneutac_sim.twin import Twin
 
 BEND_NAMES = (*VELOCITY_NAMES, "bend.pos")  # rad, in place of the pressure
+
+logger = logging.getLogger(__name__)
 
 
 class BaseRobot(Robot):
@@ -135,3 +140,37 @@ def _number(action: dict[str, Any], name: str) -> float:
         return math.inf
     except (TypeError, ValueError):
         raise InputError(f"The action's '{name}' is {action[name]!r}; it must be a number.") from None
+
+
+class BendCommands:
+    """Turns commanded bends into pressures by the twin, and goes along with what was sent.
+
+    Takes the finger's calibrated twin, the conditions of its effects and the duration of a control step;
+    raises InputError as `BendController`.
+    """
+
+    def __init__(self, twin: Twin, conditions: Mapping[str, float], dt_s: float):
+        self._control = BendController(twin, dt_s, conditions)
+        self._warned = False
+
+    def pressure_kpa(self, bend_rad: float) -> float:
+        """What to command now; NaN for a bend that is no number, which the robot refuses like every NaN.
+
+        A bend out of the finger's reach is brought as near as it goes, with one warning.
+        """
+        if not np.isfinite(bend_rad):
+            return float("nan")
+        low, high = self._control.reach_rad
+        if not low <= bend_rad <= high and not self._warned:
+            self._warned = True
+            logger.warning(
+                "A bend of %.3g rad is out of reach, %.3g to %.3g; it goes as far as it can.",
+                bend_rad,
+                low,
+                high,
+            )
+        return self._control.plan(bend_rad)
+
+    def sent(self, pressure_kpa: float) -> None:
+        """One control step has begun, with this pressure commanded."""
+        self._control.follow(pressure_kpa)

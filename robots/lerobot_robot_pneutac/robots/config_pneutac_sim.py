@@ -13,7 +13,7 @@ from pneutac_sim.features import task_names
 
 @RobotConfig.register_subclass("pneutac_sim")
 @dataclass(kw_only=True)
-class PneutacSimConfig(options.WorldOptions, RobotConfig):
+class PneutacSimConfig(options.WorldOptions, options.SceneOptions, RobotConfig):
     """An arm, a Panda where no station names another, with the pneumatic finger and its gel, simulated."""
 
     # what stands in front: `switch`, `egg`, `card`, `fruit`, `cable`, `button`, or your own
@@ -27,18 +27,11 @@ class PneutacSimConfig(options.WorldOptions, RobotConfig):
     # them which leaves the others nearest to a start that was done, as a person would spread a few
     # demonstrations; 0 takes random starts as they come
     spread: int = 0
-    # how much wider than the task's own random starts of hand and objects are: 0 the task's own, 1 wide, 2 at
-    # most
-    start_width: float = 0.0
     # actions command the finger's bend, `bend.pos` in rad, in place of the pressure; the twin finds the
     # pressure for it. On the stand-in it takes the twin that was calibrated to it.
     bend: bool = False
     # scene cameras, such as {front: {type: pneutac_scene, width: 320, height: 240}}
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
-    randomise_look: bool = False  # light, colours and texture of the scene are newly drawn in every episode
-    # the observation has touch as data too, `tactile.points`: displacement and force on a grid.
-    # lerobot-record 0.6 has no place for it and leaves it out; `record_episodes` writes it.
-    tactile_points: bool = False
 
     @property
     def joints(self) -> int:

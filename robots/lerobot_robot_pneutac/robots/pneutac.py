@@ -9,8 +9,7 @@ from lerobot.utils.decorators import check_if_already_connected, check_if_not_co
 
 from lerobot_robot_pneutac.cameras.tactile import LiveCamera, Tactile
 from lerobot_robot_pneutac.hardware.safety import Guard, within
-from lerobot_robot_pneutac.robots.base_robot import BaseRobot
-from lerobot_robot_pneutac.robots.bend import BendCommands
+from lerobot_robot_pneutac.robots.base_robot import BaseRobot, BendCommands
 from lerobot_robot_pneutac.robots.config_pneutac import PneutacConfig
 from lerobot_robot_pneutac.robots.episode_hooks import EpisodeHooks
 from pneutac_sim.errors import InputError

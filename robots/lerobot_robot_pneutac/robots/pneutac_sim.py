@@ -8,8 +8,7 @@ import numpy as np
 from lerobot.utils.decorators import check_if_already_connected, check_if_not_connected
 
 from lerobot_robot_pneutac.options import standin_sensor, station_of, tactile_shape, twin_of
-from lerobot_robot_pneutac.robots.base_robot import BaseRobot
-from lerobot_robot_pneutac.robots.bend import BendCommands
+from lerobot_robot_pneutac.robots.base_robot import BaseRobot, BendCommands
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.episode_hooks import EpisodeHooks
 from pneutac_sim import features
