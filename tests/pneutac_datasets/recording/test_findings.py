@@ -256,20 +256,6 @@ def test_a_command_that_the_log_clipped_is_found(clean):
     assert (f.kind, f.columns, f.numbers["at"]) == ("clipped_command", ("pressure_cmd_kpa",), limit)
 
 
-@pytest.mark.parametrize(
-    ("column", "factor", "unit"),
-    [
-        ("pressure_kpa", 1 / 6.894757, "psi"),
-        ("pressure_kpa", 10.0, "mbar"),
-        ("pressure_kpa", 7.50062, "mmHg"),
-        ("pressure_cmd_kpa", 1 / 6.894757, "psi"),
-    ],
-)
-def test_a_pressure_in_another_unit_than_the_other_is_named(clean, column, factor, unit):
-    f = only(by_trial(clean, column, lambda x: factor * x))
-    assert f.kind == "other_unit" and f"'{column}' seems to be in {unit}" in f.sentence
-
-
 def test_a_gauge_whose_scale_is_off_is_in_no_other_unit_and_left_out(clean):
     for factor in (0.5, 1.3, 4.0):
         r = by_trial(clean, "pressure_kpa", lambda x, f=factor: f * x)

@@ -116,6 +116,7 @@ def test_a_gauge_that_stands_is_left_out(value, noise, where):
         (lambda p: -p, "its sign is wrong"),
         (lambda p: p / 6.894757, "seems to be in psi"),
         (lambda p: 10 * p, "seems to be in mbar"),
+        (lambda p: 7.50062 * p, "seems to be in mmHg"),
     ],
 )
 @pytest.mark.parametrize(("kind", "hz", "top"), TWO)

@@ -209,17 +209,6 @@ def test_without_actions_the_arm_stops_then_the_chamber_is_vented_then_an_action
     assert done[3] == parts.last("set_pressure", "vent")[1] <= MOVE[3]
 
 
-def test_after_the_watchdog_vented_the_pressure_begins_at_zero(parts, monkeypatch):
-    monkeypatch.setattr(safety, "VENT_S", 0.05)
-    guard = Guard(parts, parts, Limits(pressure_rate_kpa_s=5.0))
-    guard.start()
-    start_s = time.monotonic()
-    guard.act(np.array([0, 0, 0, 15.0]))
-    assert until(lambda: "vent" in parts.names())
-    assert guard.act(np.array([0, 0, 0, 15.0]))[3] <= 5.0 * (time.monotonic() - start_s)
-    guard.close()
-
-
 def test_before_the_first_action_the_watchdog_does_nothing(parts, monkeypatch):
     monkeypatch.setattr(safety, "COMMAND_S", 0.01)
     monkeypatch.setattr(safety, "VENT_S", 0.02)

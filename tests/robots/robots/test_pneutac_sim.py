@@ -73,15 +73,6 @@ def test_the_tactile_image_has_the_size_of_the_twins_sensor(make_robot, tmp_path
     assert image.std() > 10
 
 
-def test_observation_is_what_the_features_say(make_robot):
-    robot = make_robot()
-    observation = robot.get_observation()
-    assert list(observation) == list(robot.observation_features)
-    assert all(isinstance(observation[name], float) for name in STATE_NAMES)
-    assert observation["tactile"].shape == (320, 240, 3)
-    assert observation["tactile"].dtype == np.uint8
-
-
 def test_scene_cameras_are_features_of_the_size_that_is_asked(make_robot):
     robot = make_robot(cameras={"front": PneutacSceneConfig(width=64, height=48)}, fidelity="probe")
     assert robot.observation_features["front"] == (48, 64, 3) and list(robot.cameras) == ["tactile", "front"]
@@ -135,15 +126,6 @@ def test_same_seed_same_starts_and_each_reset_another(make_robot):
     assert np.linalg.norm(first[0] - first[1]) > 1e-4
     assert np.linalg.norm(first[1] - first[2]) > 1e-4
     assert np.linalg.norm(first[0] - other[0]) > 1e-4
-
-
-def test_a_pose_is_approached(make_robot):
-    robot = make_robot()
-    goal = position(robot) + [0.0, 0.04, 0.03]
-    for _ in range(20):
-        robot.send_action(dict(zip(EE, goal, strict=True)) | {"pressure.pos": 2.0})
-    assert position(robot) == pytest.approx(goal, abs=0.002)
-    assert robot.successes == []
 
 
 def test_lerobots_return_to_the_start_brings_a_fresh_scene_once(make_robot, monkeypatch):
