@@ -30,6 +30,7 @@ from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.features import CONTROL_HZ, PANDA_JOINTS
 from pneutac_sim.files import whole, write_json
 from pneutac_sim.progress import Progress, no_progress
+from pneutac_sim.surrogate.fingerprint import fingerprint
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.station import Station
 
@@ -234,7 +235,12 @@ def train_ppo(
     compute, settings, out = compute or Compute(), settings or PpoSettings(), Path(out)
     compute.check(steps)
     env = PpoEnv(task, twin, **options)  # refuses a bad task or twin before anything is written
-    run = {"task": task, "twin": _identity(twin), "seed": seed, "settings": asdict(settings)}
+    run = {
+        "task": task,
+        "twin": fingerprint(twin) if twin else None,
+        "seed": seed,
+        "settings": asdict(settings),
+    }
     plain = {k: asdict(v) if isinstance(v, Station) else v for k, v in options.items()}
     run = json.loads(json.dumps(run | {"weights": WEIGHTS, "options": plain}))
     worlds = make_worlds(task, twin, compute, **options)
@@ -264,11 +270,3 @@ def actor_of(model: PPO, settings: PpoSettings, joints: int = PANDA_JOINTS) -> A
     actor.body.load_state_dict(model.policy.mlp_extractor.actor.state_dict())
     actor.head.load_state_dict(model.policy.action_net.state_dict())
     return actor.eval()
-
-
-def _identity(twin: Twin | None) -> str | None:
-    if twin is None:
-        return None
-    from pneutac_sim.surrogate.fingerprint import fingerprint  # it brings Taichi, which training needs not
-
-    return fingerprint(twin)

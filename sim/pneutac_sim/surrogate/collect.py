@@ -26,10 +26,10 @@ from pneutac_sim.executor import ExecutorOptions, run_pieces
 from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.files import whole
 from pneutac_sim.finger.online import COMPUTED, PressurePipeline
-from pneutac_sim.finger.stages import joint_command
 from pneutac_sim.mpm import devices, runtime
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import simulate, solve_equilibrium
+from pneutac_sim.surrogate.finger import bending_pressure, joint_targets
 from pneutac_sim.surrogate.fingerprint import fingerprint
 from pneutac_sim.twin import Twin
 
@@ -37,22 +37,6 @@ KINDS = ("steps", "ramps", "chirp", "random")
 LOAD_RAD = 0.3  # how far a load bends the joint at the base, at most; tasks reach 0.25
 OWN_RAD = 0.1  # how far each joint is bent by itself, at most
 CHIRP_HZ = (0.3, 3.0)
-
-
-def bending_pressure(twin: Twin, q_cmd: np.ndarray) -> np.ndarray:
-    """Bending pressure (...) in kPa of joint targets `q_cmd` (..., N) in rad."""
-    gain = twin.parameter("gain_rad_per_kpa")
-    return np.asarray(q_cmd).mean(-1) / gain - twin.parameter("rest_pressure_kpa")
-
-
-def joint_targets(twin: Twin, pressure_kpa: np.ndarray) -> np.ndarray:
-    """Joint targets (..., N) in rad at bending pressures (...)."""
-    alpha, beta = (twin.parameters[k].value if k in twin.parameters else 0.0 for k in _SHAPE)
-    gain, rest_kpa = twin.parameter("gain_rad_per_kpa"), twin.parameter("rest_pressure_kpa")
-    return joint_command(pressure_kpa, gain, alpha, beta, rest_kpa, len(twin.spine_joint_positions_mm))
-
-
-_SHAPE = ("gain_alpha", "gain_beta")
 
 
 def bending_range(twin: Twin) -> tuple[float, float]:

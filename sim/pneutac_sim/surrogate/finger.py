@@ -21,12 +21,26 @@ import numpy as np
 
 from pneutac_sim.errors import InputError, option
 from pneutac_sim.finger.equilibrium import share_of_controller
-from pneutac_sim.mpm import devices
-from pneutac_sim.surrogate.collect import joint_targets
+from pneutac_sim.finger.stages import joint_command
+from pneutac_sim.mpm.solid import parameter
 from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
 from pneutac_sim.surrogate.network import ActionNetwork
 from pneutac_sim.surrogate.perception import GelSurrogate
 from pneutac_sim.twin import NETWORKS, Twin
+
+
+def bending_pressure(twin: Twin, q_cmd: np.ndarray) -> np.ndarray:
+    """Bending pressure (...) in kPa of joint targets `q_cmd` (..., N) in rad."""
+    gain = twin.parameter("gain_rad_per_kpa")
+    return np.asarray(q_cmd).mean(-1) / gain - twin.parameter("rest_pressure_kpa")
+
+
+def joint_targets(twin: Twin, pressure_kpa: np.ndarray) -> np.ndarray:
+    """Joint targets (..., N) in rad at bending pressures (...)."""
+    shape = ("gain_alpha", "gain_beta")
+    alpha, beta = (twin.parameters[k].value if k in twin.parameters else 0.0 for k in shape)
+    gain, rest_kpa = twin.parameter("gain_rad_per_kpa"), twin.parameter("rest_pressure_kpa")
+    return joint_command(pressure_kpa, gain, alpha, beta, rest_kpa, len(twin.spine_joint_positions_mm))
 
 
 def controller_stiffness(twin: Twin, body: np.ndarray) -> float:
@@ -58,7 +72,7 @@ def network_of(twin: Twin, network: ActionNetwork) -> ActionNetwork | None:
     """
     if network.fingerprint != fingerprint(twin, network.modulus_mpa):
         return None
-    modulus = devices.parameter(twin, "youngs_modulus_mpa")
+    modulus = parameter(twin, "youngs_modulus_mpa")
     if network.modulus_mpa in (None, modulus):
         return network
     ratio = modulus / network.modulus_mpa

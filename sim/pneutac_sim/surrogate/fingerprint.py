@@ -7,7 +7,7 @@ import numpy as np
 
 from pneutac_sim.gel.force import MATERIAL, MODULUS
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.mpm import devices
+from pneutac_sim.mpm.solid import parameter
 from pneutac_sim.mpm.user_mesh import FACES, VERTICES
 from pneutac_sim.twin import Twin
 
@@ -29,7 +29,7 @@ def fingerprint(twin: Twin, modulus_mpa: float | None = None) -> str:
     The body knows only how it is bent. Drive, effects and history decide how far, and `in_range` shows where
     that is farther than in training. `modulus_mpa` takes the place of the twin's own.
     """
-    body = {n: devices.parameter(twin, n) for n in BODY}
+    body = {n: parameter(twin, n) for n in BODY}
     if modulus_mpa is not None:
         body["youngs_modulus_mpa"] = modulus_mpa
     what = {
@@ -52,7 +52,7 @@ def gel_fingerprint(twin: Twin) -> str:
     gel = GelModel.from_twin(twin)
     what = {
         "model": MODEL,
-        "body": {n: devices.parameter(twin, n) for n in GEL} | {MODULUS: MATERIAL[MODULUS]},
+        "body": {n: parameter(twin, n) for n in GEL} | {MODULUS: MATERIAL[MODULUS]},
         "window_mm": list(gel.window_mm),
         "thickness_mm": gel.thickness_mm,
     }

@@ -25,8 +25,7 @@ from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import MpmDiverged, solve_equilibrium
 from pneutac_sim.mpm.user_mesh import lattice_inside
-from pneutac_sim.surrogate.collect import joint_targets
-from pneutac_sim.surrogate.finger import controller_stiffness
+from pneutac_sim.surrogate.finger import controller_stiffness, joint_targets
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.soft_finger import GEL_FRICTION
 

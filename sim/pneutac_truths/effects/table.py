@@ -11,27 +11,16 @@ BODIES = ("rod", "arm", "cosserat")
 
 @dataclass(frozen=True)
 class Effect:
-    """One departure from the plain device.
+    """One departure from the plain device."""
 
-    Attributes:
-        name: in the table.
-        summary: what happens, in a line.
-        physics: False for a fault of tracker, gauge or mount, which is no physics of the device.
-        devices: to which it applies.
-        source: from which literature its form and natural range come.
-        stage: where it acts, one of `STAGES`.
-        ranges: parameter to (lowest, highest); `size` decides how strong it is.
-        act: changes a `World`; takes the parameters by name.
-    """
-
-    name: str
-    summary: str
-    physics: bool
-    devices: tuple[str, ...]
-    source: str
-    stage: str
-    ranges: dict[str, tuple[float, float]]
-    act: Callable
+    name: str  # in the table
+    summary: str  # what happens, in a line
+    physics: bool  # False for a fault of tracker, gauge or mount, which is no physics of the device
+    devices: tuple[str, ...]  # to which it applies
+    source: str  # from which literature its form and natural range come
+    stage: str  # where it acts, one of `STAGES`
+    ranges: dict[str, tuple[float, float]]  # parameter to (lowest, highest); `size` decides how strong it is
+    act: Callable  # changes a `World`; takes the parameters by name
 
     def draw(self, rng: np.random.Generator) -> dict[str, float]:
         """Parameters within their ranges, log-uniform where a range is positive; `size` is the middle."""
