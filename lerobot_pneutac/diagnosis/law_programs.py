@@ -128,7 +128,7 @@ def _turns(row, c, low, top):
 
 
 def _small_stairs(row, c, low, top):
-    r = c["width_kpa"]
+    r = c["step_kpa"] if "step_kpa" in c else c["width_kpa"]
     middle, step = 0.5 * (low + top), min(0.5 * r, 0.05 * (top - low))
     levels = middle + step * np.r_[np.arange(11), np.arange(10)[::-1]]
     text = (

@@ -36,7 +36,7 @@ COUNTS: dict[str, tuple[str, ...]] = {
     "valve_deadband": ("dead_band", "hysteresis"),
     "regulator_zero": (),
     "regulator_bow": ("stiffening", "gain_saturation"),
-    "coarse_steps": (),
+    "coarse_steps": ("quantisation",),
     "regulator_warm_up": ("warm_up", "self_heating", "thermal"),
     "valve_stiction": ("hysteresis", "friction"),
     "stalls": (),

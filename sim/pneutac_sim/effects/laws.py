@@ -10,8 +10,8 @@ law is data and nothing that came with a twin is executed.
 
 Sources of the memories: first-order lags; a power-law spectrum of them (a spring-pot: Nutting, J. Franklin
 Inst. 191, 1921); second order; play and Bouc-Wen loops (Macki, Nistri, Zecca, SIAM Review 35, 1993); a
-maximum that fades (Mullins: Diani, Fayolle, Gilormini, Eur. Polym. J. 45, 2009); path travelled; loss while
-held.
+maximum that fades (Mullins: Diani, Fayolle, Gilormini, Eur. Polym. J. 45, 2009; its tanh: Dorfmann, Ogden,
+Int. J. Solids Struct. 41, 2004); damage under load (Kachanov, 1958); path travelled; loss while held.
 """
 
 # ruff: noqa: D103 - inputs and memories are what the equations in the catalogue say
@@ -308,6 +308,19 @@ def _path(s, f, dt, half):
 
 
 @kernel
+def _damage(s, f, dt, tau, power):
+    """1 - exp(-D), D' = f^power / tau of a share f of the range (Kachanov's damage under load)."""
+    out = np.empty((len(f) - 1, f.shape[1]))
+    for t in range(len(out)):
+        for i in range(out.shape[1]):
+            if not math.isinf(dt[t]):
+                load = max(f[t, i], 0.0) ** power + max(f[t + 1, i], 0.0) ** power
+                s[2, i] += 0.5 * dt[t] * load / tau
+            out[t, i] = 1.0 - math.exp(-s[2, i])
+    return out
+
+
+@kernel
 def _loss_while_held(s, f, dt, k, still):
     out = np.empty((len(f) - 1, f.shape[1]))
     for t in range(len(out)):
@@ -369,6 +382,10 @@ def dead_band(f, dt, k, s, P, x, c, late):
     return _dead_band(s, f, dt, k[0])
 
 
+def rounded(f, dt, k, s, P, x, c, late):
+    return k[0] * np.round(f[1:] / k[0])
+
+
 def loop(f, dt, k, s, P, x, c, late):
     return _bouc_wen(s, f, dt, k[0], _virgin_curve())
 
@@ -413,8 +430,16 @@ def fading_max(f, dt, k, s, P, x, c, late):
     return _fading_max(s, f, dt, k[0])
 
 
+def below_fading_max(f, dt, k, s, P, x, c, late):
+    return P * np.tanh((_fading_max(s, f, dt, k[0]) - x) / k[1])
+
+
 def below_max(f, dt, k, s, P, x, c, late):
     return P * _below_max(s, f, dt, 1e-9) ** k[0]
+
+
+def damage(f, dt, k, s, P, x, c, late):
+    return P * _damage(s, f / P, dt, k[0], k[1])
 
 
 def path(f, dt, k, s, P, x, c, late):
@@ -501,6 +526,7 @@ FAMILIES = {
         "dependence on recent motion",
     ),
     "thermal": ("bends more or less when it is warm", "temperature"),
+    "quantisation": ("follows its command in coarse steps", "coarse steps of the command"),
     "dead_band": ("stays where it is until its command has moved enough", "a dead band"),
     "warm_up": ("bends otherwise in the first minutes of a session", "change over the first minutes"),
 }
@@ -685,6 +711,9 @@ TABLE = {
                    (_width(),), ((0.03,), (0.1,), (0.25,)), minus=True),
     "dead_band(p)": Law(dead_band, "dead_band", r"\mathrm{band}_r(p) - p", "small stairs",
                         (_width(0.05),), ((0.02,), (0.06,), (0.15,)), minus=True),
+    "round(p)": Law(rounded, "quantisation", r"r\,\mathrm{round}(p/r) - p", "small stairs",
+                    (Parameter("step_kpa", "kPa", 0.1, 0.01, 0.5, log=True, range_power=1, jump=0.06),),
+                    tuple((float(s),) for s in np.geomspace(0.02, 0.3, 80)), minus=True),
     "play_two(p)": Law(play_two, "hysteresis", r"\mathrm{play}_{r,l}(p) - p", "turns",
                        (_width(name="width_up_kpa"), _width(name="width_down_kpa")),
                        ((0.1, 0.01), (0.01, 0.1)), minus=True),
@@ -724,8 +753,14 @@ TABLE = {
                                (_time(0.2, 0.02, 3.0),), ((0.2,),), input=speed, gain=True),
     "p fading_max(p)": Law(fading_max, "cyclic_softening", r"p\,(\max_\tau(p) - p)/P", "fading",
                            (_time(10.0, 0.2),), _SHORT_TO_LONG, gain=True, minus=True),
+    "p tanh(fading_max(p))": Law(below_fading_max, "cyclic_softening", r"p\tanh((\max_\tau(p) - p)/r)",
+                                 "fading", (_time(30.0, 0.2), _width(0.2)),
+                                 ((20.0, 0.2), (100.0, 0.2)), gain=True),
     "p below_max(p)": Law(below_max, "cyclic_softening", r"p\,(1 - p/p_{max})^c", "staying",
                           (Parameter("exponent", "", 1.5, 0.3, 4.0, log=True),), ((1.5,),), gain=True),
+    "p damage(p)": Law(damage, "cyclic_softening", r"p\,(1 - e^{-D}), \; \dot D = (p/P)^c/\tau", "staying",
+                       (_time(60.0, 1.0, 2000.0), Parameter("exponent", "", 3.0, 1.0, 12.0, log=True)),
+                       ((20.0, 3.0), (100.0, 3.0), (100.0, 8.0)), gain=True),
     "p path(p)": Law(path, "cyclic_softening", r"p\,n/(n + n_0), \; n = \int |dp|", "strokes",
                      (_width(10.0, 200.0, "path_kpa", 0.5),), ((10.0,),), gain=True),
     "p lag(|dp/dt|)": Law(lag, "self_heating", r"p\,\mathrm{lag}_\tau|\dot p|/P", "motion",
@@ -789,6 +824,7 @@ PLAIN = {
     "step(p)": "a smooth step of the bend at a pressure",
     "play(p)": "play between pressure and bend",
     "dead_band(p)": "a dead band of small steps of the pressure",
+    "round(p)": "a command in coarse steps",
     "play_two(p)": "play of different widths up and down",
     "play(p)^3": "cubed play between pressure and bend",
     "loop(p)": "a Bouc-Wen loop between pressure and bend",
@@ -808,7 +844,9 @@ PLAIN = {
     "p tanh(|dp/dt|)": "a gain that saturates with the pressure's rate",
     "p root lag(|dp/dt|)": "a gain that follows the root of the pressure's rate",
     "p fading_max(p)": "softening by the recent largest pressure",
+    "p tanh(fading_max(p))": "softening well below the recent largest pressure",
     "p below_max(p)": "softening below the largest pressure so far",
+    "p damage(p)": "softening with the time under pressure",
     "p path(p)": "softening with use",
     "p lag(|dp/dt|)": "softening by recent motion",
     "p lag(p |dp/dt|)": "softening by recent motion under pressure",

@@ -220,9 +220,24 @@ def test_a_fading_maximum_decays_until_the_pressure_meets_it():
     np.testing.assert_allclose(act("p fading_max(p)", p, time_s=3.0)[2:], 1 + (expected - 1) / P)
 
 
+def test_softening_saturates_well_below_the_recent_largest_pressure():
+    p = np.r_[0.0, 8.0, np.full(100, 1.0)]
+    known = np.maximum(8.0 * np.exp(-DT * np.arange(1, 101) / 3.0), 1.0)
+    y = act("p tanh(fading_max(p))", p, time_s=3.0, width_kpa=2.0)
+    np.testing.assert_allclose(y[2:], 1 + np.tanh((known - 1) / 2.0))
+    assert y[1] == 8.0
+
+
 def test_the_share_of_the_largest_pressure_lasts():
     p = np.r_[0.0, 8.0, 4.0, 8.0, 2.0]
     np.testing.assert_allclose(act("p below_max(p)", p, exponent=2.0), p + p * np.r_[1, 0, 0.5, 0, 0.75] ** 2)
+
+
+def test_damage_grows_with_the_time_under_pressure_and_stays():
+    p = np.r_[np.full(101, 5.0), np.zeros(100), 5.0]
+    y = act("p damage(p)", p, time_s=2.0, exponent=3.0)
+    np.testing.assert_allclose(y[:101], 5 * (2 - np.exp(-DT * np.arange(101) * 0.5**3 / 2.0)))
+    assert y[-1] > y[100]
 
 
 def test_a_path_counts_every_move():
@@ -270,6 +285,7 @@ def test_rates_are_those_of_the_line_since_the_sample_before():
         ("step(p)", {"centre_kpa": 4.0, "slope_kpa": 2.0}, lambda p: p + P * np.tanh((p - 4.0) / 2.0)),
         ("p^2", {}, lambda p: p + p * np.abs(p) / P),
         ("p^3", {}, lambda p: p**3 / P**2),
+        ("round(p)", {"step_kpa": 0.7}, lambda p: 0.7 * np.round(p / 0.7)),
     ],
 )
 def test_statics_are_their_formulas(name, constants, expected):
@@ -353,7 +369,7 @@ def test_no_law_reads_beyond_its_own_constants(name):
     assert np.isfinite(out).all()
 
 
-# A dead band lets its input through in jumps, earlier where it looks more often.
+# A dead band lets its input through in jumps, earlier where it looks more often; so does a maximum.
 @pytest.mark.parametrize("name", [n for n in law_names() if n != "dead_band(p)"])
 def test_twice_the_samples_of_straight_lines_change_nothing(name):
     effect, x, c, values = case(name, 401)
@@ -366,7 +382,7 @@ def test_twice_the_samples_of_straight_lines_change_nothing(name):
     assert np.abs(coarse - twice).max() < worst * size
 
 
-@pytest.mark.parametrize("name", [n for n in law_names() if n != "held(p)"])
+@pytest.mark.parametrize("name", [n for n in law_names() if n not in ("held(p)", "p damage(p)")])
 def test_what_has_rested_stays_at_rest(name):
     """At a constant pressure nothing changes with time, at whatever pace it is looked at."""
     effect, x, c, values = case(name)
