@@ -208,6 +208,12 @@ def test_the_quick_demo_runs_without_the_plugin(wheels, tmp_path):
     result = json.loads((tmp_path / "outputs/quick/result.json").read_text())
     assert result["tip_error_mm"]["after"] < 0.5 * result["tip_error_mm"]["before"]
     assert "another day" in (tmp_path / "outputs/quick/report.html").read_text()
+    twin = "outputs/quick/twin"
+    assert "good" in execute("pneutac", "check", twin, PYTHONPATH=tree)
+    execute("pneutac", "report", twin, "--out=page", PYTHONPATH=tree)
+    assert "LeRobot's half" in execute("pneutac", "doctor", PYTHONPATH=tree)
+    with pytest.raises(AssertionError, match="pneutac render: This needs LeRobot's half of PneuTac; in a"):
+        execute("pneutac", "render", f"--twin={twin}", PYTHONPATH=tree)
 
 
 def test_every_declared_package_is_in_the_table_of_licences():

@@ -106,7 +106,8 @@ def _dispatch(argv: list[str]) -> None:
         package = (e.name or "").partition(".")[0]
         if package not in PLUGIN_PACKAGES:
             raise
-        sys.exit(f"pneutac {verb}: For this the package {package} is missing; {INSTALL}")
+        what = f"the package {package}" if importlib.util.find_spec(PLUGIN) else "LeRobot's half of PneuTac"
+        sys.exit(f"pneutac {verb}: This needs {what}; {INSTALL}")
     except BrokenPipeError:
         raise
     except OSError as e:  # a folder that cannot be read or written, a full disk, a Hub out of reach

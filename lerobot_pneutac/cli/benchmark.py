@@ -30,7 +30,8 @@ def command(argv: list[str], terminal) -> None:
         print(f"usage: pneutac benchmark NAME [--option=value ...]\n\nNAME is {', '.join(TABLES)}.")
         return
     if name not in TABLES:
-        raise InputError(f"There is no benchmark '{name}'; give one of {', '.join(TABLES)}.")
+        wrong = f"There is no benchmark '{name}'" if name else "Name a benchmark"
+        raise InputError(f"{wrong}; give one of {', '.join(TABLES)}.")
     sys.argv[0] = f"pneutac benchmark {name}"
     module = importlib.import_module(TABLES[name])
     config_class = getattr(module, f"Benchmark{name.title().replace('_', '')}Config")

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-import rerun as rr
 
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.reports.figures import session_clock
@@ -67,6 +66,8 @@ def write_rrd(file: Path, twin: Twin, recording: Recording | None = None) -> int
     """
     if twin.device not in CHAMBERS:
         raise InputError(f"The twin is of a {twin.device}; --rrd takes a finger or an arm.")
+    import rerun as rr  # which the bench, without LeRobot, writes its pages without
+
     stream = rr.RecordingStream("pneutac")
     stream.save(str(file))
     skin, joints = Skin.of(twin), np.array(twin.spine_joint_positions_mm)
@@ -90,6 +91,8 @@ def write_rrd(file: Path, twin: Twin, recording: Recording | None = None) -> int
 
 def _sweep(twin: Twin, show, stream) -> int:
     """Slowly up and down the pressures that it was measured over, chamber by chamber."""
+    import rerun as rr
+
     low, high = twin.pressure_range_kpa
     body, chambers = LiveBody(twin, {}), CHAMBERS[twin.device]
     steps = int(SWEEP_S * HZ)
@@ -102,6 +105,8 @@ def _sweep(twin: Twin, show, stream) -> int:
 
 
 def _recorded(twin: Twin, recording: Recording, show, stream) -> int:
+    import rerun as rr
+
     c = compare(twin, recording)
     pipeline = Pipeline.of(twin, c.bench.inputs)
     run = pipeline.run(c.bench.inputs, pipeline.theta(twin, c.bench.inputs.pressure_range_kpa))

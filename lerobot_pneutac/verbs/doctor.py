@@ -5,17 +5,20 @@ import os
 import platform
 import shutil
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 from rich.markup import escape
 from rich.table import Table
 
+from lerobot_pneutac.cli import INSTALL, PLUGIN
 from lerobot_pneutac.cli.terminal import Terminal
 
 OK, NOTE, FAIL = "ok", "note", "missing"
 DEV = Path("/dev")
 LEROBOT = "0.6"  # series that `lerobot_robot_pneutac` is tried on; it names the exact version
-PACKAGES = ("lerobot", "torch", "mujoco", "numba", "gymnasium", "numpy", "pyserial")
+BENCH_PACKAGES = ("mujoco", "numba", "gymnasium", "numpy")  # what the distribution `pneutac` needs
+PACKAGES = ("lerobot", "torch", *BENCH_PACKAGES, "pyserial")
 Check = tuple[str, str, str, str]  # name, state, what was found, remedy
 
 
@@ -114,12 +117,16 @@ def check_home() -> Check:
 CHECKS = (
     check_plugin, check_gpu, check_rendering, check_ports, check_cameras, check_digit, check_arm, check_home
 )  # fmt: skip
+BENCH_CHECKS = check_rendering, check_cameras
 
 
 def check_all() -> list[Check]:
     rows = [("Python", OK if sys.version_info >= (3, 12) else FAIL, platform.python_version(), "")]
-    rows += map(check_package, PACKAGES)
-    for check in CHECKS:
+    bench = find_spec(PLUGIN) is None
+    rows += map(check_package, BENCH_PACKAGES if bench else PACKAGES)
+    if bench:
+        rows.append(("LeRobot's half", NOTE, "not installed", INSTALL))
+    for check in BENCH_CHECKS if bench else CHECKS:
         try:
             rows.append(check())
         except (ImportError, OSError) as e:  # a package or a system's library: what is looked for
