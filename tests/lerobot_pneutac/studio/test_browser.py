@@ -194,7 +194,7 @@ def test_a_newcomer_finds_and_adds_what_is_missing(browser, tmp_path):
         seen.frame(400, times=4, wait_ms=300)
         page.reload()  # in the middle of the work, which goes on
         seen.open("Find it")
-        expect(page.get_by_text("Your finger creeps").first).to_be_visible(timeout=300_000)
+        expect(page.get_by_text("behaves like creep").first).to_be_visible(timeout=300_000)
         seen.picture("found")
         seen.frame(3500)
         seen.button("3. Try it").click()
