@@ -26,17 +26,11 @@ STARTS = 4  # that are drawn for each world at a reset; later episodes begin at 
 
 
 class BatchedPpoEnv(VecEnv):
-    """N worlds with the observations, actions and rewards of `PpoEnv`.
+    """N worlds with the observations, actions and rewards of `PpoEnv`, whose options it takes.
 
     After `seed(s)` and `reset` world i begins where `PpoEnv.reset(seed=s + i)` does. Slides stand for the
-    arm, whose joints are those of its inverse kinematics.
-
-    Args:
-        task: `switch`, `egg` or `card`.
-        twin: default the built-in one.
-        envs: N.
-        device: of the worlds, `cpu` or `cuda`.
-        options: of `PpoEnv`.
+    arm, whose joints are those of its inverse kinematics. The worlds' device is `cpu` or `cuda`, their task
+    `switch`, `egg` or `card`.
 
     Raises InputError: as `PpoEnv` and `BatchedWorld`.
     """

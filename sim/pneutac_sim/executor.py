@@ -132,16 +132,12 @@ def run_pieces(
     text: str = "",
     there: Callable[[Path], bool] = Path.exists,
 ) -> None:
-    """Has `make(k)` called for every file that is missing, `files[k]`, which it writes.
+    """Has `make(k)` called for every file `files[k]` that is missing, by `there`, which it writes.
 
-    Args:
-        make: can be pickled; what it needs for each piece alike it keeps between calls.
-        files: a file for each piece.
-        logs: folder of datatrove's logs and completions; removed once all files are there.
-        options: where the work is done; None for this machine.
-        progress: is called with `text`, how many files are there and of how many.
-        text: a few words.
-        there: whether the piece of a file is done.
+    `make` can be pickled; what it needs for each piece alike it keeps between calls. `options` say where the
+    work is done, on this machine where None. `logs` is a folder of datatrove's logs and completions, removed
+    once all files are there. `progress` is called with `text`, a few words, how many files are there and of
+    how many.
 
     Raises InputError: a piece has raised it, a process ended, no space is left, or the cluster refuses the
     work; what has been made is there, and another call goes on.

@@ -90,11 +90,8 @@ def read_yaml(file: Path):
 def read_fields(file: Path, known: Iterable[str], required: Iterable[str] = (), kind: str = "field") -> dict:
     """The fields of a YAML file that a user writes, `name: value` in each line.
 
-    Args:
-        file: to read.
-        known: names that it may have.
-        required: those that it must have.
-        kind: what a name is, in a sentence.
+    It may have `known` names and must have those that are `required`; `kind` is what a name is, in a
+    sentence.
 
     Raises InputError: one line: it is none, or empty, has another name, or lacks one.
     """

@@ -37,16 +37,11 @@ class BodyData:
         start: str | float = "auto",
         switch: float | np.ndarray | None = None,
     ) -> "BodyData":
-        """Prepares a bench recording (anything with `.samples` and `.device`).
+        """Prepares a bench recording (anything with `.samples` and `.device`) of the twin's device.
 
-        Args:
-            recording: of a finger or an arm.
-            twin: of the same device; gives the length.
-            source: see `Inputs.from_samples`.
-            target: `pose` (tip, angles, curvatures), or `pressure` for the measured pressure, which needs the
-                command as its source.
-            start: see `Inputs.from_samples`; `auto` takes the twin's `pause_s` where it has one.
-            switch: see there; None takes the twin's `switch_share` where it has one.
+        The target is `pose` (tip, angles, curvatures), or `pressure` for the measured pressure, which needs
+        the command as its source. The others are as in `Inputs.from_samples`; start `auto` takes the twin's
+        `pause_s` and switch None its `switch_share`, where it has one.
 
         Raises InputError: the devices differ or the wanted columns are missing.
         """

@@ -511,8 +511,8 @@ def _rest(q, loads, links, controller, powers, weights):
             _resist(free + bend, powers, weights, f, B)
             for i in range(n):
                 torque[i] = f[i] - at_free[i] - controller * bend[i]
-                for m in range(6):
-                    torque[i] += levers[m, i] * loads[t, m]
+                torque[i] += levers[0, i] * loads[t, 0] + levers[2, i] * loads[t, 2]
+                torque[i] += levers[3, i] * loads[t, 3] + levers[5, i] * loads[t, 5]
                 B[i, i] += controller
                 for j in range(n):
                     B[i, j] += A[max(i, j), min(i, j)]
