@@ -8,7 +8,7 @@ def arm_twin(
 ) -> Twin:
     """An arm of 100 mm that a chamber bends by 1.25 rad at 50 kPa, the first at an angle from +z to +y."""
     length = more.pop("length_mm", 100.0)
-    told = {
+    values = {
         "gain_rad_per_kpa": 0.025 / joints,
         "gain_alpha": 0.05,
         "gain_beta": 0.02,
@@ -19,6 +19,6 @@ def arm_twin(
         "chamber_3_gain": gains[1],
         "joint_stiffness_nm_per_rad": 0.458,
     }
-    parameters = {name: Value(value) for name, value in (told | more).items()}
+    parameters = {name: Value(value) for name, value in (values | more).items()}
     at = [length * (i + 0.5) / joints for i in range(joints)]
     return Twin("arm", length, at, parameters, pressure_range_kpa=(0.0, 50.0))

@@ -100,7 +100,7 @@ def test_a_dataset_of_another_rate_than_the_robots_is_refused_before_it_is_begun
     LeRobotDataset.create("local/b", 15, {}, tmp_path / "b", robot.name, use_videos=False)
 
 
-def test_a_dataset_of_another_rate_that_is_gone_on_with_is_told(tmp_path, caplog, monkeypatch):
+def test_a_dataset_of_another_rate_that_is_gone_on_with_is_reported(tmp_path, caplog, monkeypatch):
     monkeypatch.setattr(io_utils, "write_json", io_utils.write_json)
     robot = PneutacSim(PneutacSimConfig(id="t", fidelity="probe"))
     info = {"total_frames": 20, "total_episodes": 1, "fps": 30, "robot_type": robot.name}

@@ -140,10 +140,10 @@ def test_a_plan_follows_the_demonstrated_touch(demonstrations, folder):
     np.testing.assert_allclose(gantry.gel_m, world.gel_m, atol=1e-3)
 
 
-def test_demonstrations_of_another_body_are_told(demonstrations, folder):
+def test_demonstrations_of_another_body_are_reported(demonstrations, folder):
     faults = demonstration_faults(demonstrations, Twin.builtin())
-    told = "'action' has 3 pressures and the twin 1 chamber; give the twin of the body that was recorded."
-    assert any(f.endswith(told) for f in faults)
+    sentence = "'action' has 3 pressures and the twin 1 chamber; give the twin of the body that was recorded."
+    assert any(f.endswith(sentence) for f in faults)
     assert not demonstration_faults(demonstrations, Twin.load(folder))
 
 

@@ -389,7 +389,7 @@ def feature_faults(
 def _of_episodes(episodes: Episodes, range_kpa: tuple[float, float], area: int) -> list[str]:
     """Faults of single episodes, those with the same fault in one sentence."""
     low, high = range_kpa
-    slack = ROUNDING_KPA * (high - low)
+    tolerance = ROUNDING_KPA * (high - low)
     kinds: dict[str, list[int]] = {
         "holds numbers that are not finite": [],
         "has one frame only": [],
@@ -404,7 +404,7 @@ def _of_episodes(episodes: Episodes, range_kpa: tuple[float, float], area: int) 
             short.append(number)
         elif not without_specks(state[:, area]).any():
             untouched.append(number)
-        elif action[:, PRESSURES].min() < low - slack or action[:, PRESSURES].max() > high + slack:
+        elif action[:, PRESSURES].min() < low - tolerance or action[:, PRESSURES].max() > high + tolerance:
             beyond.append(number)
     return [
         f"{f'Episode {which[0]}' if len(which) == 1 else f'Each of the episodes {which}'} {fault};"

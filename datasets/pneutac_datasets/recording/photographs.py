@@ -15,7 +15,7 @@ from pneutac_sim.splat.camera import Camera
 
 SHADOW = 0.5  # how much of a mere change of brightness counts: shadows on the backdrop are that
 NOISE = 10  # median deviations of unchanged pixels that a change must exceed
-SURE = 2  # a change this many times over the threshold is certainly the body's
+CERTAIN = 2  # a change this many times over the threshold is certainly the body's
 ITERATIONS = 4  # of GrabCut
 LEAST = 1e-3  # of the picture that a body fills
 
@@ -41,7 +41,7 @@ def segment(image: np.ndarray, background: np.ndarray) -> np.ndarray:
     seeds = np.where(mask, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
     edge = max(3, round(0.01 * image.shape[0]))  # px, within which GrabCut may move the outline
     seeds[cv2.dilate(mask.astype(np.uint8), _disc(edge)) == 0] = cv2.GC_BGD
-    seeds[(cv2.erode(mask.astype(np.uint8), _disc(2)) > 0) & (away > SURE * threshold)] = cv2.GC_FGD
+    seeds[(cv2.erode(mask.astype(np.uint8), _disc(2)) > 0) & (away > CERTAIN * threshold)] = cv2.GC_FGD
     if (seeds == cv2.GC_BGD).any():
         models = np.zeros((2, 1, 65))
         cv2.setRNGSeed(0)

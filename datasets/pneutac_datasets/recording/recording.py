@@ -13,7 +13,7 @@ import pandas as pd
 
 from pneutac_datasets.recording import blocks, reading, rules
 from pneutac_datasets.recording.image_file import read_image
-from pneutac_datasets.recording.rules import TrialStart, meta_of_kept, starts
+from pneutac_datasets.recording.rules import TrialStart, meta_of_trials, starts
 from pneutac_datasets.recording.wording import listed
 from pneutac_sim.errors import InputError, shown
 from pneutac_sim.files import inside, whole, write_json
@@ -161,7 +161,7 @@ class Recording:
     def keep(self, rows: np.ndarray) -> "Recording":
         """The same recording with only the rows where the mask (n,) is true."""
         samples = self.samples[np.asarray(rows, bool)].reset_index(drop=True)
-        meta = meta_of_kept(self.meta, list(self.trials()), [int(t) for t in samples["trial"].unique()])
+        meta = meta_of_trials(self.meta, list(self.trials()), [int(t) for t in samples["trial"].unique()])
         return Recording(self.folder, meta, samples, self.device, list(self.warnings))
 
     # ---------------------------------------------------------------- train and held-out parts

@@ -91,14 +91,14 @@ def starts(meta: dict, trials: list[int]) -> dict[int, TrialStart]:
     return {t: TrialStart(**stated.get(str(t), {})) for t in trials}
 
 
-def meta_of_kept(meta: dict, before: list[int], kept: list[int]) -> dict:
+def meta_of_trials(meta: dict, before: list[int], left: list[int]) -> dict:
     """The fields for a table of fewer trials; one that continued a trial which is gone starts unknown."""
     if "trials" not in meta:
         return meta
     previous = dict(zip(before[1:], before, strict=False))
-    now = dict(zip(kept[1:], kept, strict=False))
+    now = dict(zip(left[1:], left, strict=False))
     stated = {}
-    for trial in kept:
+    for trial in left:
         how = meta["trials"].get(str(trial))
         if how is not None:
             torn = how["start"] == "continues" and now.get(trial) != previous.get(trial)

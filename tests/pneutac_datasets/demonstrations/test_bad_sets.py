@@ -327,9 +327,9 @@ def some_failed(folder, areas, outcomes):
 
 def naive(root, out):
     given, new = DatasetRef("local/demos", root), DatasetRef("local/new", out)
-    told = []
-    made = augment(AugmentConfig(given, new, "switch", "naive", episodes=4), note=told.append)
-    return made, told
+    notes = []
+    made = augment(AugmentConfig(given, new, "switch", "naive", episodes=4), note=notes.append)
+    return made, notes
 
 
 def test_failed_demonstrations_are_named_and_set_aside(tmp_path):
@@ -341,8 +341,8 @@ def test_failed_demonstrations_are_named_and_set_aside(tmp_path):
     )
     found = check_path(root)
     assert found.faults == [] and sentence in found.notes
-    made, told = naive(root, tmp_path / "new")
-    assert told == [sentence] and list(made.failed) == [1, 2]
+    made, notes = naive(root, tmp_path / "new")
+    assert notes == [sentence] and list(made.failed) == [1, 2]
     assert {line["source_episode"] for line in made.summary["provenance"]} == {0, 3}
     assert made.summary["kept"] == 4
 

@@ -91,7 +91,7 @@ def test_touch_is_asked_for_until_the_demonstration_let_go(reference):
 
 
 def test_a_touch_elsewhere_is_answered_as_demonstrations_answer_it(reference):
-    """Hands that go back to the middle at 3 per second, with tremor: told from the recordings, and done."""
+    """Hands that go back to the middle at 3 per second, with tremor: read from the recordings, and done."""
     rng = np.random.default_rng(0)
     recorded = []
     for _ in range(5):

@@ -91,7 +91,7 @@ def test_the_seed_decides_the_finger(finger, tmp_path):
 
 
 def test_it_is_no_mirror_of_the_twins_effects(finger):
-    """Creep by the library explains much of it, and never all: a told error stays above the noise."""
+    """Creep by the library explains much of it, and never all: the stated error stays above the noise."""
     assert set(finger.trials()) == {0, 1, 2}
     bench = BodyData.of(finger, Twin.builtin())
     plain = fit(Twin.builtin(), bench, effects=[])

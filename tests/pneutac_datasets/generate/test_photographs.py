@@ -1,4 +1,4 @@
-"""Photographs of hidden bodies: their geometry against the cameras that are told, and what is kept secret."""
+"""Photographs of hidden bodies: their geometry against the stated cameras, and what is kept secret."""
 
 import json
 
@@ -46,7 +46,7 @@ def test_recording_is_a_bench_recording(finger):
         assert 0.02 < mask.mean() < 0.3
 
 
-def test_masks_are_where_the_told_cameras_project_the_body(finger):
+def test_masks_are_where_the_stated_cameras_project_the_body(finger):
     twin = hidden_twin(4, "finger")
     meshes, _, _, _ = bent_meshes(twin, devices.joint_targets(twin, PRESSURES), particles=FEW)
     for name in CAMERAS["finger"]:
@@ -73,9 +73,9 @@ def test_markers_are_those_of_the_spine(finger):
 
 
 def test_truth_is_kept_apart(finger):
-    told = json.loads((finger.folder / "recording.json").read_text())
+    stated = json.loads((finger.folder / "recording.json").read_text())
     for name in hidden_twin(4, "finger").parameters:
-        assert name not in json.dumps(told)
+        assert name not in json.dumps(stated)
     truth = json.loads((finger.folder.parent / "truth" / "finger.json").read_text())
     assert (
         truth["parameters"]["gain_rad_per_kpa"]
@@ -101,17 +101,17 @@ def test_disturbances_act_and_stay_secret(finger, tmp_path):
     bad = write_photographs(
         tmp_path / "bad", seed=4, pressures_kpa=PRESSURES[:1], disturbances=wrong, particles=FEW
     )
-    assert bad.meta["cameras"] == finger.meta["cameras"]  # told as if nothing had happened
+    assert bad.meta["cameras"] == finger.meta["cameras"]  # stated as if nothing had happened
     assert iou(read_photograph(bad, 0, "front")[1], read_photograph(finger, 0, "front")[1]) < 0.8
     truth = json.loads((tmp_path / "truth" / "bad.json").read_text())
     assert truth["disturbances"]["tilt_deg"] == 3
-    told, true = (
+    stated, true = (
         np.array(bad.meta["cameras"]["back"]["extrinsics"]),
         np.array(truth["camera_extrinsics"]["back"]),
     )
-    turn = np.degrees(np.arccos((np.trace(told[:3, :3].T @ true[:3, :3]) - 1) / 2))
+    turn = np.degrees(np.arccos((np.trace(stated[:3, :3].T @ true[:3, :3]) - 1) / 2))
     assert turn == pytest.approx(2, abs=1e-6)
-    eyes = [-t[:3, :3].T @ t[:3, 3] for t in (told, true)]
+    eyes = [-t[:3, :3].T @ t[:3, 3] for t in (stated, true)]
     assert np.linalg.norm(eyes[0] - eyes[1]) == pytest.approx(3e-3)
 
 

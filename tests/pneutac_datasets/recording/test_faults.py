@@ -45,7 +45,7 @@ def test_a_good_recording_has_notes_only(tmp_path):
     assert faults == [] and all(isinstance(n, str) for n in notes)
 
 
-def test_every_fault_is_said_and_misspelt_names_are_told_what_they_may_mean(tmp_path):
+def test_every_fault_is_said_and_misspelt_names_are_reported_what_they_may_mean(tmp_path):
     def spoil(table):
         table["temperature_c"] = 20.0
         table.loc[7, "temperature_c"] = np.nan
@@ -84,7 +84,7 @@ def test_small_files_that_stand_for_huge_pictures_cost_little():
     assert read_bombs().broken == ()
 
 
-def test_limits_are_told(tmp_path):
+def test_limits_are_reported(tmp_path):
     with pytest.raises(InputError, match="huge.png states 9000 x 9000 pixels, above the limit of 25 million"):
         read_image(bomb(9000, 9000), "huge.png")
     with pytest.raises(InputError, match="scans"):

@@ -1,4 +1,4 @@
-"""Each fault that is put into a generated recording is found, alone, and told apart from physics."""
+"""Each fault that is put into a generated recording is found, alone, and distinguished from physics."""
 
 import os
 from pathlib import Path
@@ -195,7 +195,7 @@ def test_an_angle_that_wraps_is_unwrapped_where_that_is_certain(clean):
     np.testing.assert_allclose(check(r)[0].column("bend_angle_rad"), bend, atol=1e-9)
 
 
-def test_an_angle_that_wraps_in_a_wild_signal_is_kept_and_told(clean):
+def test_an_angle_that_wraps_in_a_wild_signal_is_kept_and_reported(clean):
     r, rng = copy(clean), np.random.default_rng(0)
     wild = turning(clean) + 0.5 * rng.normal(size=len(r))
     r.samples["bend_angle_rad"] = (wild + np.pi) % (2 * np.pi) - np.pi

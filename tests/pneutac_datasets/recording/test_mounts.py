@@ -1,4 +1,4 @@
-"""A device that was mounted anew is moved back and that is told; one that remembers is left as measured."""
+"""A device that was mounted anew is moved back and reported; one that remembers is left as measured."""
 
 import numpy as np
 import pytest
@@ -78,8 +78,8 @@ def creeping(tmp_path_factory):
 def test_a_creeping_finger_is_left_as_measured(creeping, seen):
     for recording in (creeping, cut(creeping)):
         r = seen(recording)
-        same, told = align_mounts(r, r.length_mm, r.split(0)[0])
-        assert told == [] and same is r
+        same, sentences = align_mounts(r, r.length_mm, r.split(0)[0])
+        assert sentences == [] and same is r
 
 
 @pytest.mark.parametrize("effect", ["cyclic_softening", "hysteresis", "sensor_offset"])
@@ -90,8 +90,8 @@ def test_other_memories_and_drift_are_left_as_measured(tmp_path_factory, effect)
 
 def test_a_ringing_finger_is_left_as_measured(plain):
     for r in (ringing(plain), ringing(cut(plain)), angle_of(ringing(cut(plain)))):
-        same, told = align_mounts(r, r.length_mm)
-        assert told == [] and same is r
+        same, sentences = align_mounts(r, r.length_mm)
+        assert sentences == [] and same is r
 
 
 MOVES = {
@@ -104,11 +104,11 @@ MOVES = {
 
 
 @pytest.mark.parametrize("how", MOVES)
-def test_a_finger_that_was_put_back_otherwise_is_moved_and_that_is_told(plain, how):
+def test_a_finger_that_was_put_back_otherwise_is_moved_and_that_is_reported(plain, how):
     r = cut(plain)
     train = r.split(0)[0]
-    back, told = align_mounts(put_back(r, MOVES[how]), r.length_mm, train)
-    assert len(told) == 1 and "mounted differently in trials 3 to 5:" in told[0]
+    back, sentences = align_mounts(put_back(r, MOVES[how]), r.length_mm, train)
+    assert len(sentences) == 1 and "mounted differently in trials 3 to 5:" in sentences[0]
     assert np.abs(back.samples[TIP] - r.samples[TIP]).max().max() < 0.5  # its noise is 0.3 mm
     early = r.column("trial") < 3
     np.testing.assert_array_equal(back.samples[TIP][early], r.samples[TIP][early])
@@ -119,17 +119,21 @@ def test_one_coordinate_is_shifted(plain, seen):
     r = seen(cut(plain))
     (column,) = r.observations
     offset = 0.4 if column.endswith("rad") else 25.0
-    back, told = align_mounts(put_back(r, lambda y: y + offset), r.length_mm, r.split(0)[0])
-    assert len(told) == 1 and "shifted onto the first mount" in told[0] and "turned" not in told[0]
+    back, sentences = align_mounts(put_back(r, lambda y: y + offset), r.length_mm, r.split(0)[0])
+    assert (
+        len(sentences) == 1
+        and "shifted onto the first mount" in sentences[0]
+        and "turned" not in sentences[0]
+    )
     assert np.abs(back.column(column) - r.column(column)).max() < 0.05 * offset
 
 
 def test_a_creeping_finger_that_was_put_back_keeps_its_creep(creeping):
     r = cut(creeping)
-    back, told = align_mounts(
+    back, sentences = align_mounts(
         put_back(r, MOVES["turned about its axis and shifted"]), r.length_mm, r.split(0)[0]
     )
-    assert len(told) == 1 and "trials 3 to 5:" in told[0]
+    assert len(sentences) == 1 and "trials 3 to 5:" in sentences[0]
     again = np.isin(r.column("trial"), AGAIN)
     off = np.linalg.norm(back.samples[TIP].to_numpy() - r.samples[TIP].to_numpy(), axis=1)[again]
     assert np.sqrt(np.mean(off**2)) < 2.0

@@ -283,10 +283,14 @@ def test_numbers_that_lerobot_keeps_as_vectors_of_one_entry_are_read(tmp_path):
 
 
 def test_starts_and_times_sent_survive_a_round_trip_and_the_loss_of_trials(tmp_path):
-    told = {"0": {"start": "rested"}, "2": {"start": "continues", "pause_s": 12}, "3": {"start": "continues"}}
+    started = {
+        "0": {"start": "rested"},
+        "2": {"start": "continues", "pause_s": 12},
+        "3": {"start": "continues"},
+    }
     held = table().assign(pressure_cmd_kpa=lambda s: np.repeat(s.pressure_cmd_kpa[::10], 10).to_numpy())
     first = np.repeat(held.time_s[::10] - 0.01, 10).to_numpy()  # a command stands for ten rows
-    r = Recording.load(write(tmp_path / "r", held.assign(time_sent_s=first), trials=told))
+    r = Recording.load(write(tmp_path / "r", held.assign(time_sent_s=first), trials=started))
     r = Recording.load(r.write(tmp_path / "again"))
     np.testing.assert_allclose(r.column("time_sent_s"), first)
     assert r.conditions == ["program", "temperature_c"]

@@ -338,9 +338,11 @@ def dataset(folder, features, robot_type="bench"):
     columns = {c: table[c] for c in ("episode_index", "timestamp")}
     columns |= {f: list(TRUTH[names].to_numpy("float32")) for f, names in features.items()}
     pd.DataFrame(columns).to_parquet(folder / "data" / "file.parquet")
-    told = {f: {"dtype": "float32", "shape": [len(n)], "names": n} for f, n in features.items()}
-    told |= {c: {"dtype": "float32", "shape": [1], "names": None} for c in ("episode_index", "timestamp")}
-    info = {"robot_type": robot_type, "fps": 10, "features": told}
+    described = {f: {"dtype": "float32", "shape": [len(n)], "names": n} for f, n in features.items()}
+    described |= {
+        c: {"dtype": "float32", "shape": [1], "names": None} for c in ("episode_index", "timestamp")
+    }
+    info = {"robot_type": robot_type, "fps": 10, "features": described}
     (folder / "meta" / "info.json").write_text(json.dumps(info))
     return folder
 
@@ -404,7 +406,7 @@ def test_faults_name_the_table_its_line_and_its_column(tmp_path):
         ("t,,p\n0,1,2\n1,2,3\n", "column 2 has no name in the header but is filled in line 2"),
     ],
 )
-def test_what_is_no_table_is_told_in_one_sentence(tmp_path, content, says):
+def test_what_is_no_table_is_reported_in_one_sentence(tmp_path, content, says):
     (tmp_path / "lab.csv").write_text(content)
     with pytest.raises(InputError, match=says):
         read_text(tmp_path / "lab.csv")

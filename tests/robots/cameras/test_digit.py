@@ -123,7 +123,7 @@ def test_two_sensors_with_one_serial_are_refused_with_both_devices(sensor, conne
         connected()
 
 
-def test_sensors_with_the_factory_serial_are_told_by_their_port(sensor, connected, tmp_path):
+def test_sensors_with_the_factory_serial_are_reported_by_their_port(sensor, connected, tmp_path):
     for port in (1, 2):
         (tmp_path / "devices" / f"1-{port}" / "serial").write_text("DXXXXX\n")
     with pytest.raises(

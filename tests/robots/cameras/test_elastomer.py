@@ -30,24 +30,24 @@ def test_it_turns_clockwise_as_opencv_then_cuts_then_mirrors():
 
 @pytest.fixture
 def streaming(monkeypatch):
-    """`cv2.VideoCapture` as a webcam that streams PICTURE, in BGR, in the size that it is told."""
+    """`cv2.VideoCapture` as a webcam that streams PICTURE, in BGR, in the size that it is given."""
 
     class Capture:
         def __init__(self, path, backend=0):
-            self.told = {}
+            self.controls = {}
 
         def isOpened(self):  # noqa: N802
             return True
 
         def set(self, control, value):
-            self.told[control] = value
+            self.controls[control] = value
             return True
 
         def get(self, control):
-            return float(self.told.get(control, 0))
+            return float(self.controls.get(control, 0))
 
         def read(self):
-            size = int(self.told[cv2.CAP_PROP_FRAME_WIDTH]), int(self.told[cv2.CAP_PROP_FRAME_HEIGHT])
+            size = int(self.controls[cv2.CAP_PROP_FRAME_WIDTH]), int(self.controls[cv2.CAP_PROP_FRAME_HEIGHT])
             return True, cv2.resize(PICTURE[..., ::-1], size, interpolation=cv2.INTER_NEAREST)
 
         def release(self):
@@ -67,7 +67,7 @@ def test_an_opencv_camera_gives_the_image_that_its_options_ask_for(streaming):
     assert np.array_equal(image, cv2.rotate(PICTURE, cv2.ROTATE_90_CLOCKWISE)[:, ::-1])
 
 
-def test_what_is_known_of_a_make_is_taken_unless_it_is_told_otherwise():
+def test_what_is_known_of_a_make_is_taken_unless_it_is_reported_otherwise():
     mini = ElastomerConfig(index_or_path=0, sensor="gelsight_mini")
     assert (mini.stream, mini.fps, mini.width, mini.height) == ((3280, 2464), 25, 320, 240)
     own = ElastomerConfig(index_or_path=0, sensor="gelsight_mini", stream=(640, 480), crop=(0, 0, 0, 0))

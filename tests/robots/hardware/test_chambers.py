@@ -87,7 +87,7 @@ def test_a_burst_in_one_chamber_vents_the_others(program, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_controller_with_another_limit_is_told_before_anything_fills(program, tmp_path):
+def test_a_controller_with_another_limit_is_reported_before_anything_fills(program, tmp_path):
     with ExitStack() as stack:
         config = rigs(stack, program, tmp_path, b=("--max-kpa", 10))
         with pytest.raises(HardwareFault, match="different limits, 15, 10, 15 kPa; give one for all"):

@@ -111,7 +111,7 @@ def test_a_new_session_begins_all_numbers_and_times_at_zero(start, steps, faulty
     assert status.flags == Flag.VENTED | (Flag.SENSOR_FAULT if faulty else 0)
 
 
-def test_a_refused_set_point_is_told_until_a_good_one_and_0_and_the_highest_are_good(start):
+def test_a_refused_set_point_is_reported_until_a_good_one_and_0_and_the_highest_are_good(start):
     rig = start()
     for number, (pa, refused, target) in enumerate(
         [(15001, True, 0), (15000, False, 15000), (-1, True, 15000), (0, False, 0)], 1
@@ -229,11 +229,11 @@ def vented_from(rig, pa):
     return rig
 
 
-@pytest.mark.parametrize(("steps", "told"), [(499, False), (500, True)])
-def test_a_chamber_that_does_not_empty_in_500_ms_is_told(start, steps, told):
+@pytest.mark.parametrize(("steps", "faulty"), [(499, False), (500, True)])
+def test_a_chamber_that_does_not_empty_in_500_ms_is_reported(start, steps, faulty):
     rig = vented_from(start(), 1051)
     see(rig, [*noisy(1051, steps), *[0] * 11])
-    assert rig.status.flags == (Flag.STUCK_VALVE if told else 0) | Flag.VENTED
+    assert rig.status.flags == (Flag.STUCK_VALVE if faulty else 0) | Flag.VENTED
 
 
 def test_a_chamber_that_is_nearly_empty_is_not_stuck(start):
@@ -242,23 +242,23 @@ def test_a_chamber_that_is_nearly_empty_is_not_stuck(start):
     assert rig.status.flags == Flag.VENTED
 
 
-@pytest.mark.parametrize(("fall", "told"), [(400, True), (520, True), (530, False), (900, False)])
+@pytest.mark.parametrize(("fall", "faulty"), [(400, True), (520, True), (530, False), (900, False)])
 def test_a_chamber_that_empties_by_a_thirtieth_of_the_range_in_half_a_second_is_slow_and_not_stuck(
-    start, fall, told
+    start, fall, faulty
 ):
     rig = vented_from(start(), 5000)
     see(rig, [5000 - fall * (k // 450) + k % 2 for k in range(1800)])
-    assert (Flag.STUCK_VALVE in rig.status.flags) == told
+    assert (Flag.STUCK_VALVE in rig.status.flags) == faulty
 
 
-@pytest.mark.parametrize(("rise", "told"), [(0, True), (400, True), (530, False), (900, False)])
-def test_a_pressure_that_does_not_rise_in_500_ms_with_the_inlet_open_is_told(start, rise, told):
+@pytest.mark.parametrize(("rise", "faulty"), [(0, True), (400, True), (530, False), (900, False)])
+def test_a_pressure_that_does_not_rise_in_500_ms_with_the_inlet_open_is_reported(start, rise, faulty):
     rig = start("--leak-per-s", 200)
     see(rig, noisy(2000, 50))
     rig.send(wire.set_point(7, 1, 15000))
     begin = len(rig.trace)
     vented = see(rig, [2000 + rise * (k // 450) + k % 2 for k in range(1500)])
-    assert (vented is not None) == told
+    assert (vented is not None) == faulty
     if rise == 0:
         full = next(k for k, step in enumerate(rig.trace[begin:]) if step[3] > 0.99)
         assert vented - full == 499
@@ -275,14 +275,14 @@ def test_an_error_that_the_valves_work_on_is_not_stuck(start):
     assert rig.status.flags & ~Flag.INLET_OPEN == 0
 
 
-@pytest.mark.parametrize(("fall", "told"), [(1495, False), (1505, True)])
-def test_a_tenth_of_the_range_lost_for_30_ms_while_filling_is_a_burst(start, fall, told):
+@pytest.mark.parametrize(("fall", "faulty"), [(1495, False), (1505, True)])
+def test_a_tenth_of_the_range_lost_for_30_ms_while_filling_is_a_burst(start, fall, faulty):
     rig = start("--leak-per-s", 200)
     see(rig, noisy(8000, 50))
     rig.send(wire.set_point(7, 1, 10000))
     assert see(rig, [*noisy(8000, 100), *noisy(8000 - fall, 29)]) is None
-    assert see(rig, noisy(8000 - fall, 40)) == (0 if told else None)
-    assert (Flag.BURST_LINE in flags(rig)) == told
+    assert see(rig, noisy(8000 - fall, 40)) == (0 if faulty else None)
+    assert (Flag.BURST_LINE in flags(rig)) == faulty
 
 
 def test_no_valve_is_asked_for_more_than_all_of_it(start):

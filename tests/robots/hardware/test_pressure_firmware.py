@@ -114,13 +114,13 @@ def test_above_the_cut_off_the_chamber_is_vented_at_once_and_stays_so(start):
         (("--loose-sensor", "--fault-at-s", 0.3), Flag.SENSOR_FAULT),
     ],
 )
-def test_a_broken_part_is_told_and_the_chamber_vented(start, options, flag):
+def test_a_broken_part_is_reported_and_the_chamber_vented(start, options, flag):
     rig = at_8_kpa(start(*options), 1500)
     assert flag | Flag.VENTED in rig.status.flags
     assert rig.trace[-1][3:] == (0, 1)
 
 
-def test_a_vent_valve_that_sticks_is_told_when_it_is_needed(start):
+def test_a_vent_valve_that_sticks_is_reported_when_it_is_needed(start):
     rig = at_8_kpa(start("--stick-vent", 0))
     assert rig.status.flags & ~Flag.INLET_OPEN == 0
     rig.send(wire.set_point(7, 2, 2000))
@@ -128,7 +128,7 @@ def test_a_vent_valve_that_sticks_is_told_when_it_is_needed(start):
     assert Flag.STUCK_VALVE in rig.status.flags
 
 
-def test_a_burst_line_is_told_within_100_ms(start):
+def test_a_burst_line_is_reported_within_100_ms(start):
     rig = at_8_kpa(start("--burst", "--fault-at-s", 0.6), 700)
     assert Flag.BURST_LINE in rig.status.flags
 

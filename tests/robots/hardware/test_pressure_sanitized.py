@@ -38,10 +38,10 @@ def damaged(rng) -> bytes:
 @pytest.mark.parametrize("rounds", [300, pytest.param(30000, marks=pytest.mark.nightly)])
 def test_no_bytes_and_no_readings_break_the_core(rounds):
     rng, rig = random.Random(0), SimulatedTime(build("pressure_sim", f"CXXFLAGS={FLAGS}"))
-    told = 0
+    heard = 0
     for k in range(rounds):
         if k % 10 == 0:
-            told += len(rig.frames)
+            heard += len(rig.frames)
             rig.frames.clear()  # a hello looks through all of them for its reply
             rig.open()
             rig.send(wire.set_point(7, 1, 15000))
@@ -49,7 +49,7 @@ def test_no_bytes_and_no_readings_break_the_core(rounds):
         rig.see(*rng.choices([*EXTREMES, rng.randrange(15000)], k=3))
         rig.send(wire.heartbeat(7, k % 10 + 1))
         rig.skip(5)
-    assert told > rounds // 2
+    assert heard > rounds // 2
     rig.close()
     assert rig.exit_code == 0
 

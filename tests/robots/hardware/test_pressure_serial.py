@@ -132,14 +132,14 @@ def test_a_broken_rig_is_a_fault_that_says_what_to_look_for(program, tmp_path, o
         assert said in fault
 
 
-def test_a_port_that_another_program_has_is_told(program, tmp_path):
+def test_a_port_that_another_program_has_is_reported(program, tmp_path):
     link = tmp_path / "rig"
     with terminal(program, link), connected(PneutacSerial(str(link))):
         with pytest.raises(HardwareFault, match="cannot be used .*lock"):
             PneutacSerial(str(link)).connect()
 
 
-def test_wrong_ports_are_told_at_once(tmp_path):
+def test_wrong_ports_are_reported_at_once(tmp_path):
     start_s = awake_s()
     with pytest.raises(HardwareFault, match="nowhere cannot be used"):
         PneutacSerial(str(tmp_path / "nowhere")).connect()
@@ -148,7 +148,7 @@ def test_wrong_ports_are_told_at_once(tmp_path):
         PneutacSerial("nowhere").set_pressure(1.0)
 
 
-def test_a_port_where_nobody_answers_is_told(tmp_path):
+def test_a_port_where_nobody_answers_is_reported(tmp_path):
     host, device = pty.openpty()
     tty.setraw(device)
     with pytest.raises(HardwareFault, match="does not answer"):

@@ -23,7 +23,7 @@ CENTRE = np.array([0.5, 0.0, 0.4])
 
 
 class Entry(NamedTuple):
-    """What a part was told; `awake_s` leaves out for how long this computer was held up."""
+    """What a part was sent; `awake_s` leaves out for how long this computer was held up."""
 
     at_s: float
     name: str
@@ -77,7 +77,7 @@ class Parts:
     def names(self):
         return [e.name for e in self.diary]
 
-    def told(self, name):
+    def calls(self, name):
         return [e for e in self.diary if e.name == name]
 
     def last(self, *names):
@@ -198,7 +198,7 @@ def test_without_actions_the_arm_stops_then_the_chamber_is_vented_then_an_action
     guard.act(MOVE)
     assert until(lambda: "vent" in parts.names())
     for name, after_s in (("stop", COMMAND_S), ("vent", VENT_S)):
-        first = parts.told(name)[0]
+        first = parts.calls(name)[0]
         assert after_s <= first.at_s - start_s and first.awake_s - awake < after_s + 0.25
     time.sleep(4 * safety.TICK_S)
     assert parts.names().count("stop") == parts.names().count("vent") == 1
@@ -224,7 +224,7 @@ def test_before_the_first_action_the_watchdog_does_nothing(parts, monkeypatch):
 def test_the_pressure_is_held_before_the_controller_takes_the_command_as_void(parts, guard):
     guard.act(MOVE)
     assert until(lambda: parts.names().count("set_pressure") >= 2)
-    first, second = parts.told("set_pressure")[:2]
+    first, second = parts.calls("set_pressure")[:2]
     assert safety.HOLD_S - 0.01 <= second.at_s - first.at_s and second.awake_s - first.awake_s < COMMAND_S
     assert second.value == first.value
 
@@ -333,7 +333,7 @@ def test_a_jump_of_the_pressure_is_followed_at_the_rate(parts):
     for _ in range(4):
         guard.act(np.array([0.0, 0.0, 0.0, 10.0]))
         time.sleep(0.05)
-    sent = parts.told("set_pressure")
+    sent = parts.calls("set_pressure")
     assert len(sent) == 4 and all(0 < e.value <= 2.0 * (e.at_s - start_s) for e in sent)
     assert all(before.value < after.value for before, after in itertools.pairwise(sent))
 
@@ -354,7 +354,7 @@ def test_an_arm_that_hangs_in_a_command_leaves_the_watchdog_working(parts, guard
     monkeypatch.setattr(safety, "MOVE_S", 0.8)
     with pytest.raises(HardwareFault, match="The arm has not answered for 0.8 s"):
         guard.act(MOVE)
-    assert parts.told("vent")[0].awake_s - parts.diary[0].awake_s < 0.6  # by the watchdog
+    assert parts.calls("vent")[0].awake_s - parts.diary[0].awake_s < 0.6  # by the watchdog
     assert parts.halted()
 
 

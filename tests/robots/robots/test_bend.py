@@ -1,4 +1,4 @@
-"""Robots that are told a bend: the finger goes there, and every limit holds as for pressures."""
+"""Robots that are given a bend: the finger goes there, and every limit holds as for pressures."""
 
 import logging
 import time
@@ -60,7 +60,7 @@ def test_the_finger_bends_as_commanded_in_spite_of_lag_and_creep(robot):
         robot.reset()
 
 
-def test_a_bend_out_of_reach_goes_as_far_as_it_can_and_is_told_once(robot, caplog):
+def test_a_bend_out_of_reach_goes_as_far_as_it_can_and_is_reported_once(robot, caplog):
     with caplog.at_level(logging.WARNING):
         for _ in range(40):
             robot.send_action(act(9.0))

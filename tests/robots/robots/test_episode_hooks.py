@@ -24,11 +24,11 @@ class Lone:
     outcome = None
 
     def __init__(self):
-        self.told = []
+        self.heard = []
         self.config = SimpleNamespace(station=None)
 
     def announced(self, begins):
-        self.told.append(begins)
+        self.heard.append(begins)
 
 
 @pytest.fixture
@@ -84,7 +84,7 @@ def test_a_dataset_keeps_the_station_and_what_waits_has_no_pace(keeper, monkeypa
     observe(waiting, monkeypatch, [10.0, 10.2, 10.4])
     save(tmp_path, 1, 3)
     waiting.disconnect()
-    assert robot.told == [True, False] and read_pace(tmp_path) == {}
+    assert robot.heard == [True, False] and read_pace(tmp_path) == {}
     assert Station.load(tmp_path / "station.yaml") == Station(arm="so101", latency_s=0.1)
     assert "ran at 5.00 Hz and not at 15" in caplog.text
     assert "so its 3 frames are 0.2 s of the simulated world" in caplog.text
@@ -164,7 +164,7 @@ def test_a_run_without_episodes_ends_with_its_rate(keeper, monkeypatch, caplog, 
     keeper.acted()
 
 
-def test_a_damaged_file_is_told_and_loses_no_episode(keeper, monkeypatch, tmp_path, caplog):
+def test_a_damaged_file_is_reported_and_loses_no_episode(keeper, monkeypatch, tmp_path, caplog):
     (tmp_path / PACE_FILE).write_text("[1")
     with pytest.raises(InputError, match="is damaged"):
         read_pace(tmp_path)

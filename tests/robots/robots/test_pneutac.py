@@ -161,7 +161,7 @@ def test_observation_is_what_the_parts_sense(robot):
     assert observation["tactile"].dtype == np.uint8
 
 
-def test_contact_is_told_against_the_rest_image_of_the_connect(robot, monkeypatch):
+def test_contact_is_reported_against_the_rest_image_of_the_connect(robot, monkeypatch):
     rest = robot.get_observation()["tactile"]
     touched = rest.copy()
     touched[100:140, 60:90] ^= 128
@@ -275,7 +275,7 @@ def test_missing_parts_are_named(tmp_path):
         config(tmp_path, cameras={"tactile": DigitGeneratedConfig()})
 
 
-def test_a_controller_that_takes_less_than_the_limit_is_told_before_anything_moves(tmp_path):
+def test_a_controller_that_takes_less_than_the_limit_is_reported_before_anything_moves(tmp_path):
     robot = Pneutac(config(tmp_path, pressure=PressureConfig(type="simulated", options={"max_kpa": 10.0})))
     with pytest.raises(InputError, match="limits.pressure_kpa is 15, but .* 10 kPa at most"):
         robot.connect()

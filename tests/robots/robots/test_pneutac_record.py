@@ -23,7 +23,7 @@ from pneutac_sim.features import ACTION_NAMES, STATE_NAMES
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
-# A person's hand, and simulated parts that write into a diary what they are told.
+# A person's hand, and simulated parts that write into a diary what they are sent.
 PLUGIN = {
     "lerobot_teleoperator_hand/__init__.py": """
 from lerobot_teleoperator_hand.config_hand import HandConfig

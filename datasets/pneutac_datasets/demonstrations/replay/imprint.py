@@ -270,7 +270,7 @@ LEAST_FRAMES, LEAST_MM = 30, 5.0  # of a drag in touch
 SHOWN_LATE = 2  # frames by which images show a way late
 LEAST = 3  # episodes
 SLIPS = 0.5  # of the turn that was known
-SURE = 2.0  # standard errors
+SIGNIFICANT = 2.0  # standard errors
 
 
 @dataclass(frozen=True)
@@ -298,11 +298,11 @@ class Dragging:
 
     def slips(self, known: Self) -> bool:
         """Whether the gel, which stuck before, slips more now."""
-        far = SURE * float(np.hypot(self.error, SLIPS * known.error))
+        far = SIGNIFICANT * float(np.hypot(self.error, SLIPS * known.error))
         return self.turn_deg_per_mm + far < SLIPS * known.turn_deg_per_mm
 
     def less(self, known: Self) -> bool:
-        far = SURE * float(np.hypot(self.error, known.error))
+        far = SIGNIFICANT * float(np.hypot(self.error, known.error))
         return self.turn_deg_per_mm + far < known.turn_deg_per_mm
 
     def sentence(self, known: Self | None) -> str:

@@ -95,7 +95,7 @@ def test_an_imprint_grows_with_the_press_and_a_drift_of_light_makes_none(episode
     np.testing.assert_allclose(strengths(drifted, rest), strengths(pressed, rest), rtol=0.1)
 
 
-def test_a_drift_of_the_light_is_told(episode):
+def test_a_drift_of_the_light_is_reported(episode):
     rest = rest_image(episode)
     assert not light_drift([episode], rest).drifted
     red = np.clip(episode.images * np.array([1.15, 1.0, 1.0]), 0, 255).astype(np.uint8)
@@ -148,8 +148,8 @@ def test_another_rate_tells_the_same(world):
 
 
 def test_the_task_is_the_one_that_the_instruction_names():
-    told = {"Flip the toggle switch.": "switch", "flip the switch": "switch", "Push the Button.": "button"}
-    assert {t: task_of(t, Path("demos")) for t in told} == told
+    named = {"Flip the toggle switch.": "switch", "flip the switch": "switch", "Push the Button.": "button"}
+    assert {t: task_of(t, Path("demos")) for t in named} == named
     for t in ("press", "push the button, not the switch"):
         with pytest.raises(InputError, match="names no task; say with task= which of switch, egg,"):
             task_of(t, Path("demos"))
@@ -231,7 +231,7 @@ def test_a_gel_that_slips_turns_less_than_one_that_sticks():
     assert "`pneutac calibrate` stores that" in sticks.sentence(None)
 
 
-def test_it_is_told_of_drags_alone_and_kept_by_task():
+def test_it_is_reported_of_drags_alone_and_kept_by_task():
     still = dragged(0.6)
     still.action[:] = 0
     assert turn_deg_per_mm(still) is None
@@ -242,7 +242,7 @@ def test_it_is_told_of_drags_alone_and_kept_by_task():
 
 
 @pytest.mark.nightly
-def test_half_the_friction_of_the_stand_ins_gel_is_told_from_a_softer_finger():
+def test_half_the_friction_of_the_stand_ins_gel_is_reported_from_a_softer_finger():
     def read(seed, **hidden):
         return Dragging.of(shown(8, seed, Physics(**hidden), drag_m=0.012, steps=525))
 
