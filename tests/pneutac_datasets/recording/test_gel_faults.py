@@ -33,14 +33,6 @@ def picture(name, change):
     return spoil
 
 
-def every_image(change):
-    def spoil(folder):
-        for file in [folder / "rest.png", *sorted((folder / "images").iterdir())]:
-            picture(file.relative_to(folder), change)(folder)
-
-    return spoil
-
-
 def rows(**changes):
     def spoil(folder):
         table = pd.read_csv(folder / "samples.csv")
