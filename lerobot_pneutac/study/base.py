@@ -27,6 +27,7 @@ from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.diagnosis.verdict import Evidence, decide
 from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.wording import plural
 from pneutac_sim.effects.effect import Parameter
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
@@ -132,15 +133,15 @@ class EffectStudy(Study, ABC):
         return self.test
 
     @abstractmethod
-    def amount_recorded(self) -> tuple[float, str]:
-        """How much was recorded, and of what, as a noun phrase in the plural."""
+    def amount_recorded(self) -> tuple[float, str, str]:
+        """How much was recorded, the noun that it counts, and of what."""
 
     def more_to_show(self, fall: PairedTest) -> str:
         """How much more of the same makes such a fall significant with a power of `thresholds.POWER`."""
-        amount, what = self.amount_recorded()
+        amount, noun, what = self.amount_recorded()
         more = amount * max(fall.times - 1, T.LEAST_MORE)
         digits = 10.0 ** max(math.floor(math.log10(more)) - 1, 0)
-        return f"{math.ceil(more / digits) * digits:.0f} more {what}"
+        return f"{plural(int(math.ceil(more / digits) * digits), f'more {noun}')} {what}"
 
     def refit(self, effects: Sequence[str], start: FittedModel | None, steps: Steps) -> FittedModel:
         """All parameters of the twin and of these effects, fitted to the training part.

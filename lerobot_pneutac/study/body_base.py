@@ -193,9 +193,9 @@ class BodyBase(EffectStudy):
         trial = np.unique(np.asarray(self.recording.samples["trial"]), return_inverse=True)[1]
         return BlockBootstrap(self.parts.test, trial, np.zeros(trial.max() + 1, int), self.seed + 2)
 
-    def amount_recorded(self) -> tuple[float, str]:
+    def amount_recorded(self) -> tuple[float, str, str]:
         time_s = self.recording.samples.groupby("trial")["time_s"]
-        return float((time_s.max() - time_s.min()).sum()) / 60, "minutes of the same programs"
+        return float((time_s.max() - time_s.min()).sum()) / 60, "minute", "of the same programs"
 
     @property
     def air_noise(self) -> float:

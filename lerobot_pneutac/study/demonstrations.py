@@ -421,8 +421,8 @@ class DemonstrationStudy(EffectStudy):
             return "Record the finger on the bench with a known weight at its tip, in a column payload_g."
         return super().experiment(model, effect)
 
-    def amount_recorded(self) -> tuple[float, str]:
-        return float(len(self.fitter.episodes)), "demonstrations of the same task"
+    def amount_recorded(self) -> tuple[float, str, str]:
+        return float(len(self.fitter.episodes)), "demonstration", "of the same task"
 
     def too_little(self) -> str:
         n = len(self.fitter.episodes)

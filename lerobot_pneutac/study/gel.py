@@ -328,8 +328,8 @@ class GelStudy(EffectStudy):
     def at_bound(self, model: FittedGel, effects: Sequence[str]) -> list[str]:
         return at_bound(model.fit.gel, effects)
 
-    def amount_recorded(self) -> tuple[float, str]:
-        return float(len(self.data.samples)), "photographs of such presses"
+    def amount_recorded(self) -> tuple[float, str, str]:
+        return float(len(self.data.samples)), "photograph", "of such presses"
 
     def too_little(self) -> str:
         images, judged = len(self.data.samples), self.test.units

@@ -438,10 +438,10 @@ def _known_help(study, found: Refits) -> str:
     if not found.known or study.test.drop(found.before.squared, found.baseline.squared)[1] <= 0:
         return ""
     before, base = (study.errors(m)["heldout"] for m in (found.before, found.baseline))
-    causes = _plain(found.known)
+    lower, them = ("cause {} lowers", "it") if len(found.known) == 1 else ("causes {} lower", "them")
     return (
-        f". The known causes {causes} lower it from {before:.4g} to {base:.4g} {study.unit}; "
-        "`pneutac calibrate` fits them"
+        f". The known {lower.format(_plain(found.known))} the test error from {before:.4g} to {base:.4g} "
+        f"{study.unit}; `pneutac calibrate` fits {them}"
     )
 
 
