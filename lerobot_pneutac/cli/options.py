@@ -223,6 +223,8 @@ def _numbers(name: str, kind: type) -> str:
     if typing.get_origin(kind) is tuple and Ellipsis not in kinds:
         whole = "whole " * (kinds[0] is int)
         return f"{len(kinds)} {whole}numbers with commas, as in --{name}={','.join('ABCDEF'[: len(kinds)])}"
+    if kind is int:
+        return "a whole number"
     always, sometimes = _lists(kind)
     return "a number, or several with commas, such as 15,20,15" if sometimes or always else "a number"
 

@@ -17,6 +17,7 @@ FPS = 15
 
 # What a device takes, and what it is where it is not given.
 SEEN = {"recording": None, "camera": None, "view": None}
+MOST_S = 3600.0  # of a film at one pressure
 FINGER = {"pressure_kpa": None, "seconds": 1.0, "particles": 4000} | SEEN
 ARM = FINGER
 GEL = {"indenter": "sphere", "size_mm": 4.0, "depth_mm": 1.4, "x_mm": 0.0, "y_mm": 0.0, "yaw_rad": 0.0}
@@ -77,8 +78,10 @@ class RenderConfig:
     def __post_init__(self):
         if self.pressure_kpa is not None and not (self.pressure_kpa and np.isfinite(self.pressure_kpa).all()):
             raise InputError(f"pressure_kpa is {self.pressure_kpa}; give finite numbers, as in [0,5,10].")
-        if self.seconds is not None and not (np.isfinite(self.seconds) and self.seconds >= 2 / FPS):
-            raise InputError(f"seconds is {self.seconds}; a pressure needs at least {2 / FPS:.2f} s.")
+        if self.seconds is not None and not 2 / FPS <= self.seconds <= MOST_S:
+            raise InputError(
+                f"seconds is {self.seconds}; a pressure needs at least {2 / FPS:.2f} s and at most {MOST_S:g}."
+            )
         if self.particles is not None:
             check_least(100, particles=self.particles)
         for name, value in self.conditions.items():

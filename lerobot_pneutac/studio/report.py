@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import ClassVar
 
 import numpy as np
@@ -52,7 +53,7 @@ def command(cfg: ReportConfig, terminal: Terminal) -> None:
     if cfg.rrd is not None:
         cfg.rrd.parent.mkdir(parents=True, exist_ok=True)
         frames = write_rrd(cfg.rrd, twin, recording)
-        terminal.say(f"{cfg.rrd}: {frames} frames; `rerun {cfg.rrd}` shows them")
+        terminal.say(f"{cfg.rrd}: {frames} frames; `rerun {quote(str(cfg.rrd))}` shows them")
 
 
 MOST_FRAMES = 1500

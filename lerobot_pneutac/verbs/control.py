@@ -145,6 +145,9 @@ def control(
     """
     if not 1 <= hz <= 1000:
         raise InputError(f"hz={hz:g} must be 1 to 1000 control steps a second.")
+    for name, value in (conditions or {}).items():
+        if not np.isfinite(value):
+            raise InputError(f"conditions has {name}: {value}; give a finite number.")
     rested = BendController(twin, 1 / hz, conditions)
     start, reach = rested.predicted_rad, rested.reach_rad
     if isinstance(bend, np.ndarray):

@@ -8,6 +8,7 @@ import textwrap
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from types import CodeType, FunctionType, ModuleType
 from typing import ClassVar
 
@@ -154,11 +155,13 @@ def command(cfg: ExportConfig, terminal: Terminal) -> None:
     twin = Twin.load(cfg.twin)
     if cfg.out.suffix == ".py":
         write_text(cfg.out, python_file(twin))
-        terminal.say(f"model: {cfg.out}; `python {cfg.out}` steps it once, its first lines explain the rest")
+        terminal.say(
+            f"model: {cfg.out}; `python {quote(str(cfg.out))}` steps it once, its first lines explain it"
+        )
     else:
         with whole(cfg.out) as part:
             write_mjcf(twin, part)
-        terminal.say(f"body: {cfg.out}; `python -m mujoco.viewer --mjcf={cfg.out}` shows it")
+        terminal.say(f"body: {cfg.out}; `python -m mujoco.viewer --mjcf={quote(str(cfg.out))}` shows it")
 
 
 # ---------------------------------------------------------------- Python

@@ -133,7 +133,7 @@ def _read(path: Path) -> pd.DataFrame:
     try:
         return pd.read_csv(path)
     except (ValueError, OSError) as e:
-        raise InputError(f"{path} cannot be read as a table: {e}.") from e
+        raise InputError(f"{path} cannot be read as a table: {' '.join(str(e).split()).rstrip(' .')}.") from e
 
 
 def _table(path: Path, hz: float, chambers: int) -> list[PressureTrial]:

@@ -14,6 +14,7 @@ import traceback
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from shlex import quote
 from typing import override
 
 from draccus.utils import DecodingError, ParsingError
@@ -229,7 +230,9 @@ def _fault_of_dataset(options: dict[str, str], reason: str) -> str:
     missing = [e for e in map(int, re.findall(r"-?\d+", episodes)) if not 0 <= e < total]
     if missing:
         return f"{root} has no episode {missing[0]}; give one of 0 to {total - 1}."
-    return printable(f"{root} cannot be read; `pneutac check {root}` says what is wrong ({reason}).")
+    return printable(
+        f"{root} cannot be read; `pneutac check {quote(str(root))}` says what is wrong ({reason})."
+    )
 
 
 # Functions by which LeRobot describes what it has recorded, by their module in `lerobot.datasets`; repair and

@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -52,7 +53,7 @@ def refuse_version(file: Path, info: dict) -> None:
     if str(version) == "v2.1":
         remedy = (
             "convert it with `python -m lerobot.scripts.convert_dataset_v21_to_v30"
-            f" --repo-id=local/{root.name} --root={root} --push-to-hub=false`"
+            f" --repo-id={quote(f'local/{root.name}')} --root={quote(str(root))} --push-to-hub=false`"
         )
     elif str(version) == "v2.0":
         remedy = (

@@ -41,6 +41,7 @@ PAPER_FINGER = {
 
 # What every calibration of a body finds; of an arm the first three: its rest pressures have other names.
 # What else a twin lacks was not known when it was made.
+MOST_LENGTH_MM = 1e4  # no soft finger or arm is longer; of a typing error results would be nonsense
 CALIBRATED = ("gain_rad_per_kpa", "gain_alpha", "gain_beta", "rest_pressure_kpa")
 
 # Parameters of a body that a twin may have, besides `bend_1` to `bend_N`: of the pipeline, of the soft solid,
@@ -131,9 +132,10 @@ class Twin:
     def __post_init__(self):
         if self.device not in DEVICES:
             raise InputError(f"Twin device is '{self.device}'; it must be one of {', '.join(DEVICES)}.")
-        if not (self.length_mm > 0 and math.isfinite(self.length_mm)):
+        if not 0 < self.length_mm <= MOST_LENGTH_MM:
             raise InputError(
-                f"Twin length_mm is {self.length_mm}; it must be a positive number of millimetres."
+                f"Twin length_mm is {self.length_mm:g}; it must be a positive number of millimetres, at most"
+                f" {MOST_LENGTH_MM:g}."
             )
         if not self.spine_joint_positions_mm:
             n = {"finger": 4, "arm": 6, "gel": 0}[self.device]

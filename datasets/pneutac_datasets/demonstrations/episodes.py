@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from shlex import quote
 from types import MappingProxyType
 
 import numpy as np
@@ -148,7 +149,7 @@ def readable(folder: str | Path) -> Iterator[None]:
         reason = " ".join(str(e).split())[:200]
         raise InputError(
             f"{folder} cannot be read by LeRobot ({type(e).__name__}: {reason}); restore it, or see what"
-            f" `pneutac check {folder}` and `pneutac repair --dataset={folder}` say."
+            f" `pneutac check {quote(str(folder))}` and `pneutac repair --dataset={quote(str(folder))}` say."
         ) from e
 
 

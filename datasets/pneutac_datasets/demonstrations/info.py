@@ -6,6 +6,7 @@ that LeRobot opens, and says what is wrong in sentences.
 
 import re
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -81,7 +82,7 @@ def dataset_faults(folder: Path, info: dict) -> list[str]:
     found = _of_info(file, info)
     if found:
         return found  # what the files are to hold is not known
-    repair = f"`pneutac repair --dataset={folder}`"
+    repair = f"`pneutac repair --dataset={quote(str(folder))}`"
     try:
         tasks = _tasks(folder, info, repair)
         episodes = _episodes(folder, info, repair)

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Sized
 from pathlib import Path
+from shlex import quote
 
 import pandas as pd
 
@@ -72,7 +73,7 @@ def _named_table(table: TextTable) -> pd.DataFrame:
         if ending and unit_named(unit) is not None and not _same(unit_named(unit), ending[1]):
             raise InputError(
                 f"{table.file}: column {shown(name)} is in {shown(unit)}, as a line below the header or its"
-                f" cells say; `pneutac convert {table.file}` converts it."
+                f" cells say; `pneutac convert {quote(str(table.file))}` converts it."
             )
     return table.frame
 

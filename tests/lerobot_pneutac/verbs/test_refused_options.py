@@ -24,6 +24,10 @@ REFUSED = (
     ("render", "--pressure_kpa=[0,5]", r"^Give --twin=PATH; --help lists all options\.$"),
     ("render", "--twin=finger --pressure_kpa=[]", "finite numbers"),
     ("render", "--twin=finger --seconds=0", "at least"),
+    ("render", "--twin=finger --seconds=1e9", "and at most 3600"),
+    ("render", "--twin=finger --particles=1e12", "^--particles must be a whole number.$"),
+    ("control", "--twin=finger --conditions='{temperature_c: .nan}'", "temperature_c: nan; give a finite"),
+    ("compare", "--twin=endless --recording=bench", "twin.yaml: Twin length_mm is 1e.30; .* at most 10000"),
     ("render", "--twin=finger --particles=3", "it must be 100 or more"),
     ("render", "--twin=finger --conditions='{gravity_z: .nan}'", "gravity_z: nan; give a finite number"),
     ("render", "--twin=finger --conditions='{temperature_c: 30}'", "which .* its effects ask for none"),
@@ -147,6 +151,9 @@ def lab(tmp_path_factory):
     for name, twin in (("finger", Twin.builtin()), ("loaded", loaded), ("gel", gel)):
         twin.save(folder / name)
     new_twin("finger", length_mm=95.0).save(folder / "short")
+    text = (folder / "short" / "twin.yaml").read_text().replace("length_mm: 95.0", "length_mm: 1.0e+30")
+    (folder / "endless").mkdir()
+    (folder / "endless" / "twin.yaml").write_text(text)
     shutil.copytree(GOLDEN / "finger_creep", folder / "bench")
     shutil.copytree(GOLDEN / "demos", folder / "shown")
     return folder

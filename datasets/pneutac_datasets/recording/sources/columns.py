@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from shlex import quote
 
 import numpy as np
 import pandas as pd
@@ -297,7 +298,7 @@ def understand(
         what, answers = (dict.fromkeys(part) for part in zip(*table.questions, strict=True))
         has = f" It has {listed(map(shown, frame))}." if any("NAME" in a for a in answers) else ""
         raise InputError(
-            f"{file}: {'; '.join(what)}.{has} Give it as `pneutac convert {file}"
+            f"{file}: {'; '.join(what)}.{has} Give it as `pneutac convert {quote(str(file))}"
             f" --columns='{', '.join(answers)}'`."
         )
     return table.columns

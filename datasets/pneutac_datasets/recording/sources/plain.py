@@ -8,6 +8,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from shlex import quote
 
 import numpy as np
 import pandas as pd
@@ -156,7 +157,7 @@ def read_table(file: Path, time: str = "") -> TextTable:
         return TextTable(file, frame, {}, np.arange(len(frame)) + 1, "Parquet")
     if readers.is_optitrack(file) or readers.is_vicon(file):
         raise InputError(
-            f"{file} is a take of motion capture; `pneutac convert {file} --tip=NAME --base=NAME"
+            f"{file} is a take of motion capture; `pneutac convert {quote(str(file))} --tip=NAME --base=NAME"
             " --log=VALVE.csv` reads it."
         )
     return read_text(file)
