@@ -79,9 +79,7 @@ class RenderConfig:
         if self.pressure_kpa is not None and not (self.pressure_kpa and np.isfinite(self.pressure_kpa).all()):
             raise InputError(f"pressure_kpa is {self.pressure_kpa}; give finite numbers, as in [0,5,10].")
         if self.seconds is not None and not 2 / FPS <= self.seconds <= MOST_S:
-            raise InputError(
-                f"seconds is {self.seconds}; a pressure needs at least {2 / FPS:.2f} s and at most {MOST_S:g}."
-            )
+            raise InputError(f"seconds is {self.seconds}; a pressure needs {2 / FPS:.2f} to {MOST_S:g} s.")
         if self.particles is not None:
             check_least(100, particles=self.particles)
         for name, value in self.conditions.items():

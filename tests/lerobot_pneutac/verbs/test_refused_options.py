@@ -23,8 +23,8 @@ PLANNER = AUGMENT + "--method=planner "
 REFUSED = (
     ("render", "--pressure_kpa=[0,5]", r"^Give --twin=PATH; --help lists all options\.$"),
     ("render", "--twin=finger --pressure_kpa=[]", "finite numbers"),
-    ("render", "--twin=finger --seconds=0", "at least"),
-    ("render", "--twin=finger --seconds=1e9", "and at most 3600"),
+    ("render", "--twin=finger --seconds=0", "needs 0.13 to"),
+    ("render", "--twin=finger --seconds=1e9", "to 3600 s"),
     ("render", "--twin=finger --particles=1e12", "^--particles must be a whole number.$"),
     ("control", "--twin=finger --conditions='{temperature_c: .nan}'", "temperature_c: nan; give a finite"),
     ("compare", "--twin=endless --recording=bench", "twin.yaml: Twin length_mm is 1e.30; .* at most 10000"),
