@@ -136,11 +136,7 @@ def spline(f: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class RestGrid:
-    """A body's cells and nodes.
-
-    Attributes:
-        way, so that the side itself stands still.
-    """
+    """A body's cells and nodes."""
 
     dx: float  # grid spacing, m
     nodes: np.ndarray  # (N, 3) rest positions of the nodes that the body touches, m
@@ -148,7 +144,8 @@ class RestGrid:
     cell_nodes: np.ndarray  # (C, 27) node of each cell's corner, index 9 i + 3 j + k
     cell_mask: np.ndarray  # (C,) int bits: particle 4 i + 2 j + k of the cell exists
     slots: np.ndarray  # (N, 27) cell whose local node a this node is; C where there is none
-    # (N,) node beyond the clamped side that mirrors this one, -1 for none: it moves the opposite
+    # (N,) node beyond the clamped side that mirrors this one, -1 for none: it moves the opposite way, so that
+    # the side itself stands still
     ghost: np.ndarray
     mirrored: np.ndarray  # (N,) bool: this node is such a ghost
     particle_cell: np.ndarray  # (P,) cell of each particle
