@@ -195,6 +195,12 @@ class Augmentation(Result):
                 f"The dataset holds the recorded ones {times} time{'s' * (times > 1)}, so that training on it"
                 " mixes both (--real_share); do not merge it with them again."
             )
+        elif share := self.config.real_share:
+            out.append(
+                f"The dataset holds none of the recorded ones: --real_share={share:g}, and one copy of them"
+                f" would be {200 * share / (1 + share):.0f} % of its frames or more. Make more (--episodes), or"
+                " merge both with lerobot-edit-dataset."
+            )
         return out
 
     def subject(self) -> tuple[Twin, Path]:

@@ -105,9 +105,9 @@ def worth(found: dict[str, dict], name: str, demonstrations: int) -> float | Non
     Between the numbers that were measured it goes by their logarithms; None beyond them.
     """
     curve = [
-        (CONDITIONS[n].real * demonstrations, cells["overall"]["mean"])
+        (c.real * demonstrations, cells["overall"]["mean"])
         for n, cells in found.items()
-        if n in CONDITIONS and CONDITIONS[n].made is None and cells["overall"]
+        if (c := CONDITIONS.get(n)) and not c.made and not c.memory and cells["overall"]
     ]
     mean = found[name]["overall"] and found[name]["overall"]["mean"]
     numbers, means = np.array(sorted(curve)).T if len(curve) > 1 else (np.empty(0), np.empty(0))
@@ -153,9 +153,8 @@ def reasons(cfg, done: dict[str, dict], chosen: dict[str, Condition]) -> list[di
 
 def curve(cfg, done: dict[str, dict]) -> list[dict]:
     """Success against the number of real demonstrations, as text."""
-    names = sorted(
-        (n for n in cfg.conditions if CONDITIONS[n].made is None), key=lambda n: CONDITIONS[n].real
-    )
+    real = [n for n in cfg.conditions if not CONDITIONS[n].made and not CONDITIONS[n].memory]
+    names = sorted(real, key=lambda n: CONDITIONS[n].real)
     out = []
     for name in names:
         cells = success(cfg, done, name)

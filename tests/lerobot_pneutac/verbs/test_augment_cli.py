@@ -15,7 +15,7 @@ from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata, merge_datas
 from lerobot.utils.constants import ACTION, OBS_STATE
 
 from lerobot_pneutac.cli import run_verb
-from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef
+from lerobot_pneutac.verbs.augment import Augmentation, AugmentConfig, DatasetRef
 from lerobot_robot_pneutac.cameras.simulated import PneutacSceneConfig
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
@@ -189,7 +189,7 @@ def command(recorded, out) -> list[str]:
 import sys
 from functools import partialmethod
 from lerobot_pneutac.cli import run_verb
-from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef
+from lerobot_pneutac.verbs.augment import Augmentation, AugmentConfig, DatasetRef
 from pneutac_datasets.demonstrations.augment.episode import AugmentSetup
 
 AugmentSetup.__init__ = partialmethod(AugmentSetup.__init__, candidates={FEW})
@@ -251,6 +251,13 @@ def test_bad_input_is_named(recorded, made, tmp_path):
         dataset.save_episode()
         dataset.finalize()
         refused(f"--dataset.root={tmp_path / name}", match=match)
+
+
+@pytest.mark.parametrize("copies, said", [(0, "holds none of the recorded ones"), (4, "ones 2 times")])
+def test_whether_the_recorded_ones_are_mixed_in_is_reported(copies, said, tmp_path):
+    cfg = AugmentConfig(DatasetRef("a", tmp_path / "a"), DatasetRef("b", tmp_path / "b"))
+    remarks = Augmentation(cfg, {"kept": 10, "wall_s": 60, "copies": copies}, [None] * 2).remarks()
+    assert said in remarks[-1] and ("would be 40 % of its frames or more" in remarks[-1]) == (copies == 0)
 
 
 def test_what_is_carried_out_once_more_by_the_same_physics_agrees_wholly(made):
