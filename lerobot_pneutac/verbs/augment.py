@@ -198,8 +198,8 @@ class Augmentation(Result):
         elif share := self.config.real_share:
             out.append(
                 f"The dataset holds none of the recorded ones: --real_share={share:g}, and one copy of them"
-                f" would be {200 * share / (1 + share):.0f} % of its frames or more. Make more (--episodes), or"
-                " merge both with lerobot-edit-dataset."
+                f" would be {200 * share / (1 + share):.0f} % of its frames or more. Make more (--episodes)"
+                " or merge both with lerobot-edit-dataset."
             )
         return out
 
