@@ -110,7 +110,9 @@ class EpisodeHooks:
             if robot is not None:
                 store_station(robot, fpath.parent)
                 self._store_outcome(fpath.parent, data["total_episodes"] - 1, robot.outcome)
-            self._store_pace(fpath.parent, data["total_episodes"] - 1, data["fps"], self._times_s[:frames])
+            films = any(f.get("dtype") == "video" for f in data.get("features", {}).values())
+            number, times_s = data["total_episodes"] - 1, self._times_s[:frames]
+            self._store_pace(fpath.parent, number, data["fps"], times_s, films)
         if frames:
             self._times_s = None
             if data["fps"] != self._control_hz:
@@ -122,7 +124,7 @@ class EpisodeHooks:
             f" record at --dataset.fps={self._control_hz}, or give a station.yaml with control_hz: {fps}."
         )
 
-    def _store_pace(self, meta: Path, episode: int, fps: float, times_s: list[float]) -> None:
+    def _store_pace(self, meta: Path, episode: int, fps: float, times_s: list[float], films: bool) -> None:
         pace = replace(Pace.of(times_s, fps), simulated=self._waits)
         short, fast = short_of(pace, fps), faster_than(pace, fps)
         ran = f"Episode {episode} ran at {pace.achieved_hz:.2f} Hz"
@@ -133,8 +135,8 @@ class EpisodeHooks:
             if not self._waits:
                 follows = f"so its motions are stored as {'faster' if short else 'slower'} than they were"
             elif short:
-                remedy = "--dataset.streaming_encoding=true, or a longer --dataset.episode_time_s"
-                follows = f"{world}; give {remedy}"
+                remedy = "--dataset.streaming_encoding=true" if films else "the robot a less busy computer"
+                follows = f"{world}; give {remedy}, or a longer --dataset.episode_time_s"
             else:
                 less = f"in which the policy acted less often than at {fps:g} Hz"
                 follows = f"{world}, {less}; leave out --interpolation_multiplier"
