@@ -5,13 +5,14 @@ Tried on LeRobot 0.6.1 (`TRIED_ON`). A new LeRobot is tried by the tests of this
 would make each part superfluous stands in docs/upstream.
 """
 
+import contextlib
 import importlib
 import importlib.metadata
 import logging
 import re
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from shlex import quote
@@ -239,6 +240,7 @@ def _fault_of_dataset(options: dict[str, str], reason: str) -> str:
 # augmentation call them again. They are imported when asked for: robots do without, and they take seconds.
 _OF_DATASETS = {
     "DatasetInfo": "utils",
+    "RunningQuantileStats": "compute_stats",
     "aggregate_stats": "compute_stats",
     "cast_stats_to_numpy": "io_utils",
     "compute_episode_stats": "compute_stats",
@@ -251,6 +253,17 @@ _OF_DATASETS = {
     "write_table_one_row_group_per_episode": "io_utils",
     "write_tasks": "io_utils",
 }
+
+
+@contextlib.contextmanager
+def statistics_by(tracker: type) -> Iterator[None]:
+    """While it lasts, LeRobot computes statistics by this class in place of its `RunningQuantileStats`."""
+    module = importlib.import_module("lerobot.datasets.compute_stats")
+    of_lerobot, module.RunningQuantileStats = module.RunningQuantileStats, tracker
+    try:
+        yield
+    finally:
+        module.RunningQuantileStats = of_lerobot
 
 
 def __getattr__(name: str):

@@ -9,11 +9,13 @@ from lerobot.utils.constants import ACTION, OBS_STATE
 from lerobot.utils.feature_utils import dataset_to_policy_features
 from torch.utils.data import default_collate
 
+from lerobot_robot_pneutac.lerobot_inside import RunningQuantileStats
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PREVIOUS_ACTION, TACTILE, PneutacBCConfig
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
 from lerobot_robot_pneutac.policy.tactile_encoder import DIFFERENCE_SCALE
 from lerobot_robot_pneutac.standin.gel import new_gel
 from pneutac_datasets.demonstrations.pool import main, pool_demonstrations
+from pneutac_datasets.demonstrations.save import PixelStatistics
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, IMAGE_SHAPE, STATE_NAMES
 from pneutac_sim.world.world import World
@@ -133,3 +135,15 @@ def test_bad_input_is_named(pooled, tmp_path):
         pool_demonstrations([small], tmp_path / "z", "local/z")
     with pytest.raises(SystemExit, match="exists"):
         main(["--out", str(sources[1]), str(sources[0])])
+
+
+def test_statistics_of_pixels_are_those_of_lerobot():
+    """Counted by levels they are exact; LeRobot's quantiles lie in bins of a twentieth of a level."""
+    ours, theirs = PixelStatistics(), RunningQuantileStats()
+    for frame in np.random.default_rng(0).normal(90, (20, 40, 5), (30, 400, 3)).clip(0, 255).astype(np.uint8):
+        ours.update(frame)
+        theirs.update(frame)
+    one, other = ours.get_statistics(), theirs.get_statistics()
+    assert one.keys() == other.keys() and one["count"] == other["count"]
+    for key in one:
+        np.testing.assert_allclose(one[key], other[key], atol=0.06, err_msg=key)

@@ -17,7 +17,6 @@ import torch
 
 from pneutac_datasets.demonstrations.augment.episode import (
     IN_THE_WAY,
-    LONGEST,
     SHORTEST,
     AugmentSetup,
     Generator,
@@ -73,8 +72,8 @@ class Lockstep:
         )
         self._world.single.widen_starts(setup.start_width)
         self._world.reset(variations=[Variation(late_commands=self._generator.late_commands)] * worlds)
-        frames = setup.references[0].frames
-        self._longest, self._shortest, self._limits = frames(LONGEST), frames(SHORTEST), single.action_limits
+        self._longest, self._limits = setup.longest, single.action_limits
+        self._shortest = setup.references[0].frames(SHORTEST)
         self._runs: list[Run | None] = [None] * worlds
         self._followers = Followers(self._generator.library, worlds)
         # Of each world: whether an attempt goes on in it, its control steps so far, ...

@@ -54,7 +54,9 @@ from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.progress import Progress, no_progress
 
 PROVENANCE = "provenance.jsonl"  # in the dataset's folder `meta`
-SHARD = 25  # demonstrations that one process writes as a dataset, before all of these are merged
+# Demonstrations that one process writes as a dataset, at least, and most such datasets before all are merged:
+# with each one more, LeRobot copies all that is merged already.
+SHARD, SHARDS = 25, 16
 RECORDED = "recorded"  # method of the copies of recorded demonstrations
 
 
@@ -224,8 +226,9 @@ def _write(
     executor: ExecutorOptions,
     progress: Progress,
 ) -> list[Path]:
-    """Writes the demonstrations as datasets of `SHARD` each, side by side; returns their folders in order."""
-    ranges = [(first, min(first + SHARD, episodes)) for first in range(0, episodes, SHARD)]
+    """Writes the demonstrations as datasets, side by side; returns their folders in order."""
+    size = max(SHARD, -(-episodes // SHARDS))
+    ranges = [(first, min(first + size, episodes)) for first in range(0, episodes, size)]
     shards = [work.folder / f"shard_{first:06d}_{end:06d}" for first, end in ranges]
     write = partial(_write_shard, work.folder, repo_id, (meta.repo_id, meta.root), references, shards, ranges)
     if len(shards) > 1:
@@ -288,15 +291,28 @@ def _merge(
         left_out = sorted(set(range(meta.total_episodes)) - set(used))
         if left_out and copies:
             whole = LeRobotDataset(meta.repo_id, recorded, video_backend="pyav")
-            recorded = Path(delete_episodes(whole, left_out, source, meta.repo_id).root)
-        roots = [*shards, *[recorded] * copies]
-        names = [repo_id] * len(shards) + [meta.repo_id] * copies
-        aggregate_datasets(names, repo_id, roots, part)
+            recorded = Path(delete_episodes(whole, left_out, source / "used", meta.repo_id).root)
+        repeated = _repeated(recorded, meta.repo_id, copies, source)
+        names = [repo_id] * len(shards) + [meta.repo_id] * len(repeated)
+        aggregate_datasets(names, repo_id, [*shards, *repeated], part)
     shutil.rmtree(source, ignore_errors=True)
     return [
         {"episode": k, "method": RECORDED, "source_episode": source}
         for k, source in enumerate(used * copies, episodes)
     ]
+
+
+def _repeated(root: Path, repo_id: str, times: int, folder: Path) -> list[Path]:
+    """Datasets, in `folder` by doubling, that are together so many copies of one."""
+    roots, size = [], 1
+    while size <= times:
+        if times & size:
+            roots.append(root)
+        size *= 2
+        if size <= times:
+            aggregate_datasets([repo_id] * 2, repo_id, [root] * 2, folder / f"{size}")
+            root = folder / f"{size}"
+    return roots
 
 
 def augment_without_simulator(
@@ -376,7 +392,7 @@ def _run(meta: LeRobotDatasetMetadata, setup: AugmentSetup) -> dict:
         **({"start_width": setup.start_width} if setup.start_width else {}),
         "seed": setup.seed,
         "attempts": setup.attempts,
-        "files": 3,  # version of the work folder's files
+        "files": 4,  # version of the work folder's files
         "candidates": setup.candidates,
         **({"tactile_points": True} if setup.tactile_points else {}),
         **({"cameras": setup.cameras} if setup.cameras else {}),

@@ -62,7 +62,8 @@ class Work:
     def load_episode(self, index: int) -> tuple[Attempt, dict, dict]:
         """Reads a demonstration, its provenance, and the seconds that it took."""
         with np.load(self.episode_file(index)) as d:
-            images = np.add(d["change"], d["first"], dtype=np.uint8)
+            images = np.repeat(d["first"][None], len(d["action"]), 0)
+            images[d["changed"]] += d["change"]
             provenance, seconds = json.loads(str(d["provenance"])), json.loads(str(d["seconds"]))
             scores = provenance.get("cost", 0.0), provenance.get("area_rmse", 1.0)
             start = start_from_json(str(d["start"]))
@@ -72,13 +73,16 @@ class Work:
         return attempt, provenance, seconds
 
     def save_episode(self, index: int, attempt: Attempt, provenance: dict, seconds: dict) -> None:
-        """Writes a demonstration; images as differences from the first, which are mostly zero."""
+        """Writes a demonstration; images as differences from the first, of the frames that have some."""
+        change = attempt.images - attempt.images[0]
+        changed = np.flatnonzero(change.any((1, 2, 3)))
         arrays = {
             "state": attempt.state,
             "action": attempt.action,
             "start": np.array(start_to_json(attempt.start)),
             "first": attempt.images[0],
-            "change": attempt.images - attempt.images[0],
+            "changed": changed,
+            "change": change[changed],
             "provenance": np.array(json.dumps(provenance)),
             "seconds": np.array(json.dumps(seconds)),
         }
