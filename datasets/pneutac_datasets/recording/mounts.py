@@ -348,17 +348,20 @@ def remounted(
         mine = np.arange(at.start, at.stop)[rows[at]]
         if len(mine) < FINE or not _same(begun, next(iter(begun)), trial):
             continue
-        a, b = y[mine], goal[mine]
-        motion = Motion.fit(a, b, turns)
-        reach = float(np.sqrt(((motion(a) - a) ** 2).sum(1).mean()))
-        if trial not in known:
-            b, piece = own[mine, : len(columns)], np.arange(len(mine)) * PIECES // len(mine)
-            late, before = piece >= PIECES // 2, ((a - b) ** 2).sum(1)
-            after = before.copy()
+        a, b, of_own = y[mine], goal[mine], own[mine, : len(columns)]
+        piece = np.arange(len(mine)) * PIECES // len(mine)
+        late, before = piece >= PIECES // 2, ((a - of_own) ** 2).sum(1)
+        after = {}  # by whether it turns: what a hold shows of a turn may be wrong elsewhere
+        for turned in {False, turns}:
+            after[turned] = before.copy()
             for half in (late, ~late):
-                after[~half] = ((Motion.fit(a[half], b[half], turns)(a[~half]) - b[~half]) ** 2).sum(1)
-            if reach < far or not _halves(before, after, piece):
-                continue
+                motion = Motion.fit(a[half], of_own[half], turned)
+                after[turned][~half] = ((motion(a[~half]) - of_own[~half]) ** 2).sum(1)
+        turned = min(after, key=lambda t: after[t].sum())
+        motion = Motion.fit(a, b, turned)
+        reach = float(np.sqrt(((motion(a) - a) ** 2).sum(1).mean()))
+        if trial not in known and (reach < far or not _halves(before, after[turned], piece)):
+            continue
         out[trial] = Remounted(motion, reach)
     return out
 
