@@ -314,8 +314,8 @@ def _damage(s, f, dt, tau, power):
     for t in range(len(out)):
         for i in range(out.shape[1]):
             if not math.isinf(dt[t]):
-                load = max(f[t, i], 0.0) ** power + max(f[t + 1, i], 0.0) ** power
-                s[2, i] += 0.5 * dt[t] * load / tau
+                # the latter pressure alone: a pause between trials begins under pressure and is spent without
+                s[2, i] += dt[t] * max(f[t + 1, i], 0.0) ** power / tau
             out[t, i] = 1.0 - math.exp(-s[2, i])
     return out
 
