@@ -141,8 +141,16 @@ def same_chambers(twin: Twin, driven: int) -> None:
 def same_body[R: Recording | Demonstrations](twin: Twin, recording: R, verb: str) -> R:
     """The recording, with a note where one is due; raises InputError where the two do not fit together."""
     same_device(twin, recording, "the twin", verb)
+    check_length(twin, recording)
     if isinstance(recording, Demonstrations) or recording.device == "gel":
         return recording
+    return with_unit_note(twin, recording)
+
+
+def check_length(twin: Twin, recording: Recording | Demonstrations) -> None:
+    """Raises InputError where the recording's finger or arm is of another length than the twin's."""
+    if isinstance(recording, Demonstrations) or recording.device == "gel":
+        return
     length_mm = None if recording.meta.get("length_proposed") else recording.length_mm
     if length_mm is not None and not same_length(length_mm, twin):
         raise InputError(
@@ -150,7 +158,6 @@ def same_body[R: Recording | Demonstrations](twin: Twin, recording: R, verb: str
             f"{twin.length_mm:g}; make the twin with "
             f"`pneutac new --twin=DIR {option('recording', recording.folder)}`."
         )
-    return with_unit_note(twin, recording)
 
 
 def same_length(length_mm: float, twin: Twin) -> bool:

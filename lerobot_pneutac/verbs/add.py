@@ -21,7 +21,7 @@ from lerobot_pneutac.verbs.result import Result, command_on
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import joined
-from pneutac_sim.effects.laws import plain_name
+from pneutac_sim.effects.laws import plain_name, plain_names
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.executor import one_thread
@@ -160,6 +160,8 @@ class Addition(Result):
     @property
     def next_command(self) -> str:
         """To see where it still fails; where the effect was refused, what is missing."""
+        if self.accepted and not self.saved_to:
+            return ""  # the folder still has the twin without it
         if self.instead and not self.accepted:
             return command_on("add", self.twin, self.recording, f"--effect={self.instead}")
         return command_on("compare" if self.accepted else "diagnose", self.twin, self.recording)
@@ -236,7 +238,7 @@ class Addition(Result):
 
 
 def _plain(effects: Sequence[str]) -> str:
-    return joined(map(plain_name, effects)) if effects else ""
+    return joined(plain_names(effects)) if effects else ""
 
 
 @one_thread
@@ -273,7 +275,7 @@ def add(
         return _whole(effect.study, twin, effect.to_dict(), (o.before, o.baseline, o.after), anyway)
     if isinstance(effect, Path):
         recording = same_body(twin, recording, "add to")
-        result, twins = read_found(effect, recording)
+        result, twins = read_found(effect, twin, recording)
         study = study_of(twin, recording, result["seed"])
         study.prepare(result["selected"], result.get("data_breaks", ()))
         models = [

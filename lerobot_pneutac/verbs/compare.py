@@ -13,6 +13,7 @@ import numpy as np
 from lerobot_pneutac.cli.options import PairOptions, keywords
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.study.pair import (
+    check_length,
     load_bench_pair,
     load_pair,
     no_demonstrations,
@@ -59,6 +60,7 @@ def compare(
     if isinstance(recording, Demonstrations) and fidelity != "pipeline":
         raise InputError(f"fidelity={fidelity} does not replay demonstrations; omit it.")
     same_device(twin, recording, "the twin", "compare")
+    check_length(twin, recording)
     if isinstance(recording, Demonstrations):
         from lerobot_pneutac.verbs.compare_demonstrations import compare_demonstrations
 

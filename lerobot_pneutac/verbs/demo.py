@@ -30,7 +30,7 @@ from lerobot_pneutac.verbs.compare import compare
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import joined
-from pneutac_sim.effects.laws import plain_name
+from pneutac_sim.effects.laws import plain_names
 from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.features import CONTROL_HZ, TRIAL_S
 from pneutac_sim.files import read_json, write_json
@@ -97,7 +97,7 @@ class QuickResult(Result):
     def sentence(self) -> str:
         s = self.state
         return (
-            f"With {joined(map(plain_name, self.added))} added, the tip error on another day went from "
+            f"With {joined(plain_names(self.added))} added, the tip error on another day went from "
             f"{s['twin']['tip_error_mm']:.2f} to {s['add']['tip_error_mm']:.2f} mm "
             f"(noise {s['add']['noise_mm']:.2f} mm)."
         )
@@ -158,7 +158,7 @@ class DemoResult(QuickResult):
         if low > 0 or mean <= 0:
             verdict = f"Augmentation {'helped' if low > 0 else 'did not help'} in this run"
         return (
-            f"With {joined(map(plain_name, self.added))} added, the held-out tip error went from "
+            f"With {joined(plain_names(self.added))} added, the held-out tip error went from "
             f"{before:.2f} to {after:.2f} mm (noise {noise:.2f} mm, unexplained {left:.2f} mm). "
             f"Trained on {made['recorded']} demonstrations and {made['kept']} made of them on the corrected"
             f" twin, the policy pulled the card in {_count(e['augmented'], 'starts that it had not seen')};"

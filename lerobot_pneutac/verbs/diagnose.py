@@ -186,8 +186,10 @@ class Diagnosis(Result):
 
     def remarks(self) -> list[str]:
         shown = self.warnings
-        more = [f"- {len(shown) - SHOWN} more in the report (--out=DIR)"] if len(shown) > SHOWN else []
-        lines = [*(f"- {escape(w)}" for w in shown[:SHOWN]), *more]
+        lines = [f"- {escape(w)}" for w in shown[:SHOWN]]
+        if len(shown) > SHOWN:
+            where = "in the report" + " (--out=DIR)" * (self.saved_to is None)
+            lines.append(f"- {len(shown) - SHOWN} more {where}")
         return [
             *(["[bold]Warnings[/]", *lines] if lines else []),
             f"[bold]Do next:[/] {escape(self.do_next)}",
@@ -238,7 +240,7 @@ class Diagnosis(Result):
 
 
 def read_found(
-    folder: str | Path, recording: Recording | Demonstrations
+    folder: str | Path, twin: Twin, recording: Recording | Demonstrations
 ) -> tuple[dict, tuple[Twin, Twin | None, Twin]]:
     """Reads what `pneutac diagnose --out=FOLDER` wrote.
 
@@ -247,7 +249,7 @@ def read_found(
         with all that was found.
 
     Raises:
-        InputError: the folder holds no diagnosis, or one of another recording.
+        InputError: the folder holds no diagnosis, or one of another recording, twin or version of it.
     """
     folder = Path(folder)
     file = folder / "result.json"
@@ -263,8 +265,18 @@ def read_found(
             f"{file} is of a recording of {result.get('rows')} rows and {recording.folder} has "
             f"{len(recording)}; give the recording that was diagnosed."
         )
+    before = Twin.load(folder / BEFORE, calibrated=False)
+    if before.history != twin.history:
+        n, now = len(before.history), len(twin.history)
+        later = before.history == twin.history[:n]
+        which = f"version {n} of the twin, which now has version {now}" if later else "another twin"
+        raise InputError(
+            f"The diagnosis in '{folder}' is of {which}; diagnose again: "
+            f"`pneutac diagnose {option('twin', twin.folder or 'TWIN')} "
+            f"{option('recording', recording.folder)} --out=DIR`."
+        )
     known = Twin.load(folder / BASELINE) if (folder / BASELINE).is_dir() else None
-    return result, (Twin.load(folder / BEFORE, calibrated=False), known, Twin.load(folder / FOUND))
+    return result, (before, known, Twin.load(folder / FOUND))
 
 
 def described(candidates: Sequence[Candidate]) -> list[dict]:

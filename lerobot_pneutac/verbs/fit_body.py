@@ -198,7 +198,7 @@ def unknown_parameter(name: str, row: dict, columns: Sequence[str]) -> str:
     else:
         why = "Other parameters can make up for any change of it in this recording"
     if name in ("gain_alpha", "gain_beta") and not any(c.startswith("q_") for c in columns):
-        why += ", for it has the tip and no joint angles"
+        why += ", as it has no joint angles"
     remedy = str(row["note"]).partition(": ")[2]
     return f"Not identifiable: {name}{meaning}. {why}; {remedy}."
 

@@ -152,6 +152,8 @@ class NewConfig(TableOptions):
     length_mm: float | None = None
 
     def __post_init__(self):
+        if (self.twin / "twin.yaml").exists():  # before a table is converted
+            raise InputError(f"{self.twin} already holds a twin; choose another folder, or delete that one.")
         check_choice("device", self.device or DEVICES[0], DEVICES)
         if self.length_mm is not None and not 1 <= self.length_mm <= 1000:
             raise InputError(f"length_mm is {self.length_mm:g}; give 1 to 1000 mm.")
@@ -167,8 +169,6 @@ class NewConfig(TableOptions):
 
 def command(config: NewConfig, terminal: Terminal) -> None:
     """Makes a twin from the parametric device, a mesh, or the geometry of a recording."""
-    if (config.twin / "twin.yaml").exists():
-        raise InputError(f"{config.twin} already holds a twin; choose another folder, or delete that one.")
     if config.recording is not None and is_demonstrations(config.recording):
         raise InputError(f"{config.recording} holds demonstrations; give a bench recording of the device.")
     recording = Recording.load(config.recording) if config.recording is not None else None

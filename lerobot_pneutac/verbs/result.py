@@ -134,9 +134,9 @@ def about(twin: Twin | None, recording: str | Path = "") -> str:
     parts = []
     if twin is not None:
         last = twin.history[-1] if twin.history else None
-        version = f"version {last['version']} ({last['change']})" if last else "as it was made"
+        version = f", version {last['version']} ({last['change']})" if last else ""
         where = f" `{twin.folder}`" if twin.folder else ""
-        parts.append(f"Twin: {twin.device}{where}, {version}.")
+        parts.append(f"Twin: {twin.device}{where}{version}.")
     if recording:
         parts.append(f"Recording: `{Path(recording).name}`.")
     return " ".join(parts)

@@ -170,7 +170,7 @@ class PneutacSim(BaseRobot):
         self.successes.append(bool(self.world.success))
         logger.info(
             "Episode %d: touch in %d of %d frames, the task %s.",
-            *(len(self.successes), self._touched, self._frames),
+            *(len(self.successes) - 1, self._touched, self._frames),
             self.world.failure or ("done" if self.successes[-1] else "not done"),
         )
         if self.successes[-1] and self._spread:

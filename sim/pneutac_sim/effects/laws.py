@@ -17,7 +17,7 @@ Int. J. Solids Struct. 41, 2004); damage under load (Kachanov, 1958); path trave
 # ruff: noqa: D103 - inputs and memories are what the equations in the catalogue say
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 
@@ -886,6 +886,11 @@ def plain_name(name: str) -> str:
     structure, _, number = name.partition(" #")
     plain = PLAIN.get(structure, structure).replace("_", " ")
     return f"{plain}, {ORDINALS[int(number) - 2]} one" if number and is_law(name) else plain
+
+
+def plain_names(names: Sequence[str]) -> list[str]:
+    """The same of several together; a second instance is called so only beside the first."""
+    return [plain_name(n if n.partition(" #")[0] in names else n.partition(" #")[0]) for n in names]
 
 
 @cache

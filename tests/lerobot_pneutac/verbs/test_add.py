@@ -154,6 +154,10 @@ def test_a_diagnosis_and_its_addition_report_the_same_errors_of_the_same_blocks(
             assert ours["heldout"] == pytest.approx(theirs["heldout"], rel=1e-6)
         assert [c.name for c in added.contributions] == [c.name for c in found.outcome.contributions]
         assert set(found.selected) <= set(added.twin.effects)
+    assert not added.next_command  # the folder has the twin without it
+    again = added.save(tmp_path / "twin").twin
+    with pytest.raises(InputError, match="of version 0 of the twin, which now has version 1; diagnose again"):
+        add(again, recording, tmp_path)
 
 
 def test_unknown_effect_lists_the_valid_ones(pair):

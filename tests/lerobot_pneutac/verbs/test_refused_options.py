@@ -92,6 +92,16 @@ REFUSED = (
     ("augment", AUGMENT + "--method=naive --check_mpm=1", "naive ones have no scene"),
     ("augment", PLANNER + "--check_mpm=1 --fidelity=mpm", "which fidelity=mpm is already"),
     ("augment", AUGMENT + "--method=library", "planner has options that library does not use"),
+    (
+        "calibrate",
+        "--twin=finger --recording=bench",
+        "bench/recording.json: length_mm is 118.5, the twin's is 110",
+    ),
+    (
+        "compare",
+        "--twin=finger --recording=bench",
+        "bench/recording.json: length_mm is 118.5, the twin's is 110",
+    ),
     ("calibrate", "--twin=finger --recording=bench --train_kpa=0,5", "train_kpa is for a fit by images, but"),
     ("calibrate", "--twin=finger --recording=bench --particles=900", "particles is for a fit by images"),
     ("calibrate", "--twin=finger --recording=bench --effects=none", "effects is for a gel.*pneutac add"),

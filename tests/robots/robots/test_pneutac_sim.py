@@ -209,8 +209,8 @@ def test_each_episode_says_how_it_went(make_robot, caplog):
             frames += 1
         robot.reset()
     first, second = (r.getMessage() for r in caplog.records if "Episode" in r.getMessage())
-    assert first == "Episode 1: touch in 0 of 5 frames, the task not done."
-    assert re.fullmatch(rf"Episode 2: touch in [1-9]\d* of {frames} frames, the task done\.", second)
+    assert first == "Episode 0: touch in 0 of 5 frames, the task not done."
+    assert re.fullmatch(rf"Episode 1: touch in [1-9]\d* of {frames} frames, the task done\.", second)
 
 
 FIRST_TOUCH = """

@@ -249,7 +249,7 @@ class Understood:
         else:
             raise InputError(
                 f"{file}: no column is a time; it has {listed(map(shown, frame))}. Name it by"
-                " --columns='NAME: time_s', or give the rows a second by --rate_hz."
+                " --columns='NAME: time_s', or give the rows a second, `pneutac convert TABLE --rate_hz=20`."
             )
         time_s, trial = found.pop("time_s"), found.pop("trial", None)
         trial = self._trials(time_s.to_numpy(float)) if trial is None else self._numbered(trial)
