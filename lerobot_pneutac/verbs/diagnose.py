@@ -267,12 +267,9 @@ def read_found(
         )
     before = Twin.load(folder / BEFORE, calibrated=False)
     if before.history != twin.history:
-        n, now = len(before.history), len(twin.history)
-        later = before.history == twin.history[:n]
-        which = f"version {n} of the twin, which now has version {now}" if later else "another twin"
         raise InputError(
-            f"The diagnosis in '{folder}' is of {which}; diagnose again: "
-            f"`pneutac diagnose {option('twin', twin.folder or 'TWIN')} "
+            f"The diagnosis in '{folder}' is of an earlier version of the twin or of another one; diagnose "
+            f"again: `pneutac diagnose {option('twin', twin.folder or 'TWIN')} "
             f"{option('recording', recording.folder)} --out=DIR`."
         )
     known = Twin.load(folder / BASELINE) if (folder / BASELINE).is_dir() else None
