@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pneutac_sim.errors import InputError, check_least
-from pneutac_sim.files import check_writable, inside, read_yaml
+from pneutac_sim.files import check_writable, inside, read_json, read_yaml
 
 COLUMN = 28  # where help texts begin
 OUTPUTS = ("out", "output.root", "student.root")  # options that name a folder to be written
@@ -132,11 +132,27 @@ def _check_outputs(config) -> None:
                 raise InputError(
                     f"--{name}={path} lies in --{source}={folder}, which is read; give another folder."
                 )
+        if name == "out" and (found := _holds(path, config)):
+            raise InputError(f"--out={path} holds {found}; give another folder.")
         mark = getattr(config, "resumed_by", "") if name == "out" else ""
         if mark and path.is_dir() and any(path.iterdir()) and not (path / mark).exists():
             raise InputError(
                 f"--{name}={path} is not empty and holds no earlier run of this; give a new folder."
             )
+
+
+HELD = {"recording.json": "a recording", "twin.yaml": "a twin", "meta/info.json": "a dataset"}
+
+
+def _holds(out: Path, config) -> str:
+    """What a report in folder `out` would be mixed with or overwrite; empty for nothing or an earlier one."""
+    for file, what in HELD.items():
+        if (out / file).is_file():
+            return what
+    result = out / "result.json"
+    earlier = str(read_json(result).get("command", "")).split()[:2] if result.is_file() else []
+    same = f"`{' '.join(earlier)}`" in (type(config).__doc__ or "")
+    return "" if same or not earlier else f"the report of `{' '.join(earlier)}`"
 
 
 def _paths(config, group: str = "") -> Iterator[tuple[str, Path]]:

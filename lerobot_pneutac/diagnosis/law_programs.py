@@ -102,7 +102,7 @@ def _after_steps(row, c, low, top):
         "hold, by warmth": "the bend goes on, faster or slower in the warm",
         "hold for long": "the bend goes on ever slower, from 10 to 100 s still, and does not stop",
         "loss": "while the pressure is held the bend falls at a steady pace",
-        "hold, then less": f"at {middle:.3g} kPa it bends otherwise right after {top:.3g} kPa than after "
+        "hold, then less": f"at {middle:.3g} kPa it bends differently right after {top:.3g} kPa than after "
         "rest",
     }[row.experiment]
     if row.experiment == "hold, then less":

@@ -45,7 +45,8 @@ def comparison_page(c) -> Report:
     report.found(c.findings)
     report.heading("Over time")
     caption = "Measured and modelled; the worst passages are shaded."
-    caption += " In green the 95 % band of the held-out part." if c.coverage is not None else ""
+    if c.coverage is not None:
+        caption += f" In green the 95 % band{' of the held-out part' if fitted else ''}."
     report.figure(over_time(c), caption, 130 + 150 * c.counted)
     if c.coverage is not None:
         caption = f"Measured minus modelled. Inside the band lie {c.inside_band}."
@@ -99,14 +100,14 @@ def _add_band(figure: go.Figure, c, i: int, t: np.ndarray, centre: np.ndarray) -
     """The band of column `i` about `centre` (n,), a closed shape for each held-out stretch."""
     x, y = [], []
     low, high = centre - c.band.half[:, i], centre + c.band.half[:, i]
-    parts = _heldout(c)
+    parts, name = _heldout(c), "95 % band, held out" if c.train_samples.any() else "95 % band"
     for part in parts:
         part = _thin(part, centre[part], _share(part, len(t), len(parts)))
         x += [t[part], t[part[::-1]], GAP]
         y += [high[part], low[part[::-1]], GAP]
     figure.add_scatter(
         x=_line(x, 3), y=_line(y, 4),
-        name="95 % band, held out", legendgroup="band", showlegend=i == 0, mode="lines",
+        name=name, legendgroup="band", showlegend=i == 0, mode="lines",
         fill="toself", fillcolor=BAND, line={"width": 0}, hoverinfo="skip", row=i + 1, col=1,
     )  # fmt: skip
 
@@ -200,7 +201,7 @@ def heat_map(c) -> go.Figure:
 
 
 def by_condition(by: dict[str, list[dict]], c) -> go.Figure:
-    kinds = (("error", TRAIN, "all"), ("heldout", HELDOUT, "held out"))
+    kinds = (("error", TRAIN, "all"), ("heldout", HELDOUT, "held out"))[: 1 + c.train_samples.any()]
     panels = {
         _title(axis): [([b["value"] for b in bins], [b[k] for b in bins], *kind) for k, *kind in kinds]
         for axis, bins in by.items()

@@ -62,8 +62,13 @@ def diagnosis_page(d, separation: Separation | None) -> Report:
         page.heading("The physics")
         page.figure(*seen, 380)
     page.heading("The error")
-    added = "Test error as terms are added; whiskers: 95 % interval, dashed: noise."
-    page.figure(ladder(study, o), added, 300)
+    start = "; with known causes: with what the recording shows by itself, such as its weight" * bool(o.known)
+    page.figure(
+        ladder(study, o),
+        f"Test error as terms are added; whiskers: 95 % interval, dashed: noise. Before: the twin as it is, "
+        f"re-fitted{start}.",
+        300,
+    )
     _contributions(page, study, o)
     _parameters(page, study, o)
     _candidates(page, study, o, d.state)
@@ -141,7 +146,10 @@ def _candidates(page: Report, study: EffectStudy, o: Outcome, state: State) -> N
             row["removes alone"] = percent(t.reduction, t.ci95) if known else "-"
         row |= {f"test error without it ({study.unit})": without.get(name)} if without else {}
         rows.append(row | {"tested by": t.tested_by if t else "with the others"})
-    page.table(rows)
+    explained = (
+        "Alone: with this effect and no other. Without it: with all others, re-fitted." if without else ""
+    )
+    page.table(rows, explained)
     page.table(rival_rows(o), "Effects that fit the data about as well.")
     page.table([{"not tested": plain_name(u.name), "why": u.reason} for u in study.untested])
 

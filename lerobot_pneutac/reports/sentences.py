@@ -216,9 +216,12 @@ def explanation(s: State) -> str:
 
 
 def mechanism(s: State) -> str:
-    """Which mechanism the causes are, a sentence; empty where no probabilities are calibrated."""
-    if not s.mechanisms or s.poor:
+    """Which mechanism the causes are, a sentence; empty where there is none, or only how it is mounted."""
+    if s.poor or s.kind not in (Kind.CAUSES, Kind.PARTIAL) or len(s.causes) == len(s.set_up):
         return ""
+    if not s.mechanisms:
+        why = "none is calibrated for such recordings" if s.noise_measured else "the noise was not measured"
+        return f"Mechanism: no probability is given, since {why}."
     return f"Mechanism: {'; '.join(map(_ranked, s.mechanisms))}."
 
 
@@ -314,7 +317,8 @@ def warnings(s: State) -> list[str]:
             out.append(f"An effect that adds less than {least:.2g} {s.unit} to the error would not show.")
         if s.explained is Explained.FULLY and s.recorded:
             out.append(
-                "What changes between recordings, such as the mount or the marker's place, one cannot show."
+                "One recording cannot show what changes between recordings, such as the mount or the marker's "
+                "place."
             )
         if s.noise is None:
             out.append(f"The noise {s.noise_how}.")

@@ -255,7 +255,8 @@ class BodyComparison(Comparison):
             rows.append(("inside the 95 % band", self.inside_band))
         if self.pressure_error:
             e = self.pressure_error["heldout"]
-            rows.append(("pressure, held out", "-" if e is None else f"{e:.3g} kPa"))
+            part = "" if self.train is None else ", held out"
+            rows.append((f"pressure error{part}", "-" if e is None else f"{e:.3g} kPa"))
         for p in self.worst[:3]:
             where = f"trial {p['trial']}, {p['from_s']:.1f} to {p['to_s']:.1f} s"
             rows.append(("worst passage", f"{number(p['error'])} in {where} {p.get('program', '')}"))

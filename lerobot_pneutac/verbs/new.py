@@ -12,6 +12,7 @@ from rich.markup import escape
 
 from lerobot_pneutac.cli.options import TableOptions
 from lerobot_pneutac.cli.terminal import Terminal
+from lerobot_pneutac.study.pair import fit_parts
 from lerobot_pneutac.verbs.result import measured_range, range_sentence
 from pneutac_datasets.demonstrations.info import is_demonstrations
 from pneutac_datasets.recording.recording import Recording
@@ -189,8 +190,13 @@ def command(config: NewConfig, terminal: Terminal) -> None:
         terminal.say(f"{config.mesh}: {mesh_sentence(body)}")
         for note in body.notes:
             terminal.say(f"[yellow]{escape(str(config.mesh))}:[/] {note}", markup=True)
-    if recording is not None and twin.device != "gel" and measured_range(recording):
-        terminal.say(range_sentence(twin.pressure_range_kpa))
+    if recording is not None and twin.device != "gel":
+        if measured_range(recording):
+            terminal.say(range_sentence(twin.pressure_range_kpa))
+        try:
+            fit_parts(twin, recording)
+        except InputError as e:
+            terminal.note(f"This recording gives the geometry, but nothing can be fitted to it: {e}")
     joints = len(twin.spine_joint_positions_mm)
     shape = f", {twin.length_mm:g} mm long with {joints} spine joints" if joints else ""
     fit = ["pneutac", "calibrate", f"--twin={config.twin}", f"--recording={config.recording or 'DIR'}"]

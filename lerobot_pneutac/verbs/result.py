@@ -10,6 +10,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from lerobot_pneutac.diagnosis.thresholds import NOISE
 from lerobot_pneutac.reports.page import Report, plain, span, write_result
 from pneutac_datasets.recording.pressures import usable
 from pneutac_datasets.recording.recording import Recording
@@ -101,9 +102,9 @@ class Result:
 
         Args:
             out: folder, made where there is none.
-            command: that does it again, shown at the end of the page.
+            command: that does it again, stored, and shown at the end of the page.
         """
-        write_result(out, self.to_dict())
+        write_result(out, self.to_dict() | ({"command": command} if command else {}))
         for name, picture in self.pictures().items():
             write_image(Path(out) / name, picture)
         page = self.page()
@@ -183,10 +184,13 @@ class Comparison(Result):
 
     @property
     def next_command(self) -> str:
-        """To learn why it fails, on a recording that the twin was fitted to.
+        """To learn why it fails, on a recording that the twin was fitted to; empty where noise alone is left.
 
         A recording that it was never fitted to tests it, and would no longer once it is diagnosed.
         """
+        error = self.train if self.heldout is None else self.heldout
+        if self.noise_floor and error is not None and error <= NOISE * self.noise_floor:
+            return ""
         fitted = [Path(e["recording"]) for e in self.twin.history if e.get("recording")]
         here = Path(self.subject()[1])
         if not fitted or here.resolve() in [p.resolve() for p in fitted]:

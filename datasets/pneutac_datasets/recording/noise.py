@@ -103,21 +103,21 @@ def noise_floor(recording: Recording) -> NoiseFloor:
         }
         session = _norm({c: float(np.sqrt(np.mean(d**2) / 2)) for c, d in whole.items()}, columns)
         pair = plural(len(pairs), "pair")
-        how = f"what differs from moment to moment between equal runs, {pair} of them"
+        how = f"the difference between equal runs ({pair}), without slow drift"
     elif all(c in declared for c in columns):
         by = {c: float(declared[c]) for c in numeric if c in declared}
         how, calm = "stated in recording.json", {}  # what is stated is not judged by an estimate
     else:
         by = contrasts(recording, numeric)
-        how = "what the neighbouring rows and the commanded pressure do not predict of a row"
+        how = "what neighbouring rows and the commanded pressure do not predict"
     calm = {c: v for c, v in calm.items() if v > EXACT * float(np.ptp(recording.column(c)))}
     swings = {c: by[c] / v for c, v in calm.items() if by.get(c, 0.0) > SWINGS * v}
     times = max((swings[c] for c in columns if c in swings), default=None)
     if times is not None:
         by |= {c: calm[c] for c in swings}
         how = (
-            f"what neighbouring rows at rest differ by; under pressure equal runs or rows differ {times:.1f} "
-            "times as much, which is the device or its air and not the sensor"
+            "the difference between neighbouring rows at rest; under pressure rows or equal runs differ "
+            f"{times:.1f} times as much, which is the device or its air and not the sensor"
         )
     exact = [c for c in by if by[c] <= EXACT * float(np.ptp(recording.column(c)))]
     by = {c: sigma for c, sigma in by.items() if c not in exact}

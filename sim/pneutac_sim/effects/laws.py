@@ -505,9 +505,12 @@ def run_tracker(x, dt, theta, conditions, state):
 FAMILIES = {
     "stiffening": ("does not bend in proportion to the pressure", "a gain that changes with pressure"),
     "gain_saturation": ("saturates (each further kPa bends it less)", "saturation"),
-    "contact": ("bends otherwise above a pressure, as if it met something", "another gain above a pressure"),
+    "contact": (
+        "bends differently above a pressure, as if it met something",
+        "another gain above a pressure",
+    ),
     "hysteresis": (
-        "has hysteresis (at one pressure it bends otherwise on the way up than on the way down)",
+        "has hysteresis (at one pressure it bends differently on the way up and on the way down)",
         "hysteresis",
     ),
     "snap": ("snaps over at a pressure and back at a lower one", "snap-through"),
@@ -522,13 +525,13 @@ FAMILIES = {
         "softening with use",
     ),
     "self_heating": (
-        "bends otherwise the more it moves, as if it warmed itself",
+        "bends differently the more it moves, as if it warmed up",
         "dependence on recent motion",
     ),
     "thermal": ("bends more or less when it is warm", "temperature"),
     "quantisation": ("follows its command in coarse steps", "coarse steps of the command"),
     "dead_band": ("stays where it is until its command has moved enough", "a dead band"),
-    "warm_up": ("bends otherwise in the first minutes of a session", "change over the first minutes"),
+    "warm_up": ("bends differently in the first minutes of a session", "change over the first minutes"),
 }
 
 # How a constant is shown in a list of causes.
@@ -558,8 +561,9 @@ EXPERIMENTS = {
     "threshold": "Go up in small stairs through the threshold: each step differs above it, none below.",
     "hold": f"{_HOLD}.",
     "hold, squared": f"{_HOLD}, four times as much at the full pressure.",
-    "hold, then less": "Hold the full pressure, then go to half of it: it bends otherwise there than after a "
-    "rest.",
+    "hold, then less": (
+        "Hold the full pressure, then go to half of it: it bends differently there than after a rest."
+    ),
     "hold, by pressure": "Step to half and to full pressure and hold each: the bend goes on at another pace.",
     "hold, by warmth": "Step and hold, cold and warm: the bend goes on at another pace.",
     "hold for long": "Step, hold 100 s, vent as long: the bend still goes on from 10 to 100 s.",

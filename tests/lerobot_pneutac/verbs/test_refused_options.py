@@ -125,8 +125,8 @@ REFUSED = (
     *(
         (
             verb,
-            f"{options} --out=bench",
-            "^--out=bench is not empty and holds no earlier run of this",
+            f"{options} --out=other",
+            "^--out=other is not empty and holds no earlier run of this",
         )
         for verb, options in (("ppo", ""), ("learn", "--twin=finger"), ("demo", "--quick"))
     ),
@@ -139,6 +139,8 @@ REFUSED = (
         "--twin=finger --recording=bench --out=bench",
         "^--out=bench lies in --recording=bench",
     ),
+    ("compare", "--twin=finger --recording=bench --out=gel", "^--out=gel holds a twin; give another folder"),
+    ("report", "finger --out=bench", "^--out=bench holds a recording; give another folder"),
     ("new", "--twin=bench --recording=bench", "^--twin=bench lies in --recording=bench, which is read"),
     (
         "augment",
@@ -163,6 +165,8 @@ def lab(tmp_path_factory):
     new_twin("finger", length_mm=95.0).save(folder / "short")
     text = (folder / "short" / "twin.yaml").read_text().replace("length_mm: 95.0", "length_mm: 1.0e+30")
     (folder / "endless").mkdir()
+    (folder / "other").mkdir()
+    (folder / "other" / "notes.txt").write_text("mine")
     (folder / "endless" / "twin.yaml").write_text(text)
     shutil.copytree(GOLDEN / "finger_creep", folder / "bench")
     shutil.copytree(GOLDEN / "demos", folder / "shown")
@@ -175,3 +179,21 @@ def test_what_cannot_work_is_one_sentence_and_writes_nothing(lab, monkeypatch, n
     with pytest.raises(InputError, match=sentence) as e:
         run_verb(name, shlex.split(options))
     assert "\n" not in str(e.value) and not (lab / "o").exists() and not (lab / "outputs").exists()
+
+
+def test_a_report_does_not_overwrite_that_of_another_command(lab, monkeypatch, capsys):
+    monkeypatch.chdir(lab)
+    new_twin("finger", length_mm=118.5).save(lab / "long")
+    compare = shlex.split("--twin=long --recording=bench --out=compared")
+    run_verb("compare", compare)
+    run_verb("compare", compare)  # again is fine
+    with pytest.raises(InputError, match="^--out=compared holds the report of `pneutac compare`"):
+        run_verb("report", ["long", "--out=compared"])
+
+
+def test_new_says_where_a_recording_gives_the_geometry_alone(lab, monkeypatch, capsys):
+    monkeypatch.chdir(lab)
+    rows = "\n".join(f"0,{0.1 * k:.1f},{k},{0.1 * k:.1f}" for k in range(2))
+    Path("two.csv").write_text(f"trial,time_s,pressure_cmd_kpa,bend_angle_rad\n{rows}\n")
+    run_verb("new", shlex.split("--twin=two --recording=two.csv --length_mm=90 --yes"))
+    assert "nothing can be fitted to it: two.recording/samples.csv has 2 rows" in capsys.readouterr().out
