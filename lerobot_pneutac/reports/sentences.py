@@ -317,8 +317,8 @@ def warnings(s: State) -> list[str]:
             out.append(f"An effect that adds less than {least:.2g} {s.unit} to the error would not show.")
         if s.explained is Explained.FULLY and s.recorded:
             out.append(
-                "One recording cannot show what changes between recordings, such as the mount or the marker's "
-                "place."
+                "One recording cannot show what changes between recordings, such as the mount or the "
+                "marker's place."
             )
         if s.noise is None:
             out.append(f"The noise {s.noise_how}.")
