@@ -262,6 +262,8 @@ def test_a_server_that_was_killed_is_found_again(browser, tmp_path):
     try:
         seen = Page(browser, f"http://127.0.0.1:{port}/")
         expect(seen.page.get_by_text("Bend ").first).to_be_visible()
+        seen.press(5)  # what the next server does not know: the page shows 0 again once it has found it
+        expect(seen.page.get_by_text("pressure 5.0 kPa").first).to_be_visible()
         server.send_signal(signal.SIGKILL)
         server.wait()
         server = start()
