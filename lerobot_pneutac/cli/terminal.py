@@ -8,18 +8,12 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
+from rich import progress as bars
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.errors import MarkupError
 from rich.markup import escape
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import Progress
 from rich.table import Column, Table
 from rich.text import Text
 
@@ -88,8 +82,8 @@ def progress_bar(console: Console) -> Iterator[Callable[[str, int, int], None]]:
     if not console.is_terminal:
         yield _lines(Console(stderr=True) if console.file is sys.stdout else console)
         return
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    times = TimeElapsedColumn(), TimeRemainingColumn()
+    columns = "{task.description}", bars.BarColumn(), bars.MofNCompleteColumn()
+    times = bars.TimeElapsedColumn(), bars.TimeRemainingColumn()
     with Progress(*columns, *times, console=console, transient=True) as bar:
         task = bar.add_task("starting", total=1)
 

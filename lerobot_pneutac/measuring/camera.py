@@ -3,6 +3,7 @@
 The tip of a finger in a film: ArUco markers in a calibrated camera, or dots in the bending plane.
 """
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,25 +40,17 @@ class Intrinsics:
         try:
             d = read_json(Path(path))
             matrix, distortion = np.array(d["intrinsics"], float), np.array(d["distortion"], float)
-            size = int(d["width"]), int(d["height"])
-            rms = float(d["rms_px"])
+            size, rms = (int(d["width"]), int(d["height"])), float(d["rms_px"])
         except (ValueError, KeyError, TypeError) as e:
-            raise InputError(
-                f"intrinsics={path} is no camera calibration ({e}); make one with pneutac measure"
-                " --chessboard=FOLDER."
-            ) from e
+            remedy = "make one with pneutac measure --chessboard=FOLDER"
+            raise InputError(f"intrinsics={path} is no camera calibration ({e}); {remedy}.") from e
         if matrix.shape != (3, 3) or distortion.shape != (5,) or not np.isfinite(matrix).all():
             raise InputError(f"{path}: 'intrinsics' must be 3 x 3 and 'distortion' have 5 numbers.")
         return cls(matrix, distortion, size, rms)
 
     def save(self, path: str | Path) -> None:
-        d = {
-            "intrinsics": self.matrix.tolist(),
-            "distortion": self.distortion.tolist(),
-            "width": self.size_px[0],
-            "height": self.size_px[1],
-            "rms_px": self.rms_px,
-        }
+        d = {"intrinsics": self.matrix.tolist(), "distortion": self.distortion.tolist()}
+        d |= dict(zip(("width", "height"), self.size_px, strict=True)) | {"rms_px": self.rms_px}
         write_json(Path(path), d)
 
 
@@ -110,16 +103,12 @@ class MarkerTracker:
         """Takes the base marker's pose from images (H, W, 3) RGB, by the mean of its corners."""
         size = images[0].shape[1::-1]
         if size != self.camera.size_px:
-            raise InputError(
-                f"The camera gives images of {size[0]} x {size[1]} px, its calibration is for"
-                f" {self.camera.size_px[0]} x {self.camera.size_px[1]}."
-            )
+            given, right = (f"{w} x {h}" for w, h in (size, self.camera.size_px))
+            raise InputError(f"The camera gives images of {given} px, its calibration is for {right}.")
         found = [c for c in (self._corners(i, self._base_id) for i in images) if c is not None]
         if 2 * len(found) < len(images):
-            raise InputError(
-                f"The base marker {self._base_id} is seen in {len(found)} of {len(images)} images; light it"
-                " evenly and keep a white border around it."
-            )
+            seen = f"The base marker {self._base_id} is seen in {len(found)} of {len(images)} images"
+            raise InputError(f"{seen}; light it evenly and keep a white border around it.")
         self._base = self._pose(np.mean(found, axis=0))
 
     def tip_mm(self, image: np.ndarray) -> np.ndarray | None:
@@ -231,20 +220,14 @@ def frames(file: Path) -> Iterator[tuple[float, np.ndarray]]:
 
 def track_aruco(file: Path, tracker: MarkerTracker) -> Track:
     """The tip marker in the base frame, which the base marker of the first frames defines."""
-    times, places, begin = [], [], []
-    for time_s, image in frames(file):
-        times.append(time_s)
-        if len(begin) < BASE_FRAMES:
-            begin.append(image)
-            if len(begin) == BASE_FRAMES:
-                tracker.see_base(begin)
-                places = [tracker.tip_mm(i) for i in begin]
-        else:
-            places.append(tracker.tip_mm(image))
-    if len(times) < BASE_FRAMES:
-        raise InputError(f"{file} has {len(times)} pictures; {BASE_FRAMES} or more are needed.")
-    nowhere = np.full(3, np.nan)
-    return Track(np.array(times), np.array([nowhere if p is None else p for p in places]))
+    film = frames(file)
+    begin = list(itertools.islice(film, BASE_FRAMES))
+    if len(begin) < BASE_FRAMES:
+        raise InputError(f"{file} has {len(begin)} pictures; {BASE_FRAMES} or more are needed.")
+    tracker.see_base([image for _, image in begin])
+    found = [(time_s, tracker.tip_mm(image)) for time_s, image in itertools.chain(begin, film)]
+    times, places = zip(*found, strict=True)
+    return Track(np.array(times), np.array([np.full(3, np.nan) if p is None else p for p in places]))
 
 
 def track_dots(

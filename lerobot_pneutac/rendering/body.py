@@ -23,15 +23,7 @@ from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.mpm.body import Body
 from pneutac_sim.photo_fit.objective import SOLID, MaskedPhotograph, Objective
-from pneutac_sim.splat.body import (
-    ARRAYS,
-    MOST_STRAIN,
-    blank_looks,
-    carried,
-    looks_from_twin,
-    strain,
-    stretch_colours,
-)
+from pneutac_sim.splat import body as S
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.gaussians import Gaussians
 from pneutac_sim.splat.render import rasterise
@@ -134,7 +126,7 @@ def body_picture(
     """
     width, height = BODY_PX
     image = blank(width, height)
-    rgb = stretch_colours(strain(pose.gradients), top_strain)
+    rgb = S.stretch_colours(S.strain(pose.gradients), top_strain)
     scale = 0.74 * height / length_m
     for k, degrees in enumerate(turns):
         tilt = np.radians(degrees)
@@ -178,7 +170,7 @@ def gel_picture(
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     light = np.array([-0.45, -0.55, 0.70])
     shade = np.clip(normal @ light / 0.70, 0.25, 1.35)[..., None]
-    face = np.clip(stretch_colours(moved_mm, top_mm) * shade, 0, 255).astype(np.uint8)
+    face = np.clip(S.stretch_colours(moved_mm, top_mm) * shade, 0, 255).astype(np.uint8)
     face = cv2.resize(face, (face_width, face_height), interpolation=cv2.INTER_CUBIC)
     image[24 : 24 + face_height, 16 : 16 + face_width] = face
     line = 24 + round((np.unravel_index(moved_mm.argmax(), moved_mm.shape)[0] + 0.5) / rows * face_height)
@@ -188,7 +180,13 @@ def gel_picture(
     origin = (left + 0.53 * window_mm[0] * scale, 0.5 * height)
     view = (np.array([1.0, 0, 0]), np.array([0, 0, 1.0]))
     draw_particles(
-        image, particles_mm, stretch_colours(strains, top_strain), 0.55 * spacing_mm, view, scale, origin
+        image,
+        particles_mm,
+        S.stretch_colours(strains, top_strain),
+        0.55 * spacing_mm,
+        view,
+        scale,
+        origin,
     )
     write(image, "cut along the white line", left, 40)
     write(image, caption, 16, height - 22, 0.55)
@@ -240,7 +238,7 @@ def view_painter(twin: Twin, body: Body, view: RenderView, spines: np.ndarray) -
 
 def has_looks(twin: Twin) -> bool:
     """Whether a photograph gave the twin its looks."""
-    return all(array in twin.arrays for array in ARRAYS)
+    return all(array in twin.arrays for array in S.ARRAYS)
 
 
 def body_looks(twin: Twin, body: Body) -> Callable[[np.ndarray, np.ndarray], Gaussians]:
@@ -249,11 +247,11 @@ def body_looks(twin: Twin, body: Body) -> Callable[[np.ndarray, np.ndarray], Gau
     They are in the twin's looks, or coloured by stretch where it has none.
     """
     own = has_looks(twin)
-    looks = looks_from_twin(twin) if own else blank_looks(body)
+    looks = S.looks_from_twin(twin) if own else S.blank_looks(body)
 
     def now(positions: np.ndarray, gradients: np.ndarray) -> Gaussians:
-        moved = carried(looks, body, positions, gradients)
-        return moved if own else replace(moved, colours=stretch_colours(strain(gradients)) / 255)
+        moved = S.carried(looks, body, positions, gradients)
+        return moved if own else replace(moved, colours=S.stretch_colours(S.strain(gradients)) / 255)
 
     return now
 
@@ -324,7 +322,7 @@ def read_recorded(twin: Twin, config: RenderConfig) -> Recorded:
             "recording of the twin's own device."
         )
     try:
-        looks_from_twin(twin)
+        S.looks_from_twin(twin)
     except InputError as e:
         raise InputError(
             f"The twin at {config.twin} has no looks; fit them with "
@@ -348,13 +346,13 @@ def read_recorded(twin: Twin, config: RenderConfig) -> Recorded:
 
 def photograph_painter(twin: Twin, body: Body, recorded: Recorded, spines: np.ndarray) -> tuple[Painter, str]:
     """Draws poses next to photographs, and describes them; the spine will be about `spines` (T, K, 3) m."""
-    camera, looks = recorded.camera, looks_from_twin(twin)
+    camera, looks = recorded.camera, S.looks_from_twin(twin)
     window = _window(recorded, spines, 1e-3 * twin.length_mm)
 
     def paint(pose: Pose) -> tuple[np.ndarray, dict]:
         nearest = int(np.abs(recorded.pressures - pose.pressure).sum(1).argmin())
         photograph, pressure = recorded.photographs[nearest], recorded.pressures[nearest]
-        seen = rasterise(carried(looks, body, pose.positions, pose.gradients), camera)
+        seen = rasterise(S.carried(looks, body, pose.positions, pose.gradients), camera)
         light = seen.image.clip(0, 1) + (1 - seen.alpha.clip(0, 1))[..., None]
         mask, solid = photograph.mask, seen.alpha > SOLID
         panels = (photograph.image, 255 * light.clip(0, 1), differing(mask, solid))
@@ -429,7 +427,7 @@ def body_film(twin: Twin, config: RenderConfig) -> Film:
         size = 1e-3 * twin.length_mm, solver.body.spacing_m
 
         def painter(pose: Pose) -> tuple[np.ndarray, dict]:
-            return body_picture(pose, *size, caption(pose), MOST_STRAIN, turns), {}
+            return body_picture(pose, *size, caption(pose), S.MOST_STRAIN, turns), {}
 
         lead = STRETCH
     return Film(twin.device, _frames(solver, program, q_cmd, each, painter), len(program), lead)
@@ -492,7 +490,11 @@ def _press_frames(twin: Twin, config: RenderConfig, press: Press) -> Iterator[Fi
         row = np.argmin(np.abs(solver.body.positions[:, 1] - 1e-3 * press.y_mm))
         cut = cells[:, 1] == cells[row, 1]
         force = float(np.linalg.norm(rest.contact_force[0]))
-        cut_mm = 1e3 * rest.positions[0, cut], strain(rest.gradients[0, cut]), 1e3 * solver.body.spacing_m
+        cut_mm = (
+            1e3 * rest.positions[0, cut],
+            S.strain(rest.gradients[0, cut]),
+            1e3 * solver.body.spacing_m,
+        )
         text = f"{named}   depth {depth:.2f} mm   force {force:.2f} N"
         picture = gel_picture(moved, *cut_mm, window, config.depth_mm, GEL_STRAIN, text)
         picture = with_tactile(picture, sensor.image(moved))

@@ -6,18 +6,9 @@
 import numpy as np
 import plotly.graph_objects as go
 
+from lerobot_pneutac.reports import page as C
 from lerobot_pneutac.reports.figures import bar_panels, curves, name_runs, session_clock, shade, stacked
-from lerobot_pneutac.reports.page import (
-    BAND,
-    CHAMBERS,
-    COMMAND,
-    FLOOR,
-    HELDOUT,
-    MEASURED,
-    MODEL,
-    TRAIN,
-    Report,
-)
+from lerobot_pneutac.reports.page import Report
 from pneutac_datasets.recording.axes import numbers, unit_of
 from pneutac_sim.finger.quantities import root_mean
 
@@ -108,7 +99,7 @@ def _add_band(figure: go.Figure, c, i: int, t: np.ndarray, centre: np.ndarray) -
     figure.add_scatter(
         x=_line(x, 3), y=_line(y, 4),
         name=name, legendgroup="band", showlegend=i == 0, mode="lines",
-        fill="toself", fillcolor=BAND, line={"width": 0}, hoverinfo="skip", row=i + 1, col=1,
+        fill="toself", fillcolor=C.BAND, line={"width": 0}, hoverinfo="skip", row=i + 1, col=1,
     )  # fmt: skip
 
 
@@ -130,7 +121,7 @@ def in_band(c) -> go.Figure:
     (t, _), parts = session_clock(c.recording), _heldout(c)
     for i in range(c.counted):
         left = c.measured[:, i] - c.model[:, i]
-        _add_line(figure, i, t, left, parts, "measured minus modelled", color=MEASURED, width=1)
+        _add_line(figure, i, t, left, parts, "measured minus modelled", color=C.MEASURED, width=1)
         _add_band(figure, c, i, t, np.zeros(len(t)))
     return name_runs(figure, c.recording, row=c.counted)
 
@@ -143,14 +134,17 @@ def over_time(c) -> go.Figure:
     for i in range(c.counted if c.band is not None else 0):
         _add_band(figure, c, i, t, c.model[:, i])
     for i in range(c.counted):
-        for values, colour, label in ((c.measured, MEASURED, "measured"), (c.model, MODEL, "model")):
+        for values, colour, label in (
+            (c.measured, C.MEASURED, "measured"),
+            (c.model, C.MODEL, "model"),
+        ):
             _add_line(figure, i, t, values[:, i], trials, label, color=colour, width=1.2)
     command = c.recording.samples[c.recording.pressure_columns].to_numpy(float)
     for k, name in enumerate(c.recording.pressure_columns):
         index = _thin(np.arange(len(t)), command[:, k])
         figure.add_scatter(
             x=t[index].round(3), y=command[index, k].round(3), name=name, mode="lines",
-            line={"width": 1, "color": ((COMMAND, *CHAMBERS) * 3)[k]}, row=c.counted + 1, col=1,
+            line={"width": 1, "color": ((C.COMMAND, *C.CHAMBERS) * 3)[k]}, row=c.counted + 1, col=1,
         )  # fmt: skip
     shade(figure, c.worst, shift)
     return name_runs(figure, c.recording, row=c.counted + 1)
@@ -170,7 +164,10 @@ def loops(c) -> go.Figure:
     for trial, rows in list(c.recording.trials().items())[:12]:
         index = np.arange(rows.start, rows.stop)
         index = index[:: max(1, len(index) // 1200)]
-        for values, colour, label in ((c.measured, MEASURED, "measured"), (c.model, MODEL, "model")):
+        for values, colour, label in (
+            (c.measured, C.MEASURED, "measured"),
+            (c.model, C.MODEL, "model"),
+        ):
             figure.add_scatter(
                 x=p[index].round(3), y=values[index, i].round(4), name=label, legendgroup=label,
                 showlegend=rows.start == 0, mode="lines", line={"color": colour, "width": 1}, opacity=0.7,
@@ -201,7 +198,7 @@ def heat_map(c) -> go.Figure:
 
 
 def by_condition(by: dict[str, list[dict]], c) -> go.Figure:
-    kinds = (("error", TRAIN, "all"), ("heldout", HELDOUT, "held out"))[: 1 + c.train_samples.any()]
+    kinds = (("error", C.TRAIN, "all"), ("heldout", C.HELDOUT, "held out"))[: 1 + c.train_samples.any()]
     panels = {
         _title(axis): [([b["value"] for b in bins], [b[k] for b in bins], *kind) for k, *kind in kinds]
         for axis, bins in by.items()
@@ -216,7 +213,7 @@ def residuals(c) -> go.Figure:
     y = (c.measured - c.model)[some, i]
     choices = [(a.name, a.value) for a in c.axes if a.value is not None and np.ptp(a.value) > 0]
     choices.append(("session time, s", session_clock(c.recording)[0]))
-    colours = np.where(c.train_samples[some], TRAIN, HELDOUT).tolist()
+    colours = np.where(c.train_samples[some], C.TRAIN, C.HELDOUT).tolist()
     figure = go.Figure()
     for k, (_, value) in enumerate(choices):
         figure.add_scattergl(
@@ -239,14 +236,14 @@ def ladder(c) -> go.Figure:
     known = [e for e in c.history if e["unit"] == c.unit]
     figure = history([e for e in known if e["heldout"] is not None or e["train"] is not None], c.unit)
     if c.noise_floor:
-        figure.add_hline(y=c.noise_floor, line={"color": FLOOR, "dash": "dash"}, annotation_text="noise")
+        figure.add_hline(y=c.noise_floor, line={"color": C.FLOOR, "dash": "dash"}, annotation_text="noise")
     return figure
 
 
 def history(entries: list[dict], unit: str) -> go.Figure:
     x = [f"{e['version']}: {e['change']}" for e in entries]
     style = {"width": 2.5, "shape": "hv"}
-    kinds = (("train", "train", TRAIN), ("held out", "heldout", HELDOUT))
+    kinds = (("train", "train", C.TRAIN), ("held out", "heldout", C.HELDOUT))
     lines = [(n, x, [e[k] for e in entries], style | {"color": colour}) for n, k, colour in kinds]
     figure = curves(lines, "", unit, mode="lines+markers", marker={"size": 9})
     return figure.update_yaxes(rangemode="tozero")

@@ -8,27 +8,9 @@ from plotly.subplots import make_subplots
 
 from lerobot_pneutac.diagnosis.experiment import Separation, read
 from lerobot_pneutac.diagnosis.result import Outcome, family_in
-from lerobot_pneutac.reports.figures import (
-    bar_panels,
-    curves,
-    name_runs,
-    session_clock,
-    shade,
-    stacked,
-    whiskers,
-    worst_passages,
-)
-from lerobot_pneutac.reports.page import (
-    AFTER,
-    BEFORE,
-    COMMAND,
-    FLOOR,
-    KNOWN,
-    MEASURED,
-    OTHER,
-    Report,
-    parameter_rows,
-)
+from lerobot_pneutac.reports import figures as F
+from lerobot_pneutac.reports import page as C
+from lerobot_pneutac.reports.page import Report, parameter_rows
 from lerobot_pneutac.reports.sentences import State, alternatives, evidence, hedged, meaning, percent
 from lerobot_pneutac.study.base import EffectStudy
 from pneutac_datasets.recording.axes import Axis, axes, numbers, unit_of
@@ -42,7 +24,7 @@ STEP = 0.15  # of the range of pressures: a smaller change is no step
 HOLD_S, LONGEST_S = 1.0, 60.0  # of a hold after a step: the shortest that counts, the longest shown
 FEWEST = 3  # steps
 BINS = 24
-MEANT = {"measured": MEASURED, "without": BEFORE, "with": AFTER}
+MEANT = {"measured": C.MEASURED, "without": C.BEFORE, "with": C.AFTER}
 MOST_POINTS = 4000
 Step = tuple[str, float, Sequence[float] | None, str]  # what changed, test error, its interval, colour
 CONDITIONS = ("gravity", "payload_g", "temperature_c")  # shown first
@@ -110,9 +92,9 @@ def contributions(study: EffectStudy, o: Outcome) -> go.Figure:
     least, most = (  # rises of the error at the ends of the interval of the mean square's
         [max(c.error_with**2 + c.drop[i], 0.0) ** 0.5 - c.error_with for c in shown] for i in (1, 2)
     )
-    bars = whiskers(rise, least, most)
+    bars = F.whiskers(rise, least, most)
     figure = go.Figure()
-    for known, colour, name in ((True, KNOWN, "known cause"), (False, AFTER, "new")):
+    for known, colour, name in ((True, C.KNOWN, "known cause"), (False, C.AFTER, "new")):
         at = [i for i, c in enumerate(shown) if c.known == known]
         error_x = bars | {k: [bars[k][i] for i in at] for k in ("array", "arrayminus")}
         figure.add_bar(
@@ -167,7 +149,7 @@ def rival_rows(o: Outcome) -> list[dict]:
 
 def _over_time(page: Report, study: EffectStudy, o: Outcome) -> None:
     page.heading("Where the error is")
-    worst = worst_passages(study.recording, o.after.squared)
+    worst = F.worst_passages(study.recording, o.after.squared)
     caption = "Distance between measured and modelled, before and after; shaded: the worst passages after."
     page.figure(over_time(study, o, worst), f"{caption} Below: the command.", 460)
     page.table(worst, "The worst passages after the change.")
@@ -192,15 +174,15 @@ def _parameters(page: Report, study: EffectStudy, o: Outcome) -> None:
 
 def ladder(study: EffectStudy, o: Outcome) -> go.Figure:
     """Test error before, with the known causes, and as further terms are added."""
-    steps = [("before", o.before, BEFORE)]
+    steps = [("before", o.before, C.BEFORE)]
     if o.known and o.baseline is not None:
-        steps.append(("with known causes", o.baseline, KNOWN))
+        steps.append(("with known causes", o.baseline, C.KNOWN))
     for label, model in o.ladder[1:-1]:
         text = label.removeprefix("how it bends").strip().removeprefix("+").strip()
         text = " + ".join(map(plain_name, text.split(" + ")))
-        steps += [(f"+ {text}", model, OTHER)] if text else []
+        steps += [(f"+ {text}", model, C.OTHER)] if text else []
     if o.selected or o.known:
-        steps.append(("with all", o.after, AFTER))
+        steps.append(("with all", o.after, C.AFTER))
     shown = [(name, study.errors(m)["heldout"], study.interval(m), colour) for name, m, colour in steps]
     return error_bars(shown, study.unit, study.noise.value)
 
@@ -211,10 +193,10 @@ def error_bars(steps: list[Step], unit: str, noise: float | None) -> go.Figure:
     bands = [(error, error) if band is None else band for _, error, band, _ in steps]
     names, looks = [f"{name}<br>{error:.3g} {unit}" for name, error, *_ in steps], [s[3] for s in steps]
     figure = go.Figure()
-    whisker = whiskers(errors, *zip(*bands, strict=True))
+    whisker = F.whiskers(errors, *zip(*bands, strict=True))
     figure.add_bar(x=names, y=errors, marker_color=looks, width=0.5, error_y=whisker)
     if noise:
-        figure.add_hline(y=noise, line={"dash": "dash", "color": FLOOR}, annotation_text="noise")
+        figure.add_hline(y=noise, line={"dash": "dash", "color": C.FLOOR}, annotation_text="noise")
     return figure.update_yaxes(title=f"test error ({unit})", rangemode="tozero")
 
 
@@ -222,10 +204,10 @@ def reductions(o: Outcome) -> go.Figure:
     tested = reversed(o.tested)
     shown = [(t, t.reduction, t.ci95) for t in tested if t.reduction is not None and t.ci95 is not None]
     value = [100 * share for _, share, _ in shown]
-    colours = [AFTER if t.name in o.selected else OTHER for t, *_ in shown]
+    colours = [C.AFTER if t.name in o.selected else C.OTHER for t, *_ in shown]
     ends = ([100 * ci[k] for *_, ci in shown] for k in (0, 1))
     bar = go.Bar(y=[plain_name(t.name) for t, *_ in shown], x=value, orientation="h", marker_color=colours)
-    figure = go.Figure(bar.update(error_x=whiskers(value, *ends)))
+    figure = go.Figure(bar.update(error_x=F.whiskers(value, *ends)))
     return figure.update_xaxes(
         title="error above the noise removed (%)", range=[min(-10, *value, 0) - 5, 105]
     )
@@ -233,20 +215,20 @@ def reductions(o: Outcome) -> go.Figure:
 
 def over_time(study: EffectStudy, o: Outcome, worst: list[dict]) -> go.Figure:
     """Error before and after, and the command below, over the runs laid end to end."""
-    t, shift = session_clock(study.recording)
+    t, shift = F.session_clock(study.recording)
     step = max(1, len(t) // MOST_POINTS)
-    figure = stacked((f"error ({study.unit})", "kPa"), (1.0, 0.4), 0.04)
-    for name, r, colour in (("before", o.before, BEFORE), ("after", o.after, AFTER)):
+    figure = F.stacked((f"error ({study.unit})", "kPa"), (1.0, 0.4), 0.04)
+    for name, r, colour in (("before", o.before, C.BEFORE), ("after", o.after, C.AFTER)):
         y, line = np.sqrt(r.squared)[::step].round(4), {"width": 1, "color": colour}
         figure.add_scatter(x=t[::step].round(3), y=y, name=name, line=line, row=1, col=1)
     p = study.recording.samples[list(study.recording.pressure_columns)].to_numpy(float).mean(1)
     figure.add_scatter(
-        x=t[::step].round(3), y=np.round(p[::step], 3), name="command", line={"width": 1, "color": COMMAND},
+        x=t[::step].round(3), y=np.round(p[::step], 3), name="command", line={"width": 1, "color": C.COMMAND},
         row=2, col=1,
     )  # fmt: skip
-    shade(figure, worst, shift)
+    F.shade(figure, worst, shift)
     figure.update_yaxes(rangemode="tozero", row=1, col=1)
-    return name_runs(figure, study.recording, row=2)
+    return F.name_runs(figure, study.recording, row=2)
 
 
 def shown_axes(study: EffectStudy) -> list[Axis]:
@@ -264,12 +246,12 @@ def by_level(study: EffectStudy, o: Outcome, found: list[Axis]) -> go.Figure:
     def errors(squared: np.ndarray, axis: Axis) -> np.ndarray:
         return np.round([np.sqrt(squared[axis.bin == i].mean()) for i in range(len(axis.labels))], 4)
 
-    kinds = ((o.before, BEFORE, "before"), (o.after, AFTER, "after"))
+    kinds = ((o.before, C.BEFORE, "before"), (o.after, C.AFTER, "after"))
     panels = {
         a.name.replace("_", " "): [(a.labels, errors(r.squared, a), colour, n) for r, colour, n in kinds]
         for a in found
     }
-    return bar_panels(panels, study.noise.value).update_yaxes(title_text=study.unit, col=1)
+    return F.bar_panels(panels, study.noise.value).update_yaxes(title_text=study.unit, col=1)
 
 
 def proposed(s: Separation) -> go.Figure:
@@ -277,11 +259,11 @@ def proposed(s: Separation) -> go.Figure:
     k = int(np.argmax(spread))
     pair = [np.round(y[:, k], 4) for y in s.predictions]
     lines = (
-        ("chosen", s.time_s, pair[0], AFTER),
-        ("rival", s.time_s, pair[1], BEFORE),
-        ("difference", s.time_s, pair[0] - pair[1], {"color": OTHER, "dash": "dot"}),
+        ("chosen", s.time_s, pair[0], C.AFTER),
+        ("rival", s.time_s, pair[1], C.BEFORE),
+        ("difference", s.time_s, pair[0] - pair[1], {"color": C.OTHER, "dash": "dot"}),
     )
-    return curves(lines, "time (s)", s.columns[min(k, len(s.columns) - 1)])
+    return F.curves(lines, "time (s)", s.columns[min(k, len(s.columns) - 1)])
 
 
 def physics(study: EffectStudy, o: Outcome) -> tuple[go.Figure, str] | None:
@@ -383,7 +365,10 @@ def _by_level(recording: Recording, lines, column: str, effect: str) -> tuple[go
     if axis is None or len(axis.labels) < 2:
         return None
     figure, levels = go.Figure(), range(len(axis.labels))
-    for name, colour, label in (("measured", MEASURED, "measured"), ("with", AFTER, "model with it")):
+    for name, colour, label in (
+        ("measured", C.MEASURED, "measured"),
+        ("with", C.AFTER, "model with it"),
+    ):
         difference = lines[name] - lines["without"]
         y = [float(np.sqrt((difference[axis.bin == i] ** 2).mean())) for i in levels]
         figure.add_bar(x=axis.labels, y=np.round(y, 4), name=label, marker_color=colour)

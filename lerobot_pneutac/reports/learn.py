@@ -1,19 +1,12 @@
-"""The page of `pneutac learn`: how well each next program was predicted, and what was found.
-
-The pages of `pneutac design`: a program, and what each candidate model predicts of it; motions.
-"""
-
-from collections.abc import Iterator
-from pathlib import Path
+"""The pages of `pneutac learn`, how well each next program was predicted, and of `pneutac design`."""
 
 import numpy as np
 import pandas as pd
 import plotly.graph_objects as go
-from PIL import Image, ImageDraw, ImageFont
 from plotly.subplots import make_subplots
 
 from lerobot_pneutac.reports.figures import curves, stacked
-from lerobot_pneutac.reports.page import CHAMBERS, HELDOUT, INK, MEASURED, MODEL, PALE, PAPER, TRAIN, Report
+from lerobot_pneutac.reports.page import CHAMBERS, HELDOUT, MEASURED, MODEL, TRAIN, Report
 from lerobot_pneutac.reports.sentences import called
 from pneutac_sim.effects.laws import plain_name
 
@@ -66,10 +59,6 @@ def pressure_traces(time_s: np.ndarray, pressure_kpa: np.ndarray) -> list[go.Sca
 
 
 PREDICTED = "foreseen.csv"  # in a round's folder: its program as predicted and as measured
-FASTER, FRAMES_HZ = 10.0, 10.0
-SIZE = (720, 400)  # width, height
-# left, top, right, bottom
-CURVE, COMMAND, BARS = (60, 60, 470, 270), (60, 300, 470, 370), (530, 60, 700, 370)
 
 
 def learn_page(learning) -> Report:
@@ -79,19 +68,25 @@ def learn_page(learning) -> Report:
         "Error on each program before it was used for anything, by the best model until then and by the "
         "twin as it was given, re-fitted, and the error of what was found after it, where no fit saw.",
     )
-    files = {r.number: learning.folder / f"round_{r.number}" / PREDICTED for r in learning.rounds}
-    seen = [r for r in learning.rounds if files[r.number].is_file()]
-    if seen:
-        frames = list(film_frames(seen, [files[r.number] for r in seen]))
-        what = "Each program as predicted before it was measured, and as measured"
-        report.film(frames, 1 / FRAMES_HZ, f"{what}, {FASTER:.0f} times as fast.", 720)
     report.table(learning.rows(), "* confirmed by a program of another kind that was predicted with it.")
     report.figure(_programs(learning), "What was commanded.", 120 + 90 * len(learning.rounds))
     report.figure(_likely(learning), "How likely each model was after each round, by its last effects.")
     report.heading("What was found, round by round")
     for r in learning.rounds:
         report.text(f"**Round {r.number}, {r.program}.** {r.sentence}")
+        file = learning.folder / f"round_{r.number}" / PREDICTED
+        if file.is_file():
+            report.figure(_as_measured(pd.read_csv(file)), "As predicted before it was measured.", 260)
     return report
+
+
+def _as_measured(table: pd.DataFrame) -> go.Figure:
+    """Prediction and measurement of the column that moves most."""
+    names = [c.removesuffix(" measured") for c in table if c.endswith(" measured")]
+    name = max(names, key=lambda n: np.ptp(table[f"{n} measured"]))
+    kinds = (("predicted", "foreseen", MODEL), ("measured", "measured", MEASURED))
+    lines = ((label, table["time_s"], table[f"{name} {kind}"], colour) for label, kind, colour in kinds)
+    return curves(lines, "time, s", name)
 
 
 def _predicted_ahead(learning) -> go.Figure:
@@ -133,67 +128,3 @@ def _likely(learning) -> go.Figure:
     figure.update_xaxes(title_text="round", dtick=1)
     figure.update_yaxes(title_text="probability")
     return figure
-
-
-def film_frames(rounds, files: list[Path]) -> Iterator[np.ndarray]:
-    """Pictures, uint8 (H, W, 3), `FRAMES_HZ` of them a second."""
-    for k, (r, file) in enumerate(zip(rounds, files, strict=True)):
-        table = pd.read_csv(file)
-        t = table["time_s"].to_numpy(float) - table["time_s"].iloc[0]
-        names = [c.removesuffix(" measured") for c in table if c.endswith(" measured")]
-        name = max(names, key=lambda n: np.ptp(table[f"{n} measured"]))
-        for now_s in np.arange(0.0, t[-1] + FASTER / FRAMES_HZ, FASTER / FRAMES_HZ):
-            yield _frame(rounds[: k + 1], r, t, table, name, min(now_s, t[-1]))
-
-
-def _frame(rounds, r, t: np.ndarray, table: pd.DataFrame, name: str, now_s: float) -> np.ndarray:
-    picture = Image.new("RGB", SIZE, PAPER)
-    draw = ImageDraw.Draw(picture)
-    small, large = ImageFont.load_default(13), ImageFont.load_default(16)
-    draw.text((60, 12), f"program {r.number}: {r.program}", INK, large)
-    seen, measured = table[f"{name} foreseen"].to_numpy(float), table[f"{name} measured"].to_numpy(float)
-    reach = (min(seen.min(), measured.min()), max(seen.max(), measured.max()))
-    past = t <= now_s
-    _line(draw, CURVE, t[past], measured[past], reach, MEASURED, t[-1], 3)
-    _line(draw, CURVE, t, seen, reach, MODEL, t[-1])
-    draw.text((CURVE[0], CURVE[1] - 20), f"{name}: predicted", MODEL, small)
-    draw.text((CURVE[0] + 190, CURVE[1] - 20), "measured", MEASURED, small)
-    commands = table[[c for c in table if c.startswith("pressure_cmd_")]].to_numpy(float).T
-    reach, colours = (commands.min(), commands.max()), CHAMBERS if len(commands) > 1 else (INK,)
-    for command, colour in zip(commands, colours, strict=False):
-        _line(draw, COMMAND, t[past], command[past], reach, colour, t[-1])
-    draw.text((COMMAND[0], COMMAND[1] - 18), f"command, up to {reach[1]:.3g} kPa", INK, small)
-    draw.text((COMMAND[2] - 60, COMMAND[3] + 6), f"{now_s:.0f} of {t[-1]:.0f} s", INK, small)
-    _bars(draw, rounds if now_s >= t[-1] else rounds[:-1], small)
-    return np.asarray(picture)
-
-
-def _line(draw, box, t, y, reach, colour, end_s, width=1) -> None:
-    left, top, right, bottom = box
-    draw.rectangle(box, outline=PALE)
-    if len(t) > 1:
-        x = left + (right - left) * t / end_s
-        down = bottom - (bottom - top) * (y - reach[0]) / max(reach[1] - reach[0], 1e-9)
-        draw.line(list(zip(x, down, strict=True)), colour, width)
-
-
-def _bars(draw, rounds, font) -> None:
-    """Error over noise of each program before it was used, by the model and by the twin as given."""
-    left, top, right, bottom = BARS
-    draw.text((left, top - 40), "error / noise, before use", INK, font)
-    draw.text((left, top - 22), "predicted", MODEL, font)
-    draw.text((left + 70, top - 22), "as given", HELDOUT, font)
-    most = 30.0
-
-    def place(ratio: float) -> float:
-        return bottom - (bottom - top) * np.log(max(ratio, 1.0)) / np.log(most)
-
-    for ratio in (1, 3, 10, 30):
-        draw.line([(left, place(ratio)), (right, place(ratio))], PALE)
-        draw.text((left - 24, place(ratio) - 8), f"{ratio}", INK, font)
-    step = (right - left) / max(len(rounds), 8)
-    for i, r in enumerate(rounds):
-        for j, (error, colour) in enumerate(((r.predicted_error, MODEL), (r.bare_error, HELDOUT))):
-            x = left + step * (i + 0.15 + 0.38 * j)
-            height = place(min(max(error / r.noise, 1.05), most))
-            draw.rectangle([x, height, x + 0.33 * step, bottom], fill=colour)

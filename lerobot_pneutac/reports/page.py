@@ -217,6 +217,5 @@ COMMAND = OTHER = "#9aa5b1"
 SHADE = "rgba(155, 177, 196, 0.35)"  # behind the worst passages
 CHAMBERS = (AFTER, FLOOR, MODEL)  # of one chamber the first
 BAND = "rgba(42, 157, 143, 0.3)"  # of held-out samples
-WHISKER = INK = "#333333"  # of intervals, and of text in pictures
-PAPER, PALE = "#ffffff", "#cccccc"
+WHISKER = "#333333"  # of intervals
 SERIES = (AFTER, "#c2410c", "#15803d", "#7e22ce")  # of things without a meaning of their own

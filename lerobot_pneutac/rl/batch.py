@@ -5,18 +5,7 @@ import torch
 from gymnasium.utils.seeding import np_random
 from stable_baselines3.common.vec_env import VecEnv
 
-from lerobot_pneutac.rl.env import (
-    Moment,
-    PpoEnv,
-    Seen,
-    TaskView,
-    actor_observation,
-    critic_observation,
-    draw_start,
-    reward_terms,
-    to_action,
-    total,
-)
+from lerobot_pneutac.rl import env as E
 from pneutac_sim.features import ACTION_NAMES
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.base import START_SOLVES, solved_joints
@@ -36,10 +25,10 @@ class BatchedPpoEnv(VecEnv):
     """
 
     def __init__(self, task: str, twin: Twin | None, envs: int, device: str, **options):
-        self.one = one = PpoEnv(task, twin, **options)
+        self.one = one = E.PpoEnv(task, twin, **options)
         shared = {"conditions": options.get("conditions"), "station": options.get("station")}
         self.world = BatchedWorld(task, envs, twin, device, "probe", **shared)
-        self._view, self._arm = TaskView(self.world.single), one.world.arm
+        self._view, self._arm = E.TaskView(self.world.single), one.world.arm
         self._solvers = [self._arm.solver() for _ in range(envs)]
         self.render_mode = None
         super().__init__(envs, one.observation_space, one.action_space)
@@ -48,7 +37,7 @@ class BatchedPpoEnv(VecEnv):
         first = self._seeds[0] if self._seeds[0] is not None else int(np.random.default_rng().integers(2**31))
         self._draws, N = np.random.default_rng(first), self.num_envs
         count = STARTS * N
-        drawn = [draw_start(np_random(first + k)[0], self.one.randomise) for k in range(count)]
+        drawn = [E.draw_start(np_random(first + k)[0], self.one.randomise) for k in range(count)]
         seeds, variations = zip(*drawn, strict=True)
         self.world.reset(np.array(seeds), count, variations)
         self._factors = np.array([(v.friction, v.bend_gain) for v in variations])
@@ -71,9 +60,9 @@ class BatchedPpoEnv(VecEnv):
 
     def step_wait(self) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, list[dict]]:
         w, normal = self.world, np.clip(self._actions, -1, 1).astype(float)
-        w.step(to_action(normal, self.one.world.pressure_range_kpa))
+        w.step(E.to_action(normal, self.one.world.pressure_range_kpa))
         before, self._moment = self._moment, self._look()
-        terms = reward_terms(before, self._moment, self._view.goal.depth_mm, self._previous, normal)
+        terms = E.reward_terms(before, self._moment, self._view.goal.depth_mm, self._previous, normal)
         self._previous, self._done = normal, self._done + 1
         won, lost = self._moment.success, self._moment.failure
         over = won | lost | (self._done >= self.one.length)
@@ -91,20 +80,22 @@ class BatchedPpoEnv(VecEnv):
             w.restart(*(torch.as_tensor(x, device=w.torch_device) for x in (ended, self._start[ended])))
             self._begin(ended)
             observed = self._observe()
-        return observed, total(terms).astype(np.float32), over, infos
+        return observed, E.total(terms).astype(np.float32), over, infos
 
-    def _look(self) -> Moment:
+    def _look(self) -> E.Moment:
         w, fetched = self.world, lambda tensor: tensor.cpu().numpy()
         qpos, progress = fetched(w.qpos).astype(float), []
         for row in qpos:  # the task's own class says how far it is
             w.single.data.qpos[:] = row
             progress.append(self._view.goal.progress(w.single.task))
         rows = (*w.poses.values(), w.fields["body_pos"], w.fields["body_quat"])
-        self._seen: Seen = self._view.seen_in(*map(fetched, rows), qpos, fetched(w.qvel), np.array(progress))
+        self._seen: E.Seen = self._view.seen_in(
+            *map(fetched, rows), qpos, fetched(w.qvel), np.array(progress)
+        )
         self._state, self._depth_mm = fetched(w.state).astype(float), fetched(w.depth_mm)
         self._flange_m = self._state[:, :3] - self._arm.base_m
         deepest = self._depth_mm.max((1, 2))
-        return Moment(
+        return E.Moment(
             self._seen.progress, self._seen.distance_m, deepest, fetched(w.success), fetched(w.failure)
         )
 
@@ -113,8 +104,8 @@ class BatchedPpoEnv(VecEnv):
         joints = np.array([solved_joints(*each, self.world.dt_s) for each in moving])
         state = np.concatenate([joints.reshape(self.num_envs, -1), self._flange_m, self._state[:, 6:]], 1)
         return {
-            "actor": actor_observation(self.one.world, state, self._previous, self._depth_mm),
-            "object": critic_observation(self._seen, *self._factors[self._start].T),
+            "actor": E.actor_observation(self.one.world, state, self._previous, self._depth_mm),
+            "object": E.critic_observation(self._seen, *self._factors[self._start].T),
         }
 
     def close(self) -> None:

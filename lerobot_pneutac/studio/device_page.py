@@ -9,22 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import viser
 
+from lerobot_pneutac.studio import plots as P
 from lerobot_pneutac.studio.effects_panel import EffectsPanel
 from lerobot_pneutac.studio.live import LiveBody, Shape, Skin
-from lerobot_pneutac.studio.plots import (
-    BASE,
-    JOINTS,
-    MEASURED,
-    MODEL,
-    PRESSURE,
-    SKIN,
-    SPINE,
-    TRAIL,
-    Background,
-    Lines,
-    rgb,
-    show_text,
-)
+from lerobot_pneutac.studio.plots import Background, Lines, rgb, show_text
 from pneutac_sim.effects.registry import body_effects, get_effect, of_body, of_sensor
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CHAMBERS
@@ -93,25 +81,29 @@ class BodyScene:
         server.initial_camera.fov = np.radians(45)
         server.on_client_connect(_keep_in_view)
         width = UNIT * float(np.ptp(skin.vertices_mm[:, 2]))
-        scene.add_box("/base", color=BASE, dimensions=(0.4 * width, 1.5 * width, 1.5 * width),
+        scene.add_box("/base", color=P.BASE, dimensions=(0.4 * width, 1.5 * width, 1.5 * width),
                       position=(-0.2 * width, 0.0, 0.0))  # fmt: skip
         # sent again as it moves: a skinned mesh of viser 1.1.1 breaks the page when the server restarts
         self._carried = skin
-        vertices, looks = (UNIT * skin.vertices_mm).astype(np.float32), {"color": SKIN, "opacity": 0.55}
+        vertices, looks = (UNIT * skin.vertices_mm).astype(np.float32), {"color": P.SKIN, "opacity": 0.55}
         self._skin = scene.add_mesh_simple("/skin", vertices, skin.faces, side="double", **looks)
         straight = np.zeros((len(self._joints) + 2, 3))
         straight[1:-1, 0], straight[-1, 0] = self._joints, self._length
         spine = _segments(UNIT * straight)
-        self._spine = scene.add_line_segments("/spine", spine, SPINE, thickness=0.08 * width)
+        self._spine = scene.add_line_segments("/spine", spine, P.SPINE, thickness=0.08 * width)
         self._dots = scene.add_point_cloud(
-            "/joints", (UNIT * straight[1:-1]).astype(np.float32), JOINTS, point_size=0.14 * width,
+            "/joints", (UNIT * straight[1:-1]).astype(np.float32), P.JOINTS, point_size=0.14 * width,
             point_shape="circle", precision="float32",
         )  # fmt: skip
         size = 0.13 * width
-        self._tip = scene.add_icosphere("/tip", radius=size, color=TRAIL)
-        self._measured = scene.add_icosphere("/measured tip", size, rgb(MEASURED), visible=False)
+        self._tip = scene.add_icosphere("/tip", radius=size, color=P.TRAIL)
+        self._measured = scene.add_icosphere("/measured tip", size, rgb(P.MEASURED), visible=False)
         self._trail = scene.add_line_segments(
-            "/tip's path", np.zeros((1, 2, 3), np.float32), TRAIL, thickness=2.0, thickness_units="screen"
+            "/tip's path",
+            np.zeros((1, 2, 3), np.float32),
+            P.TRAIL,
+            thickness=2.0,
+            thickness_units="screen",
         )
         self._path: list[np.ndarray] = []
         self._solid = None
@@ -250,7 +242,7 @@ class DevicePage(Background):
         self.scene = BodyScene(studio.server, twin)
         self._arm = CHAMBERS[twin.device] > 1
         self.readout = self._gui.add_markdown("")
-        self._chart = Lines(self._gui, "time, s", (("bend, °", MODEL), ("pressure, kPa", PRESSURE)), 190)
+        self._chart = Lines(self._gui, "time, s", (("bend, °", P.MODEL), ("pressure, kPa", P.PRESSURE)), 190)
         self._pressures = self._pressure_sliders(twin)
         self._loads(twin)
         with self._gui.add_folder("Time and material", expand_by_default=False):

@@ -12,18 +12,9 @@ import numpy as np
 from lerobot_pneutac.reports.compare import by_condition
 from lerobot_pneutac.reports.figures import session_clock
 from lerobot_pneutac.reports.page import difference, side_by_side
+from lerobot_pneutac.studio import plots as P
 from lerobot_pneutac.studio.live import Shape, Skin, measured_tips, shape_of
-from lerobot_pneutac.studio.plots import (
-    FLOOR,
-    MEASURED,
-    MODEL,
-    PRESSURE,
-    Background,
-    Lines,
-    Player,
-    rgb,
-    table,
-)
+from lerobot_pneutac.studio.plots import Background, Lines, Player, rgb, table
 from lerobot_pneutac.verbs.compare import compare
 from pneutac_datasets.recording.photographs import read_camera
 from pneutac_datasets.recording.recording import Recording
@@ -68,7 +59,7 @@ class PhotographPanel:
         if camera is not None:
             mask = silhouette(self._skin.carried_mm(shape, self._joints), self._skin.faces, camera)
             lines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-            cv2.drawContours(image, lines, -1, rgb(MODEL), max(2, image.shape[1] // 200))
+            cv2.drawContours(image, lines, -1, rgb(P.MODEL), max(2, image.shape[1] // 200))
             self._picture.label = "photographed; the line is the model's outline"
         self._picture.image = side_by_side([image], width=WIDTH_PX)
         self._picture.visible = True
@@ -144,10 +135,23 @@ class MeasurementPage(Background):
                 names = c.recording.pressure_columns
                 chambers = [n.removeprefix("pressure_cmd_").removesuffix("kpa").strip("_") for n in names]
                 commands = [f"command {n}".strip() + ", kPa" for n in chambers]
-                lines = tuple(zip(commands, (PRESSURE, FLOOR, MODEL), strict=False))
+                lines = tuple(zip(commands, (P.PRESSURE, P.FLOOR, P.MODEL), strict=False))
                 self._charts = [
-                    Lines(gui, "time, s", (("measured", MEASURED), ("model", MODEL)), 170, title, FLOOR),
-                    Lines(gui, "time, s", (("error", MODEL), ("noise", FLOOR)), 140, f"error, {c.unit}"),
+                    Lines(
+                        gui,
+                        "time, s",
+                        (("measured", P.MEASURED), ("model", P.MODEL)),
+                        170,
+                        title,
+                        P.FLOOR,
+                    ),
+                    Lines(
+                        gui,
+                        "time, s",
+                        (("error", P.MODEL), ("noise", P.FLOOR)),
+                        140,
+                        f"error, {c.unit}",
+                    ),
                     Lines(gui, "time, s", lines, 150, "command, kPa"),
                 ]
         for handle in self._rows:

@@ -126,19 +126,16 @@ class Addition(Result):
         if not self.accepted or before is None or base is None or after is None:
             return self.reason
         noise = "" if self.noise_floor is None else f" (noise {self.noise_floor:.3g} {self.unit})"
-        text, causes = "", self.known
+        text, causes, s = "", self.known, "s" * (len(self.known) == 1)
+        was, now, end = (f"{e['heldout']:.3g}" for e in (before, base, after))
         if causes:
-            was, now = (f"{e['heldout']:.3g}" for e in (before, base))
             verb = "lower" if base["heldout"] < before["heldout"] else "raise"
-            change = f"{verb}{'s' if len(causes) == 1 else ''} the test error from {was} to {now}"
-            if was == now:
-                change = f"leave{'s' if len(causes) == 1 else ''} the test error at {now}"
-            text = f"Known causes: {_plain(causes)} {change} {self.unit}{'' if self._effects else noise}."
+            change = f"{verb}{s} the test error from {was} to {now}"
+            change = f"leave{s} the test error at {now}" if was == now else change
+            text = f"Known causes: {_plain(causes)} {change} {self.unit}{'' if self._effects else noise}. "
         if self._effects:
-            names = _plain(self._effects)
-            text += f" With {names} it falls from {base['heldout']:.3g} to {after['heldout']:.3g} {self.unit}"
-            text = text.replace(" it falls", " the test error falls") if not causes else text
-            text += f"{noise}."
+            it = "it" if causes else "the test error"
+            text += f"With {_plain(self._effects)} {it} falls from {now} to {end} {self.unit}{noise}."
         return text.strip()
 
     @property
@@ -211,21 +208,12 @@ class Addition(Result):
             page.table(self._errors())
             share = percent(self.reduction, self.reduction_ci95)
             page.text(f"Of the squared error above the noise {share} goes with all of it.")
-        page.table(
-            [
-                {
-                    "term": plain_name(c.name),
-                    "known cause": "yes" if c.known else "",
-                    f"test error without it, {self.unit}": c.error_without,
-                    "with all": c.error_with,
-                    f"fall of the mean square, {self.unit}^2 (98 % interval)": (
-                        f"{c.drop[0]:.3g} ({c.drop[1]:.3g} to {c.drop[2]:.3g})"
-                    ),
-                }
-                for c in self.contributions
-            ],
-            "What each term is worth: the model is re-fitted without it.",
-        )
+        worth, fall = [], f"fall of the mean square, {self.unit}^2 (98 % interval)"
+        for c in self.contributions:
+            row = {"term": plain_name(c.name), "known cause": "yes" if c.known else ""}
+            row |= {f"test error without it, {self.unit}": c.error_without, "with all": c.error_with}
+            worth.append(row | {fall: "{:.3g} ({:.3g} to {:.3g})".format(*c.drop)})
+        page.table(worth, "What each term is worth: the model is re-fitted without it.")
         page.table(parameter_rows(self.parameters or {}), "Fitted to all but the test part.")
         page.found(self.findings)
         return page
@@ -278,11 +266,11 @@ def add(
         result, twins = read_found(effect, twin, recording)
         study = study_of(twin, recording, result["seed"])
         study.prepare(result["selected"], result.get("data_breaks", ()))
-        models = [
-            t and FittedModel(effects=tuple(t.effects), residual=study.residual(t), count=0, twin=t)
-            for t in twins
-        ]
-        return _whole(study, twin, result, models, anyway)
+
+        def model(t: Twin) -> FittedModel:
+            return FittedModel(effects=tuple(t.effects), residual=study.residual(t), count=0, twin=t)
+
+        return _whole(study, twin, result, [t and model(t) for t in twins], anyway)
     effects = [effect] if isinstance(effect, str) else list(effect)
     for e in effects:
         parameter = e in ("late_commands", "compliance")  # of a twin, no effects
@@ -336,24 +324,26 @@ def _addition(
     before, base, after = found.before, found.baseline, found.after
     reduction, interval = study.reduction(before, after)
     errors = [study.errors(m) | {"heldout_ci95": study.interval(m)} for m in (before, base, after)]
-    several = len(effects) > 1
-    parameters = {
-        f"{e}: {k}" if several else k: v for e in effects for k, v in study.parameters(after, e).items()
-    }
+    of = {e: f"{e}: " * (len(effects) > 1) for e in effects}
+    parameters = {of[e] + k: v for e in effects for k, v in study.parameters(after, e).items()}
     reason = _refusal(study, effects, found, named)
     if not reason and not decided:
         reason = (
             f"Not added: the diagnosis is inconclusive; {_plain(effects)} only compensates for something "
             f"that no known effect describes. --anyway stores it marked as unconfirmed."
         )
-    stored = not reason or anyway
+    physics = (
+        hedged(study.describe(after, e), family_in(after.twin, e), mechanisms)
+        for e in effects
+        if e in after.effects
+    )
     return Addition(
         accepted=not reason,
         unconfirmed=bool(reason) and anyway,
         reason=reason,
         instead=found.better[0] if found.better else "",
         instead_error=study.errors(found.better[1])["heldout"] if found.better else None,
-        twin=study.twin_of(after) if stored else twin,
+        twin=study.twin_of(after) if not reason or anyway else twin,
         unit=study.unit,
         noise_floor=study.noise.value,
         before=errors[0],
@@ -366,11 +356,7 @@ def _addition(
         parameters=parameters,
         at_bound=tuple(sorted(study.at_bound(after, effects))),
         not_identified=after.not_identified,
-        physics=tuple(
-            hedged(study.describe(after, e), family_in(after.twin, e), mechanisms)
-            for e in effects
-            if e in after.effects
-        ),
+        physics=tuple(physics),
         findings=tuple(study.findings),
         noted=study.noted(after),
         **given,
@@ -392,20 +378,16 @@ def _refusal(study, effects: Sequence[str], found: Refits, named: bool) -> str:
                 f"but {plain_name(other)} lowers it to {study.errors(model)['heldout']:.4g} {unit} and "
                 f"leaves nothing to {names}."
             )
+    from_to = f"from {errors[0]:.4g} to {errors[1]:.4g} {unit}"
     if idle := [e for e in effects if study.idle(after, e)]:
         plural = "their constants end where they do" if len(idle) > 1 else "its constants end where it does"
         return f"Not added: {_plain(idle)} changes nothing; {plural} nothing{_known_help(study, found)}."
     if named and fall.significant and not found.significant:
-        return (
-            f"Not added: with {names} the test error falls from {errors[0]:.4g} to {errors[1]:.4g} {unit}, "
-            "but cross-validation on the other blocks does not confirm it"
-            f"{_known_help(study, found)}."
-        )
+        why = "but cross-validation on the other blocks does not confirm it"
+        return f"Not added: with {names} the test error falls {from_to}, {why}{_known_help(study, found)}."
     if not fall.significant and fall.value <= 0:
-        return (
-            f"Not added: with {names} the test error does not fall: it goes from {errors[0]:.4g} to "
-            f"{errors[1]:.4g} {unit}{_known_help(study, found)}."
-        )
+        why = f"the test error does not fall: it goes {from_to}"
+        return f"Not added: with {names} {why}{_known_help(study, found)}."
     if not fall.significant:
         return _not_yet(study, names, errors, fall) + _known_help(study, found) + "."
     if found.doubts:

@@ -11,15 +11,10 @@ import numpy as np
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.verbs.result import Result
+from pneutac_datasets.demonstrations import faults as recorded
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
 from pneutac_datasets.demonstrations.augment.reference import onset_sigma_m
-from pneutac_datasets.demonstrations.faults import (
-    TACTILE,
-    demonstration_faults,
-    failed_demonstrations,
-    set_aside,
-    too_few,
-)
+from pneutac_datasets.demonstrations.faults import TACTILE
 from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.executor import ExecutorOptions
 from pneutac_sim.features import FIDELITIES, task_names
@@ -119,12 +114,10 @@ class AugmentConfig(ExecutorOptions):
         if self.device != "cpu":
             self._check_device()
         check_least(0, check_mpm=self.check_mpm)
-        for useless, why in (
-            (self.method == "naive", "carries demonstrations out once more; naive ones have no scene"),
-            (self.fidelity == "mpm", "compares with material points, which fidelity=mpm is already"),
-        ):
-            if self.check_mpm and useless:
-                raise InputError(f"check_mpm {why}; leave it out.")
+        if self.check_mpm and self.method == "naive":
+            raise InputError("check_mpm carries demonstrations out; naive ones have no scene; leave it out.")
+        if self.check_mpm and self.fidelity == "mpm":
+            raise InputError("check_mpm compares with what fidelity=mpm is already; leave it out.")
         twin = Twin.load(self.twin) if self.twin else Twin.builtin()
         if self.method != "naive":
             check_world(twin, self.fidelity, self.conditions)
@@ -163,9 +156,8 @@ class Augmentation(Result):
         return self.summary["kept"] / self.summary["attempts"]
 
     def rows(self) -> list[dict]:
-        counts = {"accepted": self.summary["kept"]}
-        counts |= {f"rejected: {reason}": count for reason, count in self.summary["rejected"].items()}
-        counts["yield"] = f"{100 * self.share:.0f} %"
+        rejected = {f"rejected: {reason}": count for reason, count in self.summary["rejected"].items()}
+        counts = {"accepted": self.summary["kept"]} | rejected | {"yield": f"{100 * self.share:.0f} %"}
         return [{"variants": name, "number": number} for name, number in counts.items()]
 
     def remarks(self) -> list[str]:
@@ -179,11 +171,8 @@ class Augmentation(Result):
             f" ({minutes:.1f} minutes, {stored / minutes:.0f} a minute)."
         )
         if start_range := self.summary.get("start_range_m"):
-            x, y, z = (1e3 * each for each in start_range)
-            out.append(
-                f"They start up to {x:.0f} / {y:.0f} / {z:.0f} mm (x / y / z) away from recorded starts "
-                f"(--start_range)."
-            )
+            reach = " / ".join(f"{1e3 * each:.0f}" for each in start_range)
+            out.append(f"They start up to {reach} mm (x / y / z) away from recorded starts (--start_range).")
         if late := self.summary.get("answer_delay_frames"):
             out.append(
                 f"The demonstrator answers a touch {late} frame{'s' * (late > 1)} late; pneutac_bc learns to"
@@ -219,8 +208,8 @@ class Augmentation(Result):
         out = {k: s[k] for k in ("kept", "attempts", "rejected", "wall_s", "seconds", "scenes")}
         out |= {"method": self.config.method, "copies": s.get("copies", 0), "yield": self.share}
         out |= {"start_range_m": s.get("start_range_m"), "area_rmse": float(np.mean(rmse)) if rmse else None}
-        out["onset_sigma_mm"] = 1e3 * onset_sigma_m(self.references)
-        out["demonstrations_per_minute"] = 60 * s["kept"] / s["wall_s"]
+        out |= {"onset_sigma_mm": 1e3 * onset_sigma_m(self.references)}
+        out |= {"demonstrations_per_minute": 60 * s["kept"] / s["wall_s"]}
         out |= {"checks": s["checks"]} if "checks" in s else {}
         return out | ({"set_aside": self.failed} if self.failed else {})
 
@@ -292,21 +281,21 @@ def augment(
     station = Station.load(file) if file else Station()
     if config.method != "naive":
         twin = Twin.load(config.twin) if config.twin else Twin.builtin()
-        faults = demonstration_faults(config.dataset.root, twin, station)
+        faults = recorded.demonstration_faults(config.dataset.root, twin, station)
         if faults:
             raise InputError(" ".join(faults))
         sensor = TactileSensor(twin)
     else:
         refuse_damaged(config.dataset.root)
-    failed = failed_demonstrations(config.dataset.root)
+    failed = recorded.failed_demonstrations(config.dataset.root)
     meta, references = read_references(config.dataset.root, config.dataset.repo_id, sensor, failed)
-    if faults := too_few(config.dataset.root, meta.total_episodes, failed):
+    if faults := recorded.too_few(config.dataset.root, meta.total_episodes, failed):
         raise InputError(faults[0])
     onset_sigma_m(references)
     if sensor is not None and (other := other_sensor(meta, sensor)):
         note(other)
     if failed:
-        note(set_aside(config.dataset.root, meta.total_episodes, failed))
+        note(recorded.set_aside(config.dataset.root, meta.total_episodes, failed))
     new = (config.output.root, config.output.repo_id, config.episodes)
     if config.method == "naive":
         summary = augment_without_simulator(meta, *new, config.seed, progress, failed)

@@ -4,7 +4,6 @@ import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -24,29 +23,18 @@ if TYPE_CHECKING:
 
 
 class Bench(Protocol):
-    """A device that follows programs.
+    """A device that follows programs."""
 
-    Attributes:
-        range_kpa: lowest and highest set-point, each (chambers,).
-        hz: samples a second.
-        pause_s: seconds without pressure before the program that it followed last, since the one before; None
-            where it was rested, or nothing is known.
-    """
-
-    range_kpa: tuple[np.ndarray, np.ndarray]
-    hz: float
+    range_kpa: tuple[np.ndarray, np.ndarray]  # lowest and highest set-point, each (chambers,)
+    hz: float  # samples a second
+    # seconds without pressure before the program that it followed last, since the one before; None where it
+    # was rested, or nothing is known
     pause_s: float | None
 
     def follow(self, program: Path, out: Path, number: int) -> Recording:
-        """Drives a program, from rest.
+        """Drives a program, a CSV as `save_program` writes it, from rest; records into the new folder `out`.
 
-        Args:
-            program: CSV as `save_program` writes it.
-            out: new folder of the recording.
-            number: of programs driven before.
-
-        Raises:
-            HardwareFault: a part failed; the chamber is vented.
+        `number` programs were driven before. Raises HardwareFault where a part failed; the chamber is vented.
         """
         ...
 
@@ -90,13 +78,7 @@ class MeasuredBench:
         return recording
 
 
-def save_program(
-    file: Path,
-    time_s: np.ndarray,
-    pressure_kpa: np.ndarray,
-    kind: str,
-    conditions: Mapping[str, float] = MappingProxyType({}),
-) -> None:
+def save_program(file: Path, time_s, pressure_kpa, kind: str, conditions: Mapping | None = None) -> None:
     """Writes a program as `pneutac measure --program=` reads it, its steps between samples (`sent_s`).
 
     The CSV has `time_s`, when a command is sent, the commands (n,) or (n, chambers) kPa, `program`, its
@@ -105,8 +87,8 @@ def save_program(
     commands = np.reshape(pressure_kpa, (len(time_s), -1)).T
     columns = dict(zip(command_columns(len(commands)), commands, strict=True))
     times = {"time_s": sent_s(time_s, pressure_kpa)}
-    table = pd.DataFrame(times | columns | {"program": kind} | dict(conditions))
     with whole(file) as part:
+        table = pd.DataFrame(times | columns | {"program": kind} | dict(conditions or {}))
         table.to_csv(part, index=False, float_format="%.6g")
 
 

@@ -96,9 +96,8 @@ def calibrate(
         methods, of = SERVES[name]
         if method not in methods and value != inspect.signature(calibrate).parameters[name].default:
             more = ", and switch an effect on with `pneutac add --effect=NAME`" * (name == "effects")
-            raise InputError(
-                f"{name} is for {of}, but {recording.folder} is fitted by its {method}; omit it{more}."
-            )
+            why = f"{name} is for {of}, but {recording.folder} is fitted by its {method}"
+            raise InputError(f"{why}; omit it{more}.")
     if isinstance(recording, Demonstrations):
         from lerobot_pneutac.verbs.calibrate_demonstrations import calibrate_demonstrations
 
@@ -190,18 +189,13 @@ def run(cfg: CalibrateConfig, scratch: Path, terminal: Terminal) -> Calibration:
         from pneutac_sim.gel.identifiability import check_name
 
         if recording.device != "gel":
-            raise InputError(
-                f"save_prior stores a gel's light, but {recording.folder} is of a '{recording.device}'; "
-                "omit it."
-            )
+            raise InputError(f"save_prior stores a gel's light, which {recording.folder} is not of; omit it.")
         check_name(cfg.save_prior)
     twin, keep = twin_for(cfg.twin, recording), cfg.out or cfg.twin
     if not (cfg.twin / "twin.yaml").exists():
         terminal.say(f"There is no twin at {cfg.twin} yet: beginning one of a gel.")
     if twin.missing:
-        terminal.note(
-            f"{cfg.twin / 'twin.yaml'} has no {', '.join(twin.missing)}; the fit begins at defaults."
-        )
+        terminal.note(f"{cfg.twin}/twin.yaml has no {', '.join(twin.missing)}; the fit begins at defaults.")
     try:
         with terminal.progress() as progress:
             result = calibrate(twin, recording, **keywords(cfg, calibrate), keep=keep, progress=progress)
@@ -243,9 +237,7 @@ def recording_for(cfg: CalibrateConfig, scratch: Path) -> tuple[Recording | Demo
     if folder is not None:
         return Recording.load(folder), ""
     if exists:
-        raise InputError(
-            f"Give --recording=DIR: which measurement is the twin at '{cfg.twin}' to be fitted to?"
-        )
+        raise InputError(f"Give --recording=DIR, what the twin at '{cfg.twin}' is to be fitted to.")
     real = Path(os.environ.get("PNEUTAC_DATA", "/nonexistent")) / "tactile" / "digit_nagoya"
     if real.is_dir():
         return Recording.load(real), f"No --recording given: using the DIGIT photographs in {real}."

@@ -2,8 +2,8 @@
 
 import difflib
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -14,13 +14,7 @@ from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.study import study_of
 from lerobot_pneutac.study.pair import enough_to_compare, fit_parts
 from lerobot_pneutac.verbs.new import new_twin
-from pneutac_datasets.demonstrations.faults import (
-    demonstration_faults,
-    demonstration_notes,
-    failed_demonstrations,
-    rate_notes,
-    set_aside,
-)
+from pneutac_datasets.demonstrations import faults as F
 from pneutac_datasets.demonstrations.info import is_demonstrations, read_info
 from pneutac_datasets.recording.checks import check, recording_faults
 from pneutac_datasets.recording.recording import Recording
@@ -72,12 +66,12 @@ def check_path(path: str | Path, twin: Twin | None = None, station: Station | No
     if not (path / "recording.json").is_file() and is_demonstrations(path):
         left = station_file(path)
         station = station or (Station.load(left) if left else Station())
-        faults = demonstration_faults(path, twin or Twin.builtin(), station)
-        notes = rate_notes(path) if faults else demonstration_notes(path, station)
+        faults = F.demonstration_faults(path, twin or Twin.builtin(), station)
+        notes = F.rate_notes(path) if faults else F.demonstration_notes(path, station)
         if not faults:
-            failed = failed_demonstrations(path)
+            failed = F.failed_demonstrations(path)
             recorded = read_info(path / "meta/info.json")["total_episodes"]
-            notes += [set_aside(path, recorded, failed)] * bool(failed)
+            notes += [F.set_aside(path, recorded, failed)] * bool(failed)
         return Checked(path, "demonstrations", faults, notes)
     inside = [d.name for d in sorted(path.iterdir()) if any((d / mark).is_file() for mark in MARKS)]
     if inside and not (path / "recording.json").is_file():
@@ -96,19 +90,24 @@ def _unfit(recording: Recording) -> list[str]:
     if recording.device == "gel" or not poses:
         return []  # gels and photographs have checks of their own
     twin = new_twin(recording.device, recording)
-    faults: dict[str, None] = {}
 
     def study() -> None:
         fit_parts(twin, recording)
         if len(recording) < SHORT:
             study_of(twin, recording)
 
-    for refuse in (study, lambda: enough_to_compare(recording, check(recording)[0])):
+    return _refused((study,), (enough_to_compare, recording, check(recording)[0]))
+
+
+def _refused(*calls: tuple) -> list[str]:
+    """What calls, each a function and its arguments, refuse: sentences, each once."""
+    found: dict[str, None] = {}
+    for call, *args in calls:
         try:
-            refuse()
+            call(*args)
         except InputError as e:
-            faults[str(e)] = None
-    return list(faults)
+            found[str(e)] = None
+    return list(found)
 
 
 def _tables(path: Path, files: list[Path]) -> Checked:
@@ -177,26 +176,13 @@ def _twin(path: Path) -> tuple[list[str], list[str]]:
 
 def _broken(twin: Twin) -> list[str]:
     """One sentence for each effect that no pipeline and no sensor takes, and for a gel that is malformed."""
-    found: list[str] = []
-
-    def look(call: Callable, *args) -> None:
-        try:
-            call(*args)
-        except InputError as e:
-            if str(e) not in found:
-                found.append(str(e))
-
+    calls = []
     for name, values in twin.effects.items():
-        if of_sensor([name]):
-            numbers = {name: {k: v.value for k, v in values.items()}}
-            look(lambda effects: replace(GelModel.builtin(), effects=effects), numbers)
-        else:
-            look(_body, replace(twin, effects={name: values}))
-    look(GelModel.from_twin, replace(twin, effects={}))
-    if not found:
-        look(_body, twin)
-        look(GelModel.from_twin, twin)
-    return found
+        numbers = {name: {k: v.value for k, v in values.items()}}
+        body = (_body, replace(twin, effects={name: values}))
+        calls.append((partial(replace, GelModel.builtin(), effects=numbers),) if of_sensor([name]) else body)
+    alone = _refused(*calls, (GelModel.from_twin, replace(twin, effects={})))
+    return alone or _refused((_body, twin), (GelModel.from_twin, twin))
 
 
 def _body(twin: Twin) -> None:

@@ -67,9 +67,7 @@ def compare(
         return compare_demonstrations(twin, recording, seed, progress)
     if recording.device == "gel":
         if fidelity != "pipeline":
-            raise InputError(
-                f"fidelity={fidelity} is of a finger or an arm, but the recording is of a gel; omit it."
-            )
+            raise InputError(f"fidelity={fidelity} is of a finger or an arm, not of a gel; omit it.")
         from lerobot_pneutac.verbs.compare_gel import compare_gel
 
         return compare_gel(twin, recording)
@@ -160,23 +158,19 @@ class Ageing(Result):
         ]
 
     def remarks(self) -> list[str]:
-        return [
-            f"A calibration is due where the error exceeds {AGAIN:g} times that of the first date; the day"
-            " ahead follows from the change of the bend alone."
-        ]
+        due = f"A calibration is due where the error exceeds {AGAIN:g} times that of the first date"
+        return [f"{due}; the day ahead follows from the change of the bend alone."]
 
     def content(self) -> dict:
-        slope, half = self.slope
-        return {
-            "unit": self.unit,
-            "dates": [
-                {"date": d.day.isoformat(), "recording": d.name, "error": d.error, "bend": d.bend}
-                | {"bend_ci95": [d.bend - d.half, d.bend + d.half]}
-                for d in self.dates
-            ],
-            "bend_change_per_day": {"value": slope, "ci95": [slope - half, slope + half]},
-            "calibrate_again": None if self.again is None else self.again.isoformat(),
-        }
+        (slope, half), again = self.slope, self.again
+        dates = [
+            {"date": d.day.isoformat(), "recording": d.name, "error": d.error, "bend": d.bend}
+            | {"bend_ci95": [d.bend - d.half, d.bend + d.half]}
+            for d in self.dates
+        ]
+        change = {"value": slope, "ci95": [slope - half, slope + half]}
+        out = {"unit": self.unit, "dates": dates, "bend_change_per_day": change}
+        return out | {"calibrate_again": again and again.isoformat()}
 
 
 def ageing(twin: Twin, recordings: list[Recording], seed: int = 0) -> Ageing:

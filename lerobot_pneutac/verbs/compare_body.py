@@ -196,10 +196,8 @@ class BodyComparison(Comparison):
         text = f"{who} misses the measured {what} by {error:.3g} {self.unit}{where}"
         commanded = self.recording.samples[self.recording.pressure_columns].to_numpy(float)
         if np.ptp(commanded, axis=0).max() <= 1e-3:
-            return (
-                "The commanded pressure never moves in this recording, so nothing about bending can be "
-                f"learnt from it; record steps or ramps. {text}."
-            )
+            still = "The commanded pressure never moves in this recording, so it shows nothing about bending"
+            return f"{still}; record steps or ramps. {text}."
         if noise:
             if error / noise <= NOISE:
                 return f"{text}: at the noise ({noise:.2g} {self.unit})."
@@ -226,11 +224,8 @@ class BodyComparison(Comparison):
     @property
     def inside_band(self) -> str:
         """The coverage, which must not be None, in words."""
-        values = "values" if self.train is None else "held-out values"
-        return (
-            f"{100 * self.coverage:.0f} % of the {values}; about 95 % is expected, less means that the model "
-            "claims to know more than it does"
-        )
+        share = f"{100 * self.coverage:.0f} % of the {'' if self.train is None else 'held-out '}values"
+        return f"{share}; about 95 % is expected, less means that the twin's intervals are too narrow"
 
     @property
     def by(self) -> dict[str, list[dict]]:

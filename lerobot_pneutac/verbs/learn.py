@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from lerobot_pneutac.cli.options import keywords
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis.design import NO_HANDS, Choice, Limits, choices
 from lerobot_pneutac.diagnosis.experiment import predict, read
@@ -20,14 +21,7 @@ from lerobot_pneutac.reports.learn import PREDICTED, learn_page
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.reports.sentences import called
 from lerobot_pneutac.study.pair import same_body, same_chambers, same_length
-from lerobot_pneutac.verbs.benches import (
-    Bench,
-    MeasuredBench,
-    StandinBench,
-    check_bench,
-    make_bench,
-    save_choice,
-)
+from lerobot_pneutac.verbs.benches import Bench, check_bench, make_bench, save_choice
 from lerobot_pneutac.verbs.diagnose import Diagnosis, diagnose, load_candidates
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.recording import Recording, joined
@@ -46,51 +40,32 @@ LEFT = 1.15  # error over noise, on all that was measured, above which something
 
 @dataclass(frozen=True)
 class Round:
-    """One program and what it taught.
+    """One program and what it taught."""
 
-    Attributes:
-        number: from 0.
-        program: its name.
-        kind: see `Choice`.
-        seconds: of the program.
-        pause_s: see `Bench`.
-        unit: of the errors.
-        noise: floor of the error.
-        predicted_error: of this recording before it was used, by the best model then; None in the first.
-        bare_error: the same by the twin as it was given, re-fitted.
-        without: effect to the least such error without its kind of physics, by other models or by the best
-            model without it, gain and offset fitted to favour it.
-        error: on test blocks of everything measured so far, by the best model now.
-        verdict: now.
-        selected: effects found now, the most important first.
-        sentence: what was found.
-        probabilities: each candidate's among the others, its terms joined by ` + `.
-        hand: what a hand had changed for it, see `hands.HANDS`; empty for nothing.
-        needed_by: effect to the number of the round whose recording was predicted with it, and not without.
-        confirmed_by: those of them found while the form sufficed and noise alone was left: else a law may
-            stand in for another. A recording that `refutes` ends that.
-        likely_right: see `Outcome`.
-    """
-
-    number: int
-    program: str
-    kind: str
-    seconds: float
-    pause_s: float | None
-    unit: str
-    noise: float
-    predicted_error: float | None
-    bare_error: float | None
+    number: int  # from 0
+    program: str  # its name
+    kind: str  # see `Choice`
+    seconds: float  # of the program
+    pause_s: float | None  # see `Bench`
+    unit: str  # of the errors
+    noise: float  # floor of the error
+    predicted_error: float | None  # of this recording before it was used, by the best model then, if any
+    bare_error: float | None  # the same by the twin as it was given, re-fitted
+    # effect to the least such error without its kind of physics, by other models or by the best model without
+    # it, gain and offset fitted to favour it
     without: dict[str, float]
-    error: float
-    verdict: str
-    selected: list[str]
-    sentence: str
-    probabilities: dict[str, float]
-    hand: str = ""
+    error: float  # on test blocks of everything measured so far, by the best model now
+    verdict: str  # now
+    selected: list[str]  # effects found now, the most important first
+    sentence: str  # what was found
+    probabilities: dict[str, float]  # each candidate's among the others, its terms joined by ` + `
+    hand: str = ""  # what a hand had changed for it, see `hands.HANDS`; empty for nothing
+    # effect to the number of the round whose recording was predicted with it, and not without
     needed_by: dict[str, int] = field(default_factory=dict)
+    # those of them found while the form sufficed and noise alone was left: else a law may stand in for
+    # another. A recording that `refutes` ends that
     confirmed_by: dict[str, int] = field(default_factory=dict)
-    likely_right: float | None = None
+    likely_right: float | None = None  # see `Outcome`
 
     @property
     def suffices(self) -> bool:
@@ -154,16 +129,14 @@ class Learning(Result):
         r = self.last
         minutes = f"{self.bench_s / 60:.1f} minutes on the bench in {len(self.rounds)} programs"
         names = {e: called(e, self.twin) for e in r.selected}
-        if not r.selected:
-            what = "nothing is missing" if self.confirmed else "nothing significant was found"
-        else:
+        what = "nothing is missing" if self.confirmed else "nothing significant was found"
+        if r.selected:
             what = f"the {self.twin.device} behaves like {listed(names.values())}"
         text = f"After {minutes}: {what}."
         if r.predicted_error is not None:
-            text += (
-                f" The last program was predicted to {r.predicted_error:.3g} {r.unit} before it was used "
-                f"({r.predicted_error / r.noise:.2g} times the noise)."
-            )
+            times = f"{r.predicted_error / r.noise:.2g} times the noise"
+            text += f" The last program was predicted to {r.predicted_error:.3g} {r.unit} before it was used"
+            text += f" ({times})."
         if proven := [n for e, n in names.items() if e in r.confirmed_by]:
             text += f" Confirmed, by a program of another kind that needed it: {', '.join(proven)}."
         if r.unconfirmed:
@@ -171,22 +144,18 @@ class Learning(Result):
         return f"{text} It ended because {self.ended}."
 
     def rows(self) -> list[dict]:
-        return [
-            {
-                "round": r.number,
-                "program": r.program,
-                "s": f"{r.seconds:.0f}",
-                "foreseen": "" if r.predicted_error is None else f"{r.predicted_error:.3g}",
-                "as given": "" if r.bare_error is None else f"{r.bare_error:.3g}",
-                f"after, {r.unit}": f"{r.error:.3g}",
-                "noise": f"{r.noise:.3g}",
-                "found": "; ".join(f"{plain_name(e)}{'*' if e in r.confirmed_by else ''}" for e in r.selected)
-                or "-",
-                "right": "" if r.likely_right is None else f"{100 * r.likely_right:.0f} %",
-                "verdict": r.verdict,
-            }
-            for r in self.rounds
-        ]
+        def number(x: float | None) -> str:
+            return "" if x is None else f"{x:.3g}"
+
+        rows = []
+        for r in self.rounds:
+            found = "; ".join(f"{plain_name(e)}{'*' * (e in r.confirmed_by)}" for e in r.selected)
+            row = {"round": r.number, "program": r.program, "s": f"{r.seconds:.0f}"}
+            row |= {"foreseen": number(r.predicted_error), "as given": number(r.bare_error)}
+            row |= {f"after, {r.unit}": number(r.error), "noise": number(r.noise), "found": found or "-"}
+            right = "" if r.likely_right is None else f"{100 * r.likely_right:.0f} %"
+            rows.append(row | {"right": right, "verdict": r.verdict})
+        return rows
 
     def remarks(self) -> list[str]:
         return [
@@ -317,9 +286,7 @@ def learn(
 class Rounds:
     """The rounds in a folder: `round_K` with `program.csv`, `recording`, `diagnosis`, last `round.json`."""
 
-    def __init__(
-        self, out: Path, twin: Twin, bench: Bench, seed: int, jobs: int, progress, hands: Hands = NO_HANDS
-    ):
+    def __init__(self, out: Path, twin: Twin, bench: Bench, seed: int, jobs: int, progress, hands=NO_HANDS):
         self._out, self._bench, self._hands = out, bench, hands
         self._how = {"seed": seed, "jobs": jobs, "progress": progress}
         self._base = twin
@@ -345,9 +312,9 @@ class Rounds:
         """The next program, and why there is none; an empty reason where there is one."""
         if not self.done:
             t, p = first_program(limits)
-            if t[-1] > limits.seconds:
+            if (s := t[-1]) > limits.seconds:
                 raise InputError(
-                    f"The first program takes {t[-1]:.0f} s; give a budget of {2 * t[-1]:.0f} s or more."
+                    f"The first program takes {s:.0f} s; give a budget of {2 * s:.0f} s or more."
                 )
             return Choice("first", "first", t, p, 0.0, 0.0, 1.0, (), conditions=self._hands.usual), ""
         hands = set(self._hands.changes) - {r.hand for r in self.done}  # each is asked once before the end
@@ -407,9 +374,7 @@ class Rounds:
         recording = same_body(self._base, Recording.load(folder / "recording"), "learn")
         everything = self._joined((recording, entry["pause_s"]))
         newest = slice(len(everything) - len(recording), None)
-        predicted_ahead = self._predicted_ahead(everything, newest)
-        if self.done:
-            self._write_paths(folder / PREDICTED, everything, newest)
+        predicted_ahead = self._predicted_ahead(folder, everything, newest)
         found = diagnose(self._base, everything, **self._how)
         found.save(folder / "diagnosis")
         self._recordings.append(recording)
@@ -449,25 +414,23 @@ class Rounds:
             return ""
         recording = same_body(self._base, Recording.load(folder / "recording"), "learn")
         everything = self._joined((recording, self._bench.pause_s))
-        rows = slice(len(everything) - len(recording), None)
-        best, noise = self._candidates[0].twin, self.done[-1].noise
-        usual, requested = self._hands.usual, choice.conditions
-        return unlike_request(best, everything, rows, usual, requested, CONFIRMS * noise)
+        rows, least = slice(len(everything) - len(recording), None), CONFIRMS * self.done[-1].noise
+        asked = self._hands.usual, choice.conditions
+        return unlike_request(self._candidates[0].twin, everything, rows, *asked, least)
 
-    def _write_paths(self, file: Path, everything: Recording, rows: slice) -> None:
-        seen, measured, names = paths(self._candidates[0].twin, everything, rows)
-        entry = ["time_s", *everything.pressure_columns]
-        table = everything.samples.iloc[rows][entry].reset_index(drop=True)
-        for i, name in enumerate(names):
-            table[f"{name} foreseen"], table[f"{name} measured"] = seen[:, i], measured[:, i]
-        with whole(file) as part:
-            table.to_csv(part, index=False, float_format="%.6g")
-
-    def _predicted_ahead(self, everything: Recording, rows: slice) -> dict:
+    def _predicted_ahead(self, folder: Path, everything: Recording, rows: slice) -> dict:
+        """Fields of `Round` on how well the newest rows were predicted; writes the paths into `folder`."""
         if not self.done:
             return {"predicted_error": None, "bare_error": None, "without": {}}
         candidates = self._candidates
         best, terms = candidates[0].twin, candidates[0].terms
+        seen, measured, names = paths(best, everything, rows)
+        columns = ["time_s", *everything.pressure_columns]
+        table = everything.samples.iloc[rows][columns].reset_index(drop=True)
+        for i, name in enumerate(names):
+            table[f"{name} foreseen"], table[f"{name} measured"] = seen[:, i], measured[:, i]
+        with whole(folder / PREDICTED) as part:
+            table.to_csv(part, index=False, float_format="%.6g")
         errors = [error_of(c.twin, everything, rows) for c in candidates]
 
         def lacking(effect: str) -> float:
@@ -553,12 +516,10 @@ def command(cfg: LearnConfig, terminal: Terminal) -> None:
 
     twin = Twin.load(cfg.twin)
     bench, usual = make_bench(cfg.measure, cfg.out, cfg.seed, twin.device)
-    length_mm = bench.length_mm if isinstance(bench, StandinBench | MeasuredBench) else None
+    length_mm = getattr(bench, "length_mm", None)
     if length_mm is not None and not same_length(length_mm, twin):
-        raise InputError(
-            f"The device on the bench is {length_mm:g} mm long and the twin's {twin.length_mm:g} mm; give a"
-            " twin of that device."
-        )
+        both = f"The device on the bench is {length_mm:g} mm long and the twin's {twin.length_mm:g} mm"
+        raise InputError(f"{both}; give a twin of that device.")
 
     def ask(sentence: str) -> None:
         if cfg.measure is None:
@@ -568,22 +529,18 @@ def command(cfg: LearnConfig, terminal: Terminal) -> None:
         except EOFError as e:
             raise InputError(f"{sentence} There is no answer; give --hands=none, or a terminal.") from e
 
-    hands = Hands.of(named(cfg.hands), usual, cfg.payload_g, cfg.warm_c, ask)
-
     def show_round(r: Round) -> None:
         predicted = "" if r.predicted_error is None else f", predicted to {r.predicted_error:.3g}"
-        terminal.console.print(
-            f"round {r.number}, {r.program} ({r.seconds:.0f} s){predicted}: {r.error:.3g} {r.unit} (noise "
-            f"{r.noise:.3g}) with {listed(map(plain_name, r.selected or ['nothing']))}, {r.verdict}",
-            highlight=False,
-        )
+        error = f"{r.error:.3g} {r.unit} (noise {r.noise:.3g})"
+        found = listed(map(plain_name, r.selected or ["nothing"]))
+        program = f"{r.program} ({r.seconds:.0f} s){predicted}"
+        terminal.say(f"round {r.number}, {program}: {error} with {found}, {r.verdict}")
 
+    how = keywords(cfg, learn) | {"hands": Hands.of(named(cfg.hands), usual, cfg.payload_g, cfg.warm_c, ask)}
+    how |= {"budget_s": 60 * cfg.budget_min, "on_round": show_round}
     try:
         with terminal.progress() as progress:
-            result = learn(
-                twin, bench, cfg.out, budget_s=60 * cfg.budget_min, program_s=cfg.program_s, seed=cfg.seed,
-                jobs=cfg.jobs, hands=hands, progress=progress, on_round=show_round,
-            )  # fmt: skip
+            result = learn(twin, bench, cfg.out, **how, progress=progress)
     except HardwareFault as e:
         raise InputError(f"{e} Finished rounds are stored; the same command continues after them.") from e
     terminal.finish(result, cfg.out)

@@ -20,13 +20,8 @@ from lerobot_robot_pneutac import DigitConfig  # noqa: F401  registers the tacti
 from lerobot_robot_pneutac.hardware.chambers import Chambers
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault
 from lerobot_robot_pneutac.robots.config_pneutac import PressureConfig
-from pneutac_datasets.recording.axes import (
-    chambers_commanded,
-    command_columns,
-    device_with,
-    measured_columns,
-    per_chamber,
-)
+from pneutac_datasets.recording import axes
+from pneutac_datasets.recording.axes import per_chamber
 from pneutac_datasets.recording.mounts import CONDITIONS
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import plural
@@ -53,7 +48,7 @@ def program_chambers(given: str, recording: Path | None = None) -> int:
         return 0
     if Path(given).suffix == ".json":
         return len(Recording.load(recording).pressure_columns) if recording is not None else 0
-    return chambers_commanded(_read(Path(given)))
+    return axes.chambers_commanded(_read(Path(given)))
 
 
 def read_program(
@@ -85,14 +80,11 @@ def read_program(
 
 
 def _check_range(t: PressureTrial, min_kpa: np.ndarray, max_kpa: np.ndarray) -> None:
-    lowest, highest = t.pressure_kpa.min(axis=0), t.pressure_kpa.max(axis=0)
-    for i, (low, high) in enumerate(zip(lowest, highest, strict=True)):
-        if low < min_kpa[i] or high > max_kpa[i]:
-            where = f" in chamber {i + 1}" if len(lowest) > 1 else ""
-            raise InputError(
-                f"The program '{t.program}' goes from {low:g} to {high:g} kPa{where}; --min_kpa and --max_kpa"
-                f" allow {min_kpa[i]:g} to {max_kpa[i]:g}."
-            )
+    for i, p in enumerate(t.pressure_kpa.T):
+        if p.min() < min_kpa[i] or p.max() > max_kpa[i]:
+            where = f" in chamber {i + 1}" if t.pressure_kpa.shape[1] > 1 else ""
+            goes = f"The program '{t.program}' goes from {p.min():g} to {p.max():g} kPa{where}"
+            raise InputError(f"{goes}; --min_kpa and --max_kpa allow {min_kpa[i]:g} to {max_kpa[i]:g}.")
 
 
 def _builtin(name: str, top: np.ndarray, hz: float) -> list[PressureTrial]:
@@ -137,18 +129,14 @@ def _read(path: Path) -> pd.DataFrame:
 
 
 def _table(path: Path, hz: float, chambers: int) -> list[PressureTrial]:
-    table, commands = _read(path), command_columns(chambers)
+    table, commands = _read(path), axes.command_columns(chambers)
     found = [c for c in table if str(c).startswith("pressure_cmd_")]
     if found and not set(commands) <= set(found):
-        raise InputError(
-            f"{path} commands {plural(len(found), 'chamber')} ({', '.join(found)}) of the {chambers} that are"
-            f" driven; give {', '.join(commands)}."
-        )
+        given = f"{path} commands {plural(len(found), 'chamber')} ({', '.join(found)})"
+        raise InputError(f"{given} of the {chambers} that are driven; give {', '.join(commands)}.")
     if extra := [c for c in found if c not in commands]:
-        raise InputError(
-            f"{path} commands {', '.join(extra)} too, and {plural(chambers, 'chamber')} is driven; leave out"
-            " the others."
-        )
+        driven = f"{plural(chambers, 'chamber')} is driven"
+        raise InputError(f"{path} commands {', '.join(extra)} too, and {driven}; leave out the others.")
     for column in ("time_s", *commands, *(c for c in CONDITIONS if c in table)):
         if column not in table:
             raise InputError(f"{path}: column '{column}' is missing; it has {', '.join(table)}.")
@@ -181,10 +169,8 @@ def _proposed(path: Path, recording: Path | None, hz: float, chambers: int) -> P
         raise InputError("program=result.json needs recording, the folder that was diagnosed.")
     r = Recording.load(recording)
     if len(r.pressure_columns) != chambers:
-        raise InputError(
-            f"{recording} has {plural(len(r.pressure_columns), 'chamber')}, and {chambers} would be driven;"
-            " give the bench of the device that was diagnosed."
-        )
+        both = f"{recording} has {plural(len(r.pressure_columns), 'chamber')}, and {chambers} would be driven"
+        raise InputError(f"{both}; give the bench of the device that was diagnosed.")
     advice = advice.replace("alike about both", EVENLY)  # as it was worded before 0.2
     found = {e: {k: v["value"] for k, v in c.items()} for e, c in diagnosed.get("parameters", {}).items()}
     for p in [*menu(r), *law_programs(r, found)]:
@@ -248,13 +234,10 @@ class MeasureConfig:
             if getattr(self, name) is None:
                 option = "camera.type" if name == "camera" else name
                 raise InputError(f"{option} is missing.")
-        for kpa in np.atleast_1d(self.max_kpa):
-            if not 0 < kpa < np.inf:
-                raise InputError(f"max_kpa={kpa} must be positive.")
-        for name in ("length_mm", "hz", "repeat", "marker_mm", "square_mm"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < np.inf:
-                raise InputError(f"{name}={value} must be positive.")
+        for name in ("max_kpa", "length_mm", "hz", "repeat", "marker_mm", "square_mm"):
+            for value in np.atleast_1d(getattr(self, name)):
+                if value is not None and not 0 < value < np.inf:
+                    raise InputError(f"{name}={value} must be positive.")
         for name, value in self.conditions.items():
             check_choice("conditions", name, tuple(CONDITIONS))
             if not np.isfinite(value):
@@ -267,14 +250,13 @@ class MeasureConfig:
             if not -np.inf < kpa <= 0:
                 raise InputError(f"min_kpa={kpa} must be 0, or below it for vacuum.")
         if self.hz < MIN_HZ:
-            raise InputError(
-                f"hz={self.hz} must be {MIN_HZ:g} or more; pressure is held {COMMAND_S} s a sample."
-            )
+            why = f"pressure is held {COMMAND_S} s a sample"
+            raise InputError(f"hz={self.hz} must be {MIN_HZ:g} or more; {why}.")
         if not 0 <= self.rest_s < np.inf:
             raise InputError(f"rest_s={self.rest_s} must be 0 or more.")
         if self.out is not None:
             check_new(self.out, f"out={self.out}")
-        device_with(self.chambers)
+        axes.device_with(self.chambers)
         per_chamber("min_kpa", self.min_kpa, self.chambers)
         per_chamber("max_kpa", self.max_kpa, self.chambers)
 
@@ -417,8 +399,11 @@ class BenchDriver:
             if tip is None:
                 continue
             row = {"trial": number, "time_s": now_s, "time_sent_s": sent_s, "program": trial.program}
-            row |= dict(zip(command_columns(len(kpa)), command.tolist(), strict=True))
-            row |= dict(zip(measured_columns(len(kpa)), kpa.tolist(), strict=True)) | self._config.conditions
+            row |= dict(zip(axes.command_columns(len(kpa)), command.tolist(), strict=True))
+            row |= (
+                dict(zip(axes.measured_columns(len(kpa)), kpa.tolist(), strict=True))
+                | self._config.conditions
+            )
             row |= trial.conditions
             row |= dict(zip(("tip_x_mm", "tip_y_mm", "tip_z_mm"), tip.tolist(), strict=True))
             for name, image in images.items():
@@ -458,7 +443,7 @@ class BenchDriver:
         numbers |= {"distortion": camera.distortion}
         meta["cameras"] = {"camera": {name: array.tolist() for name, array in numbers.items()}}
         samples = pd.DataFrame(self._rows)
-        device = device_with(self._config.chambers)
+        device = axes.device_with(self._config.chambers)
         new = Recording(self._config.out, meta, samples, device).write(self._config.out / "new")
         # a trial in the table is final, and recording.json names none that is not in it
         names = ["recording.json", "samples.csv"]

@@ -37,16 +37,9 @@ def main(arguments: list[str] | None = None) -> int:
         if o.device == "gel":
             sys.stdout.write(f"{write_gel(o.effect.split(','), o.out, o.seed, o.day, o.presses)}\n")
             return 0
-        truth = generate(
-            o.device,
-            o.effect.split(","),
-            o.seed,
-            o.day,
-            None if o.gauge is None else o.gauge == "yes",
-            o.minutes,
-            o.state_noise == "yes",
-            o.state_pauses == "yes",
-        )
+        stated = {name: getattr(o, name) == "yes" for name in ("state_noise", "state_pauses")}
+        gauge = None if o.gauge is None else o.gauge == "yes"
+        truth = generate(o.device, o.effect.split(","), o.seed, o.day, gauge, o.minutes, **stated)
     except (ValueError, ImportError, ArithmeticError) as e:
         parser.error(str(e))
     sys.stdout.write(f"{write(truth, o.out)}\n")

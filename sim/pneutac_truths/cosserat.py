@@ -37,36 +37,23 @@ def stiffness_of(period_s: float, length_m: float, mass_kg: float, tip_kg: float
 
 
 class Moving:
-    """A clamped rod that PyElastica moves on from step to step.
+    """A clamped round rod that PyElastica moves on from step to step, with a mass `tip_kg` at its free end.
 
-    Attributes:
-        rod: PyElastica's rod; metres, its directors' rows are z, -y and x of a straight device.
-        bending: (3, 3, elements - 1) bending matrix of the plain material.
+    Its lowest bending mode has this period, by `stiffness_of`, and this ratio of damping; `forces` is a class
+    of PyElastica's, if any acts. `rod` is PyElastica's, in metres, its directors' rows z, -y and x of a
+    straight device; `bending` (3, 3, elements - 1) the bending matrix of the plain material.
     """
 
     def __init__(self, length_m, radius_m, period_s, damping, tip_kg=0.0, elements=ELEMENTS, forces=None):
-        """A straight rod at rest, round, with a mass `tip_kg` at its free end.
-
-        Its lowest bending mode has this period, by `stiffness_of`, and this ratio of damping; `forces` is a
-        class of PyElastica's, if any acts.
-        """
         ea = elastica()
         mass = DENSITY * math.pi * radius_m**2 * length_m
         stiff = stiffness_of(period_s, length_m, mass, tip_kg)
         modulus = stiff / (math.pi * radius_m**4 / 4)
         kinds = (ea.BaseSystemCollection, ea.Constraints, ea.Forcing, ea.Damping)
         self._system = type("System", kinds, {})()
-        self.rod = ea.CosseratRod.straight_rod(
-            elements,
-            np.zeros(3),
-            np.array([1.0, 0, 0]),
-            np.array([0, 0, 1.0]),
-            length_m,
-            radius_m,
-            DENSITY,
-            youngs_modulus=modulus,
-            shear_modulus=modulus / 3,
-        )
+        frame = np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 0, 1.0])
+        moduli = {"youngs_modulus": modulus, "shear_modulus": modulus / 3}
+        self.rod = ea.CosseratRod.straight_rod(elements, *frame, length_m, radius_m, DENSITY, **moduli)
         self.rod.mass[-1] += tip_kg
         wave = length_m / elements / math.sqrt(modulus / DENSITY)
         self.parts = max(1, math.ceil(DT_S / (STABLE * wave)))
@@ -97,19 +84,12 @@ class Moving:
 def move(w: World) -> np.ndarray:
     """Marker (m, 3) in mm in all rows of the fine grid that belong to trials.
 
-    Raises:
-        ImportError: PyElastica is not installed.
-        ArithmeticError: the motion did not stay finite.
+    Raises ImportError where PyElastica is not installed, ArithmeticError where the motion is not finite.
     """
-    line = w.body.rod
-    inputs = w.rod_inputs(np.arange(len(w.time_s)))
-    length = 1e-3 * line.length_mm
-    outside = _outside(w, line)
-    share = w.dynamics.get("tip_share", 0.1)
-    tip_kg = share * DENSITY * math.pi * (THICKNESS * length) ** 2 * length
-    body = Moving(
-        length, THICKNESS * length, w.dynamics["period_s"], w.dynamics["damping"], tip_kg, forces=outside
-    )
+    line, d, outside = w.body.rod, w.dynamics, _outside(w, w.body.rod)
+    inputs, length = w.rod_inputs(np.arange(len(w.time_s))), 1e-3 * line.length_mm
+    tip_kg = d.get("tip_share", 0.1) * DENSITY * math.pi * (THICKNESS * length) ** 2 * length
+    body = Moving(length, THICKNESS * length, d["period_s"], d["damping"], tip_kg, forces=outside)
     outside.body = body
     at_voronoi, at_element = _fields(line)
     out, k = np.empty((int((w.plan.trial >= 0).sum()), 3)), 0
@@ -131,10 +111,8 @@ def move(w: World) -> np.ndarray:
 
 def _fields(line: Rod) -> tuple[np.ndarray, np.ndarray]:
     """Curvatures (3, ELEMENTS - 1) per radian in 1/m, and strain per unit of stretch (ELEMENTS,)."""
-    n = line.shapes.shape[1]
-    s = (np.arange(n) + 0.5) / n
-    nodes = np.arange(1, ELEMENTS) / ELEMENTS
-    shapes = np.stack([np.interp(nodes, s, x) for x in line.shapes])
+    s = (np.arange(line.shapes.shape[1]) + 0.5) / line.shapes.shape[1]
+    shapes = np.stack([np.interp(np.arange(1, ELEMENTS) / ELEMENTS, s, x) for x in line.shapes])
     h = 1e-3 * line.length_mm / ELEMENTS
     middles = (np.arange(ELEMENTS) + 0.5) / ELEMENTS
     return shapes / (shapes.sum(1, keepdims=True) * h), np.interp(middles, s, line.stretched)

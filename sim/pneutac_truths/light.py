@@ -21,7 +21,7 @@ power of the cosine; the chip saturates.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -36,15 +36,10 @@ class Lamps:
     """Light and lens of one sensor; millimetres in the gel's frame, z out of the sensor."""
 
     # (lamps, 3) of the LEDs
-    places: np.ndarray = field(
-        default_factory=lambda: np.array([[-8.5, 0.5, -3.4], [8.8, -2.0, -3.1], [-0.8, 10.8, -3.8]])
-    )
+    places: np.ndarray = (-8.5, 0.5, -3.4), (8.8, -2.0, -3.1), (-0.8, 10.8, -3.8)
     # (lamps, 3) how much red, green and blue of each the chip sees
-    colours: np.ndarray = field(
-        default_factory=lambda: np.array([[84.0, 9.0, 9.0], [8.0, 78.0, 12.0], [5.0, 16.0, 92.0]])
-    )
-    # (3,) light from everywhere
-    scattered: np.ndarray = field(default_factory=lambda: np.array([0.14, 0.19, 0.23]))
+    colours: np.ndarray = (84.0, 9.0, 9.0), (8.0, 78.0, 12.0), (5.0, 16.0, 92.0)
+    scattered: tuple[float, float, float] = 0.14, 0.19, 0.23  # light from everywhere
     gloss: tuple[float, float] = (0.25, 12.0)  # share of the glossy lobe, and its exponent
     camera_mm: float = 21.0  # how far below the face the lens sits
     softness: float = 0.16  # width of a shadow's edge over the distance from what casts it
@@ -53,12 +48,8 @@ class Lamps:
 def light(z_mm: np.ndarray, xs_mm: np.ndarray, ys_mm: np.ndarray, lamps: Lamps) -> np.ndarray:
     """Levels (rows, columns, 3), 0 to 255, of a face whose height is z (rows, columns) over x and y, mm."""
     dy, dx = np.gradient(z_mm, ys_mm, xs_mm)
-    gloss, sharp = lamps.gloss
-    seen = np.empty((*z_mm.shape, 3))
-    _shine(
-        z_mm, dx, dy, xs_mm, ys_mm, lamps.places, lamps.colours, gloss, sharp, lamps.camera_mm,
-        lamps.softness, seen,
-    )  # fmt: skip
+    seen, leds = np.empty((*z_mm.shape, 3)), (np.array(lamps.places), np.array(lamps.colours))
+    _shine(z_mm, dx, dy, xs_mm, ys_mm, *leds, *lamps.gloss, lamps.camera_mm, lamps.softness, seen)
     away = (xs_mm[None, :] ** 2 + ys_mm[:, None] ** 2) / lamps.camera_mm**2
     dark = (1 + away) ** -2.0  # cos^4
     return 255 * (1 - np.exp(-(seen + lamps.scattered) * dark[..., None]))
@@ -153,13 +144,9 @@ def _march(kinds, sizes, places, turns, xs, ys, out):
                 px, py, z = xs[j] - c[0], ys[i] - c[1], -REACH_MM
                 for _ in range(MARCHES):
                     pz = z - c[2]
-                    d = _distance(
-                        kinds[k],
-                        sizes[k],
-                        R[0, 0] * px + R[1, 0] * py + R[2, 0] * pz,
-                        R[0, 1] * px + R[1, 1] * py + R[2, 1] * pz,
-                        R[0, 2] * px + R[1, 2] * py + R[2, 2] * pz,
-                    )
+                    x = R[0, 0] * px + R[1, 0] * py + R[2, 0] * pz
+                    y = R[0, 1] * px + R[1, 1] * py + R[2, 1] * pz
+                    d = _distance(kinds[k], sizes[k], x, y, R[0, 2] * px + R[1, 2] * py + R[2, 2] * pz)
                     z += d
                     if d < NEAR_MM or z > REACH_MM:
                         break
@@ -246,14 +233,11 @@ def love(x, y, a: float, b: float) -> np.ndarray:
 
 
 class Gel:
-    """One sensor.
+    """One sensor, whose modulus is E / (1 - nu^2).
 
-    Its face bulges by a large radius, so a plane meets it as a ball does (Hertz 1882; Johnson, Contact
-    Mechanics (1985) ch. 4).
-
-    Attributes:
-        rest_image: uint8 (H, W, 3) without contact.
-        rest_mm: (rows, columns) height of the resting face over x (columns,) and y (rows,), `xs_mm`, `ys_mm`.
+    Its face bulges by a large radius `dome_mm`, so a plane meets it as a ball does (Hertz 1882; Johnson,
+    Contact Mechanics (1985) ch. 4). `rest_image` is uint8 (H, W, 3) without contact, `rest_mm` (rows,
+    columns) the height of the resting face over x (columns,) and y (rows,), `xs_mm`, `ys_mm`.
     """
 
     shape = (64, 48)  # rows and columns of contact and light
@@ -266,16 +250,11 @@ class Gel:
         dome_mm: float = 35.0,
         lamps: Lamps | None = None,
     ):
-        """A gel at rest, with its modulus E / (1 - nu^2) and the radius of its bulging face.
-
-        The picture has height, width and channels of `image_shape`; the window is (width, height).
-        """
         rows, columns = self.shape
         self._size, self.modulus_kpa, self.dome_mm = image_shape[1::-1], modulus_kpa, dome_mm
         cell = window_mm[0] / columns, window_mm[1] / rows
-        self.xs_mm, self.ys_mm = (
-            (np.arange(n) + 0.5 - n / 2) * c for n, c in zip((columns, rows), cell, strict=True)
-        )
+        self.xs_mm = (np.arange(columns) + 0.5 - columns / 2) * cell[0]
+        self.ys_mm = (np.arange(rows) + 0.5 - rows / 2) * cell[1]
         self.rest_mm = -(self.xs_mm[None, :] ** 2 + self.ys_mm[:, None] ** 2) / (2 * dome_mm)
         self._body = HalfSpace(modulus_kpa, cell, self.shape)
         self._lamps = lamps or Lamps()

@@ -11,13 +11,10 @@ from pneutac_truths.rod import BEND_Z, COLUMNS, SET_Z, SOFT, TIP_FORCE, Rod
 class OnlineRod:
     """A rod behind an orifice whose material creeps by a power law and is hysteretic by Preisach's relays.
 
-    `effects.air.fill_orifice`, `effects.material.creep_fractional` and `hysteresis_preisach`, one after the
-    other on the truths' fine time grid; no second physics.
-
-    Attributes:
-        air: pressure in the chamber, share of the top pressure.
-        drive_rad: bend that this pressure drives.
-        memory_rad: bend that the material remembers, with the one that it was moulded with.
+    `effects.air.fill_orifice`, `effects.material.creep_fractional` and `hysteresis_preisach`, whose
+    parameters it takes, one after the other on the truths' fine time grid; no second physics. `air` is the
+    pressure in the chamber, share of the top pressure, `drive_rad` the bend that it drives, `memory_rad` the
+    one that the material remembers, with `moulded_rad`, its bend without pressure.
     """
 
     def __init__(
@@ -30,11 +27,6 @@ class OnlineRod:
         creep: dict[str, float],
         hysteresis: dict[str, float],
     ):
-        """A rod that has long been without pressure.
-
-        At `top_kpa` it bends by `bend_rad` at once, without pressure by `moulded_rad`. Orifice, creep and
-        hysteresis are the parameters of `fill_orifice`, `creep_fractional` and `hysteresis_preisach`.
-        """
         self._rod, self._top_kpa, self._bend_rad, self._moulded = rod, top_kpa, bend_rad, moulded_rad
         self._orifice = [orifice[k] for k in ("critical", "supply", "growth", "size")]
         self._creep = creep["order"], creep["size"]
@@ -72,14 +64,10 @@ class OnlineRod:
         self._row += rows
         self.air = float(air[-1]) if rows else self.air
         self.drive_rad = self._bend_rad * self.air
-        self.memory_rad = self._moulded + self._crept() + self._relayed()
-
-    def _crept(self) -> float:
         order, size = self._creep
-        return size * float(self._steps @ ((self._row - 0.5 - self._rows) * DT_S) ** order)
-
-    def _relayed(self) -> float:
-        return self._size * self._bend_rad * (float(self._relays @ self._weight) - self.air)
+        crept = size * float(self._steps @ ((self._row - 0.5 - self._rows) * DT_S) ** order)
+        relayed = self._size * self._bend_rad * (float(self._relays @ self._weight) - self.air)
+        self.memory_rad = self._moulded + crept + relayed
 
     def bends_rad(self, parts: int) -> np.ndarray:
         """Bend (parts,) of as many equal lengths of the unloaded rod, rad; `parts` divides its elements."""

@@ -15,9 +15,8 @@ import numpy as np
 from numba import njit
 
 ELEMENTS = 80
-TWIST_COMPLIANCE = (
-    1.3  # bending over twisting stiffness of a round, incompressible rod is 1.5, of a chambered one less
-)
+# Bending over twisting stiffness; of a round, incompressible rod it is 1.5, of a chambered one less.
+TWIST_COMPLIANCE = 1.3
 
 # Columns of the rod's inputs per solve.
 BEND_Z, BEND_Y, SET_Z, SET_Y, TWIST, STRETCH, SOFT = range(7)
@@ -104,14 +103,9 @@ def _sub_cross(m, a, b, f):
 def _shoot(m0, u, shapes, stretched, h, tip_mm, axial, miss, tip, tangent):
     """Integrates from the base with moment `m0` (midpoint rule); fills what the moment at the tip misses."""
     n_el = shapes.shape[1]
-    R = _turn(np.eye(3), u[13:16])
-    m = m0.copy()
-    r = np.zeros(3)
-    last = np.zeros(3)
-    half = np.empty(3)
-    n = np.empty(3)
-    k = np.empty(3)
-    a = np.empty(3)
+    R, m = _turn(np.eye(3), u[13:16]), m0.copy()
+    r, last = np.zeros(3), np.zeros(3)
+    half, n, k, a = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for e in range(n_el):
         left = (n_el - e - 0.5) * h
         for i in range(3):
@@ -138,9 +132,7 @@ def _shoot(m0, u, shapes, stretched, h, tip_mm, axial, miss, tip, tangent):
     for i in range(3):
         tip[i] = r[i] + tip_mm * R[i, 0]
         tangent[i] = R[i, 0]
-        n[i] = (
-            0.5 * u[10 + i] + u[16 + i]
-        )  # the piece's weight acts at its middle, other forces at the marker
+        n[i] = 0.5 * u[10 + i] + u[16 + i]  # the piece's weight acts at its middle, others at the marker
         miss[i] = m[i]
     _sub_cross(miss, R[:, 0], n, tip_mm)
 
@@ -165,17 +157,11 @@ def _step(J, miss, m0):
 @njit(cache=True)
 def _solve_one(m0, J, u, shapes, stretched, h, tip_mm, axial, tip, tangent):
     """Newton on the base moment; J is reused from row to row and renewed when it no longer serves."""
-    loaded = False
-    for i in range(7, 13):
-        loaded = loaded or u[i] != 0.0 or u[i + 6] != 0.0
-    loaded = loaded or u[16] != 0.0 or u[17] != 0.0 or u[18] != 0.0
-    miss = np.empty(3)
-    if not loaded:
+    miss, other, t2, d2 = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    if not u[7:19].any():  # no load
         m0[:] = 0.0
         _shoot(m0, u, shapes, stretched, h, tip_mm, axial, miss, tip, tangent)
         return True
-    other = np.empty(3)
-    t2, d2 = np.empty(3), np.empty(3)
     _shoot(m0, u, shapes, stretched, h, tip_mm, axial, miss, tip, tangent)
     for trial in range(40):
         size = math.sqrt(miss[0] ** 2 + miss[1] ** 2 + miss[2] ** 2)
@@ -202,11 +188,7 @@ def _solve_rows(inputs, shapes, stretched, h, tip_mm, axial):
     tips, tangents = np.empty((n, 3)), np.empty((n, 3))
     m0, J = np.zeros(3), np.zeros((3, 3))
     for i in range(n):
-        same = i > 0
-        if same:
-            for j in range(inputs.shape[1]):
-                same = same and inputs[i, j] == inputs[i - 1, j]
-        if same:
+        if i and (inputs[i] == inputs[i - 1]).all():
             tips[i], tangents[i] = tips[i - 1], tangents[i - 1]
             continue
         if not _solve_one(m0, J, inputs[i], shapes, stretched, h, tip_mm, axial, tips[i], tangents[i]):

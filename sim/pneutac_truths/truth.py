@@ -147,8 +147,7 @@ def generate(
     _conditions(w, samples, rng, lab)
     kind = "arm" if device == "arm" else "finger"
     meta = {"device": kind, "length_mm": round(w.body.length_mm, 2), "samples": "samples.csv"}
-    if state_noise:
-        meta["noise"] = noise
+    meta |= {"noise": noise} if state_noise else {}
     if state_pauses:
         starts = {str(i): {"start": "continues", "pause_s": p} for i, p in enumerate(w.plan.pauses_s)}
         meta["trials"] = starts | {"0": {"start": "rested"}}
@@ -176,9 +175,8 @@ def _commands(w: World, rng: np.random.Generator, log_sent: bool) -> pd.DataFram
 
 
 def _conditions(w: World, samples: pd.DataFrame, rng: np.random.Generator, lab: bool) -> None:
-    rows = w.plan.rows
+    rows, set_by = w.plan.rows, w.plan.conditions
     trial = w.plan.trial[rows]
-    set_by = w.plan.conditions
     gravity = set_by.get("gravity") if w.gravity is None else w.gravity
     payload_g = set_by.get("payload_g") if w.payload_g is None else w.payload_g
     if gravity is not None:
@@ -206,21 +204,13 @@ def write(truth: Truth, folder: str | Path) -> Path:
         raise FileExistsError(f"{folder} is not empty")
     truth.samples.to_csv(folder / "samples.csv", index=False, float_format="%.6g", lineterminator="\n")
     (folder / "recording.json").write_text(json.dumps(truth.meta, indent=1) + "\n", encoding="utf-8")
-    known = {
-        "device": truth.device,
-        "seed": truth.seed,
-        "day": truth.day,
-        "effects": [
-            {"name": k, "physics": EFFECTS[k].physics, "summary": EFFECTS[k].summary, "parameters": v}
-            for k, v in truth.effects.items()
-        ],
-        "noise_floor": truth.noise_floor,
-        "top_kpa": truth.top_kpa,
-        "pauses_s": truth.pauses_s,
-        "observed": truth.observed,
-        "pose": truth.pose.round(5).tolist(),
-        "true_pose": truth.true_pose.round(5).tolist(),
-    }
+    known = {name: getattr(truth, name) for name in ("device", "seed", "day")}
+    known["effects"] = [
+        {"name": k, "physics": EFFECTS[k].physics, "summary": EFFECTS[k].summary, "parameters": v}
+        for k, v in truth.effects.items()
+    ]
+    known |= {name: getattr(truth, name) for name in ("noise_floor", "top_kpa", "pauses_s", "observed")}
+    known |= {name: getattr(truth, name).round(5).tolist() for name in ("pose", "true_pose")}
     (folder / "truth.json").write_text(json.dumps(known) + "\n", encoding="utf-8")
     return folder
 
@@ -236,11 +226,7 @@ Parameters = dict[str, dict[str, float]]
 
 
 def run(w: World, drawn: Parameters) -> tuple[np.ndarray, Seen]:
-    """Lets the effects act on a world.
-
-    Returns:
-        Marker (rows, 3) in mm where it truly is at the stamps, and what the tracker made of it.
-    """
+    """Lets the effects act; returns the true marker (rows, 3) mm at the stamps and what the tracker saw."""
     act(w, drawn)
     fine = any(name in drawn for name in TIMED)
     rows = _rows(w, fine)
@@ -344,7 +330,11 @@ def sized(
         try:
             if strength is None:
                 both = [changed(device, name, seed, day, parameters) for day in SIZING_DAYS]
-                miss = _missing(wanted, np.log(np.maximum(both, 1e-6)))
+                both = np.log(np.maximum(both, 1e-6))
+                spread = abs(both[0] - both[1]) / 2  # each day stays within reason
+                least, most = np.log(LEAST_MOST) + [spread, -spread]
+                aim = np.clip(wanted, least, most) if least < most else (least + most) / 2
+                miss = float(aim - both.mean())
             else:
                 miss = wanted - np.log(max(changed(device, name, seed, 1, parameters, plan=plan), 1e-6))
         except ArithmeticError:  # loads beyond what this device can carry
@@ -356,13 +346,6 @@ def sized(
         inside = low + 0.1 * (high - low) < guess < high - 0.1 * (high - low)
         parameters["size"] = float(np.exp(guess if inside else (low + high) / 2))
     return tuple(parameters.items())
-
-
-def _missing(wanted: float, both: np.ndarray) -> float:
-    """By how much the mean of both days misses what is wanted, moved so that each day stays within reason."""
-    spread = abs(both[0] - both[1]) / 2
-    low, high = np.log(LEAST_MOST) + [spread, -spread]
-    return float((np.clip(wanted, low, high) if low < high else (low + high) / 2) - both.mean())
 
 
 def changed(device: str, name: str, seed: int, day: int, parameters: dict, plan: Plan | None = None) -> float:

@@ -132,14 +132,10 @@ class World:
         u[:, SET_Y] = self.memory[rows] @ np.sin(way)
         u[:, TWIST], u[:, STRETCH], u[:, SOFT] = self.twist[rows], self.stretch[rows], self.softer[rows]
         u[:, BASE_TURN] = self.base_turn[rows]
-        if self.gravity is not None:
-            self._load(u, rows)
-        return u
-
-    def _load(self, u: np.ndarray, rows: np.ndarray) -> None:
+        if self.gravity is None:
+            return u
         trial = np.maximum(self.plan.trial, 0)[rows]
-        down = self.gravity[trial]
-        length = self.body.rod.length_mm
+        down, length = self.gravity[trial], self.body.rod.length_mm
         unit = self.body.weight / length**2  # the flexible part's weight over its bending stiffness, 1/mm^2
         tip = np.zeros(len(rows))
         if self.weighs:
@@ -148,6 +144,7 @@ class World:
         if self.payload_g is not None:
             tip = tip + self.payload_g[trial] / self.body.mass_g * unit
         u[:, 10:13] = down * tip[:, None]
+        return u
 
 
 @lru_cache(maxsize=4)

@@ -9,7 +9,7 @@ from pneutac_truths.gel import solid
 from pneutac_truths.gel.faults import GEL_EFFECTS
 from pneutac_truths.gel.scene import Look, Sensor, grid, shine
 from pneutac_truths.gel.session import _session, named, write_gel
-from pneutac_truths.gel.solid import KINDS, Punch, Rubber, polygon_distance, press
+from pneutac_truths.gel.solid import KINDS, Punch, Rubber, press
 from pneutac_truths.light import (
     BOX,
     CAPSULE,
@@ -26,12 +26,10 @@ from pneutac_truths.light import (
 
 pytest.importorskip("skfem", reason="needs scikit-fem (the dev extra)")
 
-TRIANGLE = ((-1.5, -1.0), (1.5, -1.0), (0.0, 1.6))
-
 
 def test_every_indenter_stands_on_the_origin():
     for kind in KINDS:
-        punch = Punch(kind, 3.0, TRIANGLE if kind == "outline" else ())
+        punch = Punch(kind, 3.0)
         below, above = punch.distance(np.array([[0, 0, -0.1], [0, 0, 0.1]]))
         assert below > 0 > above, kind
         assert punch.distance(np.array([[0.0, 0.0, 0.0]])) == pytest.approx(0.0, abs=1e-9)
@@ -40,21 +38,9 @@ def test_every_indenter_stands_on_the_origin():
 def test_distances_grow_by_their_own_length():
     points = np.random.default_rng(0).uniform([-4, -4, -2], [4, 4, 0], (200, 3))
     for kind in KINDS:
-        size = np.linalg.norm(Punch(kind, 3.0, TRIANGLE if kind == "outline" else ()).outward(points), axis=1)
+        size = np.linalg.norm(Punch(kind, 3.0).outward(points), axis=1)
         assert np.median(size) == pytest.approx(1.0, abs=1e-6)
         assert size.max() < 1 + 1e-6
-
-
-def test_a_polygon_knows_its_inside():
-    square = np.array([(-1.0, -1), (1, -1), (1, 1), (-1, 1)])
-    found = polygon_distance(np.array([[0.0, 0], [0.5, 0], [2, 0], [2, 2]]), square)
-    assert found == pytest.approx([-1, -0.5, 1, np.sqrt(2)])
-
-
-def test_half_or_a_quarter_of_the_gel_will_do_where_it_mirrors():
-    assert Punch("cube").mirrored == (True, True)
-    assert Punch("outline", outline_mm=TRIANGLE).mirrored == (True, False)
-    assert Punch("outline", outline_mm=((0, 0), (2, 0), (0, 1))).mirrored == (False, False)
 
 
 def hertz(radius, depth, rubber):

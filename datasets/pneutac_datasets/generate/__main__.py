@@ -11,7 +11,7 @@ import inspect
 import sys
 from pathlib import Path
 
-from pneutac_datasets.generate.finger import truth_file
+from pneutac_datasets.generate.finger import generate, truth_file
 from pneutac_sim.errors import InputError
 
 DEVICES = (
@@ -63,7 +63,7 @@ def main(argv: list[str] | None = None) -> int:
             raise InputError(f"{wrong} is not for --device={device}, which takes {', '.join(names)}.")
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
             raise InputError(f"{out} exists already; delete it or give another --out.")
-        lines = _WRITERS[device](out, **given)
+        lines = _WRITERS[device](out, **given) or {"recording": out, "truth": truth_file(out)}
     except InputError as e:
         sys.stderr.write(f"{e}\n")
         return 1
@@ -72,24 +72,19 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _finger(out, effect="none", strength=1.0, minutes=10.0, hz=20.0, no_measured_pressure=False, seed=0):
-    from pneutac_datasets.generate.finger import generate
-
     generate(effect.split(","), out, seed, strength, minutes, hz, not no_measured_pressure)
-    return {"recording": out, "truth": truth_file(out)}
 
 
 def _gel(out, effect="none", images=16, seed=0):
     from pneutac_datasets.generate.gel import write_hidden_gel
 
     write_hidden_gel(out, [] if effect == "none" else effect.split(","), seed, images)
-    return {"recording": out, "truth": truth_file(out)}
 
 
 def _photographs(out, body="finger", particles=6000, seed=0):
     from pneutac_datasets.generate.photographs import write_photographs
 
     write_photographs(out, seed, body, particles=particles)
-    return {"recording": out, "truth": truth_file(out)}
 
 
 def _standin(out, minutes=None, program=None, seed=0):

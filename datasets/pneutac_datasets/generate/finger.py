@@ -58,6 +58,11 @@ class ProgramTrial:
         self.command += [pressure] * n
         self.label += [label] * n
 
+    def triangle(self, label: str, top: float, period: float, hz: float) -> None:
+        """From where it is to `top` and down to nothing."""
+        self.to(label, top, period / 2, hz)
+        self.to(label, 0.0, period / 2, hz)
+
 
 def session(top: float, seconds: float, hz: float, rng: np.random.Generator) -> list[ProgramTrial]:
     """A whole bench session of about `seconds`, hz samples a second; `rng` decides levels and orders.
@@ -69,47 +74,37 @@ def session(top: float, seconds: float, hz: float, rng: np.random.Generator) -> 
     hang = (1.0, 0.0, 0.0) if rng.random() < 0.5 else (0.0, 0.0, -1.0)
     flip = tuple(-x for x in hang)
     main = ProgramTrial(gravity=hang)
-    stairs(main, top, 6, 5 * s, hz)
+    main.hold("stairs", 0.0, 1.5, hz)
+    up = np.linspace(0, top, 6)
+    for p in [*up[1:], *up[::-1][1:]]:
+        main.hold("stairs", float(p), 5 * s, hz)
     for label, period in (("triangle_slow", 40), ("triangle_middle", 12), ("triangle_fast", 4)):
         for _ in range(2 if period == 40 else 3):
-            triangle(main, label, top, period * s, hz)
+            main.triangle(label, top, period * s, hz)
     minor_loops(main, top, 48 * s, hz, rng)
     main.hold("long_hold", 0.8 * top, 55 * s, hz)
     main.hold("long_hold", 0.0, 25 * s, hz)
-    steps(main, top, round(16 * s) + 2, hz, rng)
+    for _ in range(round(16 * s) + 2):
+        main.hold("random_steps", float(rng.uniform(0, top)), float(rng.uniform(2, 6)), hz)
+    main.hold("random_steps", 0.0, 4.0, hz)
     for _ in range(max(3, round(20 * s))):
-        triangle(main, "cycles", 0.9 * top, 2.0, hz)
+        main.triangle("cycles", 0.9 * top, 2.0, hz)
     runs = [main]
     short = np.random.default_rng(rng.integers(2**32))
     state = short.bit_generator.state
     for kwargs in ({}, {}, {"gravity": flip}, {"temperature_c": 30.0}, {"payload_g": 50.0}):
         trial = ProgramTrial(**{"gravity": hang, **kwargs})
         short.bit_generator.state = state  # the same program each time: two of these are repeats
-        label = "repeat"
-        trial.hold(label, 0.0, 1.5, hz)
-        trial.to(label, top, 5 * s, hz)
-        trial.hold(label, top, 4 * s, hz)
-        trial.to(label, 0.3 * top, 4 * s, hz)
+        trial.hold("repeat", 0.0, 1.5, hz)
+        trial.to("repeat", top, 5 * s, hz)
+        trial.hold("repeat", top, 4 * s, hz)
+        trial.to("repeat", 0.3 * top, 4 * s, hz)
         for _ in range(max(3, round(4 * s))):
-            trial.hold(label, float(short.uniform(0, top)), 3 * s, hz)
-        trial.to(label, 0.0, 3 * s, hz)
-        trial.hold(label, 0.0, 4 * s, hz)
+            trial.hold("repeat", float(short.uniform(0, top)), 3 * s, hz)
+        trial.to("repeat", 0.0, 3 * s, hz)
+        trial.hold("repeat", 0.0, 4 * s, hz)
         runs.append(trial)
     return runs
-
-
-def stairs(trial: ProgramTrial, top: float, levels: int, seconds: float, hz: float) -> None:
-    """Up and down again in equal steps, `seconds` on each."""
-    trial.hold("stairs", 0.0, 1.5, hz)
-    up = np.linspace(0, top, levels)
-    for p in [*up[1:], *up[::-1][1:]]:
-        trial.hold("stairs", float(p), seconds, hz)
-
-
-def triangle(trial: ProgramTrial, label: str, top: float, period: float, hz: float) -> None:
-    """From where it is to `top` and down to nothing."""
-    trial.to(label, top, period / 2, hz)
-    trial.to(label, 0.0, period / 2, hz)
 
 
 def minor_loops(trial: ProgramTrial, top: float, seconds: float, hz: float, rng: np.random.Generator) -> None:
@@ -122,13 +117,6 @@ def minor_loops(trial: ProgramTrial, top: float, seconds: float, hz: float, rng:
         duration = max(abs(goal - here) / rate, 0.5)
         trial.to("minor_loops", float(goal), duration, hz)
         left -= duration
-
-
-def steps(trial: ProgramTrial, top: float, count: int, hz: float, rng: np.random.Generator) -> None:
-    """Random levels held for 2 to 6 s."""
-    for _ in range(count):
-        trial.hold("random_steps", float(rng.uniform(0, top)), float(rng.uniform(2, 6)), hz)
-    trial.hold("random_steps", 0.0, 4.0, hz)
 
 
 # Effect of the library, or disturbance that no effect describes, and the independent simulation of it.
@@ -201,16 +189,11 @@ def generate(
         sampled_s = np.arange(len(t.command)) / hz
         time_s = np.arange(round(sampled_s[-1] / DT_S) + 1) * DT_S
         fine.append(("", time_s, np.interp(time_s, sampled_s, t.command)))
-    plan = given(
-        fine,
-        REST_S,
-        1 / hz,
-        {c: np.array([getattr(t, c) for t in trials]) for c in ("gravity", "payload_g", "temperature_c")},
-    )
-    used = [TRUTHS.get(n, n) for n in names]
-    how = {"plan": plan, "strength": strength, "state_noise": False}
+    conditions = ("gravity", "payload_g", "temperature_c")
+    plan = given(fine, REST_S, 1 / hz, {c: np.array([getattr(t, c) for t in trials]) for c in conditions})
+    used, how = [TRUTHS.get(n, n) for n in names], {"strength": strength, "state_noise": False}
     try:
-        made = simulate("rod", used, seed, gauge=measured_pressure, **how)
+        made = simulate("rod", used, seed, gauge=measured_pressure, plan=plan, **how)
     except (ValueError, ArithmeticError) as e:  # a gauge's fault without a gauge, loads beyond buckling
         raise InputError(f"{e} Give other effects or a lower strength.") from e
     samples = made.samples.drop(columns="time_sent_s", errors="ignore")

@@ -82,9 +82,7 @@ def write_gel_recording(folder: str | Path, seed: int = 0, heldout: int = 6) -> 
     The seed decides places, depths and noise; the recording is returned as loaded from the folder.
     """
     rng = np.random.default_rng(seed)
-    x, y = np.meshgrid(
-        (np.arange(WIDTH) + 0.5 - WIDTH / 2) / PX_PER_MM, (np.arange(HEIGHT) + 0.5 - HEIGHT / 2) / PX_PER_MM
-    )
+    x, y = np.meshgrid(*((np.arange(n) + 0.5 - n / 2) / PX_PER_MM for n in (WIDTH, HEIGHT)))
 
     def photograph(u: np.ndarray) -> np.ndarray:
         exposure = _EXPOSURE * (1 + DRIFT_SHARE * rng.standard_normal())

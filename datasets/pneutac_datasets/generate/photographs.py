@@ -59,15 +59,11 @@ def place_camera(name: str, length_m: float, rng: np.random.Generator) -> Camera
 
 def knocked(camera: Camera, turn_deg: float, shift_mm: float, rng: np.random.Generator) -> Camera:
     """The camera turned about its eye and shifted, in directions by chance."""
-
-    def way(size):
-        v = rng.normal(size=3)
-        return size * v / np.linalg.norm(v)
-
+    shift, turn = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
     nominal = camera.extrinsics
-    eye = -nominal[:3, :3].T @ nominal[:3, 3] + 1e-3 * way(shift_mm)
+    eye = -nominal[:3, :3].T @ nominal[:3, 3] + 1e-3 * shift_mm * shift
     extrinsics = np.eye(4)
-    extrinsics[:3, :3] = Rotation.from_rotvec(np.radians(way(turn_deg))).as_matrix() @ nominal[:3, :3]
+    extrinsics[:3, :3] = Rotation.from_rotvec(np.radians(turn_deg * turn)).as_matrix() @ nominal[:3, :3]
     extrinsics[:3, 3] = -extrinsics[:3, :3] @ eye
     return Camera(camera.intrinsics, extrinsics, camera.width, camera.height)
 
@@ -99,10 +95,8 @@ def default_pressures(device: str) -> np.ndarray:
     """(T, chambers) kPa: 0 to 15 kPa in steps of 1; of an arm in steps of 3, each chamber by itself."""
     if CHAMBERS[device] == 1:
         return np.array(PRESSURES_KPA)[:, None]
-    one = np.array(PRESSURES_KPA[::3])
-    rows = [np.zeros((1, CHAMBERS[device]))]
-    rows += [p * np.eye(CHAMBERS[device])[[c]] for c in range(CHAMBERS[device]) for p in one[1:]]
-    return np.concatenate(rows)
+    alone = np.eye(CHAMBERS[device])
+    return np.stack([0 * alone[0], *(p * row for row in alone for p in PRESSURES_KPA[3::3])])
 
 
 def session(pressure: np.ndarray, device: str, after_s: tuple[float, ...], conditions: dict) -> pd.DataFrame:
@@ -194,7 +188,10 @@ def write_photographs(
     pressure = default_pressures(device) if pressures_kpa is None else np.asarray(pressures_kpa, float)
     table = session(pressure, device, after_s, conditions or {})
     meshes, rest, q, tips = bent_meshes(twin, joints_of(twin, table), particles)
-    tips = _tilted(wrong.tilt_deg, meshes, 1e3 * tips)
+    turn = Rotation.from_euler("y", -wrong.tilt_deg, degrees=True).as_matrix()
+    for mesh in meshes:
+        mesh.vertices = mesh.vertices @ turn.T
+    tips = 1e3 * tips @ turn.T
     rng = np.random.default_rng([seed, 12])
     length, width = 1e-3 * twin.length_mm, 1e-3 * devices.parameter(twin, "width_mm")
     studio = Studio.random(rng, length, width)
@@ -204,25 +201,11 @@ def write_photographs(
     observed = _photograph_all(folder, meshes, rest, studio, actual, tips, wrong.mask_px, rng)
     samples = pd.concat([table, pd.DataFrame(observed)], axis=1)
     Recording(folder, _metadata(twin, nominal), samples, device).write(folder)
-    truth = {
-        "parameters": {k: v.value for k, v in twin.parameters.items()},
-        "joints_rad": q.tolist(),
-        "tips_mm": tips.tolist(),
-        "disturbances": asdict(wrong),
-        "camera_extrinsics": {name: c.extrinsics.tolist() for name, c in actual.items()},
-        "seed": seed,
-        "recording": folder.name,
-    }
-    write_truth(folder, truth)
+    truth = {"parameters": {k: v.value for k, v in twin.parameters.items()}, "joints_rad": q.tolist()}
+    truth |= {"tips_mm": tips.tolist(), "disturbances": asdict(wrong)}
+    truth["camera_extrinsics"] = {name: c.extrinsics.tolist() for name, c in actual.items()}
+    write_truth(folder, truth | {"seed": seed, "recording": folder.name})
     return Recording.load(folder)
-
-
-def _tilted(tilt_deg: float, meshes: list[trimesh.Trimesh], tips_mm: np.ndarray) -> np.ndarray:
-    """Turns the meshes, in place, and the tips (T, 3) with a base that is turned about y in its mount."""
-    turn = Rotation.from_euler("y", -tilt_deg, degrees=True).as_matrix()
-    for mesh in meshes:
-        mesh.vertices = mesh.vertices @ turn.T
-    return tips_mm @ turn.T
 
 
 def _photograph_all(folder, meshes, rest, studio, cameras, tips_mm, mask_px, rng) -> list[dict]:
@@ -375,17 +358,12 @@ class Studio:
     @classmethod
     def random(cls, rng: np.random.Generator, length_m: float, width_m: float) -> "Studio":
         """A studio with a printed body: its colour, its label, the lamps and the cloth."""
-        turn = rng.normal(0, 0.15, 3)
-        middle = np.array([0.45 * length_m, 0, 0])
-        far = 4.5 * length_m
-        lamps = [
-            middle + far * np.array([-0.75, -0.75 + turn[0], 0.55]),
-            middle + far * np.array([-0.65, 0.80, -0.55 + turn[1]]),
-            middle + far * np.array([0.6, turn[2], 0.9]),
-        ]
+        a, b, c = rng.normal(0, 0.15, 3)
+        lamps = np.array([[-0.75, -0.75 + a, 0.55], [-0.65, 0.80, -0.55 + b], [0.6, c, 0.9]])
+        lamps = np.array([0.45 * length_m, 0, 0]) + 4.5 * length_m * lamps
         grey = rng.uniform(0.62, 0.80)
         cloth = np.stack([np.full(3, grey), np.full(3, grey - 0.03)]) + rng.normal(0, 0.01, 3)
-        return cls(printed_texture(rng, length_m), np.array(lamps), cloth, 0.7 * width_m, length_m)
+        return cls(printed_texture(rng, length_m), lamps, cloth, 0.7 * width_m, length_m)
 
 
 def photograph(
@@ -449,20 +427,15 @@ def _add_body(spec: mujoco.MjSpec, mesh: trimesh.Trimesh, rest: np.ndarray, stud
     v = (np.arctan2(rest[corners, 2], rest[corners, 1]) / (2 * np.pi)).reshape(-1, 3)
     v += np.round(v[:, :1] - v)  # the corners of a face on one side of the seam
     height, width = studio.texture.shape[:2]
-    texture = spec.add_texture(
-        name="print", type=mujoco.mjtTexture.mjTEXTURE_2D, width=width, height=height, nchannel=3
-    )
+    size = {"width": width, "height": height, "nchannel": 3}
+    texture = spec.add_texture(name="print", type=mujoco.mjtTexture.mjTEXTURE_2D, **size)
     texture.data = np.ascontiguousarray(studio.texture).tobytes()
     material = spec.add_material(name="print", specular=0.25, shininess=0.25)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "print"
-    spec.add_mesh(
-        name="body",
-        uservert=mesh.vertices[corners].ravel(),
-        usernormal=mesh.vertex_normals[corners].ravel(),
-        usertexcoord=np.stack([u, v.ravel()], 1).ravel(),
-        userface=np.arange(len(corners)),
-        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-    )
+    shape = {"uservert": mesh.vertices[corners], "usernormal": mesh.vertex_normals[corners]}
+    shape |= {"usertexcoord": np.stack([u, v.ravel()], 1), "userface": np.arange(len(corners))}
+    shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    spec.add_mesh(name="body", inertia=shell, **{name: values.ravel() for name, values in shape.items()})
     spec.worldbody.add_geom(name="body", type=mujoco.mjtGeom.mjGEOM_MESH, meshname="body", material="print")
 
 

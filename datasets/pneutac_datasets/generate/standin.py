@@ -57,14 +57,10 @@ def _write(
         columns |= {f"tip_{a}_mm": tip[:, i] for i, a in enumerate("xyz")}
         table.append(pd.DataFrame(columns | conditions))
     length = LENGTH_MM + TIP_MM
-    meta = {
-        "device": "finger",
-        "length_mm": length,
-        "spine_joint_positions_mm": [length * (k + 0.5) / 4 for k in range(4)],
-        "samples": "samples.csv",
-        "trials": {str(k): {"start": "rested"} for k in range(len(trials))},
-        "notes": "Generated: the stand-in for reality.",
-    }
+    meta = {"device": "finger", "length_mm": length, "samples": "samples.csv"}
+    meta |= {"spine_joint_positions_mm": [length * (k + 0.5) / 4 for k in range(4)]}
+    meta |= {"trials": {str(k): {"start": "rested"} for k in range(len(trials))}}
+    meta |= {"notes": "Generated: the stand-in for reality."}
     Recording(Path(folder), meta, pd.concat(table, ignore_index=True), "finger").write(folder)
     return Recording.load(folder)
 

@@ -39,7 +39,9 @@ class TruthBench:
     def follow(self, program: Path, out: Path, number: int) -> Recording:
         """See `lerobot_pneutac.verbs.benches.Bench`."""
         table = pd.read_csv(program)
-        one = self._trial(table, str(table["program"].iloc[0]))
+        commands = table[command_columns(CHAMBERS[self._device])].to_numpy(float)
+        shares = np.round(commands / self._top_kpa, 5)
+        one = str(table["program"].iloc[0]), table["time_s"].to_numpy(float), shares
         if self._rested:
             return self._recorded([one], out, 1 + 1000 * self._noise + number)
         self.pause_s = RESTED_S if number else None
@@ -52,19 +54,13 @@ class TruthBench:
     def measure(self, trials: Sequence[tuple[str, np.ndarray, np.ndarray]], out: Path) -> Recording:
         """A recording of several trials, each a name, (n,) s and (n, chambers) kPa, one after the other.
 
-        Raises:
-            InputError: a trial leaves the device's pressures.
+        Raises InputError where a trial leaves the device's pressures.
         """
         for name, _, p in trials:
             if p.min() < 0 or p.max() > self._top_kpa:
                 raise InputError(f"'{name}' leaves 0 to {self._top_kpa:g} kPa, the range of the stand-in.")
         programs = [(name, t, np.round(p / self._top_kpa, 5)) for name, t, p in trials]
         return self._recorded(programs, out, 1 + 1000 * self._noise)
-
-    def _trial(self, table: pd.DataFrame, name: str) -> tuple[str, np.ndarray, np.ndarray]:
-        """Name, times (n,), and shares of the top pressure (n, chambers)."""
-        commands = table[command_columns(CHAMBERS[self._device])].to_numpy(float)
-        return name, table["time_s"].to_numpy(float), np.round(commands / self._top_kpa, 5)
 
     def _recorded(self, programs: list, out: Path, day: int, state_pauses: bool = True) -> Recording:
         options = {"log_sent": True, "state_pauses": state_pauses, "plan": given(programs, RESTED_S)}
@@ -77,9 +73,5 @@ class TruthBench:
 
 
 def standin_arm(seed: int = 0) -> TruthBench:
-    """The arm that stands in for a real one, long without pressure before each program.
-
-    Args:
-        seed: of the measurement's noise.
-    """
+    """The arm that stands in for a real one, rested before each program; `seed` is of the noise."""
     return TruthBench(ARM_EFFECTS, ARM_SEED, "arm", rested=True, noise=seed)

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 from numba import njit
 
-from pneutac_truths.effects.table import effect
+from pneutac_truths.effects.table import by_column, effect
 from pneutac_truths.programs import DT_S
 from pneutac_truths.world import World
 
@@ -15,16 +15,13 @@ acts = partial(effect, "air")
 AMBIENT_KPA = 101.3
 
 
-@njit(cache=True)
-def _uneven_lag(u, up, down):
-    out = np.empty_like(u)
+@by_column
+def _uneven_lag(u, out, up, down):
     a, b = 1.0 - math.exp(-DT_S / up), 1.0 - math.exp(-DT_S / down)
-    for j in range(u.shape[1]):
-        x = u[0, j]
-        for i in range(len(u)):
-            x += (a if u[i, j] > x else b) * (u[i, j] - x)
-            out[i, j] = x
-    return out
+    x = u[0]
+    for i in range(len(u)):
+        x += (a if u[i] > x else b) * (u[i] - x)
+        out[i] = x
 
 
 def lag(x: np.ndarray, tau: float) -> np.ndarray:
@@ -32,16 +29,13 @@ def lag(x: np.ndarray, tau: float) -> np.ndarray:
     return _uneven_lag(x, tau, tau)
 
 
-@acts(
-    "Air passes an orifice, choked or subsonic, into a chamber that grows as it fills.",
-    "ISO 6358-1:2013; Beater, Pneumatic Drives (2007) ch. 4",
-    critical=(0.2, 0.45),
-    supply=(1.6, 3.0),
-    growth=(0.3, 1.5),
-    size=(0.02, 4.0),
-)
+@acts(critical=(0.2, 0.45), supply=(1.6, 3.0), growth=(0.3, 1.5), size=(0.02, 4.0))
 def fill_orifice(w: World, critical: float, supply: float, growth: float, size: float) -> None:
-    """`size`: s to fill the chamber with the valve full open; `supply` gauge pressure over the top one."""
+    """Air passes an orifice, choked or subsonic, into a chamber that grows as it fills.
+
+    `size`: s to fill the chamber with the valve full open; `supply` gauge pressure over the top one. Source:
+    ISO 6358-1:2013; Beater, Pneumatic Drives (2007) ch. 4.
+    """
     w.air = _orifice(w.air, AMBIENT_KPA / w.body.top_kpa, critical, supply, growth, size)
 
 
@@ -56,137 +50,117 @@ def _flow(up, down, b):
     return up * math.sqrt(1.0 - ((ratio - b) / (1.0 - b)) ** 2)
 
 
-@njit(cache=True)
-def _orifice(wanted, ambient, b, supply, growth, fill):
-    out = np.empty_like(wanted)
+@by_column
+def _orifice(wanted, out, ambient, b, supply, growth, fill):
     # conductance such that a chamber at ambient pressure takes the top pressure's air in the time `fill`
     c = (1.0 + growth * (ambient + 1.0)) / (fill * _flow(ambient + supply, ambient, b))
     parts = 4
-    for j in range(wanted.shape[1]):
-        x = wanted[0, j]
-        for i in range(len(wanted)):
-            for _ in range(parts):
-                u = min(max(12.0 * (wanted[i, j] - x), -1.0), 1.0)
-                if u > 0:
-                    q = c * u * _flow(ambient + supply, ambient + x, b)
-                else:
-                    q = c * u * _flow(ambient + x, ambient, b) if x > 0 else 0.0
-                room = 1.0 + growth * x + growth * (ambient + x)
-                x += min(max(DT_S / parts * q / room, -abs(wanted[i, j] - x)), abs(wanted[i, j] - x))
-            out[i, j] = x
-    return out
+    x = wanted[0]
+    for i in range(len(wanted)):
+        for _ in range(parts):
+            u = min(max(12.0 * (wanted[i] - x), -1.0), 1.0)
+            if u > 0:
+                q = c * u * _flow(ambient + supply, ambient + x, b)
+            else:
+                q = c * u * _flow(ambient + x, ambient, b) if x > 0 else 0.0
+            room = 1.0 + growth * x + growth * (ambient + x)
+            x += min(max(DT_S / parts * q / room, -abs(wanted[i] - x)), abs(wanted[i] - x))
+        out[i] = x
 
 
-@acts(
-    "The proportional valve opens no faster than its slew limit, so pressure follows in ramps.",
-    "Festo VPPM data sheet (rise of the set pressure); Rao and Bone, IEEE T. Control Syst. 16 (2008)",
-    size=(0.05, 6.0),
-)
+@acts(size=(0.05, 6.0))
 def valve_slew(w: World, size: float) -> None:
-    """`size`: s from zero to the top pressure."""
+    """The proportional valve opens no faster than its slew limit, so pressure follows in ramps.
+
+    `size`: s from zero to the top pressure. Source: Festo VPPM data sheet (rise of the set pressure); Rao and
+    Bone, IEEE T. Control Syst. 16 (2008).
+    """
     w.air = _slew(w.air, DT_S / size)
 
 
-@njit(cache=True)
-def _slew(x, most):
-    out = np.empty_like(x)
-    for j in range(x.shape[1]):
-        y = x[0, j]
-        for i in range(len(x)):
-            y += min(max(x[i, j] - y, -most), most)
-            out[i, j] = y
-    return out
+@by_column
+def _slew(x, out, most):
+    y = x[0]
+    for i in range(len(x)):
+        y += min(max(x[i] - y, -most), most)
+        out[i] = y
 
 
-@acts(
-    "Air in a long tube with a volume behind it swings (second order).",
-    "Richer and Hurmuzlu, ASME J. Dyn. Syst. Meas. Control 122 (2000) 416; Bergh and Tijdeman, NLR (1965)",
-    damping=(0.08, 0.5),
-    size=(0.05, 3.0),
-)
+@acts(damping=(0.08, 0.5), size=(0.05, 3.0))
 def line_second_order(w: World, damping: float, size: float) -> None:
-    """`size`: period of the swing, s. The gauge sits at the valve."""
+    """Air in a long tube with a volume behind it swings (second order).
+
+    `size`: period of the swing, s. The gauge sits at the valve. Source: Richer and Hurmuzlu, ASME J. Dyn.
+    Syst. Meas. Control 122 (2000) 416; Bergh and Tijdeman, NLR (1965).
+    """
     w.at_gauge = w.air
     w.air = swing(w.air, 2 * np.pi / size, damping)
 
 
-@njit(cache=True)
-def swing(x, omega, damping):
+@by_column
+def swing(x, out, omega, damping):
     """Second-order answer to the columns of x (n, c), settled at the start; omega in rad/s."""
-    out = np.empty_like(x)
     parts = 4
     h = DT_S / parts
-    for j in range(x.shape[1]):
-        y, v = x[0, j], 0.0
-        for i in range(len(x)):
-            for _ in range(parts):
-                v = (v + h * omega**2 * (x[i, j] - y)) / (1.0 + 2 * h * damping * omega)
-                y += h * v
-            out[i, j] = y
-    return out
+    y, v = x[0], 0.0
+    for i in range(len(x)):
+        for _ in range(parts):
+            v = (v + h * omega**2 * (x[i] - y)) / (1.0 + 2 * h * damping * omega)
+            y += h * v
+        out[i] = y
 
 
-@acts(
-    "A leak draws more the higher the pressure is, against the regulator's finite flow.",
-    "Beater, Pneumatic Drives (2007) ch. 4 and 5 (leakage of seals)",
-    power=(1.3, 3.0),
-    lag_s=(0.015, 0.04),
-    size=(0.005, 0.4),
-)
+@acts(power=(1.3, 3.0), lag_s=(0.015, 0.04), size=(0.005, 0.4))
 def leak(w: World, power: float, lag_s: float, size: float) -> None:
-    """`size`: share of the top pressure lost there."""
+    """A leak draws more the higher the pressure is, against the regulator's finite flow.
+
+    `size`: share of the top pressure lost there. Source: Beater, Pneumatic Drives (2007) ch. 4 and 5 (leakage
+    of seals).
+    """
     w.air = _leak(w.air, power, lag_s, size)
 
 
-@njit(cache=True)
-def _leak(u, power, lag_s, size):
-    out = np.empty_like(u)
-    for j in range(u.shape[1]):
-        x = u[0, j]
-        for i in range(len(u)):
-            x += DT_S / lag_s * (u[i, j] - x - size * max(x, 0.0) ** power)
-            out[i, j] = x
-    return out
+@by_column
+def _leak(u, out, power, lag_s, size):
+    x = u[0]
+    for i in range(len(u)):
+        x += DT_S / lag_s * (u[i] - x - size * max(x, 0.0) ** power)
+        out[i] = x
 
 
-@acts(
-    "The on-off regulator never settles: pressure hunts about the command in a limit cycle.",
-    "van Varseveld and Bone, IEEE/ASME T. Mechatronics 2 (1997) 195",
-    pace=(0.3, 1.5),
-    size=(0.01, 0.25),
-)
+@acts(pace=(0.3, 1.5), size=(0.01, 0.25))
 def hunting(w: World, pace: float, size: float) -> None:
-    """`size`: half the band, share of the top pressure; `pace`: share per s at which it fills or vents."""
+    """The on-off regulator never settles: pressure hunts about the command in a limit cycle.
+
+    `size`: half the band, share of the top pressure; `pace`: share per s at which it fills or vents. Source:
+    van Varseveld and Bone, IEEE/ASME T. Mechatronics 2 (1997) 195.
+    """
     w.air = _hunting(w.air, size, pace)
 
 
-@njit(cache=True)
-def _hunting(u, band, pace):
-    out = np.empty_like(u)
-    for j in range(u.shape[1]):
-        x, way = 0.0, 1.0
-        for i in range(len(u)):
-            if abs(u[i, j] - x) > 2 * band:  # far away the servo loop works
-                x += min(max(u[i, j] - x, -0.15), 0.15)
-            elif x > u[i, j] + band * (1.0 + 0.2 * u[i, j]):
-                way = -1.0
-            elif x < u[i, j] - band:
-                way = 1.0
-            x = max(x + way * pace * (1.0 if way > 0 else 0.4 + 0.6 * x) * DT_S, 0.0)
-            if u[i, j] < 0.02:
-                x = min(x, u[i, j])  # it vents fully and shuts off
-            out[i, j] = x
-    return out
+@by_column
+def _hunting(u, out, band, pace):
+    x, way = 0.0, 1.0
+    for i in range(len(u)):
+        if abs(u[i] - x) > 2 * band:  # far away the servo loop works
+            x += min(max(u[i] - x, -0.15), 0.15)
+        elif x > u[i] + band * (1.0 + 0.2 * u[i]):
+            way = -1.0
+        elif x < u[i] - band:
+            way = 1.0
+        x = max(x + way * pace * (1.0 if way > 0 else 0.4 + 0.6 * x) * DT_S, 0.0)
+        if u[i] < 0.02:
+            x = min(x, u[i])  # it vents fully and shuts off
+        out[i] = x
 
 
-@acts(
-    "The supply sags while air is drawn, and recovers slowly through its own regulator.",
-    "Beater, Pneumatic Drives (2007) ch. 3 (supply characteristic of regulators)",
-    recover_s=(2.0, 12.0),
-    size=(0.02, 0.8),
-)
+@acts(recover_s=(2.0, 12.0), size=(0.02, 0.8))
 def supply_sag(w: World, recover_s: float, size: float) -> None:
-    """`size`: share lost by filling all chambers once from zero to the top."""
+    """The supply sags while air is drawn, and recovers slowly through its own regulator.
+
+    `size`: share lost by filling all chambers once from zero to the top. Source: Beater, Pneumatic Drives
+    (2007) ch. 3 (supply characteristic of regulators).
+    """
     used = np.diff(w.air, axis=0, prepend=w.air[:1]).clip(0).sum(1)
     keep = math.exp(-DT_S / recover_s)
     w.air = w.air / (1 + size * _leaky_sum(used, keep))[:, None]
@@ -202,46 +176,40 @@ def _leaky_sum(x, keep):
     return out
 
 
-@acts(
-    "Filled fast, the air warms and then cools at the wall, so pressure overshoots and falls back.",
-    "Carneiro and de Almeida, Proc. IMechE I 221 (2007): heat transfer of air in cylinders",
-    cool_s=(0.4, 4.0),
-    size=(0.02, 0.4),
-)
+@acts(cool_s=(0.4, 4.0), size=(0.02, 0.4))
 def gas_heat(w: World, cool_s: float, size: float) -> None:
-    """`size`: overshoot over a step; at most 0.4 (adiabatic)."""
+    """Filled fast, the air warms and then cools at the wall, so pressure overshoots and falls back.
+
+    `size`: overshoot over a step; at most 0.4 (adiabatic). Source: Carneiro and de Almeida, Proc. IMechE I
+    221 (2007): heat transfer of air in cylinders.
+    """
     w.air = w.air + size * (w.air - lag(w.air, cool_s))
 
 
-@acts(
-    "Venting through a clogged silencer is slower than filling.",
-    "Joshi and Paik, Soft Robotics 8 (2021): in- and deflation through supply lines",
-    fill_share=(0.1, 0.4),
-    size=(0.02, 5.0),
-)
+@acts(fill_share=(0.1, 0.4), size=(0.02, 5.0))
 def vent_slow(w: World, fill_share: float, size: float) -> None:
-    """`size`: time constant of venting, s; filling takes `fill_share` of it."""
+    """Venting through a clogged silencer is slower than filling.
+
+    `size`: time constant of venting, s; filling takes `fill_share` of it. Source: Joshi and Paik, Soft
+    Robotics 8 (2021): in- and deflation through supply lines.
+    """
     w.air = _uneven_lag(w.air, size * fill_share, size)
 
 
-@acts(
-    "Bent beyond an angle the supply tube kinks, and air passes slowly until it opens again.",
-    "Brazier, Proc. R. Soc. A 116 (1927) 104: kinking of bent tubes",
-    kink=(0.35, 0.65),
-    size=(0.02, 20.0),
-)
+@acts(kink=(0.35, 0.65), size=(0.02, 20.0))
 def tube_kink(w: World, kink: float, size: float) -> None:
-    """`size`: time constant while kinked, s; kinked above the share `kink` of the top bend."""
+    """Bent beyond an angle the supply tube kinks, and air passes slowly until it opens again.
+
+    `size`: time constant while kinked, s; kinked above the share `kink` of the top bend. Source: Brazier,
+    Proc. R. Soc. A 116 (1927) 104: kinking of bent tubes.
+    """
     w.air = _kinked(w.air, kink, size)
 
 
-@njit(cache=True)
-def _kinked(u, kink, slow):
-    out = np.empty_like(u)
-    for j in range(u.shape[1]):
-        x, shut = u[0, j], False
-        for i in range(len(u)):
-            shut = x > (kink - 0.08 if shut else kink)
-            x += (1.0 - math.exp(-DT_S / (slow if shut else 0.005))) * (u[i, j] - x)
-            out[i, j] = x
-    return out
+@by_column
+def _kinked(u, out, kink, slow):
+    x, shut = u[0], False
+    for i in range(len(u)):
+        shut = x > (kink - 0.08 if shut else kink)
+        x += (1.0 - math.exp(-DT_S / (slow if shut else 0.005))) * (u[i] - x)
+        out[i] = x

@@ -1,9 +1,12 @@
 """The table of effects and how one is entered."""
 
+import functools
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 STAGES = ("command", "air", "drive", "material", "load", "motion", "marker", "gauge")
 BODIES = ("rod", "arm", "cosserat")
@@ -38,12 +41,32 @@ class Effect:
 EFFECTS: dict[str, Effect] = {}
 
 
-def effect(stage: str, summary: str, source: str, *, physics=True, devices=BODIES, **ranges):
-    """Decorator that registers a function under its name."""
+def described(act: Callable) -> tuple[str, str]:
+    """Summary and source of an effect, from the docstring of its function."""
+    doc = inspect.getdoc(act) or ""
+    return doc.partition("\n")[0], " ".join(doc.partition("Source: ")[2].removesuffix(".").split())
+
+
+def effect(stage: str, *, physics=True, devices=BODIES, **ranges):
+    """Decorator that registers a function under its name, with the first line of its docstring."""
 
     def enter(act: Callable) -> Callable:
-        name = act.__name__
+        name, (summary, source) = act.__name__, described(act)
         EFFECTS[name] = Effect(name, summary, physics, devices, source, stage, ranges, act)
         return act
 
     return enter
+
+
+def by_column(kernel: Callable) -> Callable:
+    """Compiles a kernel that fills one column `out` (n,) from `x` (n,); returns it for all columns (n, c)."""
+    compiled = njit(cache=True)(kernel)
+
+    @functools.wraps(kernel)
+    def run(x: np.ndarray, *constants) -> np.ndarray:
+        out = np.empty_like(x)
+        for j in range(x.shape[1]):
+            compiled(x[:, j], out[:, j], *constants)
+        return out
+
+    return run

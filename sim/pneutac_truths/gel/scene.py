@@ -128,9 +128,8 @@ def _camera(mi, sensor: Sensor, look: Look, size: tuple[int, int], rays: int) ->
     T = mi.ScalarTransform4f
     stand = [0, 0, -sensor.block_mm - sensor.camera_mm]
     aim = T().look_at(origin=stand, target=[0, 0, 0], up=[0, -1, 0])
-    turn = T().rotate([1, 0, 0], float(np.degrees(look.tilt_rad[0]))) @ T().rotate(
-        [0, 1, 0], float(np.degrees(look.tilt_rad[1]))
-    )
+    about_x, about_y = map(float, np.degrees(look.tilt_rad))
+    turn = T().rotate([1, 0, 0], about_x) @ T().rotate([0, 1, 0], about_y)
     film = {"type": "hdrfilm", "width": size[0], "height": size[1], "pixel_format": "luminance"}
     return {
         "type": "perspective",

@@ -83,12 +83,8 @@ def write_gel(
 
 def _write(folder: Path, sensor: Sensor, rubber: Rubber, rows: list[dict]) -> None:
     pd.DataFrame(rows).to_csv(folder / "samples.csv", index=False, float_format="%.6g", lineterminator="\n")
-    meta = {
-        "device": "gel",
-        "rest_image": "rest.png",
-        "samples": "samples.csv",
-        "px_per_mm": sensor.px_per_mm,
-    }
+    meta = {"device": "gel", "rest_image": "rest.png", "samples": "samples.csv"}
+    meta |= {"px_per_mm": sensor.px_per_mm}
     meta |= {"gel_size_mm": [*sensor.window_mm, round(rubber.thickness_mm, 3)], "generated": True}
     meta["notes"] = "A truth: rubber by finite elements, light by ray tracing; not photographs."
     (folder / "recording.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
@@ -100,13 +96,9 @@ def device(seed: int) -> tuple[Sensor, Rubber]:
     z = -rng.uniform(6.0, 8.0, 3)
     sides = ("-x", "x", "y") if rng.random() < 0.5 else ("x", "-x", "-y")
     leds = tuple((side, float(h), float(rng.uniform(3.5, 5))) for side, h in zip(sides, z, strict=True))
-    sensor = Sensor(
-        index=float(rng.uniform(1.40, 1.47)),
-        leds=leds,
-        reflectance=float(rng.uniform(0.45, 0.65)),
-        gloss=float(rng.uniform(0.15, 0.35)),
-        roughness=float(rng.uniform(0.35, 0.5)),
-    )
+    ranges = {"index": (1.40, 1.47), "reflectance": (0.45, 0.65), "gloss": (0.15, 0.35)}
+    ranges |= {"roughness": (0.35, 0.5)}
+    sensor = Sensor(leds=leds, **{name: float(rng.uniform(*range_)) for name, range_ in ranges.items()})
     return sensor, Rubber(float(rng.uniform(2.5, 3.5)), float(rng.uniform(25, 60)), 0.49)
 
 
@@ -119,9 +111,8 @@ def _session(sensor: Sensor, n: int, rng: np.random.Generator) -> Session:
 def _plan(i: int, sensor: Sensor, rng: np.random.Generator) -> tuple[dict, Punch]:
     """What is pressed where; the first is a ball near the middle."""
     kind = KINDS[i % len(KINDS)]
-    low, high = {"sphere": (2.0, 4.0), "cylinder": (1.0, 2.0), "cube": (2.5, 4.0), "edge": (3.0, 5.0)}.get(
-        kind, (3, 3)
-    )
+    sizes = {"sphere": (2.0, 4.0), "cylinder": (1.0, 2.0), "cube": (2.5, 4.0), "edge": (3.0, 5.0)}
+    low, high = sizes.get(kind, (3, 3))
     size = 3.0 if i == 0 else round(float(rng.uniform(low, high)), 1)
     x, y = (0.5, -0.4) if i == 0 else rng.uniform(-0.26, 0.26, 2) * sensor.window_mm
     deepest = 0.7 if kind in ("cylinder", "cube") else 1.0
@@ -161,13 +152,9 @@ def _described(row: dict, i: int, sensor: Sensor, face: Face, time_s: float) -> 
     at = np.array(np.nonzero(face.touching))
     radius = np.hypot(face.x_mm[at[0]], face.y_mm[at[1]]).max()
     side = row["indenter"] in ("cube", "edge")
-    out = {
-        "role": "heldout" if i else "calibration",
-        "trial": i,
-        "time_s": time_s,
-        "image": f"press_{i:02d}.png",
-    }
-    out |= {"indenter": row["indenter"], "indenter_radius_mm": None, "indenter_size_mm": None}
+    out = {"role": "heldout" if i else "calibration", "trial": i, "time_s": time_s}
+    out |= {"image": f"press_{i:02d}.png", "indenter": row["indenter"]}
+    out |= {"indenter_radius_mm": None, "indenter_size_mm": None}
     out["indenter_size_mm" if side else "indenter_radius_mm"] = row["size_mm"]
     out |= {k: row[k] for k in ("x_mm", "y_mm", "depth_mm", "yaw_rad")}
     return out | {"contact_x_px": px, "contact_y_px": py, "contact_radius_px": radius * sensor.px_per_mm}

@@ -11,7 +11,8 @@ Distances of boxes, prisms and cones: Hart, The Visual Computer 12 (1996) 527. E
 radius, as machined ones are. All in mm, in the indenter's frame: its lowest point is at the origin, z up.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy.interpolate import RectBivariateSpline
@@ -19,7 +20,7 @@ from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
 BROKEN_EDGE_MM = 0.12
-KINDS = ("sphere", "cylinder", "cube", "edge", "cone", "outline")
+KINDS = ("sphere", "cylinder", "cube", "edge", "cone")
 
 
 @dataclass(frozen=True)
@@ -27,43 +28,21 @@ class Punch:
     """A rigid indenter."""
 
     # one of `KINDS`; `cylinder` stands on its flat end, `edge` is a cube on an edge along x, `cone` has a
-    # right angle at its apex, `outline` is a prism that stands on a polygon
+    # right angle at its apex
     kind: str
-    size_mm: float = 3.0  # radius of sphere and cylinder, side of cube and edge; unused for cone and outline
-    outline_mm: tuple[tuple[float, float], ...] = field(default=())  # (n, 2) corners of the polygon, in order
+    size_mm: float = 3.0  # radius of sphere and cylinder, side of cube and edge; unused for a cone
+    mirrored: ClassVar = (True, True)  # its own mirror image in x and in y: a quarter of the gel will do
 
     def __post_init__(self):
         if self.kind not in KINDS:
             raise ValueError(f"There is no indenter '{self.kind}'; it must be one of {', '.join(KINDS)}.")
-        if self.kind == "outline" and len(self.outline_mm) < 3:
-            raise ValueError("An outline needs three corners or more.")
-
-    @property
-    def mirrored(self) -> tuple[bool, bool]:
-        """Whether it is its own mirror image in x and in y, so that half or a quarter of the gel will do."""
-        if self.kind != "outline":
-            return True, True
-        corners = np.array(self.outline_mm)
-
-        def same(flipped):
-            return all(np.abs(corners - c).sum(1).min() < 1e-6 for c in flipped)
-
-        return same(corners * [-1, 1]), same(corners * [1, -1])
 
     def reach_mm(self, depth_mm: float) -> tuple[float, float]:
         """How far it touches along x and y at most."""
         s, d = self.size_mm, depth_mm
-        if self.kind == "outline":
-            x, y = np.abs(self.outline_mm).max(0)
-            return float(x), float(y)
         ball = float(np.sqrt(1.2 * s * d))
-        return {
-            "sphere": (ball, ball),
-            "cylinder": (s, s),
-            "cube": (s / 2, s / 2),
-            "edge": (s / 2, d),
-            "cone": (d, d),
-        }[self.kind]
+        of_kind = {"cylinder": (s, s), "cube": (s / 2, s / 2), "edge": (s / 2, d), "cone": (d, d)}
+        return of_kind.get(self.kind, (ball, ball))
 
     def distance(self, p: np.ndarray) -> np.ndarray:
         """Signed distance (n,) of points (n, 3) to its surface; negative inside."""
@@ -75,8 +54,6 @@ class Punch:
             return _prism(np.hypot(x, y) - s, z, r)
         if self.kind == "cube":
             return _prism(_corner(np.abs(x) - s / 2, np.abs(y) - s / 2), z, r)
-        if self.kind == "outline":
-            return _prism(polygon_distance(np.stack([x, y], 1), np.array(self.outline_mm)), z, r)
         if self.kind == "edge":
             half = s / 2 - r
             up = z - r - half * np.sqrt(2)  # over the cube's middle
@@ -101,20 +78,6 @@ def _corner(u, v):
 def _prism(outside, z, r: float):
     """A prism that stands on z = 0, its lower edge broken by r; `outside` is the distance to its outline."""
     return _corner(outside + r, r - z) - r
-
-
-def polygon_distance(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Signed distance (n,) of points (n, 2) to a polygon; negative inside."""
-    nearest = np.full(len(points), np.inf)
-    inside = np.zeros(len(points), bool)
-    for a, b in zip(corners, np.roll(corners, -1, 0), strict=True):
-        along, to = b - a, points - a
-        t = np.clip(to @ along / (along @ along), 0, 1)
-        nearest = np.minimum(nearest, np.linalg.norm(to - t[:, None] * along, axis=1))
-        crosses = (points[:, 1] < a[1]) != (points[:, 1] < b[1])
-        if along[1]:
-            inside ^= crosses & (to[:, 0] < to[:, 1] * along[0] / along[1])
-    return np.where(inside, -nearest, nearest)
 
 
 STIFF = 100.0  # penalty over mu / element size
@@ -148,13 +111,8 @@ class Face:
 
     def at(self, x_mm: np.ndarray, y_mm: np.ndarray) -> np.ndarray:
         """Displacements (..., 3) of points that rest at x and y, cubic between nodes; 0 beyond the mesh."""
-        out = np.stack(
-            [
-                RectBivariateSpline(self.x_mm, self.y_mm, u).ev(x_mm, y_mm)
-                for u in np.moveaxis(self.moved_mm, 2, 0)
-            ],
-            -1,
-        )
+        splines = (RectBivariateSpline(self.x_mm, self.y_mm, self.moved_mm[..., k]) for k in range(3))
+        out = np.stack([s.ev(x_mm, y_mm) for s in splines], -1)
         beyond = (np.abs(x_mm) > self.x_mm[-1]) | (np.abs(y_mm) > self.y_mm[-1])
         return np.where(beyond[..., None], 0.0, out)
 
@@ -165,9 +123,7 @@ def press(
     """Presses an indenter in by steps; by half of one where there is no equilibrium.
 
     `depth_mm` is that of its lowest point below the resting face, `fine_mm` the size of elements near the
-    contact.
-
-    Raises ArithmeticError where no equilibrium was found.
+    contact. Raises ArithmeticError where no equilibrium was found.
     """
     mesh = Mesh(punch, depth_mm, rubber, fine_mm)
     u = np.zeros(mesh.rest.shape)
@@ -224,10 +180,10 @@ class Mesh:
         self.free = np.flatnonzero(~held.ravel())
         self.top = np.flatnonzero(z > -1e-9)
         self.top = self.top[np.lexsort((y[self.top], x[self.top]))]  # x slowest
-        widths = [
-            np.gradient(a) * np.where((np.arange(len(a)) % (len(a) - 1)) == 0, 0.5, 1.0) for a in self.axes
-        ]
-        self.area = np.outer(*widths).ravel()
+        end_halved = (np.where((np.arange(len(a)) % (len(a) - 1)) == 0, 0.5, 1.0) for a in self.axes)
+        self.area = np.outer(
+            *(np.gradient(a) * w for a, w in zip(self.axes, end_halved, strict=True))
+        ).ravel()
         self.penalty = STIFF * rubber.mu_kpa / fine_mm * self.area
         dof = (3 * self.nodes[:, :, None] + np.arange(3)).reshape(len(self.nodes), 24)
         self._rows, self._columns = np.repeat(dof, 24, 1).ravel(), np.tile(dof, 24).ravel()
@@ -244,27 +200,19 @@ class Mesh:
             load = np.abs(self._pushed(u, punch, depth_mm)[1]).sum()
             if np.abs(left).sum() < CLOSE * max(load, 1e-9):
                 return u
-            solver = splu(
-                stiffness[self.free][:, self.free],
-                permc_spec="MMD_AT_PLUS_A",
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )
+            how = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+            solver = splu(stiffness[self.free][:, self.free], "MMD_AT_PLUS_A", **how)
             way = np.zeros(u.size)
             way[self.free] = -solver.solve(left)
-            u = self._along(u, way.reshape(u.shape), energy, float(way @ force), punch, depth_mm)
+            way, slope, length = way.reshape(u.shape), min(float(way @ force), 0.0), 1.0
+            for _ in range(6):
+                if self._energy(u + length * way, punch, depth_mm) <= energy + 1e-4 * length * slope:
+                    break
+                length *= 0.5
+            u = u + length * way
         raise ArithmeticError(
             f"The {punch.kind} finds no equilibrium {depth_mm:.3g} mm deep; take smaller steps."
         )
-
-    def _along(self, u, way, energy: float, slope: float, punch: Punch, depth_mm: float) -> np.ndarray:
-        length = 1.0
-        for _ in range(6):
-            there = u + length * way
-            if self._energy(there, punch, depth_mm) <= energy + 1e-4 * length * min(slope, 0.0):
-                break
-            length *= 0.5
-        return u + length * way
 
     def face(self, u: np.ndarray, punch: Punch, depth_mm: float) -> Face:
         """What the camera's side sees, mirrored to the whole."""
@@ -306,22 +254,18 @@ class Mesh:
         iso = 0.5 * self.rubber.mu_kpa * (J ** (-2 / 3) * np.square(F).sum((2, 3)) - 3)
         volume = 0.5 * self.rubber.kappa_kpa * np.square(J1 - 1)
         inside = self._pushed(u, punch, depth_mm)[0]
-        return float(
-            (iso * self.weight).sum()
-            + (volume * self.weight_1).sum()
-            + 0.5 * (self.penalty * inside**2).sum()
-        )
+        contact = 0.5 * (self.penalty * inside**2).sum()
+        return float((iso * self.weight).sum() + (volume * self.weight_1).sum() + contact)
 
     def _state(self, u, punch: Punch, depth_mm: float) -> tuple[float, np.ndarray, csc_matrix]:
         """Energy, its gradient (3 nodes,) and its second derivative."""
         energy = self._energy(u, punch, depth_mm)
         if not np.isfinite(energy):
             return energy, np.zeros(u.size), csc_matrix((u.size, u.size))
-        mu, kappa = self.rubber.mu_kpa, self.rubber.kappa_kpa
-        P, A = _iso(self._stretched(u, self.grad), mu)
-        f, K = _gathered(P, A, self.grad, self.weight)
-        P, A = _volume(self._stretched(u, self.grad_1), kappa)
-        f1, K1 = _gathered(P, A, self.grad_1, self.weight_1)
+        stress = _iso(self._stretched(u, self.grad), self.rubber.mu_kpa)
+        f, K = _gathered(*stress, self.grad, self.weight)
+        stress = _volume(self._stretched(u, self.grad_1), self.rubber.kappa_kpa)
+        f1, K1 = _gathered(*stress, self.grad_1, self.weight_1)
         force = np.bincount(self._dof.ravel(), (f + f1).ravel(), u.size)
         inside, push = self._pushed(u, punch, depth_mm)
         dof = 3 * self.top[:, None] + np.arange(3)
@@ -338,9 +282,8 @@ class Mesh:
 def _gradients(basis) -> tuple[np.ndarray, np.ndarray]:
     """Of the shape functions (elements, points, 8, 3), and the points' volumes (elements, points)."""
     grad = np.stack([basis.basis[a][0].grad for a in range(8)])  # (8, 3, elements, points)
-    return np.ascontiguousarray(
-        np.broadcast_to(grad, (8, 3, *basis.dx.shape)).transpose(2, 3, 0, 1)
-    ), basis.dx
+    grad = np.broadcast_to(grad, (8, 3, *basis.dx.shape)).transpose(2, 3, 0, 1)
+    return np.ascontiguousarray(grad), basis.dx
 
 
 def _iso(F, mu: float):

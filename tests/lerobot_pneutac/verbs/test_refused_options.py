@@ -90,7 +90,7 @@ REFUSED = (
     ("augment", PLANNER + "--real_share=0.95", "real_share must be 0 to 0.9"),
     ("augment", PLANNER + "--check_mpm=-1", "check_mpm is -1; it must be 0 or more"),
     ("augment", AUGMENT + "--method=naive --check_mpm=1", "naive ones have no scene"),
-    ("augment", PLANNER + "--check_mpm=1 --fidelity=mpm", "which fidelity=mpm is already"),
+    ("augment", PLANNER + "--check_mpm=1 --fidelity=mpm", "what fidelity=mpm is already"),
     ("augment", AUGMENT + "--method=library", "planner has options that library does not use"),
     (
         "calibrate",
