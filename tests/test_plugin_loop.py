@@ -183,6 +183,11 @@ ON_DEMOS = f"--dataset.repo_id=local/demos --dataset.root={DEMOS}"
             "codebase_version is 'v2.1', and v3.0 is read here; convert it with",
         ),
         (
+            "lerobot-train --policy.type=act --policy.push_to_hub=false --dataset.repo_id=local/a"
+            " --dataset.root=torn",
+            "error: LeRobot fails at the dataset torn (",
+        ),
+        (
             f"lerobot-train --policy.type=pneutac_bc {ON_DEMOS} --output_dir=file",
             "error: --output_dir=file is a file; give a folder.",
         ),
@@ -218,6 +223,9 @@ def test_what_a_user_gave_wrongly_ends_in_one_sentence(run, command, sentence):
     info = (DEMOS / "meta/info.json").read_text().replace('"v3.0"', '"v2.1"')
     (run.work / "old/meta").mkdir(parents=True, exist_ok=True)
     (run.work / "old/meta/info.json").write_text(info)
+    if "torn" in command:
+        shutil.copytree(DEMOS, run.work / "torn")
+        (run.work / "torn/meta/stats.json").write_text("{")
     code, output = run.commands.run(*shlex.split(command))
     assert code == 1 and "Traceback" not in output
     assert sentence in output.splitlines()[-1]

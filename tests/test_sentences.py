@@ -27,7 +27,9 @@ calibrat
 calibrate
 calibrate --recording=bench
 calibrate --twin=nowhere --recording=bench
+calibrate --twin=fingr --recording=bench
 calibrate --twin=finger --recording=nowhere
+calibrate --twin=finger --recording=bnch
 calibrate --twin=arm --recording=bench
 calibrate --twin=gel --recording=bench
 calibrate --twin=finger --recording=bench --by=smell
@@ -69,6 +71,7 @@ measure --bench=standin --out=other --max_kpa=much
 measure --bench=standin --out=other --max_kpa=15,15 --program=steps
 measure --bench=standin --out=other --max_kpa=90,90,90 --program=steps
 measure --pressure.type=simulated --pressure.ports=/a,/b,/a
+learn --twin=finger --out=other --budget_min=-1
 render
 render --twin=nowhere
 render --twin=finger --seconds=0

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from pneutac_datasets.recording.wording import an
-from pneutac_sim.effects.registry import get_effect, of_body
 from pneutac_sim.errors import InputError, check_least
-from pneutac_sim.finger.online import COMPUTED
+from pneutac_sim.finger.online import refuse_unused
 from pneutac_sim.gel.indenter import AnyFigure, Figure, Outline, Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin
@@ -100,7 +99,7 @@ def filled(config: RenderConfig, twin: Twin) -> RenderConfig:
         raise InputError("camera is one of a recording; give its folder too, or choose a view instead.")
     if config.view is not None and config.recording is not None:
         raise InputError("view and recording exclude each other; omit one.")
-    _check_conditions(config, twin)
+    refuse_unused(twin, config.conditions)
     if own is not GEL:
         own = own | {"pressure_kpa": _pressures(twin)}
     if config.recording is not None:
@@ -143,18 +142,6 @@ def _figure(config: RenderConfig) -> AnyFigure | None:
     if config.indenter_file is not None:
         return Figure.read(config.indenter_file)
     return Outline.of_text(config.outline_mm) if config.outline_mm else None
-
-
-def _check_conditions(config: RenderConfig, twin: Twin) -> None:
-    effects = [get_effect(name) for name in of_body(twin.effects)]
-    needed = sorted({column for effect in effects for column in effect.columns} - set(COMPUTED))
-    for name in config.conditions:
-        if name not in needed:
-            wanted = f"ask for {', '.join(needed)}" if needed else "ask for none, omit it"
-            raise InputError(
-                f"conditions has '{name}', which the twin at {config.twin} has no use for: its effects "
-                f"{wanted}."
-            )
 
 
 def _footprint_mm(press: Press) -> tuple[float, float]:

@@ -18,11 +18,11 @@ from lerobot_pneutac.verbs.result import Calibration, measured_range
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations, is_dataset, load_demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import an
-from pneutac_sim.errors import InputError, check_choice, check_least, option
+from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.executor import one_thread
 from pneutac_sim.files import check_writable
 from pneutac_sim.progress import Progress, no_progress
-from pneutac_sim.twin import Twin
+from pneutac_sim.twin import Twin, no_twin
 
 SEARCH = "evaluations.json"  # in the folder where a search by images is stored
 BEST = "best.png"  # there, the best rendering so far
@@ -257,10 +257,7 @@ def twin_for(folder: Path, recording: Recording | Demonstrations) -> Twin:
         _same_device(twin, recording, f"the twin at '{folder}'")
         return twin
     if recording.device != "gel":
-        raise InputError(
-            f"There is no twin at '{folder}'; make one with `pneutac new {option('twin', folder)} "
-            f"--device={recording.device}`."
-        )
+        raise InputError(no_twin(folder, recording.device))
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"'{folder}' holds no twin but something else; give an empty or new folder.")
     return Twin(device="gel", length_mm=16.0)

@@ -17,6 +17,7 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole
 from pneutac_sim.finger.control import BendController, bend_angle, bend_is_by, pressure_for
+from pneutac_sim.finger.online import refuse_unused
 from pneutac_sim.finger.quantities import root_mean
 from pneutac_sim.twin import Twin
 
@@ -148,6 +149,7 @@ def control(
     for name, value in (conditions or {}).items():
         if not np.isfinite(value):
             raise InputError(f"conditions has {name}: {value}; give a finite number.")
+    refuse_unused(twin, conditions or ())
     rested = BendController(twin, 1 / hz, conditions)
     start, reach = rested.predicted_rad, rested.reach_rad
     if isinstance(bend, np.ndarray):

@@ -1,5 +1,6 @@
 """Finds what a twin lacks at the bench: measure, search on everything, choose the next program, repeat."""
 
+import math
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -273,6 +274,16 @@ def learn(
     out = Path(out)
     limits = Limits(*bench.range_kpa, bench.hz, budget_s, program_s)
     same_chambers(twin, limits.chambers)
+    first_s = first_program(limits)[0][-1]
+    if not first_s <= budget_s:
+        raise InputError(
+            f"The first program takes {first_s:.0f} s and the budget is {budget_s:g} s; give"
+            f" budget_min={math.ceil(first_s / 30)} or more."
+        )
+    length_mm = getattr(bench, "length_mm", None)
+    if length_mm is not None and not same_length(length_mm, twin):
+        both = f"The device on the bench is {length_mm:g} mm long and the twin's {twin.length_mm:g} mm"
+        raise InputError(f"{both}; give a twin of that device.")
     rounds = Rounds(out, twin, bench, seed, jobs, progress, hands)
     while True:
         left_s = budget_s - sum(r.seconds for r in rounds.done)
@@ -312,10 +323,6 @@ class Rounds:
         """The next program, and why there is none; an empty reason where there is one."""
         if not self.done:
             t, p = first_program(limits)
-            if (s := t[-1]) > limits.seconds:
-                raise InputError(
-                    f"The first program takes {s:.0f} s; give a budget of {2 * s:.0f} s or more."
-                )
             return Choice("first", "first", t, p, 0.0, 0.0, 1.0, (), conditions=self._hands.usual), ""
         hands = set(self._hands.changes) - {r.hand for r in self.done}  # each is asked once before the end
         reason = self._known()
@@ -516,10 +523,6 @@ def command(cfg: LearnConfig, terminal: Terminal) -> None:
 
     twin = Twin.load(cfg.twin)
     bench, usual = make_bench(cfg.measure, cfg.out, cfg.seed, twin.device)
-    length_mm = getattr(bench, "length_mm", None)
-    if length_mm is not None and not same_length(length_mm, twin):
-        both = f"The device on the bench is {length_mm:g} mm long and the twin's {twin.length_mm:g} mm"
-        raise InputError(f"{both}; give a twin of that device.")
 
     def ask(sentence: str) -> None:
         if cfg.measure is None:

@@ -192,12 +192,14 @@ def explained(error: BaseException) -> str | None:
     if isinstance(error, _OF_USERS):
         return printable(str(error))
     options = _options()
-    files = [frame.filename.replace("\\", "/") for frame in traceback.extract_tb(error.__traceback__)]
+    frames = traceback.extract_tb(error.__traceback__)
+    files = [frame.filename.replace("\\", "/") for frame in frames]
     reason = " ".join(str(error).split())
     of_hub = type(error).__module__.partition(".")[0] in _OF_HUB
     usual = of_hub or isinstance(error, OSError | ValueError | NotImplementedError)
     if usual and not _records(options) and any("/lerobot/datasets/" in file for file in files):
-        return _fault_of_dataset(options, reason)
+        where = f"{files[-1].rpartition('/site-packages/')[2]}, line {frames[-1].lineno}"
+        return _fault_of_dataset(options, f"{type(error).__name__} in {where}: {reason}")
     if (of_hub or isinstance(error, FileNotFoundError)) and (fault := _fault_of_policy(options)):
         return fault
     if of_hub:
@@ -232,7 +234,8 @@ def _fault_of_dataset(options: dict[str, str], reason: str) -> str:
     if missing:
         return f"{root} has no episode {missing[0]}; give one of 0 to {total - 1}."
     return printable(
-        f"{root} cannot be read; `pneutac check {quote(str(root))}` says what is wrong ({reason})."
+        f"LeRobot fails at the dataset {root} ({reason}); `pneutac check {quote(str(root))}` lists what is"
+        " wrong with it."
     )
 
 

@@ -1,5 +1,6 @@
 """Files that are read with one sentence where they are bad, and written whole or not at all."""
 
+import difflib
 import errno
 import io
 import json
@@ -192,6 +193,13 @@ def whole(file: Path) -> Iterator[Path]:
             flush(file.parent)
         finally:
             part.unlink(missing_ok=True)
+
+
+def meant(folder: Path, mark: str) -> str:
+    """The folder next to it with such a name that holds a file `mark`, as a question; empty for none."""
+    there = [file.parent.name for file in folder.parent.glob(f"*/{mark}")]
+    near = difflib.get_close_matches(folder.name, there, n=1)
+    return f"did you mean '{folder.with_name(near[0])}'?" if near else ""
 
 
 def flush(path: Path) -> None:

@@ -19,7 +19,7 @@ from safetensors.numpy import load_file, save
 
 from pneutac_sim.errors import InputError, from_hub, option, shown, unknown_names
 from pneutac_sim.features import PAPER_LENGTH_MM, PAPER_RANGE_KPA
-from pneutac_sim.files import inside, locked, read_yaml, refuse_pointer, whole, write_json, write_text
+from pneutac_sim.files import inside, locked, meant, read_yaml, refuse_pointer, whole, write_json, write_text
 from pneutac_sim.value import Value
 
 DEVICES = ("finger", "arm", "gel")
@@ -93,6 +93,13 @@ _KINDS = {
     (int,): "give a whole number", (str,): "give a text", _NUMBER: "give a finite number",
     (list,): "give a list", (dict,): "give names and what they are",
 }  # fmt: skip
+
+
+def no_twin(folder: Path, device: str = "") -> str:
+    """The sentence for a folder without a twin: twins nearby with such a name, else how one is made."""
+    of = f" --device={device}" if device else ""
+    make = f"make one with `pneutac new {option('twin', folder)}{of}`."
+    return f"There is no twin at '{folder}' (no twin.yaml); {meant(folder, 'twin.yaml') or make}"
 
 
 @dataclass
@@ -248,10 +255,7 @@ class Twin:
                 raise InputError(f"{path} has no version {version} ({file} is missing).")
             if Path(path).is_file():
                 raise InputError(f"{path} is a file; give the folder of a twin.")
-            raise InputError(
-                f"There is no twin at '{path}' (no twin.yaml); make one with "
-                f"`pneutac new {option('twin', path)}`."
-            )
+            raise InputError(no_twin(Path(path)))
         d = read_yaml(file)
         if not isinstance(d, dict) or d.get("format") != FORMAT:
             raise InputError(f"{file}: field 'format' must be '{FORMAT}'.")

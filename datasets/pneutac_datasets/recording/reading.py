@@ -11,7 +11,7 @@ from pneutac_datasets.recording.text_table import MAX_COLUMNS, MAX_ROWS, TextTab
 from pneutac_datasets.recording.units import unit_named
 from pneutac_datasets.recording.wording import SourceFile, cut
 from pneutac_sim.errors import InputError, shown
-from pneutac_sim.files import inside, read_json, refuse_pointer
+from pneutac_sim.files import inside, meant, read_json, refuse_pointer
 
 MAX_CELLS = 200_000_000  # 1.6 GB of numbers: a small Parquet file may stand for far more
 MAX_NAME = 255  # characters of a file's name
@@ -21,9 +21,8 @@ def read_meta(folder: Path) -> dict:
     """Reads `recording.json` of a folder, or makes the equivalent for a LeRobotDataset without one."""
     file = folder / "recording.json"
     if not folder.is_dir():
-        raise InputError(
-            f"There is no bench recording at '{folder}'; give a folder that holds recording.json."
-        )
+        near = meant(folder, "recording.json") or "give a folder that holds recording.json."
+        raise InputError(f"There is no bench recording at '{folder}'; {near}")
     if not file.is_file():
         if (folder / "meta" / "info.json").is_file():
             return {"lerobot": True}

@@ -329,7 +329,7 @@ def clean_numbers(samples: pd.DataFrame, device: str, file: Path) -> pd.DataFram
             bad &= column.notna().to_numpy()  # an unknown depth or radius stays empty
         if bad.any():
             row = int(np.argmax(bad))
-            value = "empty" if pd.isna(column.iloc[row]) else shown(str(column.iloc[row]))
+            value = "empty or NaN" if pd.isna(column.iloc[row]) else shown(str(column.iloc[row]))
             raise InputError(
                 f"{file}: column {shown(name)}, {row_name(row, file)} is {value} "
                 f"({plural(int(bad.sum()), 'such row')}); {_remedy(bad, column)}."

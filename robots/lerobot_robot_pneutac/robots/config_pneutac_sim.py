@@ -67,6 +67,7 @@ class PneutacSimConfig(options.WorldOptions, options.SceneOptions, RobotConfig):
         if self.bend:
             options.check_finger("robot", self.twin, self.conditions)
             options.check_bend("robot", self.twin)
+        options.check_range("--robot.seed", self.seed, 0)
         options.check_range("--robot.spread", self.spread, 0)
         options.check_station("robot.station", self.station)
         self._where = station_of(self.station)

@@ -97,6 +97,7 @@ class PneutacScriptedConfig(TeleoperatorConfig):
 
     def __post_init__(self):
         check_range("--teleop.episode_steps", self.episode_steps, 1)
+        check_range("--teleop.seed", self.seed, 0)
         check_range("--teleop.person", self.person, 0, 1)
         check_range("--teleop.drag_mm", self.drag_mm, 0, MOST_MM)
 

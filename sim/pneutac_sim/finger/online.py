@@ -2,11 +2,12 @@
 
 import copy
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
 
+from pneutac_sim.effects.registry import get_effect, of_body
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.pipeline import BENDING_PRESSURE, Pipeline
 from pneutac_sim.finger.stages import BodyLink
@@ -14,6 +15,25 @@ from pneutac_sim.twin import Twin
 
 COMPUTED = ("session_time_s", "length_mm", BENDING_PRESSURE)  # conditions that nobody has to give
 OTHERS = tuple(f"other_{i}_kpa" for i in (1, 2, 3))
+
+
+def needed_conditions(twin: Twin) -> list[str]:
+    """Names of what the effects of a twin's body ask for, such as `temperature_c`."""
+    effects = (get_effect(name) for name in of_body(twin.effects))
+    return sorted({column for effect in effects for column in effect.columns} - {*COMPUTED})
+
+
+def refuse_unused(twin: Twin, given: Iterable[str]) -> None:
+    """Raises InputError for a condition that no effect of the twin asks for: a typing error would be lost."""
+    needed = needed_conditions(twin)
+    for name in given:
+        if name in needed or (name.endswith("_kpa") and {*OTHERS} & {*needed}):
+            continue
+        wanted = f"ask for {', '.join(needed)}" if needed else "ask for none, omit it"
+        where = f" at {twin.folder}" if twin.folder else ""
+        raise InputError(
+            f"conditions has '{name}', which the twin{where} has no use for: its effects {wanted}."
+        )
 
 
 class PressurePipeline:

@@ -5,9 +5,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pneutac_sim.errors import InputError
+from pneutac_sim.effects import body_effects
+from pneutac_sim.errors import InputError, unknown_names
 from pneutac_sim.features import CHAMBERS, task_names
-from pneutac_sim.finger.online import PressurePipeline
+from pneutac_sim.finger.online import COMPUTED, PressurePipeline, needed_conditions
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.station import MISSING_M, Station
 from pneutac_sim.world.tasks import make_task
@@ -30,6 +31,9 @@ def conditions_for(twin: Twin, given: Conditions | None) -> Conditions:
         numbers = all(type(v) in (int, float) and math.isfinite(v) for v in (low, high))
         if not (numbers and low <= high):
             raise InputError(f"conditions has {name}: {value}; give a finite number, or a range [low, high].")
+    known = {*USUAL, *needed_conditions(twin), *(c for e in body_effects().values() for c in e.columns)}
+    for fault in unknown_names(given, sorted(known - {*COMPUTED}), "condition"):
+        raise InputError(f"conditions: {fault}")
     found = USUAL | dict(given)
     PressurePipeline(twin, draw(found, np.random.default_rng(0)))  # refuses an effect without its conditions
     return found

@@ -30,6 +30,7 @@ REFUSED = (
     ("compare", "--twin=endless --recording=bench", "twin.yaml: Twin length_mm is 1e.30; .* at most 10000"),
     ("render", "--twin=finger --particles=3", "it must be 100 or more"),
     ("render", "--twin=finger --conditions='{gravity_z: .nan}'", "gravity_z: nan; give a finite number"),
+    ("control", "--twin=finger --conditions='{temprature_c: 3}'", "'temprature_c', which the twin at"),
     ("render", "--twin=finger --conditions='{temperature_c: 30}'", "which .* its effects ask for none"),
     ("render", "--twin=loaded", "payload.*payload_g"),
     ("render", "--twin=finger --indenter=cube", "indenter is of a gel, but .* is of a finger; omit it"),

@@ -112,7 +112,7 @@ BAD = [
     (lambda s: s.assign(time_s=np.round(s.time_s, 1)), "repeats the stamp.*digits"),
     (
         break_("tip_x_mm", 12, np.nan),
-        r"'tip_x_mm', row 13 \(line 14 of the file\) is empty \(1 such row\).*leave out that row",
+        r"'tip_x_mm', row 13 \(line 14 of the file\) is empty or NaN \(1 such row\).*leave out that row",
     ),
     (break_("tip_z_mm", 3, np.inf), "'tip_z_mm', row 4"),
     (break_(P, 7, "n/a!"), r"'pressure_cmd_kpa', row 8 \(line 9 of the file\) is 'n/a!'"),

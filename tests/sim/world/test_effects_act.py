@@ -199,6 +199,11 @@ def test_a_condition_is_a_number_or_a_range(value):
         World("switch", with_effect("thermal"), touch="none", conditions={"temperature_c": value})
 
 
+def test_a_condition_that_no_effect_has_is_refused():
+    with pytest.raises(InputError, match="'temprature_c'; did you mean 'temperature_c'"):
+        World("switch", touch="none", conditions={"temprature_c": 30.0})
+
+
 def test_a_range_is_drawn_anew_for_each_episode_and_by_the_seed():
     world = World("switch", with_effect("thermal"), "none", conditions={"temperature_c": [20.0, 30.0]})
 

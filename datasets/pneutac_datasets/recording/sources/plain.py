@@ -226,7 +226,7 @@ class Understood:
         self._line = np.concatenate([t.lines for t in self._read])
         if empty := [c for c in frame if frame[c].isna().all()]:
             are = "is" if len(empty) == 1 else "are"
-            self.notes.append(f"{self._source}: {listed(map(shown, empty))} {are} empty, left out.")
+            self.notes.append(f"{self._source}: {listed(map(shown, empty))} {are} empty or NaN, left out.")
         return frame.drop(columns=empty)
 
     def _converted(self, frame: pd.DataFrame) -> pd.DataFrame:
@@ -298,7 +298,7 @@ class Understood:
         bad = parsed.isna().to_numpy()
         if bad.any():
             row = int(np.argmax(bad))
-            value = "empty" if pd.isna(raw.iloc[row]) else shown(str(raw.iloc[row]))
+            value = "empty or NaN" if pd.isna(raw.iloc[row]) else shown(str(raw.iloc[row]))
             raise InputError(
                 f"{self.files[self._of_file[row]]}: column {source}, line {self._line[row]}"
                 f" is {value}, which is no time ({plural(int(bad.sum()), 'such row')}); write seconds, or"
@@ -317,7 +317,9 @@ class Understood:
         elif given.isna().any():
             row = int(given.isna().to_numpy().argmax())
             file = self.files[self._of_file[row]]
-            raise InputError(f"{file}: the column of runs is empty in row {row + 1}; number every row.")
+            raise InputError(
+                f"{file}: the column of runs is empty or NaN in row {row + 1}; number every row."
+            )
         return pd.factorize(pairs)[0]
 
     def _trials(self, time: np.ndarray) -> np.ndarray:
@@ -352,7 +354,9 @@ class Understood:
             table[name] = table.groupby("trial")[name].bfill()
             if table[name].isna().any() and table[name].dtype.kind not in "fiu":
                 table[name] = table[name].fillna("none")
-            self.notes.append(f"{shown(names.get(name, name))} is empty in {gaps}: the last value holds.")
+            self.notes.append(
+                f"{shown(names.get(name, name))} is empty or NaN in {gaps}: the last value holds."
+            )
 
     def _into_base(self, table: pd.DataFrame) -> None:
         """Turns and shifts what is in the table's frame into the base's, in place."""
