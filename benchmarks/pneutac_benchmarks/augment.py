@@ -14,6 +14,7 @@ from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.features import CONTROL_HZ, TASK_NAMES, TRIAL_S, task_names
 from pneutac_sim.world.base import MOST_WIDE
 
+TOGETHER = ("building", "making", "world", "controllers", "writing", "merging")  # parts on a GPU
 GUIDED = ("library", "expert", "planner")  # methods that do the task on the twin
 
 
@@ -117,7 +118,7 @@ def _measure(cfg: BenchmarkAugmentConfig, task: str, console: Console) -> dict:
         "1,000 on two cores (minutes)": 1000 * core_s / 2 / 60,
     }
     if cfg.device != "cpu":
-        parts = {f"{part} (s)": s[part] for part in ("world", "controllers", "making", "writing")}
+        parts = {f"{part} (s)": s[part] for part in TOGETHER}
         return row | parts | {"wall (s)": summary["wall_s"]}
     if cfg.method != "planner":
         return row

@@ -20,7 +20,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, redirect_stderr
@@ -150,15 +150,8 @@ def run_pieces(
     run = {"local": _local, "ray": _ray, "slurm": _slurm}[options.executor]
     tasks = -(-len(missing) // options.tasks_per_job)
     step = Pieces(make, missing, options.tasks_per_job, Path.cwd(), options.executor != "local")
-    try:
-        with _shown(progress, text, files, missing, there):
-            run([step], tasks, logs.absolute(), options)
-    except BrokenProcessPool as e:
-        raise InputError(f"{text or 'Work'}: {ENDED}; repeat the command with fewer workers.") from e
-    except OSError as e:
-        if e.errno in (errno.ENOSPC, errno.EDQUOT):
-            raise InputError(f"No space is left in {logs.parent}; free some and repeat.") from e
-        raise
+    with faults_named(text, logs.parent), _shown(progress, text, files, missing, there):
+        run([step], tasks, logs.absolute(), options)
     left = [k for k in missing if not there(files[k])]
     if left:
         raise InputError(
@@ -166,6 +159,19 @@ def run_pieces(
             f"logs are in {logs}, and the same command goes on."
         )
     shutil.rmtree(logs, ignore_errors=True)
+
+
+@contextmanager
+def faults_named(text: str, folder: Path) -> Iterator[None]:
+    """While processes write into a folder: where one ends or no space is left, raises InputError."""
+    try:
+        yield
+    except BrokenProcessPool as e:
+        raise InputError(f"{text or 'Work'}: {ENDED}; repeat the command with fewer workers.") from e
+    except OSError as e:
+        if e.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise InputError(f"No space is left in {folder}; free some and repeat.") from e
+        raise
 
 
 @contextmanager
@@ -207,15 +213,8 @@ def _local(pipeline: list, tasks: int, logs: Path, options: ExecutorOptions) -> 
     """Tasks of datatrove in the pool below; its own waits for ever where one of its processes was killed."""
     engine = _quiet().LocalPipelineExecutor(pipeline, tasks, logging_dir=str(logs))
     with process_pool(min(options.workers or len(os.sched_getaffinity(0)), tasks)) as pool:
-        futures = [pool.submit(_run_task, engine, rank) for rank in range(tasks)]
-        try:
-            for future in as_completed(futures):
-                future.result()
-        except BaseException:
-            for process in list(pool._processes.values()):
-                process.kill()  # what they had begun is made again
-            pool.shutdown(cancel_futures=True)
-            raise
+        for future in as_completed([pool.submit(_run_task, engine, rank) for rank in range(tasks)]):
+            future.result()
 
 
 def _run_task(engine, rank: int) -> None:
@@ -319,12 +318,20 @@ def one_thread(function: Callable) -> Callable:
     return limited
 
 
-def process_pool(workers: int) -> ProcessPoolExecutor:
+@contextmanager
+def process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     """A pool of new processes, each of which computes on one thread and ends within a second of its parent.
 
-    Ctrl-C is the parent's, which ends them.
+    Ctrl-C is the parent's, which ends them; so does whatever else is raised while they work.
     """
-    return ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _begin)
+    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _begin) as pool:
+        try:
+            yield pool
+        except BaseException:
+            for process in list((pool._processes or {}).values()):
+                process.kill()  # what they had begun is made again
+            pool.shutdown(cancel_futures=True)
+            raise
 
 
 def _begin() -> None:

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from demonstration_sets import write_demonstrations
-from lerobot.datasets import LeRobotDatasetMetadata
+from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 
 from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment, other_sensor
 from lerobot_pneutac.verbs.check import check_path
@@ -382,7 +382,10 @@ def test_failed_demonstrations_are_not_mixed_in(tmp_path):
     lines = run._merge([shard], part, "local/new", source, [1], 0.5)
     length = source.episodes[1]["length"]
     assert {line["source_episode"] for line in lines} == {1} and len(lines) == round(110 / length)
-    assert LeRobotDatasetMetadata("local/new", part).total_frames == 110 + len(lines) * length
+    new, recorded = (LeRobotDataset(f"local/{d.name}", d, video_backend="pyav") for d in (part, source.root))
+    assert len(new) == 110 + len(lines) * length
+    last = source.episodes[1]["dataset_to_index"] - 1
+    assert (new[len(new) - 1][TACTILE] - recorded[last][TACTILE]).abs().max() < 0.1  # encoded once more
     assert sorted(f.name for f in tmp_path.iterdir()) == ["demos", "new.part", "shard"]
 
 

@@ -11,6 +11,7 @@ from pneutac_datasets.demonstrations.augment.lockstep import Lockstep  # noqa: E
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig  # noqa: E402
 from pneutac_datasets.demonstrations.augment.reference import Reference  # noqa: E402
 from pneutac_datasets.demonstrations.augment.work import Work  # noqa: E402
+from pneutac_sim.executor import process_pool  # noqa: E402
 from pneutac_sim.features import AREA, EE  # noqa: E402
 from pneutac_sim.progress import no_progress  # noqa: E402
 from pneutac_sim.world.expert import ScriptedExpert  # noqa: E402
@@ -38,7 +39,8 @@ def test_they_agree_until_the_touch(tmp_path):
         [shown(0), shown(3)], "switch", None, "probe", PlannerConfig(), 1, "library", (0.004, 0.004, 0.004)
     )
     work = Work(tmp_path)
-    Lockstep(setup, work, DEVICE, 2).make([0], 1, no_progress)
+    with process_pool(1) as pool:
+        Lockstep(setup, work, DEVICE, 2).make([0], pool, no_progress)
     one, line = Generator(setup).episode(0, [])
     many, provenance, _ = work.load_episode(0)
     assert provenance.keys() == line.keys() and provenance["attempt"] == line["attempt"]

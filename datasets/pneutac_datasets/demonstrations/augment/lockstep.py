@@ -8,6 +8,7 @@ known whether they are needed, and the first one that does the task is accepted.
 import time
 from collections import defaultdict, deque
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -25,7 +26,6 @@ from pneutac_datasets.demonstrations.augment.episode import (
 )
 from pneutac_datasets.demonstrations.augment.library import Followers
 from pneutac_datasets.demonstrations.augment.work import CONTACT, Sensed, Work, save_sensed
-from pneutac_sim.executor import process_pool
 from pneutac_sim.features import PRESSURES
 from pneutac_sim.progress import Progress
 from pneutac_sim.world.base import Variation
@@ -72,12 +72,12 @@ class Lockstep:
         )
         self._world.single.widen_starts(setup.start_width)
         self._world.reset(variations=[Variation(late_commands=self._generator.late_commands)] * worlds)
-        self._longest, self._limits = setup.longest, single.action_limits
+        (self._until, self._after, self._longest), self._limits = setup.limits, single.action_limits
         self._shortest = setup.references[0].frames(SHORTEST)
         self._runs: list[Run | None] = [None] * worlds
         self._followers = Followers(self._generator.library, worlds)
-        # Of each world: whether an attempt goes on in it, its control steps so far, ...
-        self._busy, self._t = np.zeros(worlds, bool), np.zeros(worlds, int)
+        # Of each world: whether an attempt goes on in it, its control steps so far and at most, ...
+        self._busy, self._t, self._end_t = np.zeros(worlds, bool), *np.zeros((2, worlds), int)
         self._late_touch, self._missed = np.zeros(worlds, int), np.zeros(worlds, bool)
         self._states = np.zeros((worlds, self._longest + 1, self._world.state.shape[1]))
         self._actions = np.zeros((worlds, self._longest + 1, len(self._limits[0])), np.float32)
@@ -85,12 +85,12 @@ class Lockstep:
         self._ready: deque[tuple[int, Run]] = deque()
         self.seconds, self.steps = {"world": 0.0, "controllers": 0.0}, 0
 
-    def make(self, missing: list[int], workers: int, progress: Progress, done: int = 0) -> None:
+    def make(self, missing: list[int], pool: ProcessPoolExecutor, progress: Progress, done: int = 0) -> None:
         """Makes and saves demonstrations.
 
         Args:
             missing: their numbers.
-            workers: processes that draw the images of accepted ones and save them.
+            pool: its processes draw the images of accepted ones and save them.
             progress: is called with how many are made.
             done: of them before these.
 
@@ -100,24 +100,25 @@ class Lockstep:
         self._open, self._ended = set(missing), defaultdict(dict)
         self._jobs = ((k, n) for n in range(self._setup.attempts) for k in missing if k in self._open)
         saved, shown, save = [], -1, partial(save_sensed, self._setup, self._work.folder)
-        with process_pool(workers) as pool:
-            while self._open:
-                with self._timed("world"):
-                    self._fill()
-                    sensed = self._look()
-                with self._timed("controllers"):
-                    actions, ended = self._act(*sensed)
-                    for run in ended:
-                        if accepted := self._decide(run):
-                            saved.append(pool.submit(save, *accepted))
-                with self._timed("world"):
-                    self._world.step(actions)
-                self.steps += len(self._runs)
-                if shown < (made := done + len(missing) - len(self._open)):
-                    shown = made
-                    progress("making demonstrations", made, done + len(missing))
-            for each in saved:
-                each.result()
+        while self._open:
+            with self._timed("world"):
+                self._fill()
+                sensed = self._look()
+            with self._timed("controllers"):
+                actions, ended = self._act(*sensed)
+                for run in ended:
+                    if accepted := self._decide(run):
+                        saved.append(pool.submit(save, *accepted))
+            with self._timed("world"):
+                self._world.step(actions)
+            self.steps += len(self._runs)
+            if shown < (made := done + len(missing) - len(self._open)):
+                shown = made
+                progress("making demonstrations", made, done + len(missing))
+            while saved and saved[0].done():  # a full disk is known at once
+                saved.pop(0).result()
+        for each in saved:
+            each.result()
 
     @contextmanager
     def _timed(self, part: str) -> Iterator[None]:
@@ -136,6 +137,7 @@ class Lockstep:
                     worlds.append(k := free.popleft())
                     self._runs[k], self._late_touch[k] = run, run.start[1].late_touch
                     self._busy[k], self._t[k], self._missed[k] = True, 0, True
+                    self._end_t[k] = self._until
                     starts.append(start)
             sent = (torch.tensor(x, device=self._world.torch_device) for x in (worlds, starts))
             if worlds:
@@ -175,7 +177,7 @@ class Lockstep:
     def _act(self, rows: np.ndarray, displacement_mm: dict[int, np.ndarray]) -> tuple[np.ndarray, list[Run]]:
         """Actions (N, 3 + C) of all worlds, and the attempts that have ended. As `Generator._carried_out`."""
         library, busy = self._generator.library, np.flatnonzero(self._busy)
-        t, sensed, longest = self._t[busy], rows[busy], self._longest
+        t, sensed = self._t[busy], rows[busy]
         flange_m, centre_mm, flags = sensed[:, :3], sensed[:, -5:-3], sensed[:, -3:] > 0
         touches, done = flags[:, 0], flags[:, 1:].any(1)
         self._states[busy, t] = sensed[:, :-5]
@@ -183,14 +185,16 @@ class Lockstep:
             self._runs[k].displacement_mm[int(self._t[k])] = displacement_mm[k].copy()
         area = self._states[busy, np.maximum(t - self._late_touch[busy], 0), CONTACT.start]
         centre_mm[~(area > 0)] = np.nan
-        self._missed[busy] &= (t == 0) | ~(area > 0)
+        first = self._missed[busy] & (t > 0) & (area > 0)
+        self._missed[busy[first]] = False
+        self._end_t[busy[first]] = np.minimum(t[first] + self._after, self._longest)
         for k, at in zip(busy[t == 0], flange_m[t == 0], strict=True):
             self._followers.begin(k, self._runs[k].rng, at)
             self._pressure_kpa[k] = library.pressure_kpa[0]
         on = ~done & ~(touches & (t == 0))
         felt = (area[on], centre_mm[on], flange_m[on], self._pressure_kpa[busy[on]])
         made, goes_on = self._followers.actions(busy[on], *felt)
-        goes_on &= t[on] < longest
+        goes_on &= t[on] < self._end_t[busy[on]]
         on[on] = goes_on
         acting, made = busy[on], np.clip(made[goes_on], *self._limits)
         self._pressure_kpa[acting] = made[:, PRESSURES]

@@ -10,7 +10,8 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
+from concurrent.futures import as_completed
 from contextlib import redirect_stderr
 from dataclasses import asdict
 from functools import partial
@@ -30,7 +31,7 @@ from pneutac_datasets.demonstrations.augment.episode import LONGEST, AugmentSetu
 from pneutac_datasets.demonstrations.augment.library import lagged_answers
 from pneutac_datasets.demonstrations.augment.reference import EXTRA_STEPS, Reference, onset_sigma_m
 from pneutac_datasets.demonstrations.augment.scene import Scene
-from pneutac_datasets.demonstrations.augment.work import Work, make_episode, make_scene
+from pneutac_datasets.demonstrations.augment.work import Work, generator, make_episode, make_scene
 from pneutac_datasets.demonstrations.card import write_card
 from pneutac_datasets.demonstrations.episodes import (
     TACTILE,
@@ -46,7 +47,7 @@ from pneutac_datasets.demonstrations.naive import augment_naive
 from pneutac_datasets.demonstrations.replay.imprint import imprint_centres_mm
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders, written
 from pneutac_sim.errors import InputError
-from pneutac_sim.executor import ExecutorOptions, run_pieces
+from pneutac_sim.executor import ExecutorOptions, faults_named, process_pool, run_pieces
 from pneutac_sim.features import VELOCITY_NAMES, Places
 from pneutac_sim.files import write_text
 from pneutac_sim.gel.contact import without_specks
@@ -54,9 +55,9 @@ from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.progress import Progress, no_progress
 
 PROVENANCE = "provenance.jsonl"  # in the dataset's folder `meta`
-# Demonstrations that one process writes as a dataset, at least, and most such datasets before all are merged:
-# with each one more, LeRobot copies all that is merged already.
-SHARD, SHARDS = 25, 16
+SHARD = 25  # demonstrations that one process writes as a dataset, at least
+SHARDS = 16  # such datasets, at most
+WRITING = "writing the dataset"
 RECORDED = "recorded"  # method of the copies of recorded demonstrations
 
 
@@ -141,20 +142,25 @@ def augment_guided(
     work.open(_run(meta, setup) | ({"real_share": real_share} if real_share else {}) | together)
     scenes = _find_scenes(work, setup, executor, progress) if setup.method == "planner" else []
     files = [work.episode_file(k) for k in range(episodes)]
+    shards, write = _shards(work, meta, setup.references, out_repo_id, episodes)
     parts: dict[str, float] = {}
     if worlds:
-        parts = _make_together(setup, work, files, device, worlds, executor, progress)
+        parts = _make_together(setup, work, files, device, worlds, executor, shards, write, progress)
     else:
         make = partial(make_episode, setup, work.folder, scenes)
         run_pieces(make, files, work.folder / "logs", executor, progress, "making demonstrations")
     spent = time.monotonic()
-    shards = _write(work, meta, setup.references, out_repo_id, episodes, executor, progress)
+    if len(shards) > 1:
+        run_pieces(write, shards, work.folder / "logs", executor, progress, WRITING)
+    elif not shards[0].exists():  # a process of its own takes seconds to start
+        write(0)
+    written = time.monotonic()
     used = [r.source for r in setup.references]
     copies = _merge(shards, part, out_repo_id, meta, used, real_share)
     made = [work.load_spent(k) for k in range(episodes)]
     provenance = [line for line, _ in made] + copies
-    seconds = {name: sum(s[name] for _, s in made) for name in made[0][1]} | parts
-    seconds["writing"] = time.monotonic() - spent
+    seconds = {name: sum(s[name] for _, s in made) for name in made[0][1]}
+    seconds |= {"writing": written - spent, "merging": time.monotonic() - written} | parts
     check(work, setup, checks, progress)
     agreements = _checked(work, checks)
     delay = lagged_answers(setup.references)[1] if setup.method == "library" else None
@@ -203,39 +209,49 @@ def _make_together(
     device: str,
     worlds: int,
     executor: ExecutorOptions,
+    shards: list[Path],
+    write: Callable[[int], None],
     progress: Progress,
 ) -> dict[str, float]:
-    """Makes what is missing in a batch of worlds; returns the seconds of this process by part."""
+    """Makes what is missing in a batch of worlds, and writes it; returns the seconds of this process by part.
+
+    One pool of processes saves and writes; it starts while the worlds are built.
+    """
     missing = [k for k, file in enumerate(files) if not file.exists()]
     if not missing:
         return {}
     from pneutac_datasets.demonstrations.augment.lockstep import Lockstep
 
-    lockstep, began = Lockstep(setup, work, device, worlds), time.monotonic()
-    workers = min(executor.workers or len(os.sched_getaffinity(0)), len(missing))
-    lockstep.make(missing, workers, progress, len(files) - len(missing))
-    return lockstep.seconds | {"making": time.monotonic() - began}
+    began, workers = time.monotonic(), min(executor.workers or len(os.sched_getaffinity(0)), len(missing))
+    with faults_named("Making demonstrations", work.folder), process_pool(workers) as pool:
+        for _ in range(workers):
+            pool.submit(_start, setup, work.folder)
+        lockstep = Lockstep(setup, work, device, worlds)
+        built = time.monotonic()
+        lockstep.make(missing, pool, progress, len(files) - len(missing))
+        made = time.monotonic()
+        writing = [pool.submit(write, k) for k, shard in enumerate(shards) if not shard.exists()]
+        for k, each in enumerate(as_completed(writing), 1):
+            each.result()
+            progress(WRITING, k, len(writing))
+    parts = {"building": built - began, "making": made - built, "writing": time.monotonic() - made}
+    return lockstep.seconds | parts
 
 
-def _write(
-    work: Work,
-    meta: LeRobotDatasetMetadata,
-    references: list[Reference],
-    repo_id: str,
-    episodes: int,
-    executor: ExecutorOptions,
-    progress: Progress,
-) -> list[Path]:
-    """Writes the demonstrations as datasets, side by side; returns their folders in order."""
+def _start(setup: AugmentSetup, folder: Path) -> None:
+    """Imports what saving and writing need, and loads the twin."""
+    generator(setup, folder)
+
+
+def _shards(
+    work: Work, meta: LeRobotDatasetMetadata, references: list[Reference], repo_id: str, episodes: int
+) -> tuple[list[Path], Callable[[int], None]]:
+    """Folders of datasets that hold the demonstrations in order, and what writes each by its number."""
     size = max(SHARD, -(-episodes // SHARDS))
     ranges = [(first, min(first + size, episodes)) for first in range(0, episodes, size)]
     shards = [work.folder / f"shard_{first:06d}_{end:06d}" for first, end in ranges]
-    write = partial(_write_shard, work.folder, repo_id, (meta.repo_id, meta.root), references, shards, ranges)
-    if len(shards) > 1:
-        run_pieces(write, shards, work.folder / "logs", executor, progress, "writing the dataset")
-    elif not shards[0].exists():  # a process of its own takes seconds to start
-        write(0)
-    return shards
+    source = meta.repo_id, meta.root
+    return shards, partial(_write_shard, work.folder, repo_id, source, references, shards, ranges)
 
 
 def _write_shard(
@@ -294,7 +310,9 @@ def _merge(
             recorded = Path(delete_episodes(whole, left_out, source / "used", meta.repo_id).root)
         repeated = _repeated(recorded, meta.repo_id, copies, source)
         names = [repo_id] * len(shards) + [meta.repo_id] * len(repeated)
-        aggregate_datasets(names, repo_id, [*shards, *repeated], part)
+        # One file after the other, as LeRobot would copy what it has merged with every dataset that is added.
+        separate = {"concatenate_videos": False, "concatenate_data": False}
+        aggregate_datasets(names, repo_id, [*shards, *repeated], part, **separate)
     shutil.rmtree(source, ignore_errors=True)
     return [
         {"episode": k, "method": RECORDED, "source_episode": source}
@@ -392,7 +410,7 @@ def _run(meta: LeRobotDatasetMetadata, setup: AugmentSetup) -> dict:
         **({"start_width": setup.start_width} if setup.start_width else {}),
         "seed": setup.seed,
         "attempts": setup.attempts,
-        "files": 4,  # version of the work folder's files
+        "files": 5,  # version of the work folder's files
         "candidates": setup.candidates,
         **({"tactile_points": True} if setup.tactile_points else {}),
         **({"cameras": setup.cameras} if setup.cameras else {}),

@@ -112,15 +112,15 @@ _made: tuple[Path, Generator] | None = None  # a process' generator, and for whi
 
 def make_scene(setup: AugmentSetup, folder: Path, source: int) -> None:
     """Finds and saves the scene of one reference."""
-    write_json(Work(folder).scene_file(source), asdict(_generator(setup, folder).scene(source)))
+    write_json(Work(folder).scene_file(source), asdict(generator(setup, folder).scene(source)))
 
 
 def make_episode(setup: AugmentSetup, folder: Path, scenes: list[Scene], index: int) -> None:
     """Makes and saves the demonstration of an index."""
-    generator = _generator(setup, folder)
-    before, began = _spent(generator), time.process_time()
-    attempt, provenance = generator.episode(index, scenes)
-    seconds = {k: v - before[k] for k, v in _spent(generator).items()} | {"core": time.process_time() - began}
+    makes = generator(setup, folder)
+    before, began = _spent(makes), time.process_time()
+    attempt, provenance = makes.episode(index, scenes)
+    seconds = {k: v - before[k] for k, v in _spent(makes).items()} | {"core": time.process_time() - began}
     Work(folder).save_episode(index, attempt, provenance, seconds)
 
 
@@ -137,7 +137,7 @@ class Sensed(NamedTuple):
 
 def save_sensed(setup: AugmentSetup, folder: Path, index: int, sensed: Sensed, provenance: dict) -> None:
     """Adds joints and images to an accepted attempt, and saves it as the demonstration of an index."""
-    began, world = time.process_time(), _generator(setup, folder).world
+    began, world = time.process_time(), generator(setup, folder).world
     solver, states = world.arm.solver(), sensed.states
     flange_m = states[:, :3] - world.arm.base_m
     for _ in range(START_SOLVES):
@@ -154,7 +154,7 @@ def save_sensed(setup: AugmentSetup, folder: Path, index: int, sensed: Sensed, p
     Work(folder).save_episode(index, attempt, provenance, seconds)
 
 
-def _generator(setup: AugmentSetup, folder: Path) -> Generator:
+def generator(setup: AugmentSetup, folder: Path) -> Generator:
     """That of a run, made once in each process."""
     global _made
     if _made is None or _made[0] != folder:
