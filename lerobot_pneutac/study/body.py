@@ -427,7 +427,7 @@ def _evidence(
         forward=done.forward,
         later=done.later,
         program=done.program,
-        unseen=_unseen(study, after),
+        unseen=done.unseen or _unseen(study, after),
     )
 
 

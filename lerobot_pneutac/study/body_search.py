@@ -21,6 +21,10 @@ from pneutac_sim.finger.instants import step_rows
 
 MOST_ROWS = 1700  # of the learning part that fits use
 SMOOTH_SAMPLES = 2.0
+# What changes within minutes, and may stand in for a temperature that the device follows late.
+DRIFTS = ("thermal", "p dT", "p lag(dT)", "p exp(-t)", "p path(p)", "p damage(p)")
+LATE_TEMPERATURE, LATE_S = "p lag(dT)", 60.0  # the law, and from which time constant it is late at all
+LATE_PAUSES_S = (0.0, 15.0)  # between trials, from which a fit of it begins
 TRIAL_WIDTHS = ((0.01, 0.02, 0.02, 0.01), (0.04, 0.06, 0.06, 0.02))  # tried, see `BodyStructure.trials`
 
 
@@ -41,6 +45,7 @@ class Searched:
         forward: whether it holds for the later part when fitted to the earlier one.
         later: error over noise of the later part, fitted to the earlier one; None where there is none.
         program: the same of programs, each by a fit to all others; None where fewer than two are named.
+        unseen: what the recording does not show of an effect found, a clause; empty where nothing.
     """
 
     space: BodySpace
@@ -55,6 +60,7 @@ class Searched:
     forward: bool = True
     later: float | None = None
     program: float | None = None
+    unseen: str = ""
 
 
 class BodySearch:
@@ -217,7 +223,42 @@ class BodySearch:
             else:
                 self.left_out, space.trials, space.required = left_out, (), own
         finished = self.without_idle(space, self._refined(space, plain, found), own)
-        return Searched(space, found, self.engine(space).pruned(finished, found, T.WORTH_NAMING))
+        finished, unseen = self._late_temperature(space, finished)
+        finished = self.engine(space).pruned(finished, found, T.WORTH_NAMING)
+        return Searched(space, found, finished, unseen=unseen)
+
+    def _late_temperature(self, space: BodySpace, model: Scored) -> tuple[Scored, str]:
+        """The model that follows the temperature late where that predicts better, and whether it is open.
+
+        A lag of minutes goes on in the pauses between trials. A search in which trials begin settled ranks it
+        below a drift, or below a temperature without lag, that fits this recording alone.
+        """
+        structure, values = model.model.structure, model.model.values
+        new = (e for e in structure.effects if e not in self.study.twin_effects)
+        drifts = [e for e in new if e.partition(" #")[0] in DRIFTS]
+        if not drifts or LATE_TEMPERATURE not in space.candidates:
+            return model, ""
+        values = values | {f"{LATE_TEMPERATURE}.time_s": 2 * LATE_S, f"{LATE_TEMPERATURE}.weight": 0.1}
+        with_late = structure.without(*drifts).plus(LATE_TEMPERATURE)
+        begins = [replace(structure.input_model, start=pause) for pause in LATE_PAUSES_S]
+        engine = self.engine(space)
+        fits = engine.fits([(replace(with_late, input_model=begin), values) for begin in begins], 12)
+        late = min(fits, key=lambda s: s.value, default=model)
+        if late is model or late.model.values[f"{LATE_TEMPERATURE}.time_s"] < LATE_S:
+            return model, ""
+        late = min(late, self.score(space.refine(late.model)), key=lambda s: s.value)
+        if late.value < model.value and engine.is_significant(model, late):
+            return late, ""
+        if (
+            LATE_TEMPERATURE in drifts
+            or engine.is_significant(late, model)
+            or late.value > model.value * (1 + T.WORTH_OF_NOISE)
+        ):
+            return model, ""
+        return model, (
+            "that the device follows the temperature minutes late explains this recording as well, and would "
+            "predict another course of the temperature differently"
+        )
 
     def without_idle(self, space: BodySpace, model: Scored, chosen: Sequence[str]) -> Scored:
         """The model without terms that ended where they do nothing, at the same instants of steps.

@@ -51,9 +51,9 @@ class OnlineRod:
         self._time_s += dt_s
         rows = round(self._time_s / DT_S) - self._row
         # The orifice starts settled on its first entry, so the present pressure there goes on from it.
-        wanted = np.full((rows + 1, 1), command_kpa / self._top_kpa)
+        wanted = np.full((rows + 2, 1), command_kpa / self._top_kpa)
         wanted[0] = self.air
-        air = _orifice(wanted, AMBIENT_KPA / self._top_kpa, *self._orifice)[1:, 0]
+        air = _orifice(wanted, AMBIENT_KPA / self._top_kpa, *self._orifice)[2:, 0]
         before = np.append(self.air, air)[:-1]
         changed = np.flatnonzero(air != before)
         self._rows = np.append(self._rows, self._row + changed)

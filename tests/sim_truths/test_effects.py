@@ -88,6 +88,30 @@ def test_a_long_line_swings_at_its_period():
     assert np.array_equal(w.at_gauge, w.sent)
 
 
+@pytest.mark.parametrize(
+    ("act", "parameters"),
+    [
+        (air.fill_orifice, {"critical": 0.3, "supply": 2.0, "growth": 0.8, "size": 0.1}),
+        (air.valve_slew, {"size": 0.1}),
+        (air.line_second_order, {"damping": 0.2, "size": 0.1}),
+        (air.leak, {"power": 2.0, "lag_s": 0.03, "size": 0.1}),
+        (air.vent_slow, {"fill_share": 0.3, "size": 0.1}),
+        (air.tube_kink, {"kink": 0.5, "size": 0.1}),
+    ],
+)
+def test_air_moves_after_its_command_not_with_it(act, parameters):
+    w = world(step(0.1))
+    act(w, **parameters)
+    assert w.air[20, 0] == 0.0 < w.air[21, 0]
+
+
+def test_a_slow_vent_is_a_lag_from_the_moment_of_the_command():
+    w = world(step(0.5))
+    air.vent_slow(w, fill_share=0.4, size=0.1)
+    after = np.arange(len(w.air) - 20) * DT_S
+    np.testing.assert_allclose(w.air[20:, 0], 1 - np.exp(-after / 0.04), atol=1e-12)
+
+
 def test_a_hunting_regulator_never_settles():
     w = world(step(20) * 0.6)
     air.hunting(w, pace=0.6, size=0.05)

@@ -1,6 +1,8 @@
 """From the regulator's inlet to the pressure in the chamber. Pressures are shares of the top pressure."""
 
+import functools
 import math
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -15,7 +17,16 @@ acts = partial(effect, "air")
 AMBIENT_KPA = 101.3
 
 
-@by_column
+def flows(kernel: Callable) -> Callable:
+    """`by_column` of a kernel whose air moves over each step of the grid by what was asked at its start.
+
+    So nothing moves before its command was sent.
+    """
+    run = by_column(kernel)
+    return functools.wraps(kernel)(lambda x, *constants: run(np.concatenate([x[:1], x[:-1]]), *constants))
+
+
+@flows
 def _uneven_lag(u, out, up, down):
     a, b = 1.0 - math.exp(-DT_S / up), 1.0 - math.exp(-DT_S / down)
     x = u[0]
@@ -50,7 +61,7 @@ def _flow(up, down, b):
     return up * math.sqrt(1.0 - ((ratio - b) / (1.0 - b)) ** 2)
 
 
-@by_column
+@flows
 def _orifice(wanted, out, ambient, b, supply, growth, fill):
     # conductance such that a chamber at ambient pressure takes the top pressure's air in the time `fill`
     c = (1.0 + growth * (ambient + 1.0)) / (fill * _flow(ambient + supply, ambient, b))
@@ -78,7 +89,7 @@ def valve_slew(w: World, size: float) -> None:
     w.air = _slew(w.air, DT_S / size)
 
 
-@by_column
+@flows
 def _slew(x, out, most):
     y = x[0]
     for i in range(len(x)):
@@ -97,7 +108,7 @@ def line_second_order(w: World, damping: float, size: float) -> None:
     w.air = swing(w.air, 2 * np.pi / size, damping)
 
 
-@by_column
+@flows
 def swing(x, out, omega, damping):
     """Second-order answer to the columns of x (n, c), settled at the start; omega in rad/s."""
     parts = 4
@@ -120,7 +131,7 @@ def leak(w: World, power: float, lag_s: float, size: float) -> None:
     w.air = _leak(w.air, power, lag_s, size)
 
 
-@by_column
+@flows
 def _leak(u, out, power, lag_s, size):
     x = u[0]
     for i in range(len(u)):
@@ -138,7 +149,7 @@ def hunting(w: World, pace: float, size: float) -> None:
     w.air = _hunting(w.air, size, pace)
 
 
-@by_column
+@flows
 def _hunting(u, out, band, pace):
     x, way = 0.0, 1.0
     for i in range(len(u)):
@@ -206,7 +217,7 @@ def tube_kink(w: World, kink: float, size: float) -> None:
     w.air = _kinked(w.air, kink, size)
 
 
-@by_column
+@flows
 def _kinked(u, out, kink, slow):
     x, shut = u[0], False
     for i in range(len(u)):
