@@ -63,7 +63,8 @@ class BodyEffect(Effect):
         of_gauge: of the pneumatics: an error of the pressure gauge. It lies between the measured pressure and
             the true one, so it acts where the measured pressure is the input too.
         apart: whether it acts on each channel independently of the others, so that further signals may be run
-            as further channels.
+            as further channels. Its state is then what they share, of `state_size(0)`, and rows of one number
+            a channel.
         linear: parameter in which what it adds to its signal is linear; empty where there is none.
     """
 

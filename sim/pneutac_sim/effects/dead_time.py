@@ -12,32 +12,32 @@ _KEPT = 2048
 
 @kernel
 def run(x, dt, theta, conditions, state):
-    """State = a ring buffer: clock, oldest sample in use, newest + 1, then per slot time and channels."""
+    """State = a ring buffer: clock, oldest sample in use, newest + 1, slots' times, then their channels."""
     delay = theta[0]
     n, channels = x.shape
-    width = channels + 1
     clock, tail, head = state[0], int(state[1]), int(state[2])
+    times, held = state[3 : 3 + _KEPT], state[3 + _KEPT :].reshape(_KEPT, channels)
     for t in range(n):
         if math.isinf(dt[t]):
             clock, tail, head = 0.0, 0, 0
         else:
             clock += dt[t]
-        slot = 3 + (head & (_KEPT - 1)) * width
-        state[slot] = clock
+        slot = head & (_KEPT - 1)
+        times[slot] = clock
         for c in range(channels):
-            state[slot + 1 + c] = x[t, c]
+            held[slot, c] = x[t, c]
         head += 1
         tail = max(tail, head - _KEPT)
         wanted = clock - delay
-        a = b = 3 + (tail & (_KEPT - 1)) * width
+        a = b = tail & (_KEPT - 1)
         while tail + 1 < head:
-            b = 3 + ((tail + 1) & (_KEPT - 1)) * width
-            if state[b] > wanted:
+            b = (tail + 1) & (_KEPT - 1)
+            if times[b] > wanted:
                 break
             tail, a = tail + 1, b
-        share = (wanted - state[a]) / (state[b] - state[a]) if wanted > state[a] and b != a else 0.0
+        share = (wanted - times[a]) / (times[b] - times[a]) if wanted > times[a] and b != a else 0.0
         for c in range(channels):
-            x[t, c] = state[a + 1 + c] + share * (state[b + 1 + c] - state[a + 1 + c])
+            x[t, c] = held[a, c] + share * (held[b, c] - held[a, c])
     state[0], state[1], state[2] = clock, tail, head
 
 

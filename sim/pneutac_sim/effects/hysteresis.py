@@ -26,8 +26,8 @@ def run(x, dt, theta, conditions, state):
             y = p
             for i in range(len(w)):
                 r = width * _SHARES[i]
-                play = min(max(state[5 * c + i], p - r), p + r)
-                state[5 * c + i] = play
+                play = min(max(state[i * channels + c], p - r), p + r)
+                state[i * channels + c] = play
                 y += w[i] * play
             x[t, c] = y / total if total != 1.0 else p
 

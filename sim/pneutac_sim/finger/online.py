@@ -10,7 +10,7 @@ import numpy as np
 from pneutac_sim.effects.registry import get_effect, of_body
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.pipeline import BENDING_PRESSURE, Pipeline
-from pneutac_sim.finger.stages import BodyLink
+from pneutac_sim.finger.stages import BodyLink, EffectLink
 from pneutac_sim.twin import Twin
 
 COMPUTED = ("session_time_s", "length_mm", BENDING_PRESSURE)  # conditions that nobody has to give
@@ -54,7 +54,6 @@ class PressurePipeline:
 
     Attributes:
         pressure_kpa: (chambers,) in the chambers after the last step, as their gauge reads it.
-        gauge_kpa: (n, chambers) of all rows of the last `targets`.
         moves: whether an effect moves the tip from where the joints put it.
         measures: whether an effect changes what is read of the tip.
 
@@ -119,13 +118,10 @@ class PressurePipeline:
         return new
 
     @property
-    def remembers(self) -> bool:
-        """Whether joint targets depend on earlier commands."""
-        return any(link.remembers for _, link in self._to_joints)
-
-    def targets(self, pressure_cmd_kpa: np.ndarray) -> np.ndarray:
-        """Joint targets (n, N axes), rad, of n devices that remember nothing, at commands (n, chambers)."""
-        return self._run_rows(self._to_joints, np.asarray(pressure_cmd_kpa, float), math.inf)
+    def mounted(self) -> bool:
+        """Whether all that moves the tip from where the joints put it is how the base stands."""
+        effects = [link.effect for _, link in self._to_tip[1:]]
+        return all(e.signal == "mount" and not e.columns and not e.state_size(1) for e in effects)
 
     def rest(self) -> np.ndarray:
         """Joint targets with which a trial begins, as of `step`."""
@@ -192,7 +188,7 @@ class PressurePipeline:
 
         for i, link in links:
             if i == self._model.reads_pressure:
-                self.pressure_kpa, self.gauge_kpa = x[-1].copy(), x
+                self.pressure_kpa = x[-1].copy()
             if i == self._model.drive and self._model.asks_pressure:
                 self._given[BENDING_PRESSURE] = x.mean(axis=1)
             key, dt = -i if of_base else i, steady
@@ -203,3 +199,67 @@ class PressurePipeline:
                 dt = np.concatenate([[math.inf], steady[1:]])
             x = link(x, dt, self._theta, conditions, self._states[key])
         return x
+
+
+class ManyPipelines:
+    """`PressurePipeline.step` of K devices of one twin and one chamber together, all at rest at 0 kPa first.
+
+    Devices are channels of the effects that remember. Where one of these cannot be run so, each device has a
+    pipeline of its own, which is slow.
+
+    Args:
+        one: the pipeline, which stays as it is.
+        devices: K.
+
+    Attributes:
+        pressure_kpa: (K, 1) after the last step, as of `PressurePipeline`.
+    """
+
+    def __init__(self, one: PressurePipeline, devices: int):
+        self._one, self._links = one.copy(), one._to_joints
+        self._one.reset(0.0)
+        self._one.rest()
+        remember = [(i, link) for i, link in self._links if link.remembers]
+        effects = [link.effect for _, link in self._links if isinstance(link, EffectLink)]
+        clocked = any("session_time_s" in e.columns for e in effects)  # each has begun at its own time
+        together = not clocked and all(
+            i < one._model.drive and e.effect.apart and not e.effect.columns for i, e in remember
+        )
+        self._own = None if together else [self._one.copy() for _ in range(devices)]
+        self._states: dict[int, np.ndarray] = {}
+        self._rows: dict[int, tuple[np.ndarray, np.ndarray]] = {}  # a column a device, and those at rest
+        for i, link in remember if together else ():
+            shared, rested = np.split(self._one._states[i], [link.state_size(0)])
+            self._states[i] = np.concatenate([shared, np.repeat(rested, devices)])
+            self._rows[i] = self._states[i][len(shared) :].reshape(-1, devices), rested[:, None]
+        self.pressure_kpa = np.zeros((devices, 1))
+
+    def restart(self, devices: np.ndarray) -> None:
+        """Puts devices (k,), indices, to rest at 0 kPa."""
+        if self._own is not None:
+            for k in devices:
+                self._own[k] = self._one.copy()
+        for rows, rested in self._rows.values():
+            rows[:, devices] = rested
+
+    def step(self, pressure_cmd_kpa: np.ndarray, dt_s: float) -> np.ndarray:
+        """Joint targets (K, N), rad, one control step of `dt_s` on under commands (K, 1)."""
+        if self._own is not None:
+            joints = [p.step(c, dt_s) for p, c in zip(self._own, pressure_cmd_kpa, strict=True)]
+            self.pressure_kpa = np.stack([p.pressure_kpa for p in self._own])
+            return np.stack(joints)
+        one, x, dt = self._one, np.asarray(pressure_cmd_kpa, float), np.full(1, dt_s)
+        for i, link in self._links:
+            if i == one._model.reads_pressure:
+                self.pressure_kpa = x
+            if link.remembers:
+                side_by_side = np.ascontiguousarray(x.reshape(1, -1))
+                x = link(side_by_side, dt, one._theta, _none, self._states[i]).reshape(-1, 1)
+            else:
+                x = one._run_rows([(i, link)], x, math.inf)
+        return x
+
+
+def _none(names: tuple[str, ...]) -> np.ndarray:
+    """Conditions of effects that have none."""
+    return np.empty((1, 0))

@@ -15,7 +15,7 @@ import numpy as np
 
 from pneutac_sim.errors import InputError, check_choice
 from pneutac_sim.features import PRESSURES
-from pneutac_sim.finger.online import PressurePipeline
+from pneutac_sim.finger.online import ManyPipelines, PressurePipeline
 from pneutac_sim.gel.force import GelForce
 from pneutac_sim.gel.sensor import branches_of
 from pneutac_sim.surrogate.network import NEAR_RAD, ActionNetwork
@@ -336,10 +336,10 @@ class BatchedWorld:
         one = World(task, twin, "area", fidelity, conditions, **limits)
         if one.chambers > 1:
             raise InputError(f"Many worlds at once have fingers of one chamber; the twin has {one.chambers}.")
-        if one._pipeline.moves:
+        if not one._pipeline.mounted:
             raise InputError(
-                "An effect of the twin moves the tip beyond the bend, as elongation and base_tilt do;"
-                " that has no batched form: use `World`, or take it out."
+                "An effect of the twin moves the tip beyond the bend, as elongation does; that has no batched"
+                " form: use `World`, or take it out."
             )
         if branches_of(one.sensor.model):
             raise InputError(
@@ -447,7 +447,7 @@ class BatchedWorld:
             self._zeros(*s) for s in ((n,), (n,), (1,), (1,))
         )
         self._pipeline = PressurePipeline(g.twin, one.conditions)
-        self._pipelines: list[PressurePipeline] | None = None
+        self._pipelines = ManyPipelines(self._pipeline, N)
         self._queue = self._zeros(1, 3 + self.chambers)
         self.state, self.area = self._zeros(8 + self.chambers), self._zeros()
         self.pressure_kpa = self._zeros(self.chambers)
@@ -513,8 +513,7 @@ class BatchedWorld:
             pipelines = self._pipelines
             self._lay_out(seeds, variations)
             staged = {k: v.clone() for k, v in self._everything().items()}
-            if pipelines is not None:
-                self._pipelines = pipelines
+            self._pipelines = pipelines
             for name, tensor in self._everything().items():
                 tensor.copy_(running[name])
             self._place()
@@ -529,9 +528,7 @@ class BatchedWorld:
         with self._on_device():
             for name, tensor in self._everything().items():
                 tensor[worlds] = (staged or self._starts)[name][starts]
-            if self._pipelines is not None:
-                for i in worlds.tolist():
-                    self._pipelines[i] = self._pipeline.copy()
+            self._pipelines.restart(worlds.cpu().numpy())
             self._place()
 
     def _late_of(self, variation: Variation) -> int:
@@ -566,8 +563,7 @@ class BatchedWorld:
         self._pipeline.set_conditions(g.conditions)
         self._pipeline.reset(0.0)
         self._rest_rad.copy_(self._sent(self._pipeline.rest()).expand_as(self._rest_rad))
-        if self._pipeline.remembers:
-            self._pipelines = [self._pipeline.copy() for _ in variations]
+        self._pipelines = ManyPipelines(self._pipeline, self.worlds)
         self._gain.copy_(self._sent([v.bend_gain for v in variations])[:, None])
         self._more.copy_(self._sent([v.more_rad for v in variations])[:, None])
         self._drive.copy_(self._bent(self._rest_rad))
@@ -638,14 +634,8 @@ class BatchedWorld:
 
     def _commanded(self, pressures_kpa: torch.Tensor) -> torch.Tensor:
         """Joint targets (N, n) of the twin's pipeline, on the CPU: its effects are defined there once."""
-        commands = pressures_kpa.cpu().numpy().astype(float)
-        if self._pipelines is None:
-            targets = self._pipeline.targets(commands)
-            read = self._pipeline.gauge_kpa
-        else:
-            targets = np.stack([p.step(c, self.dt_s) for p, c in zip(self._pipelines, commands, strict=True)])
-            read = np.stack([p.pressure_kpa for p in self._pipelines])
-        self.pressure_kpa.copy_(self._sent(read))
+        targets = self._pipelines.step(pressures_kpa.cpu().numpy().astype(float), self.dt_s)
+        self.pressure_kpa.copy_(self._sent(self._pipelines.pressure_kpa))
         return self._sent(targets)
 
     def _bent(self, q_cmd: torch.Tensor) -> torch.Tensor:

@@ -4,6 +4,7 @@ import pytest
 from pneutac_sim.effects import body_effects
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Inputs, Pipeline, PressurePipeline
+from pneutac_sim.finger.online import ManyPipelines
 from pneutac_sim.finger.stages import forward_kinematics, joint_command
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 
@@ -133,6 +134,26 @@ def test_online_a_session_goes_on_over_trials_as_in_a_recording(with_effects):
     online.reset(0.0)
     again = [online.rest(), *(online.step(p, 0.1) for p in swing[1:])]
     np.testing.assert_allclose(again, bench[:60], atol=1e-9)
+
+
+LAWS = ["p play(p)", "power_law_memory(p)", "play(p)", "loop(p)"]
+
+
+@pytest.mark.parametrize("name", [*(n for n in ALL if body_effects()[n].signal == "pressure"), *LAWS])
+def test_many_devices_together_move_as_each_alone(with_effects, name):
+    """Also where one begins again while the others go on, and where each has a pipeline of its own."""
+    twin = with_effects(Twin.builtin(), {"dead_time": {"delay_s": 0.05}} | {name: {}})
+    one = PressurePipeline(twin, dict.fromkeys(("temperature_c", "other_1_kpa", "other_2_kpa"), 21.0))
+    many, rng = ManyPipelines(one, 3), np.random.default_rng(0)
+    alone = [one.copy() for _ in range(3)]
+    for t in range(30):
+        if t == 12:
+            many.restart(np.array([1]))
+            alone[1] = one.copy()
+        commands = rng.uniform(0.0, 15.0, (3, 1))
+        joints = [a.step(c, 0.07) for a, c in zip(alone, commands, strict=True)]
+        np.testing.assert_allclose(many.step(commands, 0.07), joints, atol=1e-12)
+        np.testing.assert_allclose(many.pressure_kpa, [a.pressure_kpa for a in alone], atol=1e-12)
 
 
 def test_reused_links_give_the_same_run(program):

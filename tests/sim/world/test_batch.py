@@ -4,6 +4,7 @@ import gymnasium
 import numpy as np
 import pytest
 
+from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.base import Variation
@@ -92,10 +93,29 @@ def test_the_vector_environment_keeps_gymnasiums_rules():
         env.step(action * np.nan)
 
 
+def test_a_mount_askew_and_a_memory_act_as_in_the_single_world():
+    twin = Twin.builtin()
+    given = {"base_tilt": {"pitch_rad": -0.09, "shift_z_mm": 2.0}, "play(p)": {}, "valve_slew": {}}
+    for name, values in given.items():
+        twin.effects[name] = get_effect(name).start(15.0) | {k: Value(v) for k, v in values.items()}
+    batch, off = BatchedWorld("switch", 1, twin, DEVICE), []
+    one, low, high = batch.single, [-0.05, -0.05, 0.0, 0.0], [0.0, 0.05, 0.05, 15.0]
+    batch.reset(3)
+    one.reset(3)
+    for action in np.random.default_rng(0).uniform(low, high, (12, 4)):
+        batch.step(action[None])
+        one.step(action)
+        gel_m = batch.poses["site_xpos"][0, one._gel].cpu().numpy()
+        kpa = float(batch.state[0, 8]) - float(one._pipeline.pressure_kpa[0])
+        off.append([np.abs(gel_m - one.gel_m).max(), abs(kpa)])
+    assert np.max(off, 0)[0] < 1e-6 and np.max(off, 0)[1] < 1e-5
+
+
 def test_what_has_no_batched_form_is_refused():
     long = Twin.builtin()
-    long.effects["base_tilt"] = {"tilt_z_rad": Value(0.05), "tilt_y_rad": Value(0.0)}
+    long.effects["elongation"] = get_effect("elongation").start(15.0)
     for options, message in (
+        ({"twin": long}, "moves the tip beyond the bend, as elongation does"),
         ({"task": "button"}, "know the tasks switch, egg, card, not 'button'"),
         ({"worlds": 0}, "worlds is 0"),
         ({"fidelity": "mpm"}, "fidelity"),
