@@ -117,8 +117,7 @@ def prepare() -> None:
 
     It imports the plugin before it reads its options, and would end in a traceback of anything raised later.
 
-    Raises:
-        SystemExit: a dataset that is to be read is none, or a folder that is to be written cannot be.
+    Raises SystemExit: a dataset that is to be read is none, or a folder that is to be written cannot be.
     """
     if not paced():
         return

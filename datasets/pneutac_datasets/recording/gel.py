@@ -118,8 +118,8 @@ class GelRecording:
     def load(cls, recording: Recording) -> "GelRecording":
         """Reads and checks every image and indenter of a gel's recording.
 
-        Raises:
-            InputError: one sentence naming the file, the row (the first is row 1) or field, and the remedy.
+        Raises InputError: one sentence naming the file, the row (the first is row 1) or field, and the
+        remedy.
         """
         out, rests = _begun(recording)
         clocks = _clock(recording.samples)

@@ -112,8 +112,7 @@ def column_of(recording: Recording, kind: str, camera: str) -> str:
 def read_camera(recording: Recording, name: str) -> Camera:
     """A camera of a recording, base frame; the size of its pictures is that of the first.
 
-    Raises:
-        InputError: `recording.json` does not describe it, or does so wrongly.
+    Raises InputError: `recording.json` does not describe it, or does so wrongly.
     """
     described = recording.meta.get("cameras", {})
     if name not in described:
@@ -132,8 +131,7 @@ def read_camera(recording: Recording, name: str) -> Camera:
 def read_photograph(recording: Recording, row: int, camera: str) -> tuple[np.ndarray, np.ndarray]:
     """One photograph: RGB uint8 (H, W, 3) and its mask bool (H, W), by segmentation where none was recorded.
 
-    Raises:
-        InputError: no such camera, or the mask is of another size than the image.
+    Raises InputError: no such camera, or the mask is of another size than the image.
     """
     columns = {kind: column_of(recording, kind, camera) for kind in ("image", "mask")}
     image = recording.image(recording.column(columns["image"])[row])

@@ -38,8 +38,7 @@ def read_meta(folder: Path) -> dict:
 def read_table(folder: Path, meta: dict) -> tuple[pd.DataFrame, Path]:
     """Reads the samples; returns them and the file they came from.
 
-    Raises:
-        InputError: the file is missing, larger than the limits above, or not a table.
+    Raises InputError: the file is missing, larger than the limits above, or not a table.
     """
     if meta.get("lerobot"):
         return _read_lerobot(folder), folder / "data"

@@ -41,8 +41,7 @@ class Recording:
     def load(cls, path: str | Path) -> "Recording":
         """Reads a recording's folder, or a LeRobotDataset's root with the same columns as feature names.
 
-        Raises:
-            InputError: one sentence with file, column, row (the first row of data is row 1) and remedy.
+        Raises InputError: one sentence with file, column, row (the first row of data is row 1) and remedy.
         """
         folder = Path(path)
         meta = reading.read_meta(folder)

@@ -64,8 +64,7 @@ def read_text(file: Path) -> TextTable:
     Lines that begin with `#`, `%` or `//`, lines above the header, empty lines and lines below the last
     number are left out. `sep=;` in the first line names the delimiter, as spreadsheets do.
 
-    Raises:
-        InputError: it is no table, has no header, or is too large.
+    Raises InputError: it is no table, has no header, or is too large.
     """
     try:
         size = file.stat().st_size

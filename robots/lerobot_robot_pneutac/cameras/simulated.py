@@ -84,8 +84,7 @@ class DigitGenerated(Camera):
     def async_read(self, timeout_ms: float = 200) -> np.ndarray:
         """The newest frame not yet handed out, uint8 (height, width, 3).
 
-        Raises:
-            TimeoutError: it comes later than `timeout_ms`.
+        Raises TimeoutError: it comes later than `timeout_ms`.
         """
         wait_s = (self._last + 1) / self.fps - self._time_s()
         if wait_s > 1e-3 * timeout_ms:

@@ -46,9 +46,8 @@ class Tactile:
     def connect(self) -> None:
         """Connects and takes the rest image; nothing may touch the gel meanwhile.
 
-        Raises:
-            HardwareFault: frames have another shape, differ from each other as by a touch, or show what the
-                twin's rest image does not.
+        Raises HardwareFault: frames have another shape, differ from each other as by a touch, or show what
+        the twin's rest image does not.
         """
         self.camera.connect()
         self.rest_image = self._checked(capture_rest_image(self.camera, REST_FRAMES))
@@ -84,8 +83,7 @@ class LiveCamera:
     def latest(self) -> np.ndarray:
         """The newest picture uint8 (H, W, 3).
 
-        Raises:
-            HardwareFault: it is older than `FRAME_S`, cannot be had, or has been the same for `SAME_S`.
+        Raises HardwareFault: it is older than `FRAME_S`, cannot be had, or has been the same for `SAME_S`.
         """
         try:
             image = self._newest()
@@ -120,8 +118,7 @@ class LiveCamera:
 def compare_rest_images(rest: np.ndarray, gel: GelModel, camera: str) -> None:
     """Compares a rest image with that of the sensor's twin.
 
-    Raises:
-        HardwareFault: something touches the gel, or has left a strong imprint.
+    Raises HardwareFault: something touches the gel, or has left a strong imprint.
     """
     if rest.shape != gel.rest_image.shape:
         return

@@ -43,8 +43,8 @@ class Chambers:
     def connect(self) -> None:
         """Connects all; the chambers stay vented.
 
-        Raises:
-            HardwareFault: one cannot be used, or its limit is not that of the others; all are let go again.
+        Raises HardwareFault: one cannot be used, or its limit is not that of the others; all are let go
+        again.
         """
         try:
             for c in self.controllers:

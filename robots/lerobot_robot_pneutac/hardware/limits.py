@@ -56,8 +56,7 @@ class Limits:
     def of_twin(self, twin_kpa: tuple[float, float]) -> "Limits":
         """These limits for a twin that was measured over that range, kPa.
 
-        Raises:
-            DecodingError: a given set-point lies beyond the range, and `beyond_twin` does not allow it.
+        Raises DecodingError: a given set-point lies beyond the range, and `beyond_twin` does not allow it.
         """
         low, high = twin_kpa
         pressure, vacuum, over = self._given

@@ -21,8 +21,7 @@ METHODS = ("connect", "set_pressure", "pressure", "vent", "disconnect")
 def pressure_controller_types() -> list[str]:
     """The known types: the built-in ones first, then those of other packages in alphabetical order.
 
-    Raises:
-        InputError: two packages offer one name.
+    Raises InputError: two packages offer one name.
     """
     names = [*BUILTIN, *sorted(p.name for p in entry_points(group=ENTRY_POINT_GROUP))]
     for name in names:
@@ -34,9 +33,8 @@ def pressure_controller_types() -> list[str]:
 def make_pressure_controller(type: str, **options) -> PressureController:
     """A pressure controller of a known type, not yet connected, made with its class's own options.
 
-    Raises:
-        InputError: there is no such type, an option is unknown, missing or bad, or a package's entry point is
-            no pressure controller.
+    Raises InputError: there is no such type, an option is unknown, missing or bad, or a package's entry point
+    is no pressure controller.
     """
     known = pressure_controller_types()
     if type not in known:

@@ -8,8 +8,7 @@ from pneutac_sim.errors import InputError
 def checked_kpa(kpa: float, max_kpa: float, min_kpa: float = 0.0) -> float:
     """The set-point in kPa (gauge) as a float.
 
-    Raises:
-        InputError: it is no number, not finite, or outside `min_kpa` ... `max_kpa`.
+    Raises InputError: it is no number, not finite, or outside `min_kpa` ... `max_kpa`.
     """
     try:
         value = float(kpa)

@@ -80,8 +80,7 @@ class Guard:
     def look(self) -> tuple[ArmState, np.ndarray]:
         """State of the arm and pressure (chambers,) in kPa.
 
-        Raises:
-            HardwareFault: a part failed or a limit is broken, now or before.
+        Raises HardwareFault: a part failed or a limit is broken, now or before.
         """
         with self.failing("reading arm and pressure"):
             state, kpa = within(ARM_S, "The arm", self._arm.state), self._pressure.pressure()
@@ -95,8 +94,7 @@ class Guard:
 
         Returns what was carried out; zeros, the arm at rest and the chamber vented, where it was refused.
 
-        Raises:
-            HardwareFault: as `look`, or `REFUSALS` of the last `RECENT` actions were refused.
+        Raises HardwareFault: as `look`, or `REFUSALS` of the last `RECENT` actions were refused.
         """
         state, _ = self.look()
         with self.failing("sending an action"):
@@ -128,8 +126,7 @@ class Guard:
     def failing(self, doing: str) -> Iterator[None]:
         """While a part is used: whatever is raised halts everything at once, until the guard is closed.
 
-        Raises:
-            HardwareFault: in place of any other exception of the part, and on entering after a fault.
+        Raises HardwareFault: in place of any other exception of the part, and on entering after a fault.
         """
         if self.fault:
             raise self.fault
@@ -234,8 +231,7 @@ class Guard:
 def within(limit_s: float, who: str, call: Callable[..., Any], *args: Any) -> Any:
     """What a call returns or raises; one that hangs is left to its own thread.
 
-    Raises:
-        HardwareFault: it takes longer than `limit_s`.
+    Raises HardwareFault: it takes longer than `limit_s`.
     """
     outcome: Future = Future()
 

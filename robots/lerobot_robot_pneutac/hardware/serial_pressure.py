@@ -120,8 +120,7 @@ class SerialPressure:
 
         Where this computer was held up, or a new session is being opened, the next one is waited for.
 
-        Raises:
-            HardwareFault: the controller was silent for `STALE_S`, or there is none after `BUSY_S`.
+        Raises HardwareFault: the controller was silent for `STALE_S`, or there is none after `BUSY_S`.
         """
         wait(self._fresh, math.inf, POLL_S)
         return self._exchange.measured_kpa

@@ -113,8 +113,7 @@ def pose_names(chambers: int = 1) -> tuple[str, ...]:
 def action_names(keys: Iterable[str], bend: bool = False, chambers: int = 1) -> tuple[str, ...]:
     """Which names an action goes by: `features.action_names`, those with the bend, or the pose's.
 
-    Raises:
-        InputError: none of them, or a bend where `--robot.bend` is false.
+    Raises InputError: none of them, or a bend where `--robot.bend` is false.
     """
     own, pose = features.action_names(chambers), pose_names(chambers)
     for names in (own, BEND_NAMES, pose):

@@ -92,8 +92,7 @@ class EpisodeHooks:
         A kill meanwhile loses the features' names and the frame rate, which nothing else has. `pneutac
         repair` finds all the rest.
 
-        Raises:
-            InputError: a dataset of this robot is begun at another rate.
+        Raises InputError: a dataset of this robot is begun at another rate.
         """
         fpath = Path(fpath)
         begun = fpath.name == "info.json" and not fpath.exists()

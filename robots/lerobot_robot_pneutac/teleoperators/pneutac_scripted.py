@@ -42,8 +42,7 @@ class PneutacScripted(BaseTeleop):
     def connect(self, calibrate: bool = True) -> None:
         """Gets ready; the robot may be connected later, but before the first `get_action`.
 
-        Raises:
-            InputError: there is no simulated robot.
+        Raises InputError: there is no simulated robot.
         """
         if made_robot() is None:
             raise InputError(
@@ -57,8 +56,7 @@ class PneutacScripted(BaseTeleop):
     def get_action(self) -> dict[str, Any]:
         """The expert's action for the world's present state, within the limits.
 
-        Raises:
-            InputError: no `pneutac_sim` robot is connected in this process, or it takes bends.
+        Raises InputError: no `pneutac_sim` robot is connected in this process, or it takes bends.
         """
         robot = connected_robot()
         if robot.recording is False:  # waiting is with the pressure off and the arm at rest

@@ -75,16 +75,14 @@ class VelocityTeleop(BaseTeleop):
     def _open(self) -> None:
         """Opens the device.
 
-        Raises:
-            DeviceNotConnectedError: it is not there; one sentence.
+        Raises DeviceNotConnectedError: it is not there; one sentence.
         """
 
     @abstractmethod
     def _read(self) -> tuple[np.ndarray, float]:
         """Direction (3,) in the base frame, x forwards, y to the left, z up; pressure change, -1 to 1.
 
-        Raises:
-            DeviceNotConnectedError: the device is lost; one sentence.
+        Raises DeviceNotConnectedError: the device is lost; one sentence.
         """
 
     @abstractmethod

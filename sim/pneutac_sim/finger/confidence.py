@@ -90,10 +90,7 @@ def confidence(J: np.ndarray, residual: np.ndarray, adjacent: np.ndarray, at_bou
         which = np.append(inside, j)
         sd[j] = np.sqrt(_inverse(H[np.ix_(which, which)])[-1, -1])
     return Confidence(
-        rho=rho,
-        sigma=rms(residual),
-        sd=sd * np.sqrt(variance * inflation),
-        correlation=correlation,
+        rho=rho, sigma=rms(residual), sd=sd * np.sqrt(variance * inflation), correlation=correlation
     )
 
 

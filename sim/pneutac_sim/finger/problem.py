@@ -262,12 +262,7 @@ class Problem:
     """
 
     def __init__(
-        self,
-        pipeline: Pipeline,
-        data: BodyData,
-        theta: np.ndarray,
-        bounds: Bounds,
-        free: np.ndarray,
+        self, pipeline: Pipeline, data: BodyData, theta: np.ndarray, bounds: Bounds, free: np.ndarray
     ):
         self.pipeline, self.data, self.bounds = pipeline, data, bounds
         self.free = np.asarray(free, int)

@@ -110,8 +110,8 @@ class TactileBatch:
     Attributes:
         model: the gel's sizes, mechanics and light.
 
-    Raises:
-        InputError: an effect of another package acts on the surface or the light, or there is no such device.
+    Raises InputError: an effect of another package acts on the surface or the light, or there is no such
+    device.
     """
 
     def __init__(self, twin: Twin | GelModel | None = None, device: str | torch.device = "cuda"):
@@ -140,8 +140,7 @@ class TactileBatch:
 
         On CUDA the next call with a batch of this size overwrites them.
 
-        Raises:
-            ValueError: another shape.
+        Raises ValueError: another shape.
         """
         depth = torch.as_tensor(depth_mm, dtype=torch.float32, device=self._device)
         if depth.ndim != 3 or depth.shape[1:] != (ROWS, COLS):

@@ -289,8 +289,7 @@ class ContactBatch:
         device: of Warp.
         free: spring where nothing is near.
 
-    Raises:
-        InputError: an object is a mesh or a cone.
+    Raises InputError: an object is a mesh or a cone.
     """
 
     def __init__(

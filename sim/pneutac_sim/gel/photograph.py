@@ -172,12 +172,7 @@ class Predictor:
     `pressed` gives the surfaces, such as `mpm.devices.PressedGel.surface`; None for the closed form.
     """
 
-    def __init__(
-        self,
-        gel: GelModel,
-        pairs: Sequence[PressPhotograph] = (),
-        pressed: Pressed | None = None,
-    ):
+    def __init__(self, gel: GelModel, pairs: Sequence[PressPhotograph] = (), pressed: Pressed | None = None):
         self._gel, self._pairs, self._pressed = gel, pairs, pressed
         self._sensors: dict[int, tuple] = {}
         self._drifts: dict[int, np.ndarray] = {}

@@ -106,9 +106,7 @@ class TactileSensor:
     """
 
     def __init__(
-        self,
-        twin: Twin | GelModel | None = None,
-        surface: Callable[[np.ndarray], np.ndarray] | None = None,
+        self, twin: Twin | GelModel | None = None, surface: Callable[[np.ndarray], np.ndarray] | None = None
     ):
         self.surface = surface
         self.model = twin if isinstance(twin, GelModel) else GelModel.from_twin(twin)

@@ -28,10 +28,7 @@ DEFAULTS = {
 }
 # The controller is stiff against the body (0.07 to 0.29 N m/rad a joint of the finger), which takes back
 # 1.6 % of its bend; with a soft one the search for rest takes far longer.
-BY_DEVICE = {
-    "width_mm": WIDTH_MM,
-    "spine_stiffness_nm_per_rad": {"finger": 20.0, "arm": 200.0},
-}
+BY_DEVICE = {"width_mm": WIDTH_MM, "spine_stiffness_nm_per_rad": {"finger": 20.0, "arm": 200.0}}
 
 
 def parameter(twin: Twin, name: str) -> float:

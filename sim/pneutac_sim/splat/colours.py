@@ -26,11 +26,7 @@ class Adam:
 
 
 def solve_colours(
-    splats: Splats,
-    target: np.ndarray,
-    background=(0.0, 0.0, 0.0),
-    iterations: int = 30,
-    ridge: float = RIDGE,
+    splats: Splats, target: np.ndarray, background=(0.0, 0.0, 0.0), iterations: int = 30, ridge: float = RIDGE
 ) -> np.ndarray:
     """Colours (n, 3), float32, 0 to 1, that render best as a picture (H, W, 3), 0 to 1, opacities fixed.
 

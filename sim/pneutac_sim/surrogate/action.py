@@ -198,11 +198,7 @@ def without_torque(network: ActionNetwork) -> ActionNetwork:
 
 def _errors(network: ActionNetwork, m: Motion) -> tuple[float, float, float]:
     q, v, inside = network.roll(m.q[0], m.q_vel[0], m.target, m.pressure_kpa, (len(m.q) - 1) * FRAME_S)
-    return (
-        np.degrees(np.abs(q - m.q[1:]).mean()),
-        np.degrees(np.abs(v - m.q_vel[1:]).mean()),
-        inside.mean(),
-    )
+    return (np.degrees(np.abs(q - m.q[1:]).mean()), np.degrees(np.abs(v - m.q_vel[1:]).mean()), inside.mean())
 
 
 def _skeleton(twin: Twin, plan: Plan) -> Skeleton:

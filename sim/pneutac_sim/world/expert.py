@@ -260,11 +260,7 @@ def pull_card(world: World, habits: Habits, pressure: float) -> Wish:
     return speed * DRAW + 0.12 * np.clip(error, -0.2, 0.2) * INTO, 0.65 * habits.high_kpa
 
 
-EXPERTS: dict[str, Callable[..., Wish]] = {
-    "switch": flip_switch,
-    "egg": open_carton,
-    "card": pull_card,
-}
+EXPERTS: dict[str, Callable[..., Wish]] = {"switch": flip_switch, "egg": open_carton, "card": pull_card}
 
 
 REACTION_S = (0.15, 0.35)  # of an episode, from touch to answer

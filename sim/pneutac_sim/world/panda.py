@@ -48,12 +48,7 @@ def forward_kinematics(q: np.ndarray) -> np.ndarray:
     for a, alpha, d, theta in zip(DH_A, DH_ALPHA, DH_D, q, strict=True):
         ca, sa, ct, st = np.cos(alpha), np.sin(alpha), np.cos(theta), np.sin(theta)
         T = T @ np.array(
-            [
-                [ct, -st, 0, a],
-                [st * ca, ct * ca, -sa, -d * sa],
-                [st * sa, ct * sa, ca, d * ca],
-                [0, 0, 0, 1],
-            ]
+            [[ct, -st, 0, a], [st * ca, ct * ca, -sa, -d * sa], [st * sa, ct * sa, ca, d * ca], [0, 0, 0, 1]]
         )
     T[:3, 3] += FLANGE_M * T[:3, 2]
     return T

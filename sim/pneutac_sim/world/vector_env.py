@@ -48,8 +48,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
             starts: drawn at a reset, see `BatchedWorld.reset`.
             options: of `BatchedWorld`, such as `device`, `twin` and `fidelity`.
 
-        Raises:
-            InputError: as `BatchedWorld`, or no steps.
+        Raises InputError: as `BatchedWorld`, or no steps.
         """
         if max_episode_steps < 1:
             raise InputError(f"max_episode_steps is {max_episode_steps}; it must be 1 or more.")

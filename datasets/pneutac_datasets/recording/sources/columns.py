@@ -103,8 +103,7 @@ class Column:
     def parsed(cls, name: str, text: str) -> "Column":
         """Of `COLUMN`, `COLUMN [UNIT]`, `COLUMN [UNIT] * FACTOR + SHIFT`, or `-` to leave it out.
 
-        Raises:
-            InputError: it is none of these, or the unit is unknown or of another kind.
+        Raises InputError: it is none of these, or the unit is unknown or of another kind.
         """
         text = text.strip()
         if text == name.strip() and not OWN.fullmatch(name):
@@ -163,8 +162,7 @@ def dimension_of(column: str) -> str:
 def parse_columns(text: str | dict[str, str]) -> dict[str, str]:
     """`{a: trial, p [bar]: pressure_cmd_kpa}`, quotes and braces or none, as names to texts of columns.
 
-    Raises:
-        InputError: a part has no colon.
+    Raises InputError: a part has no colon.
     """
     if isinstance(text, dict):
         return {str(k): str(v) for k, v in text.items()}

@@ -61,8 +61,7 @@ class Source:
 def resampled(time_s: np.ndarray, values: np.ndarray, at_s: np.ndarray, column: str) -> np.ndarray:
     """Values (n,) of a column at other times (m,); what is commanded or counted holds until the next.
 
-    Raises:
-        InputError: the times go back.
+    Raises InputError: the times go back.
     """
     if np.array_equal(time_s, at_s):  # a clock may start again with each trial
         return values
@@ -110,8 +109,7 @@ class BaseFrame:
 def axes_of(x: str, z: str) -> np.ndarray:
     """Axes of the base (3, 3), its columns, in a frame of which `x` and `z` name axes, such as `-y`.
 
-    Raises:
-        InputError: they are none, or not at right angles.
+    Raises InputError: they are none, or not at right angles.
     """
     if x not in AXES or z not in AXES or AXES[x] @ AXES[z] != 0:
         raise InputError(f"base_x is '{x}' and base_z '{z}'; give two different ones of x, y, z, -x, -y, -z.")

@@ -86,8 +86,7 @@ KINDS = {"length_mm": float, "rate_hz": float, "base_x": str, "base_z": str, "da
 def table_files(path: str | Path) -> list[Path]:
     """The files that a `--recording=` names: one, several with commas, or a pattern; empty of a folder.
 
-    Raises:
-        InputError: there is no such file, or it is of a kind that is not read.
+    Raises InputError: there is no such file, or it is of a kind that is not read.
     """
     text = str(path)
     if Path(path).is_dir():
@@ -383,8 +382,7 @@ class Understood:
     def _axes_notes(self) -> list[str]:
         """Whether the resting tip lies along x and positive pressure bends towards z.
 
-        Raises:
-            InputError: the tip does not rest along x, so base or axes must be others.
+        Raises InputError: the tip does not rest along x, so base or axes must be others.
         """
         table, source, given = self.recording.samples, self._source, self.given
         rest, tips = _at_rest(table), [t for t in TIPS if t in table]
