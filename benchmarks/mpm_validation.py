@@ -10,9 +10,8 @@ import numpy as np
 from rich.progress import Progress
 
 from pneutac_sim.mpm.body import Body, Material, Spine
-from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import simulate, solve_equilibrium
-from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
+from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
 
 HERE = Path(__file__).parent
 INK, GRID, FONT = (60, 50, 45), (232, 228, 224), cv2.FONT_HERSHEY_DUPLEX

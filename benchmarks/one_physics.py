@@ -21,8 +21,8 @@ from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.probe import probe_grid
 from pneutac_sim.gel.spring import GelSpring
 from pneutac_sim.mpm import devices
-from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import solve_equilibrium
+from pneutac_sim.mpm.total_lagrangian import Loads
 from pneutac_sim.surrogate.collect import KINDS, joint_targets
 from pneutac_sim.surrogate.finger import Networks
 from pneutac_sim.twin import Twin, Value

@@ -18,12 +18,11 @@ from rich.table import Table
 
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.gel.fit import fit_presses
+from pneutac_sim.gel.fit import GelFit, fit_presses
 from pneutac_sim.gel.identifiability import open_levels
 from pneutac_sim.gel.layout import DIGIT
 from pneutac_sim.gel.pair import ImageScores, score
 from pneutac_sim.gel.photograph import Predictor, PressPhotograph
-from pneutac_sim.gel.problem import GelFit
 
 
 def fitted(pairs: list[PressPhotograph], data: GelRecording, fields: str) -> GelFit:

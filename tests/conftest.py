@@ -67,8 +67,8 @@ def photographed(tmp_path_factory):
     from pneutac_datasets.generate.photographs import write_photographs
     from pneutac_datasets.recording.photographs import read_camera, read_photograph
     from pneutac_sim.mpm import devices
-    from pneutac_sim.mpm.loads import Loads
     from pneutac_sim.mpm.solve import solve_equilibrium
+    from pneutac_sim.mpm.total_lagrangian import Loads
     from pneutac_sim.twin import Twin, Value
 
     folder = tmp_path_factory.mktemp("photographs") / "finger"

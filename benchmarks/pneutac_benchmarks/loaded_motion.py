@@ -12,8 +12,8 @@ import numpy as np
 from pneutac_benchmarks.swing import DAMPING, STIFFNESS, carry
 from pneutac_sim.features import MAX_PRESSURE_KPA
 from pneutac_sim.mpm import devices
-from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import simulate
+from pneutac_sim.mpm.total_lagrangian import Loads
 from pneutac_sim.surrogate import collect as programs
 from pneutac_sim.surrogate.finger import SurrogateFinger
 from pneutac_sim.twin import Twin, Value

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from pneutac_sim.mpm import devices, state
-from pneutac_sim.mpm.loads import Loads
+from pneutac_sim.mpm import devices, kernels
 from pneutac_sim.mpm.solid import Links
 from pneutac_sim.mpm.solve import simulate, solve_equilibrium
-from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
+from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
 from pneutac_sim.surrogate import collect as programs
 from pneutac_sim.twin import Twin, Value
 
@@ -85,7 +84,7 @@ def released(twin: Twin, controller: float, seconds: float = 0.5, sensor: Links 
 def carry(solver: TotalLagrangian, more: Links) -> None:
     """Adds lumps to what the last link carries."""
     density = solver.body.material.density_kg_m3
-    lumps = solver.arrays["lump"].to_numpy().reshape(-1, state.LUMP).astype(float)
+    lumps = solver.arrays["lump"].to_numpy().reshape(-1, kernels.LUMP).astype(float)
     own = lumps[-1]
     parts = [
         (own[0] * density, own[1:4], own[4:].reshape(3, 3) * density),
@@ -98,4 +97,4 @@ def carry(solver: TotalLagrangian, more: Links) -> None:
         for m, c, i in parts
     )
     lumps[-1] = np.concatenate([[mass / density], centre, inertia.ravel() / density])
-    solver.arrays["lump"].from_numpy(state.flat(lumps))
+    solver.arrays["lump"].from_numpy(kernels.flat(lumps))

@@ -25,8 +25,7 @@ from pneutac_sim.mpm.body import Body
 from pneutac_sim.photo_fit.objective import SOLID, MaskedPhotograph, Objective
 from pneutac_sim.splat import body as S
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.gaussians import Gaussians
-from pneutac_sim.splat.render import rasterise
+from pneutac_sim.splat.render import Gaussians, rasterise
 from pneutac_sim.twin import Twin
 
 STRETCH = "Colour is the largest stretch of the material, from calm to warm."
@@ -437,8 +436,8 @@ def _frames(
     solver, program: np.ndarray, q_cmd: np.ndarray, each: int, painter: Painter
 ) -> Iterator[FilmFrame]:
     from pneutac_sim.mpm import devices
-    from pneutac_sim.mpm.loads import Loads
     from pneutac_sim.mpm.solve import solve_equilibrium
+    from pneutac_sim.mpm.total_lagrangian import Loads
 
     spent, rest = 0.0, None
     for k, (pressure, q) in enumerate(zip(program, q_cmd, strict=True)):

@@ -19,7 +19,7 @@ from pneutac_sim.features import CHAMBERS
 from pneutac_sim.finger.online import COMPUTED, OTHERS
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.splat.body import MOST_STRAIN, strain, stretch_colours
-from pneutac_sim.splat.gaussians import Gaussians
+from pneutac_sim.splat.render import Gaussians
 from pneutac_sim.twin import Twin
 
 PARTICLES = 3000
@@ -45,8 +45,8 @@ def solve(
     """
     from lerobot_pneutac.rendering.body import body_looks
     from pneutac_sim.mpm import devices  # brings the compiler of kernels, which takes a second
-    from pneutac_sim.mpm.loads import Loads
     from pneutac_sim.mpm.solve import solve_equilibrium
+    from pneutac_sim.mpm.total_lagrangian import Loads
 
     q = devices.joint_targets(twin, pressure_kpa[None], conditions=conditions)
     solver = devices.BODIES[twin.device](twin, particles=PARTICLES, device="cpu")

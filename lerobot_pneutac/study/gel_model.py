@@ -11,12 +11,11 @@ from lerobot_pneutac.diagnosis.search import Space, Start, Structure
 from lerobot_pneutac.diagnosis.steps import Steps
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_sim.effects.registry import get_effect, sensor_effects
-from pneutac_sim.gel.fit import fit_photographs
+from pneutac_sim.gel.fit import GelFit, fit_photographs
 from pneutac_sim.gel.identifiability import library
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import CONTACT_DISC
 from pneutac_sim.gel.photograph import Predictor, Pressed, PressPhotograph
-from pneutac_sim.gel.problem import GelFit
 from pneutac_sim.twin import Twin
 
 

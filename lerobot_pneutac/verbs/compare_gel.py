@@ -13,11 +13,11 @@ from lerobot_pneutac.verbs.result import Comparison
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
+from pneutac_sim.gel.fit import slope_light
 from pneutac_sim.gel.inverse import TouchReader
 from pneutac_sim.gel.layout import Layout, Orientation, recognise
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import ImageScores, disc
-from pneutac_sim.gel.problem import slope_light
 from pneutac_sim.twin import Twin
 
 QUIET_RADII = 3.0  # beyond so many contact radii the image should equal the rest image

@@ -12,9 +12,8 @@ from pneutac_sim.finger import BodyData, Pipeline
 from pneutac_sim.finger.inputs import Inputs
 from pneutac_sim.finger.pipeline import Run
 from pneutac_sim.mpm import devices
-from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import MpmDiverged, solve_equilibrium
-from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
+from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 

@@ -17,14 +17,13 @@ from pneutac_datasets.recording.gel import GelRecording, GelSample, pair_faults
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect, of_sensor, sensor_effects
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.fit import fit_presses
+from pneutac_sim.gel.fit import ERROR_LEVELS, GelFit, fit_presses
 from pneutac_sim.gel.identifiability import Identified, identify, library, save
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.layout import LIKE
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import ImageScores, Pair, RestDifference, cells, score
 from pneutac_sim.gel.photograph import PressPhotograph
-from pneutac_sim.gel.problem import ERROR_LEVELS, GelFit
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 

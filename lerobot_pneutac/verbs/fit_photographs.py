@@ -15,13 +15,29 @@ from lerobot_pneutac.verbs.result import Calibration
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.files import write_image
 from pneutac_sim.finger.fit import BY_IMAGES
-from pneutac_sim.photo_fit.coarse import Coarse, coarse_fit
-from pneutac_sim.photo_fit.equilibria import Bodies, BodyParameters, Equilibria, body_parameters
-from pneutac_sim.photo_fit.objective import SILHOUETTE, MaskedPhotograph, Objective, Scores
-from pneutac_sim.photo_fit.search import EVALUATIONS, Posterior, Search, SearchRecord, confidence, search
+from pneutac_sim.photo_fit.objective import (
+    SILHOUETTE,
+    Bodies,
+    BodyParameters,
+    Equilibria,
+    MaskedPhotograph,
+    Objective,
+    Scores,
+    body_parameters,
+)
+from pneutac_sim.photo_fit.search import (
+    EVALUATIONS,
+    Coarse,
+    Posterior,
+    Search,
+    SearchRecord,
+    coarse_fit,
+    confidence,
+    search,
+)
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.splat.body import fit_body_looks, looks_into_twin
-from pneutac_sim.splat.gaussians import Gaussians
+from pneutac_sim.splat.render import Gaussians
 from pneutac_sim.twin import Twin
 
 TRAIN_KPA = (0.0, 3.0, 6.0, 9.0, 12.0, 15.0)

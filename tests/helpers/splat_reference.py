@@ -5,7 +5,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.gaussians import Gaussians
+from pneutac_sim.splat.render import Gaussians
 
 
 def scene(seed: int, n: int, size: float = 0.01) -> Gaussians:

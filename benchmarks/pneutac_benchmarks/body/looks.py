@@ -121,8 +121,8 @@ def photographs(cfg: BenchmarkBodyConfig, seed: int, out: Path) -> tuple:
     """
     from pneutac_datasets.generate.photographs import write_photographs
     from pneutac_sim.mpm import devices
-    from pneutac_sim.mpm.loads import Loads
     from pneutac_sim.mpm.solve import solve_equilibrium
+    from pneutac_sim.mpm.total_lagrangian import Loads
 
     pressures = np.arange(0, 15 + 1e-9, cfg.step_kpa)
     folder = out / f"photographs_{seed}_{cfg.step_kpa:g}kpa"

@@ -11,8 +11,8 @@ from pneutac_sim.effects.registry import in_order
 from pneutac_sim.features import CHAMBERS
 from pneutac_sim.finger import BodyData, Pipeline, fit
 from pneutac_sim.mpm import devices
-from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import solve_equilibrium
+from pneutac_sim.mpm.total_lagrangian import Loads
 from pneutac_sim.twin import Twin
 
 TRAIN_KPA = (0.0, 3.0, 6.0, 9.0, 12.0, 15.0)

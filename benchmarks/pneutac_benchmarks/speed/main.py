@@ -16,10 +16,9 @@ from pneutac_benchmarks.speed.splats import time_splats
 from pneutac_benchmarks.tables import markdown
 from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.mpm.body import Body, Material, Spine
-from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.runtime import start
 from pneutac_sim.mpm.solve import solve_equilibrium
-from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
+from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
 
 SILICONE = Material(3e5, 0.45)
 GEL = Material(1e5, 0.46)

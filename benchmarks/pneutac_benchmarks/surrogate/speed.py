@@ -17,8 +17,8 @@ from pneutac_benchmarks.surrogate.rows import row
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.mpm import devices
-from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import simulate, solve_equilibrium
+from pneutac_sim.mpm.total_lagrangian import Loads
 from pneutac_sim.surrogate.collect import FRAME_S, HOLDS, joint_targets
 from pneutac_sim.surrogate.finger import Networks
 from pneutac_sim.surrogate.gel_collect import Contact, press, random_contact

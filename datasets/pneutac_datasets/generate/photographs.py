@@ -27,9 +27,9 @@ from pneutac_sim.features import CHAMBERS
 from pneutac_sim.finger.inputs import Inputs, pressure_columns
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.mpm import devices
-from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solid import PITCH_M, SHAPES
 from pneutac_sim.mpm.solve import solve_equilibrium
+from pneutac_sim.mpm.total_lagrangian import Loads
 from pneutac_sim.splat.body import carry
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value

@@ -14,8 +14,7 @@ from scipy.spatial import cKDTree
 from pneutac_datasets.recording import pressures, reading, rules, sensors, units
 from pneutac_datasets.recording.blocks import time_blocks
 from pneutac_datasets.recording.gel import gel_faults
-from pneutac_datasets.recording.memory import regress, static_columns
-from pneutac_datasets.recording.noise import headline, noise_floor
+from pneutac_datasets.recording.noise import headline, noise_floor, regress, static_columns
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.sensors import measured_pressures, where
 from pneutac_datasets.recording.wording import Finding, listed, plural

@@ -15,8 +15,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pneutac_datasets.recording.memory import STARTS, Memory, history, regress, static_columns
-from pneutac_datasets.recording.noise import headline
+from pneutac_datasets.recording.noise import STARTS, Memory, headline, history, regress, static_columns
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.finger import quantities
 

@@ -13,8 +13,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.signal import lfilter
 
 from pneutac_datasets.recording import units
-from pneutac_datasets.recording.memory import regress, static_columns
-from pneutac_datasets.recording.noise import headline
+from pneutac_datasets.recording.noise import headline, regress, static_columns
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import Finding
 

@@ -32,10 +32,9 @@ from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.mpm.body import Body, Material, Spine
 from pneutac_sim.mpm.indenter import SAMPLES, centre_m, distances_m, half_edge_m
-from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solid import bending_body, parameter
 from pneutac_sim.mpm.solve import MpmDiverged, halved_once, solve_equilibrium
-from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
+from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
 from pneutac_sim.twin import Twin
 
 # The rigid end that closes the chambers and carries the sensor or the marker. Without it the soft end lags

@@ -7,8 +7,7 @@ import numpy as np
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.kernels import LEAST_J
-from pneutac_sim.mpm.loads import Loads
-from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
+from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
 from pneutac_sim.progress import Progress, no_progress
 
 CHUNK = {"cpu": 25, "cuda": 50}  # substeps between two looks at the residual

@@ -1,14 +1,53 @@
 """The fast solver: total-Lagrangian material points, a batch of equal bodies with their own loads."""
 
+from dataclasses import dataclass, field
+
 import numpy as np
 from scipy.spatial import cKDTree
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm import kernels as steps
-from pneutac_sim.mpm import state
 from pneutac_sim.mpm.body import Body, Material, RestGrid, Spine
-from pneutac_sim.mpm.loads import Loads
+from pneutac_sim.mpm.indenter import SHAPES
 from pneutac_sim.mpm.runtime import start
+
+
+@dataclass
+class Loads:
+    """What acts on each body of a batch."""
+
+    q_cmd: np.ndarray | None = None  # (B, H) joint targets, rad
+    gravity: np.ndarray = field(default_factory=lambda: np.zeros(3))  # (3,) or (B, 3) m/s2
+    indenter: str | list[str] = "none"  # one of `indenter.SHAPES` or one a body
+    # (3,) or (B, 3) m, see `indenter.distance`
+    size_m: np.ndarray = field(default_factory=lambda: np.ones(3))
+    # (3,) or (B, 3) of the indenter's tip, m
+    position_m: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    # (3, 3) or (B, 3, 3) of the indenter, whose body lies towards its own +z
+    rotation: np.ndarray = field(default_factory=lambda: np.eye(3))
+    friction: float | np.ndarray = 0.5  # Coulomb's coefficient, or (B,)
+
+    def fill(self, row: np.ndarray) -> None:
+        """Writes itself into the rows (B, LOAD) that the kernels read."""
+        batch = len(row)
+        row[:, steps.GRAVITY : steps.GRAVITY + 3] = self.gravity
+        row[:, steps.POSE : steps.POSE + 9] = np.broadcast_to(self.rotation, (batch, 3, 3)).reshape(batch, 9)
+        row[:, steps.POSE + 9 : steps.POSE + 12] = self.position_m
+        row[:, steps.SIZE : steps.SIZE + 3] = self.size_m
+        row[:, steps.FRICTION] = self.friction
+
+    def shapes(self, batch: int) -> np.ndarray:
+        """(B,) number of each body's indenter; raises InputError where there is no such indenter."""
+        names = [self.indenter] * batch if isinstance(self.indenter, str) else list(self.indenter)
+        unknown = set(names) - set(SHAPES)
+        if unknown:
+            raise InputError(f"There is no indenter '{unknown.pop()}'; there are {', '.join(SHAPES)}.")
+        return np.array([SHAPES.index(n) for n in names], np.int32)
+
+    def targets(self, batch: int, hinges: int) -> np.ndarray:
+        """(B, H) rad, nothing where none were given."""
+        return np.broadcast_to(0.0 if self.q_cmd is None else np.asarray(self.q_cmd, float), (batch, hinges))
+
 
 CFL = 0.45
 LARGE = 3000  # cells from which on one body is worth more than one thread
@@ -48,26 +87,26 @@ class TotalLagrangian:
             )
         link = spine.bind(body, g) if spine else np.full(len(g.nodes), -1)
         table = np.zeros((2, 2, 2)) if table is None else table
-        host = state.contents(g, spine, link, self.load, table, self.soa)
+        host = steps.contents(g, spine, link, self.load, table, self.soa)
         self.role = host["role"]
-        self.arrays = {name: state.send(a) for name, a in host.items() if isinstance(a, np.ndarray)}
-        self.state = state.State(**host | self.arrays)
-        self.sums, self.gate = state.send(np.zeros((batch, 4))), state.send(np.zeros(batch, np.int32))
+        self.arrays = {name: steps.send(a) for name, a in host.items() if isinstance(a, np.ndarray)}
+        self.state = steps.State(**host | self.arrays)
+        self.sums, self.gate = steps.send(np.zeros((batch, 4))), steps.send(np.zeros(batch, np.int32))
         self._particles: list | None = None  # on the device, once asked for
         self.reset()
         self.apply(Loads())
 
     def _set_materials(self) -> None:
         """Writes the materials' columns of `load`, and the largest stable step of each body."""
-        self.load = np.zeros((self.batch, state.LOAD), np.float32)
+        self.load = np.zeros((self.batch, steps.LOAD), np.float32)
         mu, lam = np.array([m.lame for m in self.materials]).T
         self.sound_speed = np.array([m.sound_speed for m in self.materials])
         self.stable_dt = CFL * self.grid.dx / self.sound_speed  # Courant, Friedrichs, Lewy
-        self.load[:, state.MU], self.load[:, state.LAM] = mu, lam
-        self.load[:, state.RHO] = [m.density_kg_m3 for m in self.materials]
-        self.load[:, state.DT] = self.stable_dt
+        self.load[:, steps.MU], self.load[:, steps.LAM] = mu, lam
+        self.load[:, steps.RHO] = [m.density_kg_m3 for m in self.materials]
+        self.load[:, steps.DT] = self.stable_dt
         # Stiff enough that contact is as stiff as the material behind it, a quarter of its P-wave modulus.
-        self.load[:, state.SPRING] = 0.25 * (lam + 2 * mu) * self.grid.dx
+        self.load[:, steps.SPRING] = 0.25 * (lam + 2 * mu) * self.grid.dx
 
     def reset(self) -> None:
         """Puts every body at rest, straight and untouched."""
@@ -102,7 +141,7 @@ class TotalLagrangian:
 
     def _set_q(self, q: np.ndarray) -> None:
         a = self.arrays
-        a["q"].from_numpy(state.flat(q))
+        a["q"].from_numpy(steps.flat(q))
         a["qd"].fill(0)
         a["momentum"].fill(0)
         a["wrench"].fill(0)
@@ -118,21 +157,21 @@ class TotalLagrangian:
         """
         row = self.load
         loads.fill(row)
-        row[:, state.DRIFT : state.DRIFT + 3] = 0.0 if drift_m is None else drift_m
-        row[:, state.RATE] = contact_rate
-        row[:, state.DT] = self.stable_dt if dt is None else dt
-        row[:, state.KEEP] = np.exp(-np.asarray(damping) * row[:, state.DT])
+        row[:, steps.DRIFT : steps.DRIFT + 3] = 0.0 if drift_m is None else drift_m
+        row[:, steps.RATE] = contact_rate
+        row[:, steps.DT] = self.stable_dt if dt is None else dt
+        row[:, steps.KEEP] = np.exp(-np.asarray(damping) * row[:, steps.DT])
         if not np.isfinite(row).all():
             raise InputError(f"Body '{self.body.name}': a load is not a finite number.")
-        if (row[:, state.DT] > 1.01 * self.stable_dt).any():
+        if (row[:, steps.DT] > 1.01 * self.stable_dt).any():
             raise InputError(
-                f"Body '{self.body.name}': a step of {row[:, state.DT].max():.3g} s is too large for its "
+                f"Body '{self.body.name}': a step of {row[:, steps.DT].max():.3g} s is too large for its "
                 f"speed of sound ({self.sound_speed.max():.3g} m/s over {self.grid.dx:.3g} m); use at most "
                 f"{self.stable_dt.min():.3g} s."
             )
         shapes = loads.shapes(self.batch)
         self.touching, self.taken = bool(shapes.any()), 0
-        self.arrays["load"].from_numpy(state.flat(row))
+        self.arrays["load"].from_numpy(steps.flat(row))
         self.arrays["shape"].from_numpy(shapes)
         if self.spine:
             q = loads.targets(self.batch, self.hinges)
@@ -141,17 +180,17 @@ class TotalLagrangian:
             gains = (self.spine.stiffness_nm_per_rad, self.spine.damping_nms_per_rad)
             drive = np.stack([q, *(np.full(q.shape, g) for g in gains)], -1)
             self.drive_target = q.astype(np.float32).astype(float)
-            self.arrays["drive"].from_numpy(state.flat(drive))
+            self.arrays["drive"].from_numpy(steps.flat(drive))
 
     def set_table(self, table: np.ndarray) -> None:
         """Sets the signed distances (n, n, n) of the indenter `mesh`, as many as there were."""
-        self.arrays["table"].from_numpy(state.flat(table))
+        self.arrays["table"].from_numpy(steps.flat(table))
 
     def pace(self, rate: np.ndarray) -> None:
         """Sets critical damping of motions at `rate` (B,) in rad/s, and contact to settle as fast."""
-        self.load[:, state.RATE] = 2 * rate
-        self.load[:, state.KEEP] = np.exp(-2 * rate * self.load[:, state.DT])
-        self.arrays["load"].from_numpy(state.flat(self.load))
+        self.load[:, steps.RATE] = 2 * rate
+        self.load[:, steps.KEEP] = np.exp(-2 * rate * self.load[:, steps.DT])
+        self.arrays["load"].from_numpy(steps.flat(self.load))
 
     def heavy_edges(self, on: bool) -> None:
         """Whether nodes that carry little material get the inertia of more.
@@ -159,7 +198,7 @@ class TotalLagrangian:
         Where only the balance of forces counts this keeps them from rattling; true dynamics want it off.
         """
         least = 0.2 * self.grid.dx**3 if on else 0.0
-        self.arrays["inertia"].from_numpy(state.flat(np.maximum(self.grid.volume, least)))
+        self.arrays["inertia"].from_numpy(steps.flat(np.maximum(self.grid.volume, least)))
 
     def step(self, substeps: int) -> None:
         """Advances by a number of substeps."""
@@ -179,7 +218,7 @@ class TotalLagrangian:
         """
         steps.measure(self.state, self.sums, self.soa)
         f2, kinetic, stiffness, outer = self.sums.to_numpy().reshape(self.batch, 4).T.astype(float)
-        dt = self.load[:, state.DT]
+        dt = self.load[:, steps.DT]
         with np.errstate(invalid="ignore", divide="ignore"):
             rate = np.sqrt(np.maximum(stiffness / (dt * kinetic), 0.0))
         return {"residual": np.sqrt(f2), "scale": np.sqrt(outer), "rate": np.nan_to_num(rate)}
@@ -202,7 +241,7 @@ class TotalLagrangian:
     def energy(self) -> np.ndarray:
         """(B,) kinetic energy of the nodes, J."""
         v = self._unflat(self.arrays["v"].to_numpy()).astype(float)
-        rho = self.load[:, state.RHO]
+        rho = self.load[:, steps.RHO]
         return 0.5 * rho * (self.arrays["inertia"].to_numpy()[:, None] * v**2).sum((1, 2))
 
     def overlap(self) -> np.ndarray:
@@ -220,7 +259,7 @@ class TotalLagrangian:
         count = len(self.body.cells)
         if self._particles is None:
             numbers = (self.grid.particle_cell, self.grid.particle_local, np.zeros((self.batch, count, 12)))
-            self._particles = [state.send(a) for a in numbers]
+            self._particles = [steps.send(a) for a in numbers]
         steps.particles(count, self.state, self.soa, *self._particles)
         out = self._particles[-1].to_numpy().reshape(self.batch, count, 12)
         return self.body.positions + out[..., :3], out[..., 3:].reshape(self.batch, count, 3, 3)
@@ -237,7 +276,7 @@ class TotalLagrangian:
         )
 
     def _flat(self, x):
-        return state.flat(np.swapaxes(x, 1, 2) if self.soa else x)
+        return steps.flat(np.swapaxes(x, 1, 2) if self.soa else x)
 
     def _unflat(self, flat):
         b, n = self.batch, len(self.grid.nodes)

@@ -22,9 +22,8 @@ from scipy.spatial import cKDTree
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.body import Body
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.colours import fit_looks
-from pneutac_sim.splat.gaussians import Gaussians
-from pneutac_sim.splat.rasteriser import Splats
+from pneutac_sim.splat.rasteriser import Splats, fit_looks
+from pneutac_sim.splat.render import Gaussians
 from pneutac_sim.twin import Twin
 
 SCALE = 0.4  # standard deviation over the distance of neighbours: these overlap without gaps
@@ -161,7 +160,7 @@ def fit_body_looks(
             fast; 3 resolves what is smaller than a particle and wants twice the iterations.
 
     Returns:
-        Gaussians of the straight body; `follow.carried` brings them to other states.
+        Gaussians of the straight body; `carried` brings them to other states.
 
     Raises InputError: image, mask, camera and particles do not fit together.
     """

@@ -15,8 +15,7 @@ from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.optics import light
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.colours import fit_looks
-from pneutac_sim.splat.rasteriser import Rendering, Splats, numbers
+from pneutac_sim.splat.rasteriser import Rendering, Splats, fit_looks, numbers
 from pneutac_sim.splat.render import CudaSplats, on
 
 CAMERA_MM = 22.0  # a DIGIT's camera before its gel surface

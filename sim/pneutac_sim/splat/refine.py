@@ -12,11 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from pneutac_sim.effects.registry import in_order
+from pneutac_sim.gel.fit import Channel, GelFit, Problem
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.optics import upsample
 from pneutac_sim.gel.pair import press_px
 from pneutac_sim.gel.photograph import Pressed, PressPhotograph, drift_known, gains, session_light, to_grid
-from pneutac_sim.gel.problem import Channel, GelFit, Problem
 from pneutac_sim.gel.residual import ERROR_LEVELS, INDEPENDENT
 from pneutac_sim.splat.gel import SplatSensor
 

@@ -27,8 +27,8 @@ from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.files import whole
 from pneutac_sim.finger.online import COMPUTED, PressurePipeline
 from pneutac_sim.mpm import devices, runtime
-from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import simulate, solve_equilibrium
+from pneutac_sim.mpm.total_lagrangian import Loads
 from pneutac_sim.surrogate.finger import bending_pressure, joint_targets
 from pneutac_sim.surrogate.fingerprint import fingerprint
 from pneutac_sim.twin import Twin

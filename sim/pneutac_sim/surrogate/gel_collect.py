@@ -23,8 +23,8 @@ from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.probe import COLS, ROWS, probe_grid
 from pneutac_sim.mpm import devices, runtime
 from pneutac_sim.mpm.devices import press_loads
-from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import MpmDiverged, halved_once, solve_equilibrium
+from pneutac_sim.mpm.total_lagrangian import Loads
 from pneutac_sim.surrogate.fingerprint import gel_fingerprint
 from pneutac_sim.twin import Twin
 

@@ -20,8 +20,7 @@ from pneutac_sim.gel.indenter import INDENTERS
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.surrogate.gel_collect import Pairs, read_contacts
-from pneutac_sim.surrogate.perception import GelSurrogate
-from pneutac_sim.surrogate.perception_kernels import BLOCK
+from pneutac_sim.surrogate.perception import BLOCK, GelSurrogate
 from pneutac_sim.twin import Twin
 
 HELDOUT = ("cylinder", "cone")  # a flat and a pointed indenter

@@ -22,8 +22,8 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.gel.indenter import surface_distance
 from pneutac_sim.gel.probe import BOX, CAPSULE, CYLINDER, ELLIPSOID, MESH, NO_TRIANGLES, SPHERE
 from pneutac_sim.mpm import devices
-from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import MpmDiverged, solve_equilibrium
+from pneutac_sim.mpm.total_lagrangian import Loads
 from pneutac_sim.mpm.user_mesh import lattice_inside
 from pneutac_sim.surrogate.finger import controller_stiffness, joint_targets
 from pneutac_sim.twin import Twin

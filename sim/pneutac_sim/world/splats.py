@@ -9,8 +9,7 @@ from scipy.spatial import cKDTree
 
 from pneutac_sim.splat.body import ARRAYS, blank_looks, looks_from_twin, strain, stretch_colours
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.gaussians import Gaussians
-from pneutac_sim.splat.render import on
+from pneutac_sim.splat.render import Gaussians, on
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.scene import SEEN_GROUPS
 from pneutac_sim.world.view import CAMERA, Renderer, View, no_gl

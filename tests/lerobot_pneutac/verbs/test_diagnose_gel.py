@@ -13,8 +13,8 @@ from lerobot_pneutac.study.gel import GelStudy, deal_photographs, photograph_fol
 from lerobot_pneutac.study.gel_model import predict
 from pneutac_datasets.generate.gel import SIZES, write_gel_recording, write_hidden_gel
 from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.gel.fit import GelFit
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.problem import GelFit
 from pneutac_sim.twin import Twin
 
 pytestmark = pytest.mark.slow

@@ -30,8 +30,7 @@ PRESSURES = np.array([[0.0], [4.0], [7.0], [14.0]])
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory):
     """A recording of four photographs by the renderer, from the front and from behind, with markers."""
-    from pneutac_sim.photo_fit.equilibria import Equilibria, body_parameters
-    from pneutac_sim.photo_fit.objective import Objective
+    from pneutac_sim.photo_fit.objective import Equilibria, Objective, body_parameters
     from pneutac_sim.splat.body import blank_looks
     from pneutac_sim.splat.camera import Camera
 

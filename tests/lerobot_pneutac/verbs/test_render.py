@@ -25,8 +25,8 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.probe import BOX, CONE, CYLINDER, SPHERE
 from pneutac_sim.mpm import devices, solve
-from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import solve_equilibrium
+from pneutac_sim.mpm.total_lagrangian import Loads
 from pneutac_sim.splat.body import blank_looks, carried, looks_into_twin
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.render import rasterise

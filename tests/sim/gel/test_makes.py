@@ -8,14 +8,13 @@ import pytest
 
 from pneutac_sim.effects.sensor_effect import CHANNELS
 from pneutac_sim.errors import InputError
-from pneutac_sim.gel.fit import fit_presses
+from pneutac_sim.gel.fit import fit_presses, priors
 from pneutac_sim.gel.identifiability import library, save
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.layout import DIGIT, Layout, Orientation, SensorPrior, recognise_rest, stored_rest
 from pneutac_sim.gel.model import GelModel, rest_image
 from pneutac_sim.gel.pair import rmse
 from pneutac_sim.gel.photograph import Predictor, PressPhotograph
-from pneutac_sim.gel.problem import priors
 from pneutac_sim.gel.residual import FEATURES, PLACE, ResidualField
 from pneutac_sim.twin import Twin
 

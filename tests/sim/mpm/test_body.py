@@ -8,9 +8,8 @@ import pytest
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.body import Body, Material, RestGrid
-from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import simulate
-from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
+from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
 
 trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed: there are no meshes to fill")
 

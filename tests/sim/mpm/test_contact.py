@@ -9,9 +9,8 @@ import pytest
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.body import Body, Material
-from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import MpmDiverged, simulate, solve_equilibrium
-from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
+from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
 
 pytestmark = pytest.mark.slow
 

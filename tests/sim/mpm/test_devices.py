@@ -8,9 +8,9 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.finger.stages import joint_command
 from pneutac_sim.gel.probe import SPHERE, probe_grid
 from pneutac_sim.mpm import devices
-from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solid import finger_mesh
 from pneutac_sim.mpm.solve import solve_equilibrium
+from pneutac_sim.mpm.total_lagrangian import Loads
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 from pneutac_sim.world.world import World
 

@@ -15,9 +15,8 @@ from pneutac_sim.gel.model import GelModel
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.body import Body, Material
 from pneutac_sim.mpm.devices import PressedGel
-from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import MpmDiverged, simulate
-from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
+from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
 from pneutac_sim.twin import Twin
 
 pytestmark = pytest.mark.slow

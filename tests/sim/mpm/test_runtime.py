@@ -12,9 +12,8 @@ import pytest
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm import runtime
 from pneutac_sim.mpm.body import Body, Material, Spine
-from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import simulate, solve_equilibrium
-from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
+from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
 
 pytestmark = pytest.mark.slow
 
@@ -27,7 +26,7 @@ from pneutac_sim.mpm import runtime
 from pneutac_sim.mpm.body import Body, Material
 from pneutac_sim.mpm.solve import simulate
 from pneutac_sim.mpm.body import Spine
-from pneutac_sim.mpm.loads import Loads
+from pneutac_sim.mpm.total_lagrangian import Loads
 from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
 
 rubber = Material(2e5, 0.4)

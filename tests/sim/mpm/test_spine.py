@@ -5,9 +5,8 @@ import pytest
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.body import Body, Material, Spine
-from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import simulate, solve_equilibrium
-from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
+from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
 
 SPACING = 4e-3
 COUNTS = (24, 4, 4)

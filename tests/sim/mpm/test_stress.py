@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from pneutac_sim.mpm.body import Body, Material
-from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solve import solve_equilibrium
-from pneutac_sim.mpm.total_lagrangian import TotalLagrangian
+from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
 
 RUBBER = Material(1e5, 0.46)
 MU, LAM = RUBBER.lame

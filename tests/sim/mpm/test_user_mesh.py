@@ -6,9 +6,9 @@ import trimesh
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm import devices
-from pneutac_sim.mpm.loads import Loads
 from pneutac_sim.mpm.solid import finger_mesh
 from pneutac_sim.mpm.solve import solve_equilibrium
+from pneutac_sim.mpm.total_lagrangian import Loads
 from pneutac_sim.mpm.user_mesh import neutral_axis, read_mesh, store_mesh, stored_mesh
 from pneutac_sim.twin import Twin
 

@@ -9,8 +9,7 @@ import pytest
 @pytest.fixture(scope="session")
 def drawn():
     """Parameters, coordinates of the truth, bodies at 0, 7 and 14 kPa, looks and photographs."""
-    from pneutac_sim.photo_fit.equilibria import Equilibria, body_parameters
-    from pneutac_sim.photo_fit.objective import MaskedPhotograph, Objective
+    from pneutac_sim.photo_fit.objective import Equilibria, MaskedPhotograph, Objective, body_parameters
     from pneutac_sim.splat.body import blank_looks
     from pneutac_sim.splat.camera import Camera
     from pneutac_sim.twin import Twin

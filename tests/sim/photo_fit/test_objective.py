@@ -6,10 +6,8 @@ The warm start from silhouettes alone.
 import numpy as np
 import pytest
 
-from pneutac_sim.photo_fit.coarse import coarse_fit
-from pneutac_sim.photo_fit.equilibria import Equilibria, body_parameters
-from pneutac_sim.photo_fit.objective import Objective, score
-from pneutac_sim.photo_fit.search import confidence
+from pneutac_sim.photo_fit.objective import Equilibria, Objective, body_parameters, score
+from pneutac_sim.photo_fit.search import coarse_fit, confidence
 from pneutac_sim.splat.rasteriser import Rendering
 from pneutac_sim.twin import Twin
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.photo_fit.coarse import Coarse
-from pneutac_sim.photo_fit.equilibria import body_parameters
-from pneutac_sim.photo_fit.search import SearchRecord, search
+from pneutac_sim.photo_fit.objective import body_parameters
+from pneutac_sim.photo_fit.search import Coarse, SearchRecord, search
 from pneutac_sim.twin import Twin
 
 pytestmark = pytest.mark.slow

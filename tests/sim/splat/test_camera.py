@@ -13,8 +13,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.photo_fit.objective import cover
 from pneutac_sim.splat.body import carry
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.colours import fit_looks, solve_colours
-from pneutac_sim.splat.rasteriser import Splats
+from pneutac_sim.splat.rasteriser import Splats, fit_looks, solve_colours
 
 K = np.array([[300.0, 0, 161], [0, 310.0, 118], [0, 0, 1]])
 

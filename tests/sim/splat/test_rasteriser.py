@@ -14,9 +14,8 @@ from splat_reference import scene, view
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.splat.camera import Camera
-from pneutac_sim.splat.gaussians import Gaussians
 from pneutac_sim.splat.rasteriser import Splats, _share, _shares
-from pneutac_sim.splat.render import rasterise
+from pneutac_sim.splat.render import Gaussians, rasterise
 
 BACKGROUND = (0.2, 0.5, 0.9)
 LENS = (-0.2, 0.05, 0.003, -0.002, 0.01)
