@@ -1,7 +1,7 @@
 """Looks at a recording before any model does: faults of files, tracker, sensors, clock and axes."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
 from itertools import product
@@ -26,7 +26,7 @@ ROUNDING = 1e-5  # of the command's range: what its own past leaves of a smooth 
 ANSWERED = 0.15  # share of the command's steps that feedback explains and a program does not
 
 
-def clock(recording: Recording) -> list[Finding]:
+def clock(recording: Recording) -> Iterator[Finding]:
     """Long pauses within trials, and rows that are missing from an even clock."""
     gaps: list[int] = []
     lost: list[int] = []
@@ -43,7 +43,6 @@ def clock(recording: Recording) -> list[Finding]:
         short = (dt > 1.5 * usual) & ~wide
         lost += list(np.flatnonzero(short) + 1 + rows.start)
         missing += int(np.round(dt[short] / usual - 1).sum())
-    found = []
     if gaps:
         at = max(gaps, key=lambda i: time[i + 1] - time[i])
         text = (
@@ -51,7 +50,7 @@ def clock(recording: Recording) -> list[Finding]:
             f"{where(recording, at)}); what happened meanwhile is unknown to a model with memory, so start a "
             "new trial there."
         )
-        found.append(Finding("gaps", text, ("time_s",), np.array(gaps) + 1, {"count": len(gaps)}))
+        yield Finding("gaps", text, ("time_s",), np.array(gaps) + 1, {"count": len(gaps)})
     left_out = recording.meta.get("conversion", {}).get("rows_left_out", 0)  # which its notes say
     missing -= left_out
     if lost and even and missing > 0:
@@ -59,11 +58,10 @@ def clock(recording: Recording) -> list[Finding]:
             f"{plural(missing, 'row')} {'is' if missing == 1 else 'are'} missing from an even clock (first "
             f"before {where(recording, lost[0])}): frames were dropped there."
         )
-        found.append(Finding("missing_rows", text, ("time_s",), np.array(lost), {"count": missing}))
-    return found
+        yield Finding("missing_rows", text, ("time_s",), np.array(lost), {"count": missing})
 
 
-def closed_loop(recording: Recording) -> list[Finding]:
+def closed_loop(recording: Recording) -> Iterator[Finding]:
     """Whether the command answers to the measured motion (Granger's test on the command's own changes).
 
     A programmed command is predictable from its own past and owes nothing to the noise of the marker; a
@@ -94,7 +92,6 @@ def closed_loop(recording: Recording) -> list[Finding]:
         for name, gain in (("before", before), ("same", same * (sign < 0))):
             gains[name][0] += gain * len(target)
             gains[name][1] += len(target)
-    found = []
     before, same = (a / n if n else 0.0 for a, n in gains.values())
     if max(before, same) > ANSWERED:
         own_row = same > ANSWERED
@@ -106,8 +103,7 @@ def closed_loop(recording: Recording) -> list[Finding]:
             text += " It answers to the pose of its own row, so it was sent after it was measured: log "
             text += "time_sent_s."
         numbers = {"share": max(before, same), "same_row": float(own_row)}
-        found.append(Finding("closed_loop", text, tuple(recording.pressure_columns), numbers=numbers))
-    return found
+        yield Finding("closed_loop", text, tuple(recording.pressure_columns), numbers=numbers)
 
 
 def _past(x: np.ndarray, first: int) -> np.ndarray:
@@ -143,13 +139,12 @@ def _answer(u: np.ndarray, y: np.ndarray) -> np.ndarray:
     return slope / np.maximum(np.linalg.norm(slope, axis=0), 1e-12)
 
 
-def late_command(recording: Recording) -> list[Finding]:
+def late_command(recording: Recording) -> Iterator[Finding]:
     """Whether the device moves before its command does.
 
     Before steps out of a rest the pose will do; where the command never rests, the measured pressure decides,
     if it knows of the next row's command what nothing before it knew.
     """
-    found = []
     gauges = {c: [m] for m, c in measured_pressures(recording).items()}
     for name in recording.pressure_columns:
         seen = gauges.get(name) or headline(recording)[0]
@@ -169,8 +164,7 @@ def late_command(recording: Recording) -> list[Finding]:
             f"{what} moves {rows} before the command '{name}' does, {shown}: the command is written too "
             f"late; move it up by {rows}, or give time_sent_s."
         )
-        found.append(Finding("late_command", text, (name,), numbers={"rows_late": float(late)}))
-    return found
+        yield Finding("late_command", text, (name,), numbers={"rows_late": float(late)})
 
 
 def _leads(recording: Recording, name: str, seen: list[str], rows: slice, reach: float) -> list[int]:
@@ -261,12 +255,12 @@ def _drive(recording: Recording) -> np.ndarray:
     return p / max(float(np.abs(p).max()), 1e-9)
 
 
-def exchanged_axes(recording: Recording) -> list[Finding]:
+def exchanged_axes(recording: Recording) -> Iterator[Finding]:
     """Tip columns of a finger in each other's place: it bends in z and lies along x."""
     length = recording.length_mm
     if recording.device != "finger" or length is None:
-        return []
-    p, found = _drive(recording), []
+        return
+    p = _drive(recording)
     if recording.has("tip_y_mm") and recording.has("tip_z_mm"):
         y, z = (_moved_by(recording, p, c) for c in ("tip_y_mm", "tip_z_mm"))
         if y > 0.03 * length and z < 0.2 * y:
@@ -275,7 +269,7 @@ def exchanged_axes(recording: Recording) -> list[Finding]:
                 "finger bends in z: the axes are exchanged, or the base is turned by 90 degrees; give both "
                 "in the finger's base frame."
             )
-            found.append(Finding("exchanged_axes", text, ("tip_y_mm", "tip_z_mm")))
+            yield Finding("exchanged_axes", text, ("tip_y_mm", "tip_z_mm"))
     if recording.has("tip_x_mm") and recording.has("tip_z_mm"):
         rest = np.abs(p[:, 0]) <= np.quantile(np.abs(p[:, 0]), 0.1)
         x, z = (float(np.median(recording.column(c)[rest])) for c in ("tip_x_mm", "tip_z_mm"))
@@ -284,11 +278,10 @@ def exchanged_axes(recording: Recording) -> list[Finding]:
                 f"At the lowest pressures the tip is at tip_x_mm {x:.3g} and tip_z_mm {z:.3g}, but a finger "
                 f"of {length:g} mm lies along x: the axes are exchanged; give both in its base frame."
             )
-            found.append(Finding("exchanged_axes", text, ("tip_x_mm", "tip_z_mm")))
-    return found
+            yield Finding("exchanged_axes", text, ("tip_x_mm", "tip_z_mm"))
 
 
-def misplaced_tip(recording: Recording) -> list[Finding]:
+def misplaced_tip(recording: Recording) -> Iterator[Finding]:
     """Tip coordinates that lie on the path of a bending device in another unit, frame or length alone.
 
     A device that bends evenly moves its tip on the curve L (sin t, 1 - cos t) / t. Real ones stay near it, so
@@ -296,13 +289,13 @@ def misplaced_tip(recording: Recording) -> list[Finding]:
     """
     length, names = recording.length_mm, [c for c in TIP if recording.has(c)]
     if recording.device not in ("finger", "arm") or length is None or "tip_x_mm" not in names[:-1]:
-        return []
+        return
     tip = recording.samples[names].to_numpy(float)
     tip = tip[:: max(1, len(tip) // MOST_TIPS)] / length
     x, aside = tip[:, 0], np.linalg.norm(tip[:, 1:], axis=1)
     now, readings = _off_path(x, aside), []
     if now < OFF_PATH:
-        return []
+        return
     for (in_x, kx), (in_z, kz) in product(LENGTHS.items(), LENGTHS.items()):
         if kx == kz == 1:
             continue
@@ -323,7 +316,7 @@ def misplaced_tip(recording: Recording) -> list[Finding]:
     readings.append((2 * _off_path(best * x, best * aside), remedy, best))
     off, remedy, kind = min(readings, key=lambda r: r[0])
     if off > MUCH_NEARER * now:
-        return []
+        return
     rest = np.abs(_drive(recording)).max(1)
     rest = recording.samples[names].to_numpy(float)[rest <= np.quantile(rest, 0.1)]
     away = float(np.linalg.norm(np.median(rest, axis=0)))
@@ -331,7 +324,7 @@ def misplaced_tip(recording: Recording) -> list[Finding]:
         f"At the lowest pressures the tip is {away:.3g} mm from the base of a {recording.device} of "
         f"{length:g} mm, and its path does not fit such a device: {remedy}."
     )
-    return [Finding("misplaced_tip", text, tuple(names), numbers={"off_path": now, "reading": float(kind)})]
+    yield Finding("misplaced_tip", text, tuple(names), numbers={"off_path": now, "reading": float(kind)})
 
 
 def _off_path(x: np.ndarray, aside: np.ndarray) -> float:
@@ -345,13 +338,13 @@ def _path() -> cKDTree:
     return cKDTree(np.stack([np.sin(turn), 1 - np.cos(turn)], -1) / turn[:, None])
 
 
-def other_way_round(recording: Recording) -> list[Finding]:
+def other_way_round(recording: Recording) -> Iterator[Finding]:
     """A finger that bends towards -z, or whose angle falls, as the pressure rises."""
-    if recording.device != "finger" or exchanged_axes(recording):
-        return []  # what falls may be another axis
-    p, found = _drive(recording), []
+    if recording.device != "finger" or list(exchanged_axes(recording)):
+        return  # what falls may be another axis
+    p = _drive(recording)
     if p.max() < -p.min() or not np.ptp(p[:, 0]):
-        return []  # vacuum bends it: which way is positive is its maker's choice
+        return  # vacuum bends it: which way is positive is its maker's choice
     for name in ("tip_z_mm", "bend_angle_rad"):
         if not recording.has(name):
             continue
@@ -365,8 +358,7 @@ def other_way_round(recording: Recording) -> list[Finding]:
                 "pressure: it was mounted, or z drawn, the other way round; change the sign of the column, "
                 "or the twin's gain is negative."
             )
-            found.append(Finding("other_way_round", text, (name,)))
-    return found
+            yield Finding("other_way_round", text, (name,))
 
 
 def _moved_by(recording: Recording, p: np.ndarray, name: str) -> float:
@@ -379,12 +371,12 @@ def _moved_by(recording: Recording, p: np.ndarray, name: str) -> float:
     return float(np.median(ranges)) if ranges else 0.0
 
 
-def drift(recording: Recording) -> list[Finding]:
+def drift(recording: Recording) -> Iterator[Finding]:
     """A steady move of the output over the session at equal pressures."""
     columns, unit = headline(recording)
     same = _usual_conditions(recording)
     if not columns or same.sum() < 200:
-        return []
+        return
     p, block = _drive(recording)[same], time_blocks(recording.samples)[same]
     done = _session_s(recording)[same]
     y = recording.samples[columns].to_numpy(float)[same]
@@ -395,13 +387,13 @@ def drift(recording: Recording) -> list[Finding]:
         if steady and abs(total) > max(5 * floor.get(name, 0.0), 0.02 * np.ptp(y[:, i])):
             moved[name] = total
     if not moved:
-        return []
+        return
     how = " and ".join(f"'{c}' by {x:+.3g} {unit}" for c, x in moved.items())
     text = (
         f"At equal pressures the output drifts steadily over the session, {how}: the tracker, the mount or a "
         "gauge drifts, or the device softens or warms. Repeat the first program at the end to find out which."
     )
-    return [Finding("drift", text, tuple(moved), numbers=moved)]
+    yield Finding("drift", text, tuple(moved), numbers=moved)
 
 
 def _usual_conditions(recording: Recording) -> np.ndarray:
@@ -441,22 +433,9 @@ def _trend(design: np.ndarray, y: np.ndarray, done: np.ndarray, block: np.ndarra
     return total, bool(abs(np.corrcoef(a, b)[0, 1]) > 0.9)
 
 
-LOOKS = (
-    sensors.jumps,
-    sensors.frozen,
-    sensors.stale,
-    sensors.saturated,
-    sensors.clipped_command,
-    sensors.coarse,
-    sensors.repeated,
-    clock,
-    closed_loop,
-    late_command,
-    exchanged_axes,
-    misplaced_tip,
-    other_way_round,
-    drift,
-)
+LOOKS = sensors.jumps, sensors.frozen, sensors.stale, sensors.saturated, sensors.clipped_command
+LOOKS += sensors.coarse, sensors.repeated, clock, closed_loop, late_command
+LOOKS += exchanged_axes, misplaced_tip, other_way_round, drift
 
 
 def check(recording: Recording) -> tuple[Recording, list[str]]:
@@ -490,8 +469,7 @@ def _looked(recording: Recording) -> tuple[Recording, list[Finding]]:
     recording, found = unwrap(recording)
     recording, more = pressures.usable(recording)
     found += more
-    for look in LOOKS:
-        found += look(recording)
+    found += [finding for look in LOOKS for finding in look(recording)]
     if not measured:
         text = (
             "There is no measured pressure, so a slow valve and a creeping body cannot be distinguished; "

@@ -56,7 +56,7 @@ def usable(recording: Recording) -> tuple[Recording, list[Finding]]:
     for measured, command in measured_pressures(recording).items():
         recording, more = _judged(recording, measured, command)
         found += more
-    return recording, found + _absolute(recording, {c for f in found for c in f.columns})
+    return recording, [*found, *_absolute(recording, {c for f in found for c in f.columns})]
 
 
 def supply_limits(recording: Recording) -> dict[str, float]:
@@ -351,9 +351,8 @@ def _late(recording: Recording, measured: str, inside: np.ndarray) -> float:
     return best * dt if best * dt >= LATE_S and best >= 2 and left[best] < 0.5 * left[0] else 0.0
 
 
-def _absolute(recording: Recording, named: set[str]) -> list[Finding]:
+def _absolute(recording: Recording, named: set[str]) -> Iterator[Finding]:
     """Commands that never go below the pressure of the surroundings, as absolute ones do."""
-    found = []
     for name in recording.pressure_columns:
         u = recording.column(name).astype(float)
         low = float(u.min())
@@ -367,5 +366,4 @@ def _absolute(recording: Recording, named: set[str]) -> list[Finding]:
                 f"Column '{name}' never falls below {low:.4g} kPa: is it absolute? Then subtract the "
                 "pressure of the surroundings, about 101 kPa; all pressures here are above it."
             )
-            found.append(Finding("pressure_offset", text, (name,), numbers={"offset_kpa": low}))
-    return found
+            yield Finding("pressure_offset", text, (name,), numbers={"offset_kpa": low})

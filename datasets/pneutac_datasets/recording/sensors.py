@@ -20,7 +20,7 @@ def where(recording: Recording, row: int) -> str:
     return f"trial {recording.column('trial')[row]} at {recording.column('time_s')[row]:.2f} s"
 
 
-def jumps(recording: Recording) -> list[Finding]:
+def jumps(recording: Recording) -> Iterator[Finding]:
     """Rows of excursions: the marker leaves faster than anything explains and is back within two seconds."""
     columns, _ = headline(recording)
     pose = recording.samples[columns].to_numpy(float)
@@ -39,8 +39,8 @@ def jumps(recording: Recording) -> list[Finding]:
                 bad[rows.start + a : rows.start + b] = True
             else:
                 slips.append(rows.start + a)
-    found, at = [], np.flatnonzero(bad)
     if bad.any():
+        at = np.flatnonzero(bad)
         first, many = where(recording, at[0]), bool(bad.mean() > 0.05)
         runs = len(list(_stretches(bad)))
         text = (
@@ -50,15 +50,14 @@ def jumps(recording: Recording) -> list[Finding]:
             else f"The tracker jumps away and comes back {plural(runs, 'time')} (first in {first});"
             f" {_left_out(bad)}."
         )
-        found.append(Finding("jumps", text, tuple(columns), at, {"kept": int(many)}))
+        yield Finding("jumps", text, tuple(columns), at, {"kept": int(many)})
     if slips:
         text = (
             f"The marker shifts suddenly {plural(len(slips), 'time')} without a change of pressure that "
             f"explains it and stays there (first in {where(recording, slips[0])}); these rows were not "
             f"changed: a slipped marker or the device itself."
         )
-        found.append(Finding("shift", text, tuple(columns), np.array(slips)))
-    return found
+        yield Finding("shift", text, tuple(columns), np.array(slips))
 
 
 def excursions(t: np.ndarray, y: np.ndarray, p: np.ndarray) -> list[tuple[int, int, bool]]:
@@ -127,7 +126,7 @@ def _local_median(x: np.ndarray, window: int) -> np.ndarray:
     return median_filter(x, size=2 * window + 1, mode="nearest")
 
 
-def frozen(recording: Recording) -> list[Finding]:
+def frozen(recording: Recording) -> Iterator[Finding]:
     """Rows where every observed number repeats for half a second and more while the pressure moves."""
     columns, _, repeats = _pose(recording)
     p, t = recording.commands, recording.column("time_s")
@@ -137,29 +136,29 @@ def frozen(recording: Recording) -> list[Finding]:
             bad[a:b] = True
     # a recording without any noise repeats numbers everywhere, which says nothing about the tracker
     if repeats.sum() - bad.sum() > 0.2 * len(recording) or not bad.any():
-        return []
+        return
     at = np.flatnonzero(bad)
     text = (
         f"The tracker stands still while the pressure moves (first in {where(recording, at[0])}); "
         f"{_left_out(bad)}."
     )
-    return [Finding("frozen", text, tuple(columns), at)]
+    yield Finding("frozen", text, tuple(columns), at)
 
 
-def stale(recording: Recording) -> list[Finding]:
+def stale(recording: Recording) -> Iterator[Finding]:
     """Rows that repeat the pose of the row before to the last digit, also while it moves."""
     columns, pose, repeats = _pose(recording)
     moving = np.concatenate([is_moving(pose[rows]) for rows in recording.trials().values()])
     share = repeats[moving].mean() if moving.any() else 0.0
     if (repeats & moving).sum() < 10 or share < 0.005:
-        return []
+        return
     text = (
         f"{repeats.mean():.1%} of the rows repeat the pose of the row before to the last digit, and so do "
         f"{share:.1%} of those in which it moves: frames were dropped, or the tracker is slower than the "
         "log, so such a pose is older than its time."
     )
     numbers = {"share": float(repeats.mean())}
-    return [Finding("stale_pose", text, tuple(columns), np.flatnonzero(repeats), numbers)]
+    yield Finding("stale_pose", text, tuple(columns), np.flatnonzero(repeats), numbers)
 
 
 def _pose(recording: Recording) -> tuple[list[str], np.ndarray, np.ndarray]:
@@ -199,10 +198,9 @@ def _measured(recording: Recording) -> list[str]:
     return [*poses, *measured_pressures(recording)]
 
 
-def saturated(recording: Recording) -> list[Finding]:
+def saturated(recording: Recording) -> Iterator[Finding]:
     """Columns that stick to their largest or smallest number while the command varies."""
     command = recording.commands
-    found = []
     for name in _measured(recording):
         x = recording.column(name)
         for extreme, word in ((x.max(), "largest"), (x.min(), "smallest")):
@@ -213,16 +211,14 @@ def saturated(recording: Recording) -> list[Finding]:
                     f"Column '{name}' sticks to its {word} number {extreme:g} in {at.mean():.1%} of the rows "
                     "while the command varies: the sensor saturates there."
                 )
-                found.append(Finding("saturated", text, (name,), np.flatnonzero(at), {"at": float(extreme)}))
-    return found
+                yield Finding("saturated", text, (name,), np.flatnonzero(at), {"at": float(extreme)})
 
 
-def clipped_command(recording: Recording) -> list[Finding]:
+def clipped_command(recording: Recording) -> Iterator[Finding]:
     """Commands that stand at their extreme between two ramps while the measured pressure goes on and returns.
 
     A held command lets the pressure settle; it does not make it rise and fall again.
     """
-    found = []
     for measured, name in measured_pressures(recording).items():
         p, u = recording.column(measured).astype(float), recording.column(name).astype(float)
         for extreme, sign in ((u.max(), 1), (u.min(), -1)):
@@ -238,9 +234,8 @@ def clipped_command(recording: Recording) -> list[Finding]:
                     f"Column '{name}' stands at {extreme:g} kPa {len(humps)} times while '{measured}' goes "
                     "on beyond and comes back: the log clipped the command, and the device got another."
                 )
-                numbers = {"at": float(extreme)}
-                found.append(Finding("clipped_command", text, (name,), np.concatenate(humps), numbers))
-    return found
+                rows, numbers = np.concatenate(humps), {"at": float(extreme)}
+                yield Finding("clipped_command", text, (name,), rows, numbers)
 
 
 def _stands(recording: Recording, u: np.ndarray, extreme: float) -> Iterator[tuple[int, int]]:
@@ -257,9 +252,9 @@ def _stands(recording: Recording, u: np.ndarray, extreme: float) -> Iterator[tup
                 yield a, b
 
 
-def coarse(recording: Recording) -> list[Finding]:
+def coarse(recording: Recording) -> Iterator[Finding]:
     """Readings that are multiples of one step, larger than the noise."""
-    found, trials, gauges = [], recording.trials().values(), measured_pressures(recording)
+    trials, gauges = recording.trials().values(), measured_pressures(recording)
     ramps = _on_ramps(recording)
     for name in _measured(recording):
         x = recording.column(name).astype(float)
@@ -274,8 +269,7 @@ def coarse(recording: Recording) -> list[Finding]:
             f"Column '{name}' moves in steps of {step:.3g}: what it shows between them is lost, so count "
             f"{step / np.sqrt(12):.2g} (the step over the root of 12) as its noise at least."
         )
-        found.append(Finding("quantised", text, (name,), numbers={"step": step}))
-    return found
+        yield Finding("quantised", text, (name,), numbers={"step": step})
 
 
 def _step(x: np.ndarray) -> float | None:
@@ -314,9 +308,8 @@ def _comb(x: np.ndarray) -> float | None:
     return float(steps[best[0] + np.argmax(gathered[best[0] : best[0] + 10])]) if len(best) else None
 
 
-def repeated(recording: Recording) -> list[Finding]:
+def repeated(recording: Recording) -> Iterator[Finding]:
     """Gauges that are read less often than rows are written."""
-    found = []
     steps = {f.columns[0]: f.numbers["step"] for f in coarse(recording)}
     for name, command in measured_pressures(recording).items():
         x, u = (recording.column(c).astype(float) for c in (name, command))
@@ -332,8 +325,7 @@ def repeated(recording: Recording) -> list[Finding]:
             f"Column '{name}' repeats {how} while rows go on: it is read less often than they are written, "
             "so its readings are late by up to that much, and neighbouring rows do not show its noise."
         )
-        found.append(Finding("repeated", text, (name,), numbers={"rows_each": each}))
-    return found
+        yield Finding("repeated", text, (name,), numbers={"rows_each": each})
 
 
 def _lasts(x: np.ndarray, u: np.ndarray, least: float) -> np.ndarray:
