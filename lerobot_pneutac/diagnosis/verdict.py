@@ -91,6 +91,16 @@ class Evidence:
         return self.after is not None and self.after <= T.NOISE
 
     @property
+    def holds_elsewhere(self) -> bool:
+        """Whether what is left is noise in the later part and in other programs, each of them unseen.
+
+        Each is one draw of few independent pieces, so both together are the estimate, and the larger of them
+        stands for its upper bound.
+        """
+        each = [x for x in (self.later, self.program) if x is not None]
+        return not each or (float(np.sqrt(np.mean(np.square(each)))) <= T.NOISE and max(each) <= T.CLOSE)
+
+    @property
     def at_noise(self) -> bool:
         """Whether the error before is noise already, so that nothing can be named.
 
@@ -167,7 +177,7 @@ def explained(e: Evidence) -> Explained:
     low, high = e.interval or (e.after, e.after)
     if e.is_noise and high > T.CLOSE:
         return Explained.UNDETERMINED
-    if e.is_noise and max(e.later or 0.0, e.program or 0.0) <= T.NOISE and not e.unseen:
+    if e.is_noise and e.holds_elsewhere and not e.unseen:
         return Explained.FULLY
     if not (e.noise_known or e.is_noise) or (e.near_miss and not e.selected):
         return Explained.UNDETERMINED
