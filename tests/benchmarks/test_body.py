@@ -6,7 +6,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from pneutac_benchmarks.body import shape as benchmark_shape
 from pneutac_benchmarks.body.looks import rmse
@@ -18,7 +17,6 @@ from pneutac_benchmarks.body.shape_case import (
     at_rest,
     heldout,
 )
-from pneutac_benchmarks.body.shape_table import write_tables
 from pneutac_datasets.generate.photographs import hidden_twin, session
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
@@ -76,25 +74,6 @@ def test_markers_of_held_out_pressures_are_not_looked_at(tmp_path):
     recording.samples.loc[rows, "tip_x_mm"] += 50
     again = add_effect(hidden_twin(3, "finger"), recording, "stiffening")
     assert again.effects == found.effects and again.parameters == found.parameters
-
-
-def test_a_body_that_was_refused_is_counted_and_told(tmp_path):
-    def body(hidden, seed, tip_mm):
-        when = {"tip_mm": [tip_mm], "joints_deg": 1.0}
-        return {"device": "finger", "seed": seed, "hidden": hidden, "length_mm": 100.0} | (
-            {"before": when, "after": when, "effect": {"name": "creep"}}
-            if tip_mm
-            else {"refused": "no finger"}
-        )
-
-    bodies = [body("creep", 1, 2.0), body("creep", 2, 4.0), body("creep", 3, None), body("camera", 1, None)]
-    creep, camera = write_tables(bodies, tmp_path, Console(quiet=True))["effects"]
-    assert creep["before"]["tip_mm"] == [3.0, 1.0] and (creep["bodies"], creep["refused"]) == (3, 1)
-    assert camera["before"]["tip_mm"] == [None, None]
-    text = (tmp_path / "tables.md").read_text()
-    assert "| creep | 3 (1 refused) | creep | 3.00 ± 1.00 | 3.00 ± 1.00 |" in text
-    assert "- refused: finger 3 creep: no finger" in text
-    assert json.loads((tmp_path / "result.json").read_text())["effects"][0] == creep
 
 
 @pytest.mark.nightly

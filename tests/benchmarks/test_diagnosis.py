@@ -7,27 +7,19 @@ The benchmark of experiments: a foreign device that remembers its programs, and 
 The benchmark of demonstrations: what is hidden, and when an answer is right.
 """
 
-import io
-import json
-
 import numpy as np
 import pandas as pd
 import pytest
-from rich.console import Console
 
-from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.benches import save_program
 from pneutac_benchmarks.demonstrations import VALVE, names_right
 from pneutac_benchmarks.diagnosis import (
-    main,
-    real,
     rules,
-    table_rivals,
     table_truths,
     truths,
 )
-from pneutac_benchmarks.diagnosis.answers import fitted, predicted, show
-from pneutac_benchmarks.diagnosis.cases import BenchmarkDiagnosisConfig, Case, diagnosed
+from pneutac_benchmarks.diagnosis.answers import fitted, predicted
+from pneutac_benchmarks.diagnosis.cases import BenchmarkDiagnosisConfig, diagnosed
 from pneutac_benchmarks.diagnosis.rules import COUNTS, counts
 from pneutac_benchmarks.experiments import _known_at
 from pneutac_datasets.generate.truth_bench import TruthBench
@@ -56,17 +48,6 @@ def test_the_rules_know_every_truth_and_every_name():
     names = {family(n) for n in law_names()} | set(law_names()) | set(body_effects()) | {rules.BASE}
     assert set(rules.COUNTS) == set(EFFECTS)
     assert {n for accepted in rules.COUNTS.values() for n in accepted} <= names
-
-
-def test_a_finished_case_is_not_repeated(tmp_path, monkeypatch):
-    case = Case("truths", "effect", "creep_fractional", 0, 4.0, device="rod")
-    (tmp_path / "cases").mkdir()
-    answer = json.dumps(truth_answer("creep_fractional", ["creep"]))
-    (tmp_path / "cases" / f"{case.key}.json").write_text(answer)
-    monkeypatch.setattr(truths, "cases", lambda cfg: [case])
-    monkeypatch.setattr(main, "solve", pytest.fail)
-    run_verb("benchmark", ["diagnosis", f"--out={tmp_path}"])
-    assert (tmp_path / "table.md").is_file() and (tmp_path / "confusion.png").is_file()
 
 
 def test_the_share_removed_counts_only_what_could_be_removed():
@@ -102,22 +83,6 @@ def test_the_share_removed_counts_only_what_could_be_removed():
 def test_right_physics(effects, selected, verdict, ratio, expected):
     kind = "plain" if effects == "plain" else "pair" if effects in PAIRS else "effect"
     assert table_truths.score(truth_answer(effects, selected, verdict, ratio, kind))["right"] is expected
-
-
-def test_the_table_of_truths(tmp_path):
-    answers = [
-        truth_answer("creep_fractional", ["lag(p)"]),
-        truth_answer("creep_fractional", ["play(p)"], ratio=3.0),
-        truth_answer("marker_slip", [], "unknown_effect", 5.0),
-        truth_answer("plain", [], "adequate", kind="plain"),
-    ]
-    table_truths.write_table(answers, tmp_path, Console(quiet=True))
-    text = (tmp_path / "table.md").read_text()
-    assert "| rod, effect | 2 | 1 | 1 | 1 |" in text and "| rod, disturbance | 1 | 0 | 0 | 1 |" in text
-    assert "| creep_fractional | rod | 1 of 2 | 1 of 2 | 1 of 2 |" in text and "creep 1, hysteresis 1" in text
-    groups = {r["group"]: r for r in json.loads((tmp_path / "result.json").read_text())["groups"]}
-    assert groups["rod, effect"]["too_much"] == 1 and groups["rod, plain"]["right"] == 1
-    assert (tmp_path / "confusion.png").is_file() and (tmp_path / "ladder.png").is_file()
 
 
 def test_truths_are_what_applies_to_each_device():
@@ -169,39 +134,7 @@ def test_lines_and_parts_of_the_base_are_taken_out_too(truth, out, tmp_path, mon
         assert "valve_lag" in names and "creep" in names
 
 
-def test_real_recordings_are_split_by_blocks_and_forward():
-    made = real.cases(BenchmarkDiagnosisConfig(set="real"))
-    assert sum(c.kind == "blocks" for c in made) == 9 and sum(c.kind == "forward" for c in made) == 3
-
-
 # ---------------------------------------------------------------- rivals
-
-
-def test_the_table_of_rivals(tmp_path):
-    def method(share, ratio):
-        return {"after": 1.0, "ratio": ratio, "removed": share, "seconds": 2.0}
-
-    none = {"laws": method(None, 1.0), "network": method(None, 1.0)}
-    answers = [
-        {
-            "methods": {
-                "laws": method(0.95, 1.2),
-                "network": method(0.5, 3.0),
-                "x": {"skipped": "not installed"},
-            }
-        },
-        {
-            "methods": {
-                "laws": method(0.80, 1.6),
-                "network": method(0.92, 1.4),
-                "x": {"skipped": "not installed"},
-            }
-        },
-        {"methods": none},
-    ]
-    table_rivals.write_table(answers, tmp_path, Console(quiet=True))
-    text = (tmp_path / "table.md").read_text()
-    assert "| laws | 1 of 2 | 1 of 2 | 88% |" in text and "| x | not installed |" in text
 
 
 def test_options_are_told_what_is_right():
@@ -219,22 +152,6 @@ def test_weights_come_back_from_answers_that_they_made():
     p = predicted(every, true, own)
     every = [c | {"right": r} for c, r in zip(every, rng.random(len(X)) < p, strict=True)]
     np.testing.assert_allclose(predicted(every, *fitted(every)), p, atol=0.03)
-
-
-def test_recordings_and_causes_are_counted():
-    def answer(ratio, explained, effects="creep_fractional", term="lag(p)"):
-        cause = {"cause": "creep", "ranked": {"creep": 0.9}, "certain": True, "terms": [term]}
-        return {
-            "ratio": ratio, "explained": explained, "effects": effects, "truth": [effects], "causes": [cause]
-        }  # fmt: skip
-
-    printed = io.StringIO()
-    answers = [answer(1.1, "fully"), answer(1.2, "mostly"), answer(1.6, "fully", "marker_slip")]
-    show(answers, Console(file=printed, width=200))
-    text = printed.getvalue()
-    assert "1 of 2" in text  # of two recordings that end explained, and of two that were called so
-    assert "1 of 1" in text  # without the marker that slipped between the days
-    assert "2 of 3" in text and "3 causes; Brier score 0.277" in text
 
 
 def test_what_is_given_is_commanded_and_rests_lie_between():

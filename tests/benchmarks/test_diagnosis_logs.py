@@ -1,12 +1,9 @@
 """Ordinary logs: what is drawn, the table, and a fixed part of the benchmark itself."""
 
-import json
-
 import numpy as np
 import pytest
-from rich.console import Console
 
-from pneutac_benchmarks.diagnosis import logs, main, table_logs
+from pneutac_benchmarks.diagnosis import logs
 from pneutac_benchmarks.diagnosis.cases import BenchmarkDiagnosisConfig, Case
 from pneutac_sim.errors import InputError
 
@@ -57,28 +54,6 @@ def test_an_effect_is_five_times_the_noise():
 def test_other_effects_are_refused_in_one_sentence():
     with pytest.raises(InputError, match="'cooking' must be one of plain, creep, hysteresis, valve"):
         logs.cases(BenchmarkDiagnosisConfig(set="logs", effects=("cooking",)))
-
-
-def test_a_crash_is_an_answer_and_the_table_counts_it(tmp_path, monkeypatch):
-    def fails(*_):
-        raise ZeroDivisionError("division by zero")
-
-    monkeypatch.setattr(logs, "diagnosed", fails)
-    config = BenchmarkDiagnosisConfig(set="logs", seeds=1, workers=1, out=tmp_path)
-    cases = logs.cases(config)
-    files = [tmp_path / f"{c.key}.json" for c in cases]
-    for k in range(len(cases)):
-        main.solve(cases, files, k)
-    answers = [json.loads(file.read_text()) for file in files]
-    assert all("ZeroDivisionError" in a["crash"] for a in answers)
-    quiet = answers[0] | {
-        "verdict": "adequate", "selected": [], "right": [], "floor": 1.1 * answers[0]["noise"],
-        "error_over_noise": [1.0, 1.0], "seconds": 3.0,
-    }  # fmt: skip
-    quiet.pop("crash")
-    table_logs.write_table([*answers, quiet], tmp_path, Console(quiet=True))
-    text = (tmp_path / "table.md").read_text()
-    assert "| all plain | 2 | 0 | 1 | 0 | 0 |" in text and "| 1 | 0 | 0 | 0 | 0 | 1 |" in text
 
 
 @pytest.mark.slow

@@ -119,12 +119,6 @@ def test_copies_weight_the_episodes_that_are_trained_on(frames):
     assert np.bincount(drawn).tolist() == [25, 35, 120]  # 5 and 7 frames, and 6 times 4
 
 
-def test_policy_is_scaled_by_the_data(frames):
-    policy = new_policy(True, 1e-3, 0, "cpu", frames.scaling)
-    middle = (frames.state[:, 14].min() + frames.state[:, 14].max()) / 2
-    assert policy.get_buffer("_state_centre")[14].item() == pytest.approx(middle, abs=1e-6)
-
-
 def test_training_learns_keeps_the_best_and_loads_again(frames, tmp_path):
     policy = new_policy(True, 3e-3, 0, "cpu")
     seen = []

@@ -5,7 +5,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,12 +12,9 @@ import pytest
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.cli.options import parse_options
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import HUBER_DELTA, NETWORKS
-from pneutac_benchmarks.policy import run as benchmark_policy_run
-from pneutac_benchmarks.policy import units
 from pneutac_benchmarks.policy.main import BenchmarkPolicyConfig
 from pneutac_benchmarks.policy.plan import (
     CONDITIONS,
-    PERSON,
     RESULT,
     TEST_START,
     Unit,
@@ -29,7 +25,6 @@ from pneutac_benchmarks.policy.plan import (
 from pneutac_benchmarks.policy.run import LOG, finished, run_units
 from pneutac_benchmarks.policy.table import curve, difference, reasons, rows, success, worth
 from pneutac_benchmarks.policy.units import STARTS_EACH, _why
-from pneutac_datasets.demonstrations.films import read_film
 from pneutac_sim.errors import InputError
 from pneutac_sim.executor import ExecutorOptions
 from pneutac_sim.features import TASK_NAMES
@@ -82,12 +77,6 @@ def test_real_demonstrations_are_a_sets_own_first_and_then_its_neighbours():
     assert len(fifty.needs) == fifty.options["real"] == 5 and fifty.options["episodes"] == 50
 
 
-def test_the_first_trials_of_every_condition_come_before_further_ones():
-    units = by_kind(plan(config("--seeds=[0,1]", "--conditions=[real,real_20]")), "evaluate")
-    further = [u.options["further"] for u in units]
-    assert further == sorted(further) and further.count(False) == 2 * 2 * 2 * 3
-
-
 def test_no_two_purposes_share_a_seed_and_trials_start_elsewhere():
     units = plan(config("--seeds=[0,1,2,99999]", "--trials=1000", "--conditions=[real,n_aug,ppo]"))
     seeds = [u.options["seed"] for u in units if u.kind not in ("train", "evaluate")]
@@ -97,15 +86,6 @@ def test_no_two_purposes_share_a_seed_and_trials_start_elsewhere():
     ordered = sorted({s for _, s in starts})
     assert ordered[0] >= TEST_START and min(np.diff(ordered)) >= 10
     assert derived_seed(0, "switch", "real") != derived_seed(0, "switch", "more")
-
-
-def test_person_and_width_are_of_the_task_or_of_the_option():
-    def recorded(*argv):
-        units = by_kind(plan(config("--conditions=[real]", "--seeds=[0]", *argv)), "record")
-        return {u.options["task"]: (u.options["person"], u.options["start_width"]) for u in units}
-
-    assert recorded() == PERSON
-    assert set(recorded("--person=0", "--start_width=0").values()) == {(0.0, 0.0)}
 
 
 def test_compared_twins_differ_in_the_twin_alone(tmp_path):
@@ -200,63 +180,20 @@ def test_a_failed_trial_has_its_reason(touched, failure, why):
     assert _why(world, area) == why
 
 
-def test_failed_trials_have_films(tmp_path, monkeypatch):
-    """Of the first seed alone, after all trials; a trial is done once more from its start."""
-    cfg = config("--tasks=[egg]", "--seeds=[0,1]", "--conditions=[real,library]", "--films=1")
-    made = by_kind(plan(cfg), "film")
-    assert [u.name for u in made] == ["egg/0/real_films", "egg/0/library_films"]
-    assert plan(cfg)[-2:] == made and made[0].needs[0] == "egg/0/real_policy"
-
-    class Trial(World):
-        starts = ()
-
-        def reset(self, start):
-            self.starts = (*self.starts, start)
-
-        def step(self, action):
-            return SimpleNamespace(state=np.zeros(20))
-
-        def render(self, width, height):
-            return np.zeros((height, width, 3), np.uint8)
-
-    world = Trial()
-    monkeypatch.setattr(units, "_trained", lambda folder: SimpleNamespace(reset=lambda: None))
-    monkeypatch.setattr(units, "_action", lambda policy, observation: None)
-    monkeypatch.setattr(units, "_standin", lambda *options: world)
-    found = trials("egg", 0, "real", [1, 0, 0])["egg/0/real_trials_000"]
-    (tmp_path / "trials").mkdir()
-    (tmp_path / "trials" / RESULT).write_text(json.dumps(found))
-    (film,) = units.film(tmp_path, made[0].options, [tmp_path, tmp_path / "trials"])["films"]
-    assert (film["start"], film["reason"]) == (1, "time-out, touch lost") and world.starts == (1,)
-    assert read_film(Path(film["file"])).stated == units.STEPS
-
-
-def test_old_name_of_a_condition_is_taken():
-    assert config("--conditions=[mixed]").conditions == ("planner",)
-
-
 @pytest.mark.parametrize(
     ("option", "words"),
     [
-        ("--tasks=[juggle]", "^tasks has the unknown name"),
-        ("--conditions=[real,real]", "each once"),
         ("--conditions=[]", "at least one"),
-        ("--seeds=[1,1]", "different numbers"),
         ("--seeds=[-1]", "different numbers"),
         ("--demonstrations=1", "2 or more"),
         ("--person=1.5", "^person is 1.5"),
         ("--start_width=-1", "^start_width is -1"),
         ("--real_share=1", "^real_share is 1"),
-        ("--minutes=0", "^minutes is 0"),
         ("--select=best", "it must be one of last, held_out"),
-        ("--trials=0", "^trials is 0"),
-        ("--films=-1", "^films is -1"),
-        ("--workers=0", "^workers is 0"),
         ("--lr=0", "^lr is 0"),
         ("--finetune_lr=nan", "^finetune_lr is nan"),
         ("--fidelity=exact", "^fidelity is 'exact'"),
         ("--twin=nowhere", "no twin.yaml"),
-        ("--twin_before=nowhere", "no twin.yaml"),
     ],
 )
 def test_bad_options_end_in_a_sentence(option, words):
@@ -297,18 +234,6 @@ def test_a_unit_that_fails_costs_none_but_those_that_need_it(tmp_path):
 def test_after_its_time_no_unit_is_begun(tmp_path):
     unit = Unit("switch/0/student", "student", {"episodes": 1})
     assert run_units(tmp_path, [unit], ExecutorOptions(), until=time.time() - 1) == ({}, {}, [])
-
-
-def test_a_fault_writes_the_table_and_ends_the_command_with_an_error(tmp_path, monkeypatch):
-    def faulty(out, units, options, progress, until):
-        done = trials("switch", 0, "real", [1])
-        return done, {"switch/0/x": "OSError: full"}, ["switch/0/x"]
-
-    monkeypatch.setattr(benchmark_policy_run, "run_units", faulty)
-    argv = ["--conditions=[real]", "--tasks=[switch]", "--seeds=[0]", "--device=cpu", f"--out={tmp_path}"]
-    with pytest.raises(InputError, match="switch/0/x ended in a fault"):
-        run_verb("benchmark", ["policy", *argv])
-    assert "OSError: full" in (tmp_path / "table.md").read_text()
 
 
 COMMAND = "from lerobot_pneutac.cli.__main__ import main; main()"

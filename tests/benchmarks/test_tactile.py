@@ -3,7 +3,6 @@
 import json
 import math
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ import pytest
 from lerobot_pneutac.cli import run_verb
 from pneutac_benchmarks.tactile import methods as methods
 from pneutac_benchmarks.tactile.methods import FOUND_ALONE, METHODS, makes_for
-from pneutac_benchmarks.tactile.table import SCORES, ahead, mean_sem, shown
+from pneutac_benchmarks.tactile.table import ahead, mean_sem, shown
 from pneutac_datasets.generate.gel import write_gel_recording
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
@@ -67,28 +66,6 @@ def test_ours_is_ahead_of_the_pasted_difference_and_of_the_rest_image(out):
         )
         assert ours < 0.75 * min(pasted, rest)
         assert content["times"]["this model"]["fit_s"] > content["times"]["difference pasted"]["fit_s"]
-
-
-def test_the_second_run_measures_nothing_and_prints_what_result_json_holds(data, out, monkeypatch, capsys):
-    def fail(*_):
-        raise AssertionError("measured again")
-
-    before = result(out)
-    for key in FAST.split(","):
-        monkeypatch.setitem(METHODS, key, replace(METHODS[key], fit=fail))
-    monkeypatch.setattr(methods, "own_gel", fail)
-    monkeypatch.setenv("COLUMNS", "160")
-    run_verb("benchmark", ["tactile", f"--data={data}", f"--methods={FAST}", f"--out={out}"])
-    said, table = capsys.readouterr().out, (out / "table.md").read_text()
-    assert " 0 to do" in said and result(out) == before
-    for name, content in before["sets"].items():
-        assert name in said and (out / f"tactile_{name}.png").is_file()
-        for method, roles in content["methods"].items():
-            for score, (_, decimals) in SCORES.items():
-                cell = shown(roles["heldout"][score], decimals)
-                line = next(x for x in said.splitlines() if x.startswith((method + " ", " " + method + " ")))
-                assert (cell in said and cell in table) and (name != "first" or cell in line)
-    assert "| **this model** |" in table and "| **rest image** |" not in table
 
 
 def test_a_digit_is_never_lent_constants_that_were_found_on_it():

@@ -91,16 +91,6 @@ def test_a_gels_twin_is_no_fingers(config, tmp_path):
         config(twin=tmp_path)
 
 
-def test_a_twin_folder_reaches_the_world(tmp_path):
-    twin = Twin.builtin()
-    twin.parameters["gain_rad_per_kpa"].value *= 0.5
-    twin.save(tmp_path)
-    env = make_env(PneutacEnvConfig(twin=tmp_path, fidelity="probe"), n_envs=1)["pneutac"][0]
-    world = env.envs[0].unwrapped.world
-    assert world.twin.parameter("gain_rad_per_kpa") == pytest.approx(0.5 * 0.01114)
-    env.close()
-
-
 def warm_twin(folder):
     from pneutac_sim.effects import get_effect
 

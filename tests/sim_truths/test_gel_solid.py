@@ -5,7 +5,6 @@ import pytest
 
 from pneutac_benchmarks.tactile.drag import drag
 from pneutac_truths.__main__ import main
-from pneutac_truths.gel import solid
 from pneutac_truths.gel.faults import GEL_EFFECTS
 from pneutac_truths.gel.scene import Look, Sensor, grid, shine
 from pneutac_truths.gel.session import _session, named, write_gel
@@ -77,24 +76,6 @@ def test_rubber_that_is_pushed_away_bulges_beside_the_punch():
     face = press(Punch("cube", 2.0), 0.2, Rubber(2.0), 0.25)
     assert face.moved_mm[..., 2].max() > 0.003
     assert face.moved_mm[..., 2] == pytest.approx(face.moved_mm[::-1, :, 2])
-
-
-def test_a_step_that_finds_no_equilibrium_is_halved(monkeypatch):
-    settle, tried = solid.Mesh.settle, [0.0]
-
-    def timid(self, u, punch, depth_mm):
-        if depth_mm - tried[-1] > 0.15:
-            raise ArithmeticError("too far")
-        tried.append(depth_mm)
-        return settle(self, u, punch, depth_mm)
-
-    monkeypatch.setattr(solid.Mesh, "settle", timid)
-    found = press(Punch("sphere", 3.0), 0.4, Rubber(2.5, 40.0, 0.49), 0.8, 0.2)
-    np.testing.assert_allclose(tried, [0.0, 0.1, 0.2, 0.3, 0.4], atol=1e-12)
-    assert found.force_n > 0
-    with pytest.raises(ArithmeticError, match="too far"):
-        tried[:] = [-9.0]
-        press(Punch("sphere", 3.0), 0.4, Rubber(2.5, 40.0, 0.49), 0.8, 0.2)
 
 
 def test_a_dragged_ball_takes_the_face_along_and_piles_it_up_in_front():

@@ -162,11 +162,6 @@ def test_a_diagnosis_and_its_addition_report_the_same_errors_of_the_same_blocks(
         add(again, recording, tmp_path)
 
 
-def test_unknown_effect_lists_the_valid_ones(pair):
-    twin, recording = pair
-    refused("no effect 'crep'.*creep", "add", twin=twin, recording=recording, effect="crep")
-
-
 def test_a_gels_diagnosis_in_a_folder_is_refused(tmp_path):
     write_gel_recording(tmp_path / "recording", seed=0, heldout=3)
     verb("calibrate", twin=tmp_path / "twin", recording=tmp_path / "recording", effects="none")

@@ -8,9 +8,7 @@ import pytest
 from PIL import Image
 from verbs import verb
 
-from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.fit_gel import render, scores_of, wanted
-from lerobot_pneutac.verbs.new import new_twin
 from pneutac_datasets.generate.gel import HEIGHT, WIDTH, write_gel_recording
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
@@ -154,80 +152,6 @@ def test_larger_images_keep_their_size_and_are_made_smaller_where_asked(recordin
         np.testing.assert_allclose(gel.light, small.light, atol=4)
     with pytest.raises(InputError, match="cannot become 320 x 240 without distortion"):
         run(tmp_path / "turned", recording, f"--image_size=[{HEIGHT},{WIDTH}]")
-
-
-def swap(folder):
-    rest, press = folder / "rest.png", folder / "images" / "ball_0.png"
-    a, b = rest.read_bytes(), press.read_bytes()
-    rest.write_bytes(b)
-    press.write_bytes(a)
-
-
-def alike(folder):
-    shutil.copy(folder / "rest.png", folder / "images" / "ball_0.png")
-
-
-def sixteen_bits(folder):
-    import cv2
-
-    file = folder / "images" / "ball_0.png"
-    cv2.imwrite(str(file), cv2.imread(str(file)).astype(np.uint16) * 256)
-
-
-def no_calibration(folder):
-    text = (folder / "samples.csv").read_text()
-    (folder / "samples.csv").write_text(text.replace("calibration", "heldout"))
-
-
-@pytest.mark.parametrize(
-    "spoil, says",
-    [
-        (swap, "swapped"),
-        (alike, "same picture"),
-        (sixteen_bits, "16 bits"),
-        (no_calibration, "no row with role 'calibration'"),
-    ],
-)
-def test_bad_recordings_get_one_sentence_and_leave_no_twin(spoil, says, recording, tmp_path):
-    spoil(recording)
-    with pytest.raises(InputError, match=says) as e:
-        run(tmp_path / "twin", recording)
-    assert "\n" not in str(e.value)
-    assert not (tmp_path / "twin" / "twin.yaml").exists()
-
-
-def test_a_twin_of_another_device_and_a_folder_of_other_things_are_refused(generated, tmp_path):
-    new_twin("arm").save(tmp_path / "arm")
-    with pytest.raises(InputError, match="is of an arm"):
-        run(tmp_path / "arm", generated)
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "thesis.txt").write_text("do not touch")
-    with pytest.raises(InputError, match="something else"):
-        run(tmp_path / "full", generated)
-
-
-def test_bad_options_get_one_sentence(generated, tmp_path):
-    for argv, says in [
-        ([f"--recording={generated}"], "Give --twin=PATH;"),
-        ([f"--twin={tmp_path}", f"--recording={generated}", "--effects=glow"], "'glow' is no optics effect"),
-        (
-            [f"--twin={tmp_path}", f"--recording={generated}", "--effects=creep"],
-            "'creep' is no optics effect",
-        ),
-        (
-            [f"--twin={tmp_path}", f"--recording={generated}", "--effects=shadow,illumination_drift"],
-            "'illumination_drift' needs more than one pair",
-        ),
-        (
-            [f"--twin={tmp_path}", f"--recording={generated}", "--effects=gel_creep"],
-            "'gel_creep' cannot be tested, record column hold_s",
-        ),
-        ([f"--twin={tmp_path}", f"--recording={generated}", "--through=splats"], "through is 'splats'"),
-        ([f"--twin={tmp_path}", f"--out={generated / 'rest.png'}"], "is a file"),
-    ]:
-        with pytest.raises(InputError, match=says) as e:
-            run_verb("calibrate", argv)
-        assert "\n" not in str(e.value)
 
 
 def test_all_rows_of_role_calibration_count(generated, twin, tmp_path, capsys):

@@ -13,14 +13,12 @@ import pytest
 from generated import once, twin_of
 from verbs import refused, verb
 
-from lerobot_pneutac.reports.compare import heat_map
 from lerobot_pneutac.verbs.compare_body import compare_body, phrase, prediction_band, train_mask
 from lerobot_pneutac.verbs.fit_body import calibrate_body
 from pneutac_datasets.generate.finger import generate
 from pneutac_datasets.recording.axes import Axis, axes, motion
 from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.errors import InputError
 from pneutac_sim.finger import BodyData, fit, simulate
 from pneutac_sim.surrogate.finger import builtin
 from pneutac_sim.surrogate.fingerprint import fingerprint
@@ -84,18 +82,6 @@ def test_a_wrong_twin_shows_where_it_fails(bench, tmp_path, capsys):
         assert set(w) >= {"trial", "from_s", "to_s", "error"} and 0 < w["to_s"] - w["from_s"] <= 2.0
     assert re.match(r"The twin misses the measured tip by [\d.]+ mm, .* times the noise", result["sentence"])
     assert "The twin misses" in " ".join(capsys.readouterr().out.split())
-
-
-@pytest.mark.slow
-def test_the_report_stands_alone_and_is_small(bench, tmp_path):
-    run(bench, "creep", tmp_path)
-    page = (tmp_path / "report.html").read_text()
-    assert page.count("Plotly.newPlot(") >= 5
-    own = re.sub(r"<script>/\*\*.*?</script>", "", page, count=1, flags=re.S)  # without the library itself
-    assert not re.search(r"(src|href)=\"https?:", own)
-    assert len(own) < 2_000_000 and len(page) < 7_500_000
-    for text in ("Where it fails", "Loops", "Worst passages", "Over time"):
-        assert text in page
 
 
 @pytest.mark.slow
@@ -172,17 +158,6 @@ def test_direction_rate_and_hold_time_follow_the_command(bench):
 
 
 @pytest.mark.slow
-def test_bad_input_is_refused_before_work_starts(bench, tmp_path):
-    verb("new", twin=tmp_path / "arm", device="arm")
-    with pytest.raises(InputError, match="is of a finger and .* of an arm; compare .* own device"):
-        verb("compare", twin=tmp_path / "arm", recording=bench / "none")
-    refused("already holds a twin", "new", twin=bench / "twin", device="finger")
-    refused("There is no twin", "compare", twin=tmp_path / "nothing", recording=bench / "none")
-    refused("no bench recording", "compare", twin=bench / "twin", recording=tmp_path / "nothing")
-    refused("Give --recording=PATH; --help", "compare", twin=bench / "twin")
-
-
-@pytest.mark.slow
 def test_the_poorest_recording_still_compares(bench, tmp_path):
     r, rows = Recording.load(bench / "none"), 40
     r.keep(np.arange(len(r)) < 3).write(tmp_path / "three")
@@ -214,34 +189,11 @@ def test_a_constant_command_and_too_few_rows_lead_the_headline(bench, tmp_path):
         assert result["sentence"].startswith(start) and result["sentence"].endswith(end)
 
 
-@pytest.mark.slow
-def test_the_heat_map_begins_at_zero(bench):
-    c = compare_body(Twin.load(bench / "twin"), Recording.load(bench / "creep"))
-    heat = heat_map(c).data[0]
-    assert heat.zmin == 0 and heat.zmax == pytest.approx(np.nanmax(np.array(heat.z, float)), abs=1e-3)
-
-
 def test_a_rate_is_told_in_words():
     axis = Axis("rate", None, np.arange(4), ["hold", "0.1 to 2 kPa/s", "2 to 7 kPa/s", "7 to 165 kPa/s"])
     said = [phrase(axis, i) for i in range(4)]
     assert said[0] == "while the pressure is held" and said[3] == "when the pressure moves fast"
     assert len(set(said)) == 4 and not any("kPa" in s for s in said)
-
-
-def test_a_recording_is_cut_into_trials_as_often_however_many_it_has(tmp_path, monkeypatch):
-    """Else the time grows with the square of a recording's length."""
-    calls, real = [], Recording.trials
-    monkeypatch.setattr(Recording, "trials", lambda self: calls.append(1) or real(self))
-    counts = []
-    for trials in (8, 32):
-        trial, time_s = np.repeat(np.arange(trials), 40), np.tile(np.arange(40) / 10, trials)
-        kpa = 6 - 6 * np.cos(time_s + trial)
-        table = {"trial": trial, "time_s": time_s, "pressure_cmd_kpa": kpa, "bend_angle_rad": 0.02 * kpa}
-        recording = Recording(tmp_path, {"length_mm": 110.0}, pd.DataFrame(table), "finger")
-        calls.clear()
-        compare_body(Twin.builtin(), recording).report(tmp_path / str(trials))
-        counts.append(len(calls))
-    assert counts[0] == counts[1] < 100
 
 
 COLUMNS = ("tip_x_mm", "tip_y_mm", "tip_z_mm")

@@ -167,14 +167,6 @@ def test_a_folder_with_other_options_is_refused(commands, tmp_path):
         demo(tmp_path / "d", seed=2)
 
 
-@pytest.mark.parametrize(
-    ("option", "value", "least"), [("demonstrations", 1, 2), ("trials", 0, 1), ("steps", -1, 1)]
-)
-def test_numbers_out_of_range_are_refused(option, value, least):
-    with pytest.raises(InputError, match=f"^{option} is {value}; it must be {least} or more"):
-        DemoConfig(**{option: value})
-
-
 def test_a_diagnosis_that_finds_nothing_ends_the_demo(commands, tmp_path):
     commands.selected = []
     with pytest.raises(InputError, match="found no missing effect .missing_effect.*longer session"):

@@ -4,10 +4,14 @@ import shlex
 import shutil
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
+from generated import once
 
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.verbs.new import new_twin
+from pneutac_datasets.generate.gel import write_gel_recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin, Value
@@ -21,9 +25,6 @@ AUGMENT = (
 PLANNER = AUGMENT + "--method=planner "
 
 REFUSED = (
-    ("render", "--pressure_kpa=[0,5]", r"^Give --twin=PATH; --help lists all options\.$"),
-    ("render", "--twin=finger --pressure_kpa=[]", "finite numbers"),
-    ("render", "--twin=finger --seconds=0", "needs 0.13 to"),
     ("render", "--twin=finger --seconds=1e9", "to 3600 s"),
     ("render", "--twin=finger --particles=1e12", "^--particles must be a whole number.$"),
     ("control", "--twin=finger --conditions='{temperature_c: .nan}'", "temperature_c: nan; give a finite"),
@@ -62,23 +63,14 @@ REFUSED = (
         "--twin=short --out=o",
         "bench is 110 mm long and the twin's 95 mm; give a twin of that device",
     ),
-    ("ppo", "", "--out=PATH"),
     ("ppo", "--out=o --task=door", "^task is 'door'"),
     ("ppo", "--out=o --device=tpu", "^device is 'tpu'"),
-    ("ppo", "--out=o --steps=0", "^steps is 0"),
     ("ppo", "--out=o --seed=-1", "^seed is -1"),
     ("ppo", "--out=o --twin=nowhere", "^There is no twin at .nowhere. .no twin.yaml."),
-    ("ppo", "--out=o --student.fidelity=exact", "^fidelity is 'exact'"),
-    ("surrogate", "", "Give --twin=PATH;"),
     ("surrogate", "--twin=finger --trajectories=5", "trajectories=5 are too few to train on; give 6 or more"),
     ("surrogate", "--twin=finger --contacts=8", "contacts=8 are too few to train on, .* give 9 or more"),
     ("surrogate", "--twin=finger --device=tpu", "device is 'tpu'; it must be one of auto, cpu, cuda"),
     ("surrogate", "--twin=finger --fresh --seconds=0", r"duration_s is 0.0; it must lie in \[0.02, 600\]"),
-    (
-        "augment",
-        "--output.repo_id=local/o --output.root=o",
-        "^Give --dataset.repo_id=TEXT and --dataset.root",
-    ),
     ("augment", PLANNER + "--task=bottle", "^task is 'bottle'; it must be one of switch, egg, card"),
     ("augment", AUGMENT + "--method=magic", "^method is 'magic'; it must be one of library, expert, planner"),
     ("augment", PLANNER + "--episodes=0", "^episodes is 0; it must be 1 or more"),
@@ -116,6 +108,14 @@ REFUSED = (
     ),
     ("compare", "--twin=finger --recording=bench --station=x", "^station is for demonstrations, but bench"),
     ("design", "--twin=finger --recording=bench --task=egg", "^task is for demonstrations, but bench"),
+    ("calibrate", "--twin=o --recording=presses --effects=glow", "'glow' is no optics effect"),
+    ("calibrate", "--twin=o --recording=presses --effects=creep", "'creep' is no optics effect"),
+    ("calibrate", "--twin=o --recording=presses --effects=shadow,illumination_drift", "more than one pair"),
+    ("calibrate", "--twin=o --recording=presses --effects=gel_creep", "'gel_creep' .* column hold_s"),
+    ("calibrate", "--twin=o --recording=presses --through=splats", "through is 'splats'"),
+    ("calibrate", "--twin=o --recording=spoilt", "16 bits"),
+    ("calibrate", "--twin=other --recording=presses", "something else"),
+    ("new", "--twin=finger --device=finger", "already holds a twin"),
     ("new", "--twin=o --mesh_unit=m", "mesh_unit and mesh_axis are of a --mesh=FILE"),
     ("new", "--twin=o --length_mm=-5", "^length_mm is -5; give 1 to 1000 mm"),
     ("new", "--twin=o --length_mm=abc", "^--length_mm must be a number.$"),
@@ -171,6 +171,10 @@ def lab(tmp_path_factory):
     (folder / "endless" / "twin.yaml").write_text(text)
     shutil.copytree(GOLDEN / "finger_creep", folder / "bench")
     shutil.copytree(GOLDEN / "demos", folder / "shown")
+    for name in ("presses", "spoilt"):
+        once(write_gel_recording, folder=folder / name, seed=0)
+    file = folder / "spoilt" / "images" / "ball_0.png"
+    cv2.imwrite(str(file), cv2.imread(str(file)).astype(np.uint16) * 256)
     return folder
 
 

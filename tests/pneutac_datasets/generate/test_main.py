@@ -43,16 +43,6 @@ def test_the_standin_is_two_recordings(tmp_path, capsys):
     assert "minutes must be 1 to 60" in capsys.readouterr().err
 
 
-def test_photographs_take_body_and_particles(tmp_path, monkeypatch, capsys):
-    import pneutac_datasets.generate.photographs as photographs
-
-    calls = []
-    monkeypatch.setattr(photographs, "write_photographs", lambda *a, **k: calls.append((a, k)))
-    assert main(["--device=photographs", f"--out={tmp_path / 'p'}", "--seed=3", "--body=arm"]) == 0
-    assert calls == [((tmp_path / "p", 3, "arm"), {"particles": 6000})]
-    assert f"truth: {tmp_path / 'truth' / 'p.json'}" in capsys.readouterr().out
-
-
 def test_a_recording_that_is_there_is_not_overwritten(tmp_path, capsys):
     out = tmp_path / "r"
     out.mkdir()
@@ -81,13 +71,6 @@ def test_bad_options_are_one_sentence(tmp_path, capsys, options, sentence):
 @pytest.fixture(scope="module")
 def finger(tmp_path_factory):
     return write_finger(tmp_path_factory.mktemp("standin") / "finger", seed=1, minutes=1)
-
-
-@pytest.mark.slow
-def test_the_seed_decides_the_finger(finger, tmp_path):
-    again, other = (write_finger(tmp_path / str(s), seed=s, minutes=1) for s in (1, 2))
-    assert again.samples.equals(finger.samples)
-    assert not other.samples["tip_x_mm"].equals(finger.samples["tip_x_mm"])
 
 
 def test_it_is_no_mirror_of_the_twins_effects(finger):

@@ -64,6 +64,13 @@ def pressed(folder):
     shutil.copy(folder / "images/ball_3.png", folder / "rest.png")
 
 
+def swap(folder):
+    rest, press = folder / "rest.png", folder / "images" / "ball_0.png"
+    before = rest.read_bytes()
+    rest.write_bytes(press.read_bytes())
+    press.write_bytes(before)
+
+
 ONE = "images/ball_3.png"
 FAULTS = {
     "rest is a pointer": (pointer("rest.png"), "rest.png is a Git LFS pointer"),
@@ -83,6 +90,7 @@ FAULTS = {
     "depth": (rows(depth_mm=lambda t: 9 * t.depth_mm), "depth_mm is 8.1 but the gel is"),
     "place": (rows(x_mm=lambda t: t.x_mm * 10), "lies outside the image"),
     "no calibration": (rows(role=lambda t: "heldout"), "no row with role 'calibration'"),
+    "swapped": (swap, "swapped"),
     "calibration without contact": (
         lambda f: shutil.copy(f / "rest.png", f / "images/ball_0.png"),
         "are the same picture",

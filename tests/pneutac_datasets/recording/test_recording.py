@@ -96,10 +96,8 @@ def break_(column, row, value):
 
 
 P, TIPS = "pressure_cmd_kpa", ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
-BAD = [
-    (lambda s: s.drop(columns=P), "'pressure_cmd_kpa' is missing; add .* in kPa"),
+BAD = [  # more are in `tests/snapshots/sentences.txt`
     (lambda s: s.rename(columns={P: "pressure_cmd_pa"}), "there is 'pressure_cmd_pa'"),
-    (lambda s: s.drop(columns=TIPS), "tip_x_mm"),
     (lambda s: s.assign(pressure_cmd_kpa=1000 * s[P]), "pascal.*divide"),
     (lambda s: s.assign(pressure_kpa=s[P] / 100), "'pressure_kpa', row 50"),
     (lambda s: s.assign(**{c: s[c] / 1000 for c in TIPS}), "metres.*multiply"),
@@ -107,7 +105,6 @@ BAD = [
     (lambda s: s.assign(temperature_c=294.0), "kelvin"),
     (lambda s: s.assign(gravity_x=9.81, gravity_y=0, gravity_z=0), "unit vector"),
     (lambda s: s.assign(gravity_x=1.0), "'gravity_y' is missing"),
-    (break_("time_s", 12, 0.01), r"'time_s', row 13 \(line 14 of the file\) goes back.*sort"),
     (lambda s: s.assign(time_s=np.round(s.time_s * 1e4)), "time_s.*milliseconds; divide it by 1000"),
     (lambda s: s.assign(time_s=np.round(s.time_s, 1)), "repeats the stamp.*digits"),
     (
@@ -115,18 +112,15 @@ BAD = [
         r"'tip_x_mm', row 13 \(line 14 of the file\) is empty or NaN \(1 such row\).*leave out that row",
     ),
     (break_("tip_z_mm", 3, np.inf), "'tip_z_mm', row 4"),
-    (break_(P, 7, "n/a!"), r"'pressure_cmd_kpa', row 8 \(line 9 of the file\) is 'n/a!'"),
     (break_("temperature_c", 0, np.nan), "'temperature_c', row 1"),
     (lambda s: s.assign(trial=s.trial + 0.5), "'trial', row 1"),
     (lambda s: pd.concat([s, s[s.trial == 0]]), "'trial', row 401 .*goes back to trial 0"),
-    (lambda s: s.iloc[:0], "no rows"),
     (lambda s: with_sent(s, 12, np.nan), "'time_sent_s', row 13 .* is empty"),
     (
         lambda s: s.assign(time_sent_s=s.time_s + 1.7e9),  # on another clock
         r"row 1 \(line 2 of the file\) \(trial 0\) is 1.7e\+09 s, later than the time 0.05 s of the next "
         "row; give it on the clock of time_s",
     ),
-    (lambda s: with_sent(s, 40, s.time_s[41] + 0.01), "row 41 .* later than the time"),
     (lambda s: with_sent(s, 40, s.time_s[38] + 0.045), "row 41 .* earlier than the time 1.95 s of the row b"),
     (lambda s: with_sent(s, 40, s.time_s[39] - 0.04), "row 41 .* goes back from"),
     (lambda s: with_sent(s, 40, s.time_s[39] - 0.01), "row 41 .* as in the row before, though the command"),
@@ -153,10 +147,8 @@ NOISE = [  # field `noise`, and of which the sentence speaks
     ('"0.2"', "noise.*standard deviation"),
     ("0.2", "noise.*standard deviation"),
     ("[0.2]", "noise.*standard deviation"),
-    ('{"tip_x_mm": -1}', "'noise' of 'tip_x_mm' is -1"),
     ('{"tip_x_mm": "0.2"}', "'noise' of 'tip_x_mm' is '0.2'"),
     ('{"tip_x_mm": NaN}', "'noise' of 'tip_x_mm' is nan"),
-    ('{"tipx": 0.2}', "'tipx', which is not measured"),
     ('{"temperature_c": 0.2}', "'temperature_c', which is not measured"),
     ('{"tip_x_mm": 0.2, "tip_z_mm": 0.2}', "does not name 'tip_y_mm'"),
 ]
@@ -165,36 +157,22 @@ STARTS = [  # field `trials`
     ('{"1": "rested"}', "'trials' of trial '1' is 'rested'; give 'start'"),
     ('{"1": {"pause_s": 3}}', "give 'start' and perhaps 'pause_s'"),
     ('{"1": {"start": "rested", "rest_s": 3}}', "give 'start' and perhaps 'pause_s'"),
-    ('{"1": {"start": "warm"}}', "'start' is 'warm'; it must be one of rested, continues, unknown"),
     ('{"1": {"start": ["rested"]}}', "it must be one of rested"),
-    ('{"1": {"start": "continues", "pause_s": -1}}', "'pause_s' is -1; give seconds, 0 or more"),
     ('{"1": {"start": "continues", "pause_s": NaN}}', "'pause_s' is nan; give seconds"),
     ('{"1": {"start": "continues", "pause_s": Infinity}}', "'pause_s' is inf; give seconds"),
     ('{"1": {"start": "continues", "pause_s": "1"}}', "'pause_s' is '1'; give seconds"),
-    ('{"1": {"start": "rested", "pause_s": 12}}', "12 though its start is 'rested'.*leave it out"),
-    ('{"7": {"start": "rested"}}', "trial '7', which is not in the table; its trials are 0, 1, 2, 3"),
-    ('{"0": {"start": "continues"}}', "lets trial 0 continue, but it is the first"),
 ]
 META_TEXTS = [
-    ("{", "recording.json is not valid JSON"),
-    ("[1]", "JSON object"),
-    ('{"device": "claw"}', "'claw'; it must be one of finger, arm, gel"),
-    ('{"length_mm": 110}', "'device' is missing"),
-    ('{"device": "finger", "length_mm": 0.11}', "only be metres"),
     ('{"device": "finger", "length_mm": NaN}', "length_mm"),
-    ('{"device": "finger", "length_mm": 110, "spine_joint_positions_mm": [50, 10]}', "spine_joint"),
     *((f'{{"device": "finger", "length_mm": 110, "noise": {noise}}}', says) for noise, says in NOISE),
     *((f'{{"device": "finger", "length_mm": 110, "trials": {starts}}}', says) for starts, says in STARTS),
     ('{"device": "finger", "samples": "other.csv"}', "other.csv is missing"),
-    ('{"device": "finger", "samples": "../r2/samples.csv"}', "inside the folder"),
-    ('{"device": "finger", "samples": "samples.pkl"}', "samples"),
 ]
 
 
 @pytest.mark.parametrize(("text", "message"), META_TEXTS)
 def test_bad_metadata_names_the_field(tmp_path, text, message):
     write(tmp_path / "r")
-    write(tmp_path / "r2")
     (tmp_path / "r" / "recording.json").write_text(text)
     with pytest.raises(InputError, match=message):
         Recording.load(tmp_path / "r")
@@ -229,14 +207,9 @@ def test_a_missing_column_and_a_long_image_name_are_short_sentences(tmp_path, mo
         assert len(str(e.value)) <= 400
 
 
-def test_missing_folder_and_garbage_files_are_refused(tmp_path):
-    with pytest.raises(InputError, match="no bench recording"):
-        Recording.load(tmp_path / "nowhere")
+def test_garbage_files_are_refused(tmp_path):
     folder = write(tmp_path / "r")
     (folder / "samples.csv").write_bytes(bytes(range(256)))
-    with pytest.raises(InputError, match=r"samples\.csv"):
-        Recording.load(folder)
-    (folder / "samples.csv").write_text("")
     with pytest.raises(InputError, match=r"samples\.csv"):
         Recording.load(folder)
     (folder / "samples.parquet").write_bytes(b"PAR1 no")

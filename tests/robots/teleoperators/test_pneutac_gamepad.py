@@ -1,14 +1,11 @@
-"""The gamepad through a stub of pygame's controller interface, and through SDL's own virtual gamepad.
+"""The gamepad through a stub of pygame's controller interface.
 
 The SpaceMouse through a stub with the calls of pyspacemouse, one report a read as there.
 """
 
-import ctypes
-import importlib
 import logging
 import sys
 import types
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -45,40 +42,9 @@ class Pad:
         self.there = False
 
 
-class VirtualPad:
-    """A gamepad that SDL itself takes for one; its sixth axes are the triggers."""
-
-    def __init__(self):
-        pygame = importlib.import_module("pygame")
-        bundled = Path(pygame.__file__).parents[1] / "pygame.libs"
-        self.sdl = ctypes.CDLL(str(next(bundled.glob("libSDL2-2*"))))
-        self.sdl.SDL_JoystickOpen.restype = ctypes.c_void_p
-        importlib.import_module("pygame._sdl2.controller").init()
-        self.index = self.sdl.SDL_JoystickAttachVirtual(1, 6, 15, 0)
-        assert self.index == 0
-        self.joystick = ctypes.c_void_p(self.sdl.SDL_JoystickOpen(0))
-        for name in AXES[4:]:
-            self.set(name, 0)
-
-    def set(self, name, value):
-        raw = 2 * value - 32768 if name.startswith("TRIGGER") else value
-        value = ctypes.c_int16(max(-32768, min(32767, raw)))
-        self.sdl.SDL_JoystickSetVirtualAxis(self.joystick, AXES.index(name), value)
-
-    def unplug(self):
-        self.sdl.SDL_JoystickDetachVirtual(0)
-
-
-@pytest.fixture(params=["stub", "sdl"])
-def pad(request, monkeypatch):
-    if request.param == "stub":
-        return Pad(monkeypatch)
-    pygame = pytest.importorskip("pygame", reason="pygame is not installed: no virtual gamepad")
-    if not list((Path(pygame.__file__).parents[1] / "pygame.libs").glob("libSDL2-2*")):
-        pytest.skip("this pygame brings no SDL library of its own: no virtual gamepad")
-    virtual = VirtualPad()
-    request.addfinalizer(virtual.unplug)
-    return virtual
+@pytest.fixture
+def pad(monkeypatch):
+    return Pad(monkeypatch)
 
 
 @pytest.mark.parametrize(

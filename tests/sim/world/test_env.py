@@ -69,15 +69,6 @@ def test_vector_env_of_two():
     env.close()
 
 
-def test_bad_input_is_refused():
-    with pytest.raises(InputError, match="switch, egg, card"):
-        PneutacEnv("door")
-    env = PneutacEnv("switch", touch="none")
-    env.reset(seed=0)
-    with pytest.raises(InputError, match="not finite"):
-        env.step(np.full(4, np.nan, np.float32))
-
-
 def test_a_twin_or_its_folder_makes_an_environment(tmp_path):
     """A twin of another body has no networks yet: it deforms by formulas, and says so."""
     twin = Twin.builtin()
