@@ -88,28 +88,6 @@ def out_of_time(condition: np.ndarray, begin: int) -> np.ndarray:
     return np.where(later & np.isin(condition, condition[:begin]), 0, -1)
 
 
-def left_out_whole(recording: Recording, rows: np.ndarray, unit: np.ndarray) -> np.ndarray:
-    """Number (k,) of the piece of time of each row that a fold leaves out whole: units of one trial together.
-
-    A unit of half a second lies between others of the same motion that are fitted, and hardly tests a model.
-
-    Args:
-        recording: all its samples.
-        rows: (k,) samples, in order.
-        unit: (k,) their units.
-    """
-    trial, time_s = recording.column("trial")[rows], recording.column("time_s")[rows]
-    first = np.flatnonzero(np.r_[True, (np.diff(trial) != 0) | (np.diff(unit) != 0)])
-    last = np.r_[first[1:], len(rows)] - 1
-    piece, begin = np.zeros(len(first), int), 0
-    for i in range(1, len(first)):
-        run = time_s[trial == trial[first[begin]]]
-        full = time_s[last[i - 1]] - time_s[first[begin]] > min(T.LEFT_OUT_S, T.LEFT_OUT_OF_RUN * np.ptp(run))
-        ends = full or trial[first[i]] != trial[first[begin]]
-        piece[i], begin = piece[i - 1] + ends, i if ends else begin
-    return np.repeat(piece, last - first + 1)
-
-
 def _refine(recording: Recording, block: np.ndarray) -> np.ndarray:
     """Finer blocks (n,) where a condition has too few of them for every part to get some."""
     stratum = blocks.strata(recording.samples, block)

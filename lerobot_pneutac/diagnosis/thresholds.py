@@ -51,8 +51,6 @@ FEW_BLOCKS = 10  # below, a third part would hold a block or two: validation is 
 RARE = 4  # blocks of a condition below which they are cut finer (parts)
 LEAST_OF_A_KIND = 8  # blocks of each condition: one in each part may fall where nothing shows (parts)
 UNITS = 16  # wanted in each held-out part: fewer say little about their own spread (parts)
-LEFT_OUT_S = 0.9  # at least, by a fold in one piece: a soft body swings once a second (parts)
-LEFT_OUT_OF_RUN = 0.1  # at most, so that a fold leaves most of a short run to the fit (parts)
 LEAST_CHANGE = {"temperature_c": 1.0, "payload_g": 1e-3}  # of a condition that can be tested (body)
 
 # ---------------------------------------------------------------- verdict

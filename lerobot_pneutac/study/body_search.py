@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
-from lerobot_pneutac.diagnosis.parts import conditions, left_out_whole, out_of_time
+from lerobot_pneutac.diagnosis.parts import conditions, out_of_time
 from lerobot_pneutac.diagnosis.search import Found, Scored, Search, Start, chosen_in, deal_folds
 from lerobot_pneutac.study.body_base import COMES_WITH, BodyBase, base_effects, doubt
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, BodyStructure, InputModel
@@ -84,10 +84,11 @@ class BodySearch:
             # What is quick in the air shows in a sample or two after a step alone, in few of all rows.
             steps = step_rows(study.recording)
             self.rows = np.union1d(self.rows, np.intersect1d(np.r_[steps, steps + 1], learn))
-        unit = study.parts.unit[self.rows]
-        self.block = left_out_whole(study.recording, self.rows, unit)
-        self.fold = deal_folds(self.block, 5, study.seed)
-        self.bootstrap = BlockBootstrap(np.ones(len(self.rows), bool), unit, study.parts.stratum, study.seed)
+        self.unit = study.parts.unit[self.rows]
+        self.fold = deal_folds(self.unit, 5, study.seed)
+        self.bootstrap = BlockBootstrap(
+            np.ones(len(self.rows), bool), self.unit, study.parts.stratum, study.seed
+        )
         self.condition = conditions(study.recording)[self.rows]
 
     def find(self) -> Searched | None:
@@ -397,7 +398,7 @@ class BodySearch:
         done.terms = sorted(terms, key=lambda t: (t == "base_tilt", -done.importance[t]))
         done.chosen_in = dict.fromkeys(terms, 1.0) | {
             t: share
-            for t, share in chosen_in(done.found, self.block, study.noise.floor, family).items()
+            for t, share in chosen_in(done.found, self.unit, study.noise.floor, family).items()
             if t in terms
         }
         done.forward, done.later = self._out_of_time(done)
