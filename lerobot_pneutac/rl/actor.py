@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save
 from torch import nn
 
 from lerobot_pneutac.rl.env import GRID, actor_size
@@ -47,7 +47,7 @@ class Actor(nn.Module):
         folder = Path(folder)
         tensors = {k: v.detach().cpu().contiguous() for k, v in self.state_dict().items()}
         with whole(folder / WEIGHTS_FILE) as part:
-            save_file(tensors, part)
+            part.write_bytes(save(tensors))
         card = {"hidden": list(self.hidden), "grid": list(GRID), "joints": self.joints, **self.card}
         write_json(folder / CARD_FILE, card)
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.policies import MultiInputActorCriticPolicy
@@ -62,7 +62,7 @@ class Keeper(BaseCallback):
         notes = {"run": self._run, "steps": self.model.num_timesteps, "curve": self.curve}
         notes = {name: json.dumps(value) for name, value in notes.items()}
         with whole(self._out / CHECKPOINT) as part:
-            save_file(tensors, part, notes)
+            part.write_bytes(save(tensors, notes))
         write_json(self._out / CURVE, self.curve)
 
     def resume(self, model: PPO) -> None:

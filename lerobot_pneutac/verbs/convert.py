@@ -36,7 +36,7 @@ class ConvertConfig:
     # CSV of OptiTrack (Motive) or Vicon (Nexus), the folder of a ROS 2 bag, or a film. `pneutac convert FILE`
     # is the same as `--source=FILE`
     source: Path
-    # folder of the new bench recording, which must not exist; that of tables is `NAME.recording` next to them
+    # folder of the new bench recording, new or empty; that of tables is `NAME.recording` next to them
     # if omitted
     out: Path | None = None
     # of the straight finger, base to tip marker; of a table left out, where the tip rests
@@ -73,7 +73,7 @@ class ConvertConfig:
             raise InputError(f"log is '{self.log}', which does not exist.")
         if not Path(self.source).exists() and not plain.table_files(self.source):
             raise InputError(f"source is '{self.source}', which does not exist.")
-        if self.out is not None and Path(self.out).exists():
+        if self.out is not None and Path(self.out).exists() and not plain.is_unfinished(Path(self.out)):
             raise InputError(f"out is '{self.out}', which exists; give a new folder.")
         if self.length_mm is not None and not 1 <= self.length_mm <= 1000:
             raise InputError(f"length_mm is {self.length_mm:g}; give 1 to 1000 mm.")
@@ -128,7 +128,7 @@ def _convert_tables(config: ConvertConfig, show: Callable[[Understood], None]) -
     if not files:
         raise InputError(f"source is '{config.source}', a folder of no ROS 2 bag; give a table or a take.")
     folder = config.out or plain.folder_of(files)
-    if folder.exists() and (config.out is not None or not plain.is_ours(folder)):
+    if config.out is None and folder.exists() and not plain.is_ours(folder):
         raise InputError(f"out is '{folder}', which exists; give a new folder.")
     columns = _columns(config)
     base = (0.0, 0.0, 0.0)

@@ -184,8 +184,6 @@ def command(config: NewConfig, terminal: Terminal) -> None:
     how = (device, recording, config.mesh_unit, config.mesh_axis)
     body = None if config.mesh is None else read_body(config.mesh, *how)
     twin = new_twin(device, recording, config.length_mm, body)
-    write_geometry(twin, config.twin)
-    twin.save(config.twin)  # last: a folder that holds one is refused when the command is repeated
     if body is not None:
         terminal.say(f"{config.mesh}: {mesh_sentence(body)}")
         for note in body.notes:
@@ -197,6 +195,8 @@ def command(config: NewConfig, terminal: Terminal) -> None:
             fit_parts(twin, recording)
         except InputError as e:
             terminal.note(f"This recording gives the geometry, but nothing can be fitted to it: {e}")
+    write_geometry(twin, config.twin)
+    twin.save(config.twin)  # last: a folder that holds one is refused when the command is repeated
     joints = len(twin.spine_joint_positions_mm)
     shape = f", {twin.length_mm:g} mm long with {joints} spine joints" if joints else ""
     fit = ["pneutac", "calibrate", f"--twin={config.twin}", f"--recording={config.recording or 'DIR'}"]

@@ -1,7 +1,7 @@
 """Pictures and a film of a finger, arm or gel of material points under load."""
 
-import json
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -52,8 +52,13 @@ def make_film(twin: Twin, config: RenderConfig) -> "Film":
     return film_of(twin, config)._replace(about=about(twin, config.recording or ""))
 
 
-def draw_film(film: "Film", out: Path, progress: Progress = no_progress) -> RenderedFilm:
-    """Draws frames; if interrupted, what is finished is shown."""
+def draw_film(
+    film: "Film",
+    out: Path,
+    progress: Progress = no_progress,
+    written: Callable[[RenderedFilm], object] = lambda r: None,
+) -> RenderedFilm:
+    """Draws frames; if interrupted, what is finished is written, and `written` called with it."""
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     pictures: list[np.ndarray] = []
@@ -72,6 +77,7 @@ def draw_film(film: "Film", out: Path, progress: Progress = no_progress) -> Rend
         complete, seconds = len(pictures) == film.count, time.perf_counter() - start
         result = RenderedFilm(film.device, complete, len(pictures), seconds, file, stills)
         _write(film, pictures, result, out)
+        written(result)
     return result
 
 
@@ -107,14 +113,15 @@ def command(config: RenderConfig, terminal: Terminal) -> None:
         film = make_film(twin, config)
     from pneutac_sim.mpm.solve import MpmDiverged
 
+    results: list[RenderedFilm] = []
     try:
         with terminal.progress() as progress:
-            draw_film(film, config.out, progress)
+            draw_film(film, config.out, progress, results.append)
     except MpmDiverged as e:
         remedy = GEL_REMEDY if twin.device == "gel" else BODY_REMEDY
         raise InputError(f"{e.finding}; {remedy}.") from e
     finally:
-        result = RenderedFilm(**json.loads((config.out / "result.json").read_text()))
-        terminal.show(result)
-        end = "" if result.complete else f" (stopped after {result.frames} pictures of the film)"
-        terminal.say(f"{config.out / (result.film or 'result.json')}{end}")
+        for result in results:  # none where the disk is full
+            terminal.show(result)
+            end = "" if result.complete else f" (stopped after {result.frames} pictures of the film)"
+            terminal.say(f"{config.out / (result.film or 'result.json')}{end}")

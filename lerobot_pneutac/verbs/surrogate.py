@@ -9,6 +9,7 @@ import time
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.wording import an
 from pneutac_sim.errors import InputError, check_choice
 from pneutac_sim.executor import ExecutorOptions
-from pneutac_sim.files import write_text
+from pneutac_sim.files import whole, write_text
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.surrogate.finger import builtin, fits
 from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
@@ -37,6 +38,8 @@ REFINED = "--trajectories=24 --seconds=1 --contacts=100"
 @dataclass
 class SurrogateConfig(ExecutorOptions):
     """Options of `pneutac surrogate`; without workers or executor this process collects, on all cores."""
+
+    outputs: ClassVar = ("twin",)
 
     twin: Path  # folder of a finger's twin; the networks are written into it
     trajectories: int = 12  # number of motions of the full finger; two sixths of them are held out
@@ -131,7 +134,8 @@ def train_networks(config: SurrogateConfig, twin: Twin, progress: Progress = no_
     for name in NETWORKS:
         file, start = folder / f"{name}.safetensors", time.perf_counter()
         if name not in missing:
-            shutil.copyfile(builtin(name), file)
+            with whole(file) as part:
+                shutil.copyfile(builtin(name), part)
             found = {"source": "shipped: this finger or gel is the built-in one"}
         else:
             train = _train_action if name == "action" else _train_perception
@@ -229,6 +233,7 @@ def _sem(x: float | None, digits: int) -> str:
 def command(config: SurrogateConfig, terminal: Terminal) -> None:
     """Trains the networks in place of a twin's material points, from full simulations."""
     twin = Twin.load(config.twin)
+    config.check()
     if minutes := config.minutes(twin):
         terminal.say(
             f"Full simulations and training: about {max(1, round(minutes))} min on two cores of their own."

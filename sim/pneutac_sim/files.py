@@ -184,15 +184,19 @@ def whole(file: Path) -> Iterator[Path]:
     Raises InputError where it cannot be written, or no space is left; the old file is untouched.
     """
     part = file.with_name(f"{file.name}.{os.getpid()}.part")
+    made = [p for p in file.parents if not p.exists()]
     with _space(file):
-        part.parent.mkdir(parents=True, exist_ok=True)
         try:
+            part.parent.mkdir(parents=True, exist_ok=True)
             yield part
             flush(part)
             part.replace(file)
             flush(file.parent)
-        finally:
-            part.unlink(missing_ok=True)
+        except BaseException:
+            with suppress(OSError):
+                part.unlink(missing_ok=True)
+            _remove_empty(made)
+            raise
 
 
 def meant(folder: Path, mark: str) -> str:
@@ -226,9 +230,13 @@ def check_writable(folder: Path, what: str) -> None:
     except OSError as e:
         raise InputError(f"{what} cannot be written ({e.strerror}); choose another folder.") from e
     finally:
-        for p in made:
-            with suppress(OSError):
-                p.rmdir()
+        _remove_empty(made)
+
+
+def _remove_empty(folders: Iterable[Path]) -> None:
+    for folder in folders:
+        with suppress(OSError):
+            folder.rmdir()
 
 
 def check_new(folder: Path, what: str) -> None:

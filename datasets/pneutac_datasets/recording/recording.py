@@ -58,7 +58,6 @@ class Recording:
     def write(self, path: str | Path) -> Path:
         """Writes `recording.json` and the samples (CSV unless `meta` names a .parquet) into a folder."""
         path = Path(path)
-        path.mkdir(parents=True, exist_ok=True)
         meta = {k: v for k, v in self.meta.items() if k != "lerobot"} | {"device": self.device}
         meta.setdefault("samples", "samples.csv")
         file = path / meta["samples"]

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from numba import njit
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import refuse_pointer, whole
@@ -299,7 +299,7 @@ class GelSurrogate:
             "errors": json.dumps(self.errors),
         }
         with whole(Path(path)) as part:
-            save_file(self.weights, part, metadata)
+            part.write_bytes(save(self.weights, metadata))
 
     @classmethod
     def load(cls, path: str | Path) -> "GelSurrogate":

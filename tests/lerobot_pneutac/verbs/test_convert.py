@@ -312,5 +312,6 @@ def test_what_is_missing_is_one_sentence(tmp_path, log):
     with pytest.raises(InputError, match="give --tip and --base"):
         convert(ConvertConfig(source, **options | {"columns": {}}))
     (tmp_path / "bench").mkdir()
+    (tmp_path / "bench" / "samples.csv").touch()
     with pytest.raises(InputError, match="which exists; give a new folder"):
         ConvertConfig(source, **options)

@@ -137,6 +137,12 @@ def is_ours(folder: Path) -> bool:
     return (folder / MAPPING).is_file()
 
 
+def is_unfinished(folder: Path) -> bool:
+    """Whether a conversion was interrupted in this folder, or it is empty."""
+    names = {p.name for p in folder.iterdir() if p.suffix != ".part"} if folder.is_dir() else {""}
+    return not names or {MAPPING} <= names <= {MAPPING, "samples.csv"}
+
+
 def _stamp(folder: Path, files: Sequence[Path]) -> dict:
     """Of what a recording was made, by which its age is known."""
     return {"files": {f.name: _digest(f) for f in files}, "mapping": _digest(folder / MAPPING)}
@@ -477,7 +483,6 @@ class Understood:
         earlier = reading.read_meta(folder) if (folder / "recording.json").is_file() else {}
         earlier = {k: v for k, v in earlier.items() if k not in REWRITTEN}
         try:
-            folder.mkdir(parents=True, exist_ok=True)
             write_text(folder / MAPPING, self.given.text(self.columns))
             meta = self.recording.meta | earlier | {"source": _stamp(folder, self.files)}
             replace(self.recording, meta=meta).write(folder)
