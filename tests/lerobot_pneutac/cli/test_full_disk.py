@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from numba.core.caching import IndexDataCacheFile
 
 from lerobot_pneutac.cli import _dispatch
 
@@ -38,6 +39,7 @@ def files_of_at_most(size):
 @pytest.fixture
 def lab(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(IndexDataCacheFile, "save", lambda *_: None)  # of compiled kernels, which is not ours
     shutil.copytree(GOLDEN / "recordings" / "finger_creep", "bench")
     shutil.copytree(GOLDEN / "twins" / "finger", "twin")
     shutil.copytree("twin/history/000", "bare")
@@ -50,7 +52,7 @@ def contents(folder):
     return {p: p.read_bytes() for p in files}
 
 
-@pytest.mark.parametrize("size", [100, 1_000, 20_000])
+@pytest.mark.parametrize("size", [100, 20_000])
 @pytest.mark.parametrize("verb", COMMANDS)
 def test_a_full_disk_costs_a_sentence_and_the_command_can_be_repeated(lab, capsys, verb, size):
     argv, before = shlex.split(COMMANDS[verb]), contents(lab)
