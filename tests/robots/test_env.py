@@ -111,14 +111,3 @@ def test_conditions_reach_the_world_from_the_command_line(tmp_path):
         drawn.append(world.conditions["temperature_c"])
     assert drawn[0] == drawn[2] != drawn[1] and all(26 <= t <= 28 for t in drawn)
     env.close()
-
-
-def test_an_effect_without_its_condition_is_refused_before_any_environment_is_made(tmp_path):
-    with pytest.raises(DecodingError) as refused:
-        PneutacEnvConfig(twin=warm_twin(tmp_path))
-    assert refused.value.message == (
-        "--env.conditions: The twin's effect 'thermal' needs the condition 'temperature_c'; give it, as in "
-        "conditions={temperature_c: NUMBER}."
-    )
-    with pytest.raises(DecodingError, match="temperature_c: .3, 2.; give a finite number, or a range"):
-        PneutacEnvConfig(twin=tmp_path, conditions={"temperature_c": [3, 2]})

@@ -8,7 +8,6 @@ from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from lerobot_robot_pneutac.teleoperators.base_teleop import PneutacScriptedConfig
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
 from pneutac_datasets.demonstrations.record import record_episodes
-from pneutac_sim.errors import InputError
 from pneutac_sim.features import STATE_NAMES
 
 
@@ -59,8 +58,3 @@ def test_same_seeds_same_dataset(devices, tmp_path):
         record_episodes(*devices(), "local/x", tmp_path / name, 1, "flip", True)
     for key in (OBS_STATE, ACTION):
         np.testing.assert_array_equal(read(tmp_path / "a", key), read(tmp_path / "b", key))
-
-
-def test_an_existing_folder_is_refused(devices, tmp_path):
-    with pytest.raises(InputError, match="exists; give a new folder"):
-        record_episodes(*devices(), "local/x", tmp_path, 1, "flip", True)

@@ -63,14 +63,6 @@ def write_dataset(root, levels, fps=15, state_names=STATE_NAMES, shape=IMAGE_SHA
 # ---------------------------------------------------------------- options and features
 
 
-def test_config_survives_saving_and_loading(tmp_path):
-    config = make_config(
-        use_tactile=False, pressure_noise_kpa=0.2, previous_action_dropout=0.7, optimizer_lr=1e-4
-    )
-    config.save_pretrained(tmp_path)
-    assert PreTrainedConfig.from_pretrained(tmp_path) == config
-
-
 @pytest.mark.parametrize(
     ("options", "said"),
     [

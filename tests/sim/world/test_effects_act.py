@@ -184,15 +184,6 @@ def test_the_planner_moves_the_finger_as_the_world_does():
 # ---------------------------------------------------------------- conditions and sessions
 
 
-def test_an_effect_without_its_condition_stops_the_world_by_name():
-    with pytest.raises(InputError) as refused:
-        World("switch", with_effect("thermal"), touch="none")
-    assert str(refused.value) == (
-        "The twin's effect 'thermal' needs the condition 'temperature_c'; give it, as in "
-        "conditions={temperature_c: NUMBER}."
-    )
-
-
 @pytest.mark.parametrize("value", [[30.0, 20.0], [1.0], "warm", float("nan"), True, None, [20.0, "30"]])
 def test_a_condition_is_a_number_or_a_range(value):
     with pytest.raises(InputError, match="conditions has temperature_c: .* give a finite number, or a range"):
