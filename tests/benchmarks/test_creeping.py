@@ -32,6 +32,7 @@ def errors(folder):
     return np.array(out), left
 
 
+@pytest.mark.slow
 def test_a_stretched_exponential_is_met_where_it_is_and_not_found_where_it_is_not(tmp_path):
     seen, left = errors(write_creeping(tmp_path / "creeps", 0.25, seed=1, presses=12))
     truth = Memory.drawn(0.25, np.random.default_rng(1)).left(60.0, 5.0)
@@ -48,6 +49,7 @@ def test_creep_is_named(tmp_path):
     assert "gel_creep" in diagnose(twin, recording).selected
 
 
+@pytest.mark.slow
 def test_what_is_left_of_earlier_presses_is_no_noise(tmp_path):
     floors = []
     for name, share in (("creeps", 0.25), ("does_not", 0.0)):

@@ -43,6 +43,7 @@ def test_adding_the_hidden_effect_writes_the_next_version(pair, tmp_path):
     refused("has the effect 'creep' already", "add", twin=twin, recording=recording, effect="creep")
 
 
+@pytest.mark.slow
 def test_what_speaks_against_a_diagnosis_is_told_where_its_finding_is_added(pair, tmp_path):
     _, folder = pair
     recording = Recording.load(folder)
@@ -74,6 +75,7 @@ def test_what_touch_told_asks_for_the_bench_again(tmp_path):
     assert f"`pneutac calibrate --twin={tmp_path / 'b'} --recording=bench/finger`" in told[-1]
 
 
+@pytest.mark.slow
 def test_what_the_data_check_found_is_told(pair, tmp_path, capsys):
     r = Recording.load(pair[1])
     r.samples = r.samples.drop(columns=["pressure_kpa"])
@@ -96,6 +98,7 @@ def test_an_effect_that_does_not_help_is_refused_with_numbers(pair, tmp_path):
     assert (twin / "twin.yaml").read_text() == before and not (twin / "history").exists()
 
 
+@pytest.mark.slow
 def test_a_fall_that_is_not_significant_says_how_much_more_to_record(tmp_path):
     once(generate, ["creep"], tmp_path / "short", 5003, minutes=2.0, hz=10)
     r = Recording.load(tmp_path / "short")
@@ -183,6 +186,7 @@ def test_an_effect_without_its_column_is_refused(pair, tmp_path):
     refused("record column temperature_c", "add", twin=twin, recording=tmp_path / "cold", effect="thermal")
 
 
+@pytest.mark.slow
 def test_every_verb_sees_the_fall_of_a_pneumatic_effect(tmp_path):
     """Errors are counted from the command, so a slow valve is in them although the pressure was measured."""
     once(generate, ["valve_lag"], tmp_path / "recording", 5004, minutes=3.0, hz=10)

@@ -35,6 +35,7 @@ def with_gel(twin):
     return twin
 
 
+@pytest.mark.slow
 def test_a_comparison_tells_phases_latency_and_light(two, tmp_path):
     result = compare(Twin.builtin(), two)
     told = result.to_dict()
@@ -71,10 +72,12 @@ def test_a_clock_of_the_camera_that_jumps_in_the_midst_is_told(two):
     assert "clocks of camera and robot drift" in " ".join(told.remarks())
 
 
+@pytest.mark.slow
 def test_two_demonstrations_claim_nothing(two):
     assert "2 demonstrations are too few" in diagnose(Twin.builtin(), two, jobs=1).sentence
 
 
+@pytest.mark.slow
 def test_light_at_rest_is_taken_and_a_drift_is_told(two):
     twin = with_gel(Twin.builtin())
     same = calibrate(twin, two)
@@ -89,6 +92,7 @@ def test_light_at_rest_is_taken_and_a_drift_is_told(two):
     assert not calibrate(drifted.twin, replace(two, episodes=red)).light.drifted
 
 
+@pytest.mark.slow
 def test_what_does_not_go_with_demonstrations_is_refused(two):
     with pytest.raises(InputError, match="fidelity=mpm does not replay demonstrations"):
         compare(Twin.builtin(), two, fidelity="mpm")

@@ -43,6 +43,7 @@ def test_a_level_tells_only_where_one_is_known_and_more_episodes_tell_shapes_bet
     assert shapes[1] == pytest.approx(2 * shapes[0]) and turns[1] == pytest.approx(2 * turns[0])
 
 
+@pytest.mark.slow
 def test_the_stand_in_shows_what_the_twin_foresees():
     """Built otherwise; of one stiffness. A finger of 70 % presses with a fifth to a quarter less force."""
     plain, softer = (
