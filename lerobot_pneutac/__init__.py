@@ -33,31 +33,22 @@ if TYPE_CHECKING:
     from pneutac_sim.errors import InputError
     from pneutac_sim.twin import Twin
 
-_MODULES = {
-    "Twin": "pneutac_sim.twin",
-    "InputError": "pneutac_sim.errors",
-    "Recording": "pneutac_datasets.recording.recording",
-    "Demonstrations": "pneutac_datasets.demonstrations.replay.reading",
-    "load_demonstrations": "pneutac_datasets.demonstrations.replay.reading",
-    "calibrate": "lerobot_pneutac.verbs.calibrate",
-    "Calibration": "lerobot_pneutac.verbs.result",
-    "compare": "lerobot_pneutac.verbs.compare",
-    "Comparison": "lerobot_pneutac.verbs.result",
-    "control": "lerobot_pneutac.verbs.control",
-    "Control": "lerobot_pneutac.verbs.control",
-    "design": "lerobot_pneutac.verbs.design",
-    "Design": "lerobot_pneutac.verbs.design",
-    "design_motion": "lerobot_pneutac.verbs.design_motion",
-    "MotionDesign": "lerobot_pneutac.verbs.design_motion",
-    "design_press": "lerobot_pneutac.verbs.design",
-    "PressDesign": "lerobot_pneutac.verbs.design",
-    "diagnose": "lerobot_pneutac.verbs.diagnose",
-    "Diagnosis": "lerobot_pneutac.verbs.diagnose",
-    "learn": "lerobot_pneutac.verbs.learn",
-    "Learning": "lerobot_pneutac.verbs.learn",
-    "add": "lerobot_pneutac.verbs.add",
-    "Addition": "lerobot_pneutac.verbs.add",
+_NAMES = {
+    "pneutac_sim.twin": "Twin",
+    "pneutac_sim.errors": "InputError",
+    "pneutac_datasets.recording.recording": "Recording",
+    "pneutac_datasets.demonstrations.replay.reading": "Demonstrations load_demonstrations",
+    "lerobot_pneutac.verbs.result": "Calibration Comparison",
+    "lerobot_pneutac.verbs.calibrate": "calibrate",
+    "lerobot_pneutac.verbs.compare": "compare",
+    "lerobot_pneutac.verbs.control": "Control control",
+    "lerobot_pneutac.verbs.design": "Design PressDesign design design_press",
+    "lerobot_pneutac.verbs.design_motion": "MotionDesign design_motion",
+    "lerobot_pneutac.verbs.diagnose": "Diagnosis diagnose",
+    "lerobot_pneutac.verbs.learn": "Learning learn",
+    "lerobot_pneutac.verbs.add": "Addition add",
 }
+_MODULES = {name: module for module, names in _NAMES.items() for name in names.split()}
 
 __all__ = [
     "Addition", "Calibration", "Comparison", "Control", "Demonstrations", "Design", "Diagnosis", "InputError",

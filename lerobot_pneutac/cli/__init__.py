@@ -48,9 +48,9 @@ MODULES = {
     "report": "lerobot_pneutac.studio.report",
     "studio": "lerobot_pneutac.studio.command",
 }
-# What only the distribution `lerobot_robot_pneutac` installs, and the commands that do nothing without it.
+# What only the distribution `lerobot_robot_pneutac` installs, and the commands that do nothing without it;
+# none of the packages is on PyPI yet.
 PLUGIN = "lerobot_robot_pneutac"
-# None of the packages is on PyPI yet.
 INSTALL = "in a clone: pip install . ./packages/lerobot_camera_digit ./robots"
 PLUGIN_PACKAGES = {PLUGIN, *"av datasets lerobot pyarrow quadrants rerun serial taichi torch".split()}
 PLUGIN_VERBS = ("measure", "surrogate", "augment", "ppo", "repair")
@@ -65,26 +65,23 @@ def main() -> None:
     except BrokenPipeError:  # whoever reads along, such as `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else the exit would flush, too
         sys.exit(1)
-    except KeyboardInterrupt:
-        _interrupted()
-    except RuntimeError as e:  # an interrupt inside a lock, as of a wait, ends in "release unlocked lock"
-        if not isinstance(e.__context__, KeyboardInterrupt):
+    except (KeyboardInterrupt, RuntimeError) as e:
+        # an interrupt inside a lock, as of a wait, ends in "release unlocked lock"
+        if isinstance(e, RuntimeError) and not isinstance(e.__context__, KeyboardInterrupt):
             raise
-        _interrupted()
-
-
-def _interrupted() -> None:
-    print(f"{sys.argv[0]}: interrupted.", file=sys.stderr)
-    sys.exit(130)
+        print(f"{sys.argv[0]}: interrupted.", file=sys.stderr)
+        sys.exit(130)
 
 
 def _dispatch(argv: list[str]) -> None:
     from lerobot_pneutac.cli.options import name_option
     from pneutac_sim.errors import InputError, printable
 
-    verb = argv[0] if argv else "help"
+    verb, missing = argv[0] if argv else "help", () if importlib.util.find_spec(PLUGIN) else PLUGIN_VERBS
     if verb in ("help", "-h", "--help"):
-        print("usage: pneutac VERB [--option=value ...]\n", *_rows(), sep="\n")
+        rows = {name: f"  {name:10s} {text}" for name, text in VERBS.items()}
+        later = [f"\nWith {PLUGIN} also ({INSTALL}):\n", *(rows.pop(n) for n in missing)] if missing else []
+        print("usage: pneutac VERB [--option=value ...]\n", *rows.values(), *later, sep="\n")
         print("\n`pneutac VERB --help` lists its options, `pneutac --version` the version.")
         return
     if verb == "--version":
@@ -94,7 +91,7 @@ def _dispatch(argv: list[str]) -> None:
         near = difflib.get_close_matches(verb, VERBS, n=1)
         hint = f"did you mean '{near[0]}'?" if near else f"the commands are {', '.join(VERBS)}."
         sys.exit(f"pneutac: There is no command '{verb}'; {hint}")
-    if verb in _missing():
+    if verb in missing:
         sys.exit(f"pneutac {verb}: This needs LeRobot's half of PneuTac; {INSTALL}")
     sys.argv = [f"pneutac {verb}", *argv[1:]]  # the usage lines name the program so
     try:
@@ -115,17 +112,6 @@ def _dispatch(argv: list[str]) -> None:
             sys.exit(f"pneutac {verb}: No space is left on the disk; free some and repeat.")
         what = f"{e.filename}: {e.strerror}" if e.filename and e.strerror else " ".join(str(e).split())
         sys.exit(f"pneutac {verb}: {printable(what)}.")
-
-
-def _missing() -> tuple[str, ...]:
-    return () if importlib.util.find_spec(PLUGIN) else PLUGIN_VERBS
-
-
-def _rows() -> list[str]:
-    """The commands with what they do; last those that are not installed."""
-    missing, rows = _missing(), {name: f"  {name:10s} {text}" for name, text in VERBS.items()}
-    later = [f"\nWith {PLUGIN} also ({INSTALL}):\n", *(rows.pop(n) for n in missing)] if missing else []
-    return [*rows.values(), *later]
 
 
 def run_verb(verb: str, argv: list[str]) -> None:

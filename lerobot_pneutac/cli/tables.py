@@ -36,8 +36,7 @@ def recording_folder(
         raise InputError(f"{folder} exists and is no earlier conversion; move it away.")
     known = mapping or (folder / plain.MAPPING if plain.is_ours(folder) else None)
     given = plain.Given.load(known) if known else plain.Given()
-    given = replace(given, length_mm=length_mm or given.length_mm)
-    understood = plain.Understood(files, given)
+    understood = plain.Understood(files, replace(given, length_mm=length_mm or given.length_mm))
     if understood.faults:
         raise InputError(understood.faults[0])
     console = Console()

@@ -74,10 +74,9 @@ def calibrate_camera(
         if found:
             seen.append(corners)
     if len(seen) < MIN_VIEWS:
-        raise InputError(
-            f"{folder}: a board of {inner_corners[0]} x {inner_corners[1]} inner corners is whole in"
-            f" {len(seen)} of {len(files)} photographs; {MIN_VIEWS} are needed, near and far and tilted."
-        )
+        board = "a board of {} x {} inner corners".format(*inner_corners)
+        whole = f"{board} is whole in {len(seen)} of {len(files)} photographs"
+        raise InputError(f"{folder}: {whole}; {MIN_VIEWS} are needed, near and far and tilted.")
     rms, matrix, distortion, _, _ = cv2.calibrateCamera([board] * len(seen), seen, size, None, None)
     return Intrinsics(matrix, distortion.ravel()[:5], size, float(rms)), len(seen)
 

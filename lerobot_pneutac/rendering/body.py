@@ -76,13 +76,7 @@ PAPER, INK = (246, 248, 250), (27, 36, 48)
 
 
 def draw_particles(
-    image: np.ndarray,
-    points: np.ndarray,
-    rgb: np.ndarray,
-    radius: float,
-    view: tuple[np.ndarray, np.ndarray],
-    scale: float,
-    origin: tuple[float, float],
+    image, points, rgb, radius: float, view, scale: float, origin: tuple[float, float]
 ) -> None:
     """Draws balls at points (P, 3) m with colours (P, 3) into an image, uint8 (H, W, 3), the farthest first.
 
@@ -111,12 +105,7 @@ def write(image: np.ndarray, text: str, x: int, y: int, size: float = 0.5) -> No
 
 
 def body_picture(
-    pose: Pose,
-    length_m: float,
-    radius: float,
-    caption: str,
-    top_strain: float,
-    turns: tuple[float, ...] = (24.0,),
+    pose: Pose, length_m: float, radius: float, caption: str, top_strain: float, turns=(24.0,)
 ) -> np.ndarray:
     """A bending body from its side (x down, so that it hangs; z to the right), its spine drawn over it.
 
@@ -145,14 +134,7 @@ def body_picture(
 
 
 def gel_picture(
-    moved_mm: np.ndarray,
-    particles_mm: np.ndarray,
-    strains: np.ndarray,
-    spacing_mm: float,
-    window_mm: tuple[float, float],
-    top_mm: float,
-    top_strain: float,
-    caption: str,
+    moved_mm, particles_mm, strains, spacing_mm, window_mm, top_mm, top_strain, caption
 ) -> np.ndarray:
     """The face of a gel from above, lit from one side, and a cut along its deepest row.
 
@@ -178,15 +160,8 @@ def gel_picture(
     scale = (width - left - 16) / (1.06 * window_mm[0])
     origin = (left + 0.53 * window_mm[0] * scale, 0.5 * height)
     view = (np.array([1.0, 0, 0]), np.array([0, 0, 1.0]))
-    draw_particles(
-        image,
-        particles_mm,
-        S.stretch_colours(strains, top_strain),
-        0.55 * spacing_mm,
-        view,
-        scale,
-        origin,
-    )
+    colours = S.stretch_colours(strains, top_strain)
+    draw_particles(image, particles_mm, colours, 0.55 * spacing_mm, view, scale, origin)
     write(image, "cut along the white line", left, 40)
     write(image, caption, 16, height - 22, 0.55)
     return image
@@ -316,26 +291,22 @@ def read_recorded(twin: Twin, config: RenderConfig) -> Recorded:
     """Reads the photographs of the chosen camera, the first one where none is chosen."""
     recording = Recording.load(config.recording)
     if recording.device != twin.device:
-        raise InputError(
-            f"{recording.folder} is of {an(recording.device)} and {config.twin} of {an(twin.device)}; give a "
-            "recording of the twin's own device."
-        )
+        both = f"{recording.folder} is of {an(recording.device)} and {config.twin} of {an(twin.device)}"
+        raise InputError(f"{both}; give a recording of the twin's own device.")
     try:
         S.looks_from_twin(twin)
     except InputError as e:
+        fit = f"{option('twin', config.twin)} --recording={recording.folder} --by=images"
         raise InputError(
-            f"The twin at {config.twin} has no looks; fit them with "
-            f"`pneutac calibrate {option('twin', config.twin)} "
-            f"--recording={recording.folder} --by=images`."
+            f"The twin at {config.twin} has no looks; fit them with `pneutac calibrate {fit}`."
         ) from e
     names = masked_cameras(recording)
-    name = config.camera or next(iter(names), None)
+    if not names:
+        raise InputError(f"{recording.folder} has no photographs with masks; give a recording that has.")
+    name = config.camera or next(iter(names))
     if name not in names:
-        raise InputError(
-            f"{recording.folder} has no camera '{name}' with masks; it has {', '.join(names)}."
-            if names
-            else f"{recording.folder} has no photographs with masks; give a recording that has."
-        )
+        has = f"it has {', '.join(names)}"
+        raise InputError(f"{recording.folder} has no camera '{name}' with masks; {has}.")
     camera = read_camera(recording, name)
     levels, rows, state = held_levels(recording)
     last = {int(s): int(row) for row, s in zip(rows, state, strict=True)}
@@ -357,11 +328,8 @@ def photograph_painter(twin: Twin, body: Body, recorded: Recorded, spines: np.nd
         panels = (photograph.image, 255 * light.clip(0, 1), differing(mask, solid))
         iou = float((mask & solid).sum() / (mask | solid).sum())
         same = bool(np.abs(pressure - pose.pressure).max() < LEVEL_KPA)
-        captions = (
-            f"photograph, {pressure_text(pressure)}",
-            f"twin, {pressure_text(pose.pressure)}",
-            f"overlap {iou:.1%}" if same else "silhouettes",
-        )
+        captions = [f"photograph, {pressure_text(pressure)}", f"twin, {pressure_text(pose.pressure)}"]
+        captions.append(f"overlap {iou:.1%}" if same else "silhouettes")
         return _photograph_panels(panels, captions, window), {"iou": iou if same else None}
 
     return paint, LEAD
@@ -373,10 +341,8 @@ def _window(recorded: Recorded, spines: np.ndarray, length_m: float) -> tuple[sl
     size = np.array([camera.width, camera.height])
     seen = (depth > 0) & (pixels >= 0).all(1) & (pixels < size).all(1)
     if not seen.any():
-        raise InputError(
-            "The camera does not see the body; check that its extrinsics in recording.json lead from base to "
-            "camera, in metres."
-        )
+        check = "check that its extrinsics in recording.json lead from base to camera, in metres"
+        raise InputError(f"The camera does not see the body; {check}.")
     masks = np.concatenate([np.argwhere(p.mask)[:, ::-1] for p in recorded.photographs])
     corners = np.concatenate([pixels[seen], masks.min(0)[None], masks.max(0)[None]])
     margin = MARGIN * length_m * camera.intrinsics[0, 0] / float(np.median(depth[seen]))
@@ -407,9 +373,8 @@ def body_film(twin: Twin, config: RenderConfig) -> Film:
     points = recorded.pressures if given is None else np.reshape(given, (-1, CHAMBERS[twin.device]))
     each = max(2, round(config.seconds * FPS))
     share = np.minimum(np.arange(1, each + 1) / (each // 2), 1.0)[:, None]
-    program = np.concatenate(
-        [points[:1]] + [a + share * (b - a) for a, b in zip(points[:-1], points[1:], strict=True)]
-    )
+    steps = [a + share * (b - a) for a, b in zip(points[:-1], points[1:], strict=True)]
+    program = np.concatenate([points[:1], *steps])
     # A body was photographed at rest, so there each pressure has been held for long.
     time_s = np.arange(len(program)) / FPS if recorded is None else None
     conditions = config.conditions if recorded is None else recorded.conditions | config.conditions
@@ -489,13 +454,9 @@ def _press_frames(twin: Twin, config: RenderConfig, press: Press) -> Iterator[Fi
         row = np.argmin(np.abs(solver.body.positions[:, 1] - 1e-3 * press.y_mm))
         cut = cells[:, 1] == cells[row, 1]
         force = float(np.linalg.norm(rest.contact_force[0]))
-        cut_mm = (
-            1e3 * rest.positions[0, cut],
-            S.strain(rest.gradients[0, cut]),
-            1e3 * solver.body.spacing_m,
-        )
+        shown = 1e3 * rest.positions[0, cut], S.strain(rest.gradients[0, cut]), 1e3 * solver.body.spacing_m
         text = f"{named}   depth {depth:.2f} mm   force {force:.2f} N"
-        picture = gel_picture(moved, *cut_mm, window, config.depth_mm, GEL_STRAIN, text)
+        picture = gel_picture(moved, *shown, window, config.depth_mm, GEL_STRAIN, text)
         picture = with_tactile(picture, sensor.image(moved))
         values = {"depth_mm": depth, "face_mm": float(moved.max()), "force_n": force}
         values |= {"penetration_um": float(1e6 * rest.penetration_m[0]), "seconds": spent}

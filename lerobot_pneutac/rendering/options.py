@@ -17,8 +17,7 @@ FPS = 15
 # What a device takes, and what it is where it is not given.
 SEEN = {"recording": None, "camera": None, "view": None}
 MOST_S = 3600.0  # of a film at one pressure
-FINGER = {"pressure_kpa": None, "seconds": 1.0, "particles": 4000} | SEEN
-ARM = FINGER
+BODY = {"pressure_kpa": None, "seconds": 1.0, "particles": 4000} | SEEN
 GEL = {"indenter": "sphere", "size_mm": 4.0, "depth_mm": 1.4, "x_mm": 0.0, "y_mm": 0.0, "yaw_rad": 0.0}
 GEL |= {"indenter_file": None, "outline_mm": None}
 
@@ -33,15 +32,11 @@ class RenderView:
 
     def __post_init__(self):
         if not np.isfinite([self.azimuth_deg, self.elevation_deg]).all() or abs(self.elevation_deg) > 90:
-            raise InputError(
-                f"azimuth_deg is {self.azimuth_deg} and elevation_deg {self.elevation_deg}; "
-                "give numbers, the elevation between -90 and 90."
-            )
+            angles = f"azimuth_deg is {self.azimuth_deg} and elevation_deg {self.elevation_deg}"
+            raise InputError(f"{angles}; give numbers, the elevation between -90 and 90.")
         if not 1.5 <= self.distance_lengths <= 100:
-            raise InputError(
-                f"distance_lengths is {self.distance_lengths}; from there the camera does not see the "
-                "body: give 1.5 to 100."
-            )
+            far = f"distance_lengths is {self.distance_lengths}; from there the camera does not see the body"
+            raise InputError(f"{far}: give 1.5 to 100.")
 
 
 @dataclass
@@ -88,13 +83,11 @@ class RenderConfig:
 
 def filled(config: RenderConfig, twin: Twin) -> RenderConfig:
     """Options with the defaults of the twin's device; raises InputError where it has no use for one."""
-    own = {"finger": FINGER, "arm": ARM, "gel": GEL}[twin.device]
-    for name in FINGER if own is GEL else GEL:
+    own = GEL if twin.device == "gel" else BODY
+    for name in BODY if own is GEL else GEL:
         if getattr(config, name) is not None:
-            raise InputError(
-                f"{name} is of {'a finger or an arm' if own is GEL else 'a gel'}, but the twin at "
-                f"{config.twin} is of {an(twin.device)}; omit it."
-            )
+            of = "a finger or an arm" if own is GEL else "a gel"
+            raise InputError(f"{name} is of {of}, but {config.twin} is of {an(twin.device)}; omit it.")
     if config.camera is not None and config.recording is None:
         raise InputError("camera is one of a recording; give its folder too, or choose a view instead.")
     if config.view is not None and config.recording is not None:
@@ -121,17 +114,13 @@ def deepest_press(config: RenderConfig, gel: GelModel) -> Press:
     press = Press(config.indenter, config.size_mm, *place, _figure(config))
     deepest = 0.8 * gel.thickness_mm
     if config.depth_mm >= deepest:
-        raise InputError(
-            f"depth_mm is {config.depth_mm}; the gel is {gel.thickness_mm:g} mm thick: press less than "
-            f"{deepest:.2g} mm."
-        )
+        thick = f"depth_mm is {config.depth_mm}; the gel is {gel.thickness_mm:g} mm thick"
+        raise InputError(f"{thick}: press less than {deepest:.2g} mm.")
     for name, side, reach in zip(("x_mm", "y_mm"), gel.window_mm, _footprint_mm(press), strict=True):
         place, most = getattr(config, name), side / 2 + reach
         if not abs(place) < most:
-            raise InputError(
-                f"{name} is {place:g}, where the {config.indenter} misses the gel's window; give a place "
-                f"between {-most:.3g} and {most:.3g}."
-            )
+            misses = f"{name} is {place:g}, where the {config.indenter} misses the gel's window"
+            raise InputError(f"{misses}; give a place between {-most:.3g} and {most:.3g}.")
     return press
 
 
@@ -151,10 +140,6 @@ def _footprint_mm(press: Press) -> tuple[float, float]:
         return s, s
     if press.indenter == "edge":
         return s / 2, min(d, s / np.sqrt(2))
-    reach = {
-        "sphere": np.sqrt(d * (2 * s - d)) if d < s else s,
-        "cylinder": s,
-        "cone": min(d, s),
-        "cube": s / 2,
-    }[press.indenter]
+    ball = np.sqrt(d * (2 * s - d)) if d < s else s
+    reach = {"sphere": ball, "cylinder": s, "cone": min(d, s), "cube": s / 2}[press.indenter]
     return reach, reach

@@ -4,13 +4,13 @@
 """
 
 import numpy as np
+import pandas as pd
 import plotly.graph_objects as go
 
 from lerobot_pneutac.reports import page as C
 from lerobot_pneutac.reports.figures import bar_panels, curves, name_runs, session_clock, shade, stacked
 from lerobot_pneutac.reports.page import Report
 from pneutac_datasets.recording.axes import numbers, unit_of
-from pneutac_sim.finger.quantities import root_mean
 
 POINTS = 1500  # a line: more cannot be seen on a screen
 GAP = np.array([np.nan])  # between the parts of a line
@@ -22,17 +22,15 @@ def comparison_page(c) -> Report:
     unit = c.unit
     fitted = c.train_samples.any()
     parts = (("held out", "heldout"), ("training", "train")) if fitted else ()
-    report.table(
-        [{"part": part, f"error, {unit}": c.error[key]} for part, key in (*parts, ("all rows", "all"))]
-        + [{"part": "noise", f"error, {unit}": c.noise.value if c.noise.value else "unknown"}],
-        f"Root mean square distance, simulated {c.simulated}. Noise: {c.noise.how}."
-        + (" The held-out part is made of whole blocks of time." if fitted else "")
-        + (f" Inside the 95 % band: {c.inside_band}." if c.coverage is not None else ""),
-    )
+    rows = [{"part": part, f"error, {unit}": c.error[key]} for part, key in (*parts, ("all rows", "all"))]
+    rows.append({"part": "noise", f"error, {unit}": c.noise.value if c.noise.value else "unknown"})
+    caption = f"Root mean square distance, simulated {c.simulated}. Noise: {c.noise.how}."
+    caption += " The held-out part is made of whole blocks of time." if fitted else ""
+    caption += f" Inside the 95 % band: {c.inside_band}." if c.coverage is not None else ""
+    report.table(rows, caption)
     if c.out_of_range is not None:
-        report.table(
-            [{"range of the action network": "samples outside it", "share": f"{100 * c.out_of_range:.2g}%"}]
-        )
+        share = f"{100 * c.out_of_range:.2g}%"
+        report.table([{"range of the action network": "samples outside it", "share": share}])
     report.found(c.findings)
     report.heading("Over time")
     caption = "Measured and modelled; the worst passages are shaded."
@@ -50,10 +48,8 @@ def comparison_page(c) -> Report:
     report.heading("Where it fails")
     report.figure(heat_map(c), "Error by pressure and by how it moves; white: no samples.", 380)
     shown = {n: r for n, r in c.by.items() if len(r) > 1}
-    report.figure(
-        by_condition(shown, c), "Error under each condition; the line is the noise floor.",
-        60 + 260 * ((len(shown) + 1) // 2),
-    )  # fmt: skip
+    caption = "Error under each condition; the line is the noise floor."
+    report.figure(by_condition(shown, c), caption, 60 + 260 * ((len(shown) + 1) // 2))
     report.figure(residuals(c), "Residual of each sample (a sample of them), measured minus model.", 420)
     report.heading("Worst passages")
     report.table(c.worst)
@@ -70,12 +66,16 @@ def _thin(index: np.ndarray, value: np.ndarray, count: int = POINTS) -> np.ndarr
     return index[np.unique(keep)]
 
 
-def _share(part: np.ndarray, whole: int, parts: int) -> int:
-    return max(3, min(EACH, ALL // parts), POINTS * len(part) // whole)
+def _thinned(parts: list[np.ndarray], value: np.ndarray) -> list[np.ndarray]:
+    """Parts (n,) of the rows of `value`, each thinned to its share of the points."""
+    least = max(3, min(EACH, ALL // max(len(parts), 1)))
+    return [_thin(p, value[p], max(least, POINTS * len(p) // len(value))) for p in parts]
 
 
 def _line(parts: list[np.ndarray], digits: int) -> np.ndarray:
-    return np.concatenate(parts or [GAP]).round(digits)
+    """Parts of a line with gaps between them."""
+    pieces = [piece for part in parts for piece in (part, GAP)] or [GAP]
+    return np.concatenate(pieces).round(digits)
 
 
 def _heldout(c) -> list[np.ndarray]:
@@ -89,31 +89,21 @@ def _heldout(c) -> list[np.ndarray]:
 
 def _add_band(figure: go.Figure, c, i: int, t: np.ndarray, centre: np.ndarray) -> None:
     """The band of column `i` about `centre` (n,), a closed shape for each held-out stretch."""
-    x, y = [], []
     low, high = centre - c.band.half[:, i], centre + c.band.half[:, i]
-    parts, name = _heldout(c), "95 % band, held out" if c.train_samples.any() else "95 % band"
-    for part in parts:
-        part = _thin(part, centre[part], _share(part, len(t), len(parts)))
-        x += [t[part], t[part[::-1]], GAP]
-        y += [high[part], low[part[::-1]], GAP]
-    figure.add_scatter(
-        x=_line(x, 3), y=_line(y, 4),
-        name=name, legendgroup="band", showlegend=i == 0, mode="lines",
-        fill="toself", fillcolor=C.BAND, line={"width": 0}, hoverinfo="skip", row=i + 1, col=1,
-    )  # fmt: skip
+    parts, name = _thinned(_heldout(c), centre), "95 % band" + ", held out" * bool(c.train_samples.any())
+    x = _line([np.append(t[p], t[p[::-1]]) for p in parts], 3)
+    y = _line([np.append(high[p], low[p[::-1]]) for p in parts], 4)
+    look = {"mode": "lines", "fill": "toself", "fillcolor": C.BAND, "line": {"width": 0}, "hoverinfo": "skip"}
+    place = {"legendgroup": "band", "showlegend": i == 0, "row": i + 1, "col": 1}
+    figure.add_scatter(x=x, y=y, name=name, **look, **place)
 
 
 def _add_line(figure: go.Figure, i: int, t, values, parts: list[np.ndarray], name: str, **line) -> None:
     """A line of column `i` in parts, each thinned."""
-    x, y = [], []
-    for part in parts:
-        part = _thin(part, values[part], _share(part, len(t), len(parts)))
-        x += [t[part], GAP]
-        y += [values[part], GAP]
-    figure.add_scatter(
-        x=_line(x, 3), y=_line(y, 4), name=name, legendgroup=name, showlegend=i == 0, mode="lines",
-        line=line, row=i + 1, col=1,
-    )  # fmt: skip
+    parts = _thinned(parts, values)
+    x, y = _line([t[p] for p in parts], 3), _line([values[p] for p in parts], 4)
+    place = {"legendgroup": name, "showlegend": i == 0, "row": i + 1, "col": 1}
+    figure.add_scatter(x=x, y=y, name=name, mode="lines", line=line, **place)
 
 
 def in_band(c) -> go.Figure:
@@ -184,12 +174,9 @@ def heat_map(c) -> go.Figure:
     slow = np.median(size[~still]) if (~still).any() else 0.0
     names = ["falls fast", "falls slowly", "held", "rises slowly", "rises fast"]
     down = np.where(still, 2, np.where(rate < 0, np.where(size > slow, 0, 1), np.where(size > slow, 4, 3)))
-    z = np.full((5, len(across.labels)), np.nan)
-    for a in range(5):
-        for b in range(len(across.labels)):
-            at = (down == a) & (across.bin == b)
-            if at.any():
-                z[a, b] = root_mean(c.squared[at])
+    cells = pd.DataFrame({"move": down, "bin": across.bin, "squared": c.squared})
+    cells = cells.pivot_table("squared", "move", "bin")
+    z = np.sqrt(cells.reindex(index=range(5), columns=range(len(across.labels))).to_numpy(float))
     top = max(float(np.nanmax(z)), 1e-9)  # plotly heeds zmin only where zmax is given too
     z = np.where(np.isfinite(z), z.round(4), None).tolist()
     scale = {"colorscale": "YlOrRd", "zmin": 0, "zmax": top, "colorbar": {"title": c.unit}}
@@ -214,22 +201,15 @@ def residuals(c) -> go.Figure:
     choices = [(a.name, a.value) for a in c.axes if a.value is not None and np.ptp(a.value) > 0]
     choices.append(("session time, s", session_clock(c.recording)[0]))
     colours = np.where(c.train_samples[some], C.TRAIN, C.HELDOUT).tolist()
-    figure = go.Figure()
-    for k, (_, value) in enumerate(choices):
-        figure.add_scattergl(
-            x=value[some].round(4), y=y.round(4), mode="markers", visible=k == 0, showlegend=False,
-            marker={"size": 3, "color": colours, "opacity": 0.6},
-        )  # fmt: skip
-    buttons = []
-    for k, (name, _) in enumerate(choices):
+    figure, buttons = go.Figure(), []
+    dots = {"mode": "markers", "marker": {"size": 3, "color": colours, "opacity": 0.6}, "showlegend": False}
+    for k, (name, value) in enumerate(choices):
+        figure.add_scattergl(x=value[some].round(4), y=y.round(4), visible=k == 0, **dots)
         shown = {"visible": [k == j for j in range(len(choices))]}, {"xaxis.title.text": _title(name)}
         buttons.append({"label": name, "method": "update", "args": list(shown)})
-    figure.update_layout(
-        xaxis_title=_title(choices[0][0]),
-        yaxis_title=f"residual of {_title(c.columns[i])}",
-        updatemenus=[{"buttons": buttons, "x": 0, "xanchor": "left", "y": 1.15, "yanchor": "top"}],
-    )
-    return figure
+    menu = {"buttons": buttons, "x": 0, "xanchor": "left", "y": 1.15, "yanchor": "top"}
+    titles = {"xaxis_title": _title(choices[0][0]), "yaxis_title": f"residual of {_title(c.columns[i])}"}
+    return figure.update_layout(**titles, updatemenus=[menu])
 
 
 def ladder(c) -> go.Figure:

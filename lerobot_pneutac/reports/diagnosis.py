@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+import pandas as pd
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
@@ -45,12 +46,8 @@ def diagnosis_page(d, separation: Separation | None) -> Report:
         page.figure(*seen, 380)
     page.heading("The error")
     start = "; with known causes: with what the recording shows by itself, such as its weight" * bool(o.known)
-    page.figure(
-        ladder(study, o),
-        f"Test error as terms are added; whiskers: 95 % interval, dashed: noise. Before: the twin as it is, "
-        f"re-fitted{start}.",
-        300,
-    )
+    added = "Test error as terms are added; whiskers: 95 % interval, dashed: noise"
+    page.figure(ladder(study, o), f"{added}. Before: the twin as it is, re-fitted{start}.", 300)
     _contributions(page, study, o)
     _parameters(page, study, o)
     _candidates(page, study, o, d.state)
@@ -74,12 +71,9 @@ def diagnosis_page(d, separation: Separation | None) -> Report:
 
 def _contributions(page: Report, study: EffectStudy, o: Outcome) -> None:
     if len(o.contributions) > 1:
-        page.figure(
-            contributions(study, o),
-            "What each cause is worth: by how much the test error rises without it, all else re-fitted; "
-            "whiskers: 98 % interval.",
-            110 + 42 * len(o.contributions),
-        )
+        worth = "What each cause is worth: by how much the test error rises without it, all else re-fitted"
+        shown, height = contributions(study, o), 110 + 42 * len(o.contributions)
+        page.figure(shown, f"{worth}; whiskers: 98 % interval.", height)
     for e in o.selected:
         text = hedged(study.describe(o.after, e), family_in(o.twin, e), o.mechanisms)
         page.text(f"**{study.cause(o.after, e)}**: {text} {study.size(o.after, e)}")
@@ -87,40 +81,30 @@ def _contributions(page: Report, study: EffectStudy, o: Outcome) -> None:
 
 def contributions(study: EffectStudy, o: Outcome) -> go.Figure:
     shown = sorted(o.contributions, key=lambda c: c.drop[0])
-    names = [plain_name(c.name) for c in shown]
-    rise = [c.error_without - c.error_with for c in shown]
-    least, most = (  # rises of the error at the ends of the interval of the mean square's
-        [max(c.error_with**2 + c.drop[i], 0.0) ** 0.5 - c.error_with for c in shown] for i in (1, 2)
-    )
-    bars = F.whiskers(rise, least, most)
     figure = go.Figure()
     for known, colour, name in ((True, C.KNOWN, "known cause"), (False, C.AFTER, "new")):
-        at = [i for i, c in enumerate(shown) if c.known == known]
-        error_x = bars | {k: [bars[k][i] for i in at] for k in ("array", "arrayminus")}
-        figure.add_bar(
-            y=[names[i] for i in at], x=[rise[i] for i in at], orientation="h", name=name,
-            marker_color=colour, error_x=error_x,
-        )  # fmt: skip
-    figure.update_yaxes(categoryorder="array", categoryarray=names)
+        some = [c for c in shown if c.known == known]
+        rise = [c.error_without - c.error_with for c in some]
+        ends = (  # rises of the error at the ends of the interval of the mean square's
+            [max(c.error_with**2 + c.drop[i], 0.0) ** 0.5 - c.error_with for c in some] for i in (1, 2)
+        )
+        bars = {"y": [plain_name(c.name) for c in some], "x": rise, "error_x": F.whiskers(rise, *ends)}
+        figure.add_bar(**bars, orientation="h", name=name, marker_color=colour)
+    figure.update_yaxes(categoryorder="array", categoryarray=[plain_name(c.name) for c in shown])
     return figure.update_xaxes(title=f"rise of the test error without it ({study.unit})")
 
 
 def _candidates(page: Report, study: EffectStudy, o: Outcome, state: State) -> None:
     page.heading("Alternatives")
     page.text(" ".join(filter(None, (alternatives(state), study.how_tested(o)))))
-    page.figure(
-        reductions(o), "Share of the error above the noise that each effect removes alone, with its interval."
-    )
+    alone = "Share of the error above the noise that each effect removes alone, with its interval."
+    page.figure(reductions(o), alone)
     without = {c.name: c.error_without for c in o.contributions}
     rows = []
     names = [t.name for t in o.tested]
     for name in [*(e for e in o.selected if e not in names), *names]:
         t = next((t for t in o.tested if t.name == name), None)
-        row = {
-            "effect": plain_name(name),
-            "name": name,
-            "in the headline": "yes" if name in o.selected else "",
-        }
+        row = {"effect": plain_name(name), "name": name, "in the headline": "yes" * (name in o.selected)}
         row |= {f"test error alone ({study.unit})": t and t.heldout, "removes alone": "not tried alone"}
         row |= {"in the contact": t.errors["heldout_contact"]} if t and "heldout_contact" in t.errors else {}
         if t is not None:
@@ -128,21 +112,16 @@ def _candidates(page: Report, study: EffectStudy, o: Outcome, state: State) -> N
             row["removes alone"] = percent(t.reduction, t.ci95) if known else "-"
         row |= {f"test error without it ({study.unit})": without.get(name)} if without else {}
         rows.append(row | {"tested by": t.tested_by if t else "with the others"})
-    explained = (
-        "Alone: with this effect and no other. Without it: with all others, re-fitted." if without else ""
-    )
-    page.table(rows, explained)
+    alone = "Alone: with this effect and no other. Without it: with all others, re-fitted."
+    page.table(rows, alone * bool(without))
     page.table(rival_rows(o), "Effects that fit the data about as well.")
     page.table([{"not tested": plain_name(u.name), "why": u.reason} for u in study.untested])
 
 
 def rival_rows(o: Outcome) -> list[dict]:
     return [
-        {
-            "cause": plain_name(r.effect),
-            "instead": plain_name(r.rival),
-            "its mean square error": f"{100 * r.difference:+.1f} %",
-        }
+        {"cause": plain_name(r.effect), "instead": plain_name(r.rival)}
+        | {"its mean square error": f"{100 * r.difference:+.1f} %"}
         for r in o.rivals
     ]
 
@@ -163,13 +142,8 @@ def _parameters(page: Report, study: EffectStudy, o: Outcome) -> None:
     if not o.selected:
         return
     page.heading("How well each parameter is known")
-    page.table(
-        [
-            row
-            for e in o.selected
-            for row in parameter_rows(study.parameters(o.after, e), effect=plain_name(e))
-        ]
-    )
+    known = [parameter_rows(study.parameters(o.after, e), effect=plain_name(e)) for e in o.selected]
+    page.table(sum(known, []))
 
 
 def ladder(study: EffectStudy, o: Outcome) -> go.Figure:
@@ -222,10 +196,8 @@ def over_time(study: EffectStudy, o: Outcome, worst: list[dict]) -> go.Figure:
         y, line = np.sqrt(r.squared)[::step].round(4), {"width": 1, "color": colour}
         figure.add_scatter(x=t[::step].round(3), y=y, name=name, line=line, row=1, col=1)
     p = study.recording.samples[list(study.recording.pressure_columns)].to_numpy(float).mean(1)
-    figure.add_scatter(
-        x=t[::step].round(3), y=np.round(p[::step], 3), name="command", line={"width": 1, "color": C.COMMAND},
-        row=2, col=1,
-    )  # fmt: skip
+    line = {"width": 1, "color": C.COMMAND}
+    figure.add_scatter(x=t[::step].round(3), y=p[::step].round(3), name="command", line=line, row=2, col=1)
     F.shade(figure, worst, shift)
     figure.update_yaxes(rangemode="tozero", row=1, col=1)
     return F.name_runs(figure, study.recording, row=2)
@@ -296,11 +268,9 @@ def _panels(x: np.ndarray, lines: dict[str, np.ndarray], x_title: str, y_title: 
     for name, y in lines.items():
         label = name if name == "measured" else f"model {name} it"
         style = {"color": MEANT[name], "width": 2, "dash": "solid" if name != "without" else "dash"}
+        line = {"x": np.round(x, 3), "name": label, "legendgroup": name, "mode": "lines", "line": style}
         for col, shown in ((1, y), (2, y - lines["without"])):
-            figure.add_scatter(
-                x=np.round(x, 3), y=np.round(shown, 5), name=label, legendgroup=name, showlegend=col == 1,
-                mode="lines", line=style, row=1, col=col,
-            )  # fmt: skip
+            figure.add_scatter(**line, y=np.round(shown, 5), showlegend=col == 1, row=1, col=col)
     figure.update_xaxes(title_text=x_title)
     figure.update_yaxes(title_text=y_title, row=1, col=1)
     return figure
@@ -333,8 +303,7 @@ def _steps(recording: Recording, lines, column: str, effect: str) -> tuple[go.Fi
 
     mean = {name: response(y) for name, y in lines.items()}
     way = "up" if steps[0][2] > 0 else "down"
-    unit = unit_of(column)
-    figure = _panels(x, mean, "time after the step (s)", f"{_title(column)} ({unit}/kPa)")
+    figure = _panels(x, mean, "time after the step (s)", f"{_title(column)} ({unit_of(column)}/kPa)")
     return figure, f"Mean response to {len(steps)} steps {way}, per kPa of the step."
 
 
@@ -344,18 +313,16 @@ def _loop(recording: Recording, lines, column: str, effect: str) -> tuple[go.Fig
     if way is None or "loading" not in way.labels or "unloading" not in way.labels:
         return None
     edges = np.linspace(p.min(), p.max() + 1e-9, BINS + 1)
-    place, x, parts = np.digitize(p, edges) - 1, [], {name: [] for name in lines}
-    for label, order in (("loading", range(BINS)), ("unloading", range(BINS - 1, -1, -1))):
-        for b in order:
-            at = (place == b) & (way.bin == way.labels.index(label))
-            if at.sum() >= FEWEST:
-                x.append(p[at].mean())
-                for name, y in lines.items():
-                    parts[name].append(y[at].mean())
-    if len(x) < BINS // 2:
+    cells = pd.DataFrame({"p": p, **lines}).groupby([way.bin, np.digitize(p, edges) - 1])
+    mean = cells.mean()[cells.size() >= FEWEST]
+    there, back = (
+        mean[mean.index.get_level_values(0) == way.labels.index(w)] for w in ("loading", "unloading")
+    )
+    loop = pd.concat([there, back[::-1]])
+    if len(loop) < BINS // 2:
         return None
-    mean = {name: np.array(v) for name, v in parts.items()}
-    figure = _panels(np.array(x), mean, "commanded pressure (kPa)", f"{_title(column)} ({unit_of(column)})")
+    means = {name: loop[name].to_numpy() for name in lines}
+    figure = _panels(loop["p"].to_numpy(), means, "commanded pressure (kPa)", _axis(column))
     return figure, "Mean over the pressure, while it rises and while it falls."
 
 
@@ -373,8 +340,12 @@ def _by_level(recording: Recording, lines, column: str, effect: str) -> tuple[go
         y = [float(np.sqrt((difference[axis.bin == i] ** 2).mean())) for i in levels]
         figure.add_bar(x=axis.labels, y=np.round(y, 4), name=label, marker_color=colour)
     figure.update_xaxes(type="category", title_text=_title(axis.name))
-    figure.update_yaxes(title_text=f"{_title(column)} ({unit_of(column)})")
+    figure.update_yaxes(title_text=_axis(column))
     return figure, "Root mean square difference from the model without it, at each level that was recorded."
+
+
+def _axis(column: str) -> str:
+    return f"{_title(column)} ({unit_of(column)})"
 
 
 def _title(name: str) -> str:

@@ -29,20 +29,15 @@ def session_clock(recording) -> tuple[np.ndarray, dict]:
 def name_runs(figure: go.Figure, recording, row: int | None = None) -> go.Figure:
     """Marks where each run starts on the axis of time, with its program's name, else its number."""
     t, _ = session_clock(recording)
-    runs = list(recording.trials().items())
-    step = -(-len(runs) // MOST_NAMES)
-    named = "program" in recording.samples
-    starts = [float(t[rows.start]) for _, rows in runs[::step]]
-    texts = [
-        str(recording.column("program")[rows.start]) if named else f"run {trial}"
-        for trial, rows in runs[::step]
-    ]
+    runs, named = list(recording.trials().items()), "program" in recording.samples
+    at, texts = [], []
+    for trial, rows in runs[:: -(-len(runs) // MOST_NAMES)]:
+        at.append(float(t[rows.start]))
+        name = str(recording.column("program")[rows.start]) if named else f"run {trial}"
+        texts.append(f"{name}, {at[-1]:.0f} s")
     place = {} if row is None else {"row": row, "col": 1}
-    ticks = {"tickmode": "array", "tickvals": starts, "tickangle": -35, "showgrid": True}
-    return figure.update_xaxes(
-        **ticks, ticktext=[f"{text}, {at:.0f} s" for text, at in zip(texts, starts, strict=True)],
-        title_text="run and time of the session", **place,
-    )  # fmt: skip
+    ticks = {"tickmode": "array", "tickvals": at, "ticktext": texts, "tickangle": -35, "showgrid": True}
+    return figure.update_xaxes(**ticks, title_text="run and time of the session", **place)
 
 
 def curves(lines: Iterable[tuple], x_title: str, y_title: str, **each) -> go.Figure:
@@ -86,9 +81,8 @@ def bar_panels(panels: dict[str, list[tuple]], noise: float | None) -> go.Figure
     for k, groups in enumerate(panels.values()):
         at = {"row": k // 2 + 1, "col": k % 2 + 1}
         for x, y, colour, name in groups:
-            figure.add_bar(
-                x=x, y=y, name=name, marker_color=colour, legendgroup=name, showlegend=k == 0, **at
-            )
+            look = {"marker_color": colour, "legendgroup": name, "showlegend": k == 0}
+            figure.add_bar(x=x, y=y, name=name, **look, **at)
         if noise:
             figure.add_hline(y=noise, line={"color": FLOOR, "dash": "dash", "width": 1.5}, **at)
         figure.update_xaxes(type="category", tickfont={"size": 10}, **at)
@@ -100,9 +94,8 @@ def worst_passages(recording, squared: np.ndarray) -> list[dict]:
 
     Each has `trial`, `from_s`, `to_s`, `error` and, if known, `program`; `squared` are the errors (n,).
     """
-    found = [
-        p for trial, rows in recording.trials().items() for p in _of_run(recording, trial, rows, squared)
-    ]
+    runs = recording.trials().items()
+    found = [p for trial, rows in runs for p in _of_run(recording, trial, rows, squared)]
     return sorted(found, key=lambda p: -p["error"])[:PASSAGES]
 
 

@@ -76,9 +76,7 @@ class Report:
         Image.fromarray(image).save(buffer, "PNG")
         self._add("image", caption, width=width, data=_base64(buffer.getvalue()))
 
-    def film(
-        self, frames: list[np.ndarray], seconds: float, caption: str = "", width: int | None = None
-    ) -> None:
+    def film(self, frames: list[np.ndarray], seconds: float, caption: str, width: int) -> None:
         """Pictures, uint8 (H, W, 3), each shown for so many seconds, as animated WebP."""
         buffer, (first, *rest) = io.BytesIO(), [Image.fromarray(f) for f in frames]
         how = {"duration": round(1e3 * seconds), "loop": 0, "quality": 60}
@@ -119,8 +117,12 @@ class Report:
 
 @cache
 def _template() -> jinja2.Template:
+    def marked(text: str) -> Markup:
+        text = re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text)))
+        return Markup(re.sub(r"\*\*([^*]+)\*\*", r"<b>\1</b>", text))
+
     environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    environment.filters |= {"marked": _marked, "cell": cell}
+    environment.filters |= {"marked": marked, "cell": cell}
     return environment.from_string(Path(__file__).with_name("page.html.jinja").read_text(encoding="utf-8"))
 
 
@@ -146,11 +148,6 @@ def plain(x):
     if x is None or type(x) in (bool, int, float, str):
         return x
     raise TypeError(f"{type(x).__name__} has no place in a result.json")
-
-
-def _marked(text: str) -> Markup:
-    text = re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text)))
-    return Markup(re.sub(r"\*\*([^*]+)\*\*", r"<b>\1</b>", text))
 
 
 def cell(x, none: str = "-") -> str:

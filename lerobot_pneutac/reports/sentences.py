@@ -203,10 +203,8 @@ def explanation(s: State) -> str:
                 "programs that are predicted from all others": s.program,
             }
             worst = max(where, key=lambda k: where[k] or 0.0)
-            return (
-                f"Explained: mostly. The error is {times}, but {where[worst] or 0.0:.2f} times the noise in "
-                f"{worst}."
-            )
+            but = f"{where[worst] or 0.0:.2f} times the noise in {worst}"
+            return f"Explained: mostly. The error is {times}, but {but}."
         case Explained.UNDETERMINED if s.at_noise:
             return f"Explained: undetermined, since the error is known too roughly ({times})."
         case Explained.UNDETERMINED if not s.noise_measured:
@@ -239,38 +237,27 @@ def _headline(s: State) -> str:
         case Kind.POOR:
             return s.poor
         case Kind.NOTHING if s.at_noise:
-            kind = "" if s.noise_measured else "estimated "
-            return (
-                f"Nothing is missing that this recording can show: the test error of {error} is at the "
-                f"{kind}noise ({s.noise:.3g} {s.unit})."
-            )
+            at = f"the {'' if s.noise_measured else 'estimated '}noise ({s.noise:.3g} {s.unit})"
+            return f"Nothing is missing that this recording can show: the test error of {error} is at {at}."
         case Kind.NOTHING:
-            return (
-                f"Nothing that was tested explains the test error of {error}, neither a known effect nor a "
-                "black box of the command. How much of it is noise is not known."
-            )
+            none = f"Nothing that was tested explains the test error of {error}"
+            tried = "neither a known effect nor a black box of the command"
+            return f"{none}, {tried}. How much of it is noise is not known."
         case Kind.UNDECIDED:
             why = f", but the noise {s.noise_how}"
             but = why if s.noise is None else f" ({noise}), but not significantly"
-            return (
-                f"This recording cannot decide what is missing: {joined(s.near_miss)} would lower the test "
-                f"error of {error}{but}."
-            )
+            lower = f"{joined(s.near_miss)} would lower the test error of {error}{but}"
+            return f"This recording cannot decide what is missing: {lower}."
         case Kind.UNKNOWN:
-            return (
-                f"The model is missing something that no known effect describes: a test error of {error} "
-                f"remains ({noise}), and nothing that was tried lowers it significantly."
-            )
+            left = f"a test error of {error} remains ({noise})"
+            lacks = "The model is missing something that no known effect describes"
+            return f"{lacks}: {left}, and nothing that was tried lowers it significantly."
         case Kind.REST:
-            return (
-                f"The twin explains most of the {s.device}'s error, and no further effect lowers it "
-                f"significantly: a test error of {error} remains ({noise})."
-            )
+            most = f"The twin explains most of the {s.device}'s error, and no further effect lowers it"
+            return f"{most} significantly: a test error of {error} remains ({noise})."
         case Kind.PARTIAL:
-            return (
-                f"Most of the error is unexplained: {error} remain ({noise}). The best model found adds "
-                f"{joined(s.causes)} and removes {_removed(s)}."
-            )
+            best = f"The best model found adds {joined(s.causes)} and removes {_removed(s)}"
+            return f"Most of the error is unexplained: {error} remain ({noise}). {best}."
     runs = "" if s.rest == s.after else f", and to {error} without each run's own offset"
     falls = f"the test error falls from {s.before:.3g} to {s.after:.3g} {s.unit}{runs} ({noise})."
     causes = [c for c in s.causes if c not in s.set_up and c not in s.unnamed]
@@ -316,10 +303,8 @@ def warnings(s: State) -> list[str]:
             least = s.noise * (AS_IS_NOISE**2 - 1) ** 0.5
             out.append(f"An effect that adds less than {least:.2g} {s.unit} to the error would not show.")
         if s.explained is Explained.FULLY and s.recorded:
-            out.append(
-                "One recording cannot show what changes between recordings, such as the mount or the "
-                "marker's place."
-            )
+            changes = "what changes between recordings, such as the mount or the marker's place"
+            out.append(f"One recording cannot show {changes}.")
         if s.noise is None:
             out.append(f"The noise {s.noise_how}.")
         elif not s.noise_measured:
@@ -352,10 +337,8 @@ def alternatives(s: State) -> str:
     if s.rivals:
         return " ".join(_as_well(s))
     if s.lower:
-        return (
-            f"By itself {joined(s.lower)} reaches a slightly lower test error than any cause by itself. "
-            "The choice was made by cross-validation on other blocks."
-        )
+        lower = f"By itself {joined(s.lower)} reaches a slightly lower test error than any cause by itself"
+        return f"{lower}. The choice was made by cross-validation on other blocks."
     return "No other effect that was tried alone has a test error as low."
 
 

@@ -64,18 +64,16 @@ class Actor(nn.Module):
             grid = tuple(card.pop("grid"))
             actor = cls(hidden, card, int(card.pop("joints", PANDA_JOINTS)))
         except (ValueError, KeyError, TypeError, AttributeError, IndexError) as e:
-            raise InputError(
-                f"'{folder / CARD_FILE}' is not an actor's card with 'hidden' and 'grid'; train it again."
-            ) from e
+            no_card = f"'{folder / CARD_FILE}' is not an actor's card with 'hidden' and 'grid'"
+            raise InputError(f"{no_card}; train it again.") from e
         if grid != GRID:
             raise InputError(f"'{folder / CARD_FILE}' has the grid {grid}; an actor here has {GRID}.")
         try:
             tensors = load_file(folder / WEIGHTS_FILE)
             actor.load_state_dict(tensors)
         except (SafetensorError, RuntimeError) as e:
-            raise InputError(
-                f"'{folder / WEIGHTS_FILE}' is damaged or not of the network that {CARD_FILE} names."
-            ) from e
+            other = f"not of the network that {CARD_FILE} names"
+            raise InputError(f"'{folder / WEIGHTS_FILE}' is damaged or {other}.") from e
         if not all(t.isfinite().all() for t in tensors.values()):
             raise InputError(f"'{folder / WEIGHTS_FILE}' holds numbers that are not finite; train it again.")
         return actor.eval()

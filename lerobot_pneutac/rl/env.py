@@ -65,9 +65,8 @@ class TaskView:
         try:
             self._body, self._geom = model.body(name).id, model.geom(self.goal.geom).id
         except KeyError as e:
-            raise InputError(
-                f"The task '{name}' needs a body '{name}' and the geom '{self.goal.geom}' of its goal: {e}"
-            ) from e
+            needs = f"a body '{name}' and the geom '{self.goal.geom}' of its goal"
+            raise InputError(f"The task '{name}' needs {needs}: {e}") from e
         joints = np.flatnonzero(model.body_rootid[model.jnt_bodyid] == self._body)
         self._qpos, self._qvel = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
         self._pad = int(model.joint("pad").qposadr[0])
@@ -84,17 +83,10 @@ class TaskView:
     def seen_in(self, geom_m, geom_mat, site_m, body_m, body_quat, qpos, qvel, progress) -> Seen:
         """The object in worlds of this model, from arrays as MuJoCo names them, with a first axis or none."""
         at, quat = geom_m[..., self._geom, :], body_quat[..., self._body, :]
-        return Seen(
-            at + geom_mat[..., self._geom, :, :] @ self._corner,
-            at.copy(),
-            site_m[..., self._world._gel, :].copy(),
-            body_m[..., self._body, :].copy(),
-            2 * np.arctan2(quat[..., 3], quat[..., 0]),
-            qpos[..., self._qpos],
-            qvel[..., self._qvel],
-            -1e3 * qpos[..., self._pad],
-            progress,
-        )
+        point, gel = at + geom_mat[..., self._geom, :, :] @ self._corner, site_m[..., self._world._gel, :]
+        places = point, at.copy(), gel.copy(), body_m[..., self._body, :].copy()
+        yaw, joints = 2 * np.arctan2(quat[..., 3], quat[..., 0]), qpos[..., self._qpos]
+        return Seen(*places, yaw, joints, qvel[..., self._qvel], -1e3 * qpos[..., self._pad], progress)
 
 
 # Weight of each term in one control step. Over an episode the whole progress earns 2, coming from 10 cm away
@@ -227,9 +219,8 @@ class PpoEnv(gymnasium.Env):
         station: Station | None = None,
     ):
         if twin is not None and CHAMBERS.get(twin.device, 1) > 1:
-            raise InputError(
-                f"An actor commands one chamber, and this twin is of an '{twin.device}'; give a finger's."
-            )
+            other = f"this twin is of an '{twin.device}'; give a finger's"
+            raise InputError(f"An actor commands one chamber, and {other}.")
         self.world = World(task, twin, "probe", "probe", conditions, station=station)
         self.view = TaskView(self.world)
         self.randomise, self.length = randomise, length or self.world.station.steps(EPISODE_S)

@@ -59,10 +59,9 @@ class PpoConfig:
         check_choice("device", self.device, ("cpu", "cuda"))
         twin = Twin.load(self.twin) if self.twin else Twin.builtin()
         if CHAMBERS.get(twin.device, 1) > 1:
-            raise InputError(
-                f"ppo trains fingers of one chamber and '{self.twin}' has several; record demonstrations with"
-                " --teleop.type=pneutac_scripted, and `pneutac augment` them."
-            )
+            several = f"ppo trains fingers of one chamber and '{self.twin}' has several"
+            remedy = "record demonstrations with --teleop.type=pneutac_scripted, and `pneutac augment` them"
+            raise InputError(f"{several}; {remedy}.")
         check_world(twin, self.student.fidelity, self.conditions)
         if self.station is not None:
             Station.load(self.station).make_arm()

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from statistics import fmean
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -77,10 +78,8 @@ class Keeper(BaseCallback):
             raise InputError(f"'{file}' is damaged; delete it to start again.") from e
         changed = [k for k in sorted(run.keys() | self._run.keys()) if run.get(k) != self._run.get(k)]
         if changed:
-            raise InputError(
-                f"'{self._out}' holds a training with another {', '.join(changed)}; give a new folder, or"
-                " repeat the command that began it."
-            )
+            other = f"'{self._out}' holds a training with another {', '.join(changed)}"
+            raise InputError(f"{other}; give a new folder, or repeat the command that began it.")
         policy, state = model.policy, {}
         for name in [n for n in tensors if n.startswith("optimizer.")]:
             _, i, key = name.split(".")
@@ -103,14 +102,12 @@ class Keeper(BaseCallback):
 
     def _on_rollout_end(self) -> None:
         episodes, wins = self.model.ep_info_buffer, self.model.ep_success_buffer
-        row = {
-            "steps": self.model.num_timesteps,
-            "return": float(sum(e["r"] for e in episodes) / len(episodes)) if episodes else None,
-            "success": float(sum(wins) / len(wins)) if wins else None,
-            "seconds": self._before_s + time.monotonic() - self._began,
-            "action_std": float(self.model.policy.log_std.exp().mean().detach()),
-            "terms": {k: v / self._count for k, v in self._terms.items()},
-        }
+        gained = [e["r"] for e in episodes]
+        row = {"steps": self.model.num_timesteps, "return": fmean(gained) if gained else None}
+        row |= {"success": fmean(wins) if wins else None}
+        row |= {"seconds": self._before_s + time.monotonic() - self._began}
+        row |= {"action_std": float(self.model.policy.log_std.exp().mean().detach())}
+        row |= {"terms": {k: v / self._count for k, v in self._terms.items()}}
         self._terms, self._count = dict.fromkeys(WEIGHTS, 0.0), 0
         self.curve.append(row)
         words = "no trial has ended" if row["success"] is None else f"success {100 * row['success']:.0f} %"
@@ -190,25 +187,14 @@ def make_worlds(task: str, twin: Twin | None, compute: Compute, **options) -> Ve
     return VecMonitor(SubprocVecEnv(make) if compute.parallel else DummyVecEnv(make))
 
 
-def make_ppo(
-    worlds: VecEnv, seed: int, device: str, settings: PpoSettings, control_hz: int = CONTROL_HZ
-) -> PPO:
-    per_world = max(settings.update_steps // worlds.num_envs, LEAST_STEPS)
-    return PPO(
-        AsymmetricPolicy,
-        worlds,
-        n_steps=per_world,
-        batch_size=min(settings.batch, per_world * worlds.num_envs),
-        n_epochs=settings.epochs,
-        learning_rate=settings.learning_rate,
-        gamma=settings.discount ** (CONTROL_HZ / control_hz),
-        gae_lambda=settings.trace,
-        clip_range=settings.clip,
-        ent_coef=settings.entropy,
-        policy_kwargs={"net_arch": list(settings.hidden), "log_std_init": settings.log_std},
-        seed=seed,
-        device=device,
-    )
+def make_ppo(worlds: VecEnv, seed: int, device: str, s: PpoSettings, control_hz: int = CONTROL_HZ) -> PPO:
+    per_world = max(s.update_steps // worlds.num_envs, LEAST_STEPS)
+    steps = {"n_steps": per_world, "batch_size": min(s.batch, per_world * worlds.num_envs)}
+    loss = {"clip_range": s.clip, "ent_coef": s.entropy, "gae_lambda": s.trace}
+    loss["gamma"] = s.discount ** (CONTROL_HZ / control_hz)
+    how = {"n_epochs": s.epochs, "learning_rate": s.learning_rate, "seed": seed, "device": device}
+    policy = {"net_arch": list(s.hidden), "log_std_init": s.log_std}
+    return PPO(AsymmetricPolicy, worlds, policy_kwargs=policy, **steps, **loss, **how)
 
 
 def train_ppo(
@@ -235,12 +221,8 @@ def train_ppo(
     compute, settings, out = compute or Compute(), settings or PpoSettings(), Path(out)
     compute.check(steps)
     env = PpoEnv(task, twin, **options)  # refuses a bad task or twin before anything is written
-    run = {
-        "task": task,
-        "twin": fingerprint(twin) if twin else None,
-        "seed": seed,
-        "settings": asdict(settings),
-    }
+    run = {"task": task, "twin": fingerprint(twin) if twin else None, "seed": seed}
+    run["settings"] = asdict(settings)
     plain = {k: asdict(v) if isinstance(v, Station) else v for k, v in options.items()}
     run = json.loads(json.dumps(run | {"weights": WEIGHTS, "options": plain}))
     worlds = make_worlds(task, twin, compute, **options)

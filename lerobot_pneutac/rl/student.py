@@ -71,10 +71,9 @@ def rolled_out(
     stored = trials = 0
     while stored < student.episodes:
         if trials >= PATIENCE * max(stored + 1, 2):
-            raise InputError(
-                f"The actor in '{actor_dir}' succeeded in {stored} of {trials} trials with fidelity"
-                f" '{student.fidelity}'; train it for longer, or lower the noise."
-            )
+            share = f"{stored} of {trials} trials with fidelity '{student.fidelity}'"
+            remedy = "train it for longer, or lower the noise"
+            raise InputError(f"The actor in '{actor_dir}' succeeded in {share}; {remedy}.")
         episode = roll_out(actor, world, rng, student.noise)
         trials, stored = trials + 1, stored + bool(world.success)
         yield episode if world.success else None
@@ -85,10 +84,9 @@ def _loaded(actor_dir: str | Path, world: World) -> Actor:
     if actor.card.get("task", task) != task:
         raise InputError(f"The actor in '{actor_dir}' was trained on '{actor.card['task']}', not '{task}'.")
     if actor.joints != world.arm.joints:
-        raise InputError(
-            f"The actor in '{actor_dir}' was trained with an arm of {actor.joints} joints, and the station's"
-            f" has {world.arm.joints}; give its station by --station=."
-        )
+        both = f"an arm of {actor.joints} joints, and the station's has {world.arm.joints}"
+        remedy = "give its station by --station="
+        raise InputError(f"The actor in '{actor_dir}' was trained with {both}; {remedy}.")
     return actor
 
 

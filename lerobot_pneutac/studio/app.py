@@ -118,10 +118,8 @@ def _viewer(port: int) -> viser.ViserServer:
             port = free.getsockname()[1]
     except (OSError, OverflowError) as e:
         why = os.strerror(e.errno) if getattr(e, "errno", None) else e
-        raise InputError(
-            f"port={port} cannot be had ({why}); another studio may be open there: close it, or"
-            " give another with --port=, or --port=0 for any that is free."
-        ) from e
+        remedy = "another studio may be open there: close it, or give another port; --port=0 takes any"
+        raise InputError(f"port={port} cannot be had ({why}); {remedy}.") from e
     serve = websocket_server.serve
     websocket_server.serve = partial(serve, origins=ORIGINS)
     try:

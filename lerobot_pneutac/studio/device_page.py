@@ -62,6 +62,7 @@ def solve(
 
 
 UNIT = 0.01  # of the scene, in mm^-1: a decimetre
+CIRCLES = {"point_shape": "circle", "precision": "float32"}
 TRAIL_POINTS = 200
 NARROW = 0.6  # width over height of a picture into which the body fits
 
@@ -91,20 +92,14 @@ class BodyScene:
         straight[1:-1, 0], straight[-1, 0] = self._joints, self._length
         spine = _segments(UNIT * straight)
         self._spine = scene.add_line_segments("/spine", spine, P.SPINE, thickness=0.08 * width)
-        self._dots = scene.add_point_cloud(
-            "/joints", (UNIT * straight[1:-1]).astype(np.float32), P.JOINTS, point_size=0.14 * width,
-            point_shape="circle", precision="float32",
-        )  # fmt: skip
+        joints = (UNIT * straight[1:-1]).astype(np.float32)
+        self._dots = scene.add_point_cloud("/joints", joints, P.JOINTS, point_size=0.14 * width, **CIRCLES)
         size = 0.13 * width
         self._tip = scene.add_icosphere("/tip", radius=size, color=P.TRAIL)
         self._measured = scene.add_icosphere("/measured tip", size, rgb(P.MEASURED), visible=False)
-        self._trail = scene.add_line_segments(
-            "/tip's path",
-            np.zeros((1, 2, 3), np.float32),
-            P.TRAIL,
-            thickness=2.0,
-            thickness_units="screen",
-        )
+        look = {"thickness": 2.0, "thickness_units": "screen"}
+        nothing = np.zeros((1, 2, 3), np.float32)
+        self._trail = scene.add_line_segments("/tip's path", nothing, P.TRAIL, **look)
         self._path: list[np.ndarray] = []
         self._solid = None
 
@@ -127,17 +122,14 @@ class BodyScene:
         """A body of material points, or of its Gaussians, in place of the skin, until `hide_solid`."""
         self.hide_solid()
         self._skin.visible = False
+        name, scene = "/material points", self._server.scene
         if splats:
             g, metre = solid.splats, 1e3 * UNIT
-            self._solid = self._server.scene.add_gaussian_splats(
-                "/material points", metre * g.means, metre**2 * g.covariances(), g.colours,
-                g.opacities[:, None],
-            )  # fmt: skip
+            shape = metre * g.means, metre**2 * g.covariances()
+            self._solid = scene.add_gaussian_splats(name, *shape, g.colours, g.opacities[:, None])
             return
-        self._solid = self._server.scene.add_point_cloud(
-            "/material points", (UNIT * solid.points_mm).astype(np.float32), solid.colours, point_size=0.02,
-            point_shape="circle", precision="float32",
-        )  # fmt: skip
+        points = (UNIT * solid.points_mm).astype(np.float32)
+        self._solid = scene.add_point_cloud(name, points, solid.colours, point_size=0.02, **CIRCLES)
 
     def hide_solid(self) -> None:
         if self._solid is not None:
@@ -171,15 +163,12 @@ DRAWN = POINTS, SPLATS = "points, coloured by stretch", "splats, in its own look
 
 
 class SolidPanel:
-    """A button that solves, and what came of it until something moves."""
+    """A button that solves, and what came of it until something moves.
 
-    def __init__(
-        self,
-        studio,
-        scene: BodyScene,
-        begin: Callable[[], None],
-        now: Callable[[], tuple[Twin, np.ndarray, Mapping[str, float]]],
-    ):
+    `now` gives what `solve` takes; `begin` is called before.
+    """
+
+    def __init__(self, studio, scene: BodyScene, begin: Callable[[], None], now: Callable[[], tuple]):
         self._studio, self._scene, self._begin, self._now = studio, scene, begin, now
         self._solid: Solid | None = None
         gui = studio.server.gui
@@ -196,21 +185,18 @@ class SolidPanel:
             self.summary.content = f"Solving by material points: {done} of {total} ({text})"
 
         def work(progress: Progress) -> None:
-            try:
-                self._solid = found = solve(*self._now(), progress)
-            except InputError as e:
-                self.summary.visible = False
-                self._studio.say(str(e))
-                return
+            self._solid = found = solve(*self._now(), progress)
             self._draw()
-            x, y, z = found.tip_mm
-            self.summary.content = (
-                f"{len(found.points_mm)} material points: tip at x {x:.1f}, y {y:.1f}, z {z:.1f} mm, "
-                f"stretched by {100 * found.most_strain:.1f} % at most"
-            )
+            tip = "x {:.1f}, y {:.1f}, z {:.1f} mm".format(*found.tip_mm)
+            stretch = f"stretched by {100 * found.most_strain:.1f} % at most"
+            self.summary.content = f"{len(found.points_mm)} material points: tip at {tip}, {stretch}"
+
+        def failed(why: str) -> None:
+            self.summary.visible = False
+            self._studio.say(why)
 
         self._begin()
-        self._studio.session.begin("solving by material points", work, show)
+        self._studio.session.begin("solving by material points", work, show, failed)
         show_text(self.summary, "Solving by material points ...")
 
     def _draw(self) -> None:
@@ -248,9 +234,7 @@ class DevicePage(Background):
         with self._gui.add_folder("Time and material", expand_by_default=False):
             self._speed = self._gui.add_dropdown("speed of time", tuple(SPEEDS))
             rested = self._gui.add_button("Let it rest at this pressure", icon="bed")
-            self.solid = SolidPanel(
-                studio, self.scene, self._drive, lambda: (self._twin, self.pressed_kpa, self.conditions())
-            )
+            self.solid = SolidPanel(studio, self.scene, self._drive, self._state)
         rested.on_click(studio.safely(self._rest))
         self._series: deque = deque(maxlen=int(CHART_S * CHART_A_S))
         self.busy_s = 0.0
@@ -387,6 +371,9 @@ class DevicePage(Background):
         self.scene.forget_path()
         self._drive()
 
+    def _state(self) -> tuple[Twin, np.ndarray, dict[str, float]]:
+        return self._twin, self.pressed_kpa, self.conditions()
+
     def step(self, dt_s: float) -> Shape:
         with self._lock:
             self.pressed_kpa = self.pressure_kpa
@@ -418,8 +405,6 @@ class DevicePage(Background):
         self.scene.show(shape)
         if not self._dragged:
             self._poke.position = UNIT * shape.markers[:3]
-        x, y, z = shape.markers[:3]
-        self.readout.content = (
-            f"**Bend {shape.bend_deg:.1f}°**, tip at x {x:.1f}, y {y:.1f}, z {z:.1f} mm, "
-            f"pressure {' / '.join(f'{p:.1f}' for p in self.pressed_kpa)} kPa"
-        )
+        tip = "x {:.1f}, y {:.1f}, z {:.1f} mm".format(*shape.markers[:3])
+        kpa = " / ".join(f"{p:.1f}" for p in self.pressed_kpa)
+        self.readout.content = f"**Bend {shape.bend_deg:.1f}°**, tip at {tip}, pressure {kpa} kPa"

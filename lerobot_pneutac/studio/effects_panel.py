@@ -87,5 +87,4 @@ def _slider(gui, parameter: Parameter, value: Value, range_kpa: float, visible: 
 
 
 def _about(effect: Effect) -> str:
-    text = effect.describe({k: v.value for k, v in effect.start().items()}, "device")
-    return text.partition(". ")[0]
+    return effect.describe({k: v.value for k, v in effect.start().items()}, "device").partition(". ")[0]

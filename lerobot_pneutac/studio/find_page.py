@@ -29,10 +29,9 @@ class ExperimentPanel:
         self._download = gui.add_button("Download program.csv", visible=False, icon="download")
         self._download.on_click(self._send)
         self._out = gui.add_text("folder", "outputs/studio/experiment", visible=False)
-        self._drive = gui.add_button(
-            "Drive it at the bench, and write its recording there", visible=False, color="orange",
-            hint="pneutac measure --program=program.csv",
-        )  # fmt: skip
+        hidden = {"visible": False, "hint": "pneutac measure --program=program.csv"}
+        name = "Drive it at the bench, and write its recording there"
+        self._drive = gui.add_button(name, color="orange", **hidden)
         self._drive.on_click(studio.safely(self.drive))
 
     def design(self) -> None:
@@ -137,12 +136,10 @@ class FindPage(Background):
         def run(show) -> None:
             try:
                 work(show)
-            except InputError as e:
-                self._studio.say(str(e))
             finally:
                 self._bar.visible = self.progress.visible = False
 
-        self._studio.session.begin(what, run, self._show)
+        self._studio.session.begin(what, run, self._show, self._studio.say)
         self._bar.value, self._bar.visible = 2.0, True
         show_text(self.progress, f"{what} ...")
 
@@ -194,17 +191,13 @@ class FindPage(Background):
         if session.addition is None or not session.addition.accepted:
             raise InputError("There is nothing to keep; try an effect first.")
         if session.version is not None:
-            raise InputError(
-                "An earlier version is looked at; choose the newest, or go back to this one first."
-            )
-        session.addition = session.addition.save(session.folder)
-        added = session.addition
+            raise InputError("An earlier version is looked at; choose the newest, or go back to this one.")
+        session.addition = added = session.addition.save(session.folder)
         session.look_at()
         session.comparison = compare(session.twin, session.needs_recording())
         self._show_error()
-        show_text(
-            self.before_after, f"Stored as version {added.twin.history[-1]['version']}. {added.sentence}"
-        )
+        version = added.twin.history[-1]["version"]
+        show_text(self.before_after, f"Stored as version {version}. {added.sentence}")
 
     def back(self) -> None:
         number = self._studio.session.keep()
@@ -231,10 +224,8 @@ class FindPage(Background):
     def _show_diagnosis(self) -> None:
         d = self._studio.session.diagnosis
         warned = "\n".join(f"- {w}" for w in d.warnings)
-        self.sentence.content = (
-            f"**{d.sentence}**\n\n{meaning(d.state)}\n\n**Warnings.**\n\n{warned or 'None.'}\n\n"
-            f"**Do next.** {d.do_next}"
-        )
+        parts = f"**{d.sentence}**", meaning(d.state), "**Warnings.**", warned or "None."
+        self.sentence.content = "\n\n".join([*parts, f"**Do next.** {d.do_next}"])
         self._clear()
         rivals = rival_rows(d.outcome)
         with self._evidence:

@@ -32,9 +32,8 @@ class GelPage(Background):
         self._studio, self._gui = studio, studio.server.gui
         self.readout = self._gui.add_markdown("")
         blank = np.zeros((PICTURE_PX, PICTURE_PX, 3), np.uint8)
-        self._picture = self._gui.add_image(
-            blank, label=f"what the sensor sees; how deep its surface moves, 0 to {DEEPEST_MM:g} mm"
-        )
+        label = f"what the sensor sees; how deep its surface moves, 0 to {DEEPEST_MM:g} mm"
+        self._picture = self._gui.add_image(blank, label=label)
         self._sensor = TactileSensor(GelModel.from_twin(studio.session.twin))
         width, height = self._sensor.model.window_mm
         self._shape = self._gui.add_dropdown("indenter", INDENTERS)
@@ -126,10 +125,9 @@ class GelPage(Background):
         sensor = self._sensor
         area = sensor.contact(image)
         width, height = sensor.model.window_mm
-        self.readout.content = (
-            f"**Contact {area.area * width * height:.1f} mm²** ({area.pixels} pixels), deepest "
-            f"{depth.max():.2f} mm, under its shape {width * height * (depth > 0).mean():.1f} mm²"
-        )
+        contact, under = (width * height * share for share in (area.area, (depth > 0).mean()))
+        shown = f"**Contact {contact:.1f} mm²** ({area.pixels} pixels)"
+        self.readout.content = f"{shown}, deepest {depth.max():.2f} mm, under its shape {under:.1f} mm²"
         colours = stretch_colours(moved, DEEPEST_MM).astype(np.uint8)
         self._picture.image = side_by_side([image, colours], height=PICTURE_PX)
         if self._studio.session.twin.device != "gel":

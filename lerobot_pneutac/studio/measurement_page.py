@@ -135,24 +135,12 @@ class MeasurementPage(Background):
                 names = c.recording.pressure_columns
                 chambers = [n.removeprefix("pressure_cmd_").removesuffix("kpa").strip("_") for n in names]
                 commands = [f"command {n}".strip() + ", kPa" for n in chambers]
-                lines = tuple(zip(commands, (P.PRESSURE, P.FLOOR, P.MODEL), strict=False))
+                colours = (P.PRESSURE, P.FLOOR, P.MODEL)[: len(commands)]
+                both, error = ("measured", P.MEASURED), ("error", P.MODEL)
                 self._charts = [
-                    Lines(
-                        gui,
-                        "time, s",
-                        (("measured", P.MEASURED), ("model", P.MODEL)),
-                        170,
-                        title,
-                        P.FLOOR,
-                    ),
-                    Lines(
-                        gui,
-                        "time, s",
-                        (("error", P.MODEL), ("noise", P.FLOOR)),
-                        140,
-                        f"error, {c.unit}",
-                    ),
-                    Lines(gui, "time, s", lines, 150, "command, kPa"),
+                    Lines(gui, "time, s", (both, ("model", P.MODEL)), 170, title, P.FLOOR),
+                    Lines(gui, "time, s", (error, ("noise", P.FLOOR)), 140, f"error, {c.unit}"),
+                    Lines(gui, "time, s", tuple(zip(commands, colours, strict=True)), 150, "command, kPa"),
                 ]
         for handle in self._rows:
             handle.remove()
@@ -209,12 +197,10 @@ class MeasurementPage(Background):
         c = self._c
         trial, own = int(c.recording.column("trial")[i]), float(c.recording.column("time_s")[i])
         heldout = "" if c.heldout is None else f"; held out {c.heldout:.3g} {c.unit} in all"
-        name = c.columns[self._main]
-        return (
-            f"**Off by {self._error[i]:.2f} {c.unit}** in trial {trial} at {own:.2f} s{heldout}.  \n"
-            f"{name}: measured {c.measured[i, self._main]:.2f}, model {c.model[i, self._main]:.2f}; "
-            f"command {' / '.join(f'{p:.1f}' for p in self._pressure[i])} kPa"
-        )
+        off = f"**Off by {self._error[i]:.2f} {c.unit}** in trial {trial} at {own:.2f} s{heldout}."
+        both = f"measured {c.measured[i, self._main]:.2f}, model {c.model[i, self._main]:.2f}"
+        kpa = " / ".join(f"{p:.1f}" for p in self._pressure[i])
+        return f"{off}  \n{c.columns[self._main]}: {both}; command {kpa} kPa"
 
     def close(self) -> None:
         self.player.close()
@@ -268,9 +254,7 @@ class ImagesPage(Background):
         sample, score = c.data.samples[i], c.scores[i]
         three = (sample.image, c.predicted[i], difference(c.predicted[i], sample.image, TIMES))
         self._picture.image = side_by_side(three, width=THUMBNAIL_PX)
-        p = sample.press
-        self.readout.content = (
-            f"**Off by {score.rmse:.2f} levels**, in the contact {score.contact_rmse:.2f}: {sample.name}, "
-            f"{p.indenter} of {p.size_mm:g} mm at {p.x_mm:.1f}, {p.y_mm:.1f} mm, {p.depth_mm:.2f} mm deep"
-            f"{f' ({sample.role})' if sample.role else ''}"
-        )
+        p, role = sample.press, f" ({sample.role})" if sample.role else ""
+        off = f"**Off by {score.rmse:.2f} levels**, in the contact {score.contact_rmse:.2f}"
+        press = f"{p.indenter} of {p.size_mm:g} mm at {p.x_mm:.1f}, {p.y_mm:.1f} mm, {p.depth_mm:.2f} mm deep"
+        self.readout.content = f"{off}: {sample.name}, {press}{role}"

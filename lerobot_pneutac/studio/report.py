@@ -13,7 +13,7 @@ from lerobot_pneutac.studio.live import LiveBody, Skin, measured_tips, shape_of
 from lerobot_pneutac.studio.plots import MEASURED, SKIN, TRAIL, rgb
 from lerobot_pneutac.study.pair import load_bench_pair
 from lerobot_pneutac.verbs.compare import compare
-from lerobot_pneutac.verbs.report import report
+from lerobot_pneutac.verbs.history import report
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CHAMBERS

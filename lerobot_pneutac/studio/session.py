@@ -48,13 +48,10 @@ class Session:
             from pneutac_datasets.recording.recording import Recording
 
             if (recording / "meta" / "info.json").is_file():
-                raise InputError(
-                    f"recording={recording} is a LeRobotDataset; give it by "
-                    "--demonstrations=, and a bench recording here."
-                )
-            loaded = Recording.load(recording)
-            same_body(self.twin, loaded, "open")
-            self.recording = loaded
+                remedy = "give it by --demonstrations=, and a bench recording here"
+                raise InputError(f"recording={recording} is a LeRobotDataset; {remedy}.")
+            self.recording = Recording.load(recording)
+            same_body(self.twin, self.recording, "open")
         self.comparison: Comparison | None = None
         self.diagnosis: Diagnosis | None = None
         self.addition: Addition | None = None
@@ -68,10 +65,8 @@ class Session:
     def needs_recording(self) -> Recording:
         """The recording; raises InputError where there is none."""
         if self.recording is None:
-            raise InputError(
-                f"There is no recording to weigh the twin against; start `pneutac studio "
-                f"--twin={self.folder} --recording=DIR`."
-            )
+            start = f"start `pneutac studio --twin={self.folder} --recording=DIR`"
+            raise InputError(f"There is no recording to weigh the twin against; {start}.")
         return self.recording
 
     def look_at(self, version: int | None = None) -> None:
@@ -95,11 +90,11 @@ class Session:
         return len(twin.history) - 1
 
     def begin(
-        self, what: str, work: Callable[[Progress], None], show: Callable[[str, int, int], None]
+        self, what: str, work: Callable[[Progress], None], show: Progress, failed: Callable[[str], None]
     ) -> None:
         """Does a work, called with `show`, in a thread of its own; InputError where another is under way.
 
-        It catches its own errors. `what` is such as `diagnosing`.
+        `what` is such as `diagnosing`; `failed` is called with the sentence of an InputError.
         """
         with self._lock:
             if self.working:
@@ -109,6 +104,8 @@ class Session:
         def run() -> None:
             try:
                 work(show)
+            except InputError as e:
+                failed(str(e))
             finally:
                 self.working = ""
 

@@ -16,6 +16,7 @@ from lerobot_pneutac.reports.page import side_by_side
 from lerobot_pneutac.studio.plots import FLOOR, MEASURED, MODEL, Background, Lines, Player
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import AREA, CHAMBERS, IMAGE_NAME, PRESSURE, TRIAL_S, pressure_names, task_names
+from pneutac_sim.progress import no_progress
 
 BY_INSTRUCTION = "as its instruction says"
 
@@ -51,10 +52,8 @@ class EpisodePanel:
         name, number = self._name.value.strip(), int(self._number.value)
         if not name:
             raise InputError("Which dataset? Give its folder, such as outputs/demo/demonstrations.")
-        twin, task = (
-            self._studio.session.twin,
-            "" if self._task.value == BY_INSTRUCTION else self._task.value,
-        )
+        twin = self._studio.session.twin
+        task = "" if self._task.value == BY_INSTRUCTION else self._task.value
 
         def work(_) -> None:
             from pneutac_datasets.demonstrations.replay.imprint import find_place
@@ -62,14 +61,10 @@ class EpisodePanel:
             from pneutac_datasets.demonstrations.replay.replaying import replay
             from pneutac_sim.world.world import World
 
-            try:
-                given = load_demonstrations(name, task, twin, only=[number])
-                episode = given.episodes[0]
-                world = World(given.task, twin, "image", "probe", station=given.station)
-                replayed = replay(world, episode, find_place(world, episode), keep=True)
-            except InputError as e:
-                self.readout.content = f"> {e}"
-                return
+            given = load_demonstrations(name, task, twin, only=[number])
+            episode = given.episodes[0]
+            world = World(given.task, twin, "image", "probe", station=given.station)
+            replayed = replay(world, episode, find_place(world, episode), keep=True)
             self._episode, self._replayed = episode, replayed
             t = np.arange(len(episode)) / episode.fps
             self._player.reaches(float(t[-1]))
@@ -77,8 +72,11 @@ class EpisodePanel:
             self._charts[1].show(t, *pressure)
             self._show()
 
-        self._studio.session.begin("replaying an episode", work, lambda *_: None)
+        self._studio.session.begin("replaying an episode", work, no_progress, self._failed)
         self.readout.content = "The episode is replayed ..."
+
+    def _failed(self, why: str) -> None:
+        self.readout.content = f"> {why}"
 
     def _show(self) -> None:
         from lerobot_pneutac.verbs.compare_demonstrations import comparison_picture
@@ -93,11 +91,10 @@ class EpisodePanel:
         self._charts[0].show(t, *areas, now=t[i])
         off = float(np.sqrt(np.mean((r.images[i].astype(np.float32) - e.images[i]) ** 2)))
         end = "does the task too" if r.success else "does not do the task"
-        self.readout.content = (
-            f"**Off by {off:.1f} levels** at {t[i]:.2f} s: contact recorded {areas[0][i]:.2f} %, the twin's "
-            f"{areas[1][i]:.2f} %; pressure {e.state[i, PRESSURE]:.2f} and {r.pressure_kpa[i]:.2f} kPa. "
-            f"Replayed, the twin {end}."
-        )
+        contact = f"contact recorded {areas[0][i]:.2f} %, the twin's {areas[1][i]:.2f} %"
+        kpa = f"pressure {e.state[i, PRESSURE]:.2f} and {r.pressure_kpa[i]:.2f} kPa"
+        off = f"**Off by {off:.1f} levels** at {t[i]:.2f} s"
+        self.readout.content = f"{off}: {contact}; {kpa}. Replayed, the twin {end}."
 
     def _forget(self) -> None:
         if self._episode is not None:
@@ -229,15 +226,11 @@ class PolicyPlayer:
     """A policy at the beginning of an episode; InputError where there is none, or it wants to see more."""
 
     def __init__(self, name: str, task: str):
+        weights = "the folder of its weights, such as TRAINED/checkpoints/last/pretrained_model"
         if not name:
-            raise InputError(
-                "Which policy? Give its folder, such as TRAINED/checkpoints/last/pretrained_model."
-            )
+            raise InputError(f"Which policy? Give {weights}.")
         if Path(name).is_dir() and not (Path(name) / "config.json").is_file():
-            raise InputError(
-                f"{name} holds no policy (there is no config.json); give the folder of its weights, such as "
-                "TRAINED/checkpoints/last/pretrained_model."
-            )
+            raise InputError(f"{name} holds no policy (there is no config.json); give {weights}.")
         register_third_party_plugins()
         try:
             config = PreTrainedConfig.from_pretrained(name)

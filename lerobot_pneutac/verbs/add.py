@@ -31,66 +31,41 @@ from pneutac_sim.twin import Twin
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Addition(Result):
-    """What switching effects on did.
+    """What switching effects on did."""
 
-    Attributes:
-        effect: their names.
-        accepted: whether the test error falls significantly by them, and by nothing else.
-        reason: why they were refused, a sentence; empty where they were accepted.
-        twin: with the effects, re-fitted and not yet written; the one that was given where they were refused.
-        unit: of the errors.
-        noise_floor: error that the measurement's own noise makes; None where the recording does not show it.
-        before: error of the twin as it is, re-fitted: `train`, `heldout` (the test part), `heldout_ci95`;
-            None where nothing was fitted.
-        baseline: the same with the known causes that the recording shows; `before` where there are none.
-        after: the same with the effects too.
-        known: known causes that are switched on with them, such as `payload`.
-        contributions: what each term adds to all others, the largest first.
-        reduction: share of the avoidable error that known causes and effects remove together.
-        reduction_ci95: its interval.
-        parameters: name to `value`, `ci95` and `unit`.
-        at_bound: parameters stopped by a bound.
-        not_identified: parameters that the recording does not identify, and why.
-        physics: what each effect does to this device, sentences with the fitted numbers.
-        findings: of the data check, one sentence each.
-        objections: of the diagnosis that found it, one phrase each; empty where an effect was named.
-        diagnosed: whether a diagnosis found them; its own output has the notes and the table.
-        unconfirmed: whether the twin is stored although the effects were refused.
-        instead: another effect that explains more; empty where there is none.
-        instead_error: test error with it in place of these effects.
-        noted: what the twin's history stores besides the errors.
-        recording: that was used.
-        seed: that decided what was held out.
-        saved_to: the twin's folder once it was saved.
-    """
-
-    effect: str
-    accepted: bool
-    reason: str
+    effect: str  # their names
+    accepted: bool  # whether the test error falls significantly by them, and by nothing else
+    reason: str  # why they were refused, a sentence; empty where they were accepted
+    # with the effects, re-fitted and not yet written; the one that was given where they were refused
     twin: Twin
-    recording: str
-    seed: int
-    unit: str = ""
+    recording: str  # that was used
+    seed: int  # that decided what was held out
+    unit: str = ""  # of the errors
+    # error that the measurement's own noise makes; None where the recording does not show it
     noise_floor: float | None = 0.0
+    # error of the twin as it is, re-fitted: `train`, `heldout` (the test part), `heldout_ci95`; None where
+    # nothing was fitted
     before: dict | None = None
+    # the same with the known causes that the recording shows; `before` where there are none
     baseline: dict | None = None
-    after: dict | None = None
-    known: tuple[str, ...] = ()
-    contributions: tuple[Contribution, ...] = ()
-    reduction: float = 0.0
-    reduction_ci95: tuple[float, float] = (0.0, 0.0)
-    parameters: dict[str, dict] | None = None
-    at_bound: tuple[str, ...] = ()
-    not_identified: dict[str, str] | None = None
-    physics: tuple[str, ...] = ()
-    findings: tuple[str, ...] = ()
+    after: dict | None = None  # the same with the effects too
+    known: tuple[str, ...] = ()  # known causes that are switched on with them, such as `payload`
+    contributions: tuple[Contribution, ...] = ()  # what each term adds to all others, the largest first
+    reduction: float = 0.0  # share of the avoidable error that known causes and effects remove together
+    reduction_ci95: tuple[float, float] = (0.0, 0.0)  # its interval
+    parameters: dict[str, dict] | None = None  # name to `value`, `ci95` and `unit`
+    at_bound: tuple[str, ...] = ()  # parameters stopped by a bound
+    not_identified: dict[str, str] | None = None  # parameters that the recording does not identify, and why
+    physics: tuple[str, ...] = ()  # what each effect does to this device, sentences with the fitted numbers
+    findings: tuple[str, ...] = ()  # of the data check, one sentence each
+    # of the diagnosis that found it, one phrase each; empty where an effect was named
     objections: tuple[str, ...] = ()
-    diagnosed: bool = False
-    unconfirmed: bool = False
-    instead: str = ""
-    instead_error: float | None = None
-    noted: dict | None = field(default=None, repr=False)
-    saved_to: Path | None = None
+    diagnosed: bool = False  # whether a diagnosis found them; its own output has the notes and the table
+    unconfirmed: bool = False  # whether the twin is stored although the effects were refused
+    instead: str = ""  # another effect that explains more; empty where there is none
+    instead_error: float | None = None  # test error with it in place of these effects
+    noted: dict | None = field(default=None, repr=False)  # what the twin's history stores besides the errors
+    saved_to: Path | None = None  # the twin's folder once it was saved
 
     keys = (
         "effect", "accepted", "reason", "unconfirmed", "unit", "noise_floor", "before", "baseline", "after",
@@ -169,10 +144,9 @@ class Addition(Result):
             worth = "; ".join(f"{plain_name(c.name)} {c.error_without:.3g}" for c in self.contributions)
             out.append(f"Test error without each term, all else re-fitted, {self.unit}: {worth}.")
         if self.instead and self.accepted:
-            out.append(
-                f"{plain_name(self.instead)} by itself explains slightly more: test error "
-                f"{self.instead_error:.3g} {self.unit}. This recording hardly distinguishes the two."
-            )
+            more = f"explains slightly more: test error {self.instead_error:.3g} {self.unit}"
+            hardly = "This recording hardly distinguishes the two"
+            out.append(f"{plain_name(self.instead)} by itself {more}. {hardly}.")
         if self.at_bound:
             out.append(f"[yellow]at a bound:[/] {', '.join(self.at_bound)}")
         if self.accepted and self.objections:
@@ -181,10 +155,9 @@ class Addition(Result):
             out.append(f"wrote version {self.twin.history[-1]['version']} of {self.saved_to}")
         bench = [h["recording"] for h in self.twin.history if h["change"] == "calibrated"]
         if self.accepted and bench and "touch" in (self.after or {}):
-            out.append(
-                "This was found from touch, with the finger pressed; re-fit the free bend to the bench "
-                f"recording: `{command_on('calibrate', self.twin, bench[-1])}`."
-            )
+            refit = f"`{command_on('calibrate', self.twin, bench[-1])}`"
+            found = "This was found from touch, with the finger pressed"
+            out.append(f"{found}; re-fit the free bend to the bench recording: {refit}.")
         return out
 
     def content(self) -> dict:
@@ -309,17 +282,7 @@ def _whole(
     return _addition(study, twin, selected, found, given, anyway, False, decided, mechanisms)
 
 
-def _addition(
-    study,
-    twin: Twin,
-    effects: Sequence[str],
-    found: Refits,
-    given: dict,
-    anyway: bool,
-    named: bool,
-    decided: bool = True,
-    mechanisms: Sequence[Mechanism] = (),
-) -> Addition:
+def _addition(study, twin, effects, found: Refits, given, anyway, named, decided=True, mechanisms=()):
     """The result of switching on effects, `named` by the user or found by a diagnosis that `decided`."""
     before, base, after = found.before, found.baseline, found.after
     reduction, interval = study.reduction(before, after)
@@ -328,15 +291,11 @@ def _addition(
     parameters = {of[e] + k: v for e in effects for k, v in study.parameters(after, e).items()}
     reason = _refusal(study, effects, found, named)
     if not reason and not decided:
-        reason = (
-            f"Not added: the diagnosis is inconclusive; {_plain(effects)} only compensates for something "
-            f"that no known effect describes. --anyway stores it marked as unconfirmed."
-        )
-    physics = (
-        hedged(study.describe(after, e), family_in(after.twin, e), mechanisms)
-        for e in effects
-        if e in after.effects
-    )
+        why = f"{_plain(effects)} only compensates for something that no known effect describes"
+        mark = "--anyway stores it marked as unconfirmed"
+        reason = f"Not added: the diagnosis is inconclusive; {why}. {mark}."
+    kinds = {e: family_in(after.twin, e) for e in effects if e in after.effects}
+    physics = (hedged(study.describe(after, e), kind, mechanisms) for e, kind in kinds.items())
     return Addition(
         accepted=not reason,
         unconfirmed=bool(reason) and anyway,
@@ -367,18 +326,15 @@ def _refusal(study, effects: Sequence[str], found: Refits, named: bool) -> str:
     """Why effects are not added, a sentence; empty where they are."""
     base, after, unit = found.baseline if named else found.before, found.after, study.unit
     errors = [study.errors(m)["heldout"] for m in (base, after)]
-    names = _plain(effects)
+    names, from_to = _plain(effects), f"from {errors[0]:.4g} to {errors[1]:.4g} {unit}"
     fall = study.test.paired(base.squared, after.squared, study.across_trials)
     if found.better is not None and fall.significant:
         other, model = found.better
         without, all_in, instead = (study.test.value(m.squared) for m in (found.baseline, after, model))
         if without - all_in <= T.NEARLY * (without - instead):  # else the effects remove nearly as much
-            return (
-                f"Not added: {names} lowers the test error from {errors[0]:.4g} to {errors[1]:.4g} {unit}, "
-                f"but {plain_name(other)} lowers it to {study.errors(model)['heldout']:.4g} {unit} and "
-                f"leaves nothing to {names}."
-            )
-    from_to = f"from {errors[0]:.4g} to {errors[1]:.4g} {unit}"
+            lower = f"{plain_name(other)} lowers it to {study.errors(model)['heldout']:.4g} {unit}"
+            but = f"{lower} and leaves nothing to {names}"
+            return f"Not added: {names} lowers the test error {from_to}, but {but}."
     if idle := [e for e in effects if study.idle(after, e)]:
         plural = "their constants end where they do" if len(idle) > 1 else "its constants end where it does"
         return f"Not added: {_plain(idle)} changes nothing; {plural} nothing{_known_help(study, found)}."
@@ -410,11 +366,10 @@ def _not_yet(study, names: str, errors: Sequence[float], fall: PairedTest) -> st
     if fall.value < T.WORTH_OF_CAUSE * errors[0] ** 2:
         share = f"{100 * T.WORTH_OF_CAUSE:.0f} %"
         return f"Not added: {text}, which is not significant and less than {share} of it"
-    return (
-        f"Not added, as it is not significant yet: {text}. {fall.units} held-out pieces show a fall of "
-        f"{fall.least:.3g} {square} with a power of {100 * T.POWER:.0f} %, so record about "
-        f"{study.more_to_show(fall)}; --anyway stores it now, marked as unconfirmed"
-    )
+    power = f"a fall of {fall.least:.3g} {square} with a power of {100 * T.POWER:.0f} %"
+    more = f"{fall.units} held-out pieces show {power}, so record about {study.more_to_show(fall)}"
+    stored = "--anyway stores it now, marked as unconfirmed"
+    return f"Not added, as it is not significant yet: {text}. {more}; {stored}"
 
 
 def _known_help(study, found: Refits) -> str:
@@ -423,10 +378,8 @@ def _known_help(study, found: Refits) -> str:
         return ""
     before, base = (study.errors(m)["heldout"] for m in (found.before, found.baseline))
     lower, them = ("cause {} lowers", "it") if len(found.known) == 1 else ("causes {} lower", "them")
-    return (
-        f". The known {lower.format(_plain(found.known))} the test error from {before:.4g} to {base:.4g} "
-        f"{study.unit}; `pneutac calibrate` fits {them}"
-    )
+    falls = f"the test error from {before:.4g} to {base:.4g} {study.unit}"
+    return f". The known {lower.format(_plain(found.known))} {falls}; `pneutac calibrate` fits {them}"
 
 
 @dataclass
@@ -447,10 +400,8 @@ class AddConfig(PairOptions):
 
     def __post_init__(self):
         if bool(self.effect) == (self.diagnosis is not None):
-            raise InputError(
-                "Give either the effects, --effect=A,B, or all that a diagnosis found, --from=DIR; "
-                "`pneutac diagnose --out=DIR` finds what is missing."
-            )
+            either = "Give either the effects, --effect=A,B, or all that a diagnosis found, --from=DIR"
+            raise InputError(f"{either}; `pneutac diagnose --out=DIR` finds what is missing.")
 
 
 def command(cfg: AddConfig, terminal: Terminal) -> None:

@@ -15,6 +15,7 @@ from pneutac_datasets.demonstrations import faults as recorded
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
 from pneutac_datasets.demonstrations.augment.reference import onset_sigma_m
 from pneutac_datasets.demonstrations.faults import TACTILE
+from pneutac_datasets.recording.wording import plural
 from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.executor import ExecutorOptions
 from pneutac_sim.features import FIDELITIES, task_names
@@ -28,6 +29,13 @@ if TYPE_CHECKING:
     from lerobot.datasets import LeRobotDatasetMetadata
 
     from pneutac_sim.gel.sensor import TactileSensor
+
+
+from lerobot_pneutac.reports.page import SERIES
+from pneutac_datasets.demonstrations.augment.reference import Reference
+from pneutac_datasets.demonstrations.faults import set_aside
+from pneutac_sim.features import VELOCITY_NAMES, Places
+from pneutac_sim.gel.contact import without_specks
 
 METHODS = ("library", "expert", "planner", "naive")
 MOST_START_M, MOST_REAL = 0.1, 0.9
@@ -93,15 +101,13 @@ class AugmentConfig(ExecutorOptions):
         self.method = "planner" if self.method == "tactile" else self.method
         check_choice("method", self.method, METHODS)
         anywhere = self.method in ("library", "expert")
-        if self.start_range is not None:
-            if not anywhere:
-                raise InputError(f"start_range is of library and expert, not of {self.method}; leave it out.")
-            if not all(0 <= x <= MOST_START_M for x in self.start_range):
-                raise InputError(f"start_range must be three numbers of 0 to {MOST_START_M} m.")
+        for name in ("start_range", "start_width"):
+            if getattr(self, name) and not anywhere:
+                raise InputError(f"{name} is of library and expert, not of {self.method}; leave it out.")
+        if not all(0 <= x <= MOST_START_M for x in self.start_range or ()):
+            raise InputError(f"start_range must be three numbers of 0 to {MOST_START_M} m.")
         if not 0 <= self.start_width <= MOST_WIDE:
             raise InputError(f"start_width is {self.start_width:g}; it must be from 0 to {MOST_WIDE:g}.")
-        if self.start_width and not anywhere:
-            raise InputError(f"start_width is of library and expert, not of {self.method}; leave it out.")
         if anywhere and self.planner != PlannerConfig():
             raise InputError(f"planner has options that {self.method} does not use; give method=planner.")
         if self.real_share is None:
@@ -111,6 +117,7 @@ class AugmentConfig(ExecutorOptions):
         check_choice("fidelity", self.fidelity, FIDELITIES)
         self.check_executor()
         check_least(1, episodes=self.episodes, attempts=self.attempts, worlds=self.worlds)
+        check_choice("device", self.device, ("cpu", "cuda"))
         if self.device != "cpu":
             self._check_device()
         check_least(0, check_mpm=self.check_mpm)
@@ -127,11 +134,9 @@ class AugmentConfig(ExecutorOptions):
             Station.load(self.station).make_arm()
 
     def _check_device(self) -> None:
-        check_choice("device", self.device, ("cpu", "cuda"))
-        if self.method != "library":
-            raise InputError(f"device=cuda is of method=library, not of {self.method}; leave it out.")
-        if self.executor != "local":
-            raise InputError(f"device=cuda is of executor=local, not of {self.executor}; leave one out.")
+        for name, only in (("method", "library"), ("executor", "local")):
+            if (value := getattr(self, name)) != only:
+                raise InputError(f"device=cuda is of {name}={only}, not of {value}; leave one out.")
         import torch
 
         if not torch.cuda.is_available():
@@ -166,30 +171,24 @@ class Augmentation(Result):
         if checks:
             agree = sum(c["success"] for c in checks)
             out.append(f"Material points do the task in {agree} of {len(checks)} of them too.")
-        out.append(
-            f"{len(self.references)} demonstrations in, {stored} new ones in {self.config.output.root}"
-            f" ({minutes:.1f} minutes, {stored / minutes:.0f} a minute)."
-        )
+        pace = f"{minutes:.1f} minutes, {stored / minutes:.0f} a minute"
+        new = f"{stored} new ones in {self.config.output.root} ({pace})"
+        out.append(f"{len(self.references)} demonstrations in, {new}.")
         if start_range := self.summary.get("start_range_m"):
             reach = " / ".join(f"{1e3 * each:.0f}" for each in start_range)
             out.append(f"They start up to {reach} mm (x / y / z) away from recorded starts (--start_range).")
         if late := self.summary.get("answer_delay_frames"):
-            out.append(
-                f"The demonstrator answers a touch {late} frame{'s' * (late > 1)} late; pneutac_bc learns to"
-                " answer earlier, by at most 0.2 s (--policy.answer_delay)."
-            )
+            earlier = "pneutac_bc learns to answer earlier, by at most 0.2 s (--policy.answer_delay)"
+            out.append(f"The demonstrator answers a touch {plural(late, 'frame')} late; {earlier}.")
         if copies := self.summary.get("copies", 0):
-            times = copies // len(self.references)
-            out.append(
-                f"The dataset holds the recorded ones {times} time{'s' * (times > 1)}, so that training on it"
-                " mixes both (--real_share); do not merge it with them again."
-            )
+            mixed = "so that training on it mixes both (--real_share); do not merge it with them again"
+            times = plural(copies // len(self.references), "time")
+            out.append(f"The dataset holds the recorded ones {times}, {mixed}.")
         elif share := self.config.real_share:
-            out.append(
-                f"The dataset holds none of the recorded ones: --real_share={share:g}, and one copy of them"
-                f" would be {200 * share / (1 + share):.0f} % of its frames or more. Make more (--episodes)"
-                " or merge both with lerobot-edit-dataset."
-            )
+            copy = f"one copy of them would be {200 * share / (1 + share):.0f} % of its frames or more"
+            remedy = "Make more (--episodes) or merge both with lerobot-edit-dataset"
+            none = f"The dataset holds none of the recorded ones: --real_share={share:g}"
+            out.append(f"{none}, and {copy}. {remedy}.")
         return out
 
     def subject(self) -> tuple[Twin, Path]:
@@ -214,8 +213,6 @@ class Augmentation(Result):
         return out | ({"set_aside": self.failed} if self.failed else {})
 
     def page(self) -> Report:
-        from lerobot_pneutac.reports.augment import augment_page
-
         return augment_page(self)
 
 
@@ -234,19 +231,16 @@ def other_sensor(meta: "LeRobotDatasetMetadata", sensor: "TactileSensor") -> str
     like = likeness(rest, torch.from_numpy(sensor.rest_image.copy()).permute(2, 0, 1) / 255)
     image = (255 * rest).round().byte().permute(1, 2, 0).contiguous().numpy()
     if like is not None and like < SAME_SENSOR:
-        raise InputError(
-            f"{meta.root}: the first images of '{TACTILE}' are not of the twin's kind of sensor, or turned"
-            f" (correlation {like:.2f} with its image at rest, {SAME_SENSOR:g} needed); give --twin of the"
-            " sensor that recorded them."
-        )
+        how = f"correlation {like:.2f} with its image at rest, {SAME_SENSOR:g} needed"
+        what = f"the first images of '{TACTILE}' are not of the twin's kind of sensor, or turned ({how})"
+        raise InputError(f"{meta.root}: {what}; give --twin of the sensor that recorded them.")
     share = contact_area(quieted(image), quieted(sensor.rest_image), sensor.model.threshold_levels).area
     if share <= MOST_ELSEWHERE:
         return ""
-    return (
-        f"{meta.root}: before a touch {100 * share:.0f} % of the pixels of '{TACTILE}' differ from the twin's"
-        " image at rest, so that a policy trained on both takes one of the two for touched; calibrate the"
-        " twin's gel (pneutac calibrate), or give --twin of that sensor."
-    )
+    pixels = f"before a touch {100 * share:.0f} % of the pixels of '{TACTILE}' differ from the twin's image"
+    why = "at rest, so that a policy trained on both takes one of the two for touched"
+    remedy = "calibrate the twin's gel (pneutac calibrate), or give --twin of that sensor"
+    return f"{meta.root}: {pixels} {why}; {remedy}."
 
 
 def augment(
@@ -326,3 +320,95 @@ def command(config: AugmentConfig, terminal: Terminal) -> None:
     with terminal.progress() as progress:
         result = augment(config, progress, terminal.note)
     terminal.finish(result, config.out)
+
+
+SHOWN = 4  # recorded demonstrations whose touch is drawn
+
+
+def augment_page(result) -> Report:
+    """The page of an `Augmentation`."""
+    summary, references, output = result.summary, result.references, result.config.output
+    report = Report(f"{summary['kept']} demonstrations from {len(references)}")
+    did = f"{summary['kept']} did the task ({100 * result.share:.0f} %)"
+    minutes = f"{summary['wall_s'] / 60:.1f} minutes"
+    report.lead(f"{summary['attempts']} variants were tried and {did}, in {minutes}.")
+    moved = "; objects and reference trajectories were moved together by as much in x and y"
+    sigma = " / ".join(f"{s:.1f}" for s in 1e3 * onset_sigma_m(references))
+    begin = f"within {sigma} mm (standard deviation in x / y / z){moved * bool(summary['scenes'])}"
+    report.text(f"Contacts of the recorded demonstrations begin {begin}.")
+    late = {line["late_commands"] for line in summary["provenance"] if "late_commands" in line}
+    if late:
+        fit = f"the recorded paths fit the twin best where commands act {max(late)} control steps late"
+        report.text(f"Until the touch {fit}; so they do in the new demonstrations.")
+    report.table(result.rows(), "Yield")
+    if summary["scenes"]:
+        scenes = [
+            {"demonstration": r.source, "works in the twin": s["works"], "contact area RMSE": s["area_rmse"]}
+            | {"object moved (mm)": ", ".join(f"{1e3 * x:.1f}" for x in s["shift_m"][:2])}
+            for r, s in zip(references, summary["scenes"], strict=False)
+        ]
+        report.table(scenes, "Where the object stood: the replay of each recorded demonstration in the twin")
+    if "checks" in summary:
+        report.table([_check_row(c) for c in summary["checks"]], "Carried out once more by material points")
+    report.heading("Touch")
+    states = _states(output.repo_id, output.root)[: summary["kept"]]
+    sources = [line["source_episode"] for line in summary["provenance"]]
+    report.figure(_touch(states, sources, references), "Contact area: recorded (thick) and new (thin)")
+    report.figure(_paths(states, references), "Where the contacts begin, from above")
+    if result.failed:
+        recorded = len(references) + len(result.failed)
+        report.text(set_aside(result.config.dataset.root, recorded, result.failed))
+    return report
+
+
+def _check_row(check: dict) -> dict:
+    row = {"demonstration": check["episode"], "does the task": check["success"]}
+    row |= {"steps with touch, planned / checked": " / ".join(map(str, check["touched"]))}
+    row |= {"contact area RMSE": check["area_rmse"], "largest contact area": check["area_peak"]}
+    return row | {"image RMSE (levels)": check["image_rmse_levels"], "minutes": check["seconds"] / 60}
+
+
+def _states(repo_id: str, root: Path) -> list[np.ndarray]:
+    from lerobot.datasets import LeRobotDataset
+    from lerobot.utils.constants import OBS_STATE
+
+    dataset = LeRobotDataset(repo_id, root, video_backend="pyav")
+    state = np.stack(dataset.hf_dataset.with_format("numpy")[OBS_STATE][:])
+    rows = (dataset.meta.episodes[i] for i in range(dataset.num_episodes))
+    return [state[r["dataset_from_index"] : r["dataset_to_index"]] for r in rows]
+
+
+def _places(references: list[Reference]) -> Places:
+    return Places.of(references[0].action.shape[1] - len(VELOCITY_NAMES))
+
+
+def _touch(states: list[np.ndarray], sources: list[int], references: list[Reference]):
+    from lerobot_pneutac.reports.figures import curves  # plotly
+
+    places = _places(references)
+    lines = []
+    for state, source in zip(states, sources, strict=True):
+        if source in [r.source for r in references[:SHOWN]]:
+            t = np.arange(len(state)) / references[0].control_hz
+            style = {"color": SERIES[source % len(SERIES)], "width": 0.7}
+            lines.append(("", t, state[:, places.area], style))
+    for r in references[:SHOWN]:
+        t, style = np.arange(len(r)) / r.control_hz, {"color": SERIES[r.source % len(SERIES)], "width": 3}
+        lines.append((f"demonstration {r.source}", t, r.area, style))
+    figure = curves(lines, "time (s)", "contact area (share of the image)")
+    return figure.for_each_trace(lambda trace: trace.update(showlegend=bool(trace.name)))
+
+
+def _paths(states: list[np.ndarray], references: list[Reference]):
+    import plotly.graph_objects as go
+
+    places = _places(references)
+    touched = [(s, np.flatnonzero(without_specks(s[:, places.area]))) for s in states]
+    new = [s[frames[0], places.ee] for s, frames in touched if len(frames)]
+    old = [r.flange_m[r.onset] for r in references]
+    figure = go.Figure()
+    for name, points, size in (("new", new, 6), ("recorded", old, 12)):
+        x, y, _ = 1e3 * np.array(points).T
+        figure.add_scatter(x=x, y=y, mode="markers", name=name, marker={"size": size})
+    figure.update_layout(xaxis_title="flange x (mm)", yaxis_title="flange y (mm)")
+    return figure

@@ -99,7 +99,7 @@ def calibrate(
             why = f"{name} is for {of}, but {recording.folder} is fitted by its {method}"
             raise InputError(f"{why}; omit it{more}.")
     if isinstance(recording, Demonstrations):
-        from lerobot_pneutac.verbs.calibrate_demonstrations import calibrate_demonstrations
+        from lerobot_pneutac.verbs.compare_demonstrations import calibrate_demonstrations
 
         return calibrate_demonstrations(twin, recording, seed)
     if recording.device == "gel":
@@ -127,10 +127,8 @@ def calibrate(
 def _same_device(twin: Twin, recording: Recording | Demonstrations, name: str) -> None:
     """Raises InputError where the devices differ; a finger takes the recording of its gel."""
     if twin.device != recording.device and (twin.device, recording.device) != ("finger", "gel"):
-        raise InputError(
-            f"{recording.folder} is a recording of {an(recording.device)}, but {name} is of "
-            f"{an(twin.device)}; give a twin of that device."
-        )
+        both = f"a recording of {an(recording.device)}, but {name} is of {an(twin.device)}"
+        raise InputError(f"{recording.folder} is {both}; give a twin of that device.")
 
 
 def training_levels(levels: Sequence[float] | str) -> tuple[float, ...]:
@@ -200,14 +198,11 @@ def run(cfg: CalibrateConfig, scratch: Path, terminal: Terminal) -> Calibration:
         with terminal.progress() as progress:
             result = calibrate(twin, recording, **keywords(cfg, calibrate), keep=keep, progress=progress)
     except KeyboardInterrupt:
-        file = keep / SEARCH
-        count = len(json.loads(file.read_text())["evaluations"]) if file.is_file() else 0
-        terminal.say(
-            f"Stopped after {count} evaluations, stored in {file}; the twin is unchanged, and the same "
-            "command continues from here."
-            if count
-            else "Stopped before the first candidates were evaluated; the twin is as it was."
-        )
+        file, stopped = keep / SEARCH, "Stopped before the first candidates were evaluated"
+        if file.is_file() and (count := len(json.loads(file.read_text())["evaluations"])):
+            goes_on = "the same command continues from here"
+            stopped = f"Stopped after {count} evaluations, stored in {file}; {goes_on}"
+        terminal.say(f"{stopped}; the twin is unchanged.")
         raise
     if result.worse:
         return result
@@ -243,10 +238,9 @@ def recording_for(cfg: CalibrateConfig, scratch: Path) -> tuple[Recording | Demo
         return Recording.load(real), f"No --recording given: using the DIGIT photographs in {real}."
     from pneutac_datasets.generate.gel import write_gel_recording
 
-    return Recording.load(write_gel_recording(scratch / "generated", cfg.seed).folder), (
-        "[yellow]No --recording given: using GENERATED images, not photographs.[/] "
-        "Give --recording=DIR to calibrate to a real sensor."
-    )
+    note = "[yellow]No --recording given: using GENERATED images, not photographs.[/]"
+    remedy = "Give --recording=DIR to calibrate to a real sensor."
+    return write_gel_recording(scratch / "generated", cfg.seed), f"{note} {remedy}"
 
 
 def twin_for(folder: Path, recording: Recording | Demonstrations) -> Twin:

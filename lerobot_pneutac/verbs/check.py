@@ -151,10 +151,8 @@ def _twin(path: Path) -> tuple[list[str], list[str]]:
     for name in of_body(twin.effects):
         needed = [c for c in get_effect(name).columns if c not in COMPUTED]
         if needed:
-            notes.append(
-                f"With the effect {name} robots and environments need {', '.join(needed)}: give them as "
-                f"--env.conditions='{{{needed[0]}: ...}}'."
-            )
+            need = f"With the effect {name} robots and environments need {', '.join(needed)}"
+            notes.append(f"{need}: give them as --env.conditions='{{{needed[0]}: ...}}'.")
     if twin.device == "finger":
         missing = [n for n in WORLD if n not in twin.parameters]
         if missing:
@@ -167,10 +165,9 @@ def _twin(path: Path) -> tuple[list[str], list[str]]:
                 notes.append(f"{e}{without}")
     stiffness = twin.parameters.get(WORLD[0])
     if twin.device == "arm" and stiffness == Value(PAPER_FINGER[WORLD[0]]):
-        notes.append(
-            f"{WORLD[0]} is {stiffness.value:g}, assumed and not measured: it is how far a touch bends the"
-            " body in the world; measure it by a weight across the tip."
-        )
+        assumed = f"{WORLD[0]} is {stiffness.value:g}, assumed and not measured"
+        use = "it is how far a touch bends the body in the world"
+        notes.append(f"{assumed}: {use}; measure it by a weight across the tip.")
     return faults, notes
 
 

@@ -199,10 +199,9 @@ def _day(recording: Recording) -> date:
     try:
         return date.fromisoformat(value or "")
     except (TypeError, ValueError):
-        raise InputError(
-            f"{file}: field 'date' is {'missing' if value is None else repr(value)}; give the day of the "
-            'measurement, such as "2026-03-01".'
-        ) from None
+        remedy = 'give the day of the measurement, such as "2026-03-01"'
+        found = "missing" if value is None else repr(value)
+        raise InputError(f"{file}: field 'date' is {found}; {remedy}.") from None
 
 
 def _date(day: date, c, rng: np.random.Generator) -> Date:

@@ -265,14 +265,11 @@ class BodyComparison(Comparison):
     def content(self) -> dict:
         means = "measured pressure against what the twin makes of the command"
         pressure = self.pressure_error and {"unit": "kPa", "error": self.pressure_error, "means": means}
-        residual = self.measured - self.model
-        return super().content() | {
-            "noise": {n: getattr(self.noise, n) for n in ("session", "how", "by_column")},
-            "band": None if self.band is None else {"level": 0.95, "how": self.band.how},
-            "columns": {name: rms_of(residual[:, i] ** 2) for i, name in enumerate(self.columns)},
-            "pressure": pressure,
-            "samples": len(self.squared),
-        }
+        left = zip(self.columns, (self.measured - self.model).T, strict=True)
+        out = {"noise": {n: getattr(self.noise, n) for n in ("session", "how", "by_column")}}
+        out |= {"band": None if self.band is None else {"level": 0.95, "how": self.band.how}}
+        out |= {"columns": {name: rms_of(x**2) for name, x in left}, "pressure": pressure}
+        return super().content() | out | {"samples": len(self.squared)}
 
     def page(self) -> Report:
         from lerobot_pneutac.reports.compare import comparison_page
@@ -354,10 +351,9 @@ def out_of_range(twin: Twin, bench: BodyData) -> tuple[float | None, str | None]
 
     network = network_of(twin, ActionNetwork.load(file))
     if network is None:
-        return None, (
-            "The twin's action network was trained before its body's shape or material changed, so its "
-            f"range is not valid; run `pneutac surrogate {option('twin', Path(file).parent)}`."
-        )
+        old = "The twin's action network was trained before its body's shape or material changed"
+        remedy = f"run `pneutac surrogate {option('twin', Path(file).parent)}`"
+        return None, f"{old}, so its range is not valid; {remedy}."
     pipeline = Pipeline.of(twin, bench.inputs)
     joints = pipeline.run(bench.inputs, pipeline.theta(twin, bench.inputs.pressure_range_kpa)).joints
     outside = np.array([not network.resistance(q, q)[2] for q in joints])

@@ -1,5 +1,6 @@
-"""Compares a twin with demonstrations: each is replayed in its world."""
+"""Demonstrations of a robot with the finger: each replayed in the twin's world; the gel's light at rest."""
 
+import time
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -9,11 +10,12 @@ from lerobot_pneutac.diagnosis.search import Structure
 from lerobot_pneutac.reports.page import COMMAND, MEASURED, MODEL, OTHER, Report, difference, side_by_side
 from lerobot_pneutac.study.demonstration_fit import ARM, LATE, TOUCH
 from lerobot_pneutac.study.demonstrations import UNIT, DemonstrationStudy
-from lerobot_pneutac.verbs.result import Comparison, rms_of
+from lerobot_pneutac.verbs.result import Calibration, Comparison, rms_of
 from pneutac_datasets.demonstrations.episodes import Episode
-from pneutac_datasets.demonstrations.replay.imprint import LightDrift, light_drift
+from pneutac_datasets.demonstrations.replay.imprint import Dragging, LightDrift, light_drift, rest_image
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.demonstrations.replay.replaying import Replayed, replay
+from pneutac_sim.errors import InputError
 from pneutac_sim.features import AREA, CONTROL_HZ, PRESSURE
 from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.gel.model import GelModel
@@ -134,10 +136,9 @@ class DemonstrationComparison(Comparison):
         channel = max(("arm", "gauge", "touch"), key=lambda k: self.error[k] or 0.0)
         phase = max(self.by["phase"], key=lambda r: r["error"] or 0.0)["bin"]
         most = {"arm": "where the arm goes", "gauge": "its pressure", "touch": "its touch"}[channel]
-        return (
-            f"Replayed in its world, the twin misses the demonstrations by {self.error['heldout']:.3g} "
-            f"{UNIT} on held-out episodes, most in {most} and in the phase '{phase}'."
-        )
+        misses = f"the twin misses the demonstrations by {self.error['heldout']:.3g} {UNIT}"
+        where = f"most in {most} and in the phase '{phase}'"
+        return f"Replayed in its world, {misses} on held-out episodes, {where}."
 
     def rows(self) -> list[dict]:
         name = f"{UNIT} (noise {self.noise_floor:.3g})"
@@ -147,55 +148,49 @@ class DemonstrationComparison(Comparison):
         ]
 
     def remarks(self) -> list[str]:
-        own = self.study.fitter.known_s
-        out = []
+        own, out = self.study.fitter.known_s, []
         if self.latency_s - own > LATE_S:
-            out.append(
-                f"Commands acted {self.latency_s:.2g} s late and the twin has {own:.2g} s; `pneutac "
-                "diagnose` finds whether arm and air are equally late."
-            )
+            late = f"Commands acted {self.latency_s:.2g} s late and the twin has {own:.2g} s"
+            out.append(f"{late}; `pneutac diagnose` finds whether arm and air are equally late.")
         out.append(f"Touch is shown {self.clock_s:.2g} s after the robot's joints and gauge.")
         if self.drift_s is not None and abs(self.drift_s) > 1 / CONTROL_HZ:
+            later = f"touch is {self.drift_s:+.2g} s later in the second half of an episode than in the first"
             out.append(
-                f"[yellow]The clocks of camera and robot drift:[/] touch is {self.drift_s:+.2g} s later in "
-                "the second half of an episode than in the first, which the twin is charged with."
+                f"[yellow]The clocks of camera and robot drift:[/] {later}, which the twin is charged with."
             )
         out.append(self.light.sentence)
         stronger = self.study.stronger_by(self.twin) if self.residual.size else 0.0
         if stronger:
-            out.append(
-                f"Imprints are {np.exp(stronger):.2g} times as strong as in the demonstrations that the twin "
-                "was fitted to, which counts as an error of its touch; `pneutac diagnose` finds why."
-            )
+            times = f"Imprints are {np.exp(stronger):.2g} times as strong as in what the twin was fitted to"
+            out.append(f"{times}, which counts as an error of its touch; `pneutac diagnose` finds why.")
         return out
 
     def content(self) -> dict:
-        return super().content() | {
-            "light": self.light.to_dict(),
-            "places": [
-                {"seed": e.place.seed, "shift_m": list(e.place.shift_m)} for e in self.study.fitter.episodes
-            ],
-        }
+        placed = (e.place for e in self.study.fitter.episodes)
+        places = [{"seed": p.seed, "shift_m": list(p.shift_m)} for p in placed]
+        return super().content() | {"light": self.light.to_dict(), "places": places}
+
+    def film(self, number: int) -> tuple[list[np.ndarray], int]:
+        """An episode's gel as recorded and as replayed, uint8 (H, W, 3) each, and the frame touched most."""
+        e, r = self.demonstrations.episodes[number], self.replayed[number]
+        frames = [comparison_picture(a, b) for a, b in zip(e.images, r.images, strict=True)]
+        return frames, int(np.argmax(e.state[:, AREA]))
 
     def page(self) -> Report:
         return demonstrations_page(self)
 
     def pictures(self) -> dict[str, np.ndarray]:
-        frames = film_frames(self, self.worst[0]["trial"])
-        e = self.demonstrations.episodes[self.worst[0]["trial"]]
-        return {"touch.png": frames[int(np.argmax(e.state[:, AREA]))]}
+        frames, most = self.film(self.worst[0]["trial"])
+        return {"touch.png": frames[most]}
 
 
 def phases(episode: Episode) -> np.ndarray:
     """(T,) phase of each frame of an episode, an index of `PHASES`."""
-    touched = without_specks(episode.state[:, AREA]) > 0
     first, last = episode.contact() or (len(episode), len(episode))
     frames = np.arange(len(episode))
-    out = np.zeros(len(episode), int)
-    out[touched] = 2
+    out = np.where(without_specks(episode.state[:, AREA]) > 0, 2, 0)
     out[np.abs(frames - first) <= NEAR] = 1
-    letting_go = (frames > last - NEAR) & (frames <= last + NEAR) & (frames > first + NEAR)
-    out[letting_go] = 3
+    out[(frames > last - NEAR) & (frames <= last + NEAR) & (frames > first + NEAR)] = 3
     return out
 
 
@@ -237,7 +232,6 @@ def _clock_drift_s(study: DemonstrationStudy) -> float | None:
 
 WIDTH = 180  # of a picture of the gel, px
 GAIN = 3  # by which a change is shown larger
-SHOWN = 3  # episodes with curves
 EVERY = 2  # frames of an episode that are shown in the film
 
 
@@ -246,20 +240,14 @@ def demonstrations_page(c) -> Report:
     for remark in c.remarks():
         page.text(remark.replace("[yellow]", "").replace("[/]", ""))
     worst = c.worst[0]["trial"]
-    e = c.demonstrations.episodes[worst]
-    frames = film_frames(c, worst)
-    caption = (
-        f"Episode {worst}: the gel as recorded, as replayed, and their difference, {GAIN} times as large."
-    )
-    page.image(frames[int(np.argmax(e.state[:, AREA]))], caption, 3 * WIDTH)
-    page.film(
-        frames[::EVERY], EVERY / CONTROL_HZ, f"The same as a film, {len(e) / CONTROL_HZ:.0f} s.", 3 * WIDTH
-    )
+    frames, most = c.film(worst)
+    caption = f"the gel as recorded, as replayed, and their difference, {GAIN} times as large."
+    page.image(frames[most], f"Episode {worst}: {caption}", 3 * WIDTH)
+    caption = f"The same as a film, {len(frames) / CONTROL_HZ:.0f} s."
+    page.film(frames[::EVERY], EVERY / CONTROL_HZ, caption, 3 * WIDTH)
     page.heading("Pressure, contact area and path")
-    for row in c.worst[:SHOWN]:
-        page.figure(
-            _curves(c, row["trial"]), f"Episode {row['trial']}: recorded, and replayed by the twin.", 520
-        )
+    for i in (row["trial"] for row in c.worst):
+        page.figure(_curves(c, i), f"Episode {i}: recorded, and replayed by the twin.", 520)
     page.heading("Errors")
     for axis, rows in c.by.items():
         page.table([{axis: r.pop("bin"), **r} for r in map(dict, rows)])
@@ -270,24 +258,17 @@ def demonstrations_page(c) -> Report:
     return page
 
 
-def film_frames(c, number: int) -> list[np.ndarray]:
-    """Of an episode: the gel as recorded and as replayed side by side, uint8 (H, W, 3) each."""
-    recorded, replayed = c.demonstrations.episodes[number].images, c.replayed[number].images
-    assert replayed is not None
-    return [comparison_picture(a, b) for a, b in zip(recorded, replayed, strict=True)]
-
-
 def comparison_picture(recorded: np.ndarray, replayed: np.ndarray) -> np.ndarray:
     """Two images of the gel and their difference, `GAIN` times as large, side by side: uint8 (H, W, 3)."""
     return side_by_side((recorded, replayed, difference(recorded, replayed, GAIN)), width=WIDTH, gap=0)
 
 
 def _curves(c, number: int):
-    from plotly.subplots import make_subplots
+    from lerobot_pneutac.reports.figures import stacked  # plotly
 
     e, r = c.demonstrations.episodes[number], c.replayed[number]
     t = np.arange(len(e)) / CONTROL_HZ
-    figure = make_subplots(rows=3, cols=1, shared_xaxes=True, vertical_spacing=0.05)
+    figure = stacked(("pressure (kPa)", "contact area (%)", "arm (mm)"), (1, 1, 1), 0.05)
     ends = c.study.fitter.ends
     off = np.linalg.norm(c.residual[ends[number] : ends[number + 1], :3], axis=1)
     lines = (
@@ -300,6 +281,88 @@ def _curves(c, number: int):
     )
     for row, name, x, y, colour in lines:
         figure.add_scatter(x=x, y=y, name=name, line_color=colour, showlegend=row != 2, row=row, col=1)
-    for row, title in ((1, "pressure (kPa)"), (2, "contact area (%)"), (3, "arm (mm)")):
-        figure.update_yaxes(title=title, row=row, col=1)
-    return figure.update_xaxes(title="s", row=3, col=1)
+    return figure
+
+
+COLOURS = ("red", "green", "blue")
+LEAST = 2  # episodes: one to take the light from, one to test it
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class LightCalibration(Calibration):
+    """A twin whose gel is lit at rest as in demonstrations."""
+
+    light: LightDrift  # how the light had changed since the twin was made
+    before: float  # error of the twin's own rest image on the held-out episodes, levels
+    task: str
+    dragging: Dragging | None = None  # how imprints turned where the finger was dragged sideways; None if not
+    dragged_before: Dragging | None = None  # the same as the twin knew it
+
+    heading = "The gel's light at rest"
+
+    @property
+    def sentence(self) -> str:
+        if self.error["heldout"] == self.before:
+            return f"{self.light.sentence} The rest image is unchanged: it is {self.before:.2f} levels off."
+        light, now = self.light.sentence.split(";")[0].rstrip("."), f"{self.error['heldout']:.2f}"
+        off = f"the twin's own rest image is {self.before:.2f} levels off, the new one {now}"
+        return f"{light}. On rest frames of held-out episodes {off}."
+
+    def rows(self) -> list[dict]:
+        parts = zip(COLOURS, self.light.gain, self.light.levels, strict=True)
+        return [{"colour": name, "factor": gain, "levels": level} for name, gain, level in parts]
+
+    def remarks(self) -> list[str]:
+        stays = "How the light changes under a press stays as it was calibrated"
+        out = [f"{stays}; presses of known objects on the bench calibrate that{self._now()}."]
+        return out + ([self.dragging.sentence(self.dragged_before)] if self.dragging else [])
+
+    def _noted(self) -> dict:
+        return {"dragging": self.dragging.to_history(self.task)} if self.dragging else {}
+
+    def content(self) -> dict:
+        return super().content() | {"light": self.light.to_dict(), "before": self.before}
+
+
+def calibrate_demonstrations(twin: Twin, given: Demonstrations, seed: int = 0) -> LightCalibration:
+    """Takes the gel's rest image from the frames before the first touches, of two episodes at least."""
+    began = time.perf_counter()
+    if len(given.episodes) < LEAST:
+        raise InputError(f"{given.folder} has {len(given.episodes)} episode; a rest image takes {LEAST}.")
+    model = GelModel.from_twin(twin)
+    rests = np.stack([rest_image(e) for e in given.episodes]).astype(float)
+    if rests.shape[1:] != model.rest_image.shape:
+        sizes = f"the images are {rests.shape[1:]} and the gel's {model.rest_image.shape}"
+        raise InputError(f"{given.folder}: {sizes}; calibrate the gel on its own camera first.")
+    order = np.random.default_rng([seed, 6]).permutation(len(rests))
+    heldout, used = np.split(order, [max(1, len(rests) // 3)])
+    new = np.median(rests[used], axis=0).round().astype(np.uint8)
+    out = twin.copy()
+    if not out.gel:
+        raise InputError("The twin has no gel of its own yet; calibrate one with a bench recording first.")
+
+    def off(image: np.ndarray, which: np.ndarray) -> float:
+        return float(np.sqrt(np.mean((rests[which] - image.astype(float)) ** 2)))
+
+    light, before = light_drift(given.episodes, model.rest_image), off(model.rest_image, heldout)
+    if off(new, heldout) >= before:  # nothing has changed by more than the camera wanders
+        new = model.rest_image
+    out.arrays = out.arrays | {"rest_image": new}
+    return LightCalibration(
+        twin=out,
+        parameters={
+            f"{c}_factor": {"value": g, "unit": ""} for c, g in zip(COLOURS, light.gain, strict=True)
+        },
+        error={"train": off(new, used), "heldout": off(new, heldout)},
+        unit="levels",
+        evaluations=1,
+        seconds=time.perf_counter() - began,
+        recording=str(given.folder),
+        change="light at rest",
+        seed=seed,
+        light=light,
+        before=before,
+        task=given.task,
+        dragging=Dragging.of(given.episodes),
+        dragged_before=Dragging.known(twin.history, given.task),
+    )

@@ -104,14 +104,10 @@ class GelComparison(Comparison):
     def sentence(self) -> str:
         image = self.image
         if image is None:
-            return (
-                f"The twin misses its calibration image by {self.train:.3g} levels; the recording has no "
-                "other."
-            )
-        return (
-            f"On {image['n']} images that the twin was not fitted to it is {image['rmse']:.3g} levels off "
-            f"(the rest image alone {image['rest_rmse']:.3g}), in the contact {image['contact_rmse']:.3g}."
-        )
+            return f"The twin misses its calibration image, the only one, by {self.train:.3g} levels."
+        off = f"{image['rmse']:.3g} levels off (the rest image alone {image['rest_rmse']:.3g})"
+        where = f"On {image['n']} images that the twin was not fitted to"
+        return f"{where} it is {off}, in the contact {image['contact_rmse']:.3g}."
 
     def rows(self) -> list[dict]:
         return self.by["role"]
@@ -138,10 +134,8 @@ class GelComparison(Comparison):
         if self.touch_error:
             depth, place, n = self.touch_error.values()
             page.heading("Touch read back from the images")
-            page.text(
-                f"On {n} of the images that are not calibration the depth is off by {depth:.2f} mm and the "
-                f"contact's centre by {place:.2f} mm (root mean square, median)."
-            )
+            off = f"off by {depth:.2f} mm and the contact's centre by {place:.2f} mm"
+            page.text(f"On {n} held-out images the depth is {off} (root mean square, median).")
             page.table(self.touch, "By image; 0 mm deep where no contact was found.")
         return page
 
@@ -154,18 +148,15 @@ def compare_gel(twin: Twin, recording: Recording) -> GelComparison:
     """
     data = GelRecording.load(recording)
     if not twin.gel:
-        raise InputError(
-            "The twin has no gel; calibrate it with `pneutac calibrate` on a recording of a gel."
-        )
+        raise InputError("The twin has no gel; `pneutac calibrate` it on a recording of a gel.")
     gel = seen_by(GelModel.from_twin(twin), data)
     data.warnings += turned(gel, data)
     predicted = predict(gel, data)
-    rest = [s.rest for s in data.samples]
     return GelComparison(
         data=data,
         predicted=predicted,
         scores=scores_of(data, predicted),
-        rest_scores=scores_of(data, rest),
+        rest_scores=scores_of(data, [s.rest for s in data.samples]),
         touch=read_back(gel, data),
         folder=Path(recording.folder),
         twin=twin,
@@ -195,10 +186,8 @@ def turned(gel: GelModel, data: GelRecording) -> list[str]:
     orientation = recognise(light, pair.press.x_mm, pair.press.y_mm, (width, height), own)
     if orientation is None or orientation == Orientation():
         return []
-    return [
-        f"against the twin the recording's images are {orientation}; turn them, or calibrate a twin of "
-        "their own."
-    ]
+    remedy = "turn them, or calibrate a twin of their own"
+    return [f"against the twin the recording's images are {orientation}; {remedy}."]
 
 
 def _by(scores: list[ImageScores], labels: list[str]) -> list[dict]:

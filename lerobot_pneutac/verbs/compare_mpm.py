@@ -33,25 +33,22 @@ def spread(count: int, samples: int, seed: int = 0) -> np.ndarray:
 def by_mpm(
     c: BodyComparison, twin: Twin, samples: int, seed: int, progress: Progress = no_progress
 ) -> BodyComparison:
-    bench = c.bench
-    at = spread(len(bench), samples, seed)
-    model, solved = markers_by_mpm(twin, bench, at, progress)
-    every = np.zeros(len(bench), bool)
-    every[at] = True
+    count = len(c.bench)
+    at = spread(count, samples, seed)
+    model, solved = markers_by_mpm(twin, c.bench, at, progress)
+    poses = plural(solved, "different pose")
+    how = f"by full material points at {len(at)} of {plural(count, 'sample')}, spread over the recording"
+    some = {name: getattr(c, name)[at] for name in ("measured", "train_samples", "rate", "still")}
     return replace(
         c,
-        recording=c.recording.keep(every),
-        measured=c.measured[at],
+        recording=c.recording.keep(np.isin(np.arange(count), at)),
         model=model,
-        train_samples=c.train_samples[at],
         band=None if c.band is None else replace(c.band, half=c.band.half[at]),
         axes=[axis for axis in (_thinned(a, at) for a in c.axes) if axis.labels],
-        rate=c.rate[at],
-        still=c.still[at],
         pressure=None if c.pressure is None else c.pressure[at],
-        simulated=f"by full material points at {len(at)} of {plural(len(bench), 'sample')}, spread over the "
-        f"recording ({plural(solved, 'different pose')})",
+        simulated=f"{how} ({poses})",
         fidelity="mpm",
+        **some,
     )
 
 
@@ -75,8 +72,7 @@ def markers_by_mpm(
     pipeline = Pipeline.of(twin, bench.inputs)
     run = pipeline.run(bench.inputs, pipeline.theta(twin, bench.inputs.pressure_range_kpa))
     targets, inverse = np.unique(run.joints[samples].round(DIGITS), axis=0, return_inverse=True)
-    joints, tips = _at_rest(solver, targets, progress)
-    joints, tips = joints[inverse.ravel()], tips[inverse.ravel()]
+    joints, tips = (x[inverse.ravel()] for x in _at_rest(solver, targets, progress))
     axes = pipeline.geometry.axes
     bend = np.zeros((len(samples), 2))
     bend[:, :axes] = joints.reshape(len(samples), -1, axes).sum(1)

@@ -30,29 +30,17 @@ TARGET, COMMAND = "bend_angle_rad", "pressure_cmd_kpa"
 
 @dataclass(frozen=True, repr=False)
 class Control(Result):
-    """A bend that was asked for, the program that brings it, and what became of it.
+    """A bend that was asked for, the program that brings it, and what became of it."""
 
-    Attributes:
-        twin: that was turned round.
-        time_s: (n,) of the commands.
-        target_rad: (n,) bend asked for.
-        pressure_kpa: (n,) command sent at each of them.
-        predicted_rad: (n,) bend that the twin expects.
-        reach_rad: smallest and largest bend of the finger.
-        recording: in which the program was driven; None where there is none yet.
-        measured_s: (m,) times of its samples, from the start of each trial.
-        measured_rad: (m,) bend measured then.
-    """
-
-    twin: Twin
-    time_s: np.ndarray
-    target_rad: np.ndarray
-    pressure_kpa: np.ndarray
-    predicted_rad: np.ndarray
-    reach_rad: tuple[float, float]
-    recording: Recording | None = None
-    measured_s: np.ndarray | None = None
-    measured_rad: np.ndarray | None = None
+    twin: Twin  # that was inverted
+    time_s: np.ndarray  # (n,) of the commands
+    target_rad: np.ndarray  # (n,) bend asked for
+    pressure_kpa: np.ndarray  # (n,) command sent at each of them
+    predicted_rad: np.ndarray  # (n,) bend that the twin expects
+    reach_rad: tuple[float, float]  # smallest and largest bend of the finger
+    recording: Recording | None = None  # in which the program was driven; None where there is none yet
+    measured_s: np.ndarray | None = None  # (m,) times of its samples, from the start of each trial
+    measured_rad: np.ndarray | None = None  # (m,) bend measured then
 
     heading = "Bend as commanded"
     keys = ("reach_rad", "expected_error_rad", "error_rad")
@@ -71,18 +59,13 @@ class Control(Result):
 
     @property
     def sentence(self) -> str:
-        span = np.ptp(self.target_rad)
+        error = self.expected_error_rad if self.error_rad is None else self.error_rad
+        within = f"{1e3 * error:.1f} mrad, {100 * error / np.ptp(self.target_rad):.1f} %"
         if self.error_rad is None:
-            share = 100 * self.expected_error_rad / span
-            return (
-                f"By its twin the finger follows the bend within {1e3 * self.expected_error_rad:.1f} mrad, "
-                f"{share:.1f} % of what is asked for. Drive program.csv and compare."
-            )
-        return (
-            f"The finger followed the bend within {1e3 * self.error_rad:.1f} mrad, "
-            f"{100 * self.error_rad / span:.1f} % of what was asked for; the twin expected "
-            f"{1e3 * self.expected_error_rad:.1f}."
-        )
+            who = "By its twin the finger follows the bend within"
+            return f"{who} {within} of what is asked for. Drive program.csv and compare."
+        expected = f"the twin expected {1e3 * self.expected_error_rad:.1f}"
+        return f"The finger followed the bend within {within} of what was asked for; {expected}."
 
     def rows(self) -> list[dict]:
         kinds = (("by the twin", self.expected_error_rad), ("measured", self.error_rad))
@@ -115,12 +98,8 @@ class Control(Result):
         return super().report(out, command)
 
     def content(self) -> dict:
-        return super().content() | {
-            "samples": len(self.time_s),
-            "duration_s": self.time_s[-1],
-            "bend_by": bend_is_by(self.twin),
-            "largest_pressure_kpa": self.pressure_kpa.max(),
-        }
+        out = super().content() | {"samples": len(self.time_s), "duration_s": self.time_s[-1]}
+        return out | {"bend_by": bend_is_by(self.twin), "largest_pressure_kpa": self.pressure_kpa.max()}
 
 
 def control(
@@ -151,22 +130,18 @@ def control(
             raise InputError(f"conditions has {name}: {value}; give a finite number.")
     refuse_unused(twin, conditions or ())
     rested = BendController(twin, 1 / hz, conditions)
-    start, reach = rested.predicted_rad, rested.reach_rad
-    if isinstance(bend, np.ndarray):
-        wanted = bend
-    elif str(bend) in SHAPES:
+    start, reach, wanted = rested.predicted_rad, rested.reach_rad, bend
+    if str(bend) in SHAPES:
         for _ in range(round(QUICK_S * hz)):
             rested.follow(twin.pressure_range_kpa[1])
         wanted = _shape(str(bend), hz, start, rested.predicted_rad)
-    else:
+    elif not isinstance(bend, np.ndarray):
         wanted = _table(Path(bend), hz)
     # A command brings the bend at the end of its step, so the first target is that of the second row.
     pressure, after = pressure_for(twin, np.append(wanted[1:], wanted[-1]), 1 / hz, conditions)
     time_s = np.arange(len(wanted)) / hz
-    result = (twin, time_s, wanted, pressure, np.append(start, after[:-1]), reach)
-    if recording is None:
-        return Control(*result)
-    return Control(*result, recording, *_measured(recording, twin, time_s[-1]))
+    seen = () if recording is None else (recording, *_measured(recording, twin, time_s[-1]))
+    return Control(twin, time_s, wanted, pressure, np.append(start, after[:-1]), reach, *seen)
 
 
 def _shape(name: str, hz: float, rest: float, most: float) -> np.ndarray:
@@ -201,11 +176,8 @@ def _measured(recording: Recording, twin: Twin, end_s: float) -> tuple[np.ndarra
     """Times (m,) since the start of each trial, and the bend (m,) then, as the twin means it."""
     by = bend_is_by(twin)
     columns = [TARGET] if by == "angle" else ["tip_x_mm", "tip_z_mm"]
-    missing = [c for c in columns if c not in recording.observations]
-    if missing:
-        raise InputError(
-            f"{recording.folder} has no column {', '.join(missing)}, by which the twin was calibrated."
-        )
+    if missing := ", ".join(c for c in columns if c not in recording.observations):
+        raise InputError(f"{recording.folder} has no column {missing}, by which the twin was calibrated.")
     values = [recording.column(c) for c in columns]
     bend = values[0] if by == "angle" else bend_angle(np.stack([values[0], 0 * values[0], values[1]], -1))
     time_s = recording.column("time_s").copy()

@@ -91,9 +91,7 @@ def convert(config: ConvertConfig, show: Callable[[Understood], None] = lambda u
     if missing:
         raise InputError(f"{missing[0]} is missing; markers and films need it.")
     if not (film or read):
-        raise InputError(
-            f"{config.source} has no markers; leave out --tip, and name its columns by --columns."
-        )
+        raise InputError(f"{config.source} has no markers; leave out --tip, and name columns by --columns.")
     source = read(config.source) if read else Source(config.source)
     log = frames.shifted(source if config.log is None else _log(config), config.offset_s)
     columns = {n: n for n in log.columns} if config.log is not None else config.columns
@@ -111,10 +109,9 @@ def convert(config: ConvertConfig, show: Callable[[Understood], None] = lambda u
         names = {n: Column.parsed(n, c).column for n, c in config.columns.items()}
         tip, recording = None, log.recording(names, {"length_mm": config.length_mm})
     else:
-        raise InputError(
-            f"{config.source} has the markers {listed(source.tracks) or 'none'} and the columns"
-            f" {listed(source.columns) or 'none'}; give --tip and --base, or --columns with the tip's."
-        )
+        markers, found = (listed(x) or "none" for x in (source.tracks, source.columns))
+        has = f"{config.source} has the markers {markers} and the columns {found}"
+        raise InputError(f"{has}; give --tip and --base, or --columns with the tip's.")
     if tip is not None:
         recording = frames.joined(tip, frame, log, columns, config.length_mm)
     recording.meta |= {"date": config.date} if config.date else {}
@@ -195,10 +192,8 @@ def _of_film(config: ConvertConfig) -> Track:
             config.source, MarkerTracker(camera, config.marker_mm, *ids, np.array(config.base_offset_mm))
         )
     if config.tip_rgb is None or config.base_rgb is None or config.dots_mm is None:
-        raise InputError(
-            "A film needs --marker_mm (ArUco markers 0 at the base and 1 at the tip, with --intrinsics), or"
-            " --tip_rgb, --base_rgb and --dots_mm (coloured dots)."
-        )
+        aruco = "--marker_mm (ArUco markers 0 at the base and 1 at the tip, with --intrinsics)"
+        raise InputError(f"A film needs {aruco}, or --tip_rgb, --base_rgb and --dots_mm (coloured dots).")
     return track_dots(config.source, config.tip_rgb, config.base_rgb, config.dots_mm, camera)
 
 
@@ -216,7 +211,5 @@ def command(config: ConvertConfig, terminal: Terminal) -> None:
     shown = [note for understood in tables for note in understood.notes]
     for warning in (w for w in recording.warnings if w not in shown):
         terminal.note(warning)
-    terminal.say(
-        f"{recording.folder} holds the recording; next: `pneutac new --twin=TWIN"
-        f" --recording={shlex.quote(str(recording.folder))}`."
-    )
+    new = f"`pneutac new --twin=TWIN --recording={shlex.quote(str(recording.folder))}`"
+    terminal.say(f"{recording.folder} holds the recording; next: {new}.")

@@ -22,15 +22,17 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+from PIL import Image
 from scipy.stats import binomtest
 
+from lerobot_pneutac.cli import INSTALL
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.reports.page import AFTER, BEFORE, MEASURED, Report
 from lerobot_pneutac.verbs.compare import compare
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import joined
-from pneutac_sim.effects.laws import plain_names
+from pneutac_sim.effects.laws import plain_name, plain_names
 from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.features import CONTROL_HZ, TRIAL_S
 from pneutac_sim.files import read_json, write_json
@@ -73,9 +75,9 @@ class DemoConfig:
         check_least(1, **{name: getattr(self, name) for name in LEARNING[1:]})
         if self.quick and self.out == type(self).out:
             self.out = Path("outputs/quick")
-        given = [n for n in LEARNING if self.quick and getattr(self, n) != type(self).__dict__[n]]
-        if given:
-            raise InputError(f"--quick=true records and trains nothing; leave out --{given[0]}.")
+        for name in LEARNING if self.quick else ():
+            if getattr(self, name) != type(self).__dict__[name]:
+                raise InputError(f"--quick=true records and trains nothing; leave out --{name}.")
 
 
 @dataclass(frozen=True)
@@ -95,12 +97,9 @@ class QuickResult(Result):
 
     @property
     def sentence(self) -> str:
-        s = self.state
-        return (
-            f"With {joined(plain_names(self.added))} added, the tip error on another day went from "
-            f"{s['twin']['tip_error_mm']:.2f} to {s['add']['tip_error_mm']:.2f} mm "
-            f"(noise {s['add']['noise_mm']:.2f} mm)."
-        )
+        before, after = (self.state[stage]["tip_error_mm"] for stage in ("twin", "add"))
+        went = f"went from {before:.2f} to {after:.2f} mm (noise {self.state['add']['noise_mm']:.2f} mm)"
+        return f"With {joined(plain_names(self.added))} added, the tip error on another day {went}."
 
     @property
     def next_commands(self) -> list[str]:
@@ -115,16 +114,11 @@ class QuickResult(Result):
 
     def content(self) -> dict:
         s = self.state
-        return {
-            "tip_error_mm": {"before": s["twin"]["tip_error_mm"], "after": s["add"]["tip_error_mm"]},
-            "noise_mm": s["add"]["noise_mm"],
-            "selected": s["diagnose"]["selected"],
-            "seconds": {name: stage["seconds"] for name, stage in s.items() if name != "options"},
-        }
+        error = {"before": s["twin"]["tip_error_mm"], "after": s["add"]["tip_error_mm"]}
+        out = {"tip_error_mm": error, "noise_mm": s["add"]["noise_mm"], "selected": s["diagnose"]["selected"]}
+        return out | {"seconds": {name: stage["seconds"] for name, stage in s.items() if name != "options"}}
 
     def page(self) -> Report:
-        from lerobot_pneutac.reports.demo import quick_page  # plotly
-
         twins = Twin.load(self.out / "before"), Twin.load(self.out / "twin")
         return quick_page(self, *(compare(twin, Recording.load(self.out / "friday")) for twin in twins))
 
@@ -149,21 +143,22 @@ class DemoResult(QuickResult):
 
     @property
     def sentence(self) -> str:
-        before, after = self.state["twin"]["tip_error_mm"], self.state["add"]["tip_error_mm"]
+        before, after = (self.state[stage]["tip_error_mm"] for stage in ("twin", "add"))
         noise = self.state["add"]["noise_mm"]
         left = max(after**2 - noise**2, 0.0) ** 0.5
         e, made = self.state["evaluate"], self.state["augment"]
         mean, low, high = self.difference
-        verdict = "Whether augmentation helped is uncertain in this run"
-        if low > 0 or mean <= 0:
-            verdict = f"Augmentation {'helped' if low > 0 else 'did not help'} in this run"
+        helped = "helped" if low > 0 else "did not help"
+        verdict = (
+            f"Augmentation {helped}" if low > 0 or mean <= 0 else "Whether augmentation helped is uncertain"
+        )
         return (
             f"With {joined(plain_names(self.added))} added, the held-out tip error went from "
             f"{before:.2f} to {after:.2f} mm (noise {noise:.2f} mm, unexplained {left:.2f} mm). "
             f"Trained on {made['recorded']} demonstrations and {made['kept']} made of them on the corrected"
             f" twin, the policy pulled the card in {_count(e['augmented'], 'starts that it had not seen')};"
-            f" trained on the {made['recorded']} alone in {_count(e['alone'], 'of the same')}."
-            f" {verdict}: {mean:+.0f} points (95 % interval {low:+.0f} to {high:+.0f}; one training each)."
+            f" trained on the {made['recorded']} alone in {_count(e['alone'], 'of the same')}. {verdict} in"
+            f" this run: {mean:+.0f} points (95 % interval {low:+.0f} to {high:+.0f}; one training each)."
         )
 
     @property
@@ -190,8 +185,6 @@ class DemoResult(QuickResult):
         }
 
     def page(self) -> Report:
-        from lerobot_pneutac.reports.demo import demo_page
-
         return demo_page(self)
 
 
@@ -269,17 +262,17 @@ class Demo:
 
     def _days(self) -> dict:
         for day, folder in enumerate((self.finger, self._path("friday")), 1):
-            shutil.rmtree(folder, ignore_errors=True)
-            options = [f"--day={day}", f"--minutes={self.cfg.minutes}", f"--seed={self.cfg.seed}"]
-            options.append(f"--out={folder}")
-            self._command("python", "-m", "pneutac_truths", "--device=rod", f"--effect={HIDDEN}", *options)
+            self._generate(folder, "pneutac_truths", "--device=rod", f"--effect={HIDDEN}", f"--day={day}")
         return {}
 
     def _bench(self) -> dict:
-        shutil.rmtree(self._path("bench"), ignore_errors=True)
-        options = [f"--out={self._path('bench')}", f"--minutes={self.cfg.minutes}", f"--seed={self.cfg.seed}"]
-        self._command("python", "-m", "pneutac_datasets.generate", "--device=standin", *options)
+        self._generate(self._path("bench"), "pneutac_datasets.generate", "--device=standin")
         return {}
+
+    def _generate(self, folder: Path, module: str, *options: str) -> None:
+        shutil.rmtree(folder, ignore_errors=True)
+        session = f"--minutes={self.cfg.minutes}", f"--seed={self.cfg.seed}", f"--out={folder}"
+        self._command("python", "-m", module, *options, *session)
 
     def _calibrate(self) -> dict:
         shutil.rmtree(self.twin, ignore_errors=True)
@@ -292,11 +285,10 @@ class Demo:
     def _diagnose(self) -> dict:
         found = self._verb("diagnose", self.finger, "diagnosis")
         if not found["selected"]:
-            raise InputError(
-                f"The diagnosis found no missing effect ({found['verdict']}; see "
-                f"{self._path('diagnosis')}). Give another seed, or a longer session with more minutes."
-            )
-        return {"selected": found["selected"], "verdict": found["verdict"], "sentence": found["sentence"]}
+            where = f"{found['verdict']}; see {self._path('diagnosis')}"
+            remedy = "Give another seed, or a longer session with more minutes"
+            raise InputError(f"The diagnosis found no missing effect ({where}). {remedy}.")
+        return {name: found[name] for name in ("selected", "verdict", "sentence")}
 
     def _add(self) -> dict:
         """All that was found, at once: found together, one alone may not be worth it."""
@@ -469,10 +461,8 @@ def command(cfg: DemoConfig, terminal: Terminal) -> None:
     A finger with hidden physics is measured; what was finished before is not repeated.
     """
     if not cfg.quick and importlib.util.find_spec("lerobot_robot_pneutac") is None:
-        raise InputError(
-            "The whole demo needs LeRobot's half of PneuTac (in a clone: pip install"
-            " ./packages/lerobot_camera_digit ./robots); the bench's half is `pneutac demo --quick`."
-        )
+        half = "the bench's half is `pneutac demo --quick`"
+        raise InputError(f"The whole demo needs LeRobot's half of PneuTac ({INSTALL}); {half}.")
     start = time.monotonic()
 
     def announce(text: str) -> None:
@@ -481,8 +471,113 @@ def command(cfg: DemoConfig, terminal: Terminal) -> None:
     with terminal.progress() as progress:
         result = Demo(cfg, announce, progress).run()
     report = result.report(cfg.out)
-    terminal.console.print(f"\n[bold]{result.sentence}[/]", highlight=False)
+    terminal.say(f"\n{result.sentence}", style="bold")
     terminal.say(f"Report: {report} ({(time.monotonic() - start) / 60:.1f} minutes)")
-    terminal.say("Try next:")
-    for line in result.next_commands:
-        terminal.say(f"  {line}")
+    terminal.say("\n  ".join(["Try next:", *result.next_commands]))
+
+
+FILMS = 3  # starts of which both films are shown
+TITLES = {
+    "bench": "Measured",
+    "twin": "Twin, calibrated and compared",
+    "diagnose": "Diagnosis",
+    "add": "Missing effects added",
+    "record": "Demonstrations",
+    "augment": "Augmentation",
+    "train": "Training",
+    "evaluate": "Evaluation",
+}
+
+
+def demo_page(result) -> Report:
+    state, out = result.state, result.out
+    page = result.lead_page()
+    page.heading("The error of the twin")
+    rod = "The measurements are of the stand-in: an elastic rod whose air, creep and hysteresis have other"
+    caption = f"Held-out tip error before and after. {rod} equations than the twin's effects."
+    page.figure(_errors(state, result.added), caption)
+    page.text(state["diagnose"]["sentence"])
+    page.heading("What the policies do")
+    sides = "at the left trained with augmentation, at the right on the recorded demonstrations alone"
+    page.text(f"Both policies on the stand-in from the same starts: {sides}.")
+    films = [sorted((out / folder).rglob("*.mp4")) for folder in ("eval", "eval_alone")]
+    for start, pair in list(enumerate(zip(*films, strict=False)))[:FILMS]:
+        ends = ["done" if state["evaluate"][arm][start] else "not done" for arm in ("augmented", "alone")]
+        page.videos(list(pair), f"Start {start + 1}: with augmentation {ends[0]}, the ten alone {ends[1]}.")
+    page.heading("What it feels")
+    page.image(demonstration_strip(out / "demonstrations"), "One demonstration: touch over time")
+    for picture in sorted((out / "touch").glob("*.png"))[:1]:
+        page.image(np.asarray(Image.open(picture).convert("RGB")), "Presses and the calibrated model")
+    page.heading("Learning curve")
+    loss = "Training loss of lerobot-train, each on its own data: it does not tell which policy is better"
+    page.figure(_losses(state["train"]), loss)
+    return _with_commands(page, result)
+
+
+def quick_page(result, before, after) -> Report:
+    """The report of a finished quick demo, not yet written, with the `BodyComparison`s of another day."""
+    state, page = result.state, result.lead_page()
+    rod = "a simulated rod with friction of many small elements; the twin's effects have other equations"
+    unseen = "The tip on another day, which neither calibration nor diagnosis saw"
+    page.figure(_another_day(before, after), f"{unseen}. The measurements are of {rod}.")
+    page.figure(_errors(state, result.added), "Error of the tip on that day, before and after.")
+    page.text(state["diagnose"]["sentence"])
+    return _with_commands(page, result)
+
+
+def _with_commands(page: Report, result) -> Report:
+    page.heading("Try next")
+    page.code("\n".join(result.next_commands))
+    page.heading("What was run")
+    for name, stage in ((n, result.state[n]) for n in TITLES if n in result.state):
+        page.text(f"**{TITLES[name]}**, {stage['seconds']:.0f} s")
+        page.code("\n".join(stage["commands"]))
+    return page
+
+
+def _another_day(before, after):
+    """Where the tip moves most in the longest trial: measured, and by both twins."""
+    from lerobot_pneutac.reports.figures import curves  # plotly
+
+    rows = max(before.recording.trials().values(), key=lambda r: r.stop - r.start)
+    column = int(np.ptp(before.measured[rows, : before.counted], axis=0).argmax())
+    time_s = before.recording.column("time_s")[rows]
+    shown = (("measured", before.measured, MEASURED), ("before", before.model, BEFORE))
+    lines = (
+        (name, time_s, values[rows, column].round(3), colour)
+        for name, values, colour in (*shown, ("after", after.model, AFTER))
+    )
+    return curves(lines, "time (s)", before.columns[column])
+
+
+def _errors(state: dict, added: list[str]):
+    from lerobot_pneutac.reports.diagnosis import error_bars  # plotly
+
+    errors = (state[stage]["tip_error_mm"] for stage in ("twin", "add"))
+    names = ("calibrated", f"with {joined(map(plain_name, added))}")
+    steps = [(n, e, None, c) for n, e, c in zip(names, errors, (BEFORE, AFTER), strict=True)]
+    return error_bars(steps, "mm", state["add"]["noise_mm"])
+
+
+def _losses(training: dict):
+    from lerobot_pneutac.reports.figures import curves  # plotly
+
+    lines = (
+        (name, (1 + np.arange(len(training[arm]))) * training["log_freq"], training[arm], None)
+        for arm, name in (("augmented", "with augmentation"), ("alone", "recorded ones alone"))
+    )
+    return curves(lines, "step", "loss (mm² per step + kPa²)").update_yaxes(type="log")
+
+
+def demonstration_strip(root: Path) -> np.ndarray:
+    """Tactile images of the first episode around its strongest contact, side by side, uint8 (H, W, 3)."""
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    dataset = LeRobotDataset(f"local/{root.name}", root=root, episodes=[0])
+    names = dataset.features["observation.state"]["names"]
+    states = dataset.hf_dataset["observation.state"]
+    area = np.array([float(s[names.index("contact_area.pos")]) for s in states])
+    peak = int(area.argmax())
+    picks = np.clip(np.linspace(peak - 20, peak + 20, 8).astype(int), 0, len(dataset) - 1)
+    images = [dataset[int(i)]["observation.images.tactile"].numpy() for i in picks]
+    return (np.concatenate([i.transpose(1, 2, 0) for i in images], axis=1) * 255).round().astype(np.uint8)

@@ -39,25 +39,15 @@ PROGRAM = ("max_kpa", "min_kpa", "budget_s", "program_s", "hz", "hands", "payloa
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Design(Result):
-    """Programs for the bench, by expected information for their time.
+    """Programs for the bench, by expected information for their time."""
 
-    Attributes:
-        twin: that was diagnosed.
-        recording: that was diagnosed.
-        contenders: candidate models.
-        choices: see `lerobot_pneutac.diagnosis.design`.
-        noise: floor of the error.
-        unit: of it.
-        hands: what could be changed.
-    """
-
-    twin: Twin
-    recording: Recording
-    contenders: tuple[Candidate, ...]
-    choices: tuple[Choice, ...]
-    noise: float
-    unit: str
-    hands: Hands = NO_HANDS
+    twin: Twin  # that was diagnosed
+    recording: Recording  # that was diagnosed
+    contenders: tuple[Candidate, ...]  # candidate models
+    choices: tuple[Choice, ...]  # see `lerobot_pneutac.diagnosis.design`
+    noise: float  # floor of the error
+    unit: str  # of it
+    hands: Hands = NO_HANDS  # what could be changed
 
     heading = "The next experiment"
     keys = (
@@ -74,10 +64,8 @@ class Design(Result):
     def sentence(self) -> str:
         c = self.best
         if c.tells_little:
-            return (
-                "No program within these limits would show anything new; allow higher pressures or longer "
-                "programs."
-            )
+            nothing = "No program within these limits would show anything new"
+            return f"{nothing}; allow higher pressures or longer programs."
         likely = self.contenders[0]
         first = "".join(f"{s} " for s in instructions(self.hands.usual, c.conditions))
         best = f"{named_terms(likely)} has {100 * likely.probability:.0f} %"
@@ -92,13 +80,8 @@ class Design(Result):
 
     def rows(self) -> list[dict]:
         return [
-            {
-                "program": c.name,
-                "s": f"{c.seconds:.0f}",
-                "nats between models": f"{c.rivals:.2f}",
-                "about constants": f"{c.constants:.1f}",
-                "new, %": f"{100 * c.new:.0f}",
-            }
+            {"program": c.name, "s": f"{c.seconds:.0f}", "nats between models": f"{c.rivals:.2f}"}
+            | {"about constants": f"{c.constants:.1f}", "new, %": f"{100 * c.new:.0f}"}
             for c in self.choices[:SHOWN]
         ]
 
@@ -154,36 +137,22 @@ def design(
     high = command.max(axis=0) if max_kpa is None else max_kpa
     ends = (per_chamber(n, v, len(command.T)) for n, v in (("min_kpa", low), ("max_kpa", high)))
     limits = Limits(*ends, hz, budget_s, program_s)
-    noise = noise_floor(recording)
-    ranked = choices(recording, contenders, noise.needed(recording.folder), limits, hands)
-    return Design(
-        twin=twin,
-        recording=recording,
-        contenders=tuple(contenders),
-        choices=tuple(ranked),
-        noise=noise.needed(recording.folder),
-        unit=noise.unit,
-        hands=hands,
-    )
+    floor = noise_floor(recording)
+    noise = floor.needed(recording.folder)
+    ranked = choices(recording, contenders, noise, limits, hands)
+    found = {"contenders": tuple(contenders), "choices": tuple(ranked), "noise": noise}
+    return Design(twin=twin, recording=recording, unit=floor.unit, hands=hands, **found)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class PressDesign(Result):
-    """Presses for a gel, the most informative first.
+    """Presses for a gel, the most informative first; see `lerobot_pneutac.study.gel_press`."""
 
-    Attributes:
-        twin: that was diagnosed.
-        recording: that was diagnosed.
-        contenders: candidate models.
-        choices: see `lerobot_pneutac.study.gel_press`.
-        held: the two presses with the most information on creep, see `lerobot_pneutac.study.gel_press`.
-    """
-
-    twin: Twin
-    recording: Recording
-    contenders: tuple[Candidate, ...]
+    twin: Twin  # that was diagnosed
+    recording: Recording  # that was diagnosed
+    contenders: tuple[Candidate, ...]  # candidate models
     choices: tuple[PressChoice, ...]
-    held: HeldChoice
+    held: HeldChoice  # the two presses with the most information on creep
 
     heading = "The next press"
     keys = (("nats_between_models", "best.rivals"), "tells_little", "sentence")
@@ -206,26 +175,19 @@ class PressDesign(Result):
         if self.held_first:
             return self.held.sentence
         if self.tells_little:
-            return (
-                "No press of these indenters would distinguish the candidate models; press another shape, "
-                "such as an edge or a small cylinder, and diagnose again."
-            )
+            other = "press another shape, such as an edge or a small cylinder, and diagnose again"
+            return f"No press of these indenters would distinguish the candidate models; {other}."
         p, likely = self.best.press, self.contenders[0]
-        return (
-            f"Press the {p.indenter} of {p.size_mm:g} mm {p.depth_mm:g} mm deep at x {p.x_mm:g}, "
-            f"y {p.y_mm:g} mm: {self.best.rivals:.2f} nats between {len(self.contenders)} models, of which "
-            f"{named_terms(likely)} is the likeliest ({100 * likely.probability:.0f} %)."
-        )
+        where = f"{p.depth_mm:g} mm deep at x {p.x_mm:g}, y {p.y_mm:g} mm"
+        gain = f"{self.best.rivals:.2f} nats between {len(self.contenders)} models"
+        best = f"{named_terms(likely)} is the likeliest ({100 * likely.probability:.0f} %)"
+        return f"Press the {p.indenter} of {p.size_mm:g} mm {where}: {gain}, of which {best}."
 
     def rows(self) -> list[dict]:
         return [
-            {
-                "indenter": f"{c.press.indenter}, {c.press.size_mm:g} mm",
-                "x, mm": f"{c.press.x_mm:g}",
-                "y, mm": f"{c.press.y_mm:g}",
-                "depth, mm": f"{c.press.depth_mm:g}",
-                "nats between models": f"{c.rivals:.2f}",
-            }
+            {"indenter": f"{c.press.indenter}, {c.press.size_mm:g} mm"}
+            | {f"{n}, mm": f"{getattr(c.press, f'{n}_mm'):g}" for n in ("x", "y", "depth")}
+            | {"nats between models": f"{c.rivals:.2f}"}
             for c in self.choices[:SHOWN]
         ]
 
@@ -236,11 +198,9 @@ class PressDesign(Result):
         held = self.held
         creep = {"presses": self._held_rows(), "wait_s": held.wait_s, "share_left": held.share}
         creep |= {"levels": held.levels, "nats": held.rivals, "assumed": held.assumed}
-        return super().content() | {
-            "press": _row(self.best.press),
-            "creep": creep | {"first": self.held_first},
-            "contenders": described(self.contenders),
-        }
+        out = super().content() | {"press": _row(self.best.press)}
+        creep["first"] = self.held_first
+        return out | {"creep": creep, "contenders": described(self.contenders)}
 
     def _held_rows(self) -> list[dict]:
         return [_row(p) | {"time_s": t, "hold_s": hold} for p, t, hold in self.held.rows()]
@@ -274,15 +234,9 @@ def design_press(twin: Twin, recording: Recording, diagnosis: str | Path | Diagn
         InputError: the recording is of no gel, the folder holds no diagnosis, or one of a body.
     """
     same_device(twin, recording, "the twin", "design for")
-    contenders = load_candidates(diagnosis)
-    data = GelRecording.load(recording)
-    return PressDesign(
-        twin=twin,
-        recording=recording,
-        contenders=tuple(contenders),
-        choices=tuple(press_choices(data, contenders)),
-        held=held_choice(data, contenders),
-    )
+    contenders, data = load_candidates(diagnosis), GelRecording.load(recording)
+    found = {"choices": tuple(press_choices(data, contenders)), "held": held_choice(data, contenders)}
+    return PressDesign(twin=twin, recording=recording, contenders=tuple(contenders), **found)
 
 
 def _row(p: Press) -> dict:

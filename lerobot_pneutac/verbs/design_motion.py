@@ -187,9 +187,8 @@ def motion_choices(
     out = []
     for i, m in enumerate(motions):
         here = {name: each[i] for name, each in responses.items()}
-        out.append(
-            MotionChoice(m, _significance(misses, here), {name: each[0] for name, each in here.items()})
-        )
+        first = {name: each[0] for name, each in here.items()}
+        out.append(MotionChoice(m, _significance(misses, here), first))
     return out
 
 
@@ -231,16 +230,12 @@ WORDS = {CREEP: "more creep", COMPLIANCE: "another stiffness", FRICTION: "half t
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class MotionDesign(Result):
-    """Motions of the arm, and how significantly each shows which change.
-
-    Attributes:
-        known: whether the twin knows how strong imprints are.
-    """
+    """Motions of the arm, and how significantly each shows which change."""
 
     twin: Twin
     recording: Demonstrations
     choices: tuple[MotionChoice, ...]
-    known: bool
+    known: bool  # whether the twin knows how strong imprints are
 
     heading = "The next demonstrations"
     keys = (("imprints_known", "known"), "sentence")
@@ -258,38 +253,28 @@ class MotionDesign(Result):
             changes = motions.setdefault(f"{c.motion.name} ({c.motion.seconds:.0f} s)", [])
             changes.append(f"{WORDS[change]} ({c.significance[change]:.1f} standard deviations)")
         if not motions:
-            return (
-                "None of these motions would significantly show creep, stiffness or friction; record more "
-                "episodes."
-            )
+            none = "None of these motions would significantly show creep, stiffness or friction"
+            return f"{none}; record more episodes."
         listed = "; ".join(f"{name}, which shows {joined(changes)}" for name, changes in motions.items())
         count = len(self.recording.episodes)
         return f"Record {count} episodes with the finger against the bar of '{TASK}': {listed}."
 
     def rows(self) -> list[dict]:
         return [
-            {
-                "motion": c.motion.name,
-                "s": f"{c.motion.seconds:.0f}",
-                **{WORDS[change]: f"{c.significance[change]:.1f}" for change in WORDS},
-            }
+            {"motion": c.motion.name, "s": f"{c.motion.seconds:.0f}"}
+            | {WORDS[change]: f"{c.significance[change]:.1f}" for change in WORDS}
             for c in self.choices
         ]
 
     def remarks(self) -> list[str]:
         out = []
         if not self.known:
-            out.append(
-                f"The twin was fitted to no demonstrations of '{TASK}', so how strong its imprints are is "
-                f"not known, and no motion shows another stiffness by that. Add ten plain ones first."
-            )
-        for change in WORDS:
+            why = f"The twin was fitted to no demonstrations of '{TASK}', so imprints' strength is unknown"
+            out.append(f"{why}, and no motion shows another stiffness by imprints. Add ten plain ones first.")
+        for change in (change for change in WORDS if change not in self.chosen):
             best = shortest(self.choices, change)
-            if change not in self.chosen:
-                out.append(
-                    f"No motion significantly shows {WORDS[change]}: {best.motion.name} does best, by "
-                    f"{best.significance[change]:.1f} standard deviations."
-                )
+            by = f"{best.motion.name} does best, by {best.significance[change]:.1f} standard deviations"
+            out.append(f"No motion significantly shows {WORDS[change]}: {by}.")
         out.append(
             f"The gel's friction is taken as {GEL_FRICTION:g}, and the finger as stiff sideways as in its "
             "plane. A drag shows less friction only in comparison with earlier drags of the same kind, "
@@ -298,14 +283,12 @@ class MotionDesign(Result):
         return out
 
     def content(self) -> dict:
-        return super().content() | {
-            "episodes": len(self.recording.episodes),
-            "motions": [
-                {"name": c.motion.name, "seconds": c.motion.seconds, "standard_deviations": c.significance}
-                for c in self.choices
-            ],
-            "chosen": {change: c.motion.name for change, c in self.chosen.items()},
-        }
+        motions = [
+            {"name": c.motion.name, "seconds": c.motion.seconds, "standard_deviations": c.significance}
+            for c in self.choices
+        ]
+        out = super().content() | {"episodes": len(self.recording.episodes), "motions": motions}
+        return out | {"chosen": {change: c.motion.name for change, c in self.chosen.items()}}
 
     def page(self) -> Report:
         return motion_page(self)

@@ -39,18 +39,11 @@ SHOWN = 3  # warnings on the console; the report has all
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Diagnosis(Result):
-    """What a twin lacks to explain a recording.
+    """What a twin lacks to explain a recording."""
 
-    Attributes:
-        study: the data and how they were shared.
-        outcome: everything that was found.
-        saved_to: folder with the twins before and after, once they were saved.
-        made_at: date and time.
-    """
-
-    study: EffectStudy
-    outcome: Outcome
-    saved_to: Path | None = None
+    study: EffectStudy  # the data and how they were shared
+    outcome: Outcome  # everything that was found
+    saved_to: Path | None = None  # folder with the twins before and after, once they were saved
     made_at: str = field(default_factory=lambda: time.strftime("%Y-%m-%d %H:%M"))
 
     keys = (
@@ -171,12 +164,8 @@ class Diagnosis(Result):
             rows.append(("with known causes", self.study.errors(o.baseline)))
         if self.selected or o.known:
             rows.append(("with all", self.after))
-        worth = sorted(o.contributions, key=lambda c: -c.drop[0])
-        rows += (
-            [(f"without {plain_name(c.name)}", {"heldout": c.error_without}) for c in worth]
-            if len(worth) > 1
-            else []
-        )
+        worth = sorted(o.contributions, key=lambda c: -c.drop[0]) if len(o.contributions) > 1 else []
+        rows += [(f"without {plain_name(c.name)}", {"heldout": c.error_without}) for c in worth]
         contact = any("heldout_contact" in errors for _, errors in rows)
         return [
             {"model": name, "error": f"{errors['heldout']:.3g}"}
@@ -190,10 +179,8 @@ class Diagnosis(Result):
         if len(shown) > SHOWN:
             where = "in the report" + " (--out=DIR)" * (self.saved_to is None)
             lines.append(f"- {len(shown) - SHOWN} more {where}")
-        return [
-            *(["[bold]Warnings[/]", *lines] if lines else []),
-            f"[bold]Do next:[/] {escape(self.do_next)}",
-        ]
+        warned = ["[bold]Warnings[/]", *lines] if lines else []
+        return [*warned, f"[bold]Do next:[/] {escape(self.do_next)}"]
 
     def content(self) -> dict:
         o, e, study = self.outcome, self.outcome.evidence, self.study
@@ -254,24 +241,19 @@ def read_found(
     folder = Path(folder)
     file = folder / "result.json"
     if not file.is_file():
-        raise InputError(
-            f"There is no diagnosis at '{folder}'; make one with `pneutac diagnose {option('out', folder)}`."
-        )
+        make = f"make one with `pneutac diagnose {option('out', folder)}`"
+        raise InputError(f"There is no diagnosis at '{folder}'; {make}.")
     result = read_json(file)
     if "verdict" not in result or not (folder / FOUND).is_dir():
         raise InputError(f"{file} is not the result of a body's diagnosis; give the folder that it wrote.")
-    if result.get("rows") != len(recording):
-        raise InputError(
-            f"{file} is of a recording of {result.get('rows')} rows and {recording.folder} has "
-            f"{len(recording)}; give the recording that was diagnosed."
-        )
+    if (rows := result.get("rows")) != len(recording):
+        both = f"{file} is of a recording of {rows} rows and {recording.folder} has {len(recording)}"
+        raise InputError(f"{both}; give the recording that was diagnosed.")
     before = Twin.load(folder / BEFORE, calibrated=False)
     if before.history != twin.history:
-        raise InputError(
-            f"The diagnosis in '{folder}' is of an earlier version of the twin or of another one; diagnose "
-            f"again: `pneutac diagnose {option('twin', twin.folder or 'TWIN')} "
-            f"{option('recording', recording.folder)} --out=DIR`."
-        )
+        of = f"The diagnosis in '{folder}' is of an earlier version of the twin or of another one"
+        pair = f"{option('twin', twin.folder or 'TWIN')} {option('recording', recording.folder)}"
+        raise InputError(f"{of}; diagnose again: `pneutac diagnose {pair} --out=DIR`.")
     known = Twin.load(folder / BASELINE) if (folder / BASELINE).is_dir() else None
     return result, (before, known, Twin.load(folder / FOUND))
 

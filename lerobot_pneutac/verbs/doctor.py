@@ -25,10 +25,10 @@ Check = tuple[str, str, str, str]  # name, state, what was found, remedy
 def check_package(name: str) -> Check:
     try:
         version, remedy = importlib.metadata.version(name), ""
-        if name == "lerobot" and not version.startswith(f"{LEROBOT}."):
-            remedy = f"PneuTac is made for LeRobot {LEROBOT}: uv pip install 'lerobot=={LEROBOT}.*'"
     except importlib.metadata.PackageNotFoundError:
         version, remedy = "not installed", f"uv pip install {name}"
+    if name == "lerobot" and not remedy and not version.startswith(f"{LEROBOT}."):
+        remedy = f"PneuTac is made for LeRobot {LEROBOT}: uv pip install 'lerobot=={LEROBOT}.*'"
     return (name, FAIL if remedy else OK, version, remedy)
 
 

@@ -69,10 +69,8 @@ class ShownEffect(Result):
             page.text(remark)
         if isinstance(self.effect, BodyEffect):
             page.heading("What it does")
-            page.figure(
-                _figure(self.effect.name),
-                "The built-in finger without it and with it, at the above start of a fit.",
-            )
+            shown = "The built-in finger without it and with it, at the above start of a fit."
+            page.figure(_figure(self.effect.name), shown)
         return page
 
 
@@ -98,20 +96,11 @@ class Program:
         t = np.arange(0, 60, 1 / hz)
         steps = np.array([0.0, 4, 8, 12, 12, 12, 6, 0])[np.minimum(t // 4, 7).astype(int)]
         triangles = TOP_KPA * np.abs((t - 32) / 7 % 2 - np.round((t - 32) / 7 % 2 / 2) * 2)
-        self.samples = pd.DataFrame(
-            {
-                "trial": 0,
-                "time_s": t,
-                "pressure_cmd_kpa": np.where(t < 32, steps, triangles),
-                "gravity_x": np.cos(t / 60 * np.pi / 2),
-                "gravity_y": 0.0,
-                "gravity_z": -np.sin(t / 60 * np.pi / 2),
-                "temperature_c": 20 + t / 6,
-                "payload_g": 50.0,
-                "neighbour_kpa": np.where(t < 30, 0.0, 8.0),
-                **dict.fromkeys(TIP, 0.0),
-            }
-        )
+        columns = {"trial": 0, "time_s": t, "pressure_cmd_kpa": np.where(t < 32, steps, triangles)}
+        columns |= {"gravity_x": np.cos(t / 60 * np.pi / 2), "gravity_y": 0.0}
+        columns |= {"gravity_z": -np.sin(t / 60 * np.pi / 2), "temperature_c": 20 + t / 6}
+        columns |= {"payload_g": 50.0, "neighbour_kpa": np.where(t < 30, 0.0, 8.0)}
+        self.samples = pd.DataFrame(columns | dict.fromkeys(TIP, 0.0))
 
 
 def tips(name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -130,24 +119,18 @@ def tips(name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _figure(name: str):
-    import plotly.graph_objects as go
+    from lerobot_pneutac.reports.figures import stacked  # plotly
 
     t, command, without, with_it = tips(name)
-    figure = go.Figure()
-    difference = np.linalg.norm(with_it - without, axis=1)
-    for label, y, colour, axis in (
-        ("command (kPa)", command, COMMAND, "y2"),
-        ("deflection without (mm)", without[:, 2], BEFORE, "y"),
-        ("deflection with it (mm)", with_it[:, 2], AFTER, "y"),
-        ("difference (mm)", difference, MEASURED, "y"),
+    figure = stacked(("tip, mm", "kPa"), (0.75, 0.25))
+    for label, y, colour, row in (
+        ("deflection without", without[:, 2], BEFORE, 1),
+        ("deflection with it", with_it[:, 2], AFTER, 1),
+        ("difference", np.linalg.norm(with_it - without, axis=1), MEASURED, 1),
+        ("command", command, COMMAND, 2),
     ):
-        figure.add_scatter(x=t, y=np.round(y, 4), name=label, yaxis=axis, line={"color": colour})
-    return figure.update_layout(
-        xaxis={"title": "time (s)"},
-        yaxis={"title": "mm", "overlaying": "y2"},
-        yaxis2={"title": "kPa", "side": "right", "showgrid": False},
-        legend={"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0},
-    )
+        figure.add_scatter(x=t, y=np.round(y, 4), name=label, line={"color": colour}, row=row, col=1)
+    return figure
 
 
 _WORDS = {
@@ -244,14 +227,10 @@ def units(effect: Effect) -> list[dict[str, str]]:
     rows = []
     for p in effect.parameters:
         share = {0: "", 1: " P"}.get(p.range_power, f" P^{p.range_power}")
-        rows.append(
-            {
-                "parameter": p.name, "unit": p.unit or "(a ratio)",
-                "start of a fit": f"{p.default:.4g}{share}",
-                "bounds": f"{p.lower:.4g}{share} to {p.upper:.4g}{share}",
-                "does nothing at": f"{p.neutral:.4g}", "": "held" if p.fixed else "",
-            }
-        )  # fmt: skip
+        start, low, high = (f"{x:.4g}{share}" for x in (p.default, p.lower, p.upper))
+        row = {"parameter": p.name, "unit": p.unit or "(a ratio)", "start of a fit": start}
+        row |= {"bounds": f"{low} to {high}", "does nothing at": f"{p.neutral:.4g}"}
+        rows.append(row | {"": "held" if p.fixed else ""})
     return rows
 
 

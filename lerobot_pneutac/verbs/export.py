@@ -5,6 +5,8 @@ import builtins
 import dis
 import inspect
 import textwrap
+import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,15 +17,15 @@ from typing import ClassVar
 import numpy as np
 
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.verbs.exported import Finger, Link, Pose
-from lerobot_pneutac.verbs.report import report
+from lerobot_pneutac.verbs.history import report
 from pneutac_sim.effects.registry import of_sensor
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole, write_text
+from pneutac_sim.finger import stages
 from pneutac_sim.finger.equilibrium import solve
 from pneutac_sim.finger.online import COMPUTED
 from pneutac_sim.finger.pipeline import Pipeline
-from pneutac_sim.finger.stages import EffectLink, LoadLink, forward_kinematics, forward_kinematics_spatial
+from pneutac_sim.finger.stages import drive_line, gain_profile
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 
 MODULES = {"math": "import math", "warnings": "import warnings", "numpy": "import numpy as np"}
@@ -72,7 +74,9 @@ class Source:
         plain = _plain(function)
         if plain in self._names:
             return self._names[plain]
-        name = self._free(name or plain.__name__, plain)
+        name = name or plain.__name__
+        if name in self._names.values():  # of another function
+            name = f"{plain.__module__.rpartition('.')[2]}_{name.lstrip('_')}"
         self._names[plain] = name
         renamed = {}
         for used, value in _globals(plain).items():
@@ -97,11 +101,6 @@ class Source:
         raise InputError(
             f"{user.__module__}.{user.__name__} uses '{name}'; a file that needs NumPy alone cannot have it."
         )
-
-    def _free(self, name: str, function) -> str:
-        """The name, with the module's before it where another function has it."""
-        module = function.__module__.rpartition(".")[2]
-        return f"{module}_{name.lstrip('_')}" if name in self._names.values() else name
 
     def lines(self) -> list[str]:
         return [f"{name} = {text}" for name, text in self.constants.items()]
@@ -155,9 +154,8 @@ def command(cfg: ExportConfig, terminal: Terminal) -> None:
     twin = Twin.load(cfg.twin)
     if cfg.out.suffix == ".py":
         write_text(cfg.out, python_file(twin))
-        terminal.say(
-            f"model: {cfg.out}; `python {quote(str(cfg.out))}` steps it once, its first lines explain it"
-        )
+        run = f"`python {quote(str(cfg.out))}` steps it once"
+        terminal.say(f"model: {cfg.out}; {run}, its first lines explain it")
     else:
         with whole(cfg.out) as part:
             write_mjcf(twin, part)
@@ -201,10 +199,10 @@ def python_file(twin: Twin) -> str:
 def _links(model: Pipeline, source: Source) -> list[str]:
     out = []
     for link in model.chain:
-        if isinstance(link, EffectLink):
+        if isinstance(link, stages.EffectLink):
             signal = link.effect.signal
             out.append(_effect(link, model, source, "markers" if signal == "mount" else signal))
-        elif isinstance(link, LoadLink):
+        elif isinstance(link, stages.LoadLink):
             out += [_effect(e, model, source, "load") for e in link.effects]
             stiffness, size = (model.names[link.stiffness],), model.geometry.n_joints * model.geometry.axes
             out.append(_link("equilibrium", "equilibrium", source.add(solve), stiffness, memory=size))
@@ -212,18 +210,18 @@ def _links(model: Pipeline, source: Source) -> list[str]:
             out.append(_link("drive", "drive", None, tuple(model.names[i] for i in link.indices)))
         else:
             planar = model.geometry.axes == 1
-            run = forward_kinematics if planar else forward_kinematics_spatial
+            run = stages.forward_kinematics if planar else stages.forward_kinematics_spatial
             out.append(_link("kinematics", "kinematics", source.add(run)))
     return out
 
 
 def _place(model: Pipeline, index: int) -> int:
     """What `model.chain[index]` is in the file, where effects of the load are links of their own."""
-    loads = [len(link.effects) for link in model.chain[:index] if isinstance(link, LoadLink)]
+    loads = [len(link.effects) for link in model.chain[:index] if isinstance(link, stages.LoadLink)]
     return index + sum(loads)
 
 
-def _effect(link: EffectLink, model: Pipeline, source: Source, kind: str) -> str:
+def _effect(link: stages.EffectLink, model: Pipeline, source: Source, kind: str) -> str:
     g, effect = model.geometry, link.effect
     channels = {"pressure": g.chambers, "joints": g.n_joints * g.axes, "load": 6, "markers": 5}[kind]
     name = f"run_{effect.name}" if effect.name.isidentifier() else ""
@@ -258,14 +256,11 @@ def _docstring(twin: Twin, model: Pipeline) -> str:
         for e in twin.history
         if isinstance(e.get("heldout"), int | float)
     ]
+    judged = "Judged on data that it was not fitted to (root mean square):\n"
     paragraphs = [
         f"A pneumatic {twin.device}: pressure in, pose out. Written by `pneutac export`; needs NumPy alone.",
         report(twin).sentence,
-        *(
-            ["Judged on data that it was not fitted to (root mean square):\n" + "\n".join(tested[-5:])]
-            if tested
-            else []
-        ),
+        *([judged + "\n".join(tested[-5:])] if tested else []),
         f"It was measured from {low:g} to {high:g} kPa; beyond these it is extrapolated.",
         *report(twin).described(),
         "    from THIS_FILE import finger\n\n"
@@ -275,11 +270,9 @@ def _docstring(twin: Twin, model: Pipeline) -> str:
         *([f"Conditions that it needs: {', '.join(needed)}."] if needed else []),
         *([f"Not in this file: {', '.join(left)}."] if left else []),
     ]
-    return "\n\n".join(s if s.startswith("    ") else _wrapped(s) for s in paragraphs) + "\n"
-
-
-def _wrapped(text: str) -> str:
-    return "\n".join("\n".join(textwrap.wrap(line, 100)) for line in text.split("\n")).replace('"""', "'''")
+    lines = (line for s in paragraphs for line in (*s.split("\n"), ""))
+    wrapped = "\n".join(line if line.startswith("    ") else textwrap.fill(line, 100) for line in lines)
+    return wrapped.replace('"""', "'''")
 
 
 def _needed(model: Pipeline) -> list[str]:
@@ -337,3 +330,148 @@ def write_mjcf(twin: Twin, file: Path) -> None:
     soft_finger.Springs(model, joints, damping, stiffness).set(stiffness * np.eye(joints))
     Pad(model, twin)
     mujoco.mj_saveLastXML(str(file), model)
+
+
+# ---------------------------------------------------------------- in every Python file
+
+
+@dataclass(frozen=True)
+class Link:
+    """One step of the way from the command to the tip."""
+
+    name: str  # of the effect, or what it does
+    # the signal that it changes: `pressure` (chambers,) kPa, `load` (6,) N, `joints` rad less the curl at
+    # rest, `markers` (5,) mm and rad; or `drive`, `equilibrium` and `kinematics`, between.
+    kind: str
+    run: Callable | None = None  # the function; None for the drive
+    constants: tuple[str, ...] = ()  # names in `CONSTANTS` of what it is given, in order
+    columns: tuple[str, ...] = ()  # conditions that it needs
+    memory: int = 0  # numbers that it remembers
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the finger is; frame of its base: x along the straight finger, z where pressure bends it."""
+
+    pressure_kpa: np.ndarray  # (chambers,) as the gauge reads it
+    joints_rad: np.ndarray  # (N,) angles of the joints, of an arm (N, 2) towards +z and towards +y
+    tip: np.ndarray  # (5,) x, y, z in mm, bend towards +z and towards +y in rad
+    measured: np.ndarray  # (5,) as a camera or tracker reads it, with the errors that the twin knows of
+
+
+class Finger:
+    """A pneumatic finger or arm, one step at a time; what it remembers stays from step to step.
+
+    Args:
+        links: in the order in which they act.
+        constants: by name.
+        length_mm: of the straight finger.
+        joints_mm: (N,) arc length of each joint from the base.
+        chambers: number of pressures.
+        reads: number of links before the pressure gauge, and before the camera.
+        range_kpa: lowest and highest pressure that it was measured at; the first command beyond warns.
+        conditions: what effects ask for, such as `temperature_c`; change them by `set_conditions`.
+
+    Raises:
+        ValueError: a condition is missing or is not a finite number.
+    """
+
+    def __init__(self, links, constants, length_mm, joints_mm, chambers, reads, range_kpa, conditions):
+        self._links, self._chambers, self._reads = links, chambers, reads
+        self._range, self._warned = range_kpa, False
+        self._joints, self._length = np.array(joints_mm, dtype=float), float(length_mm)
+        parts = np.diff(np.append(self._joints, length_mm))
+        self._parts = np.concatenate([1e-3 * parts, parts / length_mm])
+        self._theta = [np.array([constants[name] for name in link.constants]) for link in links]
+        n, drive = len(joints_mm), [link.kind for link in links].index("drive")
+        values = self._theta[drive]
+        profile = gain_profile(n, float(values[1]), float(values[2]))
+        self._gain, self._still = drive_line(values, profile, 1 if chambers == 1 else 2)
+        self.set_conditions(**conditions)
+        self.reset()
+
+    def set_conditions(self, **conditions):
+        """Conditions from now on, such as `temperature_c=25.0`; those that are not named stay as they are."""
+        given = getattr(self, "_given", {"length_mm": self._length}) | conditions
+        for name in {c for link in self._links for c in link.columns}:
+            if name in ("session_time_s", "bending_pressure_kpa"):
+                continue
+            if not np.isfinite(given.get(name, np.nan)):
+                raise ValueError(f"{name} is {given.get(name)}; give a finite number, as in {name}=1.0.")
+        self._given = given
+
+    def reset(self, pressure_kpa=0.0):
+        """A new device that has rested at this pressure for ever, a number or (chambers,) kPa; its `Pose`."""
+        self._state = [np.zeros(link.memory) for link in self._links]
+        self._given["session_time_s"] = 0.0
+        return self._run(pressure_kpa, np.inf)
+
+    def step(self, pressure_cmd_kpa, dt_s):
+        """Advances by `dt_s` seconds, in which the command goes straight to this one; returns a `Pose`.
+
+        Args:
+            pressure_cmd_kpa: a number, or (chambers,) kPa.
+            dt_s: length of the step, above zero.
+
+        Raises:
+            ValueError: the command is not a finite number or one a chamber, or the step is not above 0.
+        """
+        try:
+            command, dt_s = np.asarray(pressure_cmd_kpa, dtype=float), float(dt_s)
+        except (TypeError, ValueError) as e:
+            both = f"The command {pressure_cmd_kpa!r} kPa and the step {dt_s!r} s"
+            raise ValueError(f"{both} must be numbers.") from e
+        if not np.isfinite(command).all() or command.shape not in ((), (1,), (self._chambers,)):
+            remedy = f"give a finite number, or one for each of {self._chambers} chambers"
+            raise ValueError(f"The command is {pressure_cmd_kpa} kPa; {remedy}.")
+        if not 0 < dt_s < np.inf:
+            raise ValueError(f"The step dt_s is {dt_s} s; give a finite number above 0.")
+        low, high = self._range
+        if not self._warned and ((command < low) | (command > high)).any():
+            self._warned = True
+            beyond = f"The command {pressure_cmd_kpa} kPa lies beyond {low:g} to {high:g} kPa"
+            why = "where it was measured; poses there are extrapolated. Later ones do not warn"
+            warnings.warn(f"{beyond}, {why}.", stacklevel=2)
+        self._given["session_time_s"] += dt_s
+        return self._run(pressure_cmd_kpa, dt_s)
+
+    def _run(self, pressure_kpa, dt_s):
+        x = np.broadcast_to(np.asarray(pressure_kpa, dtype=float), (self._chambers,)).reshape(1, -1)
+        dt, loads = np.array([dt_s], dtype=float), np.zeros((1, 6))
+        gauge, joints, tip = x, x, x
+        with np.errstate(all="ignore"):  # a lag of no time divides by zero, on purpose
+            for i, link in enumerate(self._links):
+                gauge, tip = x if i == self._reads[0] else gauge, x if i == self._reads[1] else tip
+                if link.kind == "drive":
+                    self._given["bending_pressure_kpa"] = float(x.mean())
+                    x = x @ self._gain + self._still
+                elif link.kind == "load":
+                    self._apply(i, loads, dt)
+                elif link.kind == "equilibrium":
+                    x = x.copy()
+                    link.run(x, loads, self._theta[i][0], self._parts, self._state[i])
+                elif link.kind == "kinematics":
+                    joints, x = x, self._markers(link.run, x)
+                elif link.kind == "joints":  # acts on what is strained, not on the curl at rest
+                    strained = x - self._still
+                    x = x + (self._apply(i, strained.copy(), dt) - strained)
+                else:
+                    x = self._apply(i, x.copy(), dt)
+        tip = x if self._reads[1] == len(self._links) else tip
+        angles = joints[0] if self._chambers == 1 else joints[0].reshape(-1, 2)
+        return Pose(gauge[0].copy(), angles.copy(), tip[0].copy(), x[0].copy())
+
+    def _apply(self, i, x, dt):
+        link = self._links[i]
+        conditions = np.array([[self._given[c] for c in link.columns]], dtype=float)
+        link.run(x, dt, self._theta[i], conditions, self._state[i])
+        return x
+
+    def _markers(self, kinematics, q):
+        out = np.zeros((1, 5))
+        if self._chambers == 1:
+            tip, bend = kinematics(q, self._joints, self._length)
+            out[0, [0, 2]], out[0, 3] = tip[0], bend[0]
+        else:
+            out[:, :3], out[:, 3:] = kinematics(q.reshape(1, -1, 2), self._joints, self._length)
+        return out

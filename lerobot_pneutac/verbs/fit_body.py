@@ -67,9 +67,7 @@ def fit_compliance(twin: Twin, recording: Recording, train: np.ndarray, seed: in
     force = known_forces(recording)
     if force is None or np.ptp(force[train], axis=0)[[0, 2]].max() < LEAST_FORCE_N:
         return _held(twin, f"{NO_LOAD}, so {_NEITHER}; {advice(twin)}.")
-    samples = recording.samples.assign(**dict(zip(FORCES, force.T, strict=True)))
-    known = replace(recording, samples=samples)
-    start = twin.copy()
+    samples, start = recording.samples.assign(**dict(zip(FORCES, force.T, strict=True))), twin.copy()
     start.pressure_range_kpa = measured_range(recording) or twin.pressure_range_kpa
     start.effects.pop("payload", None)  # its weight is a force now
     effects = list(start.effects)
@@ -86,9 +84,8 @@ def fit_compliance(twin: Twin, recording: Recording, train: np.ndarray, seed: in
         body = measure(start, bending_range(start), PARTICLES)
     except (InputError, MpmDiverged) as e:
         return _held(twin, f"No soft body can be put round this spine ({e}), so {_NEITHER}.")
-    data = BodyData.of(known, start)
-    both = fit(start, data, effects, train, seed=seed, body=body)
-    return _found(twin, both, body)
+    data = BodyData.of(replace(recording, samples=samples), start)
+    return _found(twin, fit(start, data, effects, train, seed=seed, body=body), body)
 
 
 def known_forces(recording: Recording) -> np.ndarray | None:
@@ -108,12 +105,10 @@ def advice(twin: Twin) -> str:
     """What to hang on the finger: what moves its tip by a tenth of its length, as far as is known."""
     levers = 1e-3 * (twin.length_mm - np.asarray(twin.spine_joint_positions_mm))
     K = twin.parameters.get(WHOLE, Value(PAPER_FINGER[WHOLE])).value
-    grams = 1e3 * 0.1e-3 * twin.length_mm * K / (levers @ levers) / STANDARD_GRAVITY
-    return (
-        f"hang about {float(f'{grams:.1g}'):g} g on the tip in some trials, with the base level and with it "
-        "upright, and write payload_g and gravity_x, gravity_y, gravity_z, or push with a force gauge and "
-        "write force_x_n, force_y_n, force_z_n"
-    )
+    grams = float(f"{1e3 * 0.1e-3 * twin.length_mm * K / (levers @ levers) / STANDARD_GRAVITY:.1g}")
+    hang = f"hang about {grams:g} g on the tip in some trials, with the base level and with it upright"
+    push = "or push with a force gauge and write force_x_n, force_y_n, force_z_n"
+    return f"{hang}, and write payload_g and gravity_x, gravity_y, gravity_z, {push}"
 
 
 NO_LOAD = "No known load bends the finger"
@@ -146,10 +141,8 @@ def _found(twin: Twin, found: PipelineFit, body: SoftBody) -> Compliance:
     value = twin.parameters.get(MODULUS, Value(PAPER_FINGER[MODULUS])).value
     range_mpa = f"{max(low, 0.0):.2g} to {high:.2g} MPa"
     rows[MODULUS] = with_unit(Value(value), "MPa") | {"note": f"fixed: not identifiable ({range_mpa})"}
-    remark += (
-        f" Young's modulus cannot be identified from these data ({range_mpa}); record the angles of the "
-        "joints too (q_1_rad ...)."
-    )
+    remedy = "record the angles of the joints too (q_1_rad ...)"
+    remark += f" Young's modulus cannot be identified from these data ({range_mpa}); {remedy}."
     if value * alone >= whole.value:
         new.parameters[MODULUS] = Value(0.5 * (low + min(high, 0.9 * whole.value / alone)))
         remark += f" It is set to {new.parameters[MODULUS].value:.2g} MPa."
@@ -174,15 +167,6 @@ SHOWN_BY = {
 }
 
 
-def _shown_by(name: str, columns: Sequence[str]) -> str:
-    """What to record to identify a body's parameter, where these columns of the pose were recorded."""
-    if name in SHOWN_BY:
-        return SHOWN_BY[name]
-    if any(c.startswith("q_") for c in columns):
-        return "record larger bends: their shape shows little at the pressures of this recording"
-    return "record the angles of the joints (q_1_rad ...)"
-
-
 def unknown_parameter(name: str, row: dict, columns: Sequence[str]) -> str:
     """Why a recording of these columns does not identify a parameter, and what to record, in two sentences.
 
@@ -192,11 +176,10 @@ def unknown_parameter(name: str, row: dict, columns: Sequence[str]) -> str:
         columns: of the pose that were fitted.
     """
     meaning = f" ({MEANING[name]})" if name in MEANING else ""
+    why = "Other parameters can make up for any change of it in this recording"
     if row["ci95"]:
         values = "Any value from {:.3g} to {:.3g}".format(*row["ci95"])
         why = f"{values}{' ' * bool(row['unit'])}{row['unit']} fits this recording about as well"
-    else:
-        why = "Other parameters can make up for any change of it in this recording"
     if name in ("gain_alpha", "gain_beta") and not any(c.startswith("q_") for c in columns):
         why += ", as it has no joint angles"
     remedy = str(row["note"]).partition(": ")[2]
@@ -260,12 +243,10 @@ class BodyCalibration(Calibration):
     def _causes(self) -> list[str]:
         if not self.causes:
             return []
-        error = self.error["heldout"]
+        falls = f"from {self.without_causes:.3g} to {self.error['heldout']:.3g} {self.unit}"
         each = ", ".join(f"{c.name.replace('_', ' ')} {c.error_without:.3g}" for c in self.causes)
-        return [
-            f"Known causes lower the held-out error from {self.without_causes:.3g} to {error:.3g} "
-            f"{self.unit}. Without each, all else re-fitted: {each} {self.unit}."
-        ]
+        without = f"Without each, all else re-fitted: {each} {self.unit}."
+        return [f"Known causes lower the held-out error {falls}. {without}"]
 
     def content(self) -> dict:
         errors = {k: {"heldout": getattr(self, k)} for k in ("before", "without_causes")}
@@ -281,12 +262,12 @@ class BodyCalibration(Calibration):
         worth = "Intervals count neighbouring samples as the few independent ones that they are worth."
         page.table(Calibration.rows(self), worth)
         t = self.bench.inputs.columns["session_time_s"][self.bench.inputs.rows]
-        step = max(1, len(t) // MOST_POINTS)
+        thin = slice(None, None, max(1, len(t) // MOST_POINTS))
         for i, column in enumerate(self.bench.columns[: self.bench.counted]):
             measured, residual = self.bench.measured[:, i], self.fits[-1].residual[:, i]
             lines = (("measured", measured, MEASURED), ("twin", measured - residual, MODEL))
             left = ("held-out residual", np.where(self.train, np.nan, residual), HELDOUT)
-            shown = ((name, t[::step], y[::step], colour) for name, y, colour in (*lines, left))
+            shown = ((name, t[thin], y[thin], colour) for name, y, colour in (*lines, left))
             page.figure(curves(shown, "time (s)", column))
         return page
 
@@ -353,13 +334,7 @@ class _HeldOutTest:
 
 
 def _with_known_causes(
-    fits: list[PipelineFit],
-    recording: Recording,
-    bench: BodyData,
-    train: np.ndarray,
-    test: _HeldOutTest | None,
-    seed: int,
-    progress,
+    fits: list[PipelineFit], recording, bench, train, test: _HeldOutTest | None, seed: int, progress
 ) -> tuple[list[PipelineFit], Twin, list[Contribution], list[str]]:
     """The fits with those known causes that the recording shows, the twin without them, and their worth.
 
@@ -393,11 +368,9 @@ def _with_known_causes(
     sentences = [d for c, d in doubts.items() if c not in names]
     if not names or not test.needs(test.squared(plain), squared):
         return fits, plain, [], sentences
-    value, drop = test.held.value, test.held.drop
-    error = float(np.sqrt(value(squared)))
-    causes = [
-        Contribution(c, True, float(np.sqrt(value(lost[c]))), error, drop(lost[c], squared)) for c in names
-    ]
+    error = {c: float(np.sqrt(test.held.value(lost[c]))) for c in names}
+    now_error, drop = float(np.sqrt(test.held.value(squared))), test.held.drop
+    causes = [Contribution(c, True, error[c], now_error, drop(lost[c], squared)) for c in names]
     return [*fits[:-1], now], plain, sorted(causes, key=lambda c: -c.drop[0]), sentences
 
 
@@ -442,6 +415,9 @@ def parameters(twin: Twin, fits: list[PipelineFit], bench: BodyData) -> dict[str
     """Value, 95 % interval where it was fitted, unit, and what to know about each parameter."""
     model = Pipeline.of(twin)
     theta = model.theta(twin, bench.inputs.pressure_range_kpa)
+    bends = "record larger bends: their shape shows little at the pressures of this recording"
+    angles = any(c.startswith("q_") for c in bench.columns[: bench.counted])
+    else_by = bends if angles else "record the angles of the joints (q_1_rad ...)"
     out = {}
     for name, spec, value in zip(model.names, model.specs, theta, strict=True):
         row = {"value": float(value), "ci95": None, "unit": spec.unit, "note": "held"}
@@ -453,8 +429,7 @@ def parameters(twin: Twin, fits: list[PipelineFit], bench: BodyData) -> dict[str
             known = row["value"], row["ci95"], spec, bench.inputs.pressure_range_kpa
             if name in f.not_identified or not_identifiable(*known):
                 effect, dot, _ = name.partition(".")
-                row["note"] = unidentified(
-                    get_effect(effect).experiment if dot else _shown_by(name, bench.columns[: bench.counted])
-                )
+                by = get_effect(effect).experiment if dot else SHOWN_BY.get(name, else_by)
+                row["note"] = unidentified(by)
         out[name] = row
     return out

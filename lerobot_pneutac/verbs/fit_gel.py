@@ -71,10 +71,9 @@ class GelCalibration(Calibration):
     def sentence(self) -> str:
         if not self.data.heldout:
             return ""
-        return (
-            f"On {len(self.data.heldout)} images that the fit has not seen, the error is "
-            f"{self.mean(OURS).rmse:.2f} levels; the rest image alone has {self.mean(REST).rmse:.2f}."
-        )
+        ours, rest = (f"{self.mean(m).rmse:.2f}" for m in (OURS, REST))
+        error = f"the error is {ours} levels; the rest image alone has {rest}"
+        return f"On {len(self.data.heldout)} images that the fit has not seen, {error}."
 
     def rows(self) -> list[dict]:
         rows, samples = [], self.data.samples
@@ -92,9 +91,7 @@ class GelCalibration(Calibration):
     def _identified_of(self) -> list[str]:
         first = [make_sentence(self.fit)]
         if self.material:
-            confirm = (
-                "confirm the refinement" if self.fit.refined else "do not confirm it, so it was not taken"
-            )
+            confirm = "confirm that" if self.fit.refined else "do not confirm that, so it was not taken"
             first.append(
                 f"The light was fitted to surfaces of material points ({self.material}) and refined through "
                 f"the splat renderer; held-out parts of the presses {confirm}. The twin draws by the closed "
@@ -134,20 +131,17 @@ class GelCalibration(Calibration):
             scores = vars(self.mean(name))
             methods[name] = {k: v if np.isfinite(v) else None for k, v in scores.items()}
         image = methods[OURS] | {"rest_rmse": methods[REST]["rmse"], "n": n} if n else None
+        fit, found = self.fit, self.identified
         return super().content() | {
-            "make": self.fit.make,
-            "orientation": str(self.fit.orientation) if self.fit.make else "",
-            "make_likeness": self.fit.likeness,
-            "make_by": ("rest image" if self.fit.by_rest else "light") if self.fit.make else "",
-            "refined": self.fit.refined,
-            "untold": list(self.identified.unidentified),
-            "next_press": _described(self.identified.add)
-            | {"where": self.identified.where, "deeper": self.identified.deeper},
-            "presses": [_described(press) for press in self.fit.presses],
-            "open_levels": {
-                "now": self.identified.open_levels,
-                "with_next_press": self.identified.then_levels,
-            },
+            "make": fit.make,
+            "orientation": str(fit.orientation) if fit.make else "",
+            "make_likeness": fit.likeness,
+            "make_by": ("rest image" if fit.by_rest else "light") if fit.make else "",
+            "refined": fit.refined,
+            "untold": list(found.unidentified),
+            "next_press": _described(found.add) | {"where": found.where, "deeper": found.deeper},
+            "presses": [_described(press) for press in fit.presses],
+            "open_levels": {"now": found.open_levels, "with_next_press": found.then_levels},
             "image": image,
             "methods": methods,
             "notes": self.notes,
@@ -159,16 +153,11 @@ class GelCalibration(Calibration):
     def page(self) -> Report:
         page = self.lead_page()
         page.text(f"Recording: `{self.recording}`. {self.notes}")
-        page.image(
-            self.pictures()["tactile.png"],
-            "Above the recording, in the middle the model, below model minus recording (four times; grey is "
-            "no error). Columns: rest, the calibration image, held-out images.",
-        )
-        page.table(
-            self.rows(),
-            "Mean over images; contact: a disc of twice the contact radius; dNCC: correlation of "
-            "(image - rest) there.",
-        )
+        rows = "Above the recording, in the middle the model, below four times model minus recording"
+        columns = "Columns: rest, the calibration image, held-out images"
+        page.image(self.pictures()["tactile.png"], f"{rows} (grey is no error). {columns}.")
+        what = "Mean over images; contact: a disc of twice the contact radius"
+        page.table(self.rows(), f"{what}; dNCC: correlation of (image - rest) there.")
         page.heading("What was fitted")
         page.text(" ".join(self._identified_of()))
         page.table(
@@ -180,24 +169,18 @@ class GelCalibration(Calibration):
 
 def make_sentence(fit: GelFit) -> str:
     """The sensor model that was recognised, and by what; empty if none was looked for."""
+    which, none = f"that of a {fit.make}, {fit.orientation}", "The sensor is of no known model"
     if fit.make and fit.by_rest:
-        return (
-            f"The light is that of a {fit.make}, {fit.orientation}: the rest images correlate by "
-            f"{fit.likeness:.2f} (at least {LIKE:g})."
-        )
+        return f"The light is {which}: the rest images correlate by {fit.likeness:.2f} (at least {LIKE:g})."
     if fit.make:
-        return (
-            f"The light may be that of a {fit.make}, {fit.orientation}: its directions in the first "
-            "press agree, its rest image does not."
-        )
+        agree = "its directions in the first press agree, its rest image does not"
+        return f"The light may be {which}: {agree}."
     if fit.likeness is None:
         return ""
     if not fit.likeness:
-        return "The sensor is of no known model: the images of all known ones have other proportions."
-    return (
-        f"The sensor is of no known model: its rest image correlates with the most similar by "
-        f"{fit.likeness:.2f}, less than {LIKE:g}."
-    )
+        return f"{none}: the images of all known ones have other proportions."
+    like = f"{fit.likeness:.2f}, less than {LIKE:g}"
+    return f"{none}: its rest image correlates with the most similar by {like}."
 
 
 def identified_sentences(found: Identified, make: str) -> list[str]:
@@ -214,11 +197,11 @@ def identified_sentences(found: Identified, make: str) -> list[str]:
         out.append("Another press of this indenter would add little information.")
         return out
     p = found.add
-    out.append(
-        f"To know more, add a {'deeper press' if found.deeper else 'press'} at the {found.where} "
-        f"({p.depth_mm:.2g} mm deep, x {p.x_mm:.1f}, y {p.y_mm:.1f} mm): this press would cut the "
-        f"calibration's uncertainty from {found.open_levels:.1f} to {found.then_levels:.1f} grey levels."
-    )
+    press = f"add a {'deeper ' * found.deeper}press at the {found.where}"
+    place = f"{p.depth_mm:.2g} mm deep, x {p.x_mm:.1f}, y {p.y_mm:.1f} mm"
+    gain = f"from {found.open_levels:.1f} to {found.then_levels:.1f} grey levels"
+    cuts = f"this press would cut the calibration's uncertainty {gain}"
+    out.append(f"To know more, {press} ({place}): {cuts}.")
     if found.deeper:
         out.append("Contacts deeper than the presses are extrapolated.")
     return out
@@ -237,14 +220,11 @@ def residual_sentence(fit: GelFit) -> str:
     out = []
     if fit.prior_share:
         share = {0.25: "A quarter", 0.5: "Half"}.get(fit.prior_share, f"{fit.prior_share:.0%}")
-        out.append(
-            f"{share} of the mean residual field of other sensors of the model {fit.make} is added: the "
-            "share that fits the presses best."
-        )
+        what = f"{share} of the mean residual field of other sensors of the model {fit.make}"
+        out.append(f"{what} is added: the share that fits the presses best.")
     if fit.gel.residual is not None:
-        out.append(
-            "A residual field is fitted to the presses too, as far as cross-validation over them confirms it."
-        )
+        far = "as far as cross-validation over them confirms it"
+        out.append(f"A residual field is fitted to the presses too, {far}.")
     return " ".join(out)
 
 
@@ -279,15 +259,12 @@ def calibrate_gel(
     if points:
         progress("material points under the presses of the calibration", 0, 1)
     given = points and points.between
-    known = late_effects(
-        {n: {k: v.value for k, v in twin.effects[n].items()} for n in of_sensor(twin.effects)}
-    )
+    numbers = {n: {k: v.value for k, v in twin.effects[n].items()} for n in of_sensor(twin.effects)}
+    known = late_effects(numbers)
     unseen = [n for n in late_effects(dict.fromkeys(names or (), {})) if n not in known]
     if unseen and not any(p.earlier for p in presses):
-        raise InputError(
-            f"effects={','.join(names or ())}: '{unseen[0]}' {UNHELD}, and give role 'calibration' to a "
-            "press that came after another."
-        )
+        remedy = "give role 'calibration' to a press that came after another"
+        raise InputError(f"effects={','.join(names or ())}: '{unseen[0]}' {UNHELD}, and {remedy}.")
     fit = fit_presses(presses, data.px_per_mm, names, data.thickness_mm, library(), given, known)
     if points:
         from pneutac_sim.splat.refine import refine_fit  # numba takes a second to start
@@ -343,10 +320,10 @@ def _against_earlier(twin: Twin, data: GelRecording) -> list[str]:
     found = RestDifference.of(*(cells(i, data.px_per_mm) for i in (data.rest, earlier)), data.px_per_mm)
     if not found.shows:
         return []
-    return [
-        f"the rest image shows something at ({found.x_mm:.1f}, {found.y_mm:.1f}) mm that the twin's earlier"
-        f" one does not, {found.levels:.0f} levels strong; if it is not the gel's own light, take it again."
-    ]
+    where = f"({found.x_mm:.1f}, {found.y_mm:.1f}) mm"
+    seen = f"the rest image shows something at {where} that the twin's earlier one does not"
+    again = "if it is not the gel's own light, take it again"
+    return [f"{seen}, {found.levels:.0f} levels strong; {again}."]
 
 
 def _material_points(twin: Twin, data: GelRecording, effects: Sequence[str] | None) -> "PressedGel":
@@ -355,10 +332,8 @@ def _material_points(twin: Twin, data: GelRecording, effects: Sequence[str] | No
 
     moving = [name for name in effects or () if get_effect(name).press is not None]
     if moving:
-        raise InputError(
-            f"through=mpm presses where the recording says, but the effect '{moving[0]}' moves the presses; "
-            "choose other effects, or omit through."
-        )
+        but = f"the effect '{moving[0]}' moves the presses; choose other effects, or omit through"
+        raise InputError(f"through=mpm presses where the recording says, but {but}.")
     return PressedGel(GelModel(data.rest, np.zeros((3, 2)), np.zeros(3), data.px_per_mm), twin)
 
 
@@ -382,18 +357,17 @@ def scores_of(data: GelRecording, predicted: list[np.ndarray]) -> list[ImageScor
 
 def poor_presses(scores: dict[str, list[ImageScores]], data: GelRecording) -> list[str]:
     """A sentence for each press that the model misses far more than the others, as shares of REST's error."""
-    share = np.array(
-        [ours.rmse / max(rest.rmse, 1e-9) for ours, rest in zip(scores[OURS], scores[REST], strict=True)]
-    )
+    pairs = zip(scores[OURS], scores[REST], strict=True)
+    share = np.array([ours.rmse / max(rest.rmse, 1e-9) for ours, rest in pairs])
     if len(share) < LEAST_PRESSES:
         return []
     typical = float(np.median(share))
+    remedy = "Check its image, x_mm, y_mm, depth_mm and indenter, or leave the row out"
+    others = f"the rest image alone misses it by; the others by {typical:.2f} times. {remedy}."
     return [
-        f"Row {i + 1} ('{s.name}') is missed by {scores[OURS][i].rmse:.1f} levels, {share[i]:.2f} times what"
-        f" the rest image alone misses it by; the others by {typical:.2f} times. Check its image, x_mm, y_mm,"
-        " depth_mm and indenter, or leave the row out."
-        for i, s in enumerate(data.samples)
-        if share[i] > POOR_SHARE and share[i] > POOR_TIMES * typical
+        f"Row {i + 1} ('{data.samples[i].name}') is missed by {scores[OURS][i].rmse:.1f} levels, "
+        f"{share[i]:.2f} times what {others}"
+        for i in np.flatnonzero(share > max(POOR_SHARE, POOR_TIMES * typical))
     ]
 
 
@@ -437,8 +411,6 @@ def wanted(effects: Sequence[str] | None, twin: Twin) -> list[str] | None:
     for name in effects:
         if name not in of_one_pair:
             why = "needs more than one pair of images" if of_sensor([name]) else "is no optics effect"
-            raise InputError(
-                f"effects={','.join(effects)}: '{name}' {why}; give some of {','.join(of_one_pair)}, or "
-                "none for the paper's linear model."
-            )
+            remedy = f"give some of {','.join(of_one_pair)}, or none for the paper's linear model"
+            raise InputError(f"effects={','.join(effects)}: '{name}' {why}; {remedy}.")
     return list(dict.fromkeys(effects))

@@ -15,26 +15,8 @@ from lerobot_pneutac.verbs.result import Calibration
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.files import write_image
 from pneutac_sim.finger.fit import BY_IMAGES
-from pneutac_sim.photo_fit.objective import (
-    SILHOUETTE,
-    Bodies,
-    BodyParameters,
-    Equilibria,
-    MaskedPhotograph,
-    Objective,
-    Scores,
-    body_parameters,
-)
-from pneutac_sim.photo_fit.search import (
-    EVALUATIONS,
-    Coarse,
-    Posterior,
-    Search,
-    SearchRecord,
-    coarse_fit,
-    confidence,
-    search,
-)
+from pneutac_sim.photo_fit import objective as photo
+from pneutac_sim.photo_fit import search as cma
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.splat.body import fit_body_looks, looks_into_twin
 from pneutac_sim.splat.render import Gaussians
@@ -50,7 +32,7 @@ class PhotoOptions:
     """How a body is fitted to photographs."""
 
     levels_kpa: tuple[float, ...] = TRAIN_KPA  # pressures to fit; all others are held out
-    evaluations: int = EVALUATIONS  # of the objective
+    evaluations: int = cma.EVALUATIONS  # of the objective
     particles: int = PARTICLES  # of the body, about
     seed: int = 0  # decides the search
     device: str = "auto"  # of the material points, see `mpm.runtime.start`
@@ -62,14 +44,14 @@ class PhotoCalibration(Calibration):
 
     heading = "Calibrated {0.twin.device} by images"
 
-    fitted: BodyParameters
+    fitted: photo.BodyParameters
     study: PhotoStudy
-    start: Coarse  # from silhouettes alone
-    search: Search
-    confidence: Posterior
-    objective: Objective  # of all photographs, fitted and held out
-    bodies: Bodies  # at rest at every pressure, with the best parameters
-    scores: Scores  # of the bodies on all photographs, (1, n)
+    start: cma.Coarse  # from silhouettes alone
+    search: cma.Search
+    confidence: cma.Posterior
+    objective: photo.Objective  # of all photographs, fitted and held out
+    bodies: photo.Bodies  # at rest at every pressure, with the best parameters
+    scores: photo.Scores  # of the bodies on all photographs, (1, n)
     tip_error_mm: np.ndarray | None  # (T,) distance to the markers, or None where the recording has none
 
     @property
@@ -109,18 +91,14 @@ class PhotoCalibration(Calibration):
         ]
 
     def content(self) -> dict:
-        loss = self.scores.appearance[0] + SILHOUETTE * (1 - self.scores.iou[0])
+        loss = self.scores.appearance[0] + photo.SILHOUETTE * (1 - self.scores.iou[0])
         names, study = self.fitted.names, self.study
         tip = {} if self.tip_mm is None else {"tip_error_mm": self.tip_mm}
-        return super().content() | tip | {
-            "objective": _parts(study, loss),
-            "iou": self.iou,
-            "not_identified": self.confidence.not_identified,
-            "coarse": dict(zip(names, self.fitted.values(self.start.x).tolist(), strict=True)),
-            "cameras": study.cameras[: study.fitted],
-            "train_kpa": study.pressures[study.train].tolist(),
-            "resumed": self.search.resumed,
-        }  # fmt: skip
+        coarse = dict(zip(names, self.fitted.values(self.start.x).tolist(), strict=True))
+        out = super().content() | tip | {"objective": _parts(study, loss), "iou": self.iou}
+        out |= {"not_identified": self.confidence.not_identified, "coarse": coarse}
+        out |= {"cameras": study.cameras[: study.fitted], "train_kpa": study.pressures[study.train]}
+        return out | {"resumed": self.search.resumed}
 
     def page(self) -> Report:
         import plotly.graph_objects as go
@@ -164,45 +142,48 @@ def calibrate_photographs(
     progress("silhouettes and looks", 0, options.evaluations)
     study = photo_study(recording, options.levels_kpa)
     span = float(np.abs(study.pressures).max())
-    first = body_parameters(twin, span)
+    first = photo.body_parameters(twin, span)
     pressures, photographs = study.pressures[study.train], study.of(study.train)
-    start = coarse_fit(first, pressures, photographs, study.conditions, options.device)
-    fitted = body_parameters(first.twin_at(start.x), span)
+    start = cma.coarse_fit(first, pressures, photographs, study.conditions, options.device)
+    fitted = photo.body_parameters(first.twin_at(start.x), span)
 
-    def bodies(x: np.ndarray, pressures: np.ndarray) -> Equilibria:
-        return Equilibria(fitted, x, pressures, study.conditions, options.particles, options.device)
+    def bodies(x: np.ndarray, pressures: np.ndarray) -> photo.Equilibria:
+        return photo.Equilibria(fitted, x, pressures, study.conditions, options.particles, options.device)
 
     equilibria, rest = bodies(start.x, pressures), study.rest  # the photograph nearest to no pressure
     looks = _looks(rest, equilibria, int(np.cumsum(study.train)[rest.state]) - 1)
-    objective = Objective(equilibria, photographs, looks)
+    objective = photo.Objective(equilibria, photographs, looks)
 
     def report(done: int, _: np.ndarray, value: float) -> None:
         progress(f"best objective {value:.4f}", done, options.evaluations)
         if best is not None and objective.best is not None:
             write_image(best, strip(objective, objective.best, photographs))
 
-    key = search_key(recording, twin, photographs, options.particles)
-    count, seed = options.evaluations, options.seed
-    found = search(
-        objective, fitted, start, count, seed=seed, record=SearchRecord(file, key), progress=report
-    )
-    posterior, everywhere = confidence(objective, found.x), bodies(found.x, study.pressures)
+    record = cma.SearchRecord(file, search_key(recording, twin, photographs, options.particles))
+    how = {"seed": options.seed, "record": record, "progress": report}
+    found = cma.search(objective, fitted, start, options.evaluations, **how)
+    posterior, everywhere = cma.confidence(objective, found.x), bodies(found.x, study.pressures)
     new = fitted.twin_at(found.x, posterior.ci95)
     looks_into_twin(new, _looks(rest, everywhere, rest.state, DETAIL))
-    whole = Objective(everywhere, study.photographs, looks)
+    whole = photo.Objective(everywhere, study.photographs, looks)
     scores, tip_error_mm = whole.scores(everywhere.first), None
     if study.markers_mm is not None:
         tip_error_mm = np.linalg.norm(1e3 * everywhere.first.tips[0] - study.markers_mm, axis=1)
+    rows = {}
+    for name, unit, value in zip(fitted.names, fitted.units, fitted.values(found.x), strict=True):
+        unclear = name in posterior.not_identified
+        note = "not identified: open by more than a tenth of its range" if unclear else ""
+        rows[name] = {"value": float(value), "ci95": list(posterior.ci95[name]), "unit": unit, "note": note}
     return PhotoCalibration(
         twin=new,
-        parameters=_rows(fitted, found, posterior),
+        parameters=rows,
         error=_parts(study, scores.rmse[0]),
         unit=PhotoStudy.unit,
         evaluations=len(found.objectives),
         seconds=time.perf_counter() - began,
         recording=str(recording.folder),
         change=BY_IMAGES,
-        seed=seed,
+        seed=options.seed,
         findings=(*recording.warnings, *study.findings),
         fitted=fitted,
         study=study,
@@ -216,30 +197,21 @@ def calibrate_photographs(
     )
 
 
-def _rows(fitted: BodyParameters, found: Search, posterior: Posterior) -> dict[str, dict]:
-    rows = {}
-    for name, unit, value in zip(fitted.names, fitted.units, fitted.values(found.x), strict=True):
-        unclear = name in posterior.not_identified
-        note = "not identified: open by more than a tenth of its range" if unclear else ""
-        rows[name] = {"value": float(value), "ci95": list(posterior.ci95[name]), "unit": unit, "note": note}
-    return rows
-
-
 def _parts(study: PhotoStudy, values: np.ndarray) -> dict[str, float | None]:
     """Mean of (n,) values over fitted and over held-out photographs, None where there are none."""
     parts = {"train": study.parts.train, "heldout": study.parts.heldout}
     return {k: float(np.mean(values[m])) if m.any() else None for k, m in parts.items()}
 
 
-def search_key(recording: Recording, twin: Twin, photographs: list[MaskedPhotograph], particles: int) -> str:
+def search_key(recording: Recording, twin: Twin, photographs: list, particles: int) -> str:
     """What a search depends on besides its start: one with another key is not continued."""
     pictures = [(p.state, zlib.crc32(p.image.tobytes()), zlib.crc32(p.mask.tobytes())) for p in photographs]
     return f"{recording.folder.resolve()} {pictures} {particles} {len(twin.history)}"
 
 
-def _looks(photograph: MaskedPhotograph, equilibria: Equilibria, state: int, detail: int = 1) -> Gaussians:
+def _looks(p: photo.MaskedPhotograph, equilibria: photo.Equilibria, state: int, detail=1) -> Gaussians:
     """From one photograph of the body at pressure number `state` of the equilibria."""
-    p, first = photograph, equilibria.first
+    first = equilibria.first
     pose = (first.positions[0, state], first.gradients[0, state])
     return fit_body_looks(equilibria.body, *pose, p.image, p.mask, p.camera, detail=detail)
 
@@ -251,9 +223,6 @@ def _strips(c) -> Iterator[tuple[np.ndarray, str]]:
         some = shown[i : i + 6]
         if len({p.mask.shape for p in some}) > 1:
             continue
-        labels = [
-            f"{'/'.join(f'{v:g}' for v in study.pressures[p.state])} kPa"
-            f"{'' if study.train[p.state] else ' (held out)'}"
-            for p in some
-        ]
+        kpa = ["/".join(f"{v:g}" for v in study.pressures[p.state]) + " kPa" for p in some]
+        labels = [k + " (held out)" * (not study.train[p.state]) for k, p in zip(kpa, some, strict=True)]
         yield strip(c.objective, c.bodies.positions[0], some), ", ".join(labels)

@@ -1,12 +1,94 @@
-"""The versions of a twin, and the way back to one of them."""
+"""A twin with its history: as one page to send to somebody, its versions, and the way back to one of them."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.verbs.report import report
+from lerobot_pneutac.reports.page import Report, span
+from lerobot_pneutac.verbs.result import Result
+from pneutac_datasets.recording.wording import joined
+from pneutac_sim.effects.laws import plain_name
+from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class TwinReport(Result):
+    """What a twin is and how it became so."""
+
+    twin: Twin
+
+    keys = (("device", "twin.device"), "sentence")
+
+    @property
+    def title(self) -> str:
+        return f"Twin of a {self.twin.device}" + (f": {self.twin.folder.name}" if self.twin.folder else "")
+
+    def subject(self) -> tuple[Twin, str]:
+        return self.twin, (self.twin.history[-1].get("recording") or "") if self.twin.history else ""
+
+    @property
+    def sentence(self) -> str:
+        twin = self.twin
+        effects = joined(map(plain_name, twin.effects)) if twin.effects else "no effects"
+        tested = [e for e in twin.history if e.get("heldout") is not None]
+        long = "" if twin.device == "gel" else f", {twin.length_mm:g} mm long"
+        version = f", in version {len(twin.history) - 1}" if twin.history else ""
+        text = f"A twin of a {twin.device}{long}, with {effects}{version}"
+        if not tested:
+            return f"{text}; it was never tested on data that it had not seen."
+        last = tested[-1]
+        error = f"{last['heldout']:.3g} {last.get('unit') or ''}".strip()
+        return f"{text}; where it was not fitted it was {error} off when last tested."
+
+    def rows(self) -> list[dict]:
+        names = ("version", "change", "train", "heldout", "unit", "recording")
+        return [{k: e.get(k) for k in names} for e in self.twin.history]
+
+    def described(self) -> list[str]:
+        device = self.twin.device
+        return [
+            get_effect(name).describe({k: v.value for k, v in values.items()}, device)
+            for name, values in self.twin.effects.items()
+        ]
+
+    def parameters(self) -> list[dict]:
+        return [
+            {"of": of, "parameter": name, "value": v.value, "95 % interval": span(v.ci95)}
+            for of, values in ({"body": self.twin.parameters} | self.twin.effects).items()
+            for name, v in values.items()
+        ]
+
+    def content(self) -> dict:
+        out = {"history": self.rows(), "effects": list(self.twin.effects), "parameters": self.parameters()}
+        return super().content() | out
+
+    def page(self) -> Report:
+        from lerobot_pneutac.reports.compare import history  # plotly
+
+        page, twin = self.lead_page(), self.twin
+        if twin.history:
+            page.heading("How it became so")
+            for unit in dict.fromkeys(e["unit"] for e in self.rows() if e["unit"]):
+                entries = [e for e in self.rows() if e["unit"] == unit]
+                if len(entries) > 1:
+                    page.figure(history(entries, unit), "Errors as each version recorded them.", 340)
+            page.table(self.rows())
+        if twin.effects:
+            page.heading("What its effects do")
+            page.text("\n\n".join(self.described()))
+        page.heading("Its numbers")
+        page.table(self.parameters(), "Units are in the names; where no interval stands, none was fitted.")
+        if "rest_image" in twin.arrays:
+            page.heading("Its touch sensor without contact")
+            page.image(twin.arrays["rest_image"], width=240)
+        return page
+
+
+def report(twin: Twin) -> TwinReport:
+    """The twin with its history; nothing is changed."""
+    return TwinReport(twin=twin)
 
 
 def restore(folder: str | Path, version: int) -> Twin:
@@ -17,16 +99,12 @@ def restore(folder: str | Path, version: int) -> Twin:
         there = f"it has {', '.join(map(str, numbers))}" if numbers else "it was never fitted"
         raise InputError(f"{folder} has no version {version}; {there}.")
     if version == numbers[-1]:
-        raise InputError(
-            f"Version {version} is the newest of {folder}; give an earlier one to go back to it."
-        )
-    entry = newest.history[version]
-    twin = Twin.load(folder, version)
+        raise InputError(f"Version {version} is the newest of {folder}; give an earlier one to go back to.")
+    entry, twin = newest.history[version], Twin.load(folder, version)
     twin.history = newest.history
     rest = {k: v for k, v in entry.items() if k not in ("version", "change", "recording")}
-    twin.save_version(
-        folder, f"back to version {version}: {entry['change']}", entry.get("recording", ""), rest
-    )
+    change = f"back to version {version}: {entry['change']}"
+    twin.save_version(folder, change, entry.get("recording", ""), rest)
     return twin
 
 

@@ -90,19 +90,12 @@ class Round:
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Learning(Result):
-    """What the bench taught, round by round.
+    """What the bench taught, round by round."""
 
-    Attributes:
-        twin: with all that was found; its folder has a version for each round.
-        rounds: in order.
-        ended: why there was no further round, a clause.
-        folder: where everything lies.
-    """
-
-    twin: Twin
-    rounds: tuple[Round, ...]
-    ended: str
-    folder: Path
+    twin: Twin  # with all that was found; its folder has a version for each round
+    rounds: tuple[Round, ...]  # in order
+    ended: str  # why there was no further round, a clause
+    folder: Path  # where everything lies
 
     heading = "Learnt from the bench"
     keys = (
@@ -276,10 +269,8 @@ def learn(
     same_chambers(twin, limits.chambers)
     first_s = first_program(limits)[0][-1]
     if not first_s <= budget_s:
-        raise InputError(
-            f"The first program takes {first_s:.0f} s and the budget is {budget_s:g} s; give"
-            f" budget_min={math.ceil(first_s / 30)} or more."
-        )
+        both = f"The first program takes {first_s:.0f} s and the budget is {budget_s:g} s"
+        raise InputError(f"{both}; give budget_min={math.ceil(first_s / 30)} or more.")
     length_mm = getattr(bench, "length_mm", None)
     if length_mm is not None and not same_length(length_mm, twin):
         both = f"The device on the bench is {length_mm:g} mm long and the twin's {twin.length_mm:g} mm"

@@ -242,8 +242,7 @@ class MeasureConfig:
             check_choice("conditions", name, tuple(CONDITIONS))
             if not np.isfinite(value):
                 raise InputError(f"conditions: {name} is {value}; give a number.")
-        gravity = [self.conditions.get(f"gravity_{a}") for a in "xyz"]
-        known = [g for g in gravity if g is not None]
+        known = [self.conditions[f"gravity_{a}"] for a in "xyz" if f"gravity_{a}" in self.conditions]
         if known and (len(known) < 3 or abs(np.linalg.norm(known) - 1) > 0.01):
             raise InputError("conditions: give gravity_x, gravity_y and gravity_z together, of length 1.")
         for kpa in np.atleast_1d(self.min_kpa):
@@ -382,7 +381,10 @@ class BenchDriver:
         self._pressure.vent()
         time.sleep(self._config.rest_s)
         rows, taken, k, start_s = [], 0, 0, time.monotonic()
-        started, command, sent_s = self._started(start_s), None, None
+        command, sent_s = None, None
+        started = {"start": "rested" if self._config.rest_s >= RESTED_S else "unknown"}
+        if self._vented_s is not None:  # each trial leaves the chamber vented
+            started = {"start": "continues", "pause_s": round(start_s - self._vented_s, 3)}
         while k < len(trial.time_s):
             _wait_until(start_s + trial.sent_s[k])
             sample, before, command, taken = k, command, trial.pressure_kpa[k], taken + 1
@@ -428,12 +430,6 @@ class BenchDriver:
         for i in np.flatnonzero(wrong):
             where = f" in chamber {i + 1}" if len(kpa) > 1 else ""
             raise HardwareFault(f"The pressure{where} reads {kpa[i]:.1f} kPa; check valve and sensor.")
-
-    def _started(self, start_s: float) -> dict:
-        """How a trial that begins at this time on the clock starts: each trial leaves the chamber vented."""
-        if self._vented_s is not None:
-            return {"start": "continues", "pause_s": round(start_s - self._vented_s, 3)}
-        return {"start": "rested" if self._config.rest_s >= RESTED_S else "unknown"}
 
     def _write(self) -> None:
         """The recording so far; the old one stays until the new one is whole."""

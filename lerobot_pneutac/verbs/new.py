@@ -62,13 +62,13 @@ def new_twin(
     pipeline, top_kpa = Pipeline.of(twin), max(map(abs, measured or (0.0,)))
     twin = pipeline.update(twin, pipeline.theta(twin, top_kpa or USUAL_RANGE_KPA))
     if device == "finger":  # no recording has it, and the world needs it
-        twin.parameters["joint_damping_nms_per_rad"] = Value(PAPER_FINGER["joint_damping_nms_per_rad"])
+        damping, stiffness = "joint_damping_nms_per_rad", "joint_stiffness_nm_per_rad"
+        twin.parameters[damping] = Value(PAPER_FINGER[damping])
         # K = E I / h of the paper's section, with segments of another length h.
         paper = Twin.builtin()
         shorter = len(twin.spine_joint_positions_mm) / twin.length_mm * paper.length_mm
         shorter /= len(paper.spine_joint_positions_mm)
-        stiffness = PAPER_FINGER["joint_stiffness_nm_per_rad"] * shorter
-        twin.parameters["joint_stiffness_nm_per_rad"] = Value(stiffness)
+        twin.parameters[stiffness] = Value(PAPER_FINGER[stiffness] * shorter)
     return twin
 
 
@@ -99,10 +99,9 @@ def read_body(
     body = read_mesh(mesh, unit, axis)
     expected = recording.length_mm if recording else None
     if expected is not None and abs(body.length_mm - expected) > SAME_LENGTH * expected:
-        raise InputError(
-            f"{mesh} is {body.length_mm:g} mm long, but length_mm is {expected:g} in "
-            f"{recording.folder}/recording.json; give the mesh of the device that was recorded."
-        )
+        stated = f"length_mm is {expected:g} in {recording.folder}/recording.json"
+        remedy = "give the mesh of the device that was recorded"
+        raise InputError(f"{mesh} is {body.length_mm:g} mm long, but {stated}; {remedy}.")
     return body
 
 
@@ -112,10 +111,8 @@ def mesh_sentence(body: UserMesh) -> str:
     moved = "as it lay in the file"
     if np.abs(body.shift_mm).max() >= 0.01:
         moved = f"moved by ({', '.join(f'{s:.2f}' for s in np.round(body.shift_mm, 2) + 0.0)}) mm"
-    return (
-        f"{size} mm along x, y and z, {1e-3 * body.mesh.volume:.4g} cm³, {moved}: base at x = 0, "
-        "neutral axis at y = z = 0."
-    )
+    volume = f"{1e-3 * body.mesh.volume:.4g} cm³"
+    return f"{size} mm along x, y and z, {volume}, {moved}: base at x = 0, neutral axis at y = z = 0."
 
 
 def write_geometry(twin: Twin, folder: Path) -> None:
@@ -174,9 +171,8 @@ def command(config: NewConfig, terminal: Terminal) -> None:
         raise InputError(f"{config.recording} holds demonstrations; give a bench recording of the device.")
     recording = Recording.load(config.recording) if config.recording is not None else None
     if recording is not None and config.device not in (None, recording.device):
-        raise InputError(
-            f"--device is '{config.device}', but {config.recording} is of {an(recording.device)}; omit one."
-        )
+        of = f"{config.recording} is of {an(recording.device)}"
+        raise InputError(f"--device is '{config.device}', but {of}; omit one.")
     converted = recording is not None and recording.meta.get("source")
     if converted and not (recording.length_mm or config.length_mm):
         raise InputError(f"Give --length_mm: {config.recording} does not state the length of the device.")

@@ -3,8 +3,6 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.markup import escape
-
 from lerobot_pneutac.cli.terminal import Terminal
 from pneutac_sim.errors import InputError
 
@@ -27,9 +25,6 @@ def command(config: RepairConfig, terminal: Terminal) -> None:
 
     repaired = repair_dataset(config.dataset, config.like, config.drop)
     for remark in repaired.remarks:
-        terminal.console.print(escape(remark), highlight=False)
-    terminal.console.print(
-        f"\n[bold]{escape(str(config.dataset))} is complete: {repaired.episodes} episodes,"
-        f" {repaired.recovered} of them recovered.[/]",
-        highlight=False,
-    )
+        terminal.say(remark)
+    count = f"{repaired.episodes} episodes, {repaired.recovered} of them recovered"
+    terminal.say(f"\n{config.dataset} is complete: {count}.", style="bold")

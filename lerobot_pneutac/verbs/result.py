@@ -25,15 +25,11 @@ class Result:
 
     A subclass declares what is in `result.json` (`keys`, and `content` for what is computed), a sentence, the
     rows of one short table and remarks; from these come the file, the console, a notebook and the page.
-
-    Attributes:
-        heading: of table and report; `{0.name}` in it is an attribute of the result.
-        findings: what the checks of the recording found, one sentence each.
-        keys: of `result.json`; a pair is a key and the attribute that holds its value, with dots.
     """
 
-    heading: ClassVar[str] = ""
-    findings: tuple[str, ...] = ()
+    heading: ClassVar[str] = ""  # of table and report; `{0.name}` in it is an attribute of the result
+    findings: tuple[str, ...] = ()  # what the checks of the recording found, one sentence each
+    # of `result.json`; a pair is a key and the attribute that holds its value, with dots
     keys: ClassVar[tuple[str | tuple[str, str], ...]] = ()
 
     @property
@@ -150,17 +146,11 @@ def command_on(verb: str, twin: Twin, recording: str | Path, *options: str) -> s
 
 
 class Comparison(Result):
-    """A twin against a recording.
+    """A twin against a recording."""
 
-    Attributes:
-        twin: that was compared.
-        unit: of the errors.
-        noise_floor: error that the measurement's own noise makes; None where it is unknown.
-    """
-
-    twin: Twin
-    unit: str
-    noise_floor: float | None
+    twin: Twin  # that was compared
+    unit: str  # of the errors
+    noise_floor: float | None  # error that the measurement's own noise makes; None where it is unknown
 
     @property
     @abstractmethod
@@ -216,33 +206,20 @@ WORSE = 1.02  # times the error of before: closer counts as equal
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Calibration(Result):
-    """A calibrated twin; subclasses hold what is particular to markers, photographs and gels.
+    """A calibrated twin; subclasses hold what is particular to markers, photographs and gels."""
 
-    Attributes:
-        twin: the next version, not yet written.
-        parameters: name to `value`, `unit` and, of a body, `ci95` and `note`.
-        error: `train` and `heldout` root mean square error in `unit`; None where there is no such part.
-        unit: of the error.
-        evaluations: of the model.
-        seconds: wall time.
-        recording: what it was fitted to.
-        change: what the twin's history says of this version.
-        seed: decided which part was held out; None where roles did.
-        findings: of the checks, one sentence each.
-        saved_to: the twin's folder once it was saved.
-    """
-
-    twin: Twin
-    parameters: dict[str, dict]
+    twin: Twin  # the next version, not yet written
+    parameters: dict[str, dict]  # name to `value`, `unit` and, of a body, `ci95` and `note`
+    # `train` and `heldout` root mean square error in `unit`; None where there is no such part
     error: dict[str, float | None]
-    unit: str
-    evaluations: int
-    seconds: float = 0.0
-    recording: str = ""
-    change: str
-    seed: int | None = None
-    findings: tuple[str, ...] = ()
-    saved_to: Path | None = None
+    unit: str  # of the error
+    evaluations: int  # of the model
+    seconds: float = 0.0  # wall time
+    recording: str = ""  # what it was fitted to
+    change: str  # what the twin's history says of this version
+    seed: int | None = None  # decided which part was held out; None where roles did
+    findings: tuple[str, ...] = ()  # of the checks, one sentence each
+    saved_to: Path | None = None  # the twin's folder once it was saved
 
     keys = ("parameters", "error", "unit", "evaluations", "seconds", "recording")
 
@@ -258,10 +235,9 @@ class Calibration(Result):
         heldout = self.error["heldout"]
         if before is None or heldout is None or heldout <= WORSE * before:
             return ""
-        return (
-            f"Nothing was stored: on held-out samples the fit misses by {heldout:.3g} {self.unit}, and "
-            f"{what} by {before:.3g}; `pneutac check` shows what is wrong with the recording."
-        )
+        both = f"the fit misses by {heldout:.3g} {self.unit}, and {what} by {before:.3g}"
+        check = "`pneutac check` shows what is wrong with the recording"
+        return f"Nothing was stored: on held-out samples {both}; {check}."
 
     def save(self, folder: str | Path) -> Self:
         """Writes the twin as the next version of `folder`; returns the result that knows its place.
@@ -290,16 +266,12 @@ class Calibration(Result):
         return command_on("compare", self.twin, self.recording)
 
     def rows(self) -> list[dict]:
-        return [
-            {
-                "parameter": name,
-                "value": p["value"],
-                "95 % interval": "" if str(p["note"]).startswith("not identifiable") else span(p["ci95"]),
-                "unit": p["unit"],
-                "note": p["note"],
-            }
-            for name, p in self.parameters.items()
-        ]
+        out = []
+        for name, p in self.parameters.items():
+            interval = "" if str(p["note"]).startswith("not identifiable") else span(p["ci95"])
+            row = {"parameter": name, "value": p["value"], "95 % interval": interval}
+            out.append(row | {"unit": p["unit"], "note": p["note"]})
+        return out
 
     def content(self) -> dict:
         where = {"twin": self.saved_to, "version": self.version} if self.saved_to else {}
@@ -322,11 +294,8 @@ def measured_range(recording: Recording) -> tuple[float, float] | None:
 
 
 def range_sentence(pressure_range_kpa: tuple[float, float]) -> str:
-    low, high = pressure_range_kpa
-    return (
-        f"The twin was measured from {low:g} to {high:g} kPa; robots and environments drive it no farther "
-        "unless `pressure_range_kpa` is given."
-    )
+    measured = "The twin was measured from {:g} to {:g} kPa".format(*pressure_range_kpa)
+    return f"{measured}; robots and environments drive it no farther unless `pressure_range_kpa` is given."
 
 
 def _outwards(value: float) -> float:

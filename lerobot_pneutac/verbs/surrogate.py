@@ -75,19 +75,16 @@ class SurrogateConfig(ExecutorOptions):
         from pneutac_sim.surrogate.gel_train import CHECK_EVERY, HELDOUT, LEAST
 
         check_choice("device", self.device, ("auto", "cpu", "cuda"))
+        few = "are too few to train on"
         if self.trajectories < FEWEST:
-            raise InputError(
-                f"trajectories={self.trajectories} are too few to train on; give {FEWEST} or more."
-            )
+            raise InputError(f"trajectories={self.trajectories} {few}; give {FEWEST} or more.")
         seen, fewest, used = max(CHECK_EVERY, LEAST + 1), 0, 0
         while used < seen:
             used += INDENTERS[fewest % len(INDENTERS)] not in HELDOUT
             fewest += 1
         if self.contacts < fewest:
-            raise InputError(
-                f"contacts={self.contacts} are too few to train on, since those of {' and '.join(HELDOUT)} "
-                f"are held out; give {fewest} or more."
-            )
+            why = f"since those of {' and '.join(HELDOUT)} are held out"
+            raise InputError(f"contacts={self.contacts} {few}, {why}; give {fewest} or more.")
 
 
 @dataclass(frozen=True)
@@ -105,10 +102,8 @@ class TrainedNetworks(Result):
         return [dict(zip(HEADER, row, strict=True)) for row in self.errors]
 
     def remarks(self) -> list[str]:
-        trained = any(found["source"] == "trained" for found in self.networks.values())
-        return [
-            f"For finer ones repeat with {REFINED}; contacts that were collected are used again."
-        ] * trained
+        finer = f"For finer ones repeat with {REFINED}; contacts that were collected are used again."
+        return [finer] * any(found["source"] == "trained" for found in self.networks.values())
 
     @property
     def next_command(self) -> str:
@@ -125,10 +120,8 @@ def train_networks(config: SurrogateConfig, twin: Twin, progress: Progress = no_
     """Trains what is missing or outdated, and writes networks and their card into the twin's folder."""
     folder = Path(config.twin)
     if twin.device != "finger":
-        raise InputError(
-            f"{folder} is the twin of {an(twin.device)}, but the networks are of a finger and the gel on "
-            "it; give a finger's twin."
-        )
+        of = f"{folder} is the twin of {an(twin.device)}, but the networks are of a finger and the gel on it"
+        raise InputError(f"{of}; give a finger's twin.")
     config.check()
     networks, missing = {}, config.to_train(twin)
     for name in NETWORKS:
@@ -166,9 +159,7 @@ def _train_action(c: SurrogateConfig, twin: Twin, file: Path, progress: Progress
     show()
     plan = Plan(total, c.seconds, c.particles, seed=c.seed)
     collect_action(twin, folder, plan, c.device, show, _executor(c))
-    network = train_action(
-        twin, folder, c.seed, progress=lambda line: progress(f"finger: {line}", total, total)
-    )
+    network = train_action(twin, folder, c.seed, progress=lambda s: progress(f"finger: {s}", total, total))
     errors = asdict(evaluate_action(twin, network, folder))
     network.save(file)
     # one motion has no standard error
@@ -211,19 +202,13 @@ def _errors(networks: dict, folder: Path) -> list[tuple[str, str, str]]:
 
 def _write_card(trained: TrainedNetworks, folder: Path) -> None:
     sources = (f"- {n}: {found['source']}, {found['seconds']:.0f} s" for n, found in trained.networks.items())
-    card = [
-        "# Networks of this twin",
-        "",
+    about = (
         "`action.safetensors` gives the soft body's torque on the joints, `perception.safetensors` the gel's "
-        "face from the probe grid; both against full material points that they were not trained on.",
-        "",
-        *sources,
-        "",
-        f"| {' | '.join(HEADER)} |",
-        "|---|---|---|",
-        *(f"| {' | '.join(row)} |" for row in trained.errors),
-    ]
-    write_text(folder / CARD, "\n".join(card) + "\n")
+        "face from the probe grid; both against full material points that they were not trained on."
+    )
+    rows = (f"| {' | '.join(row)} |" for row in (HEADER, ("---",) * 3, *trained.errors))
+    card = ["# Networks of this twin", "", about, "", *sources, "", *rows, ""]
+    write_text(folder / CARD, "\n".join(card))
 
 
 def _sem(x: float | None, digits: int) -> str:
@@ -235,9 +220,8 @@ def command(config: SurrogateConfig, terminal: Terminal) -> None:
     twin = Twin.load(config.twin)
     config.check()
     if minutes := config.minutes(twin):
-        terminal.say(
-            f"Full simulations and training: about {max(1, round(minutes))} min on two cores of their own."
-        )
+        about = f"about {max(1, round(minutes))} min on two cores of their own"
+        terminal.say(f"Full simulations and training: {about}.")
     with terminal.progress() as progress:
         trained = train_networks(config, twin, progress)
     terminal.finish(trained, config.out)

@@ -44,20 +44,16 @@ PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 @dataclass(kw_only=True)
 class ExecutorOptions:
-    """Options of a command whose work is done in pieces.
+    """Options of a command whose work is done in pieces."""
 
-    Attributes:
-        executor: what carries out the work: `local`, processes on this machine; `ray`, a Ray cluster, or one
-            that is started here; `slurm`, jobs of a Slurm cluster, which shares its disk with this machine.
-        workers: number of processes or of jobs at a time; if omitted, one a core, and on a cluster no limit.
-        tasks_per_job: pieces of work that follow one another in one task, started once.
-        executor_config: YAML file of arguments of datatrove's Ray or Slurm executor, such as `partition`,
-            `time` and `mem_per_cpu_gb`.
-    """
-
+    # what carries out the work: `local`, processes on this machine; `ray`, a Ray cluster, or one that is
+    # started here; `slurm`, jobs of a Slurm cluster, which shares its disk with this machine
     executor: str = "local"
+    # number of processes or of jobs at a time; if omitted, one a core, and on a cluster no limit
     workers: int | None = None
-    tasks_per_job: int = 1
+    tasks_per_job: int = 1  # pieces of work that follow one another in one task, started once
+    # YAML file of arguments of datatrove's Ray or Slurm executor, such as `partition`, `time` and
+    # `mem_per_cpu_gb`
     executor_config: Path | None = None
 
     def check_executor(self) -> None:

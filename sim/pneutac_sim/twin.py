@@ -104,36 +104,30 @@ def no_twin(folder: Path, device: str = "") -> str:
 
 @dataclass
 class Twin:
-    """Our model of one device.
+    """Our model of one device."""
 
-    Attributes:
-        device: `finger`, `arm` or `gel`; a finger may carry a `gel` at its tip.
-        length_mm: length of the straight finger or arm.
-        spine_joint_positions_mm: arc length of each spine joint from the base.
-        parameters: name (with unit) to value, of the body.
-        effects: effect name to its parameters, in the order in which they were added.
-        pressure_range_kpa: lowest and highest pressure that it was measured over, 0 among them; robots,
-            environments, planner and policies go no farther. A twin that does not say is the paper's.
-        gel: parameters of the gel and its optics (numbers and lists), empty where there is no gel.
-        arrays: named float32 or uint8 arrays stored as safetensors, such as `rest_image` (H, W, 3).
-        history: one entry a version: `version`, `change`, `recording`, `train`, `heldout`, `unit`; of a
-            gel whose effects nobody chose also `effects`: `standard`.
-        networks: files of those of `NETWORKS` that were trained for it (`pneutac surrogate`).
-        folder: where it was read from or written to last; None where nowhere.
-        fitted_to: `change`, `recording` and `seed` of a fit that is not saved as a version yet.
-    """
-
-    device: str = "finger"
-    length_mm: float = PAPER_LENGTH_MM
+    device: str = "finger"  # `finger`, `arm` or `gel`; a finger may carry a `gel` at its tip
+    length_mm: float = PAPER_LENGTH_MM  # length of the straight finger or arm
+    # arc length of each spine joint from the base
     spine_joint_positions_mm: list[float] = field(default_factory=list)
-    parameters: dict[str, Value] = field(default_factory=dict)
+    parameters: dict[str, Value] = field(default_factory=dict)  # name (with unit) to value, of the body
+    # effect name to its parameters, in the order in which they were added
     effects: dict[str, dict[str, Value]] = field(default_factory=dict)
+    # lowest and highest pressure that it was measured over, 0 among them; robots, environments, planner and
+    # policies go no farther. A twin that does not say is the paper's
     pressure_range_kpa: tuple[float, float] = PAPER_RANGE_KPA
+    # parameters of the gel and its optics (numbers and lists), empty where there is no gel
     gel: dict = field(default_factory=dict)
+    # named float32 or uint8 arrays stored as safetensors, such as `rest_image` (H, W, 3)
     arrays: dict[str, np.ndarray] = field(default_factory=dict)
+    # one entry a version: `version`, `change`, `recording`, `train`, `heldout`, `unit`; of a gel whose
+    # effects nobody chose also `effects`: `standard`
     history: list[dict] = field(default_factory=list)
+    # files of those of `NETWORKS` that were trained for it (`pneutac surrogate`)
     networks: dict[str, Path] = field(default_factory=dict)
+    # where it was read from or written to last; None where nowhere
     folder: Path | None = field(default=None, compare=False)
+    # `change`, `recording` and `seed` of a fit that is not saved as a version yet
     fitted_to: dict | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self):

@@ -258,7 +258,9 @@ class Gel:
         self.rest_mm = -(self.xs_mm[None, :] ** 2 + self.ys_mm[:, None] ** 2) / (2 * dome_mm)
         self._body = HalfSpace(modulus_kpa, cell, self.shape)
         self._lamps = lamps or Lamps()
-        self._paint = _uneven(image_shape)
+        blotches = np.random.default_rng(7).standard_normal(image_shape[:2])
+        blotches = cv2.GaussianBlur(blotches, (0, 0), 12.0)  # of about a millimetre
+        self._paint = (1 + 0.02 * blotches / blotches.std())[..., None]  # what the coat reflects
         self.rest_image = self.image(np.zeros(self.shape))
 
     def press(self, kinds, sizes_mm, places_mm, turns, left_mm=0.0) -> tuple[np.ndarray, float]:
@@ -279,10 +281,3 @@ class Gel:
     def force_n(self, depth_mm: float) -> float:
         """Force of a plane that is pressed in by a depth: 4/3 E* sqrt(R d^3), Hertz."""
         return 4 / 3 * 1e-3 * self.modulus_kpa * np.sqrt(self.dome_mm * max(depth_mm, 0.0) ** 3)
-
-
-def _uneven(shape: tuple[int, int, int]) -> np.ndarray:
-    """(H, W, 1) how much the coat reflects over its mean: blotches of about a millimetre."""
-    h, w, _ = shape
-    blotches = cv2.GaussianBlur(np.random.default_rng(7).standard_normal((h, w)), (0, 0), 12.0)
-    return (1 + 0.02 * blotches / blotches.std())[..., None]

@@ -98,9 +98,8 @@ def _joined(trials, programs, pauses) -> Plan:
         starts.append(at + rest)
         at += rest + len(c)
         ends.append(at)
-    return Plan(
-        np.arange(at) * DT_S, np.concatenate(command), np.concatenate(sent), starts, ends, programs, pauses
-    )
+    rows = np.arange(at) * DT_S, np.concatenate(command), np.concatenate(sent)
+    return Plan(*rows, starts, ends, programs, pauses)
 
 
 def _trial(rng, kind, seconds, chambers, tick) -> tuple[np.ndarray, np.ndarray]:
@@ -121,14 +120,11 @@ def _trial(rng, kind, seconds, chambers, tick) -> tuple[np.ndarray, np.ndarray]:
     return held, np.where(last >= 0, _on_grid(sent)[np.maximum(last, 0)], 0.0)
 
 
-def _levels(rng, n) -> np.ndarray:
-    return np.r_[1.0, rng.uniform(0.1, 1.0, n)][rng.permutation(n + 1)]
-
-
 def _program(rng, kind, t, seconds) -> np.ndarray:
     if kind == "steps":  # up to a level and back to zero
         hold = rng.uniform(2, 7)
-        level = _levels(rng, int(seconds / hold) + 2)
+        n = int(seconds / hold) + 2
+        level = np.r_[1.0, rng.uniform(0.1, 1.0, n)][rng.permutation(n + 1)]
         beat = (t / hold).astype(int)
         return np.where(beat % 2 == 0, level[beat // 2], 0.0)
     if kind == "random_holds":

@@ -225,7 +225,9 @@ def against_wall(rod: Rod, inputs: np.ndarray, bend_rad: float, wall: dict) -> n
         push = np.clip(push + miss / (1 + wall["stiffness"]), 0, None)
         if np.abs(miss).max() < 1e-4 * k * way:
             break
-    past = _passed(depth, push * compliance > wall["lets_go"] * way)
+    slips, past = push * compliance > wall["lets_go"] * way, np.zeros(len(depth), bool)
+    for i in range(len(depth)):  # from where it slips until it is back in front
+        past[i] = depth[i] > 0 and (slips[i] or (i > 0 and past[i - 1]))
     return np.where(past[:, None], free, held)
 
 
@@ -245,11 +247,3 @@ def place(rod: Rod, bend_rad: float, wall: dict) -> tuple[np.ndarray, np.ndarray
     probe[1, TIP_FORCE] = little * ahead
     compliance = (rod.solve(probe[1:2])[0][0] - at) @ ahead / little
     return at, ahead, float(compliance), float(50 * np.linalg.norm(along))
-
-
-def _passed(depth: np.ndarray, slips: np.ndarray) -> np.ndarray:
-    """(n,) whether the tip has slipped past: from where it slips until it is back in front."""
-    out = np.zeros(len(depth), bool)
-    for i in range(len(depth)):
-        out[i] = depth[i] > 0 and (slips[i] or (i > 0 and out[i - 1]))
-    return out

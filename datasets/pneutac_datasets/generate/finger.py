@@ -175,10 +175,8 @@ def generate(
     names = [] if names == ["none"] else names
     for name in names:
         if "rod" not in getattr(EFFECTS.get(TRUTHS.get(name, name)), "devices", ()):
-            raise InputError(
-                f"There is no hidden effect '{name}'; there are none, {', '.join(TRUTHS)}, and those of "
-                "`python -m pneutac_truths --list`."
-            )
+            known = f"{', '.join(TRUTHS)}, and those of `python -m pneutac_truths --list`"
+            raise InputError(f"There is no hidden effect '{name}'; there are none, {known}.")
     if not 0 < strength <= 3:
         raise InputError(f"strength is {strength}; it must be above 0 and at most 3.")
     if not 1 <= minutes <= 60 or not 5 <= hz <= 100:
@@ -202,17 +200,12 @@ def generate(
     meta = made.meta | {"spine_joint_positions_mm": joints, "notes": "Generated."}
     Recording(Path(out), meta, samples, "finger").write(out)
     unknown = any(n.startswith("disturbance_") or (n not in TRUTHS and not EFFECTS[n].physics) for n in names)
-    truth = {
-        "effects": names,
-        "strength": strength if names else 0.0,
-        "verdict": "unknown_effect" if unknown else "missing_effect" if names else "adequate",
-        "details": [
-            {"name": n, "form": EFFECTS[t].summary, "simulation": t, "parameters": made.effects[t]}
-            for n, t in zip(names, used, strict=True)
-        ],
-        "noise_floor_mm": made.noise_floor,
-        "seed": seed,
-        "recording": Path(out).name,
-    }
+    details = [
+        {"name": n, "form": EFFECTS[t].summary, "simulation": t, "parameters": made.effects[t]}
+        for n, t in zip(names, used, strict=True)
+    ]
+    verdict = "unknown_effect" if unknown else "missing_effect" if names else "adequate"
+    truth = {"effects": names, "strength": strength if names else 0.0, "verdict": verdict, "details": details}
+    truth |= {"noise_floor_mm": made.noise_floor, "seed": seed, "recording": Path(out).name}
     write_truth(out, truth)
     return truth

@@ -150,10 +150,8 @@ class Disturbances:
     def __post_init__(self):
         for name in self.effects:
             if get_effect(name).stage not in BODY_STAGES or get_effect(name).of_markers:
-                raise InputError(
-                    f"Disturbances: effect '{name}' does not act on the body; tilt_deg turns the base, "
-                    "camera_deg and camera_mm move the cameras."
-                )
+                other = "tilt_deg turns the base, camera_deg and camera_mm move the cameras"
+                raise InputError(f"Disturbances: effect '{name}' does not act on the body; {other}.")
         for name in ("tilt_deg", "camera_deg", "camera_mm", "mask_px"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):
@@ -229,22 +227,13 @@ def _photograph_all(folder, meshes, rest, studio, cameras, tips_mm, mask_px, rng
 
 def _metadata(twin: Twin, cameras: dict[str, Camera]) -> dict:
     """`recording.json`, with the cameras where they are believed to stand."""
-    return {
-        "device": twin.device,
-        "length_mm": twin.length_mm,
-        "spine_joint_positions_mm": list(twin.spine_joint_positions_mm),
-        "samples": "samples.csv",
-        "noise": {f"tip_{a}_mm": MARKER_NOISE_MM for a in "xyz"},
-        "cameras": {
-            name: {
-                "intrinsics": c.intrinsics.tolist(),
-                "extrinsics": c.extrinsics.tolist(),
-                "background": _empty(name),
-            }
-            for name, c in cameras.items()
-        },
-        "notes": "Generated.",
+    described = {
+        name: {k: getattr(c, k).tolist() for k in ("intrinsics", "extrinsics")} | {"background": _empty(name)}
+        for name, c in cameras.items()
     }
+    meta = {name: getattr(twin, name) for name in ("device", "length_mm", "spine_joint_positions_mm")}
+    meta |= {"samples": "samples.csv", "noise": {f"tip_{a}_mm": MARKER_NOISE_MM for a in "xyz"}}
+    return meta | {"cameras": described, "notes": "Generated."}
 
 
 def _empty(camera: str) -> str:

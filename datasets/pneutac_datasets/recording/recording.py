@@ -21,21 +21,13 @@ from pneutac_sim.files import inside, whole, write_json
 
 @dataclass
 class Recording:
-    """Measurements of one device.
+    """Measurements of one device."""
 
-    Attributes:
-        folder: where it was read from.
-        meta: the fields of `recording.json`.
-        samples: one row a sample, in time order within each trial, numbers as float64.
-        device: `finger`, `arm` or `gel`.
-        warnings: one sentence for each thing that is poor but usable.
-    """
-
-    folder: Path
-    meta: dict
-    samples: pd.DataFrame
-    device: str
-    warnings: list[str] = field(default_factory=list)
+    folder: Path  # where it was read from
+    meta: dict  # the fields of `recording.json`
+    samples: pd.DataFrame  # one row a sample, in time order within each trial, numbers as float64
+    device: str  # `finger`, `arm` or `gel`
+    warnings: list[str] = field(default_factory=list)  # one sentence for each thing that is poor but usable
 
     @classmethod
     def load(cls, path: str | Path) -> "Recording":

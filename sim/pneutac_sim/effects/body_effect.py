@@ -51,32 +51,25 @@ def remembers_nothing(channels: int) -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class BodyEffect(Effect):
-    """One mechanism of a finger or an arm.
-
-    Attributes:
-        run: compiled function, see the module's text; it takes the parameters in their order.
-        columns: condition columns that it needs. These are computed: `session_time_s`, `length_mm`,
-            `bending_pressure_kpa` (the pressure that reaches the body, where `signal` is `markers`), and
-            `other_1_kpa` to `other_3_kpa` where the recording has further `*_kpa` columns.
-        signal: what it acts on; empty for the stage's first signal.
-        state_size: number of channels to number of state values.
-        of_gauge: of the pneumatics: an error of the pressure gauge. It lies between the measured pressure and
-            the true one, so it acts where the measured pressure is the input too.
-        apart: whether it acts on each channel independently of the others, so that further signals may be run
-            as further channels. Its state is then what they share, of `state_size(0)`, and rows of one number
-            a channel.
-        linear: parameter in which what it adds to its signal is linear; empty where there is none.
-    """
+    """One mechanism of a finger or an arm."""
 
     stages = BODY_STAGES
 
-    run: Callable
+    run: Callable  # compiled function, see the module's text; it takes the parameters in their order
+    # condition columns that it needs. These are computed: `session_time_s`, `length_mm`,
+    # `bending_pressure_kpa` (the pressure that reaches the body, where `signal` is `markers`), and
+    # `other_1_kpa` to `other_3_kpa` where the recording has further `*_kpa` columns
     columns: tuple[str, ...] = ()
-    signal: str = ""
-    state_size: Callable[[int], int] = remembers_nothing
+    signal: str = ""  # what it acts on; empty for the stage's first signal
+    state_size: Callable[[int], int] = remembers_nothing  # number of channels to number of state values
+    # of the pneumatics: an error of the pressure gauge. It lies between the measured pressure and the true
+    # one, so it acts where the measured pressure is the input too
     of_gauge: bool = False
+    # whether it acts on each channel independently of the others, so that further signals may be run as
+    # further channels. Its state is then what they share, of `state_size(0)`, and rows of one number a
+    # channel
     apart: bool = False
-    linear: str = ""
+    linear: str = ""  # parameter in which what it adds to its signal is linear; empty where there is none
 
     def __post_init__(self):
         super().__post_init__()

@@ -17,34 +17,24 @@ STAGES = BODY_STAGES + SENSOR_STAGES  # in the order in which they act
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number that calibration may fit.
+    """A number that calibration may fit."""
 
-    Attributes:
-        name: with its unit, such as `fill_time_s`.
-        unit: as shown to people; empty for a ratio.
-        default: where a fit starts: a mild but visible effect.
-        lower: least value that physics allows.
-        upper: largest value.
-        neutral: value at which the effect (or this part of it) does nothing; may lie outside the bounds.
-        log: True where the parameter is positive and its magnitude is what matters.
-        fixed: True for a constant that a user may set and that data do not separate from another parameter.
-        range_power: default and bounds are in units of (largest pressure in kPa) ** range_power.
-        step: share of the range between bounds by which a fit moves it to see what it does; larger where the
-            answer comes in jumps.
-        jump: share of that range within which a fit also tries values, where the error comes in jumps that no
-            derivative shows; 0 for none.
-    """
-
-    name: str
-    unit: str
-    default: float
-    lower: float
-    upper: float
+    name: str  # with its unit, such as `fill_time_s`
+    unit: str  # as shown to people; empty for a ratio
+    default: float  # where a fit starts: a mild but visible effect
+    lower: float  # least value that physics allows
+    upper: float  # largest value
+    # value at which the effect (or this part of it) does nothing; may lie outside the bounds
     neutral: float = 0.0
-    log: bool = False
+    log: bool = False  # True where the parameter is positive and its magnitude is what matters
+    # True for a constant that a user may set and that data do not separate from another parameter
     fixed: bool = False
-    range_power: int = 0
+    range_power: int = 0  # default and bounds are in units of (largest pressure in kPa) ** range_power
+    # share of the range between bounds by which a fit moves it to see what it does; larger where the answer
+    # comes in jumps
     step: float = 1e-5
+    # share of that range within which a fit also tries values, where the error comes in jumps that no
+    # derivative shows; 0 for none
     jump: float = 0.0
 
     def __post_init__(self):
@@ -68,28 +58,19 @@ def nothing_more(values: dict[str, float]) -> dict[str, float]:
 
 @dataclass(frozen=True, kw_only=True)
 class Effect:
-    """One physical mechanism; `BodyEffect` and `SensorEffect` say how it acts.
-
-    Attributes:
-        name: as the user types it.
-        stage: one of `STAGES`.
-        parameters: what calibration may fit.
-        summary: one sentence for a newcomer, with `{device}` and `{parameter}` placeholders.
-        experiment: what to record to distinguish the effect from its alternatives.
-        equation: in LaTeX, for the catalogue of effects; an arrow leads from a signal to what becomes of it.
-        cause: the summary as a noun phrase, for a list of causes; the name where it is empty.
-        derive: parameter values to further values that `summary` and `cause` show.
-    """
+    """One physical mechanism; `BodyEffect` and `SensorEffect` say how it acts."""
 
     stages = STAGES
 
-    name: str
-    stage: str
-    parameters: tuple[Parameter, ...]
-    summary: str
-    experiment: str
+    name: str  # as the user types it
+    stage: str  # one of `STAGES`
+    parameters: tuple[Parameter, ...]  # what calibration may fit
+    summary: str  # one sentence for a newcomer, with `{device}` and `{parameter}` placeholders
+    experiment: str  # what to record to distinguish the effect from its alternatives
+    # in LaTeX, for the catalogue of effects; an arrow leads from a signal to what becomes of it
     equation: str = ""
-    cause: str = ""
+    cause: str = ""  # the summary as a noun phrase, for a list of causes; the name where it is empty
+    # parameter values to further values that `summary` and `cause` show
     derive: Callable[[dict[str, float]], dict[str, float]] = nothing_more
 
     def __post_init__(self):

@@ -52,43 +52,40 @@ class SensorEffect(Effect):
 
     Hooks of the stage `light` take the values `v` of one channel, named without the channel (`distance_mm`
     for `distance_red_mm`); the others take all values by their names.
-
-    Attributes:
-        prior_sd: standard deviation of the prior of each parameter around its default.
-        standard: belongs to every sensor, so that it is fitted to one whose light nobody has looked at yet.
-        of_session: belongs to how the photographs were taken rather than to the sensor, so that one pair of
-            images cannot show it.
-        lend: (make, channel number) -> name without the channel to (mean, standard deviation), what sensors
-            of one make share; see `gel.layout.Layout`.
-        press: (press, values) -> where and how it truly presses; see `gel.indenter.Press`.
-        late: (values) -> (share, time in s) of each branch by which a surface that was held comes back
-            late, see `gel.sensor`.
-        surface: (u, cell_mm, values) -> changed displacement (rows, columns), mm into the gel.
-        steps: farthest press from the centre in mm -> (p,) by which a fit moves the parameters of an effect
-            of the stage `gel` to see what the images do; None for a thousandth of each range.
-        coefficients: (row, towards, v) writes into one channel's row of the compiled light, see `gel.optics`;
-            `towards` (2,) is the unit vector from the window's centre to the light.
-        light: (s, u, cell_mm, v) -> changed light (rows, columns) of one channel in levels, zero where u is.
-        weight: (log_rest, v) -> factor on one channel's light at pixels whose rest image is exp(log_rest)
-            times its mean.
-        gain: (clock, values) -> (3,) factors on the whole picture at a time of the session.
-        estimate: (quiet parts of the photographs) -> values of an effect that has a gain.
     """
 
     stages = SENSOR_STAGES
 
-    prior_sd: tuple[float, ...]
+    prior_sd: tuple[float, ...]  # standard deviation of the prior of each parameter around its default
+    # belongs to every sensor, so that it is fitted to one whose light nobody has looked at yet
     standard: bool = False
+    # belongs to how the photographs were taken rather than to the sensor, so that one pair of images cannot
+    # show it
     of_session: bool = False
+    # (make, channel number) -> name without the channel to (mean, standard deviation), what sensors of one
+    # make share; see `gel.layout.Layout`
     lend: Callable[[Any, int], dict[str, tuple[float, float]]] | None = None
+    # (press, values) -> where and how it truly presses; see `gel.indenter.Press`
     press: Callable[[Any, Values], Any] | None = None
+    # (values) -> (share, time in s) of each branch by which a surface that was held comes back late, see
+    # `gel.sensor`
     late: Callable[[Values], Sequence[tuple[float, float]]] | None = None
+    # (u, cell_mm, values) -> changed displacement (rows, columns), mm into the gel
     surface: Callable[[np.ndarray, tuple[float, float], Values], np.ndarray] | None = None
+    # farthest press from the centre in mm -> (p,) by which a fit moves the parameters of an effect of the
+    # stage `gel` to see what the images do; None for a thousandth of each range
     steps: Callable[[float], Sequence[float]] | None = None
+    # (row, towards, v) writes into one channel's row of the compiled light, see `gel.optics`; `towards` (2,)
+    # is the unit vector from the window's centre to the light
     coefficients: Callable[[np.ndarray, np.ndarray, Values], None] | None = None
+    # (s, u, cell_mm, v) -> changed light (rows, columns) of one channel in levels, zero where u is
     light: Callable[[np.ndarray, np.ndarray, tuple[float, float], Values], np.ndarray] | None = None
+    # (log_rest, v) -> factor on one channel's light at pixels whose rest image is exp(log_rest) times its
+    # mean
     weight: Callable[[np.ndarray, Values], np.ndarray] | None = None
+    # (clock, values) -> (3,) factors on the whole picture at a time of the session
     gain: Callable[[float, Values], np.ndarray] | None = None
+    # (quiet parts of the photographs) -> values of an effect that has a gain
     estimate: Callable[[Sequence[Quiet]], Values] | None = None
 
     def __post_init__(self):

@@ -246,32 +246,22 @@ FIGURES = ("outline", "mesh")
 
 @dataclass
 class Press:
-    """One indenter pressed into the gel, gel frame.
+    """One indenter pressed into the gel, gel frame."""
 
-    Attributes:
-        indenter: `sphere`; `cylinder` standing on its flat end; `cube` on a face; `edge`, a cube on one of
-            its edges, which lies along x; `cone` on its apex, with a right angle of opening; `outline` and
-            `mesh` as their figure says.
-        size_mm: radius of sphere, cylinder or the cone's base; side of cube and edge; of a figure how far it
-            reaches from its centre, which is filled in.
-        x_mm: position of the contact centre along image columns, from the window's centre.
-        y_mm: along image rows.
-        depth_mm: how deep the lowest point lies below the resting surface, before it leans.
-        yaw_rad: turn about z, from x towards y.
-        figure: of `outline` and `mesh`, none of the others.
-        tilt_x_rad: how far it leans about the contact's centre, deeper at larger x; small.
-        tilt_y_rad: the same, deeper at larger y.
-    """
-
+    # `sphere`; `cylinder` standing on its flat end; `cube` on a face; `edge`, a cube on one of its edges,
+    # which lies along x; `cone` on its apex, with a right angle of opening; `outline` and `mesh` as their
+    # figure says
     indenter: str
+    # radius of sphere, cylinder or the cone's base; side of cube and edge; of a figure how far it reaches
+    # from its centre, which is filled in
     size_mm: float
-    x_mm: float
-    y_mm: float
-    depth_mm: float
-    yaw_rad: float = 0.0
-    figure: AnyFigure | None = None
-    tilt_x_rad: float = 0.0
-    tilt_y_rad: float = 0.0
+    x_mm: float  # position of the contact centre along image columns, from the window's centre
+    y_mm: float  # along image rows
+    depth_mm: float  # how deep the lowest point lies below the resting surface, before it leans
+    yaw_rad: float = 0.0  # turn about z, from x towards y
+    figure: AnyFigure | None = None  # of `outline` and `mesh`, none of the others
+    tilt_x_rad: float = 0.0  # how far it leans about the contact's centre, deeper at larger x; small
+    tilt_y_rad: float = 0.0  # the same, deeper at larger y
 
     def __post_init__(self):
         check_choice("indenter", self.indenter, INDENTERS + FIGURES)

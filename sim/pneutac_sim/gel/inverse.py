@@ -40,21 +40,13 @@ BED = 2.55
 
 @dataclass(frozen=True)
 class Touch:
-    """What is read from an image, on the probe grid (80, 59).
+    """What is read from an image, on the probe grid (80, 59)."""
 
-    Attributes:
-        surface_mm: displacement into the gel, float64.
-        contact: where something presses, bool.
-        cell_mm: grid spacing along x and y.
-        depth_mm: of the deepest point of what presses, below the resting surface; 0 where nothing does.
-        force_n: on the gel, about; its modulus is mostly assumed.
-    """
-
-    surface_mm: np.ndarray
-    contact: np.ndarray
-    cell_mm: tuple[float, float]
-    depth_mm: float
-    force_n: float
+    surface_mm: np.ndarray  # displacement into the gel, float64
+    contact: np.ndarray  # where something presses, bool
+    cell_mm: tuple[float, float]  # grid spacing along x and y
+    depth_mm: float  # of the deepest point of what presses, below the resting surface; 0 where nothing does
+    force_n: float  # on the gel, about; its modulus is mostly assumed
 
     @property
     def normals(self) -> np.ndarray:

@@ -34,33 +34,24 @@ class GelModel:
     """One sensor: c = c0 + w s, s = L grad u + c_d u, with u the surface displacement (paper, Sec. III-B).
 
     Effects of the stages `gel` and `light` bend that, see `effects.sensor_effect`.
-
-    Attributes:
-        rest_image: c0, the image without contact, uint8 (H, W, 3).
-        light: L, levels per unit slope, one row each for R, G, B; columns along x and y.
-        depth_light: c_d, levels per millimetre of displacement, R, G, B.
-        px_per_mm: scale of the rest image.
-        thickness_mm: gel thickness, the largest depth.
-        decay_mm: length over which the surface recovers around a contact.
-        depth_scale: how deep an imprint the camera sees is over how deep the object lies below the resting
-            surface, up to 1; the skin over a gel bridges the edge of a contact.
-        effects: of the sensor, name to parameters; without any this is the paper's linear model.
-        threshold_levels: difference to the rest image above which a pixel counts as contact.
-        prior_residual: residual field from other sensors of the make, scaled as it was taken, or None.
-        residual: field learnt from several presses besides that, or None.
     """
 
-    rest_image: np.ndarray
-    light: np.ndarray
-    depth_light: np.ndarray
-    px_per_mm: float = 20.0
-    thickness_mm: float = THICKNESS_MM
-    decay_mm: float = DECAY_MM
+    rest_image: np.ndarray  # c0, the image without contact, uint8 (H, W, 3)
+    light: np.ndarray  # L, levels per unit slope, one row each for R, G, B; columns along x and y
+    depth_light: np.ndarray  # c_d, levels per millimetre of displacement, R, G, B
+    px_per_mm: float = 20.0  # scale of the rest image
+    thickness_mm: float = THICKNESS_MM  # gel thickness, the largest depth
+    decay_mm: float = DECAY_MM  # length over which the surface recovers around a contact
+    # how deep an imprint the camera sees is over how deep the object lies below the resting surface, up to 1;
+    # the skin over a gel bridges the edge of a contact
     depth_scale: float = 1.0
+    # difference to the rest image above which a pixel counts as contact
     threshold_levels: float = THRESHOLD_LEVELS
+    # of the sensor, name to parameters; without any this is the paper's linear model
     effects: dict[str, dict[str, float]] = field(default_factory=dict)
+    # residual field from other sensors of the make, scaled as it was taken, or None
     prior_residual: ResidualField | None = None
-    residual: ResidualField | None = None
+    residual: ResidualField | None = None  # field learnt from several presses besides that, or None
 
     def __post_init__(self):
         image = self.rest_image

@@ -60,15 +60,15 @@ def test_a_misspelt_twin_is_told_before_there_is_an_address(tmp_path, capsys):
 
 def test_one_work_at_a_time(folder):
     session, go, done = Session(folder, None), threading.Event(), threading.Event()
-    session.begin("diagnosing", lambda show: go.wait(5), print)
+    session.begin("diagnosing", lambda show: go.wait(5), print, print)
     with pytest.raises(InputError, match="Still diagnosing"):
-        session.begin("trying", lambda show: None, print)
+        session.begin("trying", lambda show: None, print, print)
     go.set()
     for _ in range(100):
         if not session.working:
             break
         threading.Event().wait(0.01)
-    session.begin("trying", lambda show: done.set(), print)
+    session.begin("trying", lambda show: done.set(), print, print)
     assert done.wait(5)
 
 

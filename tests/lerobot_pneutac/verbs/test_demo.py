@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 from verbs import verb
 
-from lerobot_pneutac.reports import demo as pages
+from lerobot_pneutac.verbs import demo as pages
 from lerobot_pneutac.verbs.demo import Demo, DemoConfig
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError

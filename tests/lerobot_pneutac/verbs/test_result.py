@@ -10,8 +10,8 @@ import pytest
 from verbs import verb
 
 from lerobot_pneutac import add, calibrate, compare
+from lerobot_pneutac.verbs.history import report
 from lerobot_pneutac.verbs.new import new_twin
-from lerobot_pneutac.verbs.report import report
 from lerobot_pneutac.verbs.result import Result
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.twin import Twin

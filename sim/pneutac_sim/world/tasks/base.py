@@ -57,22 +57,16 @@ class Task:
     """One manipulation task. A subclass sets the class attributes and the methods that it needs.
 
     Geoms that the gel can feel carry `class="object"`; the scene puts them into a group of their own.
-
-    Attributes:
-        name: as in `pneutac_sim/<name>`.
-        description: the instruction in plain words, as stored with demonstrations.
-        home_m: flange position (3,) at the start of an episode, metres.
-        starts_m: displacements from there along y, one of which a random start has.
-        wider: attributes of the random start to how much larger they are in starts of width 1.
-        goal: what `pneutac ppo` learns by, with an object whose outermost body has the task's name; None
-            where it cannot be learnt so.
     """
 
-    name: str
-    description: str
-    home_m: tuple[float, float, float]
-    starts_m: tuple[float, ...] = (0.0,)
+    name: str  # as in `pneutac_sim/<name>`
+    description: str  # the instruction in plain words, as stored with demonstrations
+    home_m: tuple[float, float, float]  # flange position (3,) at the start of an episode, metres
+    starts_m: tuple[float, ...] = (0.0,)  # displacements from there along y, one of which a random start has
+    # what `pneutac ppo` learns by, with an object whose outermost body has the task's name; None where it
+    # cannot be learnt so
     goal: Goal | None = None
+    # attributes of the random start to how much larger they are in starts of width 1
     wider: ClassVar[dict[str, float]] = {}
 
     def widen(self, width: float) -> None:
