@@ -40,6 +40,7 @@ from pneutac_sim.gel.contact import without_specks
 METHODS = ("library", "expert", "planner", "naive")
 MOST_START_M, MOST_REAL = 0.1, 0.9
 MOST_ELSEWHERE = 0.05  # share of the pixels that differ from the twin's image at rest; more is noted
+FEW_ATTEMPTS, FEW_WORKED = 20, 0.15  # with demonstrations of the same finger 17 % or more do the task
 REAL_SHARE = 0.25  # of the frames, with which ten and a hundred new ones were trained best
 
 
@@ -174,6 +175,12 @@ class Augmentation(Result):
         pace = f"{minutes:.1f} minutes, {stored / minutes:.0f} a minute"
         new = f"{stored} new ones in {self.config.output.root} ({pace})"
         out.append(f"{len(self.references)} demonstrations in, {new}.")
+        attempts = self.summary.get("attempts", stored)
+        if attempts >= FEW_ATTEMPTS and stored < FEW_WORKED * attempts:
+            out.append(
+                f"Only {stored} of {attempts} attempts did the task: are the demonstrations of this task and"
+                f" of the twin's finger, {self.subject()[0].length_mm:g} mm long (--twin)?"
+            )
         if start_range := self.summary.get("start_range_m"):
             reach = " / ".join(f"{1e3 * each:.0f}" for each in start_range)
             out.append(f"They start up to {reach} mm (x / y / z) away from recorded starts (--start_range).")

@@ -260,6 +260,15 @@ def test_whether_the_recorded_ones_are_mixed_in_is_reported(copies, said, tmp_pa
     assert said in remarks[-1] and ("would be 40 % of its frames or more" in remarks[-1]) == (copies == 0)
 
 
+@pytest.mark.parametrize("attempts, doubted", [(9, False), (22, True), (11, False)])
+def test_few_attempts_that_work_ask_for_the_finger(attempts, doubted, tmp_path):
+    """Nothing in a dataset says how long its finger is; what another one does from it seldom works."""
+    cfg = AugmentConfig(DatasetRef("a", tmp_path / "a"), DatasetRef("b", tmp_path / "b"))
+    summary = {"kept": 2 if attempts > 11 else attempts // 2, "attempts": attempts, "wall_s": 60}
+    said = " ".join(Augmentation(cfg, summary, [None] * 3).remarks())
+    assert ("Only 2 of 22 attempts" in said and "110 mm long (--twin)?" in said) == doubted
+
+
 def test_what_is_carried_out_once_more_by_the_same_physics_agrees_wholly(made):
     """So start, object, and actions are those of the demonstration."""
     checks = json.loads((made / "report" / "result.json").read_text())["checks"]
