@@ -32,7 +32,7 @@ CONDITIONS = {
     "gravity_x": 0.6,
     "gravity_y": 0.48,
     "gravity_z": -0.64,
-    "neighbour_kpa": 4.0,
+    "other_1_kpa": 4.0,
 }
 # Where the value with which a fit starts does nothing, or nothing slow.
 SIZES = {
