@@ -49,7 +49,7 @@ class StandinBench:
 
     @property
     def length_mm(self) -> float:
-        from lerobot_robot_pneutac.standin.finger import LENGTH_MM, TIP_MM
+        from lerobot_robot_pneutac.standin.world import LENGTH_MM, TIP_MM
 
         return LENGTH_MM + TIP_MM
 

@@ -18,6 +18,8 @@ from pneutac_sim import features as own
 from pneutac_sim.features import CAMERA_SHAPE, IMAGE_NAME, POINTS_KEY, action_names, state_names
 from pneutac_sim.twin import Twin
 
+TACTILE = f"pixels/{IMAGE_NAME}"
+
 
 @dataclass
 class PneutacTaskConfig(options.SceneOptions, EnvConfig):
@@ -35,15 +37,15 @@ class PneutacTaskConfig(options.SceneOptions, EnvConfig):
         default_factory=lambda: {
             ACTION: PolicyFeature(FeatureType.ACTION, (len(own.ACTION_NAMES),)),
             "agent_pos": PolicyFeature(FeatureType.STATE, (len(own.STATE_NAMES),)),
-            f"pixels/{IMAGE_NAME}": PolicyFeature(FeatureType.VISUAL, own.IMAGE_SHAPE),
+            TACTILE: PolicyFeature(FeatureType.VISUAL, own.IMAGE_SHAPE),
         }
     )
     features_map: dict[str, str] = field(
         default_factory=lambda: {
             ACTION: ACTION,
             "agent_pos": OBS_STATE,
-            f"pixels/{IMAGE_NAME}": f"{OBS_IMAGES}.{IMAGE_NAME}",
-        }
+            TACTILE: f"{OBS_IMAGES}.{IMAGE_NAME}",
+        }  # fmt: skip
     )
 
     def __post_init__(self):
@@ -68,7 +70,7 @@ class PneutacTaskConfig(options.SceneOptions, EnvConfig):
     def _set_tactile(self, twin: Path | None) -> None:
         """Sets the size of the tactile image to that of the twin's sensor."""
         shape = options.tactile_shape("env.twin", twin)
-        self.features[f"pixels/{IMAGE_NAME}"] = PolicyFeature(FeatureType.VISUAL, shape)
+        self.features[TACTILE] = PolicyFeature(FeatureType.VISUAL, shape)
 
     def _set_station(self, file: Path | None, chambers: int = 1) -> None:
         """Sets the size of state and action by the station's arm and the finger, and the control rate."""

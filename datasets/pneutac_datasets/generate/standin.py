@@ -7,9 +7,16 @@ import mujoco
 import numpy as np
 import pandas as pd
 
-from lerobot_robot_pneutac.standin.finger import LENGTH_MM, TIP_MM, RodBody, clamped
-from lerobot_robot_pneutac.standin.gel import WINDOW_MM, CameraNoise, new_gel
-from lerobot_robot_pneutac.standin.world import GAUGE_NOISE_KPA
+from lerobot_robot_pneutac.standin.world import (
+    GAUGE_NOISE_KPA,
+    LENGTH_MM,
+    TIP_MM,
+    WINDOW_MM,
+    CameraNoise,
+    RodBody,
+    clamped,
+    new_gel,
+)
 from pneutac_datasets.generate.finger import ProgramTrial, session
 from pneutac_datasets.generate.gel import ball_press, write_presses
 from pneutac_datasets.recording.recording import Recording

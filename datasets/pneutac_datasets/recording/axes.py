@@ -132,9 +132,8 @@ def unit_of(name: str) -> str:
 
 def device_with(chambers: int) -> str:
     """The device that has so many chambers; raises InputError where none has."""
-    for device, count in CHAMBERS.items():
-        if count == chambers:
-            return device
+    if device := next((d for d, count in CHAMBERS.items() if count == chambers), ""):
+        return device
     known = " and ".join(f"{an(device)} has {count}" for device, count in CHAMBERS.items())
     raise InputError(f"There is no device with {chambers} chambers; {known}.")
 

@@ -232,9 +232,8 @@ def unwrap(recording: Recording) -> tuple[Recording, list[Finding]]:
         if not jumps:
             continue
         # a tracker wraps at the ends of one turn and shows nothing beyond
-        certain &= bool(
-            np.ptp(x) <= TURN + 1e-6 and np.abs(np.diff(x[np.add.outer(jumps, [-1, 0])])).min() > 5.5
-        )
+        certain &= bool(np.ptp(x) <= TURN + 1e-6)
+        certain &= bool(np.abs(np.diff(x[np.add.outer(jumps, [-1, 0])])).min() > 5.5)
         times = f"{plural(len(jumps), 'time')} (first in {where(recording, jumps[0])})"
         text = f"Column '{name}' jumps by a whole turn {times}; " + (
             "it moves smoothly otherwise, so the turns are taken off."
@@ -304,12 +303,10 @@ def misplaced_tip(recording: Recording) -> Iterator[Finding]:
         remedy = " and ".join(f"{which} can only be in {unit}" for which, unit, _ in units)
         remedy += f"; multiply by {' and '.join(f'{k:g}' for *_, k in units)}"
         readings.append((_off_path(kx * x, kz * aside), remedy, max(kx, kz)))
-    readings.append(
-        (_off_path(x + 1, aside), f"x is counted from the tip at rest; add {length:g} to tip_x_mm", 1)
-    )
-    readings.append(
-        (_off_path(-x, aside), "x points from the tip to the base; change the sign of tip_x_mm", -1)
-    )
+    remedy = f"x is counted from the tip at rest; add {length:g} to tip_x_mm"
+    readings.append((_off_path(x + 1, aside), remedy, 1))
+    remedy = "x points from the tip to the base; change the sign of tip_x_mm"
+    readings.append((_off_path(-x, aside), remedy, -1))
     scales = [s for s in np.geomspace(1 / 6, 6, 91) if not 1 / OTHER_LENGTH < s < OTHER_LENGTH]
     best = min(scales, key=lambda s: _off_path(s * x, s * aside))
     remedy = f"it fits a device of {length / best:.3g} mm; correct length_mm, or the scale of the tip"

@@ -43,12 +43,10 @@ def segment(image: np.ndarray, background: np.ndarray) -> np.ndarray:
     seeds[cv2.dilate(mask.astype(np.uint8), _disc(edge)) == 0] = cv2.GC_BGD
     seeds[(cv2.erode(mask.astype(np.uint8), _disc(2)) > 0) & (away > CERTAIN * threshold)] = cv2.GC_FGD
     if (seeds == cv2.GC_BGD).any():
-        models = np.zeros((2, 1, 65))
+        picture = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+        around, inside = np.zeros((2, 1, 65))  # GrabCut's models of the colours
         cv2.setRNGSeed(0)
-        cv2.grabCut(
-            cv2.cvtColor(image, cv2.COLOR_RGB2BGR), seeds, (0, 0, 0, 0), models[0], models[1], ITERATIONS,
-            cv2.GC_INIT_WITH_MASK,
-        )  # fmt: skip
+        cv2.grabCut(picture, seeds, (0, 0, 0, 0), around, inside, ITERATIONS, cv2.GC_INIT_WITH_MASK)
         mask = _largest(np.isin(seeds, (cv2.GC_FGD, cv2.GC_PR_FGD)))
     return mask
 
@@ -85,11 +83,8 @@ def masked_cameras(recording: Recording) -> list[str]:
         return names
     described = list(recording.meta.get("cameras", {}))
     if len(described) != 1:
-        wrong = (
-            f"{listed(described)}; name the columns image_<camera> and mask_<camera>"
-            if described
-            else "none; describe it"
-        )
+        several = f"{listed(described)}; name the columns image_<camera> and mask_<camera>"
+        wrong = several if described else "none; describe it"
         raise InputError(
             f"{recording.folder / 'recording.json'}: columns 'image' and 'mask' are those of one camera, but "
             f"field 'cameras' describes {wrong}."

@@ -275,9 +275,8 @@ def _clipped(
         f"{end.far:.4g} kPa, and the {recording.device} stays too: the supply ends there. Commands beyond "
         f"count as {level:.4g} kPa; no program should command more."
     )
-    clipped = replace(
-        recording, samples=recording.samples.assign(**{command: u}), meta=recording.meta | {SUPPLY: limits}
-    )
+    samples, meta = recording.samples.assign(**{command: u}), recording.meta | {SUPPLY: limits}
+    clipped = replace(recording, samples=samples, meta=meta)
     return clipped, Finding("supply_limit", text, (command,), np.flatnonzero(end.rows), {"at": level})
 
 
@@ -356,12 +355,8 @@ def _absolute(recording: Recording, named: set[str]) -> Iterator[Finding]:
     for name in recording.pressure_columns:
         u = recording.column(name).astype(float)
         low = float(u.min())
-        if (
-            name not in named
-            and _is_atmosphere(low)
-            and np.ptp(u) > 1e-3
-            and (u < low + 0.02 * np.ptp(u)).mean() > 0.02
-        ):
+        rests = np.ptp(u) > 1e-3 and (u < low + 0.02 * np.ptp(u)).mean() > 0.02
+        if name not in named and _is_atmosphere(low) and rests:
             text = (
                 f"Column '{name}' never falls below {low:.4g} kPa: is it absolute? Then subtract the "
                 "pressure of the surroundings, about 101 kPa; all pressures here are above it."

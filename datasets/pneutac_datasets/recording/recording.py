@@ -57,9 +57,8 @@ class Recording:
             if file.suffix == ".parquet":
                 self.samples.to_parquet(part, index=False)
             else:
-                times = {
-                    c: self.samples[c].map(_time) for c in ("time_s", "time_sent_s") if c in self.samples
-                }
+                clocks = [c for c in ("time_s", "time_sent_s") if self.has(c)]
+                times = {c: self.samples[c].map(_time) for c in clocks}
                 self.samples.assign(**times).to_csv(part, index=False, float_format="%.7g")
         write_json(path / "recording.json", meta)
         return path

@@ -151,11 +151,7 @@ def check_meta(meta: dict, file: Path) -> None:
     if joints is not None:
         ok = isinstance(joints, list) and joints and all(isinstance(x, int | float) for x in joints)
         top = length if length is not None else float("inf")
-        if (
-            not ok
-            or any(b <= a for a, b in zip(joints, joints[1:], strict=False))
-            or not (0 <= joints[0] and joints[-1] <= top)
-        ):
+        if not ok or (np.diff(joints) <= 0).any() or not (0 <= joints[0] and joints[-1] <= top):
             raise InputError(
                 f"{file}: field 'spine_joint_positions_mm' must be rising numbers between 0 and length_mm."
             )
@@ -163,10 +159,8 @@ def check_meta(meta: dict, file: Path) -> None:
     if noise is not None:
         wrong = f"{file}: field 'noise' is {shown(noise)}"
         if isinstance(noise, dict):
-            bad = {k: x for k, x in noise.items() if not _positive(x)}
-            wrong = "".join(
-                f"{file}: field 'noise' of {shown(k)} is {shown(x)}" for k, x in list(bad.items())[:1]
-            )
+            bad = [f" of {shown(k)} is {shown(x)}" for k, x in noise.items() if not _positive(x)]
+            wrong = f"{file}: field 'noise'{bad[0]}" if bad else ""
         if wrong:
             raise InputError(
                 f"{wrong}; give each measured column its standard deviation, a positive number, such as "
@@ -330,19 +324,19 @@ def clean_numbers(samples: pd.DataFrame, device: str, file: Path) -> pd.DataFram
         if bad.any():
             row = int(np.argmax(bad))
             value = "empty or NaN" if pd.isna(column.iloc[row]) else shown(str(column.iloc[row]))
+            few = (
+                "correct it, or leave out that row"
+                if bad.sum() == 1
+                else "correct them, or leave out those rows"
+            )
+            filled = column[bad].notna().all()
+            many = "write numbers into this column" if filled else "fill in what was measured"
             raise InputError(
                 f"{file}: column {shown(name)}, {row_name(row, file)} is {value} "
-                f"({plural(int(bad.sum()), 'such row')}); {_remedy(bad, column)}."
+                f"({plural(int(bad.sum()), 'such row')}); {many if bad.mean() > 0.05 else few}."
             )
         samples[name] = values
     return samples
-
-
-def _remedy(bad: np.ndarray, column: pd.Series) -> str:
-    """What to do about cells that are no number, which costs no more than these cells."""
-    if bad.mean() > 0.05:
-        return "write numbers into this column" if column[bad].notna().all() else "fill in what was measured"
-    return "correct it, or leave out that row" if bad.sum() == 1 else "correct them, or leave out those rows"
 
 
 def clean_trials(trial: pd.Series, file: Path) -> np.ndarray:

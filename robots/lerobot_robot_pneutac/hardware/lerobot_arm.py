@@ -84,9 +84,8 @@ class LeRobotArm:
             try:
                 self._tick(now_s, min(now_s - before_s, COMMAND_S))
             except Exception as e:  # in a thread of its own nobody else would hear of it
-                known = isinstance(e, HardwareFault)
                 text = f"{self._robot} failed ({e}); check its cable and its power."
-                self._fault = e if known else HardwareFault(text)
+                self._fault = e if isinstance(e, HardwareFault) else HardwareFault(text)
                 return
             before_s = now_s
 

@@ -74,11 +74,9 @@ class Limits:
     def _check(self) -> None:
         for f in fields(self):
             value = np.asarray(getattr(self, f.name), float)
-            refuse_if(
-                not np.isfinite(value).all()
-                or (value.ndim == 0 and value <= 0 and f.name not in ("vacuum_kpa", "beyond_twin")),
-                f"limits.{f.name} is {getattr(self, f.name)}; it must be a positive number.",
-            )
+            positive = value.ndim or value > 0 or f.name in ("vacuum_kpa", "beyond_twin")
+            wrong = f"limits.{f.name} is {getattr(self, f.name)}; it must be a positive number."
+            refuse_if(not (positive and np.isfinite(value).all()), wrong)
         refuse_if(
             self.speed_m_s > MAX_SPEED_M_S,
             f"limits.speed_m_s is {self.speed_m_s}; actions reach {MAX_SPEED_M_S} at most.",

@@ -22,9 +22,8 @@ def check_pressure_controller(controller: PressureController, kpa: float) -> Non
         if not getattr(controller, "max_kpa", 0.0) >= kpa:
             raise HardwareFault(f"The pressure controller has no max_kpa, or one below {kpa:g} kPa.")
         for bad in (math.nan, math.inf, getattr(controller, "min_kpa", 0.0) - 1.0):
-            _must_raise(
-                InputError, lambda bad=bad: controller.set_pressure(bad), f"takes a set-point of {bad}"
-            )
+            wanted = lambda bad=bad: controller.set_pressure(bad)  # noqa: E731
+            _must_raise(InputError, wanted, f"takes a set-point of {bad}")
         low = TOLERANCE * kpa
 
         def filled() -> bool:

@@ -179,12 +179,10 @@ class Guard:
         beyond = (wanted_kpa < low - ROUNDING_KPA) | (wanted_kpa > high + ROUNDING_KPA)
         if not self._warned and beyond.any():
             self._warned = True
-            logger.warning(
-                "A set-point of %.4g kPa is clipped to the limits, %g to %g kPa; later ones are not logged.",
-                wanted_kpa[beyond][0],
-                low,
-                high,
+            text = (
+                "A set-point of %.4g kPa is clipped to the limits, %g to %g kPa; later ones are not logged."
             )
+            logger.warning(text, wanted_kpa[beyond][0], low, high)
 
     def _refuse(self, reason: str, size: int) -> np.ndarray:
         self.refused += 1

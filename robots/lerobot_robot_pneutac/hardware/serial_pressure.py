@@ -177,11 +177,10 @@ class SerialPressure:
         reason = ""
         while not self._stop.is_set():
             self._take_turn()
+            # Without `exclusive` a second program at the port would eat half of the answers.
+            how = {"timeout": POLL_S, "write_timeout": STALE_S, "exclusive": True}
             try:
-                # Without `exclusive` a second program at the port would eat half of the answers.
-                with serial.Serial(
-                    self.port, self._baud, timeout=POLL_S, write_timeout=STALE_S, exclusive=True
-                ) as port:
+                with serial.Serial(self.port, self._baud, **how) as port:
                     self._exchange.restart()
                     self._talk(port, lost_s)
                     return

@@ -162,12 +162,8 @@ class BendCommands:
         low, high = self._control.reach_rad
         if not low <= bend_rad <= high and not self._warned:
             self._warned = True
-            logger.warning(
-                "A bend of %.3g rad is out of reach, %.3g to %.3g; it goes as far as it can.",
-                bend_rad,
-                low,
-                high,
-            )
+            text = "A bend of %.3g rad is out of reach, %.3g to %.3g; it goes as far as it can."
+            logger.warning(text, bend_rad, low, high)
         return self._control.plan(bend_rad)
 
     def sent(self, pressure_kpa: float) -> None:

@@ -43,9 +43,8 @@ class PressureConfig:
         for i in range(self.count):
             own = {k: v[i] if isinstance(v, list | tuple) else v for k, v in self.options.items()}
             port = self.ports[i] if self.ports else self.port
-            made.append(
-                make_pressure_controller(self.type, **({"port": port} if port is not None else {}), **own)
-            )
+            own |= {} if port is None else {"port": port}
+            made.append(make_pressure_controller(self.type, **own))
         return Chambers(made, same_limit=not isinstance(self.options.get("max_kpa"), list | tuple))
 
     def _check(self) -> None:
@@ -142,10 +141,8 @@ class PneutacConfig(RobotConfig):
             self.limits = self.limits.of_twin(twin_of(self.twin).pressure_range_kpa)
         options.check_station("robot.station", self.station)
         self._where = station_of(self.station)
-        if self.station is not None and (self.limits.low_m, self.limits.high_m) == (
-            Limits.low_m,
-            Limits.high_m,
-        ):
+        of_limits = (self.limits.low_m, self.limits.high_m) != (Limits.low_m, Limits.high_m)
+        if self.station is not None and not of_limits:
             corners = self._where.box_m(twin_of(self.twin).length_mm)  # limits are in the arm's frame
             low_m, high_m = (tuple((corner - self._where.base_m).tolist()) for corner in corners)
             self.limits.low_m, self.limits.high_m = low_m, high_m

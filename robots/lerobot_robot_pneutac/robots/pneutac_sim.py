@@ -199,9 +199,8 @@ class PneutacSim(BaseRobot):
         self._moved, self._touched, self._frames = False, 0, 0
         self.scenes += 1
         if self.config.bend:
-            self._bend = BendCommands(
-                twin_of(self.config.twin), getattr(self.world, "conditions", {}), self.world.dt_s
-            )
+            conditions = getattr(self.world, "conditions", {})
+            self._bend = BendCommands(twin_of(self.config.twin), conditions, self.world.dt_s)
 
     def _starts(self) -> SpreadStarts | None:
         """Random starts to choose from, by the places of flange (half of the weight) and objects."""

@@ -23,9 +23,8 @@ SMOOTH = 0.15  # weight of a change of the command, bent by the gain, against th
 ROUNDS = 2
 PROBE_KPA = 0.3  # by which the commands are raised to see what it does
 OFFSET_S = 1.0  # time constant with which a measured offset is believed
-USUAL_S = (
-    10.0  # the same of how far a reading usually is from it; as much again before a load can be detected
-)
+# The same of how far a reading usually is from it; as much again before a load can be detected.
+USUAL_S = 10.0
 LOAD_STEPS = 3  # readings in a row, on one side, ...
 LOAD_USUAL = 4.0  # ... that are so many times as far from model and offset as usual are a load, ...
 LATE_S = 0.06  # ... unless the bend is moving and is merely so much early or late
@@ -72,11 +71,8 @@ class BendController:
             )
         if not 0 < dt_s < math.inf:
             raise InputError(f"dt_s={dt_s} must be a positive number of seconds.")
-        self._model, self._dt_s, self._plan_s = (
-            PressurePipeline(twin, conditions),
-            dt_s,
-            max(dt_s, HORIZON_S / STEPS),
-        )
+        self._model = PressurePipeline(twin, conditions)
+        self._dt_s, self._plan_s = dt_s, max(dt_s, HORIZON_S / STEPS)
         self.by, self._range_kpa = bend_is_by(twin), twin.pressure_range_kpa
         ends = [self._rested(kpa) for kpa in self._range_kpa]
         self.reach_rad = (min(ends), max(ends))

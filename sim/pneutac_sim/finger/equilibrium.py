@@ -386,9 +386,8 @@ class SoftBody:
         design = -_derivative(powers, q).transpose(0, 2, 1).reshape(-1, len(powers))
         weights = np.linalg.lstsq(design, torque.ravel(), rcond=None)[0]
         left = torque.ravel() - design @ weights
-        return cls(
-            powers, weights, np.asarray(rest, float), float(np.sqrt((left**2).mean() / (torque**2).mean()))
-        )
+        error = float(np.sqrt((left**2).mean() / (torque**2).mean()))
+        return cls(powers, weights, np.asarray(rest, float), error)
 
     @property
     def resting(self) -> np.ndarray:

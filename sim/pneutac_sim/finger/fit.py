@@ -40,13 +40,9 @@ def rough_drive(
         "rest_pressure_kpa": [s * p for s in _REST],
         "chamber_angle_rad": [2 * np.pi * s for s in _ANGLE],
     }
-    axes = {pipeline.names.index(k): v for k, v in tried.items() if k in pipeline.names}
-    axes = {
-        i: [x for x in values if bounds.lower[i] <= x <= bounds.upper[i]]
-        for i, values in axes.items()
-        if i in free
-    }
-    if "chamber_angle_rad" in pipeline.names and pipeline.names.index("chamber_angle_rad") in axes:
+    axes = {i: tried[name] for i, name in enumerate(pipeline.names) if name in tried and i in free}
+    axes = {i: [x for x in xs if bounds.lower[i] <= x <= bounds.upper[i]] for i, xs in axes.items()}
+    if any(pipeline.names[i] == "chamber_angle_rad" for i in axes):
         axes[pipeline.names.index("chamber_handedness")] = [-1.0, 1.0]
     if not axes:
         return theta
@@ -149,7 +145,10 @@ def fit(
     pipeline = Pipeline.of(twin, data.inputs, effects, body)
     bounds = Bounds(pipeline, data.inputs.pressure_range_kpa)
     free = _free(pipeline, data, twin, only)
-    _check_enough(int(mask.sum()), len(data.columns), len(free))
+    if mask.sum() * len(data.columns) <= len(free):
+        raise InputError(
+            f"There are {mask.sum()} training samples for {len(free)} parameters; record more, or fit fewer."
+        )
     start = pipeline.theta(twin, data.inputs.pressure_range_kpa)
     problems, v = _search(start, pipeline, data, np.flatnonzero(mask), bounds, free, starts, seed)
     final, v, level = problems[-1], v.copy(), {}
@@ -238,13 +237,6 @@ def _intervals(pipeline: Pipeline, bounds: Bounds, free: np.ndarray, v: np.ndarr
     low = bounds.value(np.clip(v - Z95 * sd, 0, 1), free)
     high = bounds.value(np.clip(v + Z95 * sd, 0, 1), free)
     return {pipeline.names[i]: (float(a), float(b)) for i, a, b in zip(free, low, high, strict=True)}
-
-
-def _check_enough(samples: int, columns: int, parameters: int) -> None:
-    if samples * columns <= parameters:
-        raise InputError(
-            f"There are {samples} training samples for {parameters} parameters; record more, or fit fewer."
-        )
 
 
 def _free(pipeline: Pipeline, data: BodyData, twin: Twin, only: Sequence[str] | None) -> np.ndarray:

@@ -18,9 +18,8 @@ from pneutac_sim.finger.inputs import pressure_columns, steps
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.finger.problem import Bounds, Problem
 
-COST = (
-    1.5  # of the noise's variance: what an instant of its own must gain; by fitting noise it gains up to one
-)
+# Of the noise's variance: what an instant of its own must gain; by fitting noise it gains up to one.
+COST = 1.5
 _AFTER = 6  # samples after a step that show its instant
 _GRID = np.linspace(0, 1, 25)
 _FIRST, _NEARER = 4, (2, 1)  # apart in the grid: what is tried first, and on both sides of the best so far

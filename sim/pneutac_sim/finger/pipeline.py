@@ -99,9 +99,8 @@ class Pipeline:
         self.names: list[str] = [p.name for p in self.specs]
         stiffness = self.names.index("joint_stiffness_nm_per_rad")
         self.left_out: dict[str, str] = {}
-        links: dict[str, list[EffectLink]] = {
-            s: [] for s in ("pneumatics", "drive", "loads", "joints", "markers", "mount", "observation")
-        }
+        places = "pneumatics", "drive", "loads", "joints", "markers", "mount", "observation"
+        links: dict[str, list[EffectLink]] = {place: [] for place in places}
         for e in self.effects:
             at = len(self.names)
             self.names += [f"{e.name}.{p.name}" for p in e.parameters]
@@ -112,9 +111,9 @@ class Pipeline:
             elif measured and e.of_air:
                 self.left_out[e.name] = "the measured pressure is the input"
             else:
-                links[e.signal if e.stage in ("load", "material") or e.signal == "mount" else e.stage].append(
-                    EffectLink(e, tuple(range(at, len(self.names))))
-                )
+                by_signal = e.stage in ("load", "material") or e.signal == "mount"
+                link = EffectLink(e, tuple(range(at, len(self.names))))
+                links[e.signal if by_signal else e.stage].append(link)
         drive = Drive(geometry, tuple(range(stiffness)))
         measured_force = columns is not None and set(FORCES) <= columns
         load = LoadLink(geometry, tuple(links["loads"]), stiffness, measured_force, body)
@@ -233,13 +232,8 @@ class Pipeline:
                 return np.zeros((0, 0))
             return signals[i] if i > self.thins_at else signals[i][inputs.rows]
 
-        return Run(
-            theta=theta,
-            signals=signals,
-            pressure_kpa=at_samples(self.reads_pressure),
-            joints=at_samples(self.reads_joints),
-            markers=at_samples(len(self.chain)),
-        )
+        seen = (at_samples(i) for i in (self.reads_pressure, self.reads_joints, len(self.chain)))
+        return Run(theta, signals, *seen)
 
     def computed(self, signals: list[np.ndarray], inputs: Inputs, at_samples: bool) -> dict[str, np.ndarray]:
         """Condition columns (m,) or (n,) that follow from the signals: the bending pressure, where asked."""
@@ -269,11 +263,8 @@ class Pipeline:
         if column in tips:
             return run.markers[:, tips.index(column)]
         if column == "bend_angle_rad":
-            return (
-                run.markers[:, 3]
-                if self.geometry.axes == 1
-                else np.hypot(run.markers[:, 3], run.markers[:, 4])
-            )
+            to_z, to_y = run.markers[:, 3], run.markers[:, 4]
+            return to_z if self.geometry.axes == 1 else np.hypot(to_z, to_y)
         if column in ("curvature_x_1_per_m", "curvature_y_1_per_m"):
             return run.markers[:, 3 + (column[10] == "y")] / (1e-3 * self.geometry.length_mm)
         kind, _, rest = column.partition("_")

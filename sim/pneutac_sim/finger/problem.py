@@ -56,9 +56,8 @@ def changes(
     elif len(early):
         out[:, :, early] = _by_pressure(pipeline, inputs, run, columns, moved)
     for j in late:
-        out[:, :, j] = (
-            pipeline.outputs(pipeline.run(inputs, _with(run, indices[j], values[j]), run), columns) - at
-        )
+        other = pipeline.run(inputs, _with(run, indices[j], values[j]), run)
+        out[:, :, j] = pipeline.outputs(other, columns) - at
     return out
 
 
@@ -187,10 +186,8 @@ def _pressures(
             if pipeline.names[indices[j]].endswith(f".{link.effect.linear}") and abs(now) > _LEAST_WEIGHT:
                 new.append(after + (after - before) * ((value - now) / now))
                 continue
-            theta = run.theta.copy()
-            theta[indices[j]] = value
             state = np.zeros(link.state_size(before.shape[1]))
-            new.append(link(before, inputs.dt_s, theta, conditions, state))
+            new.append(link(before, inputs.dt_s, _with(run, indices[j], value), conditions, state))
         if own:
             x, order = np.concatenate([x, np.stack(new, axis=1)], axis=1), order + own
     return x if order == sorted(order) else x[:, np.argsort(order)]
@@ -327,10 +324,8 @@ class Problem:
         moved = v + np.where(v < 0.5, steps, -steps)
         back = np.flatnonzero((self.jumps > 0) & (v >= steps) & (v <= 1 - steps))  # a jump is on one side
         index, there = np.r_[np.arange(len(v)), back].astype(int), np.r_[moved, 2 * v[back] - moved[back]]
-        values = self.bounds.value(there, self.free[index])
-        change = changes(
-            self.pipeline, self.data.inputs, self.run, self.data.columns, self.free[index], values
-        )
+        values, data = self.bounds.value(there, self.free[index]), self.data
+        change = changes(self.pipeline, data.inputs, self.run, data.columns, self.free[index], values)
         slope = change * self.data.scale[:, None] / (there - v[index])
         slope[:, :, back] = (slope[:, :, back] + slope[:, :, len(v) :]) / 2
         J = slope[:, :, : len(v)].reshape(self._measured.size, len(v))

@@ -174,29 +174,17 @@ def base_parameters(geometry: Geometry, of_stiffness: bool = False) -> tuple[Par
         Parameter("gain_alpha", "", 0.0, -1.5, 1.5, fixed=geometry.n_joints < 2),
         Parameter("gain_beta", "", 0.0, -0.95 / max(half, 0.5) ** 2, 3.0, fixed=geometry.n_joints < 3),
     )
-    stiffness = Parameter(
-        "joint_stiffness_nm_per_rad",
-        "N m/rad",
-        PAPER_FINGER["joint_stiffness_nm_per_rad"],
-        1e-4,
-        100.0,
-        log=True,
-        fixed=not of_stiffness,
-    )
+    name, unit = "joint_stiffness_nm_per_rad", "N m/rad"
+    stiffness = Parameter(name, unit, PAPER_FINGER[name], 1e-4, 100.0, log=True, fixed=not of_stiffness)
     share = (Parameter(BODY_SHARE, "", 0.7, 0.02, 0.98),) * of_stiffness
     own = (
         *(Parameter(f"bend_{n + 1}", "", 0.0, -1.5, 3.0, fixed=True) for n in range(geometry.n_joints)),
         Parameter("curl_rad", "rad", 0.0, -3.0, 3.0, fixed=True),
     )
     if geometry.device == "finger":
-        return (
-            Parameter("gain_rad_per_kpa", "rad/kPa", 0.15, -2.0, 2.0, range_power=-1),
-            *shape,
-            Parameter("rest_pressure_kpa", "kPa", 0.0, -3.0, 3.0, range_power=1),
-            *own,
-            stiffness,
-            *share,
-        )
+        gain = Parameter("gain_rad_per_kpa", "rad/kPa", 0.15, -2.0, 2.0, range_power=-1)
+        rest = Parameter("rest_pressure_kpa", "kPa", 0.0, -3.0, 3.0, range_power=1)
+        return gain, *shape, rest, *own, stiffness, *share
     return (
         Parameter("gain_rad_per_kpa", "rad/kPa", 0.1, 0.0, 2.0, range_power=-1),
         *shape,
@@ -254,10 +242,8 @@ class EffectLink:
         if self.effect.apart:
             state = np.zeros(self.state_size(k * channels))
             return self(x.reshape(m, -1), dt, theta, conditions, state).reshape(x.shape)
-        each = (np.ascontiguousarray(x[:, i]) for i in range(k))
-        return np.stack(
-            [self(one, dt, theta, conditions, np.zeros(self.state_size(channels))) for one in each], axis=1
-        )
+        new, each = self.state_size(channels), (np.ascontiguousarray(x[:, i]) for i in range(k))
+        return np.stack([self(one, dt, theta, conditions, np.zeros(new)) for one in each], axis=1)
 
 
 _profile = lru_cache(256)(gain_profile)  # a fit asks for the same again and again

@@ -18,19 +18,6 @@ from pneutac_sim.gel.force import RIM, RIM_SHARE, STICKS, GelForce
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.optics import _cells as _cells_of
 from pneutac_sim.gel.probe import BOX, CAPSULE, COLS, CYLINDER, ELLIPSOID, ROWS, SPHERE
-from pneutac_sim.gel.spring import (
-    CELLS,
-    DEEPEST_MM,
-    FINE,
-    FURTHER,
-    ITERATIONS,
-    LEAST_MM,
-    LOOK,
-    MOST,
-    REACH_MM,
-    STEP_MM,
-    TOLERANCE,
-)
 
 KINDS = (SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX)
 SLOTS = 144  # cells of a contact: `CELLS` of a disc fill a square of 102, and each edge is rounded up
@@ -144,10 +131,10 @@ def _cells(
         out[b, k, s] = wp.static(NOWHERE_MM)
         return
     wide, high = boxes[b, 4] * boxes[b, 5], boxes[b, 4]  # of a cell, mm
-    world, fine = int(worlds[b]), float(wp.static(FINE))
+    world, fine = int(worlds[b]), float(wp.static(spring.FINE))
     i, j = k / cols, k % cols
-    u = float(j) + (float(s % wp.static(FINE)) + 0.5) / fine - 0.5 * float(cols)
-    v = float(i) + (float(s / wp.static(FINE)) + 0.5) / fine - 0.5 * float(rows)
+    u = float(j) + (float(s % wp.static(spring.FINE)) + 0.5) / fine - 0.5 * float(cols)
+    v = float(i) + (float(s / wp.static(spring.FINE)) + 0.5) / fine - 0.5 * float(rows)
     u, v = boxes[b, 2] + wide * u, boxes[b, 3] + high * v
     c, n = boxes[b, 0], boxes[b, 1]
     R = gel_rotations[world, gel]
@@ -170,7 +157,7 @@ def _compliances(
     i, j = wp.abs(k / cols - m / cols), wp.abs(k % cols - m % cols)
     out[b, k, m] = 0.0
     if k != m and wp.max(k, m) < int(boxes[b, 6]) * cols:
-        r = h * wp.sqrt(float(i * i) + aspect * aspect * float(j * j)) / wp.static(STEP_MM)
+        r = h * wp.sqrt(float(i * i) + aspect * aspect * float(j * j)) / wp.static(spring.STEP_MM)
         n = wp.min(int(r), hidden.shape[0] - 2)
         kept = hidden[n] + (r - float(n)) * (hidden[n + 1] - hidden[n])
         out[b, k, m] = near[int(aspect) / 2, i, j] / h + kept  # aspects 1, 2, 4 are tables 0, 1, 2
@@ -324,10 +311,10 @@ class ContactBatch:
         self._hidden_0 = float(hidden[0])
         self._near_0 = self._sent(near[:, 0, 0])
         self._grid, self._first = (
-            wp.empty((n, *s), dtype=float, device=device) for s in ((ROWS, COLS), LOOK)
+            wp.empty((n, *s), dtype=float, device=device) for s in ((ROWS, COLS), spring.LOOK)
         )
         self.depth_mm = wp.to_torch(self._grid)  # (N, 80, 59), of the last `look`
-        self._free, self._ahead = free, (1e-3 * REACH_MM, 1e-3 * (law.thickness_mm + REACH_MM))
+        self._free, self._ahead = free, (1e-3 * spring.REACH_MM, 1e-3 * (law.thickness_mm + spring.REACH_MM))
         self.spring = tuple(torch.zeros(n, device=self._torch) for _ in range(3))
         self._no_cells = self._sent([1, 0, 0, 0, 1, 1, 0, 1])  # no rows, see `_place`
         self._deepest = torch.zeros(n, device=self._torch)
@@ -357,7 +344,7 @@ class ContactBatch:
     def _look_ahead(self) -> None:
         self._launch(self._first, self._gel_window, *self._ahead)
         self._deepest.copy_(wp.to_torch(self._first).amax((1, 2)))
-        self._near_face.copy_(self._deepest > -REACH_MM)
+        self._near_face.copy_(self._deepest > -spring.REACH_MM)
         for tensor, value in zip(
             self.spring, (self._free.k1, self._free.k3, self._free.depth_m), strict=True
         ):
@@ -367,10 +354,10 @@ class ContactBatch:
         """Springs of the worlds with something near, of which there are at most `count`."""
         worlds, near = first(self._near_face, count)
         seen, deepest = wp.to_torch(self._first)[worlds], self._deepest[worlds]
-        x = deepest.clamp(LEAST_MM, DEEPEST_MM)
-        boxes = _place(seen > (deepest - FURTHER * x)[:, None, None], self._gel_window)
+        x = deepest.clamp(spring.LEAST_MM, spring.DEEPEST_MM)
+        boxes = _place(seen > (deepest - spring.FURTHER * x)[:, None, None], self._gel_window)
         boxes = torch.where(near[:, None], boxes, self._no_cells)
-        box, C = (x.new_empty((count, SLOTS, n)) for n in (FINE**2, SLOTS))
+        box, C = (x.new_empty((count, SLOTS, n)) for n in (spring.FINE**2, SLOTS))
         boxes_wp, worlds_wp, box_wp, C_wp = map(wp.from_torch, (boxes, worlds, box, C))
         fine = [*self._scene, worlds_wp, boxes_wp, *self._ahead, box_wp]
         wp.launch(_cells, box.shape, fine, device=self._device)
@@ -378,8 +365,8 @@ class ContactBatch:
         deepest = box.amax((1, 2))
         held, load = self._held(boxes), torch.zeros_like(box[..., 0])
         here, load = self._force(box + (x - deepest)[:, None, None], C, boxes, held, load)
-        there, _ = self._force(box + (FURTHER * x - deepest)[:, None, None], C, boxes, held, load)
-        power = (torch.log(there / here) / math.log(FURTHER)).clamp(1.0, 3.0)  # F ~ x^power
+        there, _ = self._force(box + (spring.FURTHER * x - deepest)[:, None, None], C, boxes, held, load)
+        power = (torch.log(there / here) / math.log(spring.FURTHER)).clamp(1.0, 3.0)  # F ~ x^power
         x = 1e-3 * x
         secant = here / x
         found = secant * (3 - power) / 2, secant * (power - 1) / 2 / x**2, x
@@ -402,14 +389,14 @@ class ContactBatch:
         """`gel.spring._force` at depths z (contacts, SLOTS, FINE^2) mm: N (contacts,) and cells' loads."""
         h, aspect = boxes[:, 4:5], boxes[:, 5:6]
         touched = (z > 0).sum(2)
-        d, part = z.clamp(min=0).sum(2) / touched.clamp(min=1), touched / FINE**2
+        d, part = z.clamp(min=0).sum(2) / touched.clamp(min=1), touched / spring.FINE**2
         on = touched > 0
-        side = part.clamp(min=1 / FINE**2).sqrt()
+        side = part.clamp(min=1 / spring.FINE**2).sqrt()
         diagonal = self._near_0[(aspect / 2).long()] / (h * side) + self._hidden_0
         load = torch.where(on, load, 0.0)
         f = _contact(C, diagonal, d, on, torch.where(load.sum(1, keepdim=True) > 0, load, d * part))
         total, weighted = f.sum(1), (f * d).sum(1)
-        squares = (f * f / (part.clamp(min=1 / FINE**2) * aspect * h * h)).sum(1)
+        squares = (f * f / (part.clamp(min=1 / spring.FINE**2) * aspect * h * h)).sum(1)
         radius = total / (squares * math.pi).sqrt()
         stuck = STICKS * weighted / total * radius / self._law.thickness_mm**2
         return (f * held).sum(1) * (1 + stuck), f
@@ -440,8 +427,8 @@ def _place(touched: torch.Tensor, window_mm) -> torch.Tensor:
     ]
     middle, (long, short) = [0.5 * (low + high) for low, high in ends], [high - low for low, high in ends]
     aspect = torch.where(long > 8 * short, 4.0, torch.where(long > 2 * short, 2.0, 1.0))
-    size = (n * (cell_x * cell_y / CELLS) / aspect).sqrt()
-    size = torch.maximum(size, torch.maximum(long / aspect, short) / MOST)
+    size = (n * (cell_x * cell_y / spring.CELLS) / aspect).sqrt()
+    size = torch.maximum(size, torch.maximum(long / aspect, short) / spring.MOST)
 
     def edges(size):
         return torch.ceil(short / size - 1e-4).clamp(min=1), torch.ceil(long / (aspect * size) - 1e-4).clamp(
@@ -469,9 +456,9 @@ def _contact(C, diagonal, d, on, p) -> torch.Tensor:
         return torch.bmm(C, p[..., None])[..., 0] + diagonal * p
 
     p = p * ((p * d).sum(1) / (p * moved(p)).sum(1))[:, None]
-    tolerance = TOLERANCE * d.amax(1)
+    tolerance = spring.TOLERANCE * d.amax(1)
     t, before = torch.zeros_like(p), torch.zeros_like(tolerance)
-    for n in range(ITERATIONS):
+    for n in range(spring.ITERATIONS):
         g = torch.where(on, moved(p) - d, 0.0)
         carries = p > 0
         inside = torch.where(carries, g, 0.0)

@@ -117,16 +117,8 @@ class Channel:
             bright = np.maximum(rest[..., k], 1.0)
             scale = np.sqrt(INDEPENDENT / max(mask.sum(), 1)) / ERROR_LEVELS
             box, centre = _box(np.ones_like(mask) if whole else mask, cell_mm)
-            self._parts.append(
-                (
-                    box,
-                    centre,
-                    mask[box],
-                    difference[..., k][mask],
-                    np.log(bright / bright.mean())[mask],
-                    scale,
-                )
-            )
+            log_rest = np.log(bright / bright.mean())[mask]
+            self._parts.append((box, centre, mask[box], difference[..., k][mask], log_rest, scale))
         self._x, self._information = self._default, np.diag(1 / self._sd**2)
 
     @property
@@ -235,9 +227,8 @@ class Channel:
         slopes = []
         for i, step in enumerate(0.05 * np.sqrt(np.diag(self.covariance)) + 1e-9):
             low, high = self._x.copy(), self._x.copy()
-            low[i] -= (
-                step if self._x[i] - step > self._lower[i] else 0
-            )  # an effect may begin with a jump there
+            if self._x[i] - step > self._lower[i]:  # an effect may begin with a jump there
+                low[i] -= step
             high[i] += step if self._x[i] + step < self._upper[i] or low[i] == high[i] else 0
             slopes.append((predicted(high) - predicted(low)) / (high[i] - low[i]))
         slope = np.stack(slopes, -1)[mask]
@@ -326,11 +317,9 @@ class Problem:
         self.rests = [to_grid(p.rest) for p in photographs]
         self.seen = []
         for p in photographs:
-            if drift_known(gel):
-                self.seen.append(to_grid(p.image / gains(gel, p.clock) - p.rest))
-            else:
-                drift = session_light(p, gel.px_per_mm)
-                self.seen.append(to_grid(p.image.astype(np.float32) - p.rest) - drift)
+            drift = 0 if drift_known(gel) else session_light(p, gel.px_per_mm)
+            image = p.image / gains(gel, p.clock) if drift_known(gel) else p.image.astype(np.float32)
+            self.seen.append(to_grid(image - p.rest) - drift)
         self.evaluations = 0
 
     def surfaces(self, decay_mm: float, depth_scale: float) -> list[np.ndarray]:
@@ -374,9 +363,8 @@ class Problem:
     def linear(self) -> np.ndarray:
         """L (3, 2) of the paper's model, with the depth term, by linear least squares."""
         us = self.surfaces(DECAY_MM, 1.0)
-        rows = [
-            np.stack([*optics.gradient(u, self.cell), u], -1)[m] for u, m in zip(us, self.masks, strict=True)
-        ]
+        both = zip(us, self.masks, strict=True)
+        rows = [np.stack([*optics.gradient(u, self.cell), u], -1)[m] for u, m in both]
         seen = np.concatenate([s[m] for s, m in zip(self.seen, self.masks, strict=True)])
         return np.linalg.lstsq(np.concatenate(rows), seen, rcond=None)[0].T[:, :2]
 
@@ -420,19 +408,16 @@ class Problem:
             inside = np.clip(x, low, high)
             *decay, scale = np.exp(inside)
             surfaces = self.surfaces(*decay or [DECAY_MM], scale)
-            outside = 1e3 * np.square(x - inside).sum()
-            return (
-                outside + 0.5 * (inside[-1] / DEPTH_SCALE_SD) ** 2 + sum(c.solve(surfaces) for c in channels)
-            )
+            prior = 1e3 * np.square(x - inside).sum() + 0.5 * (inside[-1] / DEPTH_SCALE_SD) ** 2
+            return prior + sum(c.solve(surfaces) for c in channels)
 
         start = np.log([DECAY_MM, 0.9] if near is None else [near.decay_mm, min(near.depth_scale, 0.98)])[of]
         size = np.array([0.4, -0.15])[of] * (1.0 if near is None else 0.3)
-        options = {
-            "initial_simplex": start + np.vstack([np.zeros(len(size)), np.diag(size)]),
-            "xatol": 0.02,
-            "fatol": 0.02,
-            "maxfev": 40 if near is None else 6 if quick else 15,
-        }
+        simplex, most = (
+            start + np.vstack([0 * size, np.diag(size)]),
+            40 if near is None else 6 if quick else 15,
+        )
+        options = {"initial_simplex": simplex, "xatol": 0.02, "fatol": 0.02, "maxfev": most}
         found = minimize(solve, start, method="Nelder-Mead", options=options).x
         cost = solve(found)
         *decay, scale = np.exp(np.clip(found, low, high))
@@ -444,14 +429,8 @@ class Problem:
         """The gel with light and effects of these channels."""
         rows = np.array([c.row for c in channels])
         effects = self.gel.effects | effects_of([c.values for c in channels], self.effects)
-        return replace(
-            self.gel,
-            light=rows[:, :2],
-            depth_light=rows[:, 2],
-            effects=effects,
-            prior_residual=None,
-            residual=None,
-        )
+        bare = replace(self.gel, prior_residual=None, residual=None)
+        return replace(bare, light=rows[:, :2], depth_light=rows[:, 2], effects=effects)
 
 
 FAR_ENOUGH = 0.1  # share of a photograph that must lie away from its contact to measure its light
@@ -493,7 +472,9 @@ def refine_contacts(
     neutral = np.array([p.neutral for _, p in specs])
     now = np.array([gel.effects[e.name][p.name] for e, p in specs])
     reach = max(1.0, *(np.hypot(p.press.x_mm, p.press.y_mm) for p in photographs))
-    steps = np.concatenate([_steps(e, reach) for e in effects])
+    plain = [[STEP * (p.upper - p.lower) for p in e.parameters] for e in effects]
+    steps = [e.steps(reach) if e.steps else own for e, own in zip(effects, plain, strict=True)]
+    steps = np.concatenate(steps).astype(float)
 
     def values(x: np.ndarray) -> dict[str, dict[str, float]]:
         out: dict[str, dict[str, float]] = {}
@@ -515,19 +496,16 @@ def refine_contacts(
     sd = np.concatenate([e.prior_sd for e in effects])
     A, b = [np.diag(1 / sd)], [(neutral - now) / sd]
     for j, (near, difference) in enumerate(zip(masks, seen, strict=True)):
-        scale, mask = np.sqrt(INDEPENDENT / max(near.sum(), 1)) / ERROR_LEVELS, near
-        if late:
-            mask = near | _left_in(gel, photographs[j])
+        scale = np.sqrt(INDEPENDENT / max(near.sum(), 1)) / ERROR_LEVELS
+        mask = near | _left_in(gel, photographs[j]) if late else near
         slopes = [((m[j] - base[j]) / step)[mask].ravel() for m, step in zip(moved, steps, strict=True)]
         A.append(scale * np.stack(slopes, -1))
         b.append(scale * (difference - base[j])[mask].ravel())
     M, y = np.concatenate(A), np.concatenate(b)
-    if late:  # branches are much alike: without bounds one would stand against another
-        low, high = np.array([(p.lower, p.upper) for _, p in specs]).T
-        x = now + lsq_linear(M, y, (low - now, high - now)).x
-    else:
-        x = now + np.linalg.lstsq(M, y, rcond=None)[0]
-    return {e.name: e.inside(v) for e, v in zip(effects, values(x).values(), strict=True)}
+    low, high = np.array([(p.lower, p.upper) for _, p in specs]).T
+    # branches are much alike: without bounds one would stand against another
+    step = lsq_linear(M, y, (low - now, high - now)).x if late else np.linalg.lstsq(M, y, rcond=None)[0]
+    return {e.name: e.inside(v) for e, v in zip(effects, values(now + step).values(), strict=True)}
 
 
 def refine_press(
@@ -575,12 +553,6 @@ def _left_in(gel: GelModel, photograph: PressPhotograph) -> np.ndarray:
     """Cells (80, 59) where earlier presses may have left something."""
     near = [replace(photograph, press=e.press).near(gel.px_per_mm, LEFT_RADII) for e in photograph.earlier]
     return to_grid(np.any(near, axis=0)) > 0.5 if near else np.zeros((ROWS, COLS), bool)
-
-
-def _steps(effect: SensorEffect, reach_mm: float) -> np.ndarray:
-    if effect.steps is not None:
-        return np.asarray(effect.steps(reach_mm), float)
-    return np.array([STEP * (p.upper - p.lower) for p in effect.parameters])
 
 
 SHARES = (0.0, 0.25, 0.5)  # of a make's field: two DIGITs have half of what is left over in common

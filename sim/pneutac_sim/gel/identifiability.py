@@ -28,9 +28,8 @@ from pneutac_sim.gel.photograph import PressPhotograph, press_depth, to_grid
 from pneutac_sim.gel.residual import ERROR_LEVELS, INDEPENDENT, Leftover
 from pneutac_sim.gel.surface import surface
 
-UNIDENTIFIED = (
-    0.2  # of a prior's variance: a parameter of which presses removed no more stays where its prior is
-)
+# Of a prior's variance: a parameter of which presses removed no more stays where its prior is.
+UNIDENTIFIED = 0.2
 DEEPER, DEEPEST = 1.5, 0.4  # a deeper press, over the deepest so far; of the thickness at most
 PLACES = (-0.28, 0.0, 0.28)  # of the window's width and height, from its centre
 ACROSS, DOWN = ("left", "middle", "right"), ("upper", "middle", "lower")
@@ -55,14 +54,10 @@ def identify(
     deepest = max((p.press for p in photographs), key=lambda p: p.depth_mm)
     depth = max(min(DEEPER * deepest.depth_mm, DEEPEST * gel.thickness_mm), deepest.depth_mm)
     width, height = gel.window_mm
-    names = {
-        f"{row} {column}": (x * width, y * height)
-        for row, y in zip(DOWN, PLACES, strict=True)
-        for column, x in zip(ACROSS, PLACES, strict=True)
-    }
     presses = [
-        (where.replace("middle middle", "middle"), replace(deepest, x_mm=x, y_mm=y, depth_mm=d))
-        for where, (x, y) in names.items()
+        (f"{row} {column}".replace("middle middle", "middle"), replace(deepest, x_mm=x, y_mm=y, depth_mm=d))
+        for row, y in zip(DOWN, height * np.array(PLACES), strict=True)
+        for column, x in zip(ACROSS, width * np.array(PLACES), strict=True)
         for d in dict.fromkeys((deepest.depth_mm, depth))
     ]
     now, then = open_levels(gel, channels, [press for _, press in presses])
@@ -80,13 +75,8 @@ def open_levels(
     """
     grams = np.array([_grams(gel, channels, press) for press in presses])  # (presses, channels, F, F)
     now = [c.covariance for c in channels]
-    then = [
-        [
-            np.linalg.pinv(np.linalg.pinv(S) + INDEPENDENT / ERROR_LEVELS**2 * g)
-            for S, g in zip(now, gram, strict=True)
-        ]
-        for gram in grams
-    ]
+    more = INDEPENDENT / ERROR_LEVELS**2 * grams
+    then = [[np.linalg.pinv(np.linalg.pinv(S) + g) for S, g in zip(now, each, strict=True)] for each in more]
     return _levels(grams, now), np.array([_levels(grams, covariances) for covariances in then])
 
 

@@ -283,13 +283,8 @@ class Press:
         s, d = self.size_mm, self.depth_mm
         if self.figure is not None:
             return self.figure.radius_mm(d)
-        return {
-            "sphere": np.sqrt(s * d),
-            "cylinder": s,
-            "cube": s / np.sqrt(2),
-            "edge": s / 2,
-            "cone": min(d, s),
-        }[self.indenter]
+        radii = {"sphere": np.sqrt(s * d), "cylinder": s, "cube": s / np.sqrt(2), "edge": s / 2}
+        return (radii | {"cone": min(d, s)})[self.indenter]
 
     @property
     def turn(self) -> Rotation:

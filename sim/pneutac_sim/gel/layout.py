@@ -7,7 +7,7 @@ rest image identifies the sensor model, whatever was pressed; otherwise the dire
 
 import base64
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -112,12 +112,12 @@ class Layout:
             out = cls(
                 str(content["name"]),
                 tuple((c["x_mm"], c["y_mm"]) for c in channels),
-                _three(c["exponent"] for c in channels),
+                tuple(c["exponent"] for c in channels),
                 float(content["proportions"]),
                 rest,
-                _three(c["distance_sd_mm"] for c in channels),
-                _three(c["direction_sd_rad"] for c in channels),
-                _three(c["exponent_sd"] for c in channels),
+                tuple(c["distance_sd_mm"] for c in channels),
+                tuple(c["direction_sd_rad"] for c in channels),
+                tuple(c["exponent_sd"] for c in channels),
                 tuple(SensorPrior.read(unit, rest.shape) for unit in content.get("units", ())),
             )
         except (KeyError, TypeError, ValueError, AttributeError) as e:
@@ -135,15 +135,13 @@ class Layout:
         """As YAML, whole or not at all; `source` names its origin. It must know its rest image."""
         assert self.rest is not None
         content = {"format": FORMAT, "name": self.name, "source": source, "proportions": self.proportions}
-        for k, channel in enumerate(CHANNELS):
-            content[channel] = {
-                "x_mm": self.positions_mm[k][0],
-                "y_mm": self.positions_mm[k][1],
-                "distance_sd_mm": self.distances_sd_mm[k],
-                "direction_sd_rad": self.directions_sd_rad[k],
-                "exponent": self.exponents[k],
-                "exponent_sd": self.exponents_sd[k],
-            }
+        spreads = self.distances_sd_mm, self.directions_sd_rad
+        each = zip(
+            *zip(*self.positions_mm, strict=True), *spreads, self.exponents, self.exponents_sd, strict=True
+        )
+        content |= {
+            c: dict(zip(LIGHT, values, strict=True)) for c, values in zip(CHANNELS, each, strict=True)
+        }
         if self.units:
             content["units"] = [unit.written() for unit in self.units]
         content["rest"] = self.rest.round().astype(int).reshape(STORED_PX[1], -1).tolist()
@@ -163,11 +161,6 @@ class Layout:
 def stored_rest(rest: np.ndarray) -> np.ndarray:
     """A rest image (H, W, 3) as a prior keeps it, (16, 12, 3)."""
     return cv2.resize(rest.astype(np.float32), STORED_PX, interpolation=cv2.INTER_AREA)
-
-
-def _three(values: Iterable[float]) -> tuple[float, float, float]:
-    a, b, c = values
-    return a, b, c
 
 
 # Found on 34 photographs of two DIGITs of unlike brightness; alone they give red (7.0, -6.8) and (8.5, -7.7),
@@ -200,7 +193,7 @@ class Orientation:
         positions = tuple(tuple(flip * layout.positions_mm[c]) for c in self.channels)
         exponents = tuple(layout.exponents[c] for c in self.channels)
         spreads = (layout.distances_sd_mm, layout.directions_sd_rad, layout.exponents_sd)
-        turned = [_three(spread[c] for c in self.channels) for spread in spreads]
+        turned = [tuple(spread[c] for c in self.channels) for spread in spreads]
         return Layout(layout.name, positions, exponents, layout.proportions, None, *turned)
 
     def shown(self, image: np.ndarray) -> np.ndarray:

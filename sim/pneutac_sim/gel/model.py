@@ -177,12 +177,8 @@ class GelModel:
     @classmethod
     def builtin(cls) -> "GelModel":
         """A generated DIGIT."""
-        return cls(
-            rest_image(IMAGE_SHAPE),
-            LIGHT,
-            DEPTH_LIGHT,
-            effects={name: dict(values) for name, values in EFFECTS.items()},
-        )
+        effects = {name: dict(values) for name, values in EFFECTS.items()}
+        return cls(rest_image(IMAGE_SHAPE), LIGHT, DEPTH_LIGHT, effects=effects)
 
     @classmethod
     def from_twin(cls, twin: Twin | None) -> "GelModel":

@@ -59,20 +59,10 @@ def probe_grid(
 
     Raises ValueError: a shape number is unknown.
     """
-    n, depth = len(kinds), np.zeros(shape, np.float32)
-    known = _probe(
-        *_shapes(kinds, sizes),
-        np.asarray(positions, np.float64).reshape(n, 3),
-        np.asarray(rotations, np.float64).reshape(n, 3, 3),
-        np.asarray(gel_position, np.float64),
-        np.asarray(gel_rotation, np.float64).reshape(3, 3),
-        _metres(window_mm, thickness_mm),
-        triangles,
-        depth,
-    )
-    if not known:
-        raise ValueError(_UNKNOWN.format(list(kinds)))
-    return depth
+    state = [[np.reshape(x, shape)] for x, shape in ((positions, (-1, 3)), (rotations, (-1, 9)))]
+    state += [np.reshape(gel_position, (1, 3)), np.reshape(gel_rotation, (1, 9))]
+    out = np.zeros((1, *shape), np.float32)
+    return probe_grids(kinds, sizes, *state, window_mm, thickness_mm, out, triangles)[0]
 
 
 def probe_grids(
@@ -94,29 +84,19 @@ def probe_grids(
     """
     count, n = np.shape(positions)[:2]
     known = _probe_all(
-        *_shapes(kinds, sizes),
+        np.asarray(kinds, np.int64).reshape(-1),
+        np.asarray(sizes, np.float64).reshape(-1, 3),
         np.asarray(positions, np.float64),
         np.asarray(rotations, np.float64).reshape(count, n, 3, 3),
         np.asarray(gel_positions, np.float64),
         np.asarray(gel_rotations, np.float64).reshape(count, 3, 3),
-        _metres(window_mm, thickness_mm),
+        (window_mm[0] * 1e-3, window_mm[1] * 1e-3, thickness_mm * 1e-3),
         triangles,
         out,
     )
     if not known:
-        raise ValueError(_UNKNOWN.format(list(kinds)))
+        raise ValueError(f"a probe grid knows shapes {KINDS} (MuJoCo geom types and CONE); got {list(kinds)}")
     return out[:count]
-
-
-_UNKNOWN = f"a probe grid knows shapes {KINDS} (MuJoCo geom types and CONE); got {{}}"
-
-
-def _shapes(kinds, sizes) -> tuple[np.ndarray, np.ndarray]:
-    return np.asarray(kinds, np.int64).reshape(-1), np.asarray(sizes, np.float64).reshape(-1, 3)
-
-
-def _metres(window_mm: tuple[float, float], thickness_mm: float) -> tuple[float, float, float]:
-    return window_mm[0] * 1e-3, window_mm[1] * 1e-3, thickness_mm * 1e-3
 
 
 # Each span gives the interval of t where the line o + d t (shape frame, |d| = 1, s = size) is inside the

@@ -186,20 +186,12 @@ class RestGrid:
             place = {tuple(n): i for i, n in enumerate(nodes)}
             for i in np.flatnonzero(mirrored):
                 ghost[place[tuple(nodes[i] + step)]] = i
-        surface = _surface(body, cells, index)
-        return RestGrid(
-            dx=dx,
-            nodes=body.origin_m + (nodes - 0.5) * dx,
-            volume=volume,
-            cell_nodes=node_of,
-            cell_mask=mask,
-            slots=slots,
-            ghost=ghost,
-            mirrored=mirrored,
-            particle_cell=index.astype(np.int32),
-            particle_local=number.astype(np.int32),
-            **surface,
+        places, particles = (
+            body.origin_m + (nodes - 0.5) * dx,
+            (index.astype(np.int32), number.astype(np.int32)),
         )
+        of_nodes = places, volume, node_of, mask, slots, ghost, mirrored
+        return RestGrid(dx, *of_nodes, *particles, **_surface(body, cells, index))
 
 
 def _surface(body: Body, cells: np.ndarray, index: np.ndarray) -> dict[str, np.ndarray]:
@@ -331,10 +323,8 @@ class Spine:
                 continue
             centre = (m[:, None] * p).sum(0) / m.sum()
             r = p - centre
-            # I = sum m (|r|^2 1 - r r^T)
-            inertia = (
-                m[:, None, None] * ((r**2).sum(1)[:, None, None] * np.eye(3) - r[:, :, None] * r[:, None])
-            ).sum(0)
+            spread = (m[:, None] * r).T @ r
+            inertia = np.trace(spread) * np.eye(3) - spread  # sum m (|r|^2 1 - r r^T)
             out[i] = np.concatenate([[m.sum()], centre, inertia.ravel()])
         return out
 

@@ -30,9 +30,9 @@ from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.probe import COLS, ROWS
-from pneutac_sim.mpm.body import Body, Material, Spine
+from pneutac_sim.mpm.body import Body, Spine
 from pneutac_sim.mpm.indenter import SAMPLES, centre_m, distances_m, half_edge_m
-from pneutac_sim.mpm.solid import bending_body, parameter
+from pneutac_sim.mpm.solid import bending_body, material_of, parameter
 from pneutac_sim.mpm.solve import MpmDiverged, halved_once, solve_equilibrium
 from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
 from pneutac_sim.twin import Twin
@@ -113,13 +113,8 @@ def gel(
         raise InputError(f"counts is {counts.tolist()}; give three numbers of particles, each at least 2.")
     window = 1e-3 * np.array(GelModel.from_twin(twin).window_mm)
     spacing = float((window / counts[:2]).max())
-    material = Material(
-        1e6 * parameter(twin, "gel_youngs_modulus_mpa"),
-        parameter(twin, "gel_poissons_ratio"),
-        parameter(twin, "gel_density_kg_m3"),
-    )
     origin = -spacing * counts * [0.5, 0.5, 1.0]
-    body = Body.box("gel", counts, spacing, material, origin, clamp="z-")
+    body = Body.box("gel", counts, spacing, material_of(twin, "gel_"), origin, clamp="z-")
     return TotalLagrangian(body, batch=batch, device=device, table=table)
 
 
@@ -208,25 +203,13 @@ def press_loads(press: Press) -> Loads:
     s = 1e-3 * press.size_mm
     tip = 1e-3 * np.array([press.x_mm, press.y_mm, -press.depth_mm])
     if press.figure is not None:
-        return Loads(
-            indenter="mesh",
-            size_m=np.full(3, half_edge_m(press.figure)),
-            position_m=tip + press.turn.apply(centre_m(press.figure)),
-            rotation=press.turn.as_matrix(),
-        )
-    shape, size, turn = {
-        "sphere": ("sphere", (s, s, s), 0.0),
-        "cylinder": ("cylinder", (s, 0.01, s), 0.0),
-        "cone": ("cone", (s, s, s), 0.0),
-        "cube": ("cube", (s / 2, s / 2, s / 2), 0.0),
-        "edge": ("edge", (s, s / 2, s / np.sqrt(2)), np.pi / 2),  # its ridge lies along its own y
-    }[press.indenter]
-    return Loads(
-        indenter=shape,
-        size_m=np.array(size),
-        position_m=tip,
-        rotation=(press.turn * Rotation.from_euler("z", turn)).as_matrix(),
-    )
+        size, at = np.full(3, half_edge_m(press.figure)), tip + press.turn.apply(centre_m(press.figure))
+        return Loads(indenter="mesh", size_m=size, position_m=at, rotation=press.turn.as_matrix())
+    sizes = {"cylinder": (s, 0.01, s), "cube": (s / 2, s / 2, s / 2), "edge": (s, s / 2, s / np.sqrt(2))}
+    size = np.array(sizes.get(press.indenter, (s, s, s)))
+    own = np.pi / 2 if press.indenter == "edge" else 0.0  # its ridge lies along its own y
+    rotation = (press.turn * Rotation.from_euler("z", own)).as_matrix()
+    return Loads(indenter=press.indenter, size_m=size, position_m=tip, rotation=rotation)
 
 
 def spine_points(solver: TotalLagrangian, q: np.ndarray) -> np.ndarray:
@@ -241,9 +224,8 @@ def spine_points(solver: TotalLagrangian, q: np.ndarray) -> np.ndarray:
 
 
 POSES_A_JOINT = 4
-ALONE_RAD = (
-    0.2  # how far a joint is bent by itself, at most; loads of half a newton bend the first by so much
-)
+# How far a joint is bent by itself, at most; loads of half a newton bend the first by so much.
+ALONE_RAD = 0.2
 TOLERANCE = 1e-3  # of unbalanced forces
 
 
@@ -258,9 +240,8 @@ def measure(
     poses, rng = POSES_A_JOINT * n, np.random.default_rng(0)
     free = joint_targets(without_effects(twin), np.linspace(*pressures_kpa, poses))
     solver = finger(twin, batch=poses, particles=particles, device=device)
-    held = solve_equilibrium(
-        solver, Loads(q_cmd=free + rng.uniform(-ALONE_RAD, ALONE_RAD, free.shape)), TOLERANCE
-    )
+    alone = rng.uniform(-ALONE_RAD, ALONE_RAD, free.shape)
+    held = solve_equilibrium(solver, Loads(q_cmd=free + alone), TOLERANCE)
     torque = held.body_torque.astype(float) / parameter(twin, "youngs_modulus_mpa")
     rest = joint_targets(without_effects(twin), [0.0])[0]
     return SoftBody.fit(held.q.astype(float), torque, rest)

@@ -541,16 +541,8 @@ def within(
                     body_barrier(b, first, blocks, turn, gate, soa)
                     i = lane
                     while i < 3 * data.cells:
-                        spread(
-                            b,
-                            i % data.cells,
-                            i % data.cells,
-                            i // data.cells,
-                            data.cells,
-                            data,
-                            touching,
-                            soa,
-                        )
+                        c, d = i % data.cells, i // data.cells
+                        spread(b, c, c, d, data.cells, data, touching, soa)
                         i += stride
                     turn += 1
                     body_barrier(b, first, blocks, turn, gate, soa)

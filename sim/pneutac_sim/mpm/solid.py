@@ -128,14 +128,17 @@ def bending_body(twin: Twin, particles: int = 4000, mesh=None) -> Body:
 
     Raises InputError: an impossible mesh or parameter.
     """
-    material = Material(
-        1e6 * parameter(twin, "youngs_modulus_mpa"),
-        parameter(twin, "poissons_ratio"),
-        parameter(twin, "density_kg_m3"),
-    )
     search = mesh is None and stored_mesh(twin) is not None
     mesh = body_mesh(twin) if mesh is None else mesh
-    return Body.from_mesh(twin.device, mesh, material, particles, "x-", search)
+    return Body.from_mesh(twin.device, mesh, material_of(twin), particles, "x-", search)
+
+
+def material_of(twin: Twin, prefix: str = "") -> Material:
+    """The material of a twin's body, or of its gel by the prefix `gel_`."""
+    E, nu, rho = (
+        parameter(twin, prefix + n) for n in ("youngs_modulus_mpa", "poissons_ratio", "density_kg_m3")
+    )
+    return Material(1e6 * E, nu, rho)
 
 
 @dataclass(frozen=True)

@@ -72,17 +72,8 @@ def solve_equilibrium(
     positions, gradients = _particles(solver)
     force, depth = solver.contact()
     q, _, soft = solver.angles()
-    return Equilibrium(
-        positions=positions,
-        gradients=gradients,
-        q=q,
-        controller_torque=_controller_torque(solver, loads, q),
-        body_torque=soft,
-        contact_force=force.sum(1),
-        penetration_m=depth.max(1, initial=0.0),
-        residual=residual,
-        substeps=substeps,
-    )
+    torques, contact = (_controller_torque(solver, loads, q), soft), (force.sum(1), depth.max(1, initial=0.0))
+    return Equilibrium(positions, gradients, q, *torques, *contact, residual, substeps)
 
 
 def halved_once[T](solver: TotalLagrangian, drive: Callable[[], T]) -> T:

@@ -1,8 +1,6 @@
 """CMA-ES (Hansen and Ostermeier 2001) over a body's parameters, a whole generation at a time, resumable.
 
-How well photographs identify each parameter.
-
-A first fit to silhouettes alone: the body bends as its spine does, without material points.
+A first fit is to silhouettes alone: the body bends as its spine does, without material points.
 
 The surface is carried along by the links and drawn, and its coverage is compared with the masks, both
 blurred: widely first, so that silhouettes that do not overlap attract each other, then less. Bounded least
@@ -165,16 +163,9 @@ def _fit_skinned(model: Skinned, x: np.ndarray, blur: float) -> np.ndarray:
         steps, here = _steps(parameters, y, SMALL), misfit(y)
         return np.stack([misfit(y + s) - here for s in steps], 1) / np.diag(steps)
 
-    found = least_squares(
-        misfit,
-        x[free],
-        jacobian,
-        bounds=(parameters.lower[free], parameters.upper[free]),
-        x_scale=parameters.step[free],
-        xtol=1e-4,
-        ftol=1e-4,
-        max_nfev=25,
-    )
+    bounds, scale = (parameters.lower[free], parameters.upper[free]), parameters.step[free]
+    how = {"x_scale": scale, "xtol": 1e-4, "ftol": 1e-4, "max_nfev": 25}
+    found = least_squares(misfit, x[free], jacobian, bounds, **how)
     return _whole(parameters, x, found.x)
 
 

@@ -5,11 +5,7 @@ now = carried(looks, solver.body, bent.positions[0], bent.gradients[0])
 picture = rasterise(now, other_camera)
 looks_into_twin(twin, looks)
 
-Gaussians on the particles of a body, and how they follow them.
-
-Colours of a body without looks of its own: its largest stretch, from calm to warm.
-
-Carries points along with the particles of a body: vertices of meshes, samples of rays.
+A body without looks of its own is coloured by its largest stretch, from calm to warm.
 """
 
 from dataclasses import replace
@@ -53,14 +49,9 @@ def blank_looks(body: Body, detail: int = 1) -> Gaussians:
     else:
         points = np.concatenate([fine, body.positions[~outer]])
         scale = SCALE * h * np.where(np.arange(len(points)) < len(fine), 1 / detail, 1.0)
-    n = len(points)
-    return Gaussians(
-        points,
-        np.repeat(scale[:, None], 3, 1),
-        np.broadcast_to(np.eye(3), (n, 3, 3)),
-        np.zeros((n, 3)),
-        np.full(n, OPACITY),
-    )
+    n, scales = len(points), np.repeat(scale[:, None], 3, 1)
+    turns = np.broadcast_to(np.eye(3), (n, 3, 3))
+    return Gaussians(points, scales, turns, np.zeros((n, 3)), np.full(n, OPACITY))
 
 
 def carried(looks: Gaussians, body: Body, positions: np.ndarray, gradients: np.ndarray) -> Gaussians:
@@ -222,11 +213,8 @@ def looks_from_twin(twin: Twin) -> Gaussians:
         raise InputError(
             f"The twin has no looks (array '{missing[0]}' is missing); calibrate it with photographs first."
         )
-    n = len(twin.arrays["body_means"])
-    return Gaussians(
-        rotations=np.broadcast_to(np.eye(3), (n, 3, 3)),
-        **{name: twin.arrays[array] for array, name in ARRAYS.items()},
-    )
+    turns = np.broadcast_to(np.eye(3), (len(twin.arrays["body_means"]), 3, 3))
+    return Gaussians(rotations=turns, **{name: twin.arrays[array] for array, name in ARRAYS.items()})
 
 
 def unseen(looks: Gaussians, camera: Camera) -> np.ndarray:

@@ -471,9 +471,8 @@ def solve_colours(
     """
     camera = splats.camera
     target = numbers("target", target, (camera.height, camera.width, 3))
-    pixels = (
-        np.floor(camera.project(splats.means)[0]).clip(0, (camera.width - 1, camera.height - 1)).astype(int)
-    )
+    last = camera.width - 1, camera.height - 1
+    pixels = np.floor(camera.project(splats.means)[0]).clip(0, last).astype(int)
     colours = target[pixels[:, 1], pixels[:, 0]]
 
     def normal(c):

@@ -177,36 +177,21 @@ def rasterise_tensors(means, covariances, colours, opacities, camera: Camera, ba
     from gsplat import isect_offset_encode, isect_tiles, rasterization, rasterize_to_pixels
 
     size = (camera.width, camera.height)
-    view, K = (
-        torch.tensor(m, dtype=torch.float32, device=means.device)
-        for m in (camera.extrinsics, camera.intrinsics)
-    )
+    sent = {"dtype": torch.float32, "device": means.device}
+    view, K = (torch.tensor(m, **sent) for m in (camera.extrinsics, camera.intrinsics))
     behind = background[None]
     if not camera.distortion:
-        image, alpha, _ = rasterization(
-            means,
-            None,
-            None,
-            opacities,
-            colours,
-            view[None],
-            K[None],
-            *size,
-            near_plane=NEAR_M,
-            eps2d=BLUR_PX2,
-            packed=False,
-            backgrounds=behind,
-            covars=covariances,
-        )
+        inputs = means, None, None, opacities, colours, view[None], K[None], *size
+        how = {"near_plane": NEAR_M, "eps2d": BLUR_PX2, "packed": False}
+        image, alpha, _ = rasterization(*inputs, backgrounds=behind, covars=covariances, **how)
         return image[0], alpha[0, ..., 0]
     pixels, conics, depth, radii = _project(means, covariances, opacities, camera, view)
     across, down = -(-camera.width // TILE), -(-camera.height // TILE)
     with torch.no_grad():
         _, lists, ids = isect_tiles(pixels[None], radii[None], depth[None], TILE, across, down)
         starts = isect_offset_encode(lists, 1, across, down)
-    image, alpha = rasterize_to_pixels(
-        pixels[None], conics[None], colours[None], opacities[None], *size, TILE, starts, ids, behind
-    )
+    splats = pixels[None], conics[None], colours[None], opacities[None]
+    image, alpha = rasterize_to_pixels(*splats, *size, TILE, starts, ids, behind)
     return image[0], alpha[0, ..., 0]
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm import devices
-from pneutac_sim.surrogate.collect import FRAME_S, Motion, Plan, read_motions
+from pneutac_sim.surrogate.collect import FRAME_S, Motion, read_motions
 from pneutac_sim.surrogate.fingerprint import fingerprint
 from pneutac_sim.surrogate.network import HIDDEN, ActionNetwork
 from pneutac_sim.surrogate.skeleton import Skeleton
@@ -67,7 +67,8 @@ def train_action(
     """
     plan, motions = read_motions(data_dir, twin)
     train, stop, _ = split(motions)
-    skeleton = _skeleton(twin, plan)
+    solver = devices.finger(twin, particles=plan.particles)
+    skeleton = Skeleton.of(solver.body, solver.spine, plan.damping_per_s)
     x, y = pairs(skeleton, train)
     mean, scale = x.mean(0), np.maximum(x.std(0), 1e-6)
     torque_mean = y.mean(0)
@@ -199,11 +200,6 @@ def without_torque(network: ActionNetwork) -> ActionNetwork:
 def _errors(network: ActionNetwork, m: Motion) -> tuple[float, float, float]:
     q, v, inside = network.roll(m.q[0], m.q_vel[0], m.target, m.pressure_kpa, (len(m.q) - 1) * FRAME_S)
     return (np.degrees(np.abs(q - m.q[1:]).mean()), np.degrees(np.abs(v - m.q_vel[1:]).mean()), inside.mean())
-
-
-def _skeleton(twin: Twin, plan: Plan) -> Skeleton:
-    solver = devices.finger(twin, particles=plan.particles)
-    return Skeleton.of(solver.body, solver.spine, plan.damping_per_s)
 
 
 def _mlp(torch, inputs: int, outputs: int, random):

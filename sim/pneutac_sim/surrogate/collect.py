@@ -177,12 +177,8 @@ def collect_action(
     folder = Path(out_dir)
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / f"action_{i:03d}.safetensors" for i in range(plan.trajectories)]
-    label = {
-        "format": FORMAT,
-        "fingerprint": fingerprint(twin),
-        "drive": _drive(twin),
-        "plan": json.dumps(asdict(plan), sort_keys=True),
-    }
+    label = {"format": FORMAT, "fingerprint": fingerprint(twin), "drive": _drive(twin)}
+    label["plan"] = json.dumps(asdict(plan), sort_keys=True)
     missing = []
     for i, file in enumerate(files):
         if not file.is_file():
@@ -194,14 +190,9 @@ def collect_action(
     if not missing:
         return files
     if executor is not None:
-        run_pieces(
-            partial(_collect, twin, plan, files, label, device),
-            files,
-            folder / "logs",
-            executor,
-            lambda _, done, total: progress(f"collected {done} of {total} trajectories"),
-            "trajectories",
-        )
+        collect = partial(_collect, twin, plan, files, label, device)
+        report = lambda _, done, total: progress(f"collected {done} of {total} trajectories")  # noqa: E731
+        run_pieces(collect, files, folder / "logs", executor, report, "trajectories")
         return files
     running = runtime.start(device)
     size = SIDE_BY_SIDE[running]
@@ -269,9 +260,8 @@ def _move(twin: Twin, plan: Plan, batch: list[int], device: str) -> list[Motion]
     # A joint's rate falls off within each hold, so its momentary value would depend on when it is read.
     q_vel = np.gradient(run.q.astype(float), hold, axis=0)
     q, q_vel, target = (x[::HOLDS] for x in (run.q, q_vel, target))
-    return [
-        Motion(q[:, b], q_vel[:, b], target[:, b], pressure[::HOLDS]) for b, (_, pressure) in enumerate(drawn)
-    ]
+    pressures = [pressure[::HOLDS] for _, pressure in drawn]
+    return [Motion(q[:, b], q_vel[:, b], target[:, b], kpa) for b, kpa in enumerate(pressures)]
 
 
 def draw(twin: Twin, plan: Plan, index: int, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -281,11 +271,9 @@ def draw(twin: Twin, plan: Plan, index: int, time_s: np.ndarray) -> tuple[np.nda
     """
     rng = np.random.default_rng([plan.seed, index])
     steps = int(np.ceil(plan.duration_s * CONTROL_HZ)) + 1
-    kinds = KINDS
-    low, high = bending_range(twin)
-    pressure = program(kinds[index % len(kinds)], steps, low, high, rng)
+    pressure = program(KINDS[index % len(KINDS)], steps, *bending_range(twin), rng)
     target = joint_targets(twin, pressure)
-    if (index // len(kinds) + index) % 2:
+    if (index // len(KINDS) + index) % 2:
         target = target + load(twin, target, rng)
     knots = np.arange(steps + 1) / CONTROL_HZ
     along = np.stack([np.interp(time_s, knots, column) for column in target.T], 1)

@@ -12,14 +12,8 @@ from pneutac_sim.mpm.user_mesh import FACES, VERTICES
 from pneutac_sim.twin import Twin
 
 MODEL = 1  # raised where the material points themselves change, so that networks are trained again
-BODY = (
-    "youngs_modulus_mpa",
-    "poissons_ratio",
-    "density_kg_m3",
-    "width_mm",
-    "spine_stiffness_nm_per_rad",
-    "spine_damping_nms_per_rad",
-)
+BODY = "youngs_modulus_mpa", "poissons_ratio", "density_kg_m3", "width_mm"
+BODY += "spine_stiffness_nm_per_rad", "spine_damping_nms_per_rad"
 GEL = ("gel_poissons_ratio", "gel_density_kg_m3")
 
 
@@ -32,13 +26,8 @@ def fingerprint(twin: Twin, modulus_mpa: float | None = None) -> str:
     body = {n: parameter(twin, n) for n in BODY}
     if modulus_mpa is not None:
         body["youngs_modulus_mpa"] = modulus_mpa
-    what = {
-        "model": MODEL,
-        "device": twin.device,
-        "length_mm": twin.length_mm,
-        "spine_joint_positions_mm": list(twin.spine_joint_positions_mm),
-        "body": body,
-    }
+    what = {"model": MODEL, "device": twin.device, "length_mm": twin.length_mm, "body": body}
+    what["spine_joint_positions_mm"] = list(twin.spine_joint_positions_mm)
     arrays = [np.ascontiguousarray(twin.arrays[n]) for n in (VERTICES, FACES) if n in twin.arrays]
     return _sha256(what, arrays)
 
@@ -50,12 +39,8 @@ def gel_fingerprint(twin: Twin) -> str:
     earlier versions have it.
     """
     gel = GelModel.from_twin(twin)
-    what = {
-        "model": MODEL,
-        "body": {n: parameter(twin, n) for n in GEL} | {MODULUS: MATERIAL[MODULUS]},
-        "window_mm": list(gel.window_mm),
-        "thickness_mm": gel.thickness_mm,
-    }
+    body = {n: parameter(twin, n) for n in GEL} | {MODULUS: MATERIAL[MODULUS]}
+    what = {"model": MODEL, "body": body, "window_mm": list(gel.window_mm), "thickness_mm": gel.thickness_mm}
     return _sha256(what, [])
 
 

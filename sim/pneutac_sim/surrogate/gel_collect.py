@@ -74,12 +74,8 @@ class Contact:
         kinds, sizes, positions, rotations = shapes
         tip = 1e-3 * np.array([press.x_mm, press.y_mm, -press.depth_mm])
         turn = self._tilt
-        return (
-            kinds,
-            sizes,
-            [tip + turn.apply(np.asarray(p) - tip) for p in positions],
-            [turn.as_matrix() @ r for r in rotations],
-        )
+        positions = [tip + turn.apply(np.asarray(p) - tip) for p in positions]
+        return kinds, sizes, positions, [turn.as_matrix() @ r for r in rotations]
 
     def shapes(self) -> tuple:
         """`kinds, sizes, positions, rotations` for `probe_grid`, in metres."""
@@ -88,12 +84,9 @@ class Contact:
 
     def loads(self) -> Loads:
         """The same indenter for the material points."""
-        loads = press_loads(self.press)
-        return replace(
-            loads,
-            position_m=loads.position_m + [0, 0, self._raised_m],
-            rotation=self._tilt.as_matrix() @ loads.rotation,
-        )
+        loads, turn = press_loads(self.press), self._tilt.as_matrix()
+        at = loads.position_m + [0, 0, self._raised_m]
+        return replace(loads, position_m=at, rotation=turn @ loads.rotation)
 
     def at(self, depth_mm: float) -> "Contact":
         return replace(self, press=replace(self.press, depth_mm=depth_mm))
@@ -163,15 +156,8 @@ def collect_gel(
     _claim(folder, {"format": FORMAT, "fingerprint": gel_fingerprint(twin), "seed": seed})
     files, solver = [folder / f"contact_{n:04d}.npz" for n in range(contacts)], None
     if executor is not None:
-        run_pieces(
-            partial(_collect, twin, files, seed, device),
-            files,
-            folder / "logs",
-            executor,
-            lambda _, done, total: progress(done, total),
-            "contacts",
-            _collected,
-        )
+        collect, report = partial(_collect, twin, files, seed, device), lambda _, *done: progress(*done)
+        run_pieces(collect, files, folder / "logs", executor, report, "contacts", _collected)
     for number, file in enumerate(files):
         if not _collected(file):
             solver = solver or devices.gel(twin, device=device)
@@ -251,16 +237,9 @@ def _claim(folder: Path, what: dict) -> None:
 def _store(file: Path, contact: Contact, pairs: Pairs) -> None:
     p = contact.press
     with whole(file) as part, part.open("wb") as f:
-        np.savez_compressed(
-            f,
-            indenter=np.array(pairs.indenter),
-            size_mm=p.size_mm,
-            place_mm=[p.x_mm, p.y_mm],
-            yaw_rad=p.yaw_rad,
-            tilt_rad=[contact.tilt_rad, contact.tilt_towards_rad],
-            depth_mm=pairs.depth_mm,
-            displacement_mm=pairs.displacement_mm,
-        )
+        what = {"indenter": np.array(pairs.indenter), "size_mm": p.size_mm, "yaw_rad": p.yaw_rad}
+        what |= {"place_mm": [p.x_mm, p.y_mm], "tilt_rad": [contact.tilt_rad, contact.tilt_towards_rad]}
+        np.savez_compressed(f, **what, depth_mm=pairs.depth_mm, displacement_mm=pairs.displacement_mm)
 
 
 def _read(file: Path) -> Pairs:

@@ -36,12 +36,8 @@ CHANNELS = (16, 24, 32)
 
 
 def _twice(inputs: int, outputs: int) -> nn.Sequential:
-    return nn.Sequential(
-        nn.Conv2d(inputs, outputs, 3, padding=1),
-        nn.ReLU(),
-        nn.Conv2d(outputs, outputs, 3, padding=1),
-        nn.ReLU(),
-    )
+    first, second = (nn.Conv2d(n, outputs, 3, padding=1) for n in (inputs, outputs))
+    return nn.Sequential(first, nn.ReLU(), second, nn.ReLU())
 
 
 def _onto(coarse: torch.Tensor, skip: torch.Tensor) -> torch.Tensor:
@@ -230,12 +226,7 @@ def _errors(sensor: TactileSensor, truth: TactileSensor, depth: np.ndarray) -> l
 
 def _row(name: str, contacts: list) -> dict:
     means = np.mean([errors for _, errors in contacts], 0)
-    return {
-        "indenter": name,
-        "contacts": len(contacts),
-        "depth_mm": float(np.mean([depth for depth, _ in contacts])),
-        **{
-            method: dict(zip(MEASURES, (float(v) for v in values), strict=True))
-            for method, values in zip(METHODS, means, strict=True)
-        },
-    }
+    depth_mm = float(np.mean([depth for depth, _ in contacts]))
+    each = (dict(zip(MEASURES, values, strict=True)) for values in means.tolist())
+    row = {"indenter": name, "contacts": len(contacts), "depth_mm": depth_mm}
+    return row | dict(zip(METHODS, each, strict=True))

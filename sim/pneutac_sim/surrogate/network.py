@@ -219,10 +219,8 @@ class ActionNetwork:
     def _numbers(self):
         wide = MARGIN * (self.high - self.low)
         box = [a.astype(np.float64) for a in (self.low - wide, self.high + wide)]
-        scales = [
-            a.astype(np.float64)
-            for a in (self.slope, self.mean, self.scale, self.torque_mean, self.torque_scale)
-        ]
+        scales = self.slope, self.mean, self.scale, self.torque_mean, self.torque_scale
+        scales = [a.astype(np.float64) for a in scales]
         return tuple(np.ascontiguousarray(a, np.float32) for a in self.layers), tuple(scales + box)
 
     @cached_property
@@ -302,8 +300,5 @@ def _shapes(n: int) -> dict[str, tuple[int, ...]]:
     inputs = 2 * n + 1
     layers = ((inputs, HIDDEN), (HIDDEN,), (HIDDEN, HIDDEN), (HIDDEN,), (HIDDEN, n), (n,))
     vectors = ((inputs, n), (inputs,), (inputs,), (n,), (n,), (inputs,), (inputs,), (2,))
-    return (
-        dict(zip(LAYERS, layers, strict=True))
-        | dict(zip(_VECTORS, vectors, strict=True))
-        | {"coupling": (2, n, n), "inertia": (n,), "controller": (3,)}
-    )
+    shapes = dict(zip((*LAYERS, *_VECTORS), (*layers, *vectors), strict=True))
+    return shapes | {"coupling": (2, n, n), "inertia": (n,), "controller": (3,)}

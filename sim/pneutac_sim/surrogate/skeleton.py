@@ -51,11 +51,9 @@ class Skeleton:
         joints = np.asarray(spine.joint_positions_m)
         links = Links.of(body, joints)
         centre = links.centre_m[1:, 0] + 1j * (links.centre_m[1:, 2] - spine.z_m)
-        A = coupling(links.mass_kg[1:], centre, joints)
-        inertia = links.inertia_kg_m2[1:, 1, 1]
-        return cls(
-            A, inertia, float(spine.stiffness_nm_per_rad), float(spine.damping_nms_per_rad), float(loss_per_s)
-        )
+        A, inertia = coupling(links.mass_kg[1:], centre, joints), links.inertia_kg_m2[1:, 1, 1]
+        gains = spine.stiffness_nm_per_rad, spine.damping_nms_per_rad, loss_per_s
+        return cls(A, inertia, *map(float, gains))
 
     def mass(self, q: np.ndarray) -> np.ndarray:
         """M (N, N) in kg m2 at joint angles `q` (N,) in rad."""
@@ -71,11 +69,8 @@ class Skeleton:
         for t in range(len(out)):
             M, c = dynamics(self.coupling, self.inertia, q[t], q_vel[t])
             out[t] = M @ (q_acc[t] + self.loss_per_s * q_vel[t]) + c
-        return (
-            out
-            + self.damping_nms_per_rad * np.asarray(q_vel)
-            + self.stiffness_nm_per_rad * (np.asarray(q) - target)
-        )
+        damping = self.damping_nms_per_rad * np.asarray(q_vel)
+        return out + damping + self.stiffness_nm_per_rad * (np.asarray(q) - target)
 
 
 def coupling(mass: np.ndarray, centre: np.ndarray, joints: np.ndarray) -> np.ndarray:

@@ -52,7 +52,9 @@ class Gantry(World):
         limits = {"pressure_range_kpa": world.pressure_range_kpa, "station": world.station}
         super().__init__(world.task.name, world.twin, "area", "probe", world.conditions, **limits)
         finger = mjcf(self.twin, self.station.mount_mm)
-        carried = _slides_mjcf, _servos_mjcf, self.station.control_hz
+        servo = f'kp="{STIFFNESS_N_M}" kv="{SERVO_LAG_S * STIFFNESS_N_M}"'
+        servos = "".join(f'<position name="servo_{j}" joint="{j}" {servo}/>' for j in SLIDES)
+        carried = _slides_mjcf, lambda: servos, self.station.control_hz
         spec = mujoco.MjSpec.from_string(scene.build(self.task, finger, *carried))
         spec.compiler.discardvisual = True  # nobody looks at it
         self.model = spec.compile()
@@ -215,18 +217,9 @@ class Snapshots:
     def feel(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Contact areas (count,) and probe grids (count, 80, 59) of the first rows, until the next call."""
         touch, gel = self._touch, self._touch.sensor.model
-        depth = probe_grids(
-            touch.kinds,
-            touch.sizes,
-            self._objects_m[:count],
-            self._objects[:count],
-            self._gel_m[:count],
-            self._gel[:count],
-            gel.window_mm,
-            gel.thickness_mm,
-            self._grids,
-            touch.sensor.triangles,
-        )
+        poses = (x[:count] for x in (self._objects_m, self._objects, self._gel_m, self._gel))
+        size = gel.window_mm, gel.thickness_mm, self._grids, touch.sensor.triangles
+        depth = probe_grids(touch.kinds, touch.sizes, *poses, *size)
         return touch.sensor.areas(depth), depth
 
 
@@ -238,10 +231,9 @@ class Pairs:
 
     def __init__(self, one: mujoco.MjModel, other: mujoco.MjModel):
         def both(kind: str) -> list[str]:
-            names = [
-                [getattr(m, kind)(i).name for i in range(getattr(m, _COUNTS[kind]))] for m in (one, other)
-            ]
-            return [n for n in names[1] if n and n in names[0]]
+            count, of = _COUNTS[kind], lambda m: getattr(m, kind)
+            first, second = ([of(m)(i).name for i in range(getattr(m, count))] for m in (one, other))
+            return [n for n in second if n and n in first]
 
         def indices(names: list[str], find) -> tuple[np.ndarray, ...]:
             return tuple(np.concatenate([find(m, n) for n in names]).astype(int) for m in (one, other))
@@ -286,11 +278,6 @@ def _slides_mjcf(payload: str = "") -> str:
     # The joints' axes are in the frame of their body: the turned flange is a body of its own.
     flange = f'<body name="flange" quat="{" ".join(map(repr, quat.tolist()))}">{site}{payload}</body>'
     return f'<body name="gantry" gravcomp="1">{slides}{flange}</body>'
-
-
-def _servos_mjcf() -> str:
-    kv = SERVO_LAG_S * STIFFNESS_N_M
-    return "".join(f'<position name="servo_{j}" joint="{j}" kp="{STIFFNESS_N_M}" kv="{kv}"/>' for j in SLIDES)
 
 
 class _Straight:

@@ -77,14 +77,6 @@ def body(payload: str = "", base_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     return f'<body name="panda" pos="{" ".join(map(str, base_m))}">{base}{xml}</body>'
 
 
-def actuators() -> str:
-    """MJCF position servos of the seven joints."""
-    return "".join(
-        f'<position name="servo_{j}" joint="{j}" kp="{kp}" kv="{SERVO_LAG_S * kp}"/>'
-        for j, kp in zip(JOINT_NAMES, SERVO_STIFFNESS, strict=True)
-    )
-
-
 DEFAULTS = '<default class="arm"><geom contype="0" conaffinity="0" group="1"/></default>'
 MATERIALS = (
     '<material name="arm" rgba=".93 .94 .95 1" specular=".4" shininess=".5"/>'
@@ -146,7 +138,11 @@ class Panda:
         return body(payload, tuple(self.base_m.tolist()))
 
     def servos(self) -> str:
-        return actuators()
+        """MJCF position servos of the seven joints."""
+        return "".join(
+            f'<position name="servo_{j}" joint="{j}" kp="{kp}" kv="{SERVO_LAG_S * kp}"/>'
+            for j, kp in zip(JOINT_NAMES, SERVO_STIFFNESS, strict=True)
+        )
 
     def solver(self) -> CartesianIK:
         """Inverse kinematics of the flange in the base's frame."""

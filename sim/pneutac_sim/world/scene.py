@@ -85,9 +85,9 @@ def substeps(control_hz: int) -> int:
 def build(
     task: Task,
     finger: Finger,
-    arm: Callable[[str], str] = panda.body,
-    servos: Callable[[], str] = panda.actuators,
-    control_hz: int = CONTROL_HZ,
+    arm: Callable[[str], str],
+    servos: Callable[[], str],
+    control_hz: int,
 ) -> str:
     """MJCF of the world with `task` and a finger, carried by an arm with its servos, for a control rate."""
     timestep = 1 / (control_hz * substeps(control_hz))
@@ -103,9 +103,9 @@ def build(
            specular=".2 .2 .2"/>
     <light pos=".3 -.9 .9" dir=".2 .9 -.6" cutoff="60" diffuse=".16 .16 .18" castshadow="false"/>
     <camera name="close" pos=".37 -.50 .31" xyaxes=".968 -.252 0 .057 .219 .974"/>
-    {fixed()}
+    {"".join(_mjcf(name) for name in SCENE_CAMERAS if name != "wrist")}
     <geom name="table" type="plane" size="0 0 .1" material="table" contype="2" conaffinity="1"/>
-    {arm(finger.body + on_flange())}
+    {arm(finger.body + _mjcf("wrist"))}
     {task.mjcf()}
   </worldbody>
   <actuator>{servos()}{finger.actuators}{task.actuators()}</actuator>
@@ -130,16 +130,6 @@ _STANDS = {
 }
 SCENE_CAMERAS = tuple(_STANDS)
 LARGEST = (960, 1280)  # what the scene's offscreen buffer takes
-
-
-def fixed() -> str:
-    """MJCF of the cameras around the robot."""
-    return "".join(_mjcf(name) for name in SCENE_CAMERAS if name != "wrist")
-
-
-def on_flange() -> str:
-    """MJCF of the camera that the flange carries."""
-    return _mjcf("wrist")
 
 
 def _mjcf(name: str) -> str:

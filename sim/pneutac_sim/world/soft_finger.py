@@ -26,7 +26,7 @@ from pneutac_sim.gel.spring import GelSpring, Spring
 from pneutac_sim.mpm.solid import WIDTH_MM, Links, bending_body, parameter
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.scene import Finger
-from pneutac_sim.world.spine import BALL, mjcf_joint, mjcf_motors
+from pneutac_sim.world.spine import BALL
 
 MASS_KG = 0.0015
 AHEAD_M = 0.001  # depth that may be reached within the control step
@@ -99,8 +99,16 @@ def mjcf(twin: Twin, mount_mm: float = 20.0, axes: int | None = None, motor_gear
     in N m of a control of 1.
     """
     axes = axes or bending_axes(twin)
+    joints = range(1, len(twin.spine_joint_positions_mm) + 1)
+    turns = ("",) if axes == 1 else ("_x", "_y", "_z")  # of a joint's motors
+    gears = ("{}",) if axes == 1 else ("{} 0 0 0 0 0", "0 {} 0 0 0 0", "0 0 {} 0 0 0")
+    motors = "".join(
+        f'<motor name="spine_{n}{turn}" joint="spine_{n}" gear="{gear.format(motor_gear)}"/>'
+        for n in joints
+        for turn, gear in zip(turns, gears, strict=True)
+    )
     xml = body(twin, 1e-3 * mount_mm, axes)
-    return Finger(xml, DEFAULTS, MATERIALS, actuators(twin, axes, motor_gear), tendons(twin, axes))
+    return Finger(xml, DEFAULTS, MATERIALS, motors, tendons(twin, axes))
 
 
 def bending_axes(twin: Twin) -> int:
@@ -129,6 +137,7 @@ def body(twin: Twin, mount_m: float, axes: int) -> str:
     length = twin.length_mm * 1e-3
     ends, links = np.append(s, length), Links.of(bending_body(twin), s)
     half, flat = half_width_m(twin), bending_axes(twin) == 1
+    kind = 'axis="0 -1 0"' if axes == 1 else 'type="ball"'
 
     tip = '<site name="tip" size=".001" group="5"/>'
     xml = f'<body name="sensor" pos="{length - s[-1]} 0 0">{tip}{_digit(gel_above_m(twin))}</body>'
@@ -136,7 +145,7 @@ def body(twin: Twin, mount_m: float, axes: int) -> str:
         xml = (
             f'<body name="spine_{n + 1}" pos="{s[n] - (s[n - 1] if n else 0.0)} 0 0"'
             ' gravcomp="1">'
-            f"{mjcf_joint(n + 1, axes)}"
+            f'<joint name="spine_{n + 1}" {kind}/>'
             f"{_inertial(links, n + 1, s[n], sensor(twin) if n == len(s) - 1 else None)}"
             f"{_segment(ends[n + 1] - ends[n], half, flat)}{xml}</body>"
         )
@@ -159,11 +168,6 @@ def sensor(twin: Twin) -> Links:
     squares = mass[:, None] / 12 * np.square(boxes)
     inertia = [np.diag(each.sum() - each) for each in squares]
     return Links(mass, np.array([digit, pad]) + [tip, 0.0, 0.0], np.array(inertia))
-
-
-def actuators(twin: Twin, axes: int, gear: float = 1.0) -> str:
-    """MJCF motors of the spine joints: their control times `gear` is the torque tau_mpm [N m]."""
-    return "".join(mjcf_motors(n + 1, axes, gear) for n in range(len(twin.spine_joint_positions_mm)))
 
 
 def tendons(twin: Twin, axes: int) -> str:

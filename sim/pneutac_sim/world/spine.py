@@ -31,23 +31,6 @@ BODIES = ("finger", "sensor")
 STILL = 1e-5  # m, and of a quaternion's parts: by 10 mN the gel's force jumps then at most
 
 
-def mjcf_joint(n: int, axes: int) -> str:
-    """MJCF of the n-th joint, counted from 1, of so many bending axes."""
-    kind = 'axis="0 -1 0"' if axes == 1 else 'type="ball"'
-    return f'<joint name="spine_{n}" {kind}/>'
-
-
-def mjcf_motors(n: int, axes: int, gear: float = 1.0) -> str:
-    """MJCF of what drives it: their control times `gear` is the torque [N m], of a ball about x, y and z."""
-    if axes == 1:
-        return f'<motor name="spine_{n}" joint="spine_{n}" gear="{gear}"/>'
-    gears = (f"{gear} 0 0", f"0 {gear} 0", f"0 0 {gear}")
-    return "".join(
-        f'<motor name="spine_{n}_{a}" joint="spine_{n}" gear="{g} 0 0 0"/>'
-        for a, g in zip("xyz", gears, strict=True)
-    )
-
-
 class Spine:
     """The joints `spine_1` to `spine_N` of a finger in a model, with motors in their order.
 
@@ -73,9 +56,7 @@ class Spine:
             return data.qpos[self._angles].copy()
         w, *v = data.qpos[self._angles].reshape(-1, 4).T
         sine = np.linalg.norm(v, axis=0)
-        turn = (
-            2 * np.arctan2(sine, w) / np.maximum(sine, 1e-12)
-        )  # |rotation vector| / |v|; 2 where it is straight
+        turn = 2 * np.arctan2(sine, w) / np.maximum(sine, 1e-12)  # |rotation vector| / |v|; 2 where straight
         return np.stack([-turn * v[1], turn * v[2]], 1)
 
     def write(self, data: mujoco.MjData, q: np.ndarray) -> None:
@@ -121,11 +102,8 @@ class Placing:
 
     def find(self, pipeline: PressurePipeline, joints: np.ndarray, dt_s: float) -> np.ndarray:
         """Poses (2, 7) at joint angles (N,) or (N, 2) in rad, one control step of `dt_s` on."""
-        base, tip, bare = (
-            pipeline.place_base(dt_s),
-            pipeline.place(joints, dt_s),
-            pipeline.place_without(joints),
-        )
+        base, tip = pipeline.place_base(dt_s), pipeline.place(joints, dt_s)
+        bare = pipeline.place_without(joints)
         R_base, R_tip, R_bare = (_frame(*m[3:]) for m in (base, tip, bare))
         if joints.ndim == 2:  # of balls: what the links add up to, beyond which the effects turn the tip
             end = end_of(joints)

@@ -80,9 +80,8 @@ class SplatFinger:
         self.links = np.array([model.body(name).id for name in names])
         self._origins = np.concatenate([[0.0], joints, [length]])
         self._looks, self._normals = _looks(twin)
-        middles = np.concatenate(
-            [[0.0], (joints[:-1] + joints[1:]) / 2, [max(joints[-1], length - CAP_M), length]]
-        )
+        end = max(joints[-1], length - CAP_M), length
+        middles = np.concatenate([[0.0], (joints[:-1] + joints[1:]) / 2, end])
         x = self._looks.means[:, 0].astype(float)
         place = np.interp(x, middles, np.arange(len(middles)))
         self._low = np.minimum(place.astype(int), len(middles) - 2)

@@ -68,10 +68,8 @@ class Station:
             raise InputError(
                 f"control_hz is {shown(self.control_hz)}; give a whole number from {low} to {high} Hz."
             )
-        if self.home_m is not None and not (
-            np.less_equal(self.workspace_low_m, self.home_m).all()
-            and np.less_equal(self.home_m, self.workspace_high_m).all()
-        ):
+        inside = np.clip(self.home_m or self.workspace_low_m, self.workspace_low_m, self.workspace_high_m)
+        if self.home_m is not None and (inside != self.home_m).any():
             raise InputError(
                 f"home_m is {self.home_m}, outside the workspace, {self.workspace_low_m} to"
                 f" {self.workspace_high_m}."

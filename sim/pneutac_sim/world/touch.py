@@ -79,14 +79,8 @@ class Touch:
 
     def objects(self, data: mujoco.MjData) -> tuple[np.ndarray, ...]:
         """What may touch the gel, and the gel's pose, as `gel.probe.probe_grid` takes them."""
-        return (
-            self.kinds,
-            self.sizes,
-            data.geom_xpos[self.felt],
-            data.geom_xmat[self.felt],
-            data.site_xpos[self._gel],
-            data.site_xmat[self._gel],
-        )
+        placed = data.geom_xpos[self.felt], data.geom_xmat[self.felt]
+        return self.kinds, self.sizes, *placed, data.site_xpos[self._gel], data.site_xmat[self._gel]
 
     def sense(self, data: mujoco.MjData) -> None:
         """Senses the present state; `data` must have its kinematics up to date."""

@@ -53,12 +53,8 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         if max_episode_steps < 1:
             raise InputError(f"max_episode_steps is {max_episode_steps}; it must be 1 or more.")
         self.world = w = BatchedWorld(task, num_envs, **options)
-        self.num_envs, self._torch, self._most, self._starts = (
-            num_envs,
-            torch_tensors,
-            max_episode_steps,
-            starts,
-        )
+        self.num_envs, self._torch = num_envs, torch_tensors
+        self._most, self._starts = max_episode_steps, starts
         self.metadata = self.metadata | {"render_fps": w.single.station.control_hz}
         low, high = (limit.cpu().numpy() for limit in w.action_limits)
         self.single_action_space = spaces.Box(low, high, dtype=np.float32)
@@ -89,8 +85,7 @@ class BatchedEnv(gymnasium.vector.VectorEnv):
         truncated = (self._steps >= self._most) & ~terminated
         self._over = terminated | truncated
         reward = (w.success & ~over).to(torch.float32)
-        told = (w.state.clone(), reward, terminated, truncated)
-        return (*(self._given(t) for t in told), self._info())
+        return (*map(self._given, (w.state.clone(), reward, terminated, truncated)), self._info())
 
     def _given(self, tensor: torch.Tensor):
         return tensor if self._torch else tensor.cpu().numpy()

@@ -146,8 +146,8 @@ class Renderer:
         rect = mujoco.MjrRect(0, 0, width, height)
         mujoco.mjr_render(rect, self._scene, self._mjr)
         mujoco.mjr_readPixels(image, nearness, rect, self._mjr)
-        near, far = (
-            self._model.stat.extent * z for z in (self._model.vis.map.znear, self._model.vis.map.zfar)
+        near, far = np.multiply(
+            self._model.stat.extent, (self._model.vis.map.znear, self._model.vis.map.zfar)
         )
         depth = near * far / (near + nearness[::-1].astype(float) * (far - near))
         return np.ascontiguousarray(image[::-1]), depth
@@ -207,13 +207,10 @@ def _outline(model: mujoco.MjModel, g: int) -> np.ndarray:
     kind, size = model.geom_type[g], model.geom_size[g]
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         return _CORNERS * size
-    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
-        return np.concatenate([_RING * size[0] + [0, 0, z] for z in (-size[1], size[1])])
-    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        return np.concatenate([_BALL * size[0] + [0, 0, z] for z in (-size[1], size[1])])
-    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
-        return _BALL * size[0]
-    return _BALL * size
+    if kind in (mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE):
+        end = _RING if kind == mujoco.mjtGeom.mjGEOM_CYLINDER else _BALL
+        return np.concatenate([end * size[0] + [0, 0, z] for z in (-size[1], size[1])])
+    return _BALL * (size[0] if kind == mujoco.mjtGeom.mjGEOM_SPHERE else size)
 
 
 def _colour(model: mujoco.MjModel, g: int) -> tuple[int, int, int]:

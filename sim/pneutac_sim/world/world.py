@@ -146,7 +146,7 @@ class World(BaseWorld):
             self._rng = np.random.default_rng(seed)
         self._rest_rad = None
         self._start()
-        self.conditions = self._draw_conditions()
+        self.conditions = draw(self._conditions, self._rng) | self.variation.conditions
         self._pipeline.set_conditions(self.conditions)
         self._pipeline.reset(0.0, same_session=seed is None)
         self.spine_target_rad = self._pipeline.rest()
@@ -156,9 +156,8 @@ class World(BaseWorld):
         self._rate = np.zeros_like(self._drive)
         self._bends.write(self.data, self._drive)
         if self._pipeline.moves:
-            self._placing.set(
-                self.model, self._placing.find(self._pipeline, self._in_plane(self._drive), self.dt_s)
-            )
+            poses = self._placing.find(self._pipeline, self._in_plane(self._drive), self.dt_s)
+            self._placing.set(self.model, poses)
         mujoco.mj_kinematics(self.model, self.data)
         self._settle(self.spine_target_rad)
         self._measure(self.dt_s)
@@ -218,9 +217,6 @@ class World(BaseWorld):
         own = self.station.steps(known.value) if known else 0
         return super()._late_commands + own + self.variation.late_commands
 
-    def _draw_conditions(self) -> dict[str, float]:
-        return draw(self._conditions, self._rng) | self.variation.conditions
-
     def step(self, action: np.ndarray) -> Observation:
         """Advances one control step, `dt_s`.
 
@@ -274,9 +270,8 @@ class World(BaseWorld):
         ctrl[:, self._spine] = torques + rest
         goal = self._placing.poses
         if self._pipeline.moves:
-            goal = self._placing.find(
-                self._pipeline, self._in_plane(self.spine_rad + after - before), self.dt_s
-            )
+            joints_then = self._in_plane(self.spine_rad + after - before)
+            goal = self._placing.find(self._pipeline, joints_then, self.dt_s)
         if self._placing.stays(goal):
             self._placing.set(self.model, goal)
             self._physics.run(ctrl)
@@ -323,16 +318,9 @@ class World(BaseWorld):
         return h, w, c
 
     def _observe(self) -> Observation:
-        d = self.data
-        s = self.touch.pixels
-        state = np.concatenate(
-            [
-                d.qpos[self._arm],
-                d.qvel[self._arm],
-                d.site_xpos[self._flange] - self._base_m,
-                [self.touch.area, np.log1p(s), *self.pressures_kpa],
-            ]
-        )
+        d, joints = self.data, self._arm
+        felt = [self.touch.area, np.log1p(self.touch.pixels), *self.pressures_kpa]
+        state = np.concatenate([d.qpos[joints], d.qvel[joints], self.flange_m - self._base_m, felt])
         return Observation(state.astype(np.float32), self.touch.image)
 
     @property
@@ -418,16 +406,9 @@ class Substeps:
         inputs[..., model.nu : model.nu + model.nv] = data.qfrc_applied
         inputs[..., model.nu + model.nv :] = data.xfrc_applied.ravel()
         # It steps the data itself, so its own record of the states is left aside.
-        self._rollout.rollout(
-            [model],
-            [data],
-            self._state,
-            inputs,
-            control_spec=_INPUTS,
-            initial_warmstart=data.qacc_warmstart[None].copy(),
-            nstep=len(ctrl),
-            skip_checks=True,
-        )
+        how = {"control_spec": _INPUTS, "nstep": len(ctrl), "skip_checks": True}
+        warm = data.qacc_warmstart[None].copy()
+        self._rollout.rollout([model], [data], self._state, inputs, initial_warmstart=warm, **how)
 
 
 def _deforming(twin: Twin, fidelity: str, touch: str):

@@ -9,8 +9,7 @@ import pytest
 from verbs import verb
 
 from lerobot_pneutac import Demonstrations, InputError, Recording, Twin, add, calibrate, compare, diagnose
-from lerobot_robot_pneutac.standin.gel import new_gel
-from lerobot_robot_pneutac.standin.world import Physics
+from lerobot_robot_pneutac.standin.world import Physics, new_gel
 from pneutac_datasets.generate.standin import write_finger, write_gel
 from pneutac_sim.features import AREA, CONTROL_HZ
 

@@ -21,7 +21,7 @@ from lerobot_pneutac.verbs.diagnose import load_candidates, save_candidates
 from lerobot_pneutac.verbs.learn import Rounds, unlike_request
 from lerobot_robot_pneutac.hardware.pneutac_serial import PneutacExchange
 from lerobot_robot_pneutac.hardware.serial_pressure import Command
-from lerobot_robot_pneutac.standin.finger import new_rod
+from lerobot_robot_pneutac.standin.world import new_rod
 from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_datasets.recording.recording import Recording, joined
 from pneutac_sim.effects.laws import family

@@ -17,7 +17,7 @@ from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 
 from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment, other_sensor
 from lerobot_pneutac.verbs.check import check_path
-from lerobot_robot_pneutac.standin.gel import new_gel
+from lerobot_robot_pneutac.standin.world import new_gel
 from pneutac_datasets.demonstrations.augment import run
 from pneutac_datasets.demonstrations.augment.run import read_references
 from pneutac_datasets.demonstrations.faults import TACTILE

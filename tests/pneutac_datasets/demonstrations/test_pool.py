@@ -13,7 +13,7 @@ from lerobot_robot_pneutac.lerobot_inside import RunningQuantileStats
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PREVIOUS_ACTION, TACTILE, PneutacBCConfig
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
 from lerobot_robot_pneutac.policy.tactile_encoder import DIFFERENCE_SCALE
-from lerobot_robot_pneutac.standin.gel import new_gel
+from lerobot_robot_pneutac.standin.world import new_gel
 from pneutac_datasets.demonstrations.pool import main, pool_demonstrations
 from pneutac_datasets.demonstrations.save import PixelStatistics
 from pneutac_sim.errors import InputError

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from lerobot_robot_pneutac.standin.gel import new_gel
+from lerobot_robot_pneutac.standin.world import new_gel
 from pneutac_datasets.generate.__main__ import main
 from pneutac_datasets.generate.standin import write_finger, write_gel
 from pneutac_datasets.recording.gel import GelRecording

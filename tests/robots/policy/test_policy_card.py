@@ -34,7 +34,7 @@ from lerobot_robot_pneutac.policy.tactile_encoder import (
 )
 from lerobot_robot_pneutac.policy.touch_processor import NAMES, TouchProcessorStep
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
-from lerobot_robot_pneutac.standin.gel import new_gel
+from lerobot_robot_pneutac.standin.world import new_gel
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_SHAPE
 from pneutac_sim.gel.indenter import Press

@@ -17,8 +17,7 @@ from sensors import wide_twin
 from lerobot_robot_pneutac.cameras.simulated import PneutacSceneConfig
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import HOME_RADIUS_M, PneutacSim, SpreadStarts
-from lerobot_robot_pneutac.standin.gel import GelTouch
-from lerobot_robot_pneutac.standin.world import StandinWorld
+from lerobot_robot_pneutac.standin.world import GelTouch, StandinWorld
 from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_HIGH, ACTION_NAMES, CONTROL_HZ, STATE_NAMES

@@ -7,9 +7,18 @@ import pytest
 from played import succeeds
 
 import lerobot_robot_pneutac.standin  # noqa: F401
-from lerobot_robot_pneutac.standin.finger import DOME_MM, GEL_KPA, PARTS, gel_force_n, new_rod
-from lerobot_robot_pneutac.standin.gel import CameraNoise, contact_pixels
-from lerobot_robot_pneutac.standin.world import CONTACT_THRESHOLD, LATE_COMMANDS, StandinWorld
+from lerobot_robot_pneutac.standin.world import (
+    CONTACT_THRESHOLD,
+    DOME_MM,
+    GEL_KPA,
+    LATE_COMMANDS,
+    PARTS,
+    CameraNoise,
+    StandinWorld,
+    contact_pixels,
+    gel_force_n,
+    new_rod,
+)
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import EE, STATE_NAMES
 from pneutac_sim.gel.contact import contact_area, quieted

@@ -5,7 +5,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from lerobot_robot_pneutac.standin.finger import RodBody, clamped
+from lerobot_robot_pneutac.standin.world import RodBody, clamped
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.control import STEPS, BendController, bend_angle, bend_is_by, pressure_for
 from pneutac_sim.finger.online import PressurePipeline

@@ -20,7 +20,7 @@ from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef
 from lerobot_robot_pneutac.env import PneutacEnvConfig
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
-from lerobot_robot_pneutac.standin.gel import GelTouch
+from lerobot_robot_pneutac.standin.world import GelTouch
 from lerobot_robot_pneutac.teleoperators.base_teleop import PneutacScriptedConfig
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
 from pneutac_benchmarks.policy.main import BenchmarkPolicyConfig

@@ -74,16 +74,9 @@ KINDS = {
 }  # fmt: skip
 # Kind to the kinds whose words may occur with it.
 ALLOWED = {
-    "sent": {"time", "command"},
-    "joint": {"angle", "measured"},
-    "angle": {"tip", "measured"},
-    "temperature": {"?", "measured", "tip", "base"},
-    "payload": {"tip"},
-    "trial": set(),
-    "program": {"pressure"},
-    "time": {"measured"},
-    "date": {"time"},
-    "frame": set(),
+    "sent": {"time", "command"}, "joint": {"angle", "measured"}, "angle": {"tip", "measured"},
+    "temperature": {"?", "measured", "tip", "base"}, "payload": {"tip"}, "trial": set(),
+    "program": {"pressure"}, "time": {"measured"}, "date": {"time"}, "frame": set(),
 }  # fmt: skip
 
 
@@ -369,9 +362,7 @@ class _Table:
                 unit = "" if dimension == "pressure" and column.factor != 1 else BASE_UNIT.get(dimension, "")
                 self.columns[i] = replace(column, unit=unit_named(unit, dimension))
                 continue
-            kin = [
-                c for c in self.columns if c.column[:4] == target[:4] and c.unit is not None and not c.guess
-            ]
+            kin = [c for c in self.columns if c.column[:4] == target[:4] and c.unit and not c.guess]
             written = {str(c.unit): c.unit for c in kin if dimension_of(c.column) == dimension == "length"}
             if len(written) == 1:
                 self.columns[i] = replace(column, unit=next(iter(written.values())), guess="as the others")
@@ -393,9 +384,7 @@ class _Table:
             extent = f"{numbers.min():.4g} to {numbers.max():.4g}" if len(numbers) else "empty"
             return extent, "kPa", "bar", "psi"
         if dimension == "length":  # by how far the tip is from the base
-            tips = [
-                c.name for c in self.columns if re.fullmatch(r"tip_[xyz]_mm", c.column) and c.unit is None
-            ]
+            tips = [c.name for c in self.columns if re.fullmatch(r"tip_[xyz]_mm", c.column) and not c.unit]
             places = self.frame[tips].apply(pd.to_numeric, errors="coerce").to_numpy(float)
             reach = float(np.nanmax(np.linalg.norm(places, axis=1))) if len(places) else 0.0
             if self.length_mm:
@@ -449,9 +438,8 @@ class _Table:
             near, unit = NEAR_AMBIENT_KPA[0] < rest < NEAR_AMBIENT_KPA[1], column.unit
             if unit.against == "abs":
                 ambient = round(rest if near else AMBIENT_KPA, 4)
-                self.columns[i] = replace(
-                    column, unit=replace(unit, against=""), shift=-ambient, guess="absolute"
-                )
+                gauge = replace(unit, against="")
+                self.columns[i] = replace(column, unit=gauge, shift=-ambient, guess="absolute")
             elif near and unit.against != "gauge":
                 what = f"{shown(column.name)} is {rest:.4g} kPa at rest, as the air is: an absolute pressure?"
                 answer = f"{column.name}: {column.column} [{unit.name} abs|{unit.name} gauge]"
@@ -460,11 +448,9 @@ class _Table:
     def look_for_what_is_missing(self, log: bool) -> None:
         have = {c.column for c in self.columns}
         if not self.questions and not pressure_commands(have):
-            gauge = next(
-                (shown(c.name) for c in self.columns if re.fullmatch(r"pressure_(\d+_)?kpa", c.column)), ""
-            )
-            what = f"{gauge} is a measured pressure and none is the commanded one"
-            what = what if gauge else "no column is the commanded pressure"
+            gauges = [shown(c.name) for c in self.columns if re.fullmatch(r"pressure_(\d+_)?kpa", c.column)]
+            measured = [f"{gauge} is a measured pressure and none is the commanded one" for gauge in gauges]
+            what = [*measured, "no column is the commanded pressure"][0]
             self.questions.append((what, "NAME: pressure_cmd_kpa"))
         posed = any(re.match(r"(tip_[xz]|bend_|q_|curvature_|image)", c) for c in have)
         if not (self.questions or log or posed):

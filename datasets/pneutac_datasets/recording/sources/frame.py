@@ -89,9 +89,8 @@ def rotations(quaternion_xyzw: np.ndarray) -> np.ndarray:
 
 REST_SHARE = 0.05  # of the samples: those of the least pressure, at which the tip rests
 LEAST_MOVE_MM = 2.0  # that the tip must move to find the bending plane
-AXES = {
-    f"{sign}{a}": s * np.eye(3)[i] for i, a in enumerate("xyz") for sign, s in (("", 1), ("+", 1), ("-", -1))
-}
+SIGNS = ("", 1), ("+", 1), ("-", -1)
+AXES = {f"{sign}{a}": s * np.eye(3)[i] for i, a in enumerate("xyz") for sign, s in SIGNS}
 
 
 @dataclass(frozen=True)

@@ -379,9 +379,8 @@ class Understood:
             values = table.reindex(columns=names, fill_value=0.0).to_numpy(float)
             values = (values - base if names == TIPS else values) @ axes
             measured = np.abs(axes[[n in have for n in names]]).sum(0) > 0  # in the new frame
-            table.drop(
-                columns=[n for n, m in zip(names, measured, strict=True) if n in have and not m], inplace=True
-            )
+            gone = [n for n, m in zip(names, measured, strict=True) if n in have and not m]
+            table.drop(columns=gone, inplace=True)
             for i in np.flatnonzero(measured):
                 table[names[i]] = values[:, i]
 
@@ -459,10 +458,9 @@ class Understood:
                 faults.append(f"{file} has no row in which the tip was seen.")
                 continue
             at = part.index
+            rows = part.reset_index(drop=True)
             try:
-                clean, warned = rules.check_samples(
-                    part.reset_index(drop=True), self.recording.device, meta, source
-                )
+                clean, warned = rules.check_samples(rows, self.recording.device, meta, source)
             except InputError as e:
                 faults.append(renamed(str(e)))
                 continue
