@@ -47,32 +47,16 @@ CALIBRATED = ("gain_rad_per_kpa", "gain_alpha", "gain_beta", "rest_pressure_kpa"
 # Parameters of a body that a twin may have, besides `bend_1` to `bend_N`: of the pipeline, of the soft solid,
 # of the gel's material, and what a diagnosis finds of the clock.
 _DRIVE = (
-    "gain_rad_per_kpa",
-    "gain_alpha",
-    "gain_beta",
-    "curl_rad",
-    "joint_stiffness_nm_per_rad",
-    "body_share",
-)
+    "gain_rad_per_kpa", "gain_alpha", "gain_beta", "curl_rad", "joint_stiffness_nm_per_rad", "body_share",
+)  # fmt: skip
 _CHAMBERS = (
-    "rest_pressure_z_kpa",
-    "rest_pressure_y_kpa",
-    "chamber_angle_rad",
-    "chamber_2_gain",
-    "chamber_3_gain",
-    "chamber_handedness",
-    "chamber_2_turn_rad",
-    "chamber_3_turn_rad",
-)
+    "rest_pressure_z_kpa", "rest_pressure_y_kpa", "chamber_angle_rad", "chamber_2_gain", "chamber_3_gain",
+    "chamber_handedness", "chamber_2_turn_rad", "chamber_3_turn_rad",
+)  # fmt: skip
 _SOLID = (
-    "joint_damping_nms_per_rad",
-    "youngs_modulus_mpa",
-    "poissons_ratio",
-    "density_kg_m3",
-    "width_mm",
-    "spine_stiffness_nm_per_rad",
-    "spine_damping_nms_per_rad",
-)
+    "joint_damping_nms_per_rad", "youngs_modulus_mpa", "poissons_ratio", "density_kg_m3", "width_mm",
+    "spine_stiffness_nm_per_rad", "spine_damping_nms_per_rad",
+)  # fmt: skip
 _MATERIAL = ("gel_youngs_modulus_mpa", "gel_poissons_ratio", "gel_density_kg_m3")
 _CLOCK = ("command_latency_s", "switch_share", "pause_s")
 PARAMETERS = {

@@ -27,35 +27,12 @@ from pneutac_sim.errors import InputError
 
 ENTRY_POINT_GROUP = "pneutac.effects"
 
-BUILTIN = (
-    "dead_time",
-    "leak",
-    "valve_lag",
-    "orifice_flow",
-    "valve_slew",
-    "air_resonance",
-    "sensor_offset",
-    "gain_saturation",
-    "stiffening",
-    "hysteresis",
-    "friction",
-    "crosstalk",
-    "gravity",
-    "payload",
-    "thermal",
-    "cyclic_softening",
-    "creep",
-    "elongation",
-    "base_tilt",
-    "camera_misalignment",
-    "registration_shift",
-    "gel_creep",
-    "near_light",
-    "photometric_nonlinearity",
-    "shadow",
-    "rest_colour",
-    "illumination_drift",
-)
+BUILTIN = """
+    dead_time leak valve_lag orifice_flow valve_slew air_resonance sensor_offset gain_saturation
+    stiffening hysteresis friction crosstalk gravity payload thermal cyclic_softening creep elongation
+    base_tilt camera_misalignment registration_shift gel_creep near_light photometric_nonlinearity
+    shadow rest_colour illumination_drift
+""".split()
 
 
 @cache

@@ -96,12 +96,9 @@ class BodyData:
 
     def thin(self, samples: np.ndarray) -> "BodyData":
         """Only these samples (indices, (k,)); the model still runs through all of them."""
-        return replace(
-            self,
-            inputs=self.inputs.thin(samples),
-            measured=self.measured[samples],
-            adjacent=self.adjacent[samples] & (np.diff(samples, prepend=-2) == 1),
-        )
+        adjacent = self.adjacent[samples] & (np.diff(samples, prepend=-2) == 1)
+        inputs = self.inputs.thin(samples)
+        return replace(self, inputs=inputs, measured=self.measured[samples], adjacent=adjacent)
 
 
 @dataclass(frozen=True)

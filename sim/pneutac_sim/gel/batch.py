@@ -259,15 +259,12 @@ class _Light:
         along, across = self._ex * gx + self._ey * gy, self._ex * gy - self._ey * gx
         t = -c[-1] * along
         shade = torch.rsqrt(1 + gx * gx + gy * gy)
-        s = torch.stack(
-            [
-                t[:, k]
-                if linear
-                else c[DIRECT, k] * ((1 + t[:, k] / c[DIRECT, k]).clamp(min=0) * shade[:, 0] - 1)
-                for k, linear in enumerate(self._linear)
-            ],
-            1,
-        )
+
+        def of(k, direct):
+            return direct * ((1 + t[:, k] / direct).clamp(min=0) * shade[:, 0] - 1)
+
+        lit = [t[:, k] if linear else of(k, c[DIRECT, k]) for k, linear in enumerate(self._linear)]
+        s = torch.stack(lit, 1)
         heights = torch.zeros_like(s)
         if len(self._cast):
             heights = heights.index_copy(1, self._cast, self._shadows.cast(u[:, 0], deepest))

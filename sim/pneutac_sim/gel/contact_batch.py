@@ -243,15 +243,10 @@ class PixelCount:
         h, w = model.rest_image.shape[:2]
         (i, f), (j, e) = _cells_of(h, ROWS), _cells_of(w, COLS)
         self._device, self._limit, self._shape = device, int(3 * model.threshold_levels), (h,)
-        arrays = (
-            (model.rest_image, wp.uint8),
-            (model.weight, float),
-            (i, int),
-            (f, float),
-            (j, int),
-            (e, float),
-        )
-        self._image = [wp.array(np.ascontiguousarray(a), dtype=t, device=device) for a, t in arrays]
+        arrays = (model.rest_image, model.weight, i, f, j, e)
+        types = (wp.uint8, float, int, float, int, float)
+        pairs = zip(arrays, types, strict=True)
+        self._image = [wp.array(np.ascontiguousarray(a), dtype=t, device=device) for a, t in pairs]
 
     def of(self, light: torch.Tensor) -> torch.Tensor:
         """Pixels (B,), int32, of `TactileBatch.light` (B, 3, 80, 59)."""
@@ -290,16 +285,8 @@ class ContactBatch:
         wide = wp.array(np.asarray(kinds), dtype=int, device=device)
         sizes = wp.array(np.asarray(sizes, np.float32), dtype=wp.vec3, device=device)
         geoms = wp.array(np.asarray(geoms), dtype=int, device=device)
-        self._scene = [
-            wide,
-            sizes,
-            geoms,
-            data.geom_xpos,
-            data.geom_xmat,
-            data.site_xpos,
-            data.site_xmat,
-            gel,
-        ]
+        places = data.geom_xpos, data.geom_xmat, data.site_xpos, data.site_xmat
+        self._scene = [wide, sizes, geoms, *places, gel]
         self._device, self._torch, n = device, wp.device_to_torch(device), data.nworld
         self._window, self._reach = window_mm, 1e-3 * thickness_mm
         self._law, self._gel_window = law, law.window_mm

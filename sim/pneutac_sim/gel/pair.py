@@ -278,10 +278,6 @@ def score(
     """
     image, real, rest = (np.asarray(a, np.float64) for a in (image, real, rest))
     m = disc(image.shape, x_px, y_px, CONTACT_DISC * radius_px)
-    return ImageScores(
-        rmse(image, real),
-        psnr(image, real),
-        ncc(image, real),
-        rmse(image[m], real[m]),
-        ncc((image - rest)[m].reshape(-1, 1), (real - rest)[m].reshape(-1, 1)),
-    )
+    of_contact = ncc((image - rest)[m].reshape(-1, 1), (real - rest)[m].reshape(-1, 1))
+    whole = rmse(image, real), psnr(image, real), ncc(image, real)
+    return ImageScores(*whole, rmse(image[m], real[m]), of_contact)

@@ -80,12 +80,9 @@ def centre_mm(pressed: np.ndarray, window_mm: tuple[float, float]) -> np.ndarray
     total = pressed.sum()
     if not total:
         return np.full(2, np.nan)
-    return np.array(
-        [
-            size * ((np.arange(n) + 0.5) @ pressed.sum(axis) / (n * total) - 0.5)
-            for axis, n, size in zip((0, 1), pressed.shape[::-1], window_mm, strict=True)
-        ]
-    )
+    sides = zip((0, 1), pressed.shape[::-1], window_mm, strict=True)
+    shares = [((np.arange(n) + 0.5) @ pressed.sum(i) / (n * total) - 0.5, size) for i, n, size in sides]
+    return np.array([size * share for share, size in shares])
 
 
 class TactileSensor:

@@ -33,7 +33,6 @@ from pneutac_sim.twin import Twin
 # A contact is a `Press` turned about its tip. Both descriptions of it are made here: the shapes of the probe
 # grid, of which the environment's objects are made, and the loads of the material points.
 
-
 SIZE_MM = {
     "sphere": (1.5, 5.0),
     "cylinder": (1.0, 4.0),

@@ -14,7 +14,6 @@ BUMP_S = 1 / 15  # a force that lasts no longer is no press
 HOME_JITTER_M = 0.004  # half width of the random start of the flange about a task's home
 WIDER_M = np.array([0.012, 0.014, 0.010])  # by how much wider along x, y and z a start of width 1 is
 
-
 Wish = tuple[np.ndarray, float]  # velocity (3,) m/s and pressure kPa
 
 
@@ -68,6 +67,9 @@ class Task:
     goal: Goal | None = None
     # attributes of the random start to how much larger they are in starts of width 1
     wider: ClassVar[dict[str, float]] = {}
+    too_hard = ""  # what spoils the trial where the least of the forces `lately` is above `limit_n`
+    limit_n = math.inf
+    _force = (0.0, 0.0)
 
     def widen(self, width: float) -> None:
         """Makes the random start wider, see `wider`."""
@@ -113,6 +115,8 @@ class Task:
 
     def failure(self) -> str | None:
         """What has spoilt the trial, in a few words, or None."""
+        if min(self._force) > self.limit_n:  # a bump of a moment is no press
+            return f"{self.too_hard} with more than {self.limit_n:g} N"
         return None
 
 

@@ -26,7 +26,8 @@ class ButtonTask(Task):
     presses: int = 2  # how often it is to be pressed
     press_n: float = 0.5  # force that counts as a press
     hold_s: float = 3.0  # for how long
-    limit_n: float = 6.0  # pressing it harder than this breaks it
+    too_hard = "pressed the button"
+    limit_n = 6.0  # pressing it harder than this breaks it
     # how far the expert drags the finger sideways along the bar, to and fro, before it lets go
     drag_m: float = 0.0
     # spread_x_m, spread_y_m, spread_z_m: half widths of the random start
@@ -75,12 +76,6 @@ class ButtonTask(Task):
     @override
     def success(self):
         return self.pressed >= self.presses
-
-    @override
-    def failure(self):
-        if min(self._force) > self.limit_n:  # a bump of a moment is no press
-            return f"pressed the button with more than {self.limit_n:g} N"
-        return None
 
     @override
     def expert(self, world, habits, pressure_kpa):

@@ -27,7 +27,8 @@ class CableTask(Task):
     goal = Goal(lambda task: task.followed, "plug", (0, 0, 1), depth_mm=0.6)
 
     turn_rad: float = 0.45  # largest turn of the first part, and of each to the one before
-    limit_n: float = 3.0  # pressing harder than this damages the cable
+    too_hard = "pressed the cable"
+    limit_n = 3.0  # pressing harder than this damages the cable
     # spread_x_m, spread_z_m: half widths of the random place of the board and of the clip's height
     spread_x_m: float = 0.020
     spread_z_m: float = 0.004
@@ -72,12 +73,6 @@ class CableTask(Task):
     @override
     def success(self):
         return self._reached_s >= REACHED_S - 1e-9
-
-    @override
-    def failure(self):
-        if min(self._force) > self.limit_n:  # a bump of a moment is no press
-            return f"pressed the cable with more than {self.limit_n:g} N"
-        return None
 
     @override
     def expert(self, world, habits, pressure_kpa):

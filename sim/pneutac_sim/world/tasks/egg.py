@@ -38,7 +38,8 @@ class EggTask(Task):
     tab_half_m: float = 0.008  # half the tab's width
     recess_m: float = 0.010  # how far the rest of the lid lies behind the front wall
     open_rad: float = np.radians(60)  # lid angle that counts as open
-    limit_n: float = 8.0  # pressing the carton harder than this breaks the eggs
+    too_hard = "pressed the carton"
+    limit_n = 8.0  # pressing the carton harder than this breaks the eggs
     wall_limit_n: float = 1.2  # pressing its front wall harder than this dents it
     # spread_x_m, spread_y_m, spread_yaw_rad: half widths of the random start
     spread_x_m: float = 0.045
@@ -107,12 +108,10 @@ class EggTask(Task):
 
     @override
     def failure(self):
-        # A bump of a moment is not a press.
-        if min(self._force) > self.limit_n:
-            return f"pressed the carton with more than {self.limit_n:g} N"
-        if min(self._wall) > self.wall_limit_n:
+        spoilt = super().failure()
+        if not spoilt and min(self._wall) > self.wall_limit_n:
             return f"pressed the carton's wall with more than {self.wall_limit_n:g} N"
-        return None
+        return spoilt
 
     @property
     def reach_m(self) -> float:
