@@ -113,8 +113,11 @@ class TactileSensor:
         self.draw = self._renderer.image
         self.triangles = NO_TRIANGLES
 
-    def probe(self, *objects) -> np.ndarray:
-        """`probe_grid` of objects with this sensor's window and gel: depth in mm, float32 (80, 59)."""
+    def probe(
+        self, kinds, sizes, positions, rotations, gel_position=np.zeros(3), gel_rotation=np.eye(3)
+    ) -> np.ndarray:
+        """`probe_grid` with this sensor's window and gel thickness: depth in mm, float32 (80, 59)."""
+        objects = kinds, sizes, positions, rotations, gel_position, gel_rotation
         size = {"window_mm": self.model.window_mm, "thickness_mm": self.model.thickness_mm}
         return probe_grid(*objects, **size, triangles=self.triangles)
 

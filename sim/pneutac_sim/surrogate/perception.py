@@ -97,25 +97,21 @@ def _level(rows: int, cols: int, grids: int = 1):
     return convolve
 
 
-_convolve1, _convolve2, _convolve3 = _level(R1, C1), _level(R2, C2), _level(R3, C3)
-_convolve2_all, _convolve3_all = _level(R2, C2, BATCH), _level(R3, C3, BATCH)
+def _coarse(rows: int, cols: int):
+    """Compiles `_level` for n grids; where they are more than one, for all that there is room for."""
+    one, full = _level(rows, cols), _level(rows, cols, BATCH)
+
+    @njit
+    def convolve(x, w, bias, y, n):
+        if n == 1:
+            one(x, w, bias, y)
+        else:
+            full(x, w, bias, y)
+
+    return convolve
 
 
-@njit
-def _coarse2(x, w, bias, y, n):
-    """Convolves the planes of n grids; where they are more than one, of all that there is room for."""
-    if n == 1:
-        _convolve2(x, w, bias, y)
-    else:
-        _convolve2_all(x, w, bias, y)
-
-
-@njit
-def _coarse3(x, w, bias, y, n):
-    if n == 1:
-        _convolve3(x, w, bias, y)
-    else:
-        _convolve3_all(x, w, bias, y)
+_convolve1, _coarse2, _coarse3 = _level(R1, C1), _coarse(R2, C2), _coarse(R3, C3)
 
 
 @njit(cache=True)
@@ -216,9 +212,7 @@ def displacements(kernels, biases, work, grids, rest, deepest_mm, out):
         if n == BATCH or (n and m == len(grids) - 1):
             added(kernels, biases, work, known[:n])
             for k in range(n):
-                for i in range(ROWS):
-                    for j in range(COLS):
-                        out[which[k], i, j] += known[k, i, j] - rest[i, j]
+                out[which[k]] += known[k] - rest
             n = 0
     return True
 
