@@ -55,6 +55,7 @@ def run(folder: Path, options: ExecutorOptions | None = None, number: int = 5) -
     return {f.name: f.read_text() for f in files}
 
 
+@pytest.mark.slow
 def test_the_pieces_are_equal_whoever_makes_them(tmp_path, cluster):
     one = run(tmp_path / "one", ExecutorOptions(workers=1, tasks_per_job=5))
     assert len(set(one.values())) == 5
@@ -91,6 +92,7 @@ def test_a_fault_is_one_sentence_and_the_same_call_goes_on(tmp_path, fault, sent
     assert made.items() <= {f: f.stat().st_mtime_ns for f in tmp_path.glob("*.txt")}.items()
 
 
+@pytest.mark.slow
 def test_a_lost_process_of_a_job_of_slurm_is_one_sentence_too(tmp_path, cluster):
     (tmp_path / "kill_1").touch()
     options = ExecutorOptions(executor="slurm", tasks_per_job=2, executor_config=cluster)

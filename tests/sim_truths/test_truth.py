@@ -16,6 +16,7 @@ from pneutac_truths.world import World
 SHORT = {"minutes": 2.0}
 
 
+@pytest.mark.slow
 def test_the_same_seed_writes_the_same_bytes(tmp_path):
     for name in ("a", "b"):
         sized.cache_clear()

@@ -127,6 +127,7 @@ def rmse(a, b):
     return float(np.sqrt(np.mean(np.square(a - b))))
 
 
+@pytest.mark.slow
 def test_direct_solution_recovers_known_colours():
     camera, means, covariances = sheet()
     known = np.random.default_rng(0).random((len(means), 3))
