@@ -19,14 +19,14 @@ from pneutac_benchmarks.diagnosis import (
     truths,
 )
 from pneutac_benchmarks.diagnosis.answers import fitted, predicted
-from pneutac_benchmarks.diagnosis.cases import BenchmarkDiagnosisConfig, diagnosed
+from pneutac_benchmarks.diagnosis.cases import BenchmarkDiagnosisConfig, Case, diagnosed
 from pneutac_benchmarks.diagnosis.rules import COUNTS, counts
 from pneutac_benchmarks.experiments import _known_at
 from pneutac_datasets.generate.truth_bench import TruthBench
 from pneutac_sim.effects.laws import family, law_names
 from pneutac_sim.effects.registry import body_effects
 from pneutac_sim.errors import InputError
-from pneutac_truths import EFFECTS, PAIRS
+from pneutac_truths import EFFECTS, PAIRS, generate
 from pneutac_truths.programs import given
 
 # ---------------------------------------------------------------- truths
@@ -197,3 +197,12 @@ def test_an_answer_is_right_where_it_names_all_that_was_hidden():
     assert names_right(("creep",), ["creep", "hysteresis"]) and not names_right(("creep",), ["hysteresis"])
     assert not names_right(("late_commands", "creep"), ["late_commands"])
     assert names_right(VALVE, ["valve_lag"]) and not names_right(VALVE, ["creep"])
+
+
+@pytest.mark.nightly
+def test_a_temperature_that_is_followed_minutes_late_is_found_through_unknown_pauses():
+    answer = truths.solve(Case("truths", "effect", "temperature_lag", 967, 6.0, device="rod"))
+    late_s = 60 * generate("rod", ["temperature_lag"], 967, minutes=0.5).effects["temperature_lag"]["minutes"]
+    assert answer["terms"] == ["p lag(dT)"]
+    assert answer["values"]["p lag(dT)"]["time_s"] == pytest.approx(late_s, rel=0.15)
+    assert answer["ratio"] < 1.5
