@@ -94,6 +94,8 @@ ppo --steps=0
 ppo --steps=0 --out=a
 ppo --out=a --student.fidelity=exact
 demo --trials=0
+demo --quick --minutes=nan
+surrogate --twin=finger --seconds=inf
 benchmark
 benchmark speed --twins=x
 benchmark juggling

@@ -98,7 +98,7 @@ def _dispatch(argv: list[str]) -> None:
         run_verb(verb, argv[1:])
     except InputError as e:
         known = options_class(verb)
-        sys.exit(f"pneutac {verb}: {name_option(str(e), known) if known else e}")
+        sys.exit(f"pneutac {verb}: {name_option(str(e), known, argv[1:]) if known else e}")
     except ModuleNotFoundError as e:
         package = (e.name or "").partition(".")[0]
         if package not in PLUGIN_PACKAGES:

@@ -38,4 +38,4 @@ def command(argv: list[str], terminal) -> None:
     try:
         getattr(module, f"benchmark_{name}")(parse_options(config_class, argv[1:]))
     except InputError as e:
-        raise InputError(name_option(str(e), config_class)) from e
+        raise InputError(name_option(str(e), config_class, argv)) from e

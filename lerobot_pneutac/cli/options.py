@@ -8,13 +8,14 @@ import difflib
 import functools
 import inspect
 import json
+import math
 import re
 import shutil
 import sys
 import textwrap
 import types
 import typing
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -107,9 +108,21 @@ def parse_options(config_class: type, argv: list[str], what: str | None = None):
         raise cause if isinstance(cause, InputError) else InputError(_in_words(str(e), options)) from e
     if (seed := getattr(config, "seed", None)) is not None:
         check_least(0, seed=seed)
+    _check_finite(config)
     _check_outputs(config)
     _convert_tables(config)
     return config
+
+
+def _check_finite(config, group: str = "") -> None:
+    """Raises InputError for a number that is NaN or infinite, which no option takes."""
+    for name in (field.name for field in dataclasses.fields(config)):
+        value = getattr(config, name)
+        if dataclasses.is_dataclass(value):
+            _check_finite(value, f"{group}{name}.")
+        for number in value if isinstance(value, list | tuple) else [value]:
+            if isinstance(number, float) and not math.isfinite(number):
+                raise InputError(f"--{group}{name} is {value}; give a finite number.")
 
 
 def _check_outputs(config) -> None:
@@ -181,12 +194,18 @@ def _convert_tables(config) -> None:
         config.later = [recording_folder(p, *table_options, length_mm) for p in later]
 
 
-def name_option(sentence: str, config_class: type) -> str:
-    """A library's sentence about a parameter, `jobs=-1 must be ...`, as one about the option `--jobs`."""
+def name_option(sentence: str, config_class: type, argv: Iterable[str] = ()) -> str:
+    """A library's sentence about a parameter, `jobs=-1 must be ...`, as one about the option `--jobs`.
+
+    A folder that has the name of an option, and is given in `argv`, remains what it is.
+    """
+    values = {word.rpartition("=")[2] for word in argv}
     options = [o.name for o in list_options(config_class)]
 
     def named(found: re.Match) -> str:
         name = found[0]
+        if name in values and not found.start():
+            return name
         same = [o for o in options if o == name] or [o for o in options if re.search(rf"[._]{name}$", o)]
         return f"--{same[0]}" if len(same) == 1 else name
 

@@ -59,7 +59,8 @@ def check_path(path: str | Path, twin: Twin | None = None, station: Station | No
     if path.exists() and not path.is_dir():
         raise InputError(f"{path} cannot be checked; give a folder, a table or a station.yaml.")
     if not path.is_dir():
-        near = difflib.get_close_matches(path.name, [p.name for p in path.absolute().parent.glob("*")], n=1)
+        there = [p.name for p in path.absolute().parent.glob("*") if p.name != path.name]  # a link to nowhere
+        near = difflib.get_close_matches(path.name, there, n=1)
         raise InputError(f"There is no folder '{path}'" + (f"; is '{near[0]}' meant?" if near else "."))
     if (path / "twin.yaml").is_file():
         return Checked(path, "twin", *_twin(path))

@@ -73,6 +73,9 @@ class ConvertConfig:
             raise InputError(f"log is '{self.log}', which does not exist.")
         if not Path(self.source).exists() and not plain.table_files(self.source):
             raise InputError(f"source is '{self.source}', which does not exist.")
+        path = Path(self.source)
+        if path.is_dir() and not any(path.glob("*.mcap")) and not any(path.glob("*.db3")):
+            raise InputError(f"source is '{path}', a folder that is no ROS 2 bag; give a table or a take.")
         if self.out is not None and Path(self.out).exists() and not plain.is_unfinished(Path(self.out)):
             raise InputError(f"out is '{self.out}', which exists; give a new folder.")
         if self.length_mm is not None and not 1 <= self.length_mm <= 1000:

@@ -71,6 +71,7 @@ class DemoConfig:
     quick: bool = False
 
     def __post_init__(self):
+        check_least(1, minutes=self.minutes)
         check_least(2, demonstrations=self.demonstrations)
         check_least(1, **{name: getattr(self, name) for name in LEARNING[1:]})
         if self.quick and self.out == type(self).out:

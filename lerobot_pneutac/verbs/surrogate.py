@@ -17,7 +17,7 @@ from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.wording import an
-from pneutac_sim.errors import InputError, check_choice
+from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.executor import ExecutorOptions
 from pneutac_sim.files import whole, write_text
 from pneutac_sim.progress import Progress, no_progress
@@ -75,6 +75,9 @@ class SurrogateConfig(ExecutorOptions):
         from pneutac_sim.surrogate.gel_train import CHECK_EVERY, HELDOUT, LEAST
 
         check_choice("device", self.device, ("auto", "cpu", "cuda"))
+        if not 0.02 <= self.seconds <= 600:
+            raise InputError(f"seconds is {self.seconds}; it must lie in [0.02, 600].")
+        check_least(1, particles=self.particles)
         few = "are too few to train on"
         if self.trajectories < FEWEST:
             raise InputError(f"trajectories={self.trajectories} {few}; give {FEWEST} or more.")

@@ -226,7 +226,8 @@ def check_writable(folder: Path, what: str) -> None:
         with tempfile.TemporaryFile(dir=folder) as file:
             file.write(b"tried")
     except FileExistsError as e:
-        raise InputError(f"{what} is a file; give a folder.") from e
+        kind = "a link that leads nowhere" if folder.is_symlink() and not folder.exists() else "a file"
+        raise InputError(f"{what} is {kind}; give a folder.") from e
     except OSError as e:
         raise InputError(f"{what} cannot be written ({e.strerror}); choose another folder.") from e
     finally:

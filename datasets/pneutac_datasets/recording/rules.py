@@ -323,7 +323,7 @@ def clean_numbers(samples: pd.DataFrame, device: str, file: Path) -> pd.DataFram
             bad &= column.notna().to_numpy()  # an unknown depth or radius stays empty
         if bad.any():
             row = int(np.argmax(bad))
-            value = "empty or NaN" if pd.isna(column.iloc[row]) else shown(str(column.iloc[row]))
+            value = "empty or not a number" if pd.isna(column.iloc[row]) else shown(str(column.iloc[row]))
             few = (
                 "correct it, or leave out that row"
                 if bad.sum() == 1

@@ -129,6 +129,7 @@ def test_a_wrong_option_is_one_sentence(argv, sentence):
 )
 def test_a_librarys_sentence_about_a_parameter_is_told_of_the_option(sentence, told):
     assert name_option(sentence, Options) == told
+    assert name_option("size is of a finger.", Options, ["--out=size"]) == "size is of a finger."
 
 
 @pytest.mark.parametrize(

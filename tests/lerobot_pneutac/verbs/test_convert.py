@@ -218,7 +218,7 @@ def test_a_ros_2_bag_holds_poses_and_pressures(tmp_path):
     source = ConvertConfig(tmp_path / "bag", tmp_path / "bench", tip="/tip", base="/base", **options)
     check(convert(source), 0.01)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match="is no ROS 2 bag that rosbags reads"):
+    with pytest.raises(InputError, match="is no ROS 2 bag"):
         convert(ConvertConfig(tmp_path / "empty", tmp_path / "b", tip="/tip", base="/base", **options))
 
 

@@ -109,7 +109,7 @@ BAD = [  # more are in `tests/snapshots/sentences.txt`
     (lambda s: s.assign(time_s=np.round(s.time_s, 1)), "repeats the stamp.*digits"),
     (
         break_("tip_x_mm", 12, np.nan),
-        r"'tip_x_mm', row 13 \(line 14 of the file\) is empty or NaN \(1 such row\).*leave out that row",
+        r"'tip_x_mm', row 13 \(line 14 of the file\) is empty or not a number \(1 such.*leave out that row",
     ),
     (break_("tip_z_mm", 3, np.inf), "'tip_z_mm', row 4"),
     (break_("temperature_c", 0, np.nan), "'temperature_c', row 1"),

@@ -371,8 +371,8 @@ def test_what_is_not_recognised_is_retained_and_what_is_empty_said(tmp_path):
     notes = " ".join(found.notes)
     assert (
         "4 rows without" in notes
-        and "'leer' is empty or NaN" in notes
-        and "'Tx' is empty or NaN in 11 rows" in notes
+        and "'leer' is empty or not a number" in notes
+        and "'Tx' is empty or not a number in 11 rows" in notes
     )
     stored = found.write(tmp_path / "lab.recording")
     assert set(found.notes) <= set(stored.warnings)

@@ -231,7 +231,9 @@ class Understood:
         self._line = np.concatenate([t.lines for t in self._read])
         if empty := [c for c in frame if frame[c].isna().all()]:
             are = "is" if len(empty) == 1 else "are"
-            self.notes.append(f"{self._source}: {listed(map(shown, empty))} {are} empty or NaN, left out.")
+            self.notes.append(
+                f"{self._source}: {listed(map(shown, empty))} {are} empty or not a number, left out."
+            )
         return frame.drop(columns=empty)
 
     def _converted(self, frame: pd.DataFrame) -> pd.DataFrame:
@@ -303,7 +305,7 @@ class Understood:
         bad = parsed.isna().to_numpy()
         if bad.any():
             row = int(np.argmax(bad))
-            value = "empty or NaN" if pd.isna(raw.iloc[row]) else shown(str(raw.iloc[row]))
+            value = "empty or not a number" if pd.isna(raw.iloc[row]) else shown(str(raw.iloc[row]))
             raise InputError(
                 f"{self.files[self._of_file[row]]}: column {source}, line {self._line[row]}"
                 f" is {value}, which is no time ({plural(int(bad.sum()), 'such row')}); write seconds, or"
@@ -323,7 +325,7 @@ class Understood:
             row = int(given.isna().to_numpy().argmax())
             file = self.files[self._of_file[row]]
             raise InputError(
-                f"{file}: the column of runs is empty or NaN in row {row + 1}; number every row."
+                f"{file}: the column of runs is empty or not a number in row {row + 1}; number every row."
             )
         return pd.factorize(pairs)[0]
 
@@ -360,7 +362,7 @@ class Understood:
             if table[name].isna().any() and table[name].dtype.kind not in "fiu":
                 table[name] = table[name].fillna("none")
             self.notes.append(
-                f"{shown(names.get(name, name))} is empty or NaN in {gaps}: the last value holds."
+                f"{shown(names.get(name, name))} is empty or not a number in {gaps}: the last value holds."
             )
 
     def _into_base(self, table: pd.DataFrame) -> None:
