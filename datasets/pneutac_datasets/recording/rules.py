@@ -19,6 +19,7 @@ from pneutac_sim.twin import DEVICES
 
 STARTS = ("rested", "continues", "unknown")
 DAY_S = 86400.0
+SLOWEST_S = 3600.0  # between samples; no motion is seen in slower ones
 MAX_DUPLICATES = 0.01  # share of rows with a doubled stamp that a logger's rounding explains
 ROUNDED_S = 1e-3  # by which stamps of two columns may disagree
 # What is read of a `recording.json` and of a camera in it; a lab's own further fields are left alone.
@@ -420,6 +421,11 @@ def check_time(samples: pd.DataFrame, file: Path, warnings: list[str]) -> pd.Dat
             f"{file}: column 'time_s' has one sample every {normal:g} s for {_length(samples) / DAY_S:.1f} "
             "days while the pressure ramps from row to row, which can only be milliseconds; divide it by "
             "1000."
+        )
+    if normal > SLOWEST_S:
+        raise InputError(
+            f"{file}: column 'time_s' has one sample every {normal:g} s, which can only be another unit than"
+            " seconds; divide it by 1e6 if the clock counts microseconds, by 1e9 if nanoseconds."
         )
     if normal >= 5 and len(samples) > 100:
         warnings.append(

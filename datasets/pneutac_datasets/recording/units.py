@@ -10,6 +10,7 @@ import pandas as pd
 
 from pneutac_datasets.recording.wording import row_name
 from pneutac_sim.errors import InputError, shown
+from pneutac_sim.twin import MOST_LENGTH_MM
 
 # A soft actuator bursts well below 20 bar, so a larger number is another unit. A tip cannot be much further
 # from the base than the device is long; the factor of three leaves room for a rough length_mm.
@@ -151,12 +152,15 @@ def _tip_elsewhere(
     tips = _columns(samples, r"tip_[xyz]_mm")
     if not tips or "tip_x_mm" not in tips and len(tips) < 3:
         return []  # one coordinate across the finger may hardly move
-    reach = np.linalg.norm(samples[tips].to_numpy(float), axis=1)
+    reach = np.hypot.reduce(samples[tips].to_numpy(float), axis=1)  # squares of huge numbers overflow
     row, value = int(reach.argmax()), float(reach.max())
     if 0 < value < (SHORTEST_TIP * length_mm if length_mm else 1.0):
         return other(tips[0], row, "metres", "multiply the tip columns by 1000", value)
-    if not length_mm:
+    if not length_mm and value <= LONGEST_TIP * MOST_LENGTH_MM:
         return []
+    if not length_mm:
+        remedy = f"give the tip in millimetres, at most {MOST_LENGTH_MM:g}"
+        return other(tips[0], row, "another unit or frame", remedy, value)
     commands, rest = _columns(samples, r"pressure_cmd_(\d+_)?kpa"), 0.0
     if commands:
         driven = samples[commands].abs().max(axis=1).to_numpy(float)

@@ -60,6 +60,12 @@ def test_a_gauge_that_follows_has_no_finding_however_slow_the_valve(kind, hz, to
     assert of_pressure(bench(kind, hz=hz, top=top, lag_s=lag_s, noise=1e-3 * top)) == []
 
 
+def test_a_log_of_a_row_in_ten_seconds_shows_no_lag():
+    slow = bench()
+    slow.samples["time_s"] *= 200
+    assert of_pressure(slow) == of_pressure(bench())
+
+
 @pytest.mark.parametrize(("kind", "hz", "top"), TWO)
 @pytest.mark.parametrize("share", [-0.3, 0.11, 101.325])
 def test_an_offset_is_named_with_its_size_and_taken_off(kind, hz, top, share):

@@ -106,6 +106,11 @@ BAD = [  # more are in `tests/snapshots/sentences.txt`
     (lambda s: s.assign(gravity_x=9.81, gravity_y=0, gravity_z=0), "unit vector"),
     (lambda s: s.assign(gravity_x=1.0), "'gravity_y' is missing"),
     (lambda s: s.assign(time_s=np.round(s.time_s * 1e4)), "time_s.*milliseconds; divide it by 1000"),
+    (lambda s: s.assign(time_s=np.round(s.time_s * 1e6)), "time_s.*every .* divide it by 1e6"),
+    (
+        break_("tip_x_mm", 12, 1e300),
+        "row 13 .* is 1e.300, which can only be another unit or frame",
+    ),
     (lambda s: s.assign(time_s=np.round(s.time_s, 1)), "repeats the stamp.*digits"),
     (
         break_("tip_x_mm", 12, np.nan),
