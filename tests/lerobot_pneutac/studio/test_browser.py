@@ -7,6 +7,8 @@ import io
 import os
 import re
 import shutil
+import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -242,3 +244,31 @@ def test_a_world_is_moved_by_keys_and_an_episode_replayed(browser, tmp_path):
         seen.page.close()
     finally:
         studio.close()
+
+
+@pytest.mark.nightly
+def test_a_server_that_was_killed_is_found_again(browser, tmp_path):
+    twin = Twin.builtin().save(tmp_path / "finger")
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    command = [sys.executable, "-m", "lerobot_pneutac.cli", "studio", f"--twin={twin}", f"--port={port}"]
+
+    def start():
+        server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert f"http://127.0.0.1:{port}/" in server.stdout.readline()
+        return server
+
+    server = start()
+    try:
+        seen = Page(browser, f"http://127.0.0.1:{port}/")
+        expect(seen.page.get_by_text("Bend ").first).to_be_visible()
+        seen.press(5)  # what the next server does not know: the page shows 0 again once it has found it
+        expect(seen.page.get_by_text("pressure 5.0 kPa").first).to_be_visible()
+        server.send_signal(signal.SIGKILL)
+        server.wait()
+        server = start()
+        expect(seen.page.get_by_text("pressure 0.0 kPa").first).to_be_visible(timeout=60_000)
+        seen.press(12)
+        expect(seen.page.get_by_text("pressure 12.0 kPa").first).to_be_visible()
+    finally:
+        server.kill()

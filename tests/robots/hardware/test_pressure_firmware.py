@@ -289,3 +289,13 @@ def test_no_alarm_in_normal_use(program, options, seconds):
     assert rig.status.flags & ~Flag.INLET_OPEN == 0
     assert rig.peak_pa < 15500
     rig.close()
+
+
+def test_a_burst_line_is_reported_within_100_ms(start):
+    rig = at_8_kpa(start("--burst", "--fault-at-s", 0.6), 700)
+    assert Flag.BURST_LINE in rig.status.flags
+
+
+def test_a_frozen_sensor_overfills_by_no_more_than_60_ms_of_air(start):
+    rig = at_8_kpa(start("--freeze-sensor", "--fault-at-s", 0.1))
+    assert max(step[1] for step in rig.trace) < 8000 + 0.06 * 40000 / 0.25

@@ -355,3 +355,11 @@ def test_weights_of_another_body_are_named(tmp_path):
     arm.output_features[ACTION] = PolicyFeature(FeatureType.ACTION, (6,))
     with pytest.raises(InputError, match="on 20 numbers of state and 4 of action, and here are 22 and 6"):
         PneutacBCPolicy.from_pretrained(tmp_path, config=arm)
+
+
+def test_config_survives_saving_and_loading(tmp_path):
+    config = make_config(
+        use_tactile=False, pressure_noise_kpa=0.2, previous_action_dropout=0.7, optimizer_lr=1e-4
+    )
+    config.save_pretrained(tmp_path)
+    assert PreTrainedConfig.from_pretrained(tmp_path) == config

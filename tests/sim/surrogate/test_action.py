@@ -312,3 +312,23 @@ def test_what_it_cannot_be_made_of():
         Skeleton.of(body(), spine(axes=2))
     with pytest.raises(InputError, match="no particle beyond spine joint 4"):
         Skeleton.of(body(), Spine((0.01, 0.03, 0.05, 0.0995), 0.1, 0.0, 0.0, 0.006))
+
+
+@pytest.mark.nightly
+@pytest.mark.slow
+def test_the_network_resists_as_the_full_body_does(tmp_path):
+    from pneutac_sim.world.mpm_gel import MpmFinger
+
+    twin = Twin.builtin()
+    collect_action(twin, tmp_path, Plan(12, 0.5, particles=1000), "cpu")
+    network = train_action(twin, tmp_path)
+    full = MpmFinger(twin, particles=1000, device="cpu")
+    error, size = [], []
+    for pressure, bend in ((2.0, 0.05), (6.0, -0.08), (11.0, -0.12), (5.0, 0.1)):
+        free = joint_targets(twin, np.array(pressure))
+        q = free + bend * np.array([1.0, 0.75, 0.5, 0.25])
+        wanted, got = full.torque(free, q)[0], network.resistance(free, q)
+        assert got[2]
+        error.append(got[0] - wanted)
+        size.append(wanted)
+    assert np.linalg.norm(error) < 0.15 * np.linalg.norm(size)
