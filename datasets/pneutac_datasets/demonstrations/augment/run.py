@@ -300,7 +300,7 @@ def _merge(
     for folder in (part, source):
         shutil.rmtree(folder, ignore_errors=True)
     if len(shards) == 1 and not copies:
-        shutil.copytree(shards[0], part)
+        os.replace(shards[0], part)  # one that is missing is written anew
         return []
     with quiet_encoders(), redirect_stderr(StringIO()):  # its own progress bars besides ours
         recorded = Path(meta.root)
