@@ -161,11 +161,13 @@ def write_dragged(number: int, config: BenchmarkDemonstrationsConfig, file: Path
 
 
 def dragged_rows(files: dict[int, Path]) -> list[tuple[str, ...]]:
-    """A row a case: what was hidden, how imprints turned, what is told of the gel, and whether rightly."""
-    told = {n: json.loads(file.read_text()) for n, file in files.items()}
-    read = {n: Dragging(**{k: v for k, v in t.items() if k != "case"}) for n, t in told.items() if len(t) > 1}
+    """A row a case: what was hidden, how imprints turned, what is said of the gel, and whether rightly."""
+    stored = {n: json.loads(file.read_text()) for n, file in files.items()}
+    read = {
+        n: Dragging(**{k: v for k, v in t.items() if k != "case"}) for n, t in stored.items() if len(t) > 1
+    }
     rows = []
-    for n, t in told.items():
+    for n, t in stored.items():
         if n not in read:
             rows.append((t["case"], "", "not identified", "no"))
             continue

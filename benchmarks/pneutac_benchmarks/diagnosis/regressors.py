@@ -168,8 +168,8 @@ def _both_days(method, features, target, others) -> np.ndarray:
 def _scaled(features: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Both with the first's mean 0 and deviation 1, and the others held to the first's range."""
     mean, size = features.mean(axis=0), features.std(axis=0)
-    told = size > 1e-9
-    F, G = ((x[:, told] - mean[told]) / size[told] for x in (features, others))
+    varying = size > 1e-9
+    F, G = ((x[:, varying] - mean[varying]) / size[varying] for x in (features, others))
     return F, np.clip(G, F.min(axis=0), F.max(axis=0))
 
 

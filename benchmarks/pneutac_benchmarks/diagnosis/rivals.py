@@ -44,8 +44,8 @@ def solve(case: Case) -> dict:
                 k: found[k] for k in ("after", "ratio", "removed", "seconds", "verdict", "selected")
             }
             answer["before"] = found["before"] if name == "laws" else answer["before"]
-        told = [c for c in d.study.recording.samples if c in days.judge.samples]
-        first, second = (_features(r, told, d.study) for r in (d.study.recording, days.judge))
+        shared = [c for c in d.study.recording.samples if c in days.judge.samples]
+        first, second = (_features(r, shared, d.study) for r in (d.study.recording, days.judge))
         left, rest = d.outcome.before.residual, days.residual(d.outcome.before.twin)
         for name, method in METHODS.items():
             began = time.perf_counter()
@@ -60,12 +60,14 @@ def solve(case: Case) -> dict:
     return answer | {"constant": constant, "methods": methods}
 
 
-def _features(recording, told: list[str], study) -> np.ndarray:
+def _features(recording, shared: list[str], study) -> np.ndarray:
     """(n, f) causal signals of the command and the conditions of any day, by columns that both days have."""
     from lerobot_pneutac.study.body_base import features
 
     return features(
         SimpleNamespace(
-            recording=replace(recording, samples=recording.samples[told]), twin=study.twin, start=study.start
+            recording=replace(recording, samples=recording.samples[shared]),
+            twin=study.twin,
+            start=study.start,
         )
     )

@@ -134,14 +134,14 @@ def names_right(truth: Sequence[str], verdict: str, selected: Sequence[str], rat
     if not truth:
         return not selected
     named = verdict in NAMED and bool(selected)
-    told = [COUNTS[t] for t in truth if COUNTS[t]]
+    accepted = [COUNTS[t] for t in truth if COUNTS[t]]
     covered = not selected and ratio <= COUNTS_AS_NEAR
     if len(truth) > 2:  # a whole device: the headline is one of its effects
-        return named and any(counts(selected[0], a) for a in told)
-    if not told:
+        return named and any(counts(selected[0], a) for a in accepted)
+    if not accepted:
         return verdict != "missing_effect"
-    headline = not named or any(counts(selected[0], a) for a in told)
-    parts = [(named and any(counts(s, a) for s in selected)) or (BASE in a and covered) for a in told]
+    headline = not named or any(counts(selected[0], a) for a in accepted)
+    parts = [(named and any(counts(s, a) for s in selected)) or (BASE in a and covered) for a in accepted]
     return headline and all(parts)
 
 
