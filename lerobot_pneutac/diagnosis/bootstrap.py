@@ -16,25 +16,16 @@ from lerobot_pneutac.diagnosis import thresholds as T
 
 @dataclass(frozen=True)
 class PairedTest:
-    """Two models on the same units of time: by how much the mean square error falls, and how certain that is.
+    """Two models on the same units of time: the fall of the mean square error, and how certain that is."""
 
-    Attributes:
-        value: fall of the mean square error.
-        low: its lower 1 % bound.
-        high: its upper 99 % bound.
-        significant: whether it falls, by `BlockBootstrap.paired`.
-        units: that were compared.
-        least: fall that is significant in `POWER` of such recordings.
-        times: how much longer a recording in which a fall of `value` is significant in `POWER` of all must
-            be; infinite where the error does not fall.
-    """
-
-    value: float
-    low: float
-    high: float
-    significant: bool
-    units: int
-    least: float
+    value: float  # fall of the mean square error
+    low: float  # its lower 1 % bound
+    high: float  # its upper 99 % bound
+    significant: bool  # whether it falls, by `BlockBootstrap.paired`
+    units: int  # that were compared
+    least: float  # fall that is significant in `POWER` of such recordings
+    # how much longer a recording in which a fall of `value` is significant in `POWER` of all must be;
+    # infinite where the error does not fall
     times: float
 
 

@@ -34,32 +34,19 @@ NO_HANDS = Hands()
 
 @dataclass(frozen=True)
 class Choice:
-    """One program, and its expected information.
+    """One program, and its expected information."""
 
-    Attributes:
-        name: of the program.
-        kind: programs of one kind differ in numbers alone.
-        time_s: (n,) of its samples.
-        pressure_kpa: (n, chambers) commanded.
-        rivals: nats about which candidate is true.
-        constants: nats about the best candidate's constants.
-        new: share of the time at levels, paces and rests that no recording has.
-        predictions: (n, k) headline columns by each candidate.
-        worth: all three for a second of the bench's time, see `choices`.
-        hand: what a hand changes for it, see `hands.HANDS`; empty for nothing.
-        conditions: in force throughout; empty where no hand may change any.
-    """
-
-    name: str
-    kind: str
-    time_s: np.ndarray
-    pressure_kpa: np.ndarray
-    rivals: float
-    constants: float
-    new: float
-    predictions: tuple[np.ndarray, ...]
-    worth: float = 0.0
-    hand: str = ""
+    name: str  # of the program
+    kind: str  # programs of one kind differ in numbers alone
+    time_s: np.ndarray  # (n,) of its samples
+    pressure_kpa: np.ndarray  # (n, chambers) commanded
+    rivals: float  # nats about which candidate is true
+    constants: float  # nats about the best candidate's constants
+    new: float  # share of the time at levels, paces and rests that no recording has
+    predictions: tuple[np.ndarray, ...]  # (n, k) headline columns by each candidate
+    worth: float = 0.0  # all three for a second of the bench's time, see `choices`
+    hand: str = ""  # what a hand changes for it, see `hands.HANDS`; empty for nothing
+    # in force throughout; empty where no hand may change any
     conditions: Mapping[str, float] = field(default_factory=dict)
 
     @property

@@ -21,23 +21,14 @@ LOG_ADVICE = "Log the measured pressure (pressure_kpa): it separates the pneumat
 
 @dataclass
 class Separation:
-    """How well one experiment separates two models.
+    """How well one experiment separates two models."""
 
-    Attributes:
-        name: of the experiment.
-        advice: what to do at the bench.
-        score: sum of squared predicted differences over the noise's variance, in two minutes at 10 Hz.
-        time_s: (n,) of the program.
-        predictions: (n, k) headline columns (or pressure) of each model.
-        columns: their names.
-    """
-
-    name: str
-    advice: str
-    score: float
-    time_s: np.ndarray
-    predictions: tuple[np.ndarray, np.ndarray]
-    columns: list[str]
+    name: str  # of the experiment
+    advice: str  # what to do at the bench
+    score: float  # sum of squared predicted differences over the noise's variance, in two minutes at 10 Hz
+    time_s: np.ndarray  # (n,) of the program
+    predictions: tuple[np.ndarray, np.ndarray]  # (n, k) headline columns (or pressure) of each model
+    columns: list[str]  # their names
 
 
 def separations(

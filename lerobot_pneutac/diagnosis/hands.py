@@ -15,17 +15,13 @@ def _nobody(sentence: str) -> None:
 
 @dataclass(frozen=True)
 class Hands:
-    """What may be changed, and who does it.
+    """What may be changed, and who does it."""
 
-    Attributes:
-        usual: condition columns and their values while nothing is changed; empty where nothing may be.
-        changes: name to the conditions that are in force instead for a whole program.
-        ask: called with a sentence for a person; returns once it is done.
-    """
-
+    # condition columns and their values while nothing is changed; empty where nothing may be
     usual: Mapping[str, float] = field(default_factory=dict)
+    # name to the conditions that are in force instead for a whole program
     changes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    ask: Callable[[str], None] = _nobody
+    ask: Callable[[str], None] = _nobody  # called with a sentence for a person; returns once it is done
 
     @classmethod
     def of(

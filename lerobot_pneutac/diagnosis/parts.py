@@ -11,21 +11,14 @@ from pneutac_datasets.recording.recording import Recording
 
 @dataclass
 class Parts:
-    """Which samples are for what.
+    """Which samples are for what."""
 
-    Attributes:
-        train: (n,) mask: fits parameters and ranks effects.
-        validation: (n,) mask: decides whether an effect stays.
-        test: (n,) mask: looked at by the report alone; equal to `validation` where there is little data.
-        unit: (n,) resampling unit of each sample: a block of time or a piece of one.
-        stratum: (units,) condition of each unit (program, orientation, temperature, payload).
-    """
-
-    train: np.ndarray
-    validation: np.ndarray
+    train: np.ndarray  # (n,) mask: fits parameters and ranks effects
+    validation: np.ndarray  # (n,) mask: decides whether an effect stays
+    # (n,) mask: looked at by the report alone; equal to `validation` where there is little data
     test: np.ndarray
-    unit: np.ndarray
-    stratum: np.ndarray
+    unit: np.ndarray  # (n,) resampling unit of each sample: a block of time or a piece of one
+    stratum: np.ndarray  # (units,) condition of each unit (program, orientation, temperature, payload)
 
     @property
     def heldout(self) -> np.ndarray:

@@ -24,21 +24,13 @@ PRESSED = 1 / 16  # of the range: from there on a chamber counts as one that is 
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """What a program may do.
+    """What a program may do."""
 
-    Attributes:
-        low_kpa: lowest set-point of each chamber (chambers,); a number where all have one.
-        high_kpa: highest one, likewise.
-        hz: samples a second.
-        seconds: most that is left.
-        length_s: of the programs that are no law's own; all their times scale with it.
-    """
-
-    low_kpa: np.ndarray
-    high_kpa: np.ndarray
-    hz: float = 20.0
-    seconds: float = 600.0
-    length_s: float = 60.0
+    low_kpa: np.ndarray  # lowest set-point of each chamber (chambers,); a number where all have one
+    high_kpa: np.ndarray  # highest one, likewise
+    hz: float = 20.0  # samples a second
+    seconds: float = 600.0  # most that is left
+    length_s: float = 60.0  # of the programs that are no law's own; all their times scale with it
 
     def __post_init__(self):
         low, high = np.broadcast_arrays(
@@ -114,17 +106,11 @@ GOLDEN = 0.618034  # its multiples' fractions fill an interval as evenly as any
 
 @dataclass
 class Program:
-    """One experiment.
+    """One experiment."""
 
-    Attributes:
-        name: short, for tables.
-        advice: an imperative sentence for the person at the bench.
-        samples: what would be commanded, one row a sample, with the recording's conditions.
-    """
-
-    name: str
-    advice: str
-    samples: pd.DataFrame
+    name: str  # short, for tables
+    advice: str  # an imperative sentence for the person at the bench
+    samples: pd.DataFrame  # what would be commanded, one row a sample, with the recording's conditions
 
 
 def menu(recording: Recording) -> list[Program]:

@@ -87,39 +87,27 @@ class Space(ABC):
 
 @dataclass
 class Scored:
-    """A fitted model with its worth.
+    """A fitted model with its worth."""
 
-    Attributes:
-        model: as fitted.
-        cv_squared: (N,) squared errors on rows that the fit did not see.
-        value: their mean.
-    """
-
-    model: Any
-    cv_squared: np.ndarray
-    value: float
+    model: Any  # as fitted
+    cv_squared: np.ndarray  # (N,) squared errors on rows that the fit did not see
+    value: float  # their mean
 
 
 @dataclass
 class Found:
-    """What a search ended with.
+    """What a search ended with."""
 
-    Attributes:
-        base: the best model without any term.
-        path: from the base to the end, one acceptance each.
-        final: after the backward check.
-        rivals: of each acceptance, the other models that were fitted well.
-        without: of the final model, term to the model without it.
-        actuated: the model when its actuation was last chosen again; None where it was not.
-        others: those with another actuation at that time, the best first.
-    """
-
-    base: Scored
-    path: list[Scored]
-    final: Scored
+    base: Scored  # the best model without any term
+    path: list[Scored]  # from the base to the end, one acceptance each
+    final: Scored  # after the backward check
+    # of each acceptance, the other models that were fitted well
     rivals: list[list[Scored]] = field(default_factory=list)
+    # of the final model, term to the model without it
     without: dict[str, Scored] = field(default_factory=dict)
+    # the model when its actuation was last chosen again; None where it was not
     actuated: Scored | None = None
+    # those with another actuation at that time, the best first
     others: list[Scored] = field(default_factory=list)
 
 

@@ -41,48 +41,34 @@ class Explained(StrEnum):
 
 @dataclass
 class Evidence:
-    """What the verdict rests on.
+    """What the verdict rests on."""
 
-    Attributes:
-        poor: whether the recording is too poor for any claim, see `too_few`.
-        before: held-out error over the noise: the best of the twin as it is, re-fitted, and a constant; None
-            where the noise cannot be determined.
-        after: the same with what was found.
-        selected: effects and laws found, the most important first.
-        removed: share of the avoidable error that they remove together.
-        at_bound: constants of what was found that stopped at a bound.
-        cancelling: laws each of which moves the device by more than it travels, so that others take it back.
-        near_miss: effects that helped, but not significantly.
-        left_to_black_box: share of what is left that a black box removes.
-        forward: whether it holds for the later part when fitted to the earlier one.
-        interval: 95 % interval of `after`, by resampling the blocks of the test part.
-        later: error over noise of the later part, of the model fitted to the earlier part; None where there
-            is no later part of the same conditions.
-        program: error over noise of programs, each predicted by a fit to all others; None where the recording
-            names less than two.
-        agreed: share of split seeds that chose the same.
-        noise_known: whether the noise was declared or measured by repeats.
-        explained: share of all that the device does that the model predicts, effects of the twin included; of
-            gels.
-        unseen: what an effect found does in conditions that were not recorded, a clause; empty where nothing.
-    """
-
+    # held-out error over the noise: the best of the twin as it is, re-fitted, and a constant; None where the
+    # noise cannot be determined
     before: float | None
-    after: float | None
-    selected: list[str]
-    removed: float
-    poor: bool = False
-    at_bound: list[str] = field(default_factory=list)
+    after: float | None  # the same with what was found
+    selected: list[str]  # effects and laws found, the most important first
+    removed: float  # share of the avoidable error that they remove together
+    poor: bool = False  # whether the recording is too poor for any claim, see `too_few`
+    at_bound: list[str] = field(default_factory=list)  # constants of what was found that stopped at a bound
+    # laws each of which moves the device by more than it travels, so that others take it back
     cancelling: list[str] = field(default_factory=list)
-    near_miss: list[str] = field(default_factory=list)
-    left_to_black_box: float = 0.0
-    forward: bool = True
+    near_miss: list[str] = field(default_factory=list)  # effects that helped, but not significantly
+    left_to_black_box: float = 0.0  # share of what is left that a black box removes
+    forward: bool = True  # whether it holds for the later part when fitted to the earlier one
+    # 95 % interval of `after`, by resampling the blocks of the test part
     interval: tuple[float, float] | None = None
+    # error over noise of the later part, of the model fitted to the earlier part; None where there is no
+    # later part of the same conditions
     later: float | None = None
+    # error over noise of programs, each predicted by a fit to all others; None where the recording names less
+    # than two
     program: float | None = None
-    agreed: float = 1.0
-    noise_known: bool = True
+    agreed: float = 1.0  # share of split seeds that chose the same
+    noise_known: bool = True  # whether the noise was declared or measured by repeats
+    # share of all that the device does that the model predicts, effects of the twin included; of gels
     explained: float = 0.0
+    # what an effect found does in conditions that were not recorded, a clause; empty where nothing
     unseen: str = ""
 
     @property
@@ -190,17 +176,12 @@ def explained(e: Evidence) -> Explained:
 
 @dataclass(frozen=True)
 class Mechanism:
-    """What one cause may be.
+    """What one cause may be."""
 
-    Attributes:
-        cause: family of the effects found.
-        ranked: families with their probabilities, the likeliest first; they sum to one.
-        features: (4,) of the logistic regression that gave them, see `WEIGHTS`.
-    """
-
-    cause: str
+    cause: str  # family of the effects found
+    # families with their probabilities, the likeliest first; they sum to one
     ranked: tuple[tuple[str, float], ...]
-    features: tuple[float, ...]
+    features: tuple[float, ...]  # (4,) of the logistic regression that gave them, see `WEIGHTS`
 
     @property
     def certain(self) -> bool:

@@ -69,30 +69,18 @@ class Study:
     """A recording of one device, and what it is good for.
 
     A sample is a row of a body's recording, or a photograph.
-
-    Attributes:
-        recording: checked.
-        seed: decides the parts and every bootstrap.
-        unit: of the error.
-        noise: error that the measurement's own noise makes; None if it is unknown.
-        parts: train fits parameters, validation decides what stays, test is used by reports only.
-        twin_effects: effects that the twin has.
-        candidates: effects to try.
-        untested: effects that this recording cannot test.
-        excluded: effects that are no part of any line or base that a search tries by itself.
-        findings: of the checks, one sentence each.
     """
 
-    recording: Recording
-    seed: int = 0
-    unit: str
-    noise: NoiseFloor | None = None
-    parts: Parts
-    twin_effects: Sequence[str] = ()
-    candidates: Sequence[str] = ()
-    untested: Sequence[Untested] = ()
-    excluded: Sequence[str] = ()
-    findings: Sequence[str] = ()
+    recording: Recording  # checked
+    seed: int = 0  # decides the parts and every bootstrap
+    unit: str  # of the error
+    noise: NoiseFloor | None = None  # error that the measurement's own noise makes; None if it is unknown
+    parts: Parts  # train fits parameters, validation decides what stays, test is used by reports only
+    twin_effects: Sequence[str] = ()  # effects that the twin has
+    candidates: Sequence[str] = ()  # effects to try
+    untested: Sequence[Untested] = ()  # effects that this recording cannot test
+    excluded: Sequence[str] = ()  # effects that are no part of any line or base that a search tries by itself
+    findings: Sequence[str] = ()  # of the checks, one sentence each
 
     @property
     def given_rows(self) -> int:
@@ -111,21 +99,13 @@ class Study:
 
 
 class EffectStudy(Study, ABC):
-    """A study in which effects can be found: of markers and angles, or of a gel's images.
+    """A study in which effects can be found: of markers and angles, or of a gel's images."""
 
-    Attributes:
-        twin: as it was given.
-        noise: as in every study, but always known.
-        more_data: what to record where there is too little.
-        repeat: what to record where nothing explains the error.
-        nothing_left: what to say where nothing needs to be recorded.
-    """
-
-    twin: Twin
-    noise: NoiseFloor
-    more_data: str
-    repeat: str
-    nothing_left: str
+    twin: Twin  # as it was given
+    noise: NoiseFloor  # as in every study, but always known
+    more_data: str  # what to record where there is too little
+    repeat: str  # what to record where nothing explains the error
+    nothing_left: str  # what to say where nothing needs to be recorded
 
     @property
     def across_trials(self) -> BlockBootstrap:

@@ -126,72 +126,47 @@ MANY = 3  # steps of each half of a fit from which on it also looks past jumps
 
 @dataclass(frozen=True)
 class InputModel:
-    """How a recording is taken to have been made; see `Inputs.from_samples`.
+    """How a recording is taken to have been made; see `Inputs.from_samples`."""
 
-    Attributes:
-        source: `command` or `measured` pressure drives the model.
-        target: `pose` or `pressure` is predicted.
-        start: of trials.
-        switch: (n,) instants at which the command steps, as a tuple; one for all; None for no steps.
-    """
-
-    source: str = "command"
-    target: str = "pose"
-    start: str | float = "held"
+    source: str = "command"  # `command` or `measured` pressure drives the model
+    target: str = "pose"  # `pose` or `pressure` is predicted
+    start: str | float = "held"  # of trials
+    # (n,) instants at which the command steps, as a tuple; one for all; None for no steps
     switch: float | tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True)
 class BodyStructure(Structure):
-    """The structure of a model.
+    """The structure of a model."""
 
-    Attributes:
-        input_model: of the recording.
-        joints: of the spine.
-        own_profile: whether bend profile, curl and directions of chambers are the device's, or the paper's.
-        trials: widths of what each trial has of its own, no part of the device: offset of outputs, as a share
-            of their range, gain of the drive, its zero, as a share of the pressure's, and its clock, s; empty
-            for none.
-    """
-
-    input_model: InputModel = InputModel()
-    joints: int = 8
+    input_model: InputModel = InputModel()  # of the recording
+    joints: int = 8  # of the spine
+    # whether bend profile, curl and directions of chambers are the device's, or the paper's
     own_profile: bool = True
+    # widths of what each trial has of its own, no part of the device: offset of outputs, as a share of their
+    # range, gain of the drive, its zero, as a share of the pressure's, and its clock, s; empty for none
     trials: tuple[float, ...] = ()
 
 
 @dataclass
 class BodyModel:
-    """A fitted model.
+    """A fitted model."""
 
-    Attributes:
-        structure: its structure.
-        pipeline: that runs it.
-        theta: (P,) all parameters.
-        free: (F,) those that were fitted.
-        v: (F,) their scaled values.
-        residual: (N, D) model - measured at the rows of the search, in the unit of the error.
-        slope: returns `jacobian`; most models of a search are never asked for it.
-        weight: (F, F) of the prior, in units of the residual's squares.
-        pull: (F,) weight times the distance from the prior's centre.
-        counted: columns that count in the error.
-        bounds: of the parameters.
-        of_trials: (trials, D + 3) offset of each output, gain, zero and clock of the drive, in their widths.
-        fitter: that fitted it; None where no instants of steps were fitted.
-    """
-
-    structure: BodyStructure
-    pipeline: Pipeline
-    theta: np.ndarray
-    free: np.ndarray
-    v: np.ndarray
-    residual: np.ndarray
+    structure: BodyStructure  # its structure
+    pipeline: Pipeline  # that runs it
+    theta: np.ndarray  # (P,) all parameters
+    free: np.ndarray  # (F,) those that were fitted
+    v: np.ndarray  # (F,) their scaled values
+    residual: np.ndarray  # (N, D) model - measured at the rows of the search, in the unit of the error
+    # returns `jacobian`; most models of a search are never asked for it
     slope: Callable[[], np.ndarray] = field(repr=False)
-    weight: np.ndarray
-    pull: np.ndarray
-    counted: int
-    bounds: Bounds = field(repr=False)
+    weight: np.ndarray  # (F, F) of the prior, in units of the residual's squares
+    pull: np.ndarray  # (F,) weight times the distance from the prior's centre
+    counted: int  # columns that count in the error
+    bounds: Bounds = field(repr=False)  # of the parameters
+    # (trials, D + 3) offset of each output, gain, zero and clock of the drive, in their widths
     of_trials: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
+    # that fitted it; None where no instants of steps were fitted
     fitter: "BodyFitter | None" = field(default=None, repr=False)
 
     @property

@@ -30,37 +30,25 @@ TRIAL_WIDTHS = ((0.01, 0.02, 0.02, 0.01), (0.04, 0.06, 0.06, 0.02))  # tried, se
 
 @dataclass
 class Searched:
-    """What was found.
+    """What was found."""
 
-    Attributes:
-        space: in which it was searched.
-        found: path and final model, of the whole device or of its body.
-        model: the final model, its base made as simple as it may be.
-        air: of the measured pressure, where there is one.
-        driven: whether the body was driven by the measured pressure.
-        terms: effects found, the most important first.
-        importance: of each, rise of the mean square error without it.
-        without: of each of the body, the model re-fitted without it.
-        chosen_in: of each, share of the votes.
-        forward: whether it holds for the later part when fitted to the earlier one.
-        later: error over noise of the later part, fitted to the earlier one; None where there is none.
-        program: the same of programs, each by a fit to all others; None where fewer than two are named.
-        unseen: what the recording does not show of an effect found, a clause; empty where nothing.
-    """
-
-    space: BodySpace
-    found: Found
-    model: Scored
-    air: Found | None = None
-    driven: bool = False
-    terms: list[str] = field(default_factory=list)
+    space: BodySpace  # in which it was searched
+    found: Found  # path and final model, of the whole device or of its body
+    model: Scored  # the final model, its base made as simple as it may be
+    air: Found | None = None  # of the measured pressure, where there is one
+    driven: bool = False  # whether the body was driven by the measured pressure
+    terms: list[str] = field(default_factory=list)  # effects found, the most important first
+    # of each, rise of the mean square error without it
     importance: dict[str, float] = field(default_factory=dict)
+    # of each of the body, the model re-fitted without it
     without: dict[str, Scored] = field(default_factory=dict)
-    chosen_in: dict[str, float] = field(default_factory=dict)
-    forward: bool = True
+    chosen_in: dict[str, float] = field(default_factory=dict)  # of each, share of the votes
+    forward: bool = True  # whether it holds for the later part when fitted to the earlier one
+    # error over noise of the later part, fitted to the earlier one; None where there is none
     later: float | None = None
+    # the same of programs, each by a fit to all others; None where fewer than two are named
     program: float | None = None
-    unseen: str = ""
+    unseen: str = ""  # what the recording does not show of an effect found, a clause; empty where nothing
 
 
 class BodySearch:

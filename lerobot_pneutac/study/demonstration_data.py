@@ -33,29 +33,17 @@ BEFORE, AFTER = 6, 8  # frames about the touches in which touch is compared
 
 @dataclass
 class EpisodeData:
-    """One episode.
+    """One episode."""
 
-    Attributes:
-        place: of its objects, by inference.
-        command_kpa: (T,) commanded.
-        pressure_kpa: (T,) measured.
-        flange_m: (T, 3) measured.
-        commanded_m: (T, 3) where the flange goes in the twin's world when commands act at once.
-        imprint: (T,) strength measured, levels.
-        area: (T,) contact area measured.
-        press_n: (T, len(MORE_RAD)) force on the gel in the twin's world.
-        contact: (T,) frames in which touch is compared.
-    """
-
-    place: Place
-    command_kpa: np.ndarray
-    pressure_kpa: np.ndarray
-    flange_m: np.ndarray
-    commanded_m: np.ndarray
-    imprint: np.ndarray
-    area: np.ndarray
-    press_n: np.ndarray
-    contact: np.ndarray
+    place: Place  # of its objects, by inference
+    command_kpa: np.ndarray  # (T,) commanded
+    pressure_kpa: np.ndarray  # (T,) measured
+    flange_m: np.ndarray  # (T, 3) measured
+    commanded_m: np.ndarray  # (T, 3) where the flange goes in the twin's world when commands act at once
+    imprint: np.ndarray  # (T,) strength measured, levels
+    area: np.ndarray  # (T,) contact area measured
+    press_n: np.ndarray  # (T, len(MORE_RAD)) force on the gel in the twin's world
+    contact: np.ndarray  # (T,) frames in which touch is compared
 
     def __len__(self) -> int:
         return len(self.command_kpa)
@@ -197,20 +185,13 @@ FAINTEST = 1e-6  # levels
 
 @dataclass(frozen=True)
 class Strength:
-    """How strong the imprints of some episodes are.
+    """How strong the imprints of some episodes are."""
 
-    Attributes:
-        log_gain: median over episodes of the logarithm of levels/N^growth.
-        error: its standard error.
-        growth: power of the force with which the imprints were taken to grow.
-        stiffness: of the twin's joints that made the forces, N m/rad.
-        light: brightness of the gel at rest, of red, green and blue, levels.
-    """
-
-    log_gain: float
-    error: float
-    growth: float
-    stiffness: float
+    log_gain: float  # median over episodes of the logarithm of levels/N^growth
+    error: float  # its standard error
+    growth: float  # power of the force with which the imprints were taken to grow
+    stiffness: float  # of the twin's joints that made the forces, N m/rad
+    # brightness of the gel at rest, of red, green and blue, levels
     light: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     @classmethod

@@ -66,21 +66,13 @@ def at_bound(gel: GelModel, effects: Sequence[str]) -> list[str]:
 
 @dataclass(kw_only=True)
 class FittedGel(FittedModel):
-    """Light and effects fitted to photographs; `residual` (n, 1) is each one's error, unseen by its fit.
+    """Light and effects fitted to photographs; `residual` (n, 1) is each one's error, unseen by its fit."""
 
-    Attributes:
-        structure: its structure, effects sorted.
-        fit: what was fitted to all photographs outside the test part.
-        gels: n gels, each fitted without the fold of its photograph.
-        seen: (n,) mean square errors of `fit`, levels^2.
-        contact: (n,) as the squares of `residual`, in the contact region.
-    """
-
-    structure: Structure
-    fit: GelFit
-    gels: list[GelModel]
-    seen: np.ndarray
-    contact: np.ndarray
+    structure: Structure  # its structure, effects sorted
+    fit: GelFit  # what was fitted to all photographs outside the test part
+    gels: list[GelModel]  # n gels, each fitted without the fold of its photograph
+    seen: np.ndarray  # (n,) mean square errors of `fit`, levels^2
+    contact: np.ndarray  # (n,) as the squares of `residual`, in the contact region
 
     @property
     def values(self) -> GelModel:

@@ -22,21 +22,13 @@ from pneutac_sim.twin import Twin, Value
 
 @dataclass(frozen=True)
 class Modulus:
-    """A gel's modulus from presses.
+    """A gel's modulus from presses."""
 
-    Attributes:
-        value_mpa: the modulus.
-        ci95: its 95 % interval, by Student's t over presses; None of one press.
-        presses: how many have a force.
-        off: relative error of the law's forces on them, root mean square.
-        heldout: the same of presses that were not fitted; None where there are none.
-    """
-
-    value_mpa: float
-    ci95: tuple[float, float] | None
-    presses: int
-    off: float
-    heldout: float | None
+    value_mpa: float  # the modulus
+    ci95: tuple[float, float] | None  # its 95 % interval, by Student's t over presses; None of one press
+    presses: int  # how many have a force
+    off: float  # relative error of the law's forces on them, root mean square
+    heldout: float | None  # the same of presses that were not fitted; None where there are none
 
     def parameter(self) -> dict[str, dict]:
         return {MODULUS: {"value": self.value_mpa, "ci95": self.ci95, "unit": "MPa"}}

@@ -25,17 +25,11 @@ from pneutac_sim.gel.sensor import Earlier, branches_of
 
 @dataclass(frozen=True)
 class PressChoice:
-    """One press, and its expected information.
+    """One press, and its expected information."""
 
-    Attributes:
-        press: which indenter, where and how deep.
-        rivals: nats about which candidate is true.
-        images: what each candidate predicts, uint8 (H, W, 3).
-    """
-
-    press: Press
-    rivals: float
-    images: tuple[np.ndarray, ...]
+    press: Press  # which indenter, where and how deep
+    rivals: float  # nats about which candidate is true
+    images: tuple[np.ndarray, ...]  # what each candidate predicts, uint8 (H, W, 3)
 
 
 def weighed(found: Found) -> list[Scored]:
@@ -89,27 +83,16 @@ SHORT_S = 2.0  # the second press
 
 @dataclass(frozen=True)
 class HeldChoice:
-    """A long press, and a short one after it that is photographed.
+    """A long press, and a short one after it that is photographed."""
 
-    Attributes:
-        first: held for `hold_s`, then lifted.
-        hold_s: how long.
-        wait_s: from its release to the second press.
-        press: the second, as far from the first as the window allows, photographed after `SHORT_S`.
-        share: of the first that is left in the photograph.
-        levels: root mean square that it changes where the first was.
-        rivals: nats about whether the gel creeps.
-        assumed: whether the creep is the effect's default, as no candidate model has one.
-    """
-
-    first: Press
-    hold_s: float
-    wait_s: float
-    press: Press
-    share: float
-    levels: float
-    rivals: float
-    assumed: bool
+    first: Press  # held for `hold_s`, then lifted
+    hold_s: float  # how long
+    wait_s: float  # from its release to the second press
+    press: Press  # the second, as far from the first as the window allows, photographed after `SHORT_S`
+    share: float  # of the first that is left in the photograph
+    levels: float  # root mean square that it changes where the first was
+    rivals: float  # nats about whether the gel creeps
+    assumed: bool  # whether the creep is the effect's default, as no candidate model has one
 
     @property
     def seen(self) -> bool:

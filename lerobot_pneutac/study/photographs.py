@@ -23,31 +23,18 @@ from pneutac_sim.splat.camera import Camera
 
 @dataclass(frozen=True, eq=False)
 class PhotoStudy(Study):
-    """Photographs of a body at rest under T pressures; they fit the base model and show no effect.
+    """Photographs of a body at rest under T pressures; they fit the base model and show no effect."""
 
-    Attributes:
-        recording: of a finger or an arm.
-        parts: fitted photographs train, those at other pressures test.
-        pressures: (T, chambers) kPa, without repetition.
-        train: (T,) bool; the others are held out.
-        cameras: names of those that are fitted, then of the others.
-        fitted: how many.
-        photographs: of all rows and fitted cameras; `state` counts `pressures`.
-        markers_mm: (T, 3) mean tip at each pressure, if recorded: to bootstrap, never to fit.
-        conditions: means of the other columns that are numbers.
-        findings: where masks were found by segmentation, a sentence for each camera.
-    """
-
-    recording: Recording
-    parts: Parts
-    pressures: np.ndarray
-    train: np.ndarray
-    cameras: list[str]
-    fitted: int
-    photographs: list[MaskedPhotograph]
-    markers_mm: np.ndarray | None
-    conditions: dict[str, float]
-    findings: tuple[str, ...] = ()
+    recording: Recording  # of a finger or an arm
+    parts: Parts  # fitted photographs train, those at other pressures test
+    pressures: np.ndarray  # (T, chambers) kPa, without repetition
+    train: np.ndarray  # (T,) bool; the others are held out
+    cameras: list[str]  # names of those that are fitted, then of the others
+    fitted: int  # how many
+    photographs: list[MaskedPhotograph]  # of all rows and fitted cameras; `state` counts `pressures`
+    markers_mm: np.ndarray | None  # (T, 3) mean tip at each pressure, if recorded: to bootstrap, never to fit
+    conditions: dict[str, float]  # means of the other columns that are numbers
+    findings: tuple[str, ...] = ()  # where masks were found by segmentation, a sentence for each camera
 
     unit = "8-bit levels"
 
