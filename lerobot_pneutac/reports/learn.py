@@ -58,7 +58,7 @@ def pressure_traces(time_s: np.ndarray, pressure_kpa: np.ndarray) -> list[go.Sca
     ]  # fmt: skip
 
 
-PREDICTED = "foreseen.csv"  # in a round's folder: its program as predicted and as measured
+PREDICTED = "predicted.csv"  # in a round's folder: its program as predicted and as measured
 
 
 def learn_page(learning) -> Report:
@@ -84,8 +84,8 @@ def _as_measured(table: pd.DataFrame) -> go.Figure:
     """Prediction and measurement of the column that moves most."""
     names = [c.removesuffix(" measured") for c in table if c.endswith(" measured")]
     name = max(names, key=lambda n: np.ptp(table[f"{n} measured"]))
-    kinds = (("predicted", "foreseen", MODEL), ("measured", "measured", MEASURED))
-    lines = ((label, table["time_s"], table[f"{name} {kind}"], colour) for label, kind, colour in kinds)
+    kinds = (("predicted", MODEL), ("measured", MEASURED))
+    lines = ((kind, table["time_s"], table[f"{name} {kind}"], colour) for kind, colour in kinds)
     return curves(lines, "time, s", name)
 
 

@@ -145,7 +145,7 @@ class Learning(Result):
         for r in self.rounds:
             found = "; ".join(f"{plain_name(e)}{'*' * (e in r.confirmed_by)}" for e in r.selected)
             row = {"round": r.number, "program": r.program, "s": f"{r.seconds:.0f}"}
-            row |= {"foreseen": number(r.predicted_error), "as given": number(r.bare_error)}
+            row |= {"predicted": number(r.predicted_error), "as given": number(r.bare_error)}
             row |= {f"after, {r.unit}": number(r.error), "noise": number(r.noise), "found": found or "-"}
             right = "" if r.likely_right is None else f"{100 * r.likely_right:.0f} %"
             rows.append(row | {"right": right, "verdict": r.verdict})
@@ -426,7 +426,7 @@ class Rounds:
         columns = ["time_s", *everything.pressure_columns]
         table = everything.samples.iloc[rows][columns].reset_index(drop=True)
         for i, name in enumerate(names):
-            table[f"{name} foreseen"], table[f"{name} measured"] = seen[:, i], measured[:, i]
+            table[f"{name} predicted"], table[f"{name} measured"] = seen[:, i], measured[:, i]
         with whole(folder / PREDICTED) as part:
             table.to_csv(part, index=False, float_format="%.6g")
         errors = [error_of(c.twin, everything, rows) for c in candidates]

@@ -70,7 +70,7 @@ REFUSED = (
     ("surrogate", "--twin=finger --trajectories=5", "trajectories=5 are too few to train on; give 6 or more"),
     ("surrogate", "--twin=finger --contacts=8", "contacts=8 are too few to train on, .* give 9 or more"),
     ("surrogate", "--twin=finger --device=tpu", "device is 'tpu'; it must be one of auto, cpu, cuda"),
-    ("surrogate", "--twin=finger --fresh --seconds=0", r"duration_s is 0.0; it must lie in \[0.02, 600\]"),
+    ("surrogate", "--twin=finger --fresh --seconds=0", r"seconds is 0.0; it must lie in \[0.02, 600\]"),
     ("augment", PLANNER + "--task=bottle", "^task is 'bottle'; it must be one of switch, egg, card"),
     ("augment", AUGMENT + "--method=magic", "^method is 'magic'; it must be one of library, expert, planner"),
     ("augment", PLANNER + "--episodes=0", "^episodes is 0; it must be 1 or more"),
