@@ -16,7 +16,7 @@ from lerobot_pneutac.diagnosis.design import NO_HANDS, Choice, Limits, choices
 from lerobot_pneutac.diagnosis.experiment import predict, read
 from lerobot_pneutac.diagnosis.hands import GRAVITY, Hands, instructions, named
 from lerobot_pneutac.diagnosis.programs import first_program
-from lerobot_pneutac.diagnosis.result import Candidate
+from lerobot_pneutac.diagnosis.result import Candidate, family_in
 from lerobot_pneutac.diagnosis.thresholds import NOISE
 from lerobot_pneutac.reports.learn import PREDICTED, learn_page
 from lerobot_pneutac.reports.page import Report
@@ -141,9 +141,13 @@ class Learning(Result):
         def number(x: float | None) -> str:
             return "" if x is None else f"{x:.3g}"
 
+        def kind(effect: str) -> str:
+            known = effect in self.twin.effects
+            return (family_in(self.twin, effect) if known else family(effect)).replace("_", " ")
+
         rows = []
         for r in self.rounds:
-            found = "; ".join(f"{plain_name(e)}{'*' * (e in r.confirmed_by)}" for e in r.selected)
+            found = ", ".join(dict.fromkeys(f"{kind(e)}{'*' * (e in r.confirmed_by)}" for e in r.selected))
             row = {"round": r.number, "program": r.program, "s": f"{r.seconds:.0f}"}
             row |= {"predicted": number(r.predicted_error), "as given": number(r.bare_error)}
             row |= {f"after, {r.unit}": number(r.error), "noise": number(r.noise), "found": found or "-"}
