@@ -73,7 +73,8 @@ def show(result, console: Console, sentence: bool = True) -> None:
             text = Text.from_markup(remark)
         except MarkupError:  # a name in it that looks like markup
             text = Text(remark)
-        console.print(text, highlight=False)
+        # a command stays on one line, so that it can be copied
+        console.print(text, highlight=False, soft_wrap="pneutac " in remark)
 
 
 @contextmanager

@@ -30,7 +30,7 @@ class Confidence(StrEnum):
 
 
 MEANING = {
-    Confidence.CONFIRMED: "What remains is noise, every check passed and no other effect fits as well.",
+    Confidence.CONFIRMED: "What remains is noise, and every check passed.",
     Confidence.LIKELY: "The improvement is significant. A warning or a probability says what is open.",
     Confidence.UNNAMED: "Something like this is missing. Which equation describes it is open.",
     Confidence.INCONCLUSIVE: "This recording does not decide what is missing.",
@@ -126,8 +126,9 @@ def state_of(study: EffectStudy, outcome: Outcome) -> State:
     order = [c.name for c in sorted(o.contributions, key=lambda c: -c.drop[0])]
     named = [n for n in dict.fromkeys([*order, *o.selected, *o.known]) if n in o.selected or n in o.known]
     alone = {t.name: t.heldout for t in o.tested if t.reduction is not None}
-    best = min((x for n, x in alone.items() if n in o.selected), default=None)
-    lower = [n for n, x in alone.items() if n not in o.selected and best is not None and x < best]
+    # of causes that were not tried alone, such as a second term of a law, all together count
+    best = min((x for n, x in alone.items() if n in o.selected), default=after)
+    lower = [n for n, x in alone.items() if n not in o.selected and o.selected and x < best]
     confusable = study.confusable_with(o.selected)
     return State(
         device=study.recording.device,
@@ -337,7 +338,7 @@ def alternatives(s: State) -> str:
     if s.rivals:
         return " ".join(_as_well(s))
     if s.lower:
-        lower = f"By itself {joined(s.lower)} reaches a slightly lower test error than any cause by itself"
+        lower = f"By itself {joined(s.lower)} reaches a slightly lower test error than the causes found"
         return f"{lower}. The choice was made by cross-validation on other blocks."
     return "No other effect that was tried alone has a test error as low."
 

@@ -61,10 +61,10 @@ class AugmentConfig(ExecutorOptions):
     # the task in front of the robot, such as `switch`; if omitted, the one that the demonstrations'
     # instruction names
     task: str = ""
-    # `library` (a controller made of the demonstrations, which starts anywhere and finds the object by
-    # touch), `expert` (the scripted controller that the task brings), `planner` (each is planned, guided by
-    # one demonstration's touch; `tactile` is its former name), or `naive` (varied without a simulator; looks
-    # at dataset, output, episodes and seed alone)
+    # `library` (a controller made of the demonstrations, which starts near recorded starts and finds the
+    # object by touch), `expert` (the scripted controller that the task brings), `planner` (each is planned,
+    # guided by one demonstration's touch; `tactile` is its former name), or `naive` (varied without a
+    # simulator; looks at dataset, output, episodes and seed alone)
     method: str = "library"
     episodes: int = 100  # number of new demonstrations
     seed: int = 0  # seed of every random choice
@@ -323,7 +323,7 @@ def augment(
 
 
 def command(config: AugmentConfig, terminal: Terminal) -> None:
-    """Generates many demonstrations from a few, planned on the twin and guided by touch."""
+    """Generates many demonstrations from a few, carried out on the twin and guided by touch."""
     with terminal.progress() as progress:
         result = augment(config, progress, terminal.note)
     terminal.finish(result, config.out)

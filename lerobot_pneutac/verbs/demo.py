@@ -87,7 +87,7 @@ class QuickResult(Result):
 
     out: Path  # its folder
     state: dict  # stage name to its numbers, seconds and commands
-    heading = "A twin learns what its finger lacked"
+    heading = "A twin learns what it lacked of its finger"
     measured: ClassVar = "monday"  # folder of the recording that it was fitted to
 
     @property
@@ -128,7 +128,7 @@ class QuickResult(Result):
 class DemoResult(QuickResult):
     """What the whole demo came to."""
 
-    heading = "A twin learns what its finger lacked, and a policy pulls a card"
+    heading = "A twin learns what it lacked of its finger, and a policy pulls a card"
     measured: ClassVar = "bench/finger"
 
     @property

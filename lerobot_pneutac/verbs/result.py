@@ -236,7 +236,7 @@ class Calibration(Result):
         if before is None or heldout is None or heldout <= WORSE * before:
             return ""
         both = f"the fit misses by {heldout:.3g} {self.unit}, and {what} by {before:.3g}"
-        check = "`pneutac check` shows what is wrong with the recording"
+        check = "if the recording is to blame, `pneutac check` lists its faults"
         return f"Nothing was stored: on held-out samples {both}; {check}."
 
     def save(self, folder: str | Path) -> Self:
