@@ -177,6 +177,12 @@ def command(config: NewConfig, terminal: Terminal) -> None:
     if converted and not (recording.length_mm or config.length_mm):
         raise InputError(f"Give --length_mm: {config.recording} does not state the length of the device.")
     device = config.device or (recording.device if recording else "finger")
+    known_mm = recording.length_mm if recording is not None else None
+    if known_mm and config.length_mm and not 0.5 <= config.length_mm / known_mm <= 2.0:
+        raise InputError(
+            f"--length_mm is {config.length_mm:g}, but {config.recording} is of {an(device)} of about "
+            f"{known_mm:g} mm; correct one of them."
+        )
     how = (device, recording, config.mesh_unit, config.mesh_axis)
     body = None if config.mesh is None else read_body(config.mesh, *how)
     twin = new_twin(device, recording, config.length_mm, body)

@@ -117,6 +117,7 @@ REFUSED = (
     ("calibrate", "--twin=other --recording=presses", "something else"),
     ("new", "--twin=finger --device=finger", "already holds a twin"),
     ("new", "--twin=o --mesh_unit=m", "mesh_unit and mesh_axis are of a --mesh=FILE"),
+    ("new", "--twin=o --recording=bench --length_mm=11", "^--length_mm is 11, but bench is of a finger"),
     ("new", "--twin=o --length_mm=-5", "^length_mm is -5; give 1 to 1000 mm"),
     ("new", "--twin=o --length_mm=abc", "^--length_mm must be a number.$"),
     ("new", "--twin=o --recording=shown", "^shown holds demonstrations; give a bench recording"),
