@@ -267,6 +267,7 @@ def test_a_killed_benchmark_goes_on_to_all_conditions(tmp_path):
         assert cell["switch"]["mean"] == 100.0 * trial["success"]
     lacking = {"student", "ppo_policy", "ppo_trials_000"}
     lacking |= {f"{name}_{what}" for name in few for what in ("policy", "trials_000")}
+    lacking |= {f"{name}_films" for name in (*few, "ppo")}
     assert set(result["failures"]) == {f"switch/0/{name}" for name in lacking}
     assert "succeeded in 0 of" in result["failures"]["switch/0/student"]
     assert result["units"]["switch/0/real_20_policy"]["unit"]["options"]["episodes"] == 4
