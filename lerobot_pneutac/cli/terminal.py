@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from textwrap import shorten
 
 from rich import progress as bars
 from rich.box import SIMPLE_HEAD
@@ -20,6 +21,7 @@ from rich.text import Text
 from lerobot_pneutac.reports.page import cell
 from pneutac_sim.errors import printable
 
+BAR = 12  # characters of the bar
 LINE_S = 10.0  # between two lines of progress where there is no bar
 
 
@@ -50,6 +52,8 @@ class Terminal:
         self.show(result, sentence)
         if path is not None:
             self.say(f"report: {path}")
+        if following := result.next_step(out, self._line):
+            self.say(f"[bold]Do next:[/] {escape(printable(following))}", markup=True)
 
     def show(self, result, sentence: bool = True) -> None:
         show(result, self.console, sentence)
@@ -83,13 +87,16 @@ def progress_bar(console: Console) -> Iterator[Callable[[str, int, int], None]]:
     if not console.is_terminal:
         yield _lines(Console(stderr=True) if console.file is sys.stdout else console)
         return
-    columns = "{task.description}", bars.BarColumn(), bars.MofNCompleteColumn()
+    columns = "{task.description}", bars.BarColumn(BAR), bars.MofNCompleteColumn()
     times = bars.TimeElapsedColumn(), bars.TimeRemainingColumn()
+    room = max(12, console.width - BAR - 36)  # beside bar, numbers and times
     with Progress(*columns, *times, console=console, transient=True) as bar:
         task = bar.add_task("starting", total=1)
 
         def progress(text: str, done: int, total: int) -> None:
-            bar.update(task, description=text[:48], completed=done, total=max(total, 1))
+            bar.update(
+                task, description=shorten(text, room, placeholder=" ..."), completed=done, total=max(total, 1)
+            )
 
         yield progress
 

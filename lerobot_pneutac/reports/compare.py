@@ -21,11 +21,11 @@ def comparison_page(c) -> Report:
     report = c.lead_page()
     unit = c.unit
     fitted = c.train_samples.any()
-    parts = (("held out", "heldout"), ("training", "train")) if fitted else ()
+    parts = (("test", "heldout"), ("training", "train")) if fitted else ()
     rows = [{"part": part, f"error, {unit}": c.error[key]} for part, key in (*parts, ("all rows", "all"))]
     rows.append({"part": "noise", f"error, {unit}": c.noise.value if c.noise.value else "unknown"})
     caption = f"Root mean square distance, simulated {c.simulated}. Noise: {c.noise.how}."
-    caption += " The held-out part is made of whole blocks of time." if fitted else ""
+    caption += " The test part is made of whole blocks of time." if fitted else ""
     caption += f" Inside the 95 % band: {c.inside_band}." if c.coverage is not None else ""
     report.table(rows, caption)
     if c.out_of_range is not None:
@@ -35,7 +35,7 @@ def comparison_page(c) -> Report:
     report.heading("Over time")
     caption = "Measured and modelled; the worst passages are shaded."
     if c.coverage is not None:
-        caption += f" In green the 95 % band{' of the held-out part' if fitted else ''}."
+        caption += f" In green the 95 % band{' of the test part' if fitted else ''}."
     report.figure(over_time(c), caption, 130 + 150 * c.counted)
     if c.coverage is not None:
         caption = f"Measured minus modelled. Inside the band lie {c.inside_band}."
@@ -88,9 +88,9 @@ def _heldout(c) -> list[np.ndarray]:
 
 
 def _add_band(figure: go.Figure, c, i: int, t: np.ndarray, centre: np.ndarray) -> None:
-    """The band of column `i` about `centre` (n,), a closed shape for each held-out stretch."""
+    """The band of column `i` about `centre` (n,), a closed shape for each stretch of the test part."""
     low, high = centre - c.band.half[:, i], centre + c.band.half[:, i]
-    parts, name = _thinned(_heldout(c), centre), "95 % band" + ", held out" * bool(c.train_samples.any())
+    parts, name = _thinned(_heldout(c), centre), "95 % band" + ", test" * bool(c.train_samples.any())
     x = _line([np.append(t[p], t[p[::-1]]) for p in parts], 3)
     y = _line([np.append(high[p], low[p[::-1]]) for p in parts], 4)
     look = {"mode": "lines", "fill": "toself", "fillcolor": C.BAND, "line": {"width": 0}, "hoverinfo": "skip"}
@@ -185,7 +185,7 @@ def heat_map(c) -> go.Figure:
 
 
 def by_condition(by: dict[str, list[dict]], c) -> go.Figure:
-    kinds = (("error", C.TRAIN, "all"), ("heldout", C.HELDOUT, "held out"))[: 1 + c.train_samples.any()]
+    kinds = (("error", C.TRAIN, "all"), ("heldout", C.HELDOUT, "test"))[: 1 + c.train_samples.any()]
     panels = {
         _title(axis): [([b["value"] for b in bins], [b[k] for b in bins], *kind) for k, *kind in kinds]
         for axis, bins in by.items()
@@ -214,16 +214,16 @@ def residuals(c) -> go.Figure:
 
 def ladder(c) -> go.Figure:
     known = [e for e in c.history if e["unit"] == c.unit]
-    figure = history([e for e in known if e["heldout"] is not None or e["train"] is not None], c.unit)
+    figure = history_figure([e for e in known if e["heldout"] is not None or e["train"] is not None], c.unit)
     if c.noise_floor:
         figure.add_hline(y=c.noise_floor, line={"color": C.FLOOR, "dash": "dash"}, annotation_text="noise")
     return figure
 
 
-def history(entries: list[dict], unit: str) -> go.Figure:
+def history_figure(entries: list[dict], unit: str) -> go.Figure:
     x = [f"{e['version']}: {e['change']}" for e in entries]
     style = {"width": 2.5, "shape": "hv"}
-    kinds = (("train", "train", C.TRAIN), ("held out", "heldout", C.HELDOUT))
+    kinds = (("training", "train", C.TRAIN), ("test", "heldout", C.HELDOUT))
     lines = [(n, x, [e[k] for e in entries], style | {"color": colour}) for n, k, colour in kinds]
     figure = curves(lines, "", unit, mode="lines+markers", marker={"size": 9})
     return figure.update_yaxes(rangemode="tozero")

@@ -39,8 +39,6 @@ def diagnosis_page(d, separation: Separation | None) -> Report:
     page.text(f"{meaning(d.state)} {evidence(d.state)}")
     page.bullets("Warnings", d.warnings)
     page.next_here()
-    if not d.next_command:
-        page.text(f"**Do next.** {d.do_next}")
     if seen := physics(study, o):
         page.heading("The physics")
         page.figure(*seen, 380)

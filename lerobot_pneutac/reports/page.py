@@ -52,13 +52,15 @@ class Report:
             self.text("\n\n".join(findings))
 
     def next_here(self) -> None:
-        """The place of the next command, if there is one; without it that is the end of the page."""
+        """The place of the next step, if there is one; without it that is the end of the page."""
         self._next_at = len(self._sections)
 
-    def next_command(self, command: str) -> None:
+    def next_step(self, text: str) -> None:
+        """What to do next, a command or a sentence; empty for nothing."""
         at = len(self._sections) if self._next_at is None else self._next_at
-        kind, title = ("heading", "Next") if self._next_at is None else ("text", "**Do next**")
-        self._sections[at:at] = [{"kind": kind, "text": title}, {"kind": "code", "text": command}]
+        kind = "code" if text.startswith(("pneutac", "lerobot")) else "text"
+        new = [{"kind": "heading", "text": "Do next"}, {"kind": kind, "text": text}]
+        self._sections[at:at] = new if text else []
 
     def code(self, text: str) -> None:
         self._add("code", text.strip())
@@ -213,6 +215,6 @@ FLOOR = "#e0a100"  # the noise
 COMMAND = OTHER = "#9aa5b1"
 SHADE = "rgba(155, 177, 196, 0.35)"  # behind the worst passages
 CHAMBERS = (AFTER, FLOOR, MODEL)  # of one chamber the first
-BAND = "rgba(42, 157, 143, 0.3)"  # of held-out samples
+BAND = "rgba(42, 157, 143, 0.3)"  # of the test part
 WHISKER = "#333333"  # of intervals
 SERIES = (AFTER, "#c2410c", "#15803d", "#7e22ce")  # of things without a meaning of their own

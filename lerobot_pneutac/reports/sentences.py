@@ -295,7 +295,7 @@ def warnings(s: State) -> list[str]:
         if s.kind is Kind.CAUSES and not s.at_noise and s.noise and not s.objections:
             out.append(f"The error that remains is {s.rest / s.noise:.2g} times the noise.")
         out += _as_well(s)
-        if s.black_box:
+        if s.black_box and not any("black box" in o for o in s.objections):
             share = f"{100 * s.black_box:.0f} %"
             out.append(f"A black box predicts {share} of the remaining error from the inputs.")
         if s.agreed is not None and s.agreed < AGREED:

@@ -12,6 +12,7 @@ from lerobot_pneutac.verbs.benches import save_choice
 from lerobot_pneutac.verbs.compare import compare
 from lerobot_pneutac.verbs.design import Design, design
 from lerobot_pneutac.verbs.diagnose import diagnose
+from lerobot_pneutac.verbs.history import report
 from pneutac_datasets.recording.noise import noise_text
 from pneutac_datasets.recording.recording import joined
 from pneutac_sim.errors import InputError
@@ -218,7 +219,7 @@ class FindPage(Background):
         if c is None:
             self.error.content = "How far is the twin from the recording?"
             return
-        name, value = ("Held-out error", c.heldout) if c.heldout is not None else ("Error", c.train)
+        name, value = ("Test error", c.heldout) if c.heldout is not None else ("Error", c.train)
         self.error.content = f"**{name} {value:.3g} {c.unit}** (noise {noise_text(c.noise_floor)} {c.unit})"
 
     def _show_diagnosis(self) -> None:
@@ -252,9 +253,7 @@ class FindPage(Background):
         session = self._studio.session
         newest = session.twin if session.version is None else None
         if newest is not None:
-            names = ("version", "change", "heldout", "unit")
-            rows = [{k: e.get(k) for k in names} for e in newest.history]
-            self.history.content = table(rows) or "Nothing was changed yet."
+            self.history.content = table(report(newest).rows()) or "Nothing was changed yet."
             self._version.options = (NEWEST, *(f"{e['version']}: {e['change']}" for e in newest.history[:-1]))
             self._version.value = NEWEST
         self._back.visible = session.version is not None

@@ -196,7 +196,7 @@ class MeasurementPage(Background):
     def _describe(self, i: int) -> str:
         c = self._c
         trial, own = int(c.recording.column("trial")[i]), float(c.recording.column("time_s")[i])
-        heldout = "" if c.heldout is None else f"; held out {c.heldout:.3g} {c.unit} in all"
+        heldout = "" if c.heldout is None else f"; test error {c.heldout:.3g} {c.unit} in all"
         off = f"**Off by {self._error[i]:.2f} {c.unit}** in trial {trial} at {own:.2f} s{heldout}."
         both = f"measured {c.measured[i, self._main]:.2f}, model {c.model[i, self._main]:.2f}"
         kpa = " / ".join(f"{p:.1f}" for p in self._pressure[i])

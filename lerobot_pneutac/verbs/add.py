@@ -17,7 +17,7 @@ from lerobot_pneutac.reports.sentences import hedged, percent
 from lerobot_pneutac.study import study_of
 from lerobot_pneutac.study.pair import load_pair, same_body
 from lerobot_pneutac.verbs.diagnose import Diagnosis, read_found
-from lerobot_pneutac.verbs.result import Result, command_on
+from lerobot_pneutac.verbs.result import ANOTHER_DAY, Result, command_on
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import joined
@@ -131,12 +131,12 @@ class Addition(Result):
 
     @property
     def next_command(self) -> str:
-        """To see where it still fails; where the effect was refused, what is missing."""
-        if self.accepted and not self.saved_to:
-            return ""  # the folder still has the twin without it
-        if self.instead and not self.accepted:
+        """To test it on another day; where the effect was refused, what is missing."""
+        if self.accepted:  # unless it is saved, the folder still has the twin without it
+            return command_on("compare", self.twin, ANOTHER_DAY) if self.saved_to else ""
+        if self.instead:
             return command_on("add", self.twin, self.recording, f"--effect={self.instead}")
-        return command_on("compare" if self.accepted else "diagnose", self.twin, self.recording)
+        return command_on("diagnose", self.twin, self.recording)
 
     def remarks(self) -> list[str]:
         out = []
@@ -153,6 +153,8 @@ class Addition(Result):
             out.append(f"[yellow]warnings of the diagnosis:[/] {'; '.join(self.objections)}")
         if self.saved_to:
             out.append(f"wrote version {self.twin.history[-1]['version']} of {self.saved_to}")
+        if self.accepted:
+            out.append("Whether it holds is shown by another day's recording, to which nothing was fitted.")
         bench = [h["recording"] for h in self.twin.history if h["change"] == "calibrated"]
         if self.accepted and bench and "touch" in (self.after or {}):
             refit = f"`{command_on('calibrate', self.twin, bench[-1])}`"

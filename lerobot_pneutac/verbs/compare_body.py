@@ -170,7 +170,7 @@ class BodyComparison(Comparison):
 
     @cached_property
     def coverage(self) -> float | None:
-        """Share of the held-out values inside their 95 % band."""
+        """Share of the test part's values inside their 95 % band."""
         if self.band is None or self.train_samples.all():
             return None
         left = (self.measured - self.model)[~self.train_samples, : self.counted]
@@ -224,7 +224,7 @@ class BodyComparison(Comparison):
     @property
     def inside_band(self) -> str:
         """The coverage, which must not be None, in words."""
-        share = f"{100 * self.coverage:.0f} % of the {'' if self.train is None else 'held-out '}values"
+        share = f"{100 * self.coverage:.0f} % of the {'' if self.train is None else 'test '}values"
         return f"{share}; about 95 % is expected, less means that the twin's intervals are too narrow"
 
     @property
@@ -243,14 +243,14 @@ class BodyComparison(Comparison):
         if self.train is None:
             rows.append(("error, all rows", number(self.heldout)))
         else:
-            rows += [("held-out error", number(self.heldout)), ("training error", number(self.train))]
+            rows += [("test error", number(self.heldout)), ("training error", number(self.train))]
         value, how = self.noise.value, self.noise.how
         rows.append(("noise floor", how if value is None else f"{number(value)} ({how})"))
         if self.coverage is not None:
             rows.append(("inside the 95 % band", self.inside_band))
         if self.pressure_error:
             e = self.pressure_error["heldout"]
-            part = "" if self.train is None else ", held out"
+            part = "" if self.train is None else ", test"
             rows.append((f"pressure error{part}", "-" if e is None else f"{e:.3g} kPa"))
         for p in self.worst[:3]:
             where = f"trial {p['trial']}, {p['from_s']:.1f} to {p['to_s']:.1f} s"
@@ -259,7 +259,7 @@ class BodyComparison(Comparison):
             rows.append(("out of the network's range", f"{100 * self.out_of_range:.2g}% of samples"))
         for v in self.history:
             error = "-" if v["heldout"] is None else f"{v['heldout']:.3g} {v['unit'] or ''}"
-            rows.append((f"version {v['version']}", f"{v['change']}: held out {error}"))
+            rows.append((f"version {v['version']}", f"{v['change']}: test error {error}"))
         return [{"": name, "value": value} for name, value in rows]
 
     def content(self) -> dict:
@@ -325,7 +325,7 @@ def train_mask(twin: Twin, recording: Recording) -> np.ndarray:
 
 
 def by_axis(axis: Axis, squared: np.ndarray, train: np.ndarray) -> list[dict]:
-    """One row a bin: error, held-out error, number of samples and share of all squared error."""
+    """One row a bin: error, test error, number of samples and share of all squared error."""
     total = max(float(squared.sum()), 1e-300)
     rows = []
     for i, label in enumerate(axis.labels):

@@ -138,7 +138,7 @@ class DemonstrationComparison(Comparison):
         most = {"arm": "where the arm goes", "gauge": "its pressure", "touch": "its touch"}[channel]
         misses = f"the twin misses the demonstrations by {self.error['heldout']:.3g} {UNIT}"
         where = f"most in {most} and in the phase '{phase}'"
-        return f"Replayed in its world, {misses} on held-out episodes, {where}."
+        return f"Replayed in its world, {misses} on test episodes, {where}."
 
     def rows(self) -> list[dict]:
         name = f"{UNIT} (noise {self.noise_floor:.3g})"
@@ -293,7 +293,7 @@ class LightCalibration(Calibration):
     """A twin whose gel is lit at rest as in demonstrations."""
 
     light: LightDrift  # how the light had changed since the twin was made
-    before: float  # error of the twin's own rest image on the held-out episodes, levels
+    before: float  # error of the twin's own rest image on the test episodes, levels
     task: str
     dragging: Dragging | None = None  # how imprints turned where the finger was dragged sideways; None if not
     dragged_before: Dragging | None = None  # the same as the twin knew it
@@ -306,7 +306,7 @@ class LightCalibration(Calibration):
             return f"{self.light.sentence} The rest image is unchanged: it is {self.before:.2f} levels off."
         light, now = self.light.sentence.split(";")[0].rstrip("."), f"{self.error['heldout']:.2f}"
         off = f"the twin's own rest image is {self.before:.2f} levels off, the new one {now}"
-        return f"{light}. On rest frames of held-out episodes {off}."
+        return f"{light}. On rest frames of test episodes {off}."
 
     def rows(self) -> list[dict]:
         parts = zip(COLOURS, self.light.gain, self.light.levels, strict=True)

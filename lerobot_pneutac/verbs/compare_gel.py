@@ -92,7 +92,7 @@ class GelComparison(Comparison):
 
     @property
     def touch_error(self) -> dict | None:
-        """Root mean square error of depth and median distance of place, read from held-out images, mm."""
+        """Root mean square error of depth and median distance of place, read from test images, mm."""
         rows = [self.touch[i] for i in self.data.heldout if self.touch[i]["depth_mm"] > 0]
         if not rows:
             return None
@@ -135,7 +135,7 @@ class GelComparison(Comparison):
             depth, place, n = self.touch_error.values()
             page.heading("Touch read back from the images")
             off = f"off by {depth:.2f} mm and the contact's centre by {place:.2f} mm"
-            page.text(f"On {n} held-out images the depth is {off} (root mean square, median).")
+            page.text(f"On {n} test images the depth is {off} (root mean square, median).")
             page.table(self.touch, "By image; 0 mm deep where no contact was found.")
         return page
 

@@ -1,6 +1,5 @@
 """Pressure commands for a wanted bend, and how well the finger followed them."""
 
-import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
@@ -12,7 +11,7 @@ from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.reports.figures import stacked
 from lerobot_pneutac.reports.page import HELDOUT, MEASURED, MODEL, TRAIN, Report
 from lerobot_pneutac.study.pair import same_body
-from lerobot_pneutac.verbs.result import Result
+from lerobot_pneutac.verbs.result import Result, drive_command
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole
@@ -71,10 +70,8 @@ class Control(Result):
         kinds = (("by the twin", self.expected_error_rad), ("measured", self.error_rad))
         return [{"bend": n, "error, mrad": f"{1e3 * e:.1f}"} for n, e in kinds if e is not None]
 
-    def next_after(self, out: Path) -> str:
-        if self.recording:
-            return ""
-        return shlex.join(["pneutac", "measure", f"--program={out}/program.csv", f"--out={out}/recording"])
+    def next_after(self, out: Path | None) -> str:
+        return "" if self.recording else drive_command(out)
 
     def page(self) -> Report:
         page = self.lead_page()

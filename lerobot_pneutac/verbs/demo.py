@@ -154,7 +154,7 @@ class DemoResult(QuickResult):
             f"Augmentation {helped}" if low > 0 or mean <= 0 else "Whether augmentation helped is uncertain"
         )
         return (
-            f"With {joined(plain_names(self.added))} added, the held-out tip error went from "
+            f"With {joined(plain_names(self.added))} added, the test error of the tip went from "
             f"{before:.2f} to {after:.2f} mm (noise {noise:.2f} mm, unexplained {left:.2f} mm). "
             f"Trained on {made['recorded']} demonstrations and {made['kept']} made of them on the corrected"
             f" twin, the policy pulled the card in {_count(e['augmented'], 'starts that it had not seen')};"
@@ -495,7 +495,7 @@ def demo_page(result) -> Report:
     page = result.lead_page()
     page.heading("The error of the twin")
     rod = "The measurements are of the stand-in: an elastic rod whose air, creep and hysteresis have other"
-    caption = f"Held-out tip error before and after. {rod} equations than the twin's effects."
+    caption = f"Test error of the tip before and after. {rod} equations than the twin's effects."
     page.figure(_errors(state, result.added), caption)
     page.text(state["diagnose"]["sentence"])
     page.heading("What the policies do")

@@ -1,6 +1,5 @@
 """The next program for the bench: what it separates, what it narrows, where it goes for the first time."""
 
-import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -21,7 +20,7 @@ from lerobot_pneutac.study.gel_press import HeldChoice, PressChoice, held_choice
 from lerobot_pneutac.study.pair import load_bench_pair, load_pair, no_demonstrations, same_device
 from lerobot_pneutac.verbs.benches import save_choice
 from lerobot_pneutac.verbs.diagnose import Diagnosis, described, load_candidates, named_terms
-from lerobot_pneutac.verbs.result import Result
+from lerobot_pneutac.verbs.result import Result, drive_command
 from pneutac_datasets.demonstrations.replay.reading import is_dataset
 from pneutac_datasets.recording.axes import per_chamber
 from pneutac_datasets.recording.gel import GelRecording
@@ -85,8 +84,8 @@ class Design(Result):
             for c in self.choices[:SHOWN]
         ]
 
-    def next_after(self, out: Path) -> str:
-        return shlex.join(["pneutac", "measure", f"--program={out}/program.csv", f"--out={out}/recording"])
+    def next_after(self, out: Path | None) -> str:
+        return drive_command(out)
 
     def content(self) -> dict:
         return super().content() | {"contenders": described(self.contenders)}

@@ -158,6 +158,9 @@ class Diagnosis(Result):
     def next_command(self) -> str:
         return self.do_next if self.do_next == self._add_command else ""
 
+    def next_after(self, out: Path | None) -> str:
+        return self.do_next
+
     def rows(self) -> list[dict]:
         o, rows = self.outcome, [("before", self.before)]
         if o.baseline is not None and o.known:
@@ -179,8 +182,7 @@ class Diagnosis(Result):
         if len(shown) > SHOWN:
             where = "in the report" + " (--out=DIR)" * (self.saved_to is None)
             lines.append(f"- {len(shown) - SHOWN} more {where}")
-        warned = ["[bold]Warnings[/]", *lines] if lines else []
-        return [*warned, f"[bold]Do next:[/] {escape(self.do_next)}"]
+        return ["[bold]Warnings[/]", *lines] if lines else []
 
     def content(self) -> dict:
         o, e, study = self.outcome, self.outcome.evidence, self.study

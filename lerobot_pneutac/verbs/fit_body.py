@@ -213,7 +213,7 @@ class BodyCalibration(Calibration):
         if heldout is None:
             return f"Calibrated: {train}; nothing was held out{self._now()}."
         before = f"{heldout:.3g} {self.unit} (before {self.before:.3g})"
-        return f"Calibrated: held-out error {before}, {train}{self._now()}."
+        return f"Calibrated: test error {before}, {train}{self._now()}."
 
     @property
     def reference(self) -> tuple[str, float | None]:
@@ -246,7 +246,7 @@ class BodyCalibration(Calibration):
         falls = f"from {self.without_causes:.3g} to {self.error['heldout']:.3g} {self.unit}"
         each = ", ".join(f"{c.name.replace('_', ' ')} {c.error_without:.3g}" for c in self.causes)
         without = f"Without each, all else re-fitted: {each} {self.unit}."
-        return [f"Known causes lower the held-out error {falls}. {without}"]
+        return [f"Known causes lower the test error {falls}. {without}"]
 
     def content(self) -> dict:
         errors = {k: {"heldout": getattr(self, k)} for k in ("before", "without_causes")}
@@ -266,7 +266,7 @@ class BodyCalibration(Calibration):
         for i, column in enumerate(self.bench.columns[: self.bench.counted]):
             measured, residual = self.bench.measured[:, i], self.fits[-1].residual[:, i]
             lines = (("measured", measured, MEASURED), ("twin", measured - residual, MODEL))
-            left = ("held-out residual", np.where(self.train, np.nan, residual), HELDOUT)
+            left = ("test residual", np.where(self.train, np.nan, residual), HELDOUT)
             shown = ((name, t[thin], y[thin], colour) for name, y, colour in (*lines, left))
             page.figure(curves(shown, "time (s)", column))
         return page

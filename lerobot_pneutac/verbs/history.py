@@ -5,7 +5,7 @@ from pathlib import Path
 
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.reports.page import Report, span
-from lerobot_pneutac.verbs.result import Result
+from lerobot_pneutac.verbs.result import Result, history_of
 from pneutac_datasets.recording.wording import joined
 from pneutac_sim.effects.laws import plain_name
 from pneutac_sim.effects.registry import get_effect
@@ -19,7 +19,11 @@ class TwinReport(Result):
 
     twin: Twin
 
-    keys = (("device", "twin.device"), "sentence")
+    keys = (("device", "twin.device"), "sentence", "history")
+
+    @property
+    def history(self) -> list[dict]:
+        return history_of(self.twin, "recording")
 
     @property
     def title(self) -> str:
@@ -43,8 +47,8 @@ class TwinReport(Result):
         return f"{text}; where it was not fitted it was {error} off when last tested."
 
     def rows(self) -> list[dict]:
-        names = ("version", "change", "train", "heldout", "unit", "recording")
-        return [{k: e.get(k) for k in names} for e in self.twin.history]
+        shown = {"train": "training error", "heldout": "test error"}
+        return [{shown.get(k, k): v for k, v in e.items()} for e in self.history]
 
     def described(self) -> list[str]:
         device = self.twin.device
@@ -61,19 +65,18 @@ class TwinReport(Result):
         ]
 
     def content(self) -> dict:
-        out = {"history": self.rows(), "effects": list(self.twin.effects), "parameters": self.parameters()}
-        return super().content() | out
+        return super().content() | {"effects": list(self.twin.effects), "parameters": self.parameters()}
 
     def page(self) -> Report:
-        from lerobot_pneutac.reports.compare import history  # plotly
+        from lerobot_pneutac.reports.compare import history_figure  # plotly
 
         page, twin = self.lead_page(), self.twin
         if twin.history:
             page.heading("How it became so")
-            for unit in dict.fromkeys(e["unit"] for e in self.rows() if e["unit"]):
-                entries = [e for e in self.rows() if e["unit"] == unit]
+            for unit in dict.fromkeys(e["unit"] for e in self.history if e["unit"]):
+                entries = [e for e in self.history if e["unit"] == unit]
                 if len(entries) > 1:
-                    page.figure(history(entries, unit), "Errors as each version recorded them.", 340)
+                    page.figure(history_figure(entries, unit), "Errors as each version recorded them.", 340)
             page.table(self.rows())
         if twin.effects:
             page.heading("What its effects do")

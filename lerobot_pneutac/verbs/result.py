@@ -51,9 +51,17 @@ class Result:
         """What to run next; empty where nothing follows."""
         return ""
 
-    def next_after(self, out: Path) -> str:
-        """The same once the report lies in folder `out`."""
+    def next_after(self, out: Path | None) -> str:
+        """What to do next, a command or a sentence, once the report lies in folder `out`, if it does."""
         return self.next_command
+
+    def next_step(self, out: Path | None, command: str) -> str:
+        """The same after a command, whose task and station of demonstrations the next one takes over."""
+        following = self.next_after(out)
+        given = [a for a in shlex.split(command) if a.startswith(("--task=", "--station="))]
+        if given and "--recording=" in command and following.startswith("pneutac"):
+            return f"{following} {shlex.join(given)}"
+        return following
 
     @property
     def sentence(self) -> str:
@@ -105,11 +113,7 @@ class Result:
             write_image(Path(out) / name, picture)
         page = self.page()
         page.about = about(*self.subject())
-        if following := self.next_after(Path(out)):
-            given = [a for a in shlex.split(command) if a.startswith(("--task=", "--station="))]
-            if given and "--recording=" in command and following.startswith("pneutac"):
-                following = f"{following} {shlex.join(given)}"  # of the same demonstrations
-            page.next_command(following)
+        page.next_step(self.next_step(Path(out), command))
         if command:
             page.heading("Do it again")
             page.code(command)
@@ -145,6 +149,21 @@ def command_on(verb: str, twin: Twin, recording: str | Path, *options: str) -> s
     return shlex.join(["pneutac", verb, *folders, *options])
 
 
+def drive_command(out: Path | None) -> str:
+    """The command that drives the program of a report in folder `out`; empty where there is none."""
+    measure = ["pneutac", "measure", f"--program={out}/program.csv", f"--out={out}/recording"]
+    return "" if out is None else shlex.join(measure)
+
+
+def history_of(twin: Twin, *more: str) -> list[dict]:
+    """The versions of a twin with the errors that each recorded, and `more` of its entries."""
+    names = ("version", "change", "train", "heldout", "unit", *more)
+    return [{k: e.get(k) for k in names} for e in twin.history]
+
+
+ANOTHER_DAY = "ANOTHER_DAY"  # the recording to take next, in a command to copy
+
+
 class Comparison(Result):
     """A twin against a recording."""
 
@@ -169,23 +188,21 @@ class Comparison(Result):
 
     @property
     def history(self) -> list[dict]:
-        names = ("version", "change", "train", "heldout", "unit")
-        return [{k: e.get(k) for k in names} for e in self.twin.history]
+        return history_of(self.twin)
 
     @property
     def next_command(self) -> str:
-        """To learn why it fails, on a recording that the twin was fitted to; empty where noise alone is left.
+        """To learn why it fails, on a recording that the twin was fitted to; to test it where noise is left.
 
         A recording that it was never fitted to tests it, and would no longer once it is diagnosed.
         """
         error = self.train if self.heldout is None else self.heldout
-        if self.noise_floor and error is not None and error <= NOISE * self.noise_floor:
-            return ""
         fitted = [Path(e["recording"]) for e in self.twin.history if e.get("recording")]
         here = Path(self.subject()[1])
-        if not fitted or here.resolve() in [p.resolve() for p in fitted]:
-            return command_on("diagnose", self.twin, here)
-        return command_on("diagnose", self.twin, fitted[-1])
+        tested = bool(fitted) and here.resolve() not in [p.resolve() for p in fitted]
+        if self.noise_floor and error is not None and error <= NOISE * self.noise_floor:
+            return "" if tested else command_on("compare", self.twin, ANOTHER_DAY)
+        return command_on("diagnose", self.twin, fitted[-1] if tested else here)
 
     @property
     def heldout(self) -> float | None:
@@ -225,7 +242,7 @@ class Calibration(Result):
 
     @property
     def reference(self) -> tuple[str, float | None]:
-        """What a fit must not be worse than on held-out samples, and its error; None without one."""
+        """What a fit must not be worse than on test samples, and its error; None without one."""
         return "", None
 
     @property
@@ -237,7 +254,7 @@ class Calibration(Result):
             return ""
         both = f"the fit misses by {heldout:.3g} {self.unit}, and {what} by {before:.3g}"
         check = "if the recording is to blame, `pneutac check` lists its faults"
-        return f"Nothing was stored: on held-out samples {both}; {check}."
+        return f"Nothing was stored: on test samples {both}; {check}."
 
     def save(self, folder: str | Path) -> Self:
         """Writes the twin as the next version of `folder`; returns the result that knows its place.
@@ -263,7 +280,7 @@ class Calibration(Result):
 
     @property
     def next_command(self) -> str:
-        return command_on("compare", self.twin, self.recording)
+        return "" if self.worse else command_on("compare", self.twin, self.recording)
 
     def rows(self) -> list[dict]:
         out = []

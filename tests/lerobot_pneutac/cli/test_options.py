@@ -9,9 +9,11 @@ A lab's own table at the command line: shown once, confirmed, kept beside it, ch
 
 import io
 import json
+import re
 import subprocess
 import sys
 import threading
+import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -222,7 +224,10 @@ def test_without_a_terminal_there_is_a_line_at_once_and_every_ten_seconds(monkey
 def test_a_terminal_gets_a_bar_that_leaves_nothing_behind():
     console = Console(file=io.StringIO(), force_terminal=True, width=80)
     with progress_bar(console) as progress:
-        progress("fitting", 1, 2)
+        progress("fitting with and without a friction of many small elements", 19, 240)
+        time.sleep(0.3)
+    drawn = re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", console.file.getvalue())
+    assert "fitting with and without a ..." in drawn and "19/240 0:00:0" in drawn and "…" not in drawn
     assert "fitting" not in console.file.getvalue().split("\r")[-1]
 
 

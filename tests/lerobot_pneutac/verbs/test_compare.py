@@ -214,9 +214,9 @@ def test_the_band_holds_the_truth_and_not_a_missing_effect(tmp_path):
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert result["coverage"] == pytest.approx(good.coverage)
     assert result["band"] == {"level": 0.95, "how": "the intervals of the twin's parameters and the noise"}
-    assert "95 % band, held out" in (tmp_path / "out" / "report.html").read_text()
+    assert "95 % band, test" in (tmp_path / "out" / "report.html").read_text()
     row = next(r["value"] for r in good.rows() if r[""] == "inside the 95 % band")
-    assert re.match(r"9\d % of the held-out values; about 95 % is expected", row)
+    assert re.match(r"9\d % of the test values; about 95 % is expected", row)
 
 
 def _short(twin: Twin, seed: int, sigma: float) -> Recording:

@@ -75,7 +75,7 @@ def test_calibrate_finds_the_parameters_and_writes_the_next_version(tmp_path):
     p = simulate(twin, recording)
     assert p.data.error(p.residual, heldout) == pytest.approx(entry["heldout"], rel=1e-6)
     report = (tmp_path / "out" / "report.html").read_text()
-    assert "rest_pressure_kpa" in report and "held-out residual" in report
+    assert "rest_pressure_kpa" in report and "test residual" in report
 
 
 def turned_over(folder, weighs):
