@@ -16,11 +16,10 @@ along a path q_d through the pipeline's angles. What is left, M e'' + D e' + K e
 how the finger gives way to contact and to the arm's motion: there its mass, damping and stiffness act.
 """
 
-import math
-
 import mujoco
 import numpy as np
 from numba import njit
+from scipy.spatial.transform import Rotation
 
 from pneutac_sim.finger.online import PressurePipeline
 from pneutac_sim.surrogate.skeleton import coupling, dynamics
@@ -186,8 +185,9 @@ class Follower:
         hinges = [model.joint(f"spine_{n + 1}").id for n in range(joints)]
         places = np.array([frame.T @ (data.xanchor[j] - origin) for j in hinges])
         self._A = coupling(mass, middle[:, 0] + 1j * middle[:, 2], places[:, 0])
-        ways = np.diff(places, axis=0, append=places[-1:])
-        self._balls = (mass, middle - places, whole, ways) if model.jnt_type[hinges[0]] == BALL else None
+        self._chain = None
+        if model.jnt_type[hinges[0]] == BALL:
+            self._chain = mujoco.MjData(_chain(mass, middle - places, whole, np.diff(places, axis=0)))
 
     def torques(
         self,
@@ -205,15 +205,49 @@ class Follower:
         there. K and D are stiffness and damping of the joints, (N, N) N m/rad and N m s/rad.
         """
         slope = (after - before) / (steps * self._h)
-        if self._balls is not None:
-            turned = np.empty((steps, len(before), 3))
-            ball_torques(
-                *self._balls, before, rate, slope, K.diagonal().copy(), D.diagonal().copy(), self._h, turned
-            )
-            return turned.reshape(steps, -1), slope
+        if self._chain is not None:
+            return self._of_balls(before, rate, slope, K.diagonal(), D.diagonal(), steps), slope
         out = np.empty((steps, len(before)))
         _torques(self._A, self._inertia, before, rate, slope, K, D, self._h, out)
         return out, slope
+
+    def _of_balls(self, before, rate, slope, K, D, steps: int) -> np.ndarray:
+        """As `_torques` where the joints are balls, (S, 3 N): inverse dynamics of their chain by MuJoCo.
+
+        Rates of a ball are those of its link, in the link's own frame: of the rotation between two steps.
+        """
+        h, data, s = self._h, self._chain, (np.arange(1, steps + 1) / steps)[:, None, None]
+        bow = 3.0 * steps / (steps + 1.0) * (slope - rate)  # as in `_torques`
+        path = h * np.cumsum(rate + (slope - rate) * s + bow * s * (1.0 - s), axis=0)
+        w = before + np.concatenate([[-h * rate], [0.0 * rate], path])  # from one step before the first
+        at = quaternions(w.reshape(-1, 2))
+        turns, n = Rotation.from_quat(at, scalar_first=True), len(before)
+        v = (turns[:-n].inv() * turns[n:]).as_rotvec().reshape(steps + 1, n, 3) / h
+        at, a, out = at.reshape(steps + 2, -1), np.diff(v, axis=0) / h, np.empty((steps, n, 3))
+        for k in range(steps):
+            data.qpos[:], data.qvel[:], data.qacc[:] = at[k + 1], v[k].ravel(), a[k].ravel()
+            mujoco.mj_inverse(data.model, data)
+            out[k] = data.qfrc_inverse.reshape(n, 3)
+        out += D[:, None] * v[1:]
+        out[..., 1] -= K * w[1:-1, :, 0]
+        out[..., 2] += K * w[1:-1, :, 1]
+        return out.reshape(steps, -1)
+
+
+def _chain(mass, centre, inertia, ways) -> mujoco.MjModel:
+    """Links that hang on balls, without weight, each with its centre of mass (3,) from its ball, m.
+
+    Inertias (N, 3, 3) kg m2 are about it, `ways` (N - 1, 3) m lead from one ball to the next.
+    """
+    xml = ""
+    for n in reversed(range(len(mass))):
+        place, (x, y, z), J = ways[n - 1] if n else np.zeros(3), centre[n], inertia[n]
+        full = " ".join(map(repr, [*J.diagonal().tolist(), *map(float, (J[0, 1], J[0, 2], J[1, 2]))]))
+        own = f'<inertial pos="{x} {y} {z}" mass="{mass[n]}" fullinertia="{full}"/>'
+        xml = f'<body pos="{" ".join(map(str, place))}"><joint type="ball"/>{own}{xml}</body>'
+    return mujoco.MjModel.from_xml_string(
+        f'<mujoco><option gravity="0 0 0"/><worldbody>{xml}</worldbody></mujoco>'
+    )
 
 
 @njit(cache=True)
@@ -238,151 +272,3 @@ def _torques(A, inertia, before, rate, slope, K, D, h, out):
         for i in range(n):  # not whole arrays: numba takes two seconds to compile the check of their shapes
             q[i] += h * new[i]
             v[i] = new[i]
-
-
-@njit(cache=True)
-def ball_torques(mass, centre, inertia, ways, before, rate, slope, K, D, h, out):
-    """As `_torques` where the joints are balls, into `out` (S, N, 3), N m: inverse dynamics of their chain.
-
-    Newton and Euler link by link (Featherstone, Rigid Body Dynamics Algorithms, ch. 5), in the frame of the
-    base. Rates of a ball are those of its link, in the link's own frame, as MuJoCo has them.
-
-    (M + h D) (v_k - v_{k-1}) = h (tau - K w_{k-1} - D v_{k-1} - c), as `implicitfast` has it, where v_k turns
-    the joint from rotation vector w_{k-1} to w_k.
-
-    Links have masses (N,) kg, centres of mass (N, 3) m from their joints, inertias (N, 3, 3) kg m2 about
-    these in their own frames, and ways (N, 3) m from each joint to the next. The path has angles `before` (N,
-    2) towards +z and +y, a rate there and a mean slope over the steps; K and D are (N,) N m/rad and N m
-    s/rad.
-    """
-    steps, n, _ = out.shape
-    w, new = before.copy(), np.empty((n, 2))
-    R, turned, link = np.empty((n, 3, 3)), np.empty((n, 3, 3)), np.empty((n, 3, 3))
-    v, v_new = np.empty((n, 3)), np.empty((n, 3))
-    for i in range(n):
-        _rotation(before[i, 0] - h * rate[i, 0], before[i, 1] - h * rate[i, 1], turned[i])
-        _rotation(w[i, 0], w[i, 1], R[i])
-        _rate(turned[i], R[i], h, v[i])
-    force, moment, way = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3))
-    a, own, faster_own, arm = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    spin, faster, at = np.empty(3), np.empty(3), np.empty(3)
-    for k in range(steps):
-        s = (k + 1) / steps
-        for i in range(n):
-            for c in range(2):  # as `_torques`
-                bow = 3.0 * steps / (steps + 1.0) * (slope[i, c] - rate[i, c])
-                new[i, c] = rate[i, c] + (slope[i, c] - rate[i, c]) * s + bow * s * (1.0 - s)
-            _rotation(w[i, 0] + h * new[i, 0], w[i, 1] + h * new[i, 1], turned[i])
-            _rate(R[i], turned[i], h, v_new[i])
-        spin[:], faster[:], at[:] = 0.0, 0.0, 0.0  # of the link before, and the acceleration of its end
-        for i in range(n):
-            for r in range(3):
-                for c in range(3):
-                    link[i, r, c] = R[i, r, c]
-                    if i > 0:
-                        link[i, r, c] = 0.0
-                        for j in range(3):
-                            link[i, r, c] += link[i - 1, r, j] * R[i, j, c]
-            _turn(link[i], v[i], own)
-            for r in range(3):
-                a[r] = (v_new[i, r] - v[i, r]) / h
-            _turn(link[i], a, faster_own)
-            _add_cross(spin, own, faster_own)
-            for r in range(3):
-                faster[r] += faster_own[r]
-                spin[r] += own[r]
-            _turn(link[i], centre[i], arm)
-            _turn(link[i], ways[i], way[i])
-            a[:] = at
-            _add_swing(faster, spin, arm, a)
-            for r in range(3):
-                force[i, r] = mass[i] * a[r]
-            _euler(link[i], inertia[i], faster, spin, moment[i])
-            _add_cross(arm, force[i], moment[i])
-            _add_swing(faster, spin, way[i], at)
-        for i in range(n - 1, -1, -1):  # a joint turns its own link and all beyond it
-            if i < n - 1:
-                for r in range(3):
-                    force[i, r] += force[i + 1, r]
-                    moment[i, r] += moment[i + 1, r]
-                _add_cross(way[i], force[i + 1], moment[i])
-            for c in range(3):
-                out[k, i, c] = D[i] * v_new[i, c]
-                for r in range(3):
-                    out[k, i, c] += link[i, r, c] * moment[i, r]
-            out[k, i, 1] -= K[i] * w[i, 0]
-            out[k, i, 2] += K[i] * w[i, 1]
-            for c in range(2):
-                w[i, c] += h * new[i, c]
-            for r in range(3):
-                v[i, r] = v_new[i, r]
-                for c in range(3):
-                    R[i, r, c] = turned[i, r, c]
-
-
-@njit(cache=True)
-def _turn(R, x, out):
-    for r in range(3):
-        out[r] = R[r, 0] * x[0] + R[r, 1] * x[1] + R[r, 2] * x[2]
-
-
-@njit(cache=True)
-def _add_cross(a, b, out):
-    out[0] += a[1] * b[2] - a[2] * b[1]
-    out[1] += a[2] * b[0] - a[0] * b[2]
-    out[2] += a[0] * b[1] - a[1] * b[0]
-
-
-@njit(cache=True)
-def _add_swing(faster, spin, arm, out):
-    """Adds the acceleration of an arm's end, faster x arm + spin x (spin x arm), to `out` (3,)."""
-    _add_cross(faster, arm, out)
-    along, square = 0.0, 0.0
-    for r in range(3):
-        along += spin[r] * arm[r]
-        square += spin[r] * spin[r]
-    for r in range(3):
-        out[r] += spin[r] * along - arm[r] * square
-
-
-@njit(cache=True)
-def _euler(R, inertia, faster, spin, out):
-    """J faster + spin x J spin into `out` (3,), with J = R inertia R^T."""
-    for r in range(3):
-        out[r] = 0.0
-    turning = np.zeros(3)
-    for r in range(3):
-        for c in range(3):
-            J = 0.0
-            for i in range(3):
-                for j in range(3):
-                    J += R[r, i] * inertia[i, j] * R[c, j]
-            out[r] += J * faster[c]
-            turning[r] += J * spin[c]
-    _add_cross(spin, turning, out)
-
-
-@njit(cache=True)
-def _rotation(to_z, to_y, R):
-    """Rodrigues' formula for the rotation vector (0, -to_z, to_y), into R (3, 3)."""
-    square = to_z * to_z + to_y * to_y
-    angle = math.sqrt(square)
-    a = math.sin(angle) / angle if angle > 1e-6 else 1.0
-    b = (1.0 - math.cos(angle)) / square if angle > 1e-4 else 0.5
-    R[0, 0], R[0, 1], R[0, 2] = 1.0 - b * square, -a * to_y, -a * to_z
-    R[1, 0], R[1, 1], R[1, 2] = a * to_y, 1.0 - b * to_y * to_y, -b * to_y * to_z
-    R[2, 0], R[2, 1], R[2, 2] = a * to_z, -b * to_y * to_z, 1.0 - b * to_z * to_z
-
-
-@njit(cache=True)
-def _rate(R, turned, h, v):
-    """Into v (3,) the rate, in the link's frame, that turns R into `turned` in h s, by less than pi / 2."""
-    for r in range(3):
-        v[r] = 0.0
-        i, j = (r + 1) % 3, (r + 2) % 3
-        for c in range(3):  # of A = R^T turned the part A_ji - A_ij, 2 sin(angle) times the axis
-            v[r] += R[c, j] * turned[c, i] - R[c, i] * turned[c, j]
-    sine = 0.5 * math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-    factor = math.asin(min(sine, 1.0)) / (2.0 * sine * h) if sine > 1e-9 else 0.5 / h
-    for r in range(3):
-        v[r] *= factor

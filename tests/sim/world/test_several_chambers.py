@@ -16,7 +16,7 @@ from pneutac_sim.twin import Value
 from pneutac_sim.world.env import PneutacEnv
 from pneutac_sim.world.expert import ScriptedExpert, towards_gel
 from pneutac_sim.world.soft_finger import DEFAULTS, MATERIALS, mjcf
-from pneutac_sim.world.spine import Spine, ball_torques, end_of
+from pneutac_sim.world.spine import Follower, Spine, end_of
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.world import World
 
@@ -79,23 +79,19 @@ def _alone(twin):
 
 def test_torques_are_those_of_mujocos_inverse_dynamics():
     """A body at speed in both planes: without springs, to rounding of the discrete rates."""
-    from pneutac_sim.world.spine import Follower
-
     model = mujoco.MjModel.from_xml_string(_alone(SIX))
     model.dof_armature[model.joint("pad").dofadr[0]] = 1e9  # the gel's face stays where it is
     data, spine, rng = mujoco.MjData(model), Spine(model, SIX), np.random.default_rng(0)
     follower = Follower(model, 6)
     before, rate, slope = (rng.uniform(-size, size, (6, 2)) for size in (0.2, 2, 2))
-    ours = np.empty((20, 6, 3))
-    nothing = np.zeros(6)
-    ball_torques(*follower._balls, before, rate, slope, nothing, nothing, model.opt.timestep, ours)
+    nothing, h = np.zeros((6, 6)), model.opt.timestep
+    ours, _ = follower.torques(before, rate, before + 20 * h * slope, nothing, nothing, 20)
     spine.write(data, before)
-    h = model.opt.timestep
     earlier = mujoco.MjData(model)
     spine.write(earlier, before - h * rate)
     mujoco.mj_differentiatePos(model, data.qvel, h, earlier.qpos, data.qpos)
     for row in ours:
-        data.ctrl[:] = row.ravel()
+        data.ctrl[:] = row
         mujoco.mj_step(model, data)
     np.testing.assert_allclose(spine.read(data), before + 20 * h * slope, atol=1e-5)
 
