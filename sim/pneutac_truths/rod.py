@@ -138,23 +138,6 @@ def _shoot(m0, u, shapes, stretched, h, tip_mm, axial, miss, tip, tangent):
 
 
 @njit(cache=True)
-def _step(J, miss, m0):
-    """Takes the solution of J x = miss from m0 (Cramer's rule); False where there is none."""
-    c = np.empty((3, 3))
-    for i in range(3):
-        a, b = (i + 1) % 3, (i + 2) % 3
-        for j in range(3):
-            p, q = (j + 1) % 3, (j + 2) % 3
-            c[i, j] = J[a, p] * J[b, q] - J[a, q] * J[b, p]
-    det = J[0, 0] * c[0, 0] + J[0, 1] * c[0, 1] + J[0, 2] * c[0, 2]
-    if not math.isfinite(det) or det == 0.0:
-        return False
-    for j in range(3):
-        m0[j] -= (c[0, j] * miss[0] + c[1, j] * miss[1] + c[2, j] * miss[2]) / det
-    return True
-
-
-@njit(cache=True)
 def _solve_one(m0, J, u, shapes, stretched, h, tip_mm, axial, tip, tangent):
     """Newton on the base moment; J is reused from row to row and renewed when it no longer serves."""
     miss, other, t2, d2 = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -176,8 +159,10 @@ def _solve_one(m0, J, u, shapes, stretched, h, tip_mm, axial, tip, tangent):
                 _shoot(shifted, u, shapes, stretched, h, tip_mm, axial, other, t2, d2)
                 for i in range(3):
                     J[i, j] = (other[i] - miss[i]) / 1e-6
-        if not _step(J, miss, m0):
+        det = np.linalg.det(J)
+        if det == 0.0 or not math.isfinite(det):
             return False
+        m0 -= np.linalg.solve(J, miss)
         _shoot(m0, u, shapes, stretched, h, tip_mm, axial, miss, tip, tangent)
     return False
 

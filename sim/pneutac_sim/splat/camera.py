@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 from numba import njit
 
@@ -91,9 +92,11 @@ class Camera:
         points = np.ascontiguousarray(points, np.float64)
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
             raise InputError("Points to project must be finite numbers of shape (n, 3).")
-        pixels, depth = np.empty((len(points), 2)), np.empty(len(points))
-        project_points(points, self.intrinsics, self.extrinsics, self.lens, pixels, depth)
-        return pixels, depth
+        R, t = self.extrinsics[:3, :3], self.extrinsics[:3, 3]
+        if not len(points):
+            return np.empty((0, 2)), np.empty(0)
+        pixels, _ = cv2.projectPoints(points, cv2.Rodrigues(R)[0], t, self.intrinsics, self.lens)
+        return pixels[:, 0], points @ R[2] + t[2]
 
 
 @njit(inline="always")
@@ -106,18 +109,3 @@ def image_plane(u, v, lens):
     x = u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u)
     y = v * radial + p1 * (r2 + 2 * v * v) + 2 * p2 * u * v
     return x, y
-
-
-@njit(cache=True)
-def project_points(points, K, E, lens, pixels, depth):
-    """Writes pixels (n, 2) and depth (n,) of points (n, 3)."""
-    for i in range(len(points)):
-        a, b, c = points[i]
-        z = E[2, 0] * a + E[2, 1] * b + E[2, 2] * c + E[2, 3]
-        depth[i] = z
-        z = z if abs(z) > 1e-12 else 1e-12
-        u = (E[0, 0] * a + E[0, 1] * b + E[0, 2] * c + E[0, 3]) / z
-        v = (E[1, 0] * a + E[1, 1] * b + E[1, 2] * c + E[1, 3]) / z
-        x, y = image_plane(u, v, lens)
-        pixels[i, 0] = K[0, 0] * x + K[0, 2]
-        pixels[i, 1] = K[1, 1] * y + K[1, 2]

@@ -91,20 +91,25 @@ class BaseWorld(ABC):
         Raises InputError where there is no such task, or the arm's file is wrong.
         """
         self.task, self.station = make_task(task), station or Station()
-        self.dt_s, self.arm = self.station.dt_s, self.station.make_arm()
+        self.dt_s, self.arm = self.station.dt_s, self._make_arm()
         limits = action_limits(self.pressure_range_kpa, self.chambers)
         self.action_limits = tuple(limit.astype(float) for limit in limits)
         # Tasks are laid out for the paper's finger: with a longer one the flange keeps as much higher.
         self.workspace_m = self.station.box_m(length_mm)
         self._lift_m = self.workspace_m[0] - self.station.workspace_low_m
         carried = self.arm.body, self.arm.servos, self.station.control_hz
-        xml = scene.build(self.task, self._finger_mjcf(), *carried)
-        self.model = mujoco.MjModel.from_xml_string(xml)
+        self.model = self._compiled(scene.build(self.task, self._finger_mjcf(), *carried))
         self.data = mujoco.MjData(self.model)
         self._ik, self._base_m = self.arm.solver(), self.arm.base_m
         self._arm = slice(0, self.arm.joints)  # its joints and servos come first in the model
         self._flange, self._gel = self.model.site("flange").id, self.model.site("gel").id
         self._rng = np.random.default_rng()
+
+    def _make_arm(self):
+        return self.station.make_arm()
+
+    def _compiled(self, xml: str) -> mujoco.MjModel:
+        return mujoco.MjModel.from_xml_string(xml)
 
     @abstractmethod
     def _finger_mjcf(self) -> scene.Finger:

@@ -15,11 +15,9 @@ import numpy as np
 
 from pneutac_sim.features import PRESSURES
 from pneutac_sim.gel.probe import COLS, ROWS, probe_grids
-from pneutac_sim.gel.sensor import TactileSensor, centre_mm
-from pneutac_sim.world import scene
+from pneutac_sim.gel.sensor import centre_mm
 from pneutac_sim.world.base import Observation
 from pneutac_sim.world.panda import HOME_JOINTS, SERVO_LAG_S, forward_kinematics
-from pneutac_sim.world.soft_finger import mjcf
 from pneutac_sim.world.touch import Touch
 from pneutac_sim.world.world import World
 
@@ -51,26 +49,24 @@ class Gantry(World):
         """
         limits = {"pressure_range_kpa": world.pressure_range_kpa, "station": world.station}
         super().__init__(world.task.name, world.twin, "area", "probe", world.conditions, **limits)
-        finger = mjcf(self.twin, self.station.mount_mm)
-        servo = f'kp="{STIFFNESS_N_M}" kv="{SERVO_LAG_S * STIFFNESS_N_M}"'
-        servos = "".join(f'<position name="servo_{j}" joint="{j}" {servo}/>' for j in SLIDES)
-        carried = _slides_mjcf, lambda: servos, self.station.control_hz
-        spec = mujoco.MjSpec.from_string(scene.build(self.task, finger, *carried))
-        spec.compiler.discardvisual = True  # nobody looks at it
-        self.model = spec.compile()
-        self.data = mujoco.MjData(self.model)
-        self.sensor = TactileSensor(self.twin)
         self.touch = Touch(self.model, self.sensor, "area", world.touch.network)
-        self._ik, self._base_m = _Straight(), np.zeros(3)
-        self._flange, self._gel = self.model.site("flange").id, self.model.site("gel").id
-        self._arm, self._snapshots = slice(0, 3), Snapshots(self.touch, self._flange)
-        self._bind_model()
+        self._snapshots = Snapshots(self.touch, self._flange)
         self.steps, self.seconds = 0, {"physics": 0.0, "touch": 0.0}
         self._pairs = Pairs(world.model, self.model)
         root, hand = self.model.body_rootid, self.model.body("gantry").id
         loose = [j for j in range(self.model.njnt) if root[self.model.jnt_bodyid[j]] != hand]
         self._loose = [(self.model.joint(j), self.data.joint(j)) for j in loose]
         self.reset(0)
+
+    @override
+    def _make_arm(self):
+        return _Slides()
+
+    @override
+    def _compiled(self, xml):
+        spec = mujoco.MjSpec.from_string(xml)
+        spec.compiler.discardvisual = True  # nobody looks at it
+        return spec.compile()
 
     def mirror(self, world: World) -> None:
         """Takes over the state of `world`: poses, speeds, pressures, and what the task remembers."""
@@ -266,26 +262,32 @@ def _span(first: int, like: np.ndarray) -> np.ndarray:
     return first + np.arange(len(np.atleast_1d(like)))
 
 
-def _slides_mjcf(payload: str = "") -> str:
-    """MJCF of three slides whose positions are the flange's in the world; `payload` as for the arm."""
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, forward_kinematics(HOME_JOINTS)[:3, :3].ravel())
-    slides = "".join(
-        f'<joint name="{name}" type="slide" axis="{axis}" armature="{INERTIA_KG}"/>'
-        for name, axis in zip(SLIDES, ("1 0 0", "0 1 0", "0 0 1"), strict=True)
-    )
-    site = '<site name="flange" size=".001" group="5"/>'
-    # The joints' axes are in the frame of their body: the turned flange is a body of its own.
-    flange = f'<body name="flange" quat="{" ".join(map(repr, quat.tolist()))}">{site}{payload}</body>'
-    return f'<body name="gantry" gravcomp="1">{slides}{flange}</body>'
+class _Slides:
+    """Three slides in an arm's place, whose positions are the flange's own in the world."""
 
+    joints, base_m, missing_m = len(SLIDES), np.zeros(3), 0.0
 
-class _Straight:
-    """Inverse kinematics of the slides: their positions are the flange's own."""
+    def body(self, payload: str = "") -> str:
+        """MJCF of them; `payload` as for the arm."""
+        quat = np.zeros(4)
+        mujoco.mju_mat2Quat(quat, forward_kinematics(HOME_JOINTS)[:3, :3].ravel())
+        slides = "".join(
+            f'<joint name="{name}" type="slide" axis="{axis}" armature="{INERTIA_KG}"/>'
+            for name, axis in zip(SLIDES, ("1 0 0", "0 1 0", "0 0 1"), strict=True)
+        )
+        site = '<site name="flange" size=".001" group="5"/>'
+        # The joints' axes are in the frame of their body: the turned flange is a body of its own.
+        flange = f'<body name="flange" quat="{" ".join(map(repr, quat.tolist()))}">{site}{payload}</body>'
+        return f'<body name="gantry" gravcomp="1">{slides}{flange}</body>'
 
-    missing_m = 0.0
+    def servos(self) -> str:
+        servo = f'kp="{STIFFNESS_N_M}" kv="{SERVO_LAG_S * STIFFNESS_N_M}"'
+        return "".join(f'<position name="servo_{j}" joint="{j}" {servo}/>' for j in SLIDES)
 
-    def reset(self) -> None:
+    def solver(self) -> "_Slides":
+        return self
+
+    def reset(self, q=None) -> None:
         pass
 
     def solve(self, position: np.ndarray) -> np.ndarray:

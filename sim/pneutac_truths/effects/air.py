@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 from numba import njit
+from scipy.signal import lfilter
 
 from pneutac_truths.effects.table import by_column, effect
 from pneutac_truths.programs import DT_S
@@ -174,17 +175,7 @@ def supply_sag(w: World, recover_s: float, size: float) -> None:
     """
     used = np.diff(w.air, axis=0, prepend=w.air[:1]).clip(0).sum(1)
     keep = math.exp(-DT_S / recover_s)
-    w.air = w.air / (1 + size * _leaky_sum(used, keep))[:, None]
-
-
-@njit(cache=True)
-def _leaky_sum(x, keep):
-    out = np.empty_like(x)
-    y = 0.0
-    for i in range(len(x)):
-        y = y * keep + x[i]
-        out[i] = y
-    return out
+    w.air = w.air / (1 + size * lfilter([1.0], [1.0, -keep], used))[:, None]
 
 
 @acts(cool_s=(0.4, 4.0), size=(0.02, 0.4))
