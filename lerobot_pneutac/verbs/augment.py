@@ -11,10 +11,9 @@ import numpy as np
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.verbs.result import Result
-from pneutac_datasets.demonstrations import faults as recorded
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
 from pneutac_datasets.demonstrations.augment.reference import onset_sigma_m
-from pneutac_datasets.demonstrations.faults import TACTILE
+from pneutac_datasets.demonstrations.faults import TACTILE, Recorded
 from pneutac_datasets.recording.wording import plural
 from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.executor import ExecutorOptions
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
 
 from lerobot_pneutac.reports.page import SERIES
 from pneutac_datasets.demonstrations.augment.reference import Reference
-from pneutac_datasets.demonstrations.faults import set_aside
 from pneutac_sim.features import VELOCITY_NAMES, Places
 from pneutac_sim.gel.contact import without_specks
 
@@ -155,6 +153,7 @@ class Augmentation(Result):
     summary: dict  # `kept`, `attempts`, `rejected` (reason to number), `wall_s`, and the provenance
     references: list  # the recorded demonstrations that were used
     failed: dict[int, str] = field(default_factory=dict)  # the others, number to why each was set aside
+    set_aside: list[str] = field(default_factory=list)  # the same as a sentence, if there are any
 
     @property
     def share(self) -> float:
@@ -262,10 +261,10 @@ def augment(
         InputError: a dataset cannot be read or exists, names no task, is of another task or sensor, fewer
             than two demonstrations have not failed, or too few variants succeed.
     """
-    from pneutac_datasets.demonstrations.info import check_new, info_file, refuse_damaged
+    from pneutac_datasets.demonstrations.info import check_new
 
     check_new(config.output.root, config.output.repo_id)  # before imports that take seconds
-    info_file(config.dataset.root)
+    recorded = Recorded(config.dataset.root)
     progress("reading the demonstrations", 0, 1)
     from pneutac_datasets.demonstrations.augment.episode import AugmentSetup
     from pneutac_datasets.demonstrations.augment.library import start_spread_m
@@ -282,24 +281,20 @@ def augment(
     station = Station.load(file) if file else Station()
     if config.method != "naive":
         twin = Twin.load(config.twin) if config.twin else Twin.builtin()
-        faults = recorded.demonstration_faults(config.dataset.root, twin, station)
-        if faults:
+        if faults := recorded.faults(twin, station):
             raise InputError(" ".join(faults))
         sensor = TactileSensor(twin)
-    else:
-        refuse_damaged(config.dataset.root)
-    failed = recorded.failed_demonstrations(config.dataset.root)
-    meta, references = read_references(config.dataset.root, config.dataset.repo_id, sensor, failed)
-    if faults := recorded.too_few(config.dataset.root, meta.total_episodes, failed):
+    meta, references = read_references(recorded, config.dataset.repo_id, sensor)
+    if faults := recorded.too_few():
         raise InputError(faults[0])
     onset_sigma_m(references)
     if sensor is not None and (other := other_sensor(meta, sensor)):
         note(other)
-    if failed:
-        note(recorded.set_aside(config.dataset.root, meta.total_episodes, failed))
+    for sentence in recorded.set_aside():
+        note(sentence)
     new = (config.output.root, config.output.repo_id, config.episodes)
     if config.method == "naive":
-        summary = augment_without_simulator(meta, *new, config.seed, progress, failed)
+        summary = augment_without_simulator(recorded, config.dataset.repo_id, *new, config.seed, progress)
     else:
         base_m = np.array(station.base_m)  # demonstrations have positions in the arm's frame
         further = further_features(meta)
@@ -319,7 +314,7 @@ def augment(
         summary["start_range_m"] = start_range_m if config.method != "planner" else None
     if file:
         station.save(config.output.root / "meta")
-    return Augmentation(config, summary, references, failed)
+    return Augmentation(config, summary, references, recorded.failed, recorded.set_aside())
 
 
 def command(config: AugmentConfig, terminal: Terminal) -> None:
@@ -362,9 +357,8 @@ def augment_page(result) -> Report:
     sources = [line["source_episode"] for line in summary["provenance"]]
     report.figure(_touch(states, sources, references), "Contact area: recorded (thick) and new (thin)")
     report.figure(_paths(states, references), "Where the contacts begin, from above")
-    if result.failed:
-        recorded = len(references) + len(result.failed)
-        report.text(set_aside(result.config.dataset.root, recorded, result.failed))
+    for sentence in result.set_aside:
+        report.text(sentence)
     return report
 
 

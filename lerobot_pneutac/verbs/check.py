@@ -14,8 +14,8 @@ from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.study import study_of
 from lerobot_pneutac.study.pair import enough_to_compare, fit_parts
 from lerobot_pneutac.verbs.new import new_twin
-from pneutac_datasets.demonstrations import faults as F
-from pneutac_datasets.demonstrations.info import is_demonstrations, read_info
+from pneutac_datasets.demonstrations.faults import Recorded
+from pneutac_datasets.demonstrations.info import is_demonstrations
 from pneutac_datasets.recording.checks import check, recording_faults
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.sources import plain
@@ -67,12 +67,9 @@ def check_path(path: str | Path, twin: Twin | None = None, station: Station | No
     if not (path / "recording.json").is_file() and is_demonstrations(path):
         left = station_file(path)
         station = station or (Station.load(left) if left else Station())
-        faults = F.demonstration_faults(path, twin or Twin.builtin(), station)
-        notes = F.rate_notes(path) if faults else F.demonstration_notes(path, station)
-        if not faults:
-            failed = F.failed_demonstrations(path)
-            recorded = read_info(path / "meta/info.json")["total_episodes"]
-            notes += [F.set_aside(path, recorded, failed)] * bool(failed)
+        recorded = Recorded(path)
+        faults = recorded.faults(twin or Twin.builtin(), station)
+        notes = recorded.rate_notes() if faults else recorded.notes(station) + recorded.set_aside()
         return Checked(path, "demonstrations", faults, notes)
     inside = [d.name for d in sorted(path.iterdir()) if any((d / mark).is_file() for mark in MARKS)]
     if inside and not (path / "recording.json").is_file():

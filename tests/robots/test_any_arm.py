@@ -19,6 +19,7 @@ from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from lerobot_robot_pneutac.teleoperators.base_teleop import PneutacScriptedConfig
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
+from pneutac_datasets.demonstrations.faults import Recorded
 from pneutac_datasets.demonstrations.naive import augment_naive
 from pneutac_datasets.demonstrations.record import record_episodes
 from pneutac_sim.errors import InputError
@@ -89,7 +90,7 @@ def test_six_joints_are_recorded_learnt_and_rolled_out(station, demos, tmp_path)
 
 @pytest.mark.slow
 def test_its_demonstrations_are_augmented(station, demos, tmp_path):
-    augment_naive(demos.root, "local/six", tmp_path / "naive", "local/naive", 1, seed=0)
+    augment_naive(Recorded(demos.root), "local/six", tmp_path / "naive", "local/naive", 1, seed=0)
     varied = LeRobotDataset("local/naive", tmp_path / "naive")
     assert varied.meta.features[OBS_STATE]["names"] == list(state_names(6))
     source = DatasetRef(repo_id="local/six", root=demos.root)

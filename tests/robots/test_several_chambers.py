@@ -24,7 +24,7 @@ from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
 from lerobot_robot_pneutac.teleoperators.velocity_teleop import VelocityTeleop
 from pneutac_datasets.demonstrations.augment.planner import CemPlanner, PlannerConfig
 from pneutac_datasets.demonstrations.augment.run import read_references
-from pneutac_datasets.demonstrations.faults import demonstration_faults
+from pneutac_datasets.demonstrations.faults import Recorded
 from pneutac_datasets.demonstrations.record import record_episodes
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import action_names, state_names
@@ -120,7 +120,7 @@ def test_a_policy_is_sized_by_the_demonstrations(demonstrations, tmp_path):
 def test_a_plan_follows_the_demonstrated_touch(demonstrations, folder):
     """The planner moves all six numbers, and keeps within their limits."""
     twin = Twin.load(folder)
-    _, references = read_references(demonstrations, "local/arm", TactileSensor(twin))
+    _, references = read_references(Recorded(demonstrations), "local/arm", TactileSensor(twin))
     r = references[0]
     world = World("button", twin, "area", "probe")
     world.variation = Variation(tuple(r.flange_m[0]))
@@ -141,10 +141,10 @@ def test_a_plan_follows_the_demonstrated_touch(demonstrations, folder):
 
 
 def test_demonstrations_of_another_body_are_reported(demonstrations, folder):
-    faults = demonstration_faults(demonstrations, Twin.builtin())
+    faults = Recorded(demonstrations).faults(Twin.builtin())
     sentence = "'action' has 3 pressures and the twin 1 chamber; give the twin of the body that was recorded."
     assert any(f.endswith(sentence) for f in faults)
-    assert not demonstration_faults(demonstrations, Twin.load(folder))
+    assert not Recorded(demonstrations).faults(Twin.load(folder))
 
 
 def test_the_environment_gives_what_its_config_promises(folder):

@@ -1,11 +1,12 @@
 """Everything in demonstrations that `augment` or a training would refuse, at once and without the images."""
 
 import difflib
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from pneutac_datasets.demonstrations.info import ACTION, OWN, STATE, column, dataset_faults, read_info
+from pneutac_datasets.demonstrations.info import ACTION, OWN, ROBOT, STATE, Files
 from pneutac_sim.errors import shown
 from pneutac_sim.features import (
     CHAMBERS,
@@ -32,7 +33,6 @@ FURTHER = (f"observation.{POINTS_KEY}", *(f"observation.images.{name}" for name 
 AREA_NAME = "contact_area.pos"
 UNTOUCHED = f"never touches anything ({AREA_NAME} is 0 throughout)"
 ROUNDING_KPA = 0.01  # share of the range by which a command may be beyond it
-ROBOT = "pneutac"
 MOST_SPEED_M_S = 0.45  # of the flange between two frames, four times the fastest that is commanded
 LEAST_KPA = 0.5  # travel of a command of pressure that a gauge must show
 WINDOW_S, MOVES_MM = 0.5, 3.0  # over which motion and command are compared; the least that is compared
@@ -43,86 +43,218 @@ MOST_RAD = 8.0  # of a joint; robots turn by one turn and a little
 # Of a training: frames that a policy plans ahead by default (ACT), the share of episodes that may be shorter,
 # and the shares of an episode with one unchanged action and of all frames at a limit that are noted.
 CHUNK, MOST_SHORT, MOST_FROZEN, MOST_AT_LIMIT = 100, 0.1, 0.05, 0.5
-Episodes = dict[int, tuple[np.ndarray, np.ndarray]]  # number to state (T, S) and action (T, A)
 OFF_MM, MOST_POSES = 10.0, 500  # by which joints and flange may disagree, and how many frames are compared
 
 
-def demonstration_faults(
-    folder: str | Path, twin: Twin, station: Station | None = None, measured: bool = False
-) -> list[str]:
-    """One sentence for each fault of recorded demonstrations, which are to be augmented on a twin.
+class Recorded(Files):
+    """Recorded demonstrations, each file of which is opened once and without the images.
 
-    The station is where they were recorded, if omitted the paper's. `measured` are measurements of the
-    finger: their rate may differ from the station's, and whether the task was done does not matter.
+    Raises InputError where there is no dataset, or its `info.json` is damaged.
     """
-    folder = Path(folder)
-    file = folder / "meta" / "info.json"
-    if not file.is_file():
-        return [f"'{folder}' holds no LeRobotDataset (no meta/info.json)."]
-    info = read_info(file)
-    station, chambers = station or Station(), CHAMBERS.get(twin.device, 1)
-    found = feature_faults(info["features"], file, GelModel.from_twin(twin).rest_image.shape, chambers)
-    if not measured and info.get("fps") != station.control_hz:
-        found.append(
-            f"{file}: {info.get('fps')} fps, but the station's control rate is {station.control_hz} Hz; give"
-            " the station.yaml that they were recorded in by --station=, or record with"
-            f" --dataset.fps={station.control_hz}."
-        )
-    damaged = dataset_faults(folder, info)
-    if damaged or any(f"'{name}'" in sentence for sentence in found for name in (STATE, ACTION)):
-        return damaged + found  # which numbers are which is not known
-    joints = joint_count(len(info["features"][STATE]["names"]), chambers)
-    if joints != station.joints:
-        found.append(
-            f"{file}: the arm has {joints} joints, and that of the station {station.joints}; give the"
-            " station.yaml in which they were recorded by --station=, or lay it in the dataset's folder meta."
-        )
-    episodes = _read_episodes(folder, info)
-    failed = {} if measured else failed_demonstrations(folder)
-    found += too_few(folder, len(episodes), failed)
-    episodes = {number: each for number, each in episodes.items() if number not in failed}
-    found += _of_episodes(episodes, twin.pressure_range_kpa, Places.of(chambers).area)
-    return found + _of_motion(folder, info, episodes)[0]
 
+    @cached_property
+    def episodes(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+        """Number to state (T, S) and action (T, A); raises InputError where the dataset is damaged."""
+        self.refuse_damaged()
+        episode, state, action = (self.rows[key] for key in ("episode_index", STATE, ACTION))
+        return {int(e): (state[episode == e], action[episode == e]) for e in np.unique(episode)}
 
-def failed_demonstrations(folder: str | Path) -> dict[int, str]:
-    """Demonstrations that nothing can be learnt from: number of the episode to why it failed.
+    @property
+    def chambers(self) -> int:
+        return self.info["features"][ACTION]["shape"][0] - len(VELOCITY_NAMES)
 
-    Those that `meta/outcomes.json` calls failed, and those without touch, of a dataset without damage. Raises
-    InputError where `outcomes.json` is damaged.
-    """
-    folder = Path(folder)
-    info = read_info(folder / "meta" / "info.json")
-    area = info["features"][STATE]["names"].index(AREA_NAME)
-    outcomes, failed = read_outcomes(folder / "meta"), {}
-    for number, (state, _) in _read_episodes(folder, info).items():
-        touch = state[:, area]
-        if np.isfinite(touch).all() and not without_specks(touch).any():
-            failed[number] = UNTOUCHED
-        elif outcomes.get(number, DONE) != DONE:
-            failed[number] = outcomes[number]
-    return failed
+    @property
+    def joints(self) -> int:
+        """Of the arm, by the length of the state."""
+        return joint_count(self.info["features"][STATE]["shape"][0], self.chambers)
 
+    @cached_property
+    def failed(self) -> dict[int, str]:
+        """Demonstrations that nothing can be learnt from: number of the episode to why it failed.
 
-def too_few(folder: str | Path, recorded: int, failed: dict[int, str]) -> list[str]:
-    """One sentence where fewer than two of the recorded demonstrations have not failed, else none."""
-    left = recorded - len(failed)
-    if left >= 2:
-        return []
-    without = f" besides {_named(failed)}" if failed else ""
-    return [
-        f"{folder} has {left or 'no'} demonstration{'s' * (left != 1)}{without}; augment needs two or more:"
-        " record more with lerobot-record --resume=true."
-    ]
+        Those that `meta/outcomes.json` calls failed, and those without touch. Raises InputError where the
+        dataset or `outcomes.json` is damaged.
+        """
+        area = self.info["features"][STATE]["names"].index(AREA_NAME)
+        outcomes, failed = read_outcomes(self.folder / "meta"), {}
+        for number, (state, _) in self.episodes.items():
+            touch = state[:, area]
+            if np.isfinite(touch).all() and not without_specks(touch).any():
+                failed[number] = UNTOUCHED
+            elif outcomes.get(number, DONE) != DONE:
+                failed[number] = outcomes[number]
+        return failed
 
+    @property
+    def used(self) -> list[int]:
+        """The episodes that have not failed."""
+        return [number for number in self.episodes if number not in self.failed]
 
-def set_aside(folder: str | Path, recorded: int, failed: dict[int, str]) -> str:
-    """A sentence that names the failed demonstrations; empty where there are none."""
-    return (
-        f"{folder}: set aside {_named(failed)}; the other {recorded - len(failed)} are used."
-        if failed
-        else ""
-    )
+    def faults(self, twin: Twin, station: Station | None = None, measured: bool = False) -> list[str]:
+        """One sentence for each fault of demonstrations that are to be augmented on a twin.
+
+        The station is where they were recorded, if omitted the paper's. `measured` are measurements of the
+        finger: their rate may differ from the station's, and whether the task was done does not matter.
+        """
+        info, file, station = self.info, self.file, station or Station()
+        chambers = CHAMBERS.get(twin.device, 1)
+        found = feature_faults(info["features"], file, GelModel.from_twin(twin).rest_image.shape, chambers)
+        if not measured and info.get("fps") != station.control_hz:
+            found.append(
+                f"{file}: {info.get('fps')} fps, but the station's control rate is {station.control_hz} Hz;"
+                " give the station.yaml that they were recorded in by --station=, or record with"
+                f" --dataset.fps={station.control_hz}."
+            )
+        if self.damage or any(f"'{name}'" in sentence for sentence in found for name in (STATE, ACTION)):
+            return self.damage + found  # which numbers are which is not known
+        if self.joints != station.joints:
+            found.append(
+                f"{file}: the arm has {self.joints} joints, and that of the station {station.joints}; give"
+                " the station.yaml in which they were recorded by --station=, or lay it in the dataset's"
+                " folder meta."
+            )
+        found += [] if measured else self.too_few()
+        failed = {} if measured else self.failed
+        left = {number: each for number, each in self.episodes.items() if number not in failed}
+        found += _of_episodes(left, twin.pressure_range_kpa, Places.of(chambers).area)
+        return found + self._motion(left)[0]
+
+    def too_few(self) -> list[str]:
+        """One sentence where fewer than two of the recorded demonstrations have not failed, else none."""
+        if (left := len(self.used)) >= 2:
+            return []
+        without = f" besides {_named(self.failed)}" if self.failed else ""
+        return [
+            f"{self.folder} has {left or 'no'} demonstration{'s' * (left != 1)}{without}; augment needs two"
+            " or more: record more with lerobot-record --resume=true."
+        ]
+
+    def set_aside(self) -> list[str]:
+        """A sentence that names the failed demonstrations, if there are any."""
+        left = f"the other {len(self.used)} are used"
+        return [f"{self.folder}: set aside {_named(self.failed)}; {left}."] if self.failed else []
+
+    def motion_faults(self) -> list[str]:
+        """A sentence for each command that the flange does not follow, and for joints that are no radians."""
+        return self._motion(self.episodes)[0]
+
+    def notes(self, station: Station) -> list[str]:
+        """What is poor but usable in demonstrations without faults."""
+        found = self.rate_notes() + self._motion(self.episodes)[1] + self._joint_notes(station)
+        return found + self._measurement_notes() + self._training_notes()
+
+    def rate_notes(self) -> list[str]:
+        """Episodes whose control loop was slower or faster than the dataset's rate."""
+        fps = self.info.get("fps")
+        known = isinstance(fps, int | float) and fps > 0
+        return pace_notes(self.folder / "meta", float(fps)) if known else []
+
+    def _training_notes(self) -> list[str]:
+        """What a policy may learn wrongly, by the rules of lerobot-doctor (checks `episodes`, `actions`)."""
+        folder, every = self.folder, [action for _, action in self.episodes.values()]
+        notes, lengths, frozen = [], list(map(len, every)), []
+        short = sum(n < CHUNK for n in lengths)
+        if short > MOST_SHORT * len(lengths):
+            notes.append(
+                f"{folder}: {short} of {len(lengths)} episodes have fewer than {CHUNK} frames, which ACT"
+                f" plans ahead by default; train it with --policy.chunk_size={min(lengths)}"
+                f" --policy.n_action_steps={min(lengths)}."
+            )
+        for number, action in zip(self.episodes, every, strict=True):
+            begins, frames = _longest_run((action[1:] == action[:-1]).all(axis=1))
+            if frames >= MOST_FROZEN * len(action):
+                frozen.append(f"{number} ({frames} frames from {begins / float(self.info['fps']):.1f} s)")
+        if frozen:
+            notes.append(
+                f"{folder}: the action stays the same in episode{'s' * (len(frozen) > 1)}"
+                f" {', '.join(frozen)}; where the robot waits at the start of an episode a policy learns to"
+                " wait: leave those frames out."
+            )
+        actions = np.concatenate(every).T
+        for name, values in zip(self.info["features"][ACTION]["names"], actions, strict=True):
+            for limit, word in ((values.min(), "lowest"), (values.max(), "highest")):
+                share = float((values == limit).mean())
+                if MOST_AT_LIMIT < share < 1:
+                    notes.append(
+                        f"{folder}: {name} is at its {word} value, {limit:g}, in {100 * share:.0f} % of the"
+                        " frames; make sure that no limit cuts what was demonstrated."
+                    )
+        return notes
+
+    def _measurement_notes(self) -> list[str]:
+        """What `compare`, `diagnose` and `calibrate` refuse, which measure by demonstrations."""
+        found, verbs = [], "compare, diagnose and calibrate refuse"
+        if (robot := self.info.get("robot_type")) != ROBOT:
+            what = f"robot_type is {shown(robot)}; {verbs} demonstrations of another robot than '{ROBOT}'"
+            found.append(f"{self.folder}: {what}.")
+        for number, each in self.episodes.items():
+            if reason := unmeasurable(*each, float(self.info["fps"])):
+                found.append(f"{self.folder}: in episode {number} {reason} Until then {verbs} it.")
+        return found
+
+    def _motion(self, episodes: dict[int, tuple[np.ndarray, np.ndarray]]) -> tuple[list[str], list[str]]:
+        """Faults and notes where the flange does not move as it was commanded.
+
+        Displacements in windows of half a second are compared with the integral of the commanded velocity.
+        """
+        folder, fps, ee = self.folder, self.info["fps"], Places.of(self.chambers).ee
+        window, moved, commanded, turned = max(1, round(fps * WINDOW_S)), [], [], []
+        for number, (state, action) in episodes.items():
+            if np.nanmax(np.abs(state[:, : self.joints]), initial=0) > MOST_RAD:
+                turned.append(number)
+            if len(action) > window and np.isfinite(state).all() and np.isfinite(action).all():
+                way = np.vstack([np.zeros(3), np.cumsum(action[:-1, :3], 0)]) / fps
+                moved.append(state[window:, ee] - state[:-window, ee])
+                commanded.append(way[window:] - way[:-window])
+        faults, notes = [], []
+        if turned:
+            faults.append(
+                f"{folder}: 'joint_1.pos' and so on go beyond {MOST_RAD:g} rad in the episodes {turned}, as"
+                " degrees do; record radians."
+            )
+        both = (np.vstack(moved).T, np.vstack(commanded).T) if moved else ((), ())
+        for name, axis, motion, command in zip(VELOCITY_NAMES, "xyz", *both, strict=False):
+            moved_mm, commanded_mm = (1e3 * float(np.sqrt(np.mean(x**2))) for x in (motion, command))
+            if max(moved_mm, commanded_mm) < MOVES_MM:
+                continue
+            begin = f"{folder}: action '{name}' and observation.state 'ee_{axis}.pos' do not fit:"
+            how = (
+                f"in {WINDOW_S:g} s the flange moves by {moved_mm:.3g} mm and the command asks for "
+                f"{commanded_mm:.3g} mm"
+            )
+            if min(moved_mm, commanded_mm) < SLIGHT * max(moved_mm, commanded_mm):
+                faults.append(f"{begin} {how}; record velocities in m/s and places in m, of the same axes.")
+                continue
+            follows = float(motion @ command / np.sqrt((motion @ motion) * (command @ command)))
+            factor = float(motion @ command / (command @ command))
+            if follows < LEAST_FOLLOWING:
+                does = "moves against" if follows < -LEAST_FOLLOWING else "does not follow"
+                remedy = "record velocities along the axes of the arm's frame"
+                faults.append(f"{begin} the flange {does} the command (correlation {follows:.2f}); {remedy}.")
+            elif not 1 / MOST_FACTOR < factor < MOST_FACTOR:
+                faults.append(f"{begin} {how}; record velocities in m/s and places in m.")
+            elif not 1 / NOTED_FACTOR < factor < NOTED_FACTOR:
+                loop = f"Was the loop {'faster' if factor < 1 else 'slower'} than the dataset's {fps:g} fps"
+                far = f"the flange moves {factor:.2g} times as far as commanded"
+                notes.append(f"{begin} {far}. {loop}, or was the arm held back?")
+        return faults, notes
+
+    def _joint_notes(self, station: Station) -> list[str]:
+        """A note where the joints of the station's arm put the flange elsewhere than the state says."""
+        states = np.vstack([state for state, _ in self.episodes.values()])
+        if self.joints != station.joints or not np.isfinite(states).all():
+            return []
+        rows = states[np.linspace(0, len(states) - 1, min(len(states), MOST_POSES)).astype(int)]
+        solver, ee = station.make_arm().solver(), rows[:, Places.of(self.chambers).ee]
+        off_mm = 1e3 * np.linalg.norm([solver.pose(q)[1] for q in rows[:, : self.joints]] - ee, axis=1)
+        if np.median(off_mm) < OFF_MM:
+            return []
+        arm = station.arm if isinstance(station.arm, str) else Path(station.arm.urdf).name
+        return [
+            f"{self.folder}: the joint angles put the flange of '{arm}' {np.median(off_mm):.3g} mm away from"
+            " ee_x.pos, ee_y.pos, ee_z.pos. Check the joints' zeros, order and signs, or give the station of"
+            " the arm by --station=."
+        ]
 
 
 def _named(failed: dict[int, str]) -> str:
@@ -136,79 +268,6 @@ def _named(failed: dict[int, str]) -> str:
     )
 
 
-def motion_faults(folder: str | Path) -> list[str]:
-    """One sentence for each command that the flange does not follow, and for joints that are no radians."""
-    info = read_info(Path(folder) / "meta" / "info.json")
-    return _of_motion(Path(folder), info, _read_episodes(Path(folder), info))[0]
-
-
-def _read_episodes(folder: Path, info: dict) -> Episodes:
-    """State (T, S) and action (T, A) of each episode."""
-    import pyarrow.parquet as parquet
-
-    parts: dict[str, list[np.ndarray]] = {"episode_index": [], STATE: [], ACTION: []}
-    for file in sorted((folder / "data").glob("*/*.parquet")):
-        table = parquet.read_table(file, columns=list(parts), partitioning=None)
-        for key, values in parts.items():
-            values.append(column(file, table, key, info["features"][key]["shape"]))
-    episode, state, action = (np.concatenate(values) for values in parts.values())
-    return {int(e): (state[episode == e], action[episode == e]) for e in np.unique(episode)}
-
-
-def demonstration_notes(folder: str | Path, station: Station) -> list[str]:
-    """What is poor but usable in demonstrations without faults."""
-    folder = Path(folder)
-    info = read_info(folder / "meta" / "info.json")
-    episodes = _read_episodes(folder, info)
-    return [
-        *rate_notes(folder),
-        *_of_motion(folder, info, episodes)[1],
-        *_of_joints(folder, episodes, station),
-        *_unmeasured(folder, info, episodes),
-        *_of_training(folder, info, episodes),
-    ]
-
-
-def rate_notes(folder: str | Path) -> list[str]:
-    """Episodes whose control loop was slower or faster than the dataset's rate."""
-    meta = Path(folder) / "meta"
-    fps = read_info(meta / "info.json").get("fps")
-    return pace_notes(meta, float(fps)) if isinstance(fps, int | float) and fps > 0 else []
-
-
-def _of_training(folder: Path, info: dict, episodes: Episodes) -> list[str]:
-    """What a policy may learn wrongly, by the rules of lerobot-doctor (checks `episodes`, `actions`)."""
-    notes, lengths = [], [len(action) for _, action in episodes.values()]
-    short = sum(n < CHUNK for n in lengths)
-    if short > MOST_SHORT * len(lengths):
-        notes.append(
-            f"{folder}: {short} of {len(lengths)} episodes have fewer than {CHUNK} frames, which ACT plans"
-            f" ahead by default; train it with --policy.chunk_size={min(lengths)}"
-            f" --policy.n_action_steps={min(lengths)}."
-        )
-    frozen = {}
-    for number, (_, action) in episodes.items():
-        begins, frames = _longest_run((action[1:] == action[:-1]).all(axis=1))
-        if frames >= MOST_FROZEN * len(action):
-            frozen[number] = f"{number} ({frames} frames from {begins / float(info['fps']):.1f} s)"
-    if frozen:
-        notes.append(
-            f"{folder}: the action stays the same in episode{'s' * (len(frozen) > 1)}"
-            f" {', '.join(frozen.values())}; where the robot waits at the start of an episode a policy learns"
-            " to wait: leave those frames out."
-        )
-    actions = np.concatenate([action for _, action in episodes.values()])
-    for name, column_ in zip(info["features"][ACTION]["names"], actions.T, strict=True):
-        for limit, word in ((column_.min(), "lowest"), (column_.max(), "highest")):
-            share = float((column_ == limit).mean())
-            if MOST_AT_LIMIT < share < 1:
-                notes.append(
-                    f"{folder}: {name} is at its {word} value, {limit:g}, in {100 * share:.0f} % of the"
-                    " frames; make sure that no limit cuts what was demonstrated."
-                )
-    return notes
-
-
 def _longest_run(same: np.ndarray) -> tuple[int, int]:
     """Where the longest stretch of True begins in (T,), and its length."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
@@ -217,21 +276,6 @@ def _longest_run(same: np.ndarray) -> tuple[int, int]:
     lengths = edges[1::2] - edges[::2]
     best = int(lengths.argmax())
     return int(edges[::2][best]), int(lengths[best])
-
-
-def _unmeasured(folder: Path, info: dict, episodes: Episodes) -> list[str]:
-    """What `compare`, `diagnose` and `calibrate` refuse, which measure by demonstrations."""
-    found, verbs = [], "compare, diagnose and calibrate refuse"
-    if info.get("robot_type") != ROBOT:
-        found.append(
-            f"{folder}: robot_type is {shown(info.get('robot_type'))}; {verbs} demonstrations of another"
-            f" robot than '{ROBOT}'."
-        )
-    for number, (state, action) in episodes.items():
-        reason = unmeasurable(state, action, float(info["fps"]))
-        if reason:
-            found.append(f"{folder}: in episode {number} {reason} Until then {verbs} it.")
-    return found
 
 
 def unmeasurable(state: np.ndarray, action: np.ndarray, fps: float) -> str:
@@ -250,84 +294,6 @@ def unmeasurable(state: np.ndarray, action: np.ndarray, fps: float) -> str:
             " chamber, or leave the episode out."
         )
     return ""
-
-
-def _of_motion(folder: Path, info: dict, episodes: Episodes) -> tuple[list[str], list[str]]:
-    """Faults and notes where the flange does not move as it was commanded.
-
-    Displacements in windows of half a second are compared with the integral of the commanded velocity.
-    """
-    window = max(1, round(info["fps"] * WINDOW_S))
-    moved, commanded = [], []
-    for state, action in episodes.values():
-        if len(action) > window and np.isfinite(state).all() and np.isfinite(action).all():
-            ee = state[:, Places.of(action.shape[1] - len(VELOCITY_NAMES)).ee]
-            way = np.vstack([np.zeros(3), np.cumsum(action[:-1, :3], 0)]) / info["fps"]
-            moved.append(ee[window:] - ee[:-window])
-            commanded.append(way[window:] - way[:-window])
-    faults, notes = [], []
-    turned = []  # episodes
-    for number, (state, action) in episodes.items():
-        joints = joint_count(state.shape[1], action.shape[1] - len(VELOCITY_NAMES))
-        turned += [number] * bool(np.nanmax(np.abs(state[:, :joints]), initial=0) > MOST_RAD)
-    if turned:
-        faults.append(
-            f"{folder}: 'joint_1.pos' and so on go beyond {MOST_RAD:g} rad in the episodes {turned}, as"
-            " degrees do; record radians."
-        )
-    if not moved:
-        return faults, notes
-    for name, axis, motion, command in zip(
-        VELOCITY_NAMES, "xyz", np.vstack(moved).T, np.vstack(commanded).T, strict=True
-    ):
-        moved_mm, commanded_mm = (1e3 * float(np.sqrt(np.mean(x**2))) for x in (motion, command))
-        if max(moved_mm, commanded_mm) < MOVES_MM:
-            continue
-        begin = f"{folder}: action '{name}' and observation.state 'ee_{axis}.pos' do not fit:"
-        how = (
-            f"in {WINDOW_S:g} s the flange moves by {moved_mm:.3g} mm and the command asks for "
-            f"{commanded_mm:.3g} mm"
-        )
-        if min(moved_mm, commanded_mm) < SLIGHT * max(moved_mm, commanded_mm):
-            faults.append(f"{begin} {how}; record velocities in m/s and places in m, of the same axes.")
-            continue
-        follows = float(motion @ command / np.sqrt((motion @ motion) * (command @ command)))
-        factor = float(motion @ command / (command @ command))
-        if follows < LEAST_FOLLOWING:
-            does = "moves against" if follows < -LEAST_FOLLOWING else "does not follow"
-            faults.append(
-                f"{begin} the flange {does} the command (correlation {follows:.2f}); record velocities along"
-                " the axes of the arm's frame."
-            )
-        elif not 1 / MOST_FACTOR < factor < MOST_FACTOR:
-            faults.append(f"{begin} {how}; record velocities in m/s and places in m.")
-        elif not 1 / NOTED_FACTOR < factor < NOTED_FACTOR:
-            rate = "faster" if factor < 1 else "slower"
-            notes.append(
-                f"{begin} the flange moves {factor:.2g} times as far as commanded. Was the loop {rate}"
-                f" than the dataset's {info['fps']:g} fps, or was the arm held back?"
-            )
-    return faults, notes
-
-
-def _of_joints(folder: Path, episodes: Episodes, station: Station) -> list[str]:
-    """A note where the joints of the station's arm put the flange elsewhere than the state says."""
-    states = np.vstack([state for state, _ in episodes.values()])
-    chambers = next(iter(episodes.values()))[1].shape[1] - len(VELOCITY_NAMES)
-    joints = joint_count(states.shape[1], chambers)
-    if joints != station.joints or not np.isfinite(states).all():
-        return []
-    rows = states[np.linspace(0, len(states) - 1, min(len(states), MOST_POSES)).astype(int)]
-    solver, ee = station.make_arm().solver(), rows[:, Places.of(chambers).ee]
-    off_mm = 1e3 * np.linalg.norm([solver.pose(q)[1] for q in rows[:, :joints]] - ee, axis=1)
-    if np.median(off_mm) < OFF_MM:
-        return []
-    arm = station.arm if isinstance(station.arm, str) else Path(station.arm.urdf).name
-    return [
-        f"{folder}: the joint angles put the flange of '{arm}' {np.median(off_mm):.3g} mm away from ee_x.pos,"
-        " ee_y.pos, ee_z.pos. Check the joints' zeros, order and signs, or give the station of the arm by"
-        " --station=."
-    ]
 
 
 def feature_faults(
@@ -386,7 +352,7 @@ def feature_faults(
     return found
 
 
-def _of_episodes(episodes: Episodes, range_kpa: tuple[float, float], area: int) -> list[str]:
+def _of_episodes(episodes: dict, range_kpa: tuple[float, float], area: int) -> list[str]:
     """Faults of single episodes, those with the same fault in one sentence."""
     low, high = range_kpa
     tolerance = ROUNDING_KPA * (high - low)

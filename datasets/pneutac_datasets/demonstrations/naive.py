@@ -6,14 +6,13 @@ scales the velocities, a displaced approach moves joints and commands too, and c
 contact area. Nothing knows whether the altered demonstration would have done the task.
 """
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
-from lerobot.utils.constants import ACTION, OBS_STATE
 
 from pneutac_datasets.demonstrations.episodes import (
     TACTILE,
@@ -23,8 +22,7 @@ from pneutac_datasets.demonstrations.episodes import (
     readable,
     save_episode,
 )
-from pneutac_datasets.demonstrations.faults import motion_faults
-from pneutac_datasets.demonstrations.info import refuse_damaged
+from pneutac_datasets.demonstrations.faults import Recorded
 from pneutac_datasets.demonstrations.save import create_dataset, written
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import PANDA_JOINTS, PAPER_RANGE_KPA, PRESSURES, action_limits, state_limits
@@ -40,40 +38,37 @@ BRIGHTNESS = 2.0  # standard deviation of each channel's offset, levels of 255
 
 
 def augment_naive(
-    dataset_root: str | Path,
+    recorded: Recorded,
     repo_id: str,
     out_root: str | Path,
     out_repo_id: str,
     episodes: int,
     seed: int,
     progress: Progress = no_progress,
-    left_out: Collection[int] = (),
 ) -> Path:
     """Writes a LeRobotDataset of varied demonstrations that merges with its source; returns `out_root`.
 
-    The recorded ones but those `left_out` take turns, and the seed decides every variation. `progress` is
+    The recorded ones that have not failed take turns, and the seed decides every variation. `progress` is
     called with a text, and how many of how many are made.
 
     Raises:
-        InputError: the source is not there or has other features, or `out_root` exists.
+        InputError: the source has other features, or `out_root` exists.
     """
-    refuse_damaged(dataset_root)
-    with readable(dataset_root):
-        meta = LeRobotDatasetMetadata(repo_id, dataset_root)
+    recorded.refuse_damaged()
+    with readable(recorded.folder):
+        meta = LeRobotDatasetMetadata(repo_id, recorded.folder)
         features = demonstration_features(meta)
-        source = LeRobotDataset(repo_id, dataset_root, video_backend="pyav", return_uint8=True)
-    if faults := motion_faults(dataset_root):
+        source = LeRobotDataset(repo_id, recorded.folder, video_backend="pyav", return_uint8=True)
+    if faults := recorded.motion_faults():
         raise InputError(faults[0])
-
-    used = sorted(set(range(meta.total_episodes)) - set(left_out))
+    used = recorded.used
 
     @lru_cache(maxsize=16)
     def load(index: int) -> Episode:
-        with readable(dataset_root):
+        with readable(recorded.folder):
             return load_episode(source, used[index])
 
-    table = source.hf_dataset.with_format("numpy")
-    states, actions = (np.stack(table[key][:]) for key in (OBS_STATE, ACTION))
+    states, actions = map(np.concatenate, zip(*recorded.episodes.values(), strict=True))
     longest = int(np.ceil(max(meta.episodes["length"]) / SPEED[0])) + 1
     use_videos = features[TACTILE]["dtype"] == "video"
     out = create_dataset(out_repo_id, out_root, meta.fps, features, meta.robot_type, use_videos, longest)

@@ -26,7 +26,7 @@ from pneutac_datasets.demonstrations.episodes import (
     load_episode,
     save_episode,
 )
-from pneutac_datasets.demonstrations.info import refuse_damaged
+from pneutac_datasets.demonstrations.info import Files
 from pneutac_datasets.demonstrations.save import create_dataset, written
 from pneutac_sim.errors import InputError
 
@@ -38,7 +38,7 @@ def pool_demonstrations(sources: list[Path], out: str | Path, repo_id: str) -> P
         InputError: a source is no dataset of this robot, frame rates or sizes differ, or `out` exists.
     """
     for root in sources:
-        refuse_damaged(root)
+        Files(root).refuse_damaged()
     metas = [LeRobotDatasetMetadata(f"local/{Path(root).name}", root) for root in sources]
     features = demonstration_features(metas[0])
     whole = tuple(features[TACTILE]["shape"])

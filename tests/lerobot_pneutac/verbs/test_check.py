@@ -10,7 +10,7 @@ from sensors import wide_twin
 from verbs import refused, verb
 
 from lerobot_pneutac.verbs.check import check_path
-from pneutac_datasets.demonstrations.faults import demonstration_faults
+from pneutac_datasets.demonstrations.faults import Recorded
 from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import STATE_NAMES
@@ -20,7 +20,7 @@ GOLDEN = Path(__file__).parents[2] / "golden" / "recordings"
 
 
 def test_good_demonstrations_pass_and_recorded_ones_too(tmp_path):
-    assert demonstration_faults(write_demonstrations(tmp_path / "d"), Twin.builtin()) == []
+    assert Recorded(write_demonstrations(tmp_path / "d")).faults(Twin.builtin()) == []
     assert check_path(GOLDEN / "demos").kind == "demonstrations"
     assert check_path(GOLDEN / "demos").faults == []
 
@@ -28,16 +28,16 @@ def test_good_demonstrations_pass_and_recorded_ones_too(tmp_path):
 def test_all_faults_of_demonstrations_are_told_at_once(tmp_path):
     names = ["joint_1.pose" if n == "joint_1.pos" else n for n in STATE_NAMES]
     spoilt = write_demonstrations(tmp_path / "a", names=names, fps=30)
-    text = " ".join(demonstration_faults(spoilt, Twin.builtin()))
+    text = " ".join(Recorded(spoilt).faults(Twin.builtin()))
     assert "30 fps, but the station's control rate is 15 Hz" in text
     assert "lacks 'joint_1.pos' (there is 'joint_1.pose')" in text
     spoilt = write_demonstrations(tmp_path / "b", (12.0, 40.0, 12.0, np.nan), (0.1, 0.1, 0.0, 0.1))
-    text = " ".join(demonstration_faults(spoilt, Twin.builtin()))
+    text = " ".join(Recorded(spoilt).faults(Twin.builtin()))
     assert "Episode 1 commands pressures beyond the 0 to 15 kPa" in text
     assert "Episode 3 holds numbers that are not finite" in text
     twin = wide_twin()
     twin.pressure_range_kpa = (0.0, 60.0)
-    text = " ".join(demonstration_faults(spoilt, twin))
+    text = " ".join(Recorded(spoilt).faults(twin))
     assert "beyond" not in text and "(320, 240, 3) and those of the twin's sensor (480, 640, 3)" in text
 
 

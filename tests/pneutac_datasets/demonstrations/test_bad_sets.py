@@ -20,7 +20,7 @@ from lerobot_pneutac.verbs.check import check_path
 from lerobot_robot_pneutac.standin.world import new_gel
 from pneutac_datasets.demonstrations.augment import run
 from pneutac_datasets.demonstrations.augment.run import read_references
-from pneutac_datasets.demonstrations.faults import TACTILE
+from pneutac_datasets.demonstrations.faults import TACTILE, Recorded
 from pneutac_datasets.demonstrations.info import ACTION, STATE
 from pneutac_datasets.demonstrations.naive import augment_naive
 from pneutac_datasets.demonstrations.repair.dataset import repair_dataset
@@ -212,8 +212,8 @@ def test_check_says_what_the_verbs_refuse(tmp_path, bad):
     refused = []
     for read in (
         lambda: load_demonstrations(root, task="switch"),
-        lambda: read_references(root, "local/demos"),
-        lambda: augment_naive(root, "local/demos", tmp_path / "new", "local/new", 1, 0),
+        lambda: read_references(Recorded(root), "local/demos"),
+        lambda: augment_naive(Recorded(root), "local/demos", tmp_path / "new", "local/new", 1, 0),
     ):
         try:
             read()

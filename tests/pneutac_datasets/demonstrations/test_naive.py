@@ -6,6 +6,7 @@ from lerobot.utils.constants import OBS_STATE
 
 from pneutac_datasets.demonstrations import naive
 from pneutac_datasets.demonstrations.episodes import Episode
+from pneutac_datasets.demonstrations.faults import Recorded
 from pneutac_datasets.demonstrations.naive import augment_naive, vary
 from pneutac_datasets.demonstrations.save import create_dataset
 from pneutac_sim.errors import InputError
@@ -67,7 +68,7 @@ def read(root, name, key):
 
 @pytest.mark.slow
 def test_features_stay_and_datasets_merge(source, tmp_path):
-    out = augment_naive(source, "local/source", tmp_path / "more", "local/more", 3, seed=1)
+    out = augment_naive(Recorded(source), "local/source", tmp_path / "more", "local/more", 3, seed=1)
     old = LeRobotDatasetMetadata("local/source", source)
     new = LeRobotDatasetMetadata("local/more", out)
     assert (new.features, new.fps, new.robot_type) == (old.features, old.fps, old.robot_type)
@@ -86,7 +87,7 @@ def test_features_stay_and_datasets_merge(source, tmp_path):
 def test_same_seed_same_dataset_other_seed_another(source, tmp_path):
     states = []
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
-        augment_naive(source, "local/source", tmp_path / name, f"local/{name}", 1, seed)
+        augment_naive(Recorded(source), "local/source", tmp_path / name, f"local/{name}", 1, seed)
         states.append(read(tmp_path / name, name, OBS_STATE))
     np.testing.assert_array_equal(states[0], states[1])
     assert states[0].shape != states[2].shape or np.abs(states[0] - states[2]).max() > 1e-4
@@ -124,13 +125,13 @@ def test_appearance_changes_contact_and_brightness_but_not_the_order(source):
 
 def test_bad_input_is_named(source, tmp_path):
     with pytest.raises(InputError, match="holds no LeRobotDataset"):
-        augment_naive(tmp_path / "none", "local/none", tmp_path / "o", "local/o", 1, 0)
+        augment_naive(Recorded(tmp_path / "none"), "local/none", tmp_path / "o", "local/o", 1, 0)
     with pytest.raises(InputError, match="exists; give a new folder"):
-        augment_naive(source, "local/source", tmp_path, "local/o", 1, 0)
+        augment_naive(Recorded(source), "local/source", tmp_path, "local/o", 1, 0)
     features = {OBS_STATE: {"dtype": "float32", "shape": (20,), "names": list(STATE_NAMES)}}
     bare = create_dataset("local/bare", tmp_path / "bare", FPS, features, "pneutac", False, 2)
     bare.add_frame({OBS_STATE: np.zeros(20, np.float32), "task": "x"})
     bare.save_episode()
     bare.finalize()
     with pytest.raises(InputError, match="feature .action. is missing"):
-        augment_naive(tmp_path / "bare", "local/bare", tmp_path / "o", "local/o", 1, 0)
+        augment_naive(Recorded(tmp_path / "bare"), "local/bare", tmp_path / "o", "local/o", 1, 0)

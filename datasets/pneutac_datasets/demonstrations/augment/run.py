@@ -10,7 +10,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import as_completed
 from contextlib import redirect_stderr
 from dataclasses import asdict
@@ -22,7 +22,7 @@ import numpy as np
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.datasets.aggregate import aggregate_datasets
 from lerobot.datasets.dataset_tools import delete_episodes
-from lerobot.utils.constants import ACTION, OBS_STATE
+from lerobot.utils.constants import ACTION
 
 from lerobot_robot_pneutac.lerobot_inside import load_info, write_info
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import ANSWER_DELAY
@@ -42,13 +42,14 @@ from pneutac_datasets.demonstrations.episodes import (
     readable,
     save_episode,
 )
-from pneutac_datasets.demonstrations.info import check_new, refuse_damaged, work_folder
+from pneutac_datasets.demonstrations.faults import Recorded
+from pneutac_datasets.demonstrations.info import check_new, work_folder
 from pneutac_datasets.demonstrations.naive import augment_naive
 from pneutac_datasets.demonstrations.replay.imprint import imprint_centres_mm
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders, written
 from pneutac_sim.errors import InputError
 from pneutac_sim.executor import ExecutorOptions, faults_named, process_pool, run_pieces
-from pneutac_sim.features import VELOCITY_NAMES, Places
+from pneutac_sim.features import Places
 from pneutac_sim.files import write_text
 from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.gel.sensor import TactileSensor
@@ -62,31 +63,27 @@ RECORDED = "recorded"  # method of the copies of recorded demonstrations
 
 
 def read_references(
-    root: str | Path, repo_id: str, sensor: TactileSensor | None = None, left_out: Collection[int] = ()
+    recorded: Recorded, repo_id: str, sensor: TactileSensor | None = None
 ) -> tuple[LeRobotDatasetMetadata, list[Reference]]:
-    """The recorded demonstrations but those `left_out`, without their images.
+    """The recorded demonstrations that have not failed, without their images.
 
     With the twin's `sensor` the images are read, for the middles of the imprints.
 
     Raises:
-        InputError: there is no dataset, its features are not those of the robot, or an episode is not finite.
+        InputError: it is damaged, its features are not those of the robot, or an episode is not finite.
     """
-    refuse_damaged(root)
-    with readable(root):
-        meta = LeRobotDatasetMetadata(repo_id, root)
+    recorded.refuse_damaged()
+    with readable(recorded.folder):
+        meta = LeRobotDatasetMetadata(repo_id, recorded.folder)
         demonstration_features(meta)
-        dataset = LeRobotDataset(repo_id, root, video_backend="pyav")
-    table = dataset.hf_dataset.with_format("numpy")
-    state, action = (np.stack(table[k][:]).astype(float) for k in (OBS_STATE, ACTION))
-    references, places = [], Places.of(action.shape[1] - len(VELOCITY_NAMES))
-    for i in sorted(set(range(meta.total_episodes)) - set(left_out)):
-        row = meta.episodes[i]
-        rows = slice(row["dataset_from_index"], row["dataset_to_index"])
-        s = state[rows]
-        area = without_specks(s[:, places.area])
-        r = Reference(i, s[:, places.ee], area, action[rows], row["tasks"][0], control_hz=meta.fps)
+        dataset = LeRobotDataset(repo_id, recorded.folder, video_backend="pyav")
+    references, places = [], Places.of(recorded.chambers)
+    for i in recorded.used:
+        (state, action), task = recorded.episodes[i], meta.episodes[i]["tasks"][0]
+        area = without_specks(state[:, places.area])
+        r = Reference(i, state[:, places.ee], area, action, task, control_hz=meta.fps)
         if sensor is not None:
-            with readable(root):
+            with readable(recorded.folder):
                 images = load_episode(dataset, i).images
             r.centre_mm = imprint_centres_mm(images, r.area, sensor)
         references.append(r)
@@ -334,13 +331,13 @@ def _repeated(root: Path, repo_id: str, times: int, folder: Path) -> list[Path]:
 
 
 def augment_without_simulator(
-    meta: LeRobotDatasetMetadata,
+    recorded: Recorded,
+    repo_id: str,
     out_root: str | Path,
     out_repo_id: str,
     episodes: int,
     seed: int,
     progress: Progress = no_progress,
-    left_out: Collection[int] = (),
 ) -> dict:
     """The same by `naive.augment_naive`; the result has the keys of `augment_guided`."""
     out_root, began = Path(out_root), time.monotonic()
@@ -348,10 +345,10 @@ def augment_without_simulator(
         raise InputError(f"'{out_root}' exists; give a new folder for dataset '{out_repo_id}'.")
     part = out_root.with_name(out_root.name + ".part")
     shutil.rmtree(part, ignore_errors=True)
-    augment_naive(meta.root, meta.repo_id, part, out_repo_id, episodes, seed, progress, left_out)
-    used = sorted(set(range(meta.total_episodes)) - set(left_out))
+    augment_naive(recorded, repo_id, part, out_repo_id, episodes, seed, progress)
     provenance = [
-        {"episode": k, "seed": seed, "source_episode": used[k % len(used)], "method": "naive"}
+        {"episode": k, "seed": seed, "source_episode": recorded.used[k % len(recorded.used)]}
+        | {"method": "naive"}
         for k in range(episodes)
     ]
     finish(part, out_root, provenance)

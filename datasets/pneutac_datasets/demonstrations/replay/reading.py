@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from pneutac_datasets.demonstrations.info import ACTION, is_demonstrations, read_info
+from pneutac_datasets.demonstrations.info import ACTION, ROBOT, is_demonstrations
 from pneutac_sim.errors import InputError, from_hub, shown
 from pneutac_sim.features import (
     AREA,
@@ -28,6 +28,7 @@ from pneutac_sim.twin import Twin
 
 if TYPE_CHECKING:
     from pneutac_datasets.demonstrations.episodes import Episode
+    from pneutac_datasets.demonstrations.faults import Recorded
     from pneutac_sim.world.station import Station
 
 BEGIN, SOON = 5, 10  # frames in which nothing is touched yet, and before which no touch is one
@@ -103,7 +104,7 @@ def load_demonstrations(
     from lerobot.datasets import LeRobotDataset
 
     from pneutac_datasets.demonstrations.episodes import load_episode, readable
-    from pneutac_datasets.demonstrations.faults import demonstration_notes
+    from pneutac_datasets.demonstrations.faults import Recorded
     from pneutac_sim.world.station import Station, station_file
 
     folder = Path(name)
@@ -112,11 +113,12 @@ def load_demonstrations(
             folder = Path(LeRobotDataset(str(name), video_backend="pyav").root)
     file = station_file(folder, station)
     where = replace(Station.load(file) if file else Station(), control_hz=CONTROL_HZ)
-    _refuse(folder, twin or Twin.builtin(), where)
-    notes = demonstration_notes(folder, where)
+    recorded = Recorded(folder)
+    _refuse(recorded, twin or Twin.builtin(), where)
+    notes = recorded.notes(where)
     with readable(folder):
         dataset = LeRobotDataset(f"local/{folder.name}", folder, video_backend="pyav", return_uint8=True)
-    count = dataset.meta.total_episodes
+    count = len(recorded.episodes)
     if missing := [i for i in only or () if not 0 <= i < count]:
         raise InputError(f"{name} has no episode {missing[0]}; it has {count}, the first is 0.")
     numbers = range(count) if only is None else only
@@ -175,21 +177,18 @@ def _touch_anew(given: Demonstrations) -> Demonstrations:
     return replace(given, episodes=episodes, warnings=[*given.warnings, note])
 
 
-def _refuse(folder: Path, twin: Twin, station: Station) -> None:
-    from pneutac_datasets.demonstrations.faults import ROBOT, demonstration_faults
-
-    file = folder / "meta" / "info.json"
-    info = read_info(file)
-    robot = info.get("robot_type")
+def _refuse(recorded: Recorded, twin: Twin, station: Station) -> None:
+    robot = recorded.info.get("robot_type")
     if robot != ROBOT:
-        raise InputError(f"{file}: robot_type is {shown(robot)}; give demonstrations of a '{ROBOT}' robot.")
-    names = info["features"].get(ACTION, {}).get("names")
+        what = f"robot_type is {shown(robot)}; give demonstrations of a '{ROBOT}' robot"
+        raise InputError(f"{recorded.file}: {what}.")
+    names = recorded.info["features"].get(ACTION, {}).get("names")
     if max(chamber_count(names if isinstance(names, list) else []), CHAMBERS.get(twin.device, 1)) > 1:
         raise InputError(
-            f"{folder}: demonstrations are measurements of fingers of one chamber alone, and this body has"
-            " several; compare it by a bench recording (--recording=)."
+            f"{recorded.folder}: demonstrations are measurements of fingers of one chamber alone, and this"
+            " body has several; compare it by a bench recording (--recording=)."
         )
-    if faults := demonstration_faults(folder, twin, station, measured=True):
+    if faults := recorded.faults(twin, station, measured=True):
         raise InputError(faults[0])
 
 
