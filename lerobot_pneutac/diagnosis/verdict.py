@@ -2,7 +2,7 @@
 
 How much of the error is explained:
 
-fully          what remains is noise, on test blocks and out of time
+fully          what remains is noise, on test blocks and out of time, under the condition `Evidence.where`
 mostly         at least half of the avoidable squared error is gone
 no             less than half of it is gone
 undetermined   this recording does not decide
@@ -70,6 +70,8 @@ class Evidence:
     explained: float = 0.0
     # what an effect found does in conditions that were not recorded, a clause; empty where nothing
     unseen: str = ""
+    # how commands must be logged for the error to stay so small, a clause; empty where it does not matter
+    where: str = ""
 
     @property
     def is_noise(self) -> bool:

@@ -82,6 +82,7 @@ class State:
     later: float | None = None  # error over noise of the later part, predicted from the earlier one
     program: float | None = None  # error over noise of programs, each predicted from all others
     unseen: str = ""  # what was not recorded of an effect found, a clause
+    where: str = ""  # how commands must be logged for what is explained, a clause
     recorded: str = ""  # the range of conditions for which the answers hold, such as `up to 62 kPa`
     mechanisms: tuple[Mechanism, ...] = ()  # what each may be; empty without calibrated probabilities
     objections: tuple[str, ...] = ()  # checks that failed, one phrase each
@@ -156,6 +157,7 @@ def state_of(study: EffectStudy, outcome: Outcome) -> State:
         later=e.later,
         program=e.program,
         unseen=e.unseen,
+        where=e.where,
         recorded=study.recorded,
         mechanisms=tuple(o.mechanisms) if named else (),
         objections=tuple(e.objections) if named else (),
@@ -194,8 +196,8 @@ def explanation(s: State) -> str:
         times += f", 95 % interval {s.interval[0]:.2f} to {s.interval[1]:.2f}"
     match s.explained:
         case Explained.FULLY:
-            where = f", as far as was recorded ({s.recorded})" if s.recorded else ""
-            return f"Explained: fully{where}. The error is {times}."
+            recorded = f", as far as was recorded ({s.recorded})" if s.recorded else ""
+            return f"Explained: fully{recorded}{', ' * bool(s.where)}{s.where}. The error is {times}."
         case Explained.MOSTLY if s.at_noise and s.unseen:
             return f"Explained: mostly. The error is {times}, but {s.unseen}."
         case Explained.MOSTLY if s.at_noise:

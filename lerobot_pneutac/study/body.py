@@ -25,7 +25,7 @@ from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.diagnosis.verdict import Evidence, Mechanism, mechanism
 from lerobot_pneutac.study.body_base import BodyBase, base_effects
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel
-from lerobot_pneutac.study.body_search import BodySearch, Searched
+from lerobot_pneutac.study.body_search import LATE_S, LATE_TEMPERATURE, BodySearch, Searched
 from lerobot_pneutac.study.body_space import BodySpace
 from pneutac_sim.effects.laws import family, is_law, starts
 from pneutac_sim.finger.data import BodyData
@@ -428,14 +428,20 @@ def _evidence(
         later=done.later,
         program=done.program,
         unseen=done.unseen or _unseen(study, after),
+        where=study.where(after),
     )
 
 
 def _unseen(study: "BodyStudy", model: FittedModel) -> str:
-    """That a finger's weight was not seen to bend it sideways, where the base was not turned to that side.
+    """What the recording does not show of an effect found, a clause; empty where it shows all.
 
-    How stiff it is to that side, its bending in its plane does not show.
+    How stiff a finger is to its side, its bending in its plane does not show. How warm a device that follows
+    the temperature minutes late begins a run, depends on how long it rested before.
     """
+    samples, late = study.recording.samples, model.twin.effects.get(LATE_TEMPERATURE)
+    stated = set(study.recording.meta.get("trials", {}))
+    if late and late["time_s"].value > LATE_S and not set(samples["trial"].astype(str)) <= stated:
+        return "how long it rested before each run, which sets how warm it begins, is not recorded"
     sideways = study.recording.samples.get("gravity_y")
     if study.recording.device != "finger" or "gravity" not in model.effects or sideways is None:
         return ""

@@ -271,10 +271,29 @@ class BodyBase(EffectStudy):
         twin, of_air = self.twin_with(body), self.twin_with(air).effects
         return replace(twin, effects=twin.effects | {k: v for k, v in of_air.items() if get_effect(k).of_air})
 
-    def residual(self, twin: Twin) -> np.ndarray:
+    def residual(self, twin: Twin, recording: Recording | None = None) -> np.ndarray:
         """(n, k) measured minus predicted from the commanded pressure, each step at its own instant."""
-        data = read(self.recording, twin)
+        data = read(recording or self.recording, twin)
         return data.measured[:, : data.counted] - predict(twin, data)[0]
+
+    def where(self, model: FittedModel) -> str:
+        """How commands must be logged for the error to stay at the noise, see `Evidence.where`.
+
+        What is quick in the air needs the instant of each command. Where they are logged, the error without
+        them is known; where they are not, they were fitted together with it.
+        """
+        samples, sent = self.recording.samples, "time_sent_s"
+        if sent not in samples:
+            quick = any(get_effect(e).stage == "pneumatics" for e in model.effects)
+            steps = len(step_rows(self.recording))
+            return "where the times of commands are not logged" if quick and steps else ""
+        if self.noise.value is None:
+            return ""
+        without = replace(self.recording, samples=samples.drop(columns=sent))
+        squared = (self.residual(model.twin, without) ** 2).sum(axis=1)
+        left = self.test.value(squared) ** 0.5 / self.noise.floor
+        times = f"where the times of commands are logged (without them {left:.2g} times the noise)"
+        return times if left > T.NOISE else ""
 
     def refusal(self, effect: str) -> str:
         if get_effect(effect).stage not in get_effect("creep").stages:

@@ -47,7 +47,7 @@ class Diagnosis(Result):
     made_at: str = field(default_factory=lambda: time.strftime("%Y-%m-%d %H:%M"))
 
     keys = (
-        ("explained", "outcome.explained.value"), "mechanism",
+        ("explained", "outcome.explained.value"), ("explained_where", "outcome.evidence.where"), "mechanism",
         "verdict", "sentence", ("confidence", "confidence.value"), "warnings", "do_next",
         ("unit", "study.unit"), ("noise_floor", "study.noise.value"), ("noise_floor_how", "study.noise.how"),
         ("baseline", "before"),

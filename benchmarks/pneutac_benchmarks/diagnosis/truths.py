@@ -64,12 +64,15 @@ class Days:
         truth: of day 1.
         learn: recording of day 1.
         judge: of day 2, as checked.
+        logged: the same with the times at which commands were sent where day 1 has them, and without where it
+            has none.
         twin: as it is.
     """
 
     truth: Truth
     learn: Recording
     judge: Recording
+    logged: Recording
     twin: Twin
 
     @property
@@ -92,16 +95,12 @@ class Days:
     def recorded(self, twin: Twin) -> float:
         """Root mean square error of day 2 as day 1 was recorded.
 
-        In the directions of gravity of day 1, and without the times at which commands were sent where day 1
-        has none: constants shorter than a sample then hold with fitted instants of steps alone.
+        As it was logged, and in the directions of gravity of day 1.
         """
-        judge, sent = self.judge, "time_sent_s"
-        if sent not in self.learn.samples:
-            judge = replace(judge, samples=judge.samples.drop(columns=sent, errors="ignore"))
-        residual, names = self.residual(twin, judge), [f"gravity_{a}" for a in "xyz"]
+        residual, names = self.residual(twin, self.logged), [f"gravity_{a}" for a in "xyz"]
         if names[0] not in self.learn.samples:
             return rms(residual)
-        first, second = (r.samples[names].to_numpy(float) for r in (self.learn, self.judge))
+        first, second = (r.samples[names].to_numpy(float) for r in (self.learn, self.logged))
         return rms(residual[(second @ np.unique(first, axis=0).T).max(axis=1) > 0.99])
 
     def constant(self) -> float:
@@ -119,12 +118,18 @@ def two_days(case: Case) -> Iterator[Days]:
     from pneutac_datasets.recording.checks import check
 
     with tempfile.TemporaryDirectory() as tmp:
-        truths = [
-            generate(case.device, [case.effects], case.seed, day=d, minutes=case.minutes) for d in (1, 2)
-        ]
-        first, second = (Recording.load(write(t, Path(tmp) / f"day{i}")) for i, t in enumerate(truths))
-        twin = Twin(first.device, first.length_mm or 110.0)
-        yield Days(truths[0], first, check(second)[0], twin)
+
+        def recorded(day: int, log_sent: bool) -> tuple[Truth, Recording]:
+            asked = {"day": day, "minutes": case.minutes, "log_sent": log_sent}
+            truth = generate(case.device, [case.effects], case.seed, **asked)
+            return truth, Recording.load(write(truth, Path(tmp) / f"day{day}_{log_sent}"))
+
+        (truth, first), (_, second) = (recorded(day, False) for day in (1, 2))
+        judge, sent = check(second)[0], "time_sent_s"
+        logged = replace(judge, samples=judge.samples.drop(columns=sent, errors="ignore"))
+        if sent in first.samples:
+            logged = judge if sent in judge.samples else check(recorded(2, True)[1])[0]
+        yield Days(truth, first, judge, logged, Twin(first.device, first.length_mm or 110.0))
 
 
 def solve(case: Case) -> dict:
@@ -163,8 +168,10 @@ def scored(days: Days, d, seconds: float) -> dict:
         "black_box": evidence.left_to_black_box, "agreed": evidence.agreed, "forward": evidence.forward,
         "interval": evidence.interval, "later": evidence.later, "error": evidence.after,
         "program": evidence.program,
+        "ratio_logged": rms(days.residual(d.outcome.after.twin, days.logged)) / floor,
         "ratio_recorded": days.recorded(d.outcome.after.twin) / floor,
-        "explained": d.explained.value, "noise_known": evidence.noise_known,
+        "explained": d.explained.value, "explained_where": evidence.where,
+        "noise_known": evidence.noise_known,
         "causes": [
             {"cause": m.cause, "ranked": dict(m.ranked), "certain": m.certain, "features": m.features,
              "terms": [n for t, n in names.items() if kinds[t] == m.cause]}

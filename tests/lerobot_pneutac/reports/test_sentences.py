@@ -182,6 +182,7 @@ def right_of(s: State) -> float | None:
     [
         ({}, "Explained: fully. The error is 1.05 times the noise, 95 % interval 1.00 to 1.10."),
         ({"recorded": "up to 60 kPa"}, "fully, as far as was recorded (up to 60 kPa). The error is 1.05"),
+        ({"recorded": "up to 60 kPa", "where": "where it is dry"}, "(up to 60 kPa), where it is dry. The"),
         ({"later": 1.4, "explained": Explained.MOSTLY}, "but 1.40 times the noise in the last part"),
         (
             {"later": 1.1, "program": 1.8, "explained": Explained.MOSTLY},

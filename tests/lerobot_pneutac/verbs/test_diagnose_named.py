@@ -216,6 +216,8 @@ def test_effects_without_their_column_are_listed_with_the_remedy(bench):
     study.recording.samples["pressure_cmd_kpa"] = 20.0 * (np.arange(len(poor.samples)) // 50 % 2)
     assert "together with valve lag: what takes less" in " ".join(study.caveats(air))
     assert "together with" not in " ".join(study.caveats(body))
+    valve = SimpleNamespace(effects=("valve_lag",))
+    assert study.where(valve) == "where the times of commands are not logged"
     study.recording.samples["time_sent_s"] = study.recording.samples["time_s"]
     assert "together with" not in " ".join(study.caveats(air))
 
