@@ -10,6 +10,7 @@ import inspect
 import json
 import math
 import re
+import shlex
 import shutil
 import sys
 import textwrap
@@ -91,7 +92,7 @@ def parse_options(config_class: type, argv: list[str], what: str | None = None):
     if "-h" in argv or "--help" in argv:
         print(help_text(config_class, what))
         raise SystemExit(0)
-    first = getattr(config_class, "first", "")
+    given, first = argv, getattr(config_class, "first", "")
     if first and argv and not argv[0].startswith("-"):
         argv = [f"--{first}={argv[0]}", *argv[1:]]
     argv = _completed(options, argv, getattr(config_class, "aliases", {}))
@@ -109,7 +110,7 @@ def parse_options(config_class: type, argv: list[str], what: str | None = None):
     if (seed := getattr(config, "seed", None)) is not None:
         check_least(0, seed=seed)
     _check_finite(config)
-    _check_outputs(config)
+    _check_outputs(config, given)
     _convert_tables(config)
     return config
 
@@ -125,7 +126,7 @@ def _check_finite(config, group: str = "") -> None:
                 raise InputError(f"--{group}{name} is {value}; give a finite number.")
 
 
-def _check_outputs(config) -> None:
+def _check_outputs(config, argv: list[str]) -> None:
     """Raises InputError where a folder to write cannot be, is one that is read, or holds something else.
 
     A class of options says `names_a_file` where `out` is a file, by `outputs` which others are written, and
@@ -145,7 +146,7 @@ def _check_outputs(config) -> None:
                 raise InputError(
                     f"--{name}={path} lies in --{source}={folder}, which is read; give another folder."
                 )
-        if name == "out" and (found := _holds(path, config)):
+        if name == "out" and (found := _holds(path, config, argv)):
             raise InputError(f"--out={path} holds {found}; give another folder.")
         mark = getattr(config, "resumed_by", "") if name == "out" else ""
         if mark and path.is_dir() and any(path.iterdir()) and not (path / mark).exists():
@@ -157,15 +158,21 @@ def _check_outputs(config) -> None:
 HELD = {"recording.json": "a recording", "twin.yaml": "a twin", "meta/info.json": "a dataset"}
 
 
-def _holds(out: Path, config) -> str:
-    """What a report in folder `out` would be mixed with or overwrite; empty for nothing or an earlier one."""
+def _holds(out: Path, config, argv: list[str]) -> str:
+    """What a report in folder `out` would be mixed with or overwrite; empty for nothing, or for its like.
+
+    That is what this very command wrote, or an earlier run that it goes on with.
+    """
     for file, what in HELD.items():
         if (out / file).is_file():
             return what
     result = out / "result.json"
-    earlier = str(read_json(result).get("command", "")).split()[:2] if result.is_file() else []
-    same = f"`{' '.join(earlier)}`" in (type(config).__doc__ or "")
-    return "" if same or not earlier else f"the report of `{' '.join(earlier)}`"
+    command = str(read_json(result).get("command", "")) if result.is_file() else ""
+    verb = " ".join(command.split()[:2])
+    same = f"`{verb}`" in (type(config).__doc__ or "")
+    if not verb or same and (hasattr(config, "resumed_by") or command == f"{verb} {shlex.join(argv)}"):
+        return ""
+    return f"the report of {'another ' if same else ''}`{verb}`"
 
 
 def _paths(config, group: str = "") -> Iterator[tuple[str, Path]]:

@@ -43,17 +43,28 @@ class Terminal:
     def progress(self) -> AbstractContextManager[Callable[[str, int, int], None]]:
         return progress_bar(Console(stderr=True))
 
-    def finish(self, result, out: Path | None, sentence: bool = True) -> None:
+    def finish(self, result, out: Path | None, sentence: bool = True, store: Path | None = None):
         """Writes result and report into folder `out` (nothing where it is None), then prints the result.
 
-        In this order, so that a reader of the output who goes away, such as `head`, costs no file.
+        In this order, so that a reader of the output who goes away, such as `head`, costs no file. `store` is
+        the folder of a twin whose next version the result is, stored once the report is there. Returns the
+        result, which then knows its version.
         """
-        path = None if out is None else result.report(out, self._line)
+        paths = []
+
+        def write(result) -> None:
+            paths.extend([] if out is None else [result.report(out, self._line)])
+
+        if store is None:
+            write(result)
+        else:
+            result = result.save(store, write)
         self.show(result, sentence)
-        if path is not None:
+        for path in paths:
             self.say(f"report: {path}")
         if following := result.next_step(out, self._line):
             self.say(f"[bold]Do next:[/] {escape(printable(following))}", markup=True)
+        return result
 
     def show(self, result, sentence: bool = True) -> None:
         show(result, self.console, sentence)

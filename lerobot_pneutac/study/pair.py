@@ -16,7 +16,7 @@ from pneutac_sim.errors import InputError, option
 from pneutac_sim.features import CHAMBERS
 from pneutac_sim.finger import BodyData, Pipeline
 from pneutac_sim.mpm.solid import parameter
-from pneutac_sim.twin import Twin
+from pneutac_sim.twin import Twin, no_twin
 
 # kappa w E / p of a bent body of width w: about 1.5 for a solid bar with a hole in it (A h w / I), 8 for the
 # paper's finger, 2 to 14 for rods of 15 to 90 kPa. What is softer than the twin's modulus has more.
@@ -113,7 +113,10 @@ def load_bench_pair(twin_path: Path, recording_path: Path, verb: str) -> tuple[T
     """The same of a bench recording alone; raises InputError where demonstrations are given too."""
     if is_demonstrations(recording_path):
         raise InputError(f"{recording_path} holds demonstrations; {verb} a bench recording of the device.")
-    twin, recording = Twin.load(twin_path), Recording.load(recording_path)
+    recording = Recording.load(recording_path)
+    if not twin_path.exists():
+        raise InputError(no_twin(twin_path, recording=recording_path))
+    twin = Twin.load(twin_path)
     same_device(twin, recording, twin_path, verb)
     return twin, recording
 

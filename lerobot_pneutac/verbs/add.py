@@ -73,17 +73,21 @@ class Addition(Result):
         "not_identified", ("checks", "findings"), "objections",
     )  # fmt: skip
 
-    def save(self, folder: str | Path) -> "Addition":
-        """Writes the twin as the next version of `folder`; returns the result that knows where it lies."""
+    def save(self, folder: str | Path, report: Callable[[Result], object] = lambda _: None) -> "Addition":
+        """Writes the twin as the next version of `folder`; returns the result that knows where it lies.
+
+        `report` is called with that result before the version counts; where it raises, none is made.
+        """
         twin = self.twin.copy()
+        saved = replace(self, twin=twin, saved_to=Path(folder))
         after = self.after or {}
         errors = {k: after[k] for k in ("train", "heldout", "arm_and_gauge", "touch") if k in after}
         if "touch" in after:  # of demonstrations, which others of the same finger are compared with
             errors["heldout_ci95"] = list(after["heldout_ci95"])
         errors |= {"unit": self.unit, "seed": self.seed} | (self.noted or {})
         change = f"added {self.effect}" + (" (unconfirmed)" if self.unconfirmed else "")
-        twin.save_version(folder, change, self.recording, errors)
-        return replace(self, twin=twin, saved_to=Path(folder))
+        twin.save_version(folder, change, self.recording, errors, lambda: report(saved))
+        return saved
 
     @property
     def _effects(self) -> list[str]:
@@ -416,8 +420,6 @@ def command(cfg: AddConfig, terminal: Terminal) -> None:
     with terminal.progress() as progress:
         result = add(twin, recording, cfg.diagnosis or effects, **keywords(cfg, add), progress=progress)
     stored = result.accepted or result.unconfirmed
-    if stored:
-        result = result.save(cfg.twin)
-    terminal.finish(result, cfg.out, sentence=stored)
+    terminal.finish(result, cfg.out, stored, cfg.twin if stored else None)
     if not stored:
         raise InputError(result.reason)

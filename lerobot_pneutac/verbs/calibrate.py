@@ -173,13 +173,15 @@ def command(cfg: CalibrateConfig, terminal: Terminal) -> None:
     """Fits a twin to a bench recording, in place, as its next version."""
     with TemporaryDirectory() as scratch:
         result = run(cfg, Path(scratch), terminal)
-    terminal.finish(result, cfg.out)
+        result = terminal.finish(result, cfg.out, store=None if result.worse else cfg.twin)
+    for name in (SEARCH, BEST) if cfg.out is None and not result.worse else ():
+        (cfg.twin / name).unlink(missing_ok=True)
     if result.worse:
         raise InputError(result.worse)
 
 
 def run(cfg: CalibrateConfig, scratch: Path, terminal: Terminal) -> Calibration:
-    """Fits and, unless it is worse, saves the twin's next version; `scratch` is for generated data."""
+    """Fits; `scratch` is for generated data."""
     recording, note = recording_for(cfg, scratch)
     terminal.console.print(note, end="\n" if note else "", highlight=False)
     check_writable(cfg.twin, f"--twin={cfg.twin}")
@@ -204,18 +206,14 @@ def run(cfg: CalibrateConfig, scratch: Path, terminal: Terminal) -> Calibration:
             stopped = f"Stopped after {count} evaluations, stored in {file}; {goes_on}"
         terminal.say(f"{stopped}; the twin is unchanged.")
         raise
-    if result.worse:
-        return result
-    for name in (SEARCH, BEST) if cfg.out is None else ():
-        (keep / name).unlink(missing_ok=True)
     if note and isinstance(recording, Recording) and recording.meta.get("generated"):
         result = replace(result, recording=f"generated images (seed {cfg.seed})")  # their folder goes
-    if cfg.save_prior is not None:
+    if cfg.save_prior is not None and not result.worse:
         from lerobot_pneutac.verbs.fit_gel import GelCalibration
 
         assert isinstance(result, GelCalibration)
         terminal.say(f"Stored the sensor's illumination as {result.save_prior(cfg.save_prior)}.")
-    return result.save(cfg.twin)
+    return result
 
 
 def recording_for(cfg: CalibrateConfig, scratch: Path) -> tuple[Recording | Demonstrations, str]:
@@ -251,7 +249,9 @@ def twin_for(folder: Path, recording: Recording | Demonstrations) -> Twin:
         _same_device(twin, recording, f"the twin at '{folder}'")
         return twin
     if recording.device != "gel":
-        raise InputError(no_twin(folder, recording.device))
+        bench = isinstance(recording, Recording)  # `new` takes the device and its geometry from it
+        of = {"recording": recording.folder} if bench else {"device": recording.device}
+        raise InputError(no_twin(folder, **of))
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"'{folder}' holds no twin but something else; give an empty or new folder.")
     return Twin(device="gel", length_mm=16.0)

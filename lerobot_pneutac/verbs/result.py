@@ -3,6 +3,7 @@
 import math
 import shlex
 from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from pathlib import Path
@@ -256,8 +257,10 @@ class Calibration(Result):
         check = "if the recording is to blame, `pneutac check` lists its faults"
         return f"Nothing was stored: on test samples {both}; {check}."
 
-    def save(self, folder: str | Path) -> Self:
+    def save(self, folder: str | Path, report: Callable[[Result], object] = lambda _: None) -> Self:
         """Writes the twin as the next version of `folder`; returns the result that knows its place.
+
+        `report` is called with that result before the version counts; where it raises, none is made.
 
         Raises:
             InputError: the fit is `worse` than what was there before.
@@ -265,10 +268,11 @@ class Calibration(Result):
         if self.worse:
             raise InputError(self.worse)
         twin = self.twin.copy()
+        saved = replace(self, twin=twin, saved_to=Path(folder))
         errors = {**self.error, "unit": self.unit} | ({} if self.seed is None else {"seed": self.seed})
         errors |= self._noted()
-        twin.save_version(folder, self.change, self.recording, errors)
-        return replace(self, twin=twin, saved_to=Path(folder))
+        twin.save_version(folder, self.change, self.recording, errors, lambda: report(saved))
+        return saved
 
     def _noted(self) -> dict:
         """What the history stores of this version besides its errors."""

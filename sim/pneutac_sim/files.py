@@ -169,8 +169,13 @@ def inside(folder: Path, file: Path) -> bool:
     """Whether a file's content lies in `folder`, symbolic links followed.
 
     A snapshot in the Hub's cache holds links to the `blobs` next to it, which count as inside.
+
+    Raises InputError: a link leads to itself.
     """
-    real, target = folder.resolve(), file.resolve()
+    try:
+        real, target = folder.resolve(), file.resolve()
+    except RuntimeError as e:  # before Python 3.13
+        raise InputError(f"{file} is a link that leads to itself; put there what it should lead to.") from e
     caches = [p.parent / "blobs" for p in real.parents if p.name == "snapshots"]
     return any(target.is_relative_to(p) for p in (real, *caches[:1]))
 
@@ -201,7 +206,7 @@ def whole(file: Path) -> Iterator[Path]:
 
 def meant(folder: Path, mark: str) -> str:
     """The folder next to it with such a name that holds a file `mark`, as a question; empty for none."""
-    there = [file.parent.name for file in folder.parent.glob(f"*/{mark}")]
+    there = {file.parent.name for file in folder.parent.glob(f"*/{mark}")} - {folder.name}
     near = difflib.get_close_matches(folder.name, there, n=1)
     return f"did you mean '{folder.with_name(near[0])}'?" if near else ""
 

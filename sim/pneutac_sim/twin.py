@@ -10,6 +10,7 @@ import math
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from pneutac_sim.value import Value
 
 DEVICES = ("finger", "arm", "gel")
 FORMAT = "pneutac-twin/1"
+Report = Callable[[], object]
 NETWORKS = ("action", "perception")  # each a safetensors file in the twin's folder
 
 # The paper's calibrated finger (Sec. IV-A), with the joint spring of a segment from beam theory:
@@ -42,6 +44,8 @@ PAPER_FINGER = {
 # What every calibration of a body finds; of an arm the first three: its rest pressures have other names.
 # What else a twin lacks was not known when it was made.
 MOST_LENGTH_MM = 1e4  # no soft finger or arm is longer; of a typing error results would be nonsense
+MOST_VALUE = 1e12  # no quantity is larger in the unit of its name
+MOST_BEND_RAD = 8 * math.pi  # at the ends of its pressures: four full turns, which no finger makes
 CALIBRATED = ("gain_rad_per_kpa", "gain_alpha", "gain_beta", "rest_pressure_kpa")
 
 # Parameters of a body that a twin may have, besides `bend_1` to `bend_N`: of the pipeline, of the soft solid,
@@ -79,10 +83,10 @@ _KINDS = {
 }  # fmt: skip
 
 
-def no_twin(folder: Path, device: str = "") -> str:
+def no_twin(folder: Path, **options) -> str:
     """The sentence for a folder without a twin: twins nearby with such a name, else how one is made."""
-    of = f" --device={device}" if device else ""
-    make = f"make one with `pneutac new {option('twin', folder)}{of}`."
+    command = " ".join(option(name, value) for name, value in {"twin": folder, **options}.items())
+    make = f"make one with `pneutac new {command}`."
     return f"There is no twin at '{folder}' (no twin.yaml); {meant(folder, 'twin.yaml') or make}"
 
 
@@ -125,10 +129,26 @@ class Twin:
         if not self.spine_joint_positions_mm:
             n = {"finger": 4, "arm": 6, "gel": 0}[self.device]
             self.spine_joint_positions_mm = [self.length_mm * (i + 0.5) / n for i in range(n)]
+        joints = [0.0, *self.spine_joint_positions_mm, self.length_mm]
+        if not all(a < b or n == a == 0 for n, (a, b) in enumerate(pairwise(joints))):
+            raise InputError(
+                f"Twin spine_joint_positions_mm is {shown(joints[1:-1])}; it must be rising numbers between 0"
+                f" and length_mm, {self.length_mm:g}."
+            )
         self.pressure_range_kpa = checked_range(self.pressure_range_kpa, "Twin pressure_range_kpa")
         for name, p in self.parameters.items():
-            if not math.isfinite(p.value):
+            if not abs(p.value) < MOST_VALUE:
                 raise InputError(f"Twin parameter '{name}' is {p.value}; it must be a finite number.")
+        gain, rest = (
+            self.parameters.get(n, Value(0.0)).value for n in ("gain_rad_per_kpa", "rest_pressure_kpa")
+        )
+        end = max(self.pressure_range_kpa, key=lambda p: abs(p + rest))
+        bend = (len(joints) - 2) * gain * (end + rest)
+        if abs(bend) > MOST_BEND_RAD:
+            raise InputError(
+                f"Twin parameter 'gain_rad_per_kpa' is {gain:g}: at {end:g} kPa, of pressure_range_kpa,"
+                f" the body bends by {bend:.3g} rad; are the pressures in another unit?"
+            )
 
     @classmethod
     def builtin(cls) -> "Twin":
@@ -160,8 +180,8 @@ class Twin:
             self._write(path)
         return path
 
-    def _write(self, path: Path, number: int | None = None) -> None:
-        """What `twin.yaml` names, then the version's folder, then that file: a stop changes nothing."""
+    def _write(self, path: Path, number: int | None = None, report: Report = lambda: None) -> None:
+        """What `twin.yaml` names, the version's folder, its report, that file: a stop changes nothing."""
         content = self._as_dict()
         if self.arrays:
             data = save({k: np.ascontiguousarray(v) for k, v in self.arrays.items()})
@@ -178,9 +198,12 @@ class Twin:
             folder = path / "history" / f"{number:03d}"
             write_text(folder / "twin.yaml", text)
             write_json(folder / "change.json", self.history[-1])
+        report()
         write_text(path / "twin.yaml", text)
 
-    def save_version(self, path: str | Path, change: str, recording: str, errors: dict) -> Path:
+    def save_version(
+        self, path: str | Path, change: str, recording: str, errors: dict, report: Report = lambda: None
+    ) -> Path:
         """Appends a history entry and writes the twin as the next version of the folder `path`.
 
         Args:
@@ -188,6 +211,7 @@ class Twin:
             change: what was done, e.g. `added creep`.
             recording: the recording that was used.
             errors: `train`, `heldout` and `unit`; and others of `_ENTRY`.
+            report: writes what else is to be there before the version counts; where it raises, none is made.
 
         Raises InputError: as `save`, an error has another name or is not finite, or another process has saved
         a version since this one was loaded.
@@ -207,13 +231,14 @@ class Twin:
                     f" versions, this one {number}); repeat the command, which starts from the newest."
                 )
             self.history.append(entry)
+            before, self.folder = self.folder, path
             try:
-                self._write(path, number)
+                self._write(path, number, report)
             except BaseException:
                 self.history.pop()
+                self.folder = before
                 raise
         self.fitted_to = None
-        self.folder = path
         return path
 
     @classmethod
@@ -249,14 +274,17 @@ class Twin:
         twin.folder = folder
         files = {name: folder / f"{name}.safetensors" for name in NETWORKS}
         twin.networks = {name: file for name, file in files.items() if file.is_file()}
-        arrays = folder / d.get("arrays", "arrays.safetensors")  # a twin before 0.2 does not name it
-        if arrays.name != d.get("arrays", arrays.name):
-            raise InputError(f"{file}: field 'arrays' is '{d['arrays']}'; it must be a file's name.")
+        name = d.get("arrays", "arrays.safetensors")  # a twin before 0.2 does not name it
+        if not isinstance(name, str) or name != Path(name).name:
+            raise InputError(f"{file}: field 'arrays' is {shown(name)}; it must be a file's name.")
+        arrays = folder / name
         for linked in (file, arrays, folder / "history", *twin.networks.values()):
             if not inside(folder, linked):
                 raise InputError(
                     f"{linked} is a link that leads out of the twin's folder; put there what it leads to."
                 )
+        if "arrays" in d and not arrays.is_file():
+            raise InputError(f"{arrays} is missing, which twin.yaml names; restore it from its source.")
         if arrays.is_file():
             refuse_pointer(arrays)
             try:
@@ -267,7 +295,7 @@ class Twin:
 
     @classmethod
     def faults(cls, path: str | Path) -> list[str]:
-        """One sentence for each fault that keeps a twin's folder from being read; `load` raises the first."""
+        """One sentence for each fault that keeps a twin's folder from being read, or an earlier version."""
         file = Path(path) / "twin.yaml"
         try:
             d = read_yaml(file)
@@ -278,11 +306,14 @@ class Twin:
         found += _fields(d)[1] if d else []
         if found:
             return [f"{file}: {fault}" for fault in found]
-        try:
-            cls.load(path)
-        except InputError as e:
-            return [str(e)]
-        return []
+        earlier = (e["version"] for e in d["history"][:-1])
+        there = (v for v in earlier if (Path(path) / f"history/{v:03d}").is_dir())  # not of one from the Hub
+        for version in (None, *there):
+            try:
+                cls.load(path, version, calibrated=version is None)
+            except InputError as e:
+                found.append(str(e))
+        return found
 
     def copy(self) -> "Twin":
         return copy.deepcopy(self)
@@ -376,7 +407,7 @@ def _fields(d: dict) -> tuple[dict, list[str]]:
             continue
         try:
             fields[name] = read(d[name], faults)
-            Twin(**{name: fields[name]})
+            Twin(**{"length_mm": fields.get("length_mm", PAPER_LENGTH_MM), name: fields[name]})
         except InputError as e:
             faults.append(str(e))
         except (TypeError, ValueError) as e:
@@ -415,8 +446,8 @@ def _value(v, where: str) -> Value:
         value = Value(float(v["value"]), (ci95[0], ci95[1]) if ci95 else None)
     except (TypeError, ValueError, IndexError) as e:
         raise InputError(f"field '{where}' is {shown(v)}; its numbers are malformed ({e}).") from e
-    if not all(math.isfinite(x) for x in (value.value, *ci95)):
-        raise InputError(f"field '{where}' is {shown(v)}; its numbers must be finite.")
+    if not all(abs(x) < MOST_VALUE for x in (value.value, *ci95)) or list(ci95[:2]) != sorted(ci95):
+        raise InputError(f"field '{where}' is {shown(v)}; its numbers must be finite, ci95 low and high.")
     return value
 
 

@@ -1,6 +1,7 @@
 """`python -m pneutac_truths --device=rod --effect=creep_fractional,gravity --seed=1 --out=DIR`."""
 
 import argparse
+import signal
 import sys
 from pathlib import Path
 
@@ -47,4 +48,6 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
+    if hasattr(signal, "SIGPIPE"):
+        signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `--list | head` ends quietly
     sys.exit(main())

@@ -119,7 +119,8 @@ def unit_faults(samples: pd.DataFrame, meta: dict, file: Path) -> Iterator[str]:
     pascal = "pascal", "divide the column by 1000"
     kpa = beyond(r"pressure_(cmd_)?(\d+_)?kpa", MAX_PRESSURE_KPA, *pascal)
     yield from kpa or _pressures_differ(samples, other)
-    yield from _tip_elsewhere(samples, meta.get("length_mm"), other)
+    length = meta.get("length_mm")  # which has rules of its own
+    yield from _tip_elsewhere(samples, length if isinstance(length, int | float) else None, other)
     yield from beyond(r"bend_angle_rad|q_\d+_rad", 4 * np.pi, "degrees", "multiply the column by pi/180")
     gravity = [f"gravity_{a}" for a in "xyz"]
     missing = [c for c in gravity if c not in samples]

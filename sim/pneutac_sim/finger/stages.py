@@ -35,7 +35,8 @@ def gain_profile(n_joints: int, alpha: float, beta: float) -> np.ndarray:
     Raises InputError where it would not be positive everywhere.
     """
     m = np.arange(n_joints) - (n_joints - 1) / 2
-    r = np.exp(alpha * m) * (1 + beta * m * m)
+    with np.errstate(over="ignore", invalid="ignore"):
+        r = np.exp(alpha * m) * (1 + beta * m * m)
     if not (np.isfinite(r).all() and r.min() > 0):
         limit = f"above {-1 / m[-1] ** 2:.3g}" if n_joints > 1 else "finite"
         raise InputError(

@@ -3,6 +3,7 @@
 import resource
 import shlex
 import shutil
+import sys
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -17,7 +18,8 @@ COMMANDS = {
     "convert": "convert lab.csv --out=converted",
     "compare": "compare --twin=twin --recording=lab.csv --yes --out=out",
     "history": "history --twin=twin --restore=0",
-    "add": "add --twin=bare --recording=bench --effect=creep",
+    "calibrate": "calibrate --twin=bare --recording=bench --out=out",
+    "add": "add --twin=bare --recording=bench --effect=creep --out=out",
     "export": "export --twin=twin --out=finger.py",
     "control": "control --twin=twin --hz=5 --out=out",
     "effects": "effects export thermal --out=effect.py",
@@ -40,6 +42,7 @@ def files_of_at_most(size):
 def lab(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(IndexDataCacheFile, "save", lambda *_: None)  # of compiled kernels, which is not ours
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # nor are modules, half of which would remain
     shutil.copytree(GOLDEN / "recordings" / "finger_creep", "bench")
     shutil.copytree(GOLDEN / "twins" / "finger", "twin")
     shutil.copytree("twin/history/000", "bare")

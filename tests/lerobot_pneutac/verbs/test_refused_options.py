@@ -187,7 +187,7 @@ def test_what_cannot_work_is_one_sentence_and_writes_nothing(lab, monkeypatch, n
     assert "\n" not in str(e.value) and not (lab / "o").exists() and not (lab / "outputs").exists()
 
 
-def test_a_report_does_not_overwrite_that_of_another_command(lab, monkeypatch, capsys):
+def test_a_report_overwrites_that_of_the_same_command_alone(lab, monkeypatch, capsys):
     monkeypatch.chdir(lab)
     new_twin("finger", length_mm=118.5).save(lab / "long")
     compare = shlex.split("--twin=long --recording=bench --out=compared")
@@ -195,6 +195,8 @@ def test_a_report_does_not_overwrite_that_of_another_command(lab, monkeypatch, c
     run_verb("compare", compare)  # again is fine
     with pytest.raises(InputError, match="^--out=compared holds the report of `pneutac compare`"):
         run_verb("report", ["long", "--out=compared"])
+    with pytest.raises(InputError, match="^--out=compared holds the report of another `pneutac compare`;"):
+        run_verb("compare", [*compare, "--seed=3"])
 
 
 def test_new_says_where_a_recording_gives_the_geometry_alone(lab, monkeypatch, capsys):
