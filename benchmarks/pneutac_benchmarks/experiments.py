@@ -21,7 +21,7 @@ from lerobot_pneutac.verbs.diagnose import diagnose
 from lerobot_pneutac.verbs.learn import Rounds, error_of
 from pneutac_benchmarks.diagnosis.rules import BASE, COUNTS, COUNTS_AS_NEAR, counts, names_right
 from pneutac_benchmarks.tables import markdown, terminal
-from pneutac_datasets.generate.truth_bench import TruthBench
+from pneutac_datasets.generate.finger import TruthBench
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError, check_choice, check_least

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lerobot_pneutac.diagnosis import thresholds as T
-from pneutac_datasets.recording import blocks
-from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.recording import LEVELS, Recording, assign, strata
 
 
 @dataclass
@@ -49,13 +48,13 @@ def deal(recording: Recording, seed: int) -> Parts:
         validation = test
     else:
         block = _refine(recording, block)
-        part = blocks.assign(recording.samples, block, seed, T.FRACTIONS)
+        part = assign(recording.samples, block, seed, T.FRACTIONS)
         train, validation, test = (part == i for i in range(3))
     pieces = 1
     for part in (validation, test):
         pieces = max(pieces, min(4, -(-T.UNITS // max(1, len(np.unique(block[part]))))))
     unit = _cut(block, np.full(block.max() + 1, pieces))
-    stratum = blocks.strata(recording.samples, block)[block]
+    stratum = strata(recording.samples, block)[block]
     first = np.unique(unit, return_index=True)[1]
     return Parts(train, validation, test, unit, stratum[first])
 
@@ -63,10 +62,10 @@ def deal(recording: Recording, seed: int) -> Parts:
 def conditions(recording: Recording) -> np.ndarray:
     """Number (n,) of each sample's physical condition: direction of gravity, load, level of temperature."""
     samples, key = recording.samples, [np.zeros(len(recording), int)]
-    for name in ("gravity_x", "gravity_y", "gravity_z", *blocks.LEVELS):
+    for name in ("gravity_x", "gravity_y", "gravity_z", *LEVELS):
         if name in samples:
             v = samples[name].to_numpy(float)
-            span = np.ptp(v) if name in blocks.LEVELS else 2.0
+            span = np.ptp(v) if name in LEVELS else 2.0
             key.append(np.round(2 * (v - v.min()) / max(span, 1e-12)).astype(int))
     return np.unique(np.stack(key, 1), axis=0, return_inverse=True)[1].reshape(-1)
 
@@ -83,7 +82,7 @@ def out_of_time(condition: np.ndarray, begin: int) -> np.ndarray:
 
 def _refine(recording: Recording, block: np.ndarray) -> np.ndarray:
     """Finer blocks (n,) where a condition has too few of them for every part to get some."""
-    stratum = blocks.strata(recording.samples, block)
+    stratum = strata(recording.samples, block)
     count = np.bincount(stratum)[stratum]
     return _cut(block, np.where(count < T.RARE, -(-T.LEAST_OF_A_KIND // count), 1))
 

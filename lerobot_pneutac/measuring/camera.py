@@ -11,8 +11,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from pneutac_datasets.recording.image_file import read_image
-from pneutac_datasets.recording.sources.frame import Track
+from pneutac_datasets.recording.reading import read_image
+from pneutac_datasets.recording.sources.readers import Track
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import read_json, refuse_pointer, write_json
 

@@ -34,10 +34,9 @@ from lerobot_pneutac.study.gel_model import (
     seen_by,
 )
 from lerobot_pneutac.study.gel_press import weighed
-from pneutac_datasets.recording import blocks
 from pneutac_datasets.recording.gel import GelRecording, GelSample
 from pneutac_datasets.recording.noise import NoiseFloor
-from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.recording import Recording, assign
 from pneutac_sim.effects.registry import get_effect, of_sensor, sensor_effects
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.quantities import root_mean
@@ -99,7 +98,7 @@ def deal_photographs(recording: Recording, seed: int) -> Parts:
     train, test = np.ones(n, bool), judged
     if n >= T.APART:
         others = np.flatnonzero(judged)
-        part = blocks.assign(recording.samples.iloc[others], np.arange(len(others)), seed, (2 / 3, 1 / 3))
+        part = assign(recording.samples.iloc[others], np.arange(len(others)), seed, (2 / 3, 1 / 3))
         test = np.isin(np.arange(n), others[part == 1])
         train = ~test
     stratum = np.unique(np.asarray(roles), return_inverse=True)[1]

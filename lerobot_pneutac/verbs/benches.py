@@ -115,7 +115,7 @@ def make_bench(
     `measure` is a YAML file with the options of `pneutac measure`; None for the stand-in, of a `device`.
     """
     if measure is None and device == "arm":
-        from pneutac_datasets.generate.truth_bench import standin_arm
+        from pneutac_datasets.generate.finger import standin_arm
 
         return standin_arm(seed), {}
     if measure is None:

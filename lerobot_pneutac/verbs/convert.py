@@ -14,12 +14,10 @@ from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.measuring.camera import Intrinsics, MarkerTracker, track_aruco, track_dots
 from pneutac_datasets.recording import rules
 from pneutac_datasets.recording.recording import Recording
-from pneutac_datasets.recording.sources import frame as frames
 from pneutac_datasets.recording.sources import plain, readers
 from pneutac_datasets.recording.sources.columns import Column, parse_columns
-from pneutac_datasets.recording.sources.frame import BaseFrame, Source, Track
 from pneutac_datasets.recording.sources.plain import Given, Understood
-from pneutac_datasets.recording.sources.readers import read_rosbag
+from pneutac_datasets.recording.sources.readers import BaseFrame, Source, Track, read_rosbag
 from pneutac_datasets.recording.wording import listed
 from pneutac_sim.errors import InputError
 
@@ -96,18 +94,18 @@ def convert(config: ConvertConfig, show: Callable[[Understood], None] = lambda u
     if not (film or read):
         raise InputError(f"{config.source} has no markers; leave out --tip, and name columns by --columns.")
     source = read(config.source) if read else Source(config.source)
-    log = frames.shifted(source if config.log is None else _log(config), config.offset_s)
+    log = readers.shifted(source if config.log is None else _log(config), config.offset_s)
     columns = {n: n for n in log.columns} if config.log is not None else config.columns
     if film:
         tip = _of_film(config)
-        z, kpa = tip.position_mm[:, 2], frames.commanded(tip, log, columns)
+        z, kpa = tip.position_mm[:, 2], readers.commanded(tip, log, columns)
         seen = np.isfinite(z)
         up = np.sum((z[seen] - np.median(z[seen])) * (kpa[seen] - kpa[seen].mean())) >= 0
         # by half a turn about x where positive pressure bends the film's finger towards -z
         frame = BaseFrame(np.diag([1.0, 1.0, 1.0] if up else [1.0, -1.0, -1.0]), np.zeros(3))
     elif config.tip:
         tip = source.track(config.tip, "tip")
-        frame = _frame(source.track(config.base, "base"), tip, config, frames.commanded(tip, log, columns))
+        frame = _frame(source.track(config.base, "base"), tip, config, readers.commanded(tip, log, columns))
     elif any(re.match("tip_|bend_|q_", c) for c in config.columns.values()):  # a bag of numbers alone
         names = {n: Column.parsed(n, c).column for n, c in config.columns.items()}
         tip, recording = None, log.recording(names, {"length_mm": config.length_mm})
@@ -116,7 +114,7 @@ def convert(config: ConvertConfig, show: Callable[[Understood], None] = lambda u
         has = f"{config.source} has the markers {markers} and the columns {found}"
         raise InputError(f"{has}; give --tip and --base, or --columns with the tip's.")
     if tip is not None:
-        recording = frames.joined(tip, frame, log, columns, config.length_mm)
+        recording = readers.joined(tip, frame, log, columns, config.length_mm)
     recording.meta |= {"date": config.date} if config.date else {}
     recording.meta["notes"] = f"from {config.source.name}"
     rules.check_samples(recording.samples, recording.device, recording.meta, config.source)
@@ -177,11 +175,11 @@ def _log(config: ConvertConfig) -> Source:
 def _frame(base: Track, tip: Track, config: ConvertConfig, kpa: np.ndarray) -> BaseFrame:
     """The base frame, by a body's axes or, of a single marker, by how the tip moves."""
     if base.rotation is not None:
-        return frames.of_body(base, config.base_x, config.base_z, np.array(config.base_offset_mm))
+        return readers.of_body(base, config.base_x, config.base_z, np.array(config.base_offset_mm))
     seen = np.isfinite(base.position_mm).all(1)
     if not seen.any():
         raise InputError("The base's marker is never seen; choose another --base.")
-    frame = frames.of_motion(np.median(base.position_mm[seen], 0), tip.position_mm, kpa)
+    frame = readers.of_motion(np.median(base.position_mm[seen], 0), tip.position_mm, kpa)
     return BaseFrame(frame.rotation, frame.origin_mm + frame.rotation @ np.array(config.base_offset_mm))
 
 

@@ -344,8 +344,8 @@ def program_of(config: MeasureConfig) -> list[PressureTrial]:
 
 
 def _on_the_standin(config: MeasureConfig, trials: list[PressureTrial]) -> Recording:
+    from pneutac_datasets.generate.finger import standin_arm
     from pneutac_datasets.generate.standin import write_trials
-    from pneutac_datasets.generate.truth_bench import standin_arm
 
     given = [(t.program, t.sent_s, t.pressure_kpa) for t in trials]
     if config.chambers > 1:

@@ -22,7 +22,7 @@ from pneutac_benchmarks.diagnosis.answers import fitted, predicted
 from pneutac_benchmarks.diagnosis.cases import BenchmarkDiagnosisConfig, Case, diagnosed
 from pneutac_benchmarks.diagnosis.rules import COUNTS, counts
 from pneutac_benchmarks.experiments import _known_at
-from pneutac_datasets.generate.truth_bench import TruthBench
+from pneutac_datasets.generate.finger import TruthBench
 from pneutac_sim.effects.laws import family, law_names
 from pneutac_sim.effects.registry import body_effects
 from pneutac_sim.errors import InputError

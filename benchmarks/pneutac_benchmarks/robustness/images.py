@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from pneutac_benchmarks.robustness.outcome import Outcome, judge
-from pneutac_datasets.recording.image_file import FORMATS, read_image
+from pneutac_datasets.recording.reading import FORMATS, read_image
 from pneutac_sim.errors import InputError
 
 MOST_S, MOST_MB = 1.0, 500.0

@@ -5,14 +5,15 @@ How each trial began, if `recording.json` states it: memory (creep, hysteresis) 
 
 import difflib
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from pneutac_datasets.recording.units import check_units
-from pneutac_datasets.recording.wording import an, listed, plural, row_name
+from pneutac_datasets.recording.units import unit_faults
+from pneutac_datasets.recording.wording import an, collected, listed, plural, row_name
 from pneutac_sim.errors import CONTROL, InputError, shown
 from pneutac_sim.finger import quantities
 from pneutac_sim.twin import DEVICES
@@ -40,50 +41,6 @@ class TrialStart:
     start: str = "unknown"
     # time without pressure since the last row of the trial before, s; None where it is not known
     pause_s: float | None = None
-
-
-def check_starts(meta: dict, file: Path) -> None:
-    """Raises InputError where field `trials` of `recording.json` is not as documented."""
-    stated = meta.get("trials")
-    if stated is None:
-        return
-    if not isinstance(stated, dict):
-        raise InputError(
-            f"{file}: field 'trials' is {shown(stated)}; name trials by number, as in {EXAMPLE}."
-        )
-    for number, how in stated.items():
-        where = f"{file}: field 'trials' of trial {shown(number)}"
-        if not isinstance(how, dict) or "start" not in how or set(how) - {"start", "pause_s"}:
-            raise InputError(f"{where} is {shown(how)}; give 'start' and perhaps 'pause_s', as in {EXAMPLE}.")
-        start, pause = how["start"], how.get("pause_s")
-        if start not in STARTS:
-            raise InputError(f"{where}: 'start' is {shown(start)}; it must be one of {', '.join(STARTS)}.")
-        if pause is None:
-            continue
-        if isinstance(pause, bool) or not isinstance(pause, int | float) or not 0 <= pause < 1e12:
-            raise InputError(f"{where}: 'pause_s' is {shown(pause)}; give seconds, 0 or more.")
-        if start == "rested":
-            raise InputError(
-                f"{where}: 'pause_s' is {pause:g} though its start is 'rested', however long that took; "
-                "leave it out, or write 'continues' where the rest was too short to forget the trial before."
-            )
-
-
-def check_numbers(meta: dict, trials: list[int], file: Path) -> None:
-    """Raises InputError where field `trials` does not fit the trials (in order) of the table."""
-    stated = meta.get("trials") or {}
-    names = [str(t) for t in trials]
-    for number in stated:
-        if number not in names:
-            raise InputError(
-                f"{file}: field 'trials' names trial {shown(number)}, which is not in the table; its trials "
-                f"are {listed(trials)}."
-            )
-    if stated.get(names[0], {}).get("start") == "continues":
-        raise InputError(
-            f"{file}: field 'trials' lets trial {names[0]} continue, but it is the first of the table; write "
-            "'rested' or 'unknown'."
-        )
 
 
 def starts(meta: dict, trials: list[int]) -> dict[int, TrialStart]:
@@ -124,81 +81,89 @@ def device_of(meta: dict, samples: pd.DataFrame, folder: Path) -> str:
     return device
 
 
-def check_names(meta: dict, file: Path) -> None:
-    """Raises InputError where a field of `recording.json` or of its cameras is nearly one that is read."""
-    cameras = meta.get("cameras")
-    described = {n: c for n, c in cameras.items() if isinstance(c, dict)} if isinstance(cameras, dict) else {}
-    groups = [("", meta, FIELDS), *((f"camera {shown(n)}: ", c, CAMERA) for n, c in described.items())]
+def meta_faults(meta: dict, file: Path) -> Iterator[str]:
+    """What is wrong in `recording.json`: misspelt names, lengths, joints, noise, cameras, trials."""
+    cameras = meta.get("cameras", {})
+    named = isinstance(cameras, dict)
+    described = [(n, c) for n, c in cameras.items() if isinstance(c, dict)] if named else []
+    groups = [("", meta, FIELDS), *((f"camera {shown(n)}: ", c, CAMERA) for n, c in described)]
     for where, given, known in groups:
         for name in (str(n) for n in given if n not in known):
             close = difflib.get_close_matches(name, [f for f in known if f not in given], n=1, cutoff=0.8)
             if close:
-                raise InputError(f"{file}: {where}unknown field {shown(name)}; did you mean '{close[0]}'?")
-
-
-def check_meta(meta: dict, file: Path) -> None:
-    """Checks lengths, joint positions, stated noise and starts of trials in `recording.json`."""
-    length = meta.get("length_mm")
-    if length is not None:
-        if not _positive(length):
-            raise InputError(
-                f"{file}: field 'length_mm' is {shown(length)}; give a positive number of millimetres."
-            )
-        if length < 2:
-            raise InputError(
-                f"{file}: field 'length_mm' is {length}, which can only be metres; give it in millimetres."
-            )
-    joints = meta.get("spine_joint_positions_mm")
+                yield f"{file}: {where}unknown field {shown(name)}; did you mean '{close[0]}'?"
+    length, joints, noise = (meta.get(k) for k in ("length_mm", "spine_joint_positions_mm", "noise"))
+    if length is not None and not _positive(length):
+        yield f"{file}: field 'length_mm' is {shown(length)}; give a positive number of millimetres."
+    elif length is not None and length < 2:
+        yield f"{file}: field 'length_mm' is {length}, which can only be metres; give it in millimetres."
     if joints is not None:
         ok = isinstance(joints, list) and joints and all(isinstance(x, int | float) for x in joints)
-        top = length if length is not None else float("inf")
+        top = length if _positive(length) else float("inf")
         if not ok or (np.diff(joints) <= 0).any() or not (0 <= joints[0] and joints[-1] <= top):
-            raise InputError(
-                f"{file}: field 'spine_joint_positions_mm' must be rising numbers between 0 and length_mm."
-            )
-    noise = meta.get("noise")
-    if noise is not None:
-        wrong = f"{file}: field 'noise' is {shown(noise)}"
-        if isinstance(noise, dict):
-            bad = [f" of {shown(k)} is {shown(x)}" for k, x in noise.items() if not _positive(x)]
-            wrong = f"{file}: field 'noise'{bad[0]}" if bad else ""
-        if wrong:
-            raise InputError(
-                f"{wrong}; give each measured column its standard deviation, a positive number, such as "
-                '{"tip_x_mm": 0.2}.'
-            )
-    cameras = meta.get("cameras", {})
-    if not isinstance(cameras, dict) or not all(isinstance(c, dict) for c in cameras.values()):
-        raise InputError(
+            yield f"{file}: field 'spine_joint_positions_mm' must be rising numbers between 0 and length_mm."
+    wrong = "" if isinstance(noise, dict | None) else f" is {shown(noise)}"
+    for name, x in noise.items() if isinstance(noise, dict) else ():
+        wrong = wrong or ("" if _positive(x) else f" of {shown(name)} is {shown(x)}")
+    if wrong:
+        deviation = 'standard deviation, a positive number, such as {"tip_x_mm": 0.2}'
+        yield f"{file}: field 'noise'{wrong}; give each measured column its {deviation}."
+    if not named or not all(isinstance(c, dict) for c in cameras.values()):
+        yield (
             f"{file}: field 'cameras' is {shown(cameras)}; name each camera and what it is, as in "
             '{"front": {"intrinsics": 3x3 in px, "extrinsics": 4x4 from base to camera in m}}.'
         )
     conversion = meta.get("conversion", {})
     if not isinstance(conversion, dict) or not isinstance(conversion.get("notes", []), list):
-        raise InputError(f"{file}: field 'conversion' is {shown(conversion)}; convert the table again.")
-    check_starts(meta, file)
+        yield f"{file}: field 'conversion' is {shown(conversion)}; convert the table again."
+    stated = meta.get("trials")
+    if not isinstance(stated, dict | None):
+        yield f"{file}: field 'trials' is {shown(stated)}; name trials by number, as in {EXAMPLE}."
+    for number, how in stated.items() if isinstance(stated, dict) else ():
+        where = f"{file}: field 'trials' of trial {shown(number)}"
+        if not isinstance(how, dict) or "start" not in how or set(how) - {"start", "pause_s"}:
+            yield f"{where} is {shown(how)}; give 'start' and perhaps 'pause_s', as in {EXAMPLE}."
+            continue
+        start, pause = how["start"], how.get("pause_s")
+        if start not in STARTS:
+            yield f"{where}: 'start' is {shown(start)}; it must be one of {', '.join(STARTS)}."
+        elif pause is None:
+            continue
+        elif isinstance(pause, bool) or not isinstance(pause, int | float) or not 0 <= pause < 1e12:
+            yield f"{where}: 'pause_s' is {shown(pause)}; give seconds, 0 or more."
+        elif start == "rested":
+            yield (
+                f"{where}: 'pause_s' is {pause:g} though its start is 'rested', however long that took; "
+                "leave it out, or write 'continues' where the rest was too short to forget the trial before."
+            )
 
 
 def _positive(x) -> bool:
     return not isinstance(x, bool) and isinstance(x, int | float) and 0 < x < 1e12
 
 
-def _check_noise(samples: pd.DataFrame, device: str, meta: dict, file: Path) -> None:
-    """Every column with a stated noise is measured, and every column of the error has one."""
-    stated = meta.get("noise") or {}
-    seen = observations(samples, device)
-    source = file.parent / "recording.json"
-    for name in stated:
+def _stated_faults(samples: pd.DataFrame, device: str, meta: dict, file: Path) -> Iterator[str]:
+    """Where fields `noise` and `trials` do not fit the columns and the trials of the table."""
+    noise, starts, seen = meta.get("noise") or {}, meta.get("trials") or {}, observations(samples, device)
+    source, trials = file.parent / "recording.json", [int(t) for t in samples["trial"].unique()]
+    for name in noise:
         if name not in seen and not (name in samples and re.fullmatch(quantities.PRESSURE.pattern, name)):
-            raise InputError(
-                f"{source}: field 'noise' names {shown(name)}, which is not measured in {file.name}; "
-                f"name {listed(seen)}."
-            )
-    missing = [c for c in quantities.headline(seen, device)[0] if stated and c not in stated]
+            what = f"names {shown(name)}, which is not measured in {file.name}"
+            yield f"{source}: field 'noise' {what}; name {listed(seen)}."
+    missing = [c for c in quantities.headline(seen, device)[0] if noise and c not in noise]
     if missing:
-        raise InputError(
+        yield (
             f"{source}: field 'noise' does not name '{missing[0]}', which the error counts too; "
             "add it, or leave out the field so that the noise is estimated."
+        )
+    for number in starts:
+        if number not in map(str, trials):
+            what = f"names trial {shown(number)}, which is not in the table"
+            yield f"{source}: field 'trials' {what}; its trials are {listed(trials)}."
+    if starts.get(str(trials[0]), {}).get("start") == "continues":
+        yield (
+            f"{source}: field 'trials' lets trial {trials[0]} continue, but it is the first of the table; "
+            "write 'rested' or 'unknown'."
         )
 
 
@@ -206,24 +171,52 @@ def check_samples(
     samples: pd.DataFrame, device: str, meta: dict, file: Path
 ) -> tuple[pd.DataFrame, list[str]]:
     """Applies every rule; returns the samples with clean types and warnings for what is poor but usable."""
-    warnings: list[str] = []
-    if len(samples) == 0:
-        raise InputError(f"{file} has a header but no rows; record at least one trial.")
-    if missing := missing_columns(samples, device, file):
+    if missing := missing_columns(samples, device, file) if len(samples) else {}:
         (_, first), *others = missing.items()
         also = f" Missing too: {listed(repr(name) for name, _ in others)}." if others else ""
         raise InputError(first + also)
-    _check_texts(samples, file)
-    samples = clean_numbers(samples, device, file)
-    samples["trial"] = clean_trials(samples["trial"], file)
-    if device != "gel":
-        _check_noise(samples, device, meta, file)
-        check_numbers(meta, [int(t) for t in samples["trial"].unique()], file.parent / "recording.json")
-        samples = check_time(samples, file, warnings)
-        check_sent(samples, file)
-        check_units(samples, meta, file)
-        _check_poverty(samples, file, warnings)
+    samples, faults, warnings = look(samples, device, meta, file)
+    if faults:
+        raise InputError(faults[0])
     return samples, warnings
+
+
+def look(
+    samples: pd.DataFrame, device: str, meta: dict, file: Path
+) -> tuple[pd.DataFrame, list[str], list[str]]:
+    """Every rule by itself: one that is broken does not hide the next.
+
+    Returns:
+        The samples with clean types, without the columns that are no numbers; a sentence for each fault, and
+        one for each thing that is poor but usable.
+    """
+    if not len(samples):
+        missing = [f"{file} has a header but no rows; record at least one trial."]
+        return samples, [*missing, *missing_columns(samples, device, file).values()], []
+    faults, warnings = list(missing_columns(samples, device, file).values()), []
+    with collected(faults):
+        _check_texts(samples, file)
+    samples, broken = clean_numbers(samples, device, file)
+    for (_, sentence), *others in broken:
+        faults.append(sentence + (f" So are {listed(repr(n) for n, _ in others)}." if others else ""))
+    if "trial" in samples:
+        with collected(faults):
+            samples["trial"] = clean_trials(samples["trial"], file)
+    if device == "gel":
+        return samples, faults, warnings
+    if not faults:
+        faults += _stated_faults(samples, device, meta, file)
+    if {"trial", "time_s"} <= set(samples) and samples["trial"].dtype == np.int64:
+        with collected(faults):
+            samples = check_time(samples, file, warnings)
+        with collected(faults):
+            check_sent(samples, file)
+    lost = any(name.startswith("gravity_") for cases in broken for name, _ in cases)
+    whole = [c for c in samples if not (lost and c.startswith("gravity_"))]
+    faults += unit_faults(samples[whole], meta, file)
+    if not faults:
+        _check_poverty(samples, file, warnings)
+    return samples, faults, warnings
 
 
 _HOW = {
@@ -308,36 +301,39 @@ def pressure_commands(samples: pd.DataFrame) -> list[str]:
     return [c for c in samples if re.fullmatch(r"pressure_cmd_(\d+_)?kpa", str(c))]
 
 
-def clean_numbers(samples: pd.DataFrame, device: str, file: Path) -> pd.DataFrame:
-    """The samples with every column but labels as float64; raises InputError at the first that is none."""
-    samples = samples.copy()
+def clean_numbers(
+    samples: pd.DataFrame, device: str, file: Path
+) -> tuple[pd.DataFrame, list[list[tuple[str, str]]]]:
+    """The samples with every column but labels as float64, without those that are none.
+
+    Of the latter also name and sentence, in one list where they lack the same row.
+    """
+    good, broken = {}, {}
     for name in samples.columns:
+        good[name] = column = samples[name]
         if re.fullmatch(LABELS, name):
             continue
-        column = samples[name]
         known = re.search(r"_(kpa|mm|rad|s|c|g|m|px)$|^gravity_|^trial$", name)
         values = pd.to_numeric(column, errors="coerce").astype(float)
         if not known and values.notna().sum() <= 0.5 * len(values):
             continue  # a free label
-        bad = ~np.isfinite(values.to_numpy())
+        good[name], bad = values, ~np.isfinite(values.to_numpy())
         if device == "gel" and name not in ("trial", "time_s"):
             bad &= column.notna().to_numpy()  # an unknown depth or radius stays empty
         if bad.any():
-            row = int(np.argmax(bad))
+            row, many = int(np.argmax(bad)), bad.sum() > 1
             value = "empty or not a number" if pd.isna(column.iloc[row]) else shown(str(column.iloc[row]))
-            few = (
-                "correct it, or leave out that row"
-                if bad.sum() == 1
-                else "correct them, or leave out those rows"
+            remedy = (
+                f"correct {'them' if many else 'it'}, or leave out {'those rows' if many else 'that row'}"
             )
-            filled = column[bad].notna().all()
-            many = "write numbers into this column" if filled else "fill in what was measured"
-            raise InputError(
-                f"{file}: column {shown(name)}, {row_name(row, file)} is {value} "
-                f"({plural(int(bad.sum()), 'such row')}); {many if bad.mean() > 0.05 else few}."
-            )
-        samples[name] = values
-    return samples
+            if bad.mean() > 0.05:
+                filled = column[bad].notna().all()
+                remedy = "write numbers into this column" if filled else "fill in what was measured"
+            such = f"({plural(int(bad.sum()), 'such row')})"
+            sentence = f"{file}: column {shown(name)}, {row_name(row, file)} is {value} {such}; {remedy}."
+            broken.setdefault(row, []).append((name, sentence))
+            del good[name]
+    return pd.DataFrame(good, samples.index), list(broken.values())
 
 
 def clean_trials(trial: pd.Series, file: Path) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from pneutac_datasets.recording.wording import row_name
-from pneutac_sim.errors import InputError, shown
+from pneutac_sim.errors import shown
 from pneutac_sim.twin import MOST_LENGTH_MM
 
 # A soft actuator bursts well below 20 bar, so a larger number is another unit. A tip cannot be much further
@@ -96,12 +96,6 @@ def unit_named(text: str, dimension: str = "") -> Unit | None:
         if plain in UNITS[known] and (not against or known == "pressure"):
             return Unit(known, plain, against)
     return None
-
-
-def check_units(samples: pd.DataFrame, meta: dict, file: Path) -> None:
-    """Raises InputError where a column's range can only be another unit than its name says."""
-    for fault in unit_faults(samples, meta, file):
-        raise InputError(fault)
 
 
 def unit_faults(samples: pd.DataFrame, meta: dict, file: Path) -> Iterator[str]:

@@ -3,10 +3,14 @@
 What a look at a recording found, for people (a sentence) and for programs (where, and how much).
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+
+from pneutac_sim.errors import InputError
 
 
 class SourceFile(Path):
@@ -48,6 +52,15 @@ def joined(names) -> str:
     """`a, b and c`."""
     *most, last = map(str, names)
     return f"{', '.join(most)} and {last}" if most else last
+
+
+@contextmanager
+def collected(faults: list[str]) -> Iterator[None]:
+    """While it lasts, a refusal becomes another of the faults."""
+    try:
+        yield
+    except InputError as e:
+        faults += [str(e)] * (str(e) not in faults)
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from pneutac_datasets.demonstrations.augment.episode import BEND_GAIN, bend_gain_sd
 from pneutac_datasets.demonstrations.augment.library import (
     Followers,
     Library,
@@ -11,7 +12,6 @@ from pneutac_datasets.demonstrations.augment.library import (
     start_spread_m,
 )
 from pneutac_datasets.demonstrations.augment.reference import Reference, reaction_hz
-from pneutac_datasets.demonstrations.augment.variant import BEND_GAIN, bend_gain_sd
 from pneutac_sim.finger.confidence import Z95
 from pneutac_sim.gel.sensor import centre_mm
 from pneutac_sim.twin import Twin, Value

@@ -18,7 +18,7 @@ from pneutac_datasets.recording import reading, rules
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.sources import readers
 from pneutac_datasets.recording.sources.columns import LEAVE_OUT, Column, parse_columns, read_name, understand
-from pneutac_datasets.recording.sources.frame import axes_of
+from pneutac_datasets.recording.sources.readers import axes_of
 from pneutac_datasets.recording.text_table import TextTable, read_text
 from pneutac_datasets.recording.wording import SourceFile, listed, plural
 from pneutac_sim.errors import InputError, shown
