@@ -1,6 +1,6 @@
 """`pneutac VERB`: a table of commands, with options in LeRobot's own style (draccus).
 
-A verb's module has `command(options, terminal)` and the dataclass of its options, whose docstring is the
+A verb's module has `command(options, terminal)` and the dataclass of its options, whose comments are the
 text of `--help`; a `command(argv, terminal)` reads its arguments by itself.
 """
 
@@ -127,7 +127,7 @@ def run_verb(verb: str, argv: list[str]) -> None:
     if "argv" in inspect.signature(command).parameters:
         command(argv, terminal)
     else:
-        command(parse_options(options_class(verb), argv, command.__doc__), terminal)
+        command(parse_options(options_class(verb), argv, f"{VERBS[verb]}."), terminal)
 
 
 def options_class(command: str) -> type | None:

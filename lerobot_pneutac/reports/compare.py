@@ -4,13 +4,12 @@
 """
 
 import numpy as np
-import pandas as pd
 import plotly.graph_objects as go
 
 from lerobot_pneutac.reports import page as C
 from lerobot_pneutac.reports.figures import bar_panels, curves, name_runs, session_clock, shade, stacked
 from lerobot_pneutac.reports.page import Report
-from pneutac_datasets.recording.axes import numbers, unit_of
+from pneutac_datasets.recording.axes import unit_of
 
 POINTS = 1500  # a line: more cannot be seen on a screen
 GAP = np.array([np.nan])  # between the parts of a line
@@ -37,16 +36,12 @@ def comparison_page(c) -> Report:
     if c.coverage is not None:
         caption += f" In green the 95 % band{' of the test part' if fitted else ''}."
     report.figure(over_time(c), caption, 130 + 150 * c.counted)
-    if c.coverage is not None:
-        caption = f"Measured minus modelled. Inside the band lie {c.inside_band}."
-        report.figure(in_band(c), caption, 110 + 150 * c.counted)
     report.heading("Loops")
     report.figure(loops(c), "The same against the commanded pressure: a loop shows history.", 420)
     if len(c.history) > 1:
         report.heading("The twin's history")
         report.figure(ladder(c), "Errors as each version recorded them, on its own recording.", 340)
     report.heading("Where it fails")
-    report.figure(heat_map(c), "Error by pressure and by how it moves; white: no samples.", 380)
     shown = {n: r for n, r in c.by.items() if len(r) > 1}
     caption = "Error under each condition; the line is the noise floor."
     report.figure(by_condition(shown, c), caption, 60 + 260 * ((len(shown) + 1) // 2))
@@ -106,16 +101,6 @@ def _add_line(figure: go.Figure, i: int, t, values, parts: list[np.ndarray], nam
     figure.add_scatter(x=x, y=y, name=name, mode="lines", line=line, **place)
 
 
-def in_band(c) -> go.Figure:
-    figure = stacked([_title(n) for n in c.columns[: c.counted]], [1.0] * c.counted, 0.04)
-    (t, _), parts = session_clock(c.recording), _heldout(c)
-    for i in range(c.counted):
-        left = c.measured[:, i] - c.model[:, i]
-        _add_line(figure, i, t, left, parts, "measured minus modelled", color=C.MEASURED, width=1)
-        _add_band(figure, c, i, t, np.zeros(len(t)))
-    return name_runs(figure, c.recording, row=c.counted)
-
-
 def over_time(c) -> go.Figure:
     titles = [*map(_title, c.columns[: c.counted]), "kPa"]
     figure = stacked(titles, [1.0] * c.counted + [0.6], 0.03)
@@ -165,23 +150,6 @@ def loops(c) -> go.Figure:
             )  # fmt: skip
     figure.update_layout(xaxis_title=_title(columns[k]), yaxis_title=_title(c.columns[i]))
     return figure
-
-
-def heat_map(c) -> go.Figure:
-    p = c.recording.samples[c.recording.pressure_columns].to_numpy(float).mean(1)
-    across = numbers("pressure", p, 10)
-    rate, still, size = c.rate, c.still, np.abs(c.rate)
-    slow = np.median(size[~still]) if (~still).any() else 0.0
-    names = ["falls fast", "falls slowly", "held", "rises slowly", "rises fast"]
-    down = np.where(still, 2, np.where(rate < 0, np.where(size > slow, 0, 1), np.where(size > slow, 4, 3)))
-    cells = pd.DataFrame({"move": down, "bin": across.bin, "squared": c.squared})
-    cells = cells.pivot_table("squared", "move", "bin")
-    z = np.sqrt(cells.reindex(index=range(5), columns=range(len(across.labels))).to_numpy(float))
-    top = max(float(np.nanmax(z)), 1e-9)  # plotly heeds zmin only where zmax is given too
-    z = np.where(np.isfinite(z), z.round(4), None).tolist()
-    scale = {"colorscale": "YlOrRd", "zmin": 0, "zmax": top, "colorbar": {"title": c.unit}}
-    figure = go.Figure(go.Heatmap(z=z, x=across.labels, y=names, hoverongaps=False, **scale))
-    return figure.update_layout(xaxis_title="commanded pressure, kPa", yaxis_title="pressure")
 
 
 def by_condition(by: dict[str, list[dict]], c) -> go.Figure:

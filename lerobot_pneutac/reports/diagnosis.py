@@ -11,7 +11,7 @@ from lerobot_pneutac.diagnosis.experiment import Separation, read
 from lerobot_pneutac.diagnosis.result import Outcome, family_in
 from lerobot_pneutac.reports import figures as F
 from lerobot_pneutac.reports import page as C
-from lerobot_pneutac.reports.page import Report, parameter_rows
+from lerobot_pneutac.reports.page import Report, parameter_rows, rows_of
 from lerobot_pneutac.reports.sentences import State, alternatives, evidence, hedged, meaning, percent
 from lerobot_pneutac.study.base import EffectStudy
 from pneutac_datasets.recording.axes import Axis, axes, numbers, unit_of
@@ -117,11 +117,8 @@ def _candidates(page: Report, study: EffectStudy, o: Outcome, state: State) -> N
 
 
 def rival_rows(o: Outcome) -> list[dict]:
-    return [
-        {"cause": plain_name(r.effect), "instead": plain_name(r.rival)}
-        | {"its mean square error": f"{100 * r.difference:+.1f} %"}
-        for r in o.rivals
-    ]
+    pairs = ((plain_name(r.effect), plain_name(r.rival), r.difference) for r in o.rivals)
+    return rows_of(pairs, {"cause": "{0[0]}", "instead": "{0[1]}", "its mean square error": "{0[2]:+.1%}"})
 
 
 def _over_time(page: Report, study: EffectStudy, o: Outcome) -> None:

@@ -9,14 +9,16 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
+from operator import attrgetter
 from pathlib import Path
+from string import Formatter
 
 import jinja2
 import numpy as np
 from markupsafe import Markup, escape
 from PIL import Image
 
-from pneutac_sim.files import write_json, write_text
+from pneutac_sim.files import whole, write_json, write_text
 
 
 class Report:
@@ -135,6 +137,14 @@ def write_result(out: str | Path, result: dict) -> Path:
     return path
 
 
+def save_table(file: Path, table: list[dict] | dict) -> None:
+    """Writes rows or columns as CSV."""
+    import pandas as pd  # which many pages do not need
+
+    with whole(file) as part:
+        pd.DataFrame(table).to_csv(part, index=False, float_format="%.6g")
+
+
 def plain(x):
     """The same of dicts, lists, texts, numbers and None alone, as JSON gives it back."""
     if isinstance(x, dict):
@@ -161,6 +171,24 @@ def cell(x, none: str = "-") -> str:
     if isinstance(x, float | np.floating):
         return f"{x:.4g}"
     return str(x)
+
+
+class _Blanks(Formatter):
+    """A format in which None is nothing."""
+
+    def format_field(self, value, format_spec: str) -> str:
+        return "" if value is None else super().format_field(value, format_spec)
+
+
+def rows_of(items: Iterable, columns: dict[str, str]) -> list[dict]:
+    """A table with a row an item.
+
+    Each column is an attribute, with dots, or a format such as `{0.error:.3g} {0.unit}` where None is blank.
+    """
+    return [
+        {k: _Blanks().format(c, item) if "{" in c else attrgetter(c)(item) for k, c in columns.items()}
+        for item in items
+    ]
 
 
 def span(ci95, unknown: str = "") -> str:

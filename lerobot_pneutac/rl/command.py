@@ -12,7 +12,6 @@ from pneutac_sim.world.station import Station
 
 
 def command(config: PpoConfig, terminal: Terminal) -> None:
-    """Trains an actor by reinforcement learning, and records its demonstrations for a student."""
     if importlib.util.find_spec("stable_baselines3") is None:
         raise InputError("Stable-Baselines3 is missing; install lerobot_robot_pneutac[rl].")
     from lerobot_pneutac.rl.ppo import Compute, train_ppo

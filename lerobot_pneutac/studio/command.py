@@ -32,7 +32,6 @@ class StudioConfig:
 
 
 def command(cfg: StudioConfig, terminal: Terminal) -> None:
-    """A twin in the browser: bend it, see where it fails, find and add what is missing."""
     device = Twin.load(cfg.twin).device  # before there is an address: a misspelt folder has none
     try:
         from lerobot_pneutac.studio.app import Studio

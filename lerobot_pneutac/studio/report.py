@@ -45,7 +45,6 @@ class ReportConfig:
 
 
 def command(cfg: ReportConfig, terminal: Terminal) -> None:
-    """A twin with its history as one page to send to somebody, or as a file for Rerun."""
     twin, recording = Twin.load(cfg.twin), None
     if cfg.recording is not None:
         twin, recording = load_bench_pair(cfg.twin, cfg.recording, "report on")

@@ -411,7 +411,6 @@ class AddConfig(PairOptions):
 
 
 def command(cfg: AddConfig, terminal: Terminal) -> None:
-    """Switches effects on in a twin, re-fits all, and stores that if the test error falls."""
     effects = [e.strip() for e in cfg.effect.split(",")] if cfg.effect else []
     for e in effects:
         get_effect(e)

@@ -318,7 +318,6 @@ def augment(
 
 
 def command(config: AugmentConfig, terminal: Terminal) -> None:
-    """Generates many demonstrations from a few, carried out on the twin and guided by touch."""
     with terminal.progress() as progress:
         result = augment(config, progress, terminal.note)
     terminal.finish(result, config.out)

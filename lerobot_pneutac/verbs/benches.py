@@ -7,16 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-import pandas as pd
 
 from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.diagnosis.design import Choice
 from lerobot_pneutac.diagnosis.programs import sent_s
+from lerobot_pneutac.reports.page import save_table
 from pneutac_datasets.recording.axes import command_columns
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import MAX_PRESSURE_KPA
-from pneutac_sim.files import whole
 
 if TYPE_CHECKING:
     from lerobot_pneutac.verbs.measure import MeasureConfig
@@ -78,18 +77,20 @@ class MeasuredBench:
         return recording
 
 
-def save_program(file: Path, time_s, pressure_kpa, kind: str, conditions: Mapping | None = None) -> None:
-    """Writes a program as `pneutac measure --program=` reads it, its steps between samples (`sent_s`).
+def program_columns(time_s, pressure_kpa, kind: str, conditions: Mapping | None = None) -> dict:
+    """A program as `pneutac measure --program=` reads it, its steps between samples (`sent_s`).
 
-    The CSV has `time_s`, when a command is sent, the commands (n,) or (n, chambers) kPa, `program`, its
+    Columns are `time_s`, when a command is sent, the commands (n,) or (n, chambers) kPa, `program`, its
     `kind`, and the conditions that it asks for, such as `payload_g`.
     """
     commands = np.reshape(pressure_kpa, (len(time_s), -1)).T
     columns = dict(zip(command_columns(len(commands)), commands, strict=True))
-    times = {"time_s": sent_s(time_s, pressure_kpa)}
-    with whole(file) as part:
-        table = pd.DataFrame(times | columns | {"program": kind} | dict(conditions or {}))
-        table.to_csv(part, index=False, float_format="%.6g")
+    return {"time_s": sent_s(time_s, pressure_kpa)} | columns | {"program": kind} | dict(conditions or {})
+
+
+def save_program(file: Path, *program) -> None:
+    """Writes a table of `program_columns`."""
+    save_table(file, program_columns(*program))
 
 
 def save_choice(file: Path, c: Choice) -> None:

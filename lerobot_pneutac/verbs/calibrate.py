@@ -110,11 +110,11 @@ def calibrate(
         return calibrate_gel(twin, recording, effects, through == "mpm", image_size, progress)
     check_length(twin, recording)
     if method == "images":
-        from lerobot_pneutac.verbs.fit_photographs import PhotoOptions, calibrate_photographs
+        from lerobot_pneutac.verbs.fit_photographs import calibrate_photographs
 
-        options = PhotoOptions(levels, evaluations, particles, seed)
-        files = (None, None) if keep is None else (keep / SEARCH, keep / BEST)
-        result = calibrate_photographs(twin, recording, options, *files, progress)
+        how = {"evaluations": evaluations, "particles": particles, "seed": seed, "progress": progress}
+        how |= {} if keep is None else {"file": keep / SEARCH, "best": keep / BEST}
+        result = calibrate_photographs(twin, recording, levels, **how)
     else:
         from lerobot_pneutac.verbs.fit_body import calibrate_body
 
@@ -170,7 +170,6 @@ class CalibrateConfig(PairOptions):
 
 
 def command(cfg: CalibrateConfig, terminal: Terminal) -> None:
-    """Fits a twin to a bench recording, in place, as its next version."""
     with TemporaryDirectory() as scratch:
         result = run(cfg, Path(scratch), terminal)
         result = terminal.finish(result, cfg.out, store=None if result.worse else cfg.twin)

@@ -198,7 +198,6 @@ Lists in seconds what a later command would refuse, and exits with 1 if there is
 
 
 def command(argv: list[str], terminal: Terminal) -> None:
-    """Checks what is named; exits with 1 where there is a fault."""
     if not argv or {"-h", "--help"} & set(argv):
         print(USAGE)
         return

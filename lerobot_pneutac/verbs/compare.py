@@ -12,6 +12,7 @@ import numpy as np
 
 from lerobot_pneutac.cli.options import PairOptions, keywords
 from lerobot_pneutac.cli.terminal import Terminal
+from lerobot_pneutac.reports.page import rows_of
 from lerobot_pneutac.study.pair import (
     check_length,
     load_bench_pair,
@@ -68,17 +69,13 @@ def compare(
     if recording.device == "gel":
         if fidelity != "pipeline":
             raise InputError(f"fidelity={fidelity} is of a finger or an arm, not of a gel; omit it.")
-        from lerobot_pneutac.verbs.compare_gel import compare_gel
+        from lerobot_pneutac.verbs.fit_gel import compare_gel
 
         return compare_gel(twin, recording)
-    from lerobot_pneutac.verbs.compare_body import compare_body
+    from lerobot_pneutac.verbs.compare_body import SAMPLES, by_mpm, compare_body
 
     whole = compare_body(twin, with_unit_note(twin, recording))
-    if fidelity == "pipeline":
-        return whole
-    from lerobot_pneutac.verbs.compare_mpm import SAMPLES, by_mpm
-
-    return by_mpm(whole, twin, samples or SAMPLES, seed, progress)
+    return whole if fidelity == "pipeline" else by_mpm(whole, twin, samples or SAMPLES, seed, progress)
 
 
 AGAIN = 1.5  # times the first date's error, above which a twin is calibrated again
@@ -96,6 +93,10 @@ class Date:
     bend: float  # how far it bends, as a share of what the twin says, 1 for a twin that is right
     half: float  # half-width of its 95 % interval
     travel: float  # root mean square of the twin's own motion about its mean, in the error's unit
+
+    @property
+    def ci95(self) -> list[float]:
+        return [self.bend - self.half, self.bend + self.half]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,11 +152,8 @@ class Ageing(Result):
         return f"{text}; the error went from {first.error:.2g} to {last.error:.2g} {self.unit}: {due}."
 
     def rows(self) -> list[dict]:
-        return [
-            {"date": d.day.isoformat(), "recording": d.name, f"error ({self.unit})": d.error}
-            | {"bend, times the twin's": f"{d.bend:.3f} ± {d.half:.3f}"}
-            for d in self.dates
-        ]
+        columns = {"date": "{0.day}", "recording": "name", f"error ({self.unit})": "error"}
+        return rows_of(self.dates, columns | {"bend, times the twin's": "{0.bend:.3f} ± {0.half:.3f}"})
 
     def remarks(self) -> list[str]:
         due = f"A calibration is due where the error exceeds {AGAIN:g} times that of the first date"
@@ -163,11 +161,8 @@ class Ageing(Result):
 
     def content(self) -> dict:
         (slope, half), again = self.slope, self.again
-        dates = [
-            {"date": d.day.isoformat(), "recording": d.name, "error": d.error, "bend": d.bend}
-            | {"bend_ci95": [d.bend - d.half, d.bend + d.half]}
-            for d in self.dates
-        ]
+        columns = {"date": "{0.day}", "recording": "name", "error": "error", "bend": "bend"}
+        dates = rows_of(self.dates, columns | {"bend_ci95": "ci95"})
         change = {"value": slope, "ci95": [slope - half, slope + half]}
         out = {"unit": self.unit, "dates": dates, "bend_change_per_day": change}
         return out | {"calibrate_again": again and again.isoformat()}
@@ -258,7 +253,6 @@ class CompareConfig(PairOptions):
 
 
 def command(cfg: CompareConfig, terminal: Terminal) -> None:
-    """Compares a twin with a recording, and shows where it fails."""
     if cfg.later:
         no_demonstrations(cfg.recording, cfg.task, cfg.station)
         pairs = [load_bench_pair(cfg.twin, p, "compute ageing from") for p in (cfg.recording, *cfg.later)]

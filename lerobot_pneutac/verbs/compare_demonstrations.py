@@ -141,11 +141,9 @@ class DemonstrationComparison(Comparison):
         return f"Replayed in its world, {misses} on test episodes, {where}."
 
     def rows(self) -> list[dict]:
-        name = f"{UNIT} (noise {self.noise_floor:.3g})"
-        return [
-            {name: r["bin"], **{k: r[k] for k in ("error", "arm", "gauge", "touch")}, "area": r["area"]}
-            for r in self.by["phase"]
-        ]
+        shown = {f"{UNIT} (noise {self.noise_floor:.3g})": "bin"}
+        shown |= {k: k for k in ("error", "arm", "gauge", "touch", "area")}
+        return [{name: row[k] for name, k in shown.items()} for row in self.by["phase"]]
 
     def remarks(self) -> list[str]:
         own, out = self.study.fitter.known_s, []

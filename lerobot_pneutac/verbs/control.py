@@ -14,7 +14,6 @@ from lerobot_pneutac.study.pair import same_body
 from lerobot_pneutac.verbs.result import Result, drive_command
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
-from pneutac_sim.files import whole
 from pneutac_sim.finger.control import BendController, bend_angle, bend_is_by, pressure_for
 from pneutac_sim.finger.online import refuse_unused
 from pneutac_sim.finger.quantities import root_mean
@@ -88,11 +87,9 @@ class Control(Result):
         page.figure(figure, "Above the bend, below the pressure that was commanded for it.", 520)
         return page
 
-    def report(self, out: str | Path, command: str = "") -> Path:
-        table = pd.DataFrame({"time_s": self.time_s, COMMAND: self.pressure_kpa, TARGET: self.target_rad})
-        with whole(Path(out) / "program.csv") as part:
-            table.to_csv(part, index=False, float_format="%.6g")
-        return super().report(out, command)
+    def tables(self) -> dict[str, dict]:
+        columns = {"time_s": self.time_s, COMMAND: self.pressure_kpa, TARGET: self.target_rad}
+        return {"program.csv": columns}
 
     def content(self) -> dict:
         out = super().content() | {"samples": len(self.time_s), "duration_s": self.time_s[-1]}
@@ -200,7 +197,6 @@ class ControlConfig:
 
 
 def command(cfg: ControlConfig, terminal: Terminal) -> None:
-    """Makes the pressure program for a wanted bend, and shows how well it was followed."""
     twin = Twin.load(cfg.twin)
     recording = Recording.load(cfg.recording) if cfg.recording else None
     if recording is not None:

@@ -199,7 +199,6 @@ def _of_film(config: ConvertConfig) -> Track:
 
 
 def command(config: ConvertConfig, terminal: Terminal) -> None:
-    """Makes a bench recording of what a lab's other systems logged."""
     tables: list[Understood] = []
 
     def show(understood: Understood) -> None:

@@ -32,7 +32,7 @@ from lerobot_pneutac.verbs.compare import compare
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import joined
-from pneutac_sim.effects.laws import plain_name, plain_names
+from pneutac_sim.effects.laws import plain_names
 from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.features import CONTROL_HZ, TRIAL_S
 from pneutac_sim.files import read_json, write_json
@@ -82,54 +82,25 @@ class DemoConfig:
 
 
 @dataclass(frozen=True)
-class QuickResult(Result):
-    """What the quick demo came to."""
+class DemoResult(Result):
+    """What a demo came to; the quick one has no policies."""
 
     out: Path  # its folder
     state: dict  # stage name to its numbers, seconds and commands
-    heading = "A twin learns what it lacked of its finger"
-    measured: ClassVar = "monday"  # folder of the recording that it was fitted to
+
+    @property
+    def quick(self) -> bool:
+        return "evaluate" not in self.state
+
+    @property
+    def title(self) -> str:
+        return "A twin learns what it lacked of its finger" + ", and a policy pulls a card" * (not self.quick)
 
     @property
     def added(self) -> list[str]:
         """The effects that `add` stored, which may be fewer than the diagnosis found."""
         known = Twin.load(self.out / "before").effects
         return [e for e in Twin.load(self.out / "twin").effects if e not in known]
-
-    @property
-    def sentence(self) -> str:
-        before, after = (self.state[stage]["tip_error_mm"] for stage in ("twin", "add"))
-        went = f"went from {before:.2f} to {after:.2f} mm (noise {self.state['add']['noise_mm']:.2f} mm)"
-        return f"With {joined(plain_names(self.added))} added, the tip error on another day {went}."
-
-    @property
-    def next_commands(self) -> list[str]:
-        return [
-            f"pneutac history --twin={self.out}/twin",
-            f"pneutac studio --twin={self.out}/before --recording={self.out}/monday",
-            "python -m pneutac_truths --list",
-        ]
-
-    def subject(self) -> tuple[Twin, Path]:
-        return Twin.load(self.out / "twin"), self.out / self.measured
-
-    def content(self) -> dict:
-        s = self.state
-        error = {"before": s["twin"]["tip_error_mm"], "after": s["add"]["tip_error_mm"]}
-        out = {"tip_error_mm": error, "noise_mm": s["add"]["noise_mm"], "selected": s["diagnose"]["selected"]}
-        return out | {"seconds": {name: stage["seconds"] for name, stage in s.items() if name != "options"}}
-
-    def page(self) -> Report:
-        twins = Twin.load(self.out / "before"), Twin.load(self.out / "twin")
-        return quick_page(self, *(compare(twin, Recording.load(self.out / "friday")) for twin in twins))
-
-
-@dataclass(frozen=True)
-class DemoResult(QuickResult):
-    """What the whole demo came to."""
-
-    heading = "A twin learns what it lacked of its finger, and a policy pulls a card"
-    measured: ClassVar = "bench/finger"
 
     @property
     def difference(self) -> tuple[float, float, float]:
@@ -145,17 +116,18 @@ class DemoResult(QuickResult):
     @property
     def sentence(self) -> str:
         before, after = (self.state[stage]["tip_error_mm"] for stage in ("twin", "add"))
-        noise = self.state["add"]["noise_mm"]
+        noise, went = self.state["add"]["noise_mm"], f"went from {before:.2f} to {after:.2f} mm (noise "
+        added = f"With {joined(plain_names(self.added))} added, the"
+        if self.quick:
+            return f"{added} tip error on another day {went}{noise:.2f} mm)."
         left = max(after**2 - noise**2, 0.0) ** 0.5
         e, made = self.state["evaluate"], self.state["augment"]
         mean, low, high = self.difference
-        helped = "helped" if low > 0 else "did not help"
-        verdict = (
-            f"Augmentation {helped}" if low > 0 or mean <= 0 else "Whether augmentation helped is uncertain"
-        )
+        verdict = f"Augmentation {'helped' if low > 0 else 'did not help'}"
+        if low <= 0 < mean:
+            verdict = "Whether augmentation helped is uncertain"
         return (
-            f"With {joined(plain_names(self.added))} added, the test error of the tip went from "
-            f"{before:.2f} to {after:.2f} mm (noise {noise:.2f} mm, unexplained {left:.2f} mm). "
+            f"{added} test error of the tip {went}{noise:.2f} mm, unexplained {left:.2f} mm). "
             f"Trained on {made['recorded']} demonstrations and {made['kept']} made of them on the corrected"
             f" twin, the policy pulled the card in {_count(e['augmented'], 'starts that it had not seen')};"
             f" trained on the {made['recorded']} alone in {_count(e['alone'], 'of the same')}. {verdict} in"
@@ -164,25 +136,41 @@ class DemoResult(QuickResult):
 
     @property
     def next_commands(self) -> list[str]:
-        """Commands to try next; the last one opens the twin as it was before anything was added."""
+        """Commands to try next; one opens the twin as it was before anything was added."""
+        out, studio = self.out, f"pneutac studio --twin={self.out}/before --recording={self.finger}"
+        if self.quick:
+            return [f"pneutac history --twin={out}/twin", studio, "python -m pneutac_truths --list"]
+        policy = f"--policy={out}/train/checkpoints/last/pretrained_model"
         return [
-            f"pneutac diagnose --twin={self.out}/twin --recording={self.out}/bench/finger --out=outputs/rest",
-            f"pneutac render --twin={self.out}/twin --pressure_kpa=[0,15] --out=outputs/render",
+            f"pneutac diagnose --twin={out}/twin --recording={self.finger} --out=outputs/rest",
+            f"pneutac render --twin={out}/twin --pressure_kpa=[0,15] --out=outputs/render",
             "python -m pneutac_datasets.generate --effect=hysteresis --seed=7 --out=outputs/hysteresis",
-            f"pneutac studio --twin={self.out}/before --recording={self.out}/bench/finger "
-            f"--demonstrations={self.out}/demonstrations "
-            f"--policy={self.out}/train/checkpoints/last/pretrained_model",
+            f"{studio} --demonstrations={out}/demonstrations {policy}",
         ]
 
+    @property
+    def finger(self) -> Path:
+        """The recording that the twin was fitted to."""
+        return self.out / ("monday" if self.quick else "bench/finger")
+
+    def subject(self) -> tuple[Twin, Path]:
+        return Twin.load(self.out / "twin"), self.finger
+
     def content(self) -> dict:
-        e, (mean, low, high) = self.state["evaluate"], self.difference
-        return super().content() | {
+        s = self.state
+        error = {"before": s["twin"]["tip_error_mm"], "after": s["add"]["tip_error_mm"]}
+        out = {"tip_error_mm": error, "noise_mm": s["add"]["noise_mm"], "selected": s["diagnose"]["selected"]}
+        out |= {"seconds": {name: stage["seconds"] for name, stage in s.items() if name != "options"}}
+        if self.quick:
+            return out
+        e, (mean, low, high) = s["evaluate"], self.difference
+        return out | {
             "success_percent": {name: 100 * float(np.mean(e[name])) for name in ("augmented", "alone")},
             "success_ci95": {name: wilson(e[name]) for name in ("augmented", "alone")},
             "difference_percent": mean,
             "difference_ci95": [low, high],
             "trials": len(e["augmented"]),
-            "final_loss": self.state["train"]["augmented"][-1],
+            "final_loss": s["train"]["augmented"][-1],
         }
 
     def page(self) -> Report:
@@ -199,6 +187,28 @@ def _count(successes: list[bool], what: str) -> str:
     low, high = wilson(successes)
     rate = f"{100 * np.mean(successes):.0f} %, 95 % interval {low:.0f} to {high:.0f}"
     return f"{sum(successes)} of {len(successes)} {what} ({rate})"
+
+
+def stages(options: dict, quick: bool) -> dict[str, str]:
+    """Stages of a demo, each a method of `Demo`, and what they do."""
+    rod = "an elastic rod with friction that the twin lacks"
+    bench = {
+        "bench": "Measure a finger on the bench (the stand-in for a real one)",
+        "twin": "Make its twin, calibrate finger and gel, and compare",
+        "diagnose": "Which physics is missing?",
+        "add": "Add it, and see the error fall",
+    }
+    if quick:
+        return bench | {
+            "bench": f"Measure a finger on two days ({rod})",
+            "twin": "Make its twin, calibrate it, and compare it with the other day",
+        }
+    return bench | {
+        "record": f"Record {options['demonstrations']} demonstrations of a modelled person",
+        "augment": f"Make {options['augmented']} more of them on the corrected twin",
+        "train": "Train a policy on all with lerobot-train, and one on the recorded alone",
+        "evaluate": f"Try both with lerobot-eval, the same {options['trials']} starts",
+    }
 
 
 Announce = Callable[[str], None]
@@ -222,60 +232,36 @@ class Demo:
         if self.state["options"] != options:
             raise InputError(f"{cfg.out} holds a demo with other options; give fresh=true.")
         self.twin = self._path("twin")
-        self.finger, self.gel = self._path("bench/finger"), self._path("bench/gel")
-        if cfg.quick:
-            self.finger = self._path("monday")
+        self.finger, self.gel = self._path("monday" if cfg.quick else "bench/finger"), self._path("bench/gel")
 
-    def run(self) -> DemoResult | QuickResult:
+    def run(self) -> DemoResult:
         """All stages, except those that an earlier run finished."""
-        cfg = self.cfg
-        rod = "Measure a finger on two days (an elastic rod with friction that the twin lacks)"
-        quick = [
-            ("bench", rod, self._days),
-            ("twin", "Make its twin, calibrate it, and compare it with the other day", self._calibrate),
-            ("diagnose", "Which physics is missing?", self._diagnose),
-            ("add", "Add it, and compare again", self._add),
-        ]
-        full = [
-            ("bench", "Measure a finger on the bench (the stand-in for a real one)", self._bench),
-            ("twin", "Make its twin, calibrate finger and gel, and compare", self._calibrate),
-            ("diagnose", "Which physics is missing?", self._diagnose),
-            ("add", "Add it, and see the error fall", self._add),
-            ("record", f"Record {cfg.demonstrations} demonstrations of a modelled person", self._record),
-            ("augment", f"Make {cfg.augmented} more of them on the corrected twin", self._augment),
-            ("train", "Train a policy on all with lerobot-train, and one on the recorded alone", self._train),
-            ("evaluate", f"Try both with lerobot-eval, the same {cfg.trials} starts", self._evaluate),
-        ]
-        stages = quick if cfg.quick else full
-        for number, (name, title, stage) in enumerate(stages, 1):
-            heading = f"{number}/{len(stages)}  {title}"
+        titles = stages(self.state["options"], self.cfg.quick)
+        for number, (name, title) in enumerate(titles.items(), 1):
+            heading = f"{number}/{len(titles)}  {title}"
             if name in self.state:
                 self._announce(f"{heading} (done before)")
                 continue
             self._announce(heading)
             start, self._commands = time.monotonic(), []
-            found = stage()
+            found = getattr(self, f"_{name}")()
             self.state[name] = {**found, "seconds": time.monotonic() - start, "commands": self._commands}
             write_json(self._file, self.state)
-        return (QuickResult if cfg.quick else DemoResult)(cfg.out, self.state)
+        return DemoResult(self.cfg.out, self.state)
 
     # ------------------------------------------------------------ stages
 
-    def _days(self) -> dict:
-        for day, folder in enumerate((self.finger, self._path("friday")), 1):
-            self._generate(folder, "pneutac_truths", "--device=rod", f"--effect={HIDDEN}", f"--day={day}")
-        return {}
-
     def _bench(self) -> dict:
-        self._generate(self._path("bench"), "pneutac_datasets.generate", "--device=standin")
+        rod = "pneutac_truths", "--device=rod", f"--effect={HIDDEN}"
+        days = {self.finger: (*rod, "--day=1"), self._path("friday"): (*rod, "--day=2")}
+        standin = {self._path("bench"): ("pneutac_datasets.generate", "--device=standin")}
+        for folder, module in (days if self.cfg.quick else standin).items():
+            shutil.rmtree(folder, ignore_errors=True)
+            session = f"--minutes={self.cfg.minutes}", f"--seed={self.cfg.seed}", f"--out={folder}"
+            self._command("python", "-m", *module, *session)
         return {}
 
-    def _generate(self, folder: Path, module: str, *options: str) -> None:
-        shutil.rmtree(folder, ignore_errors=True)
-        session = f"--minutes={self.cfg.minutes}", f"--seed={self.cfg.seed}", f"--out={folder}"
-        self._command("python", "-m", module, *options, *session)
-
-    def _calibrate(self) -> dict:
+    def _twin(self) -> dict:
         shutil.rmtree(self.twin, ignore_errors=True)
         self._command("pneutac", "new", f"--twin={self.twin}", f"--recording={self.finger}")
         self._verb("calibrate", self.finger, "calibration")
@@ -457,10 +443,6 @@ class Demo:
 
 
 def command(cfg: DemoConfig, terminal: Terminal) -> None:
-    """Runs every step once on the simulated robot that stands in for a real one, by the commands of a user.
-
-    A finger with hidden physics is measured; what was finished before is not repeated.
-    """
     if not cfg.quick and importlib.util.find_spec("lerobot_robot_pneutac") is None:
         half = "the bench's half is `pneutac demo --quick`"
         raise InputError(f"The whole demo needs LeRobot's half of PneuTac ({INSTALL}); {half}.")
@@ -478,96 +460,70 @@ def command(cfg: DemoConfig, terminal: Terminal) -> None:
 
 
 FILMS = 3  # starts of which both films are shown
-TITLES = {
-    "bench": "Measured",
-    "twin": "Twin, calibrated and compared",
-    "diagnose": "Diagnosis",
-    "add": "Missing effects added",
-    "record": "Demonstrations",
-    "augment": "Augmentation",
-    "train": "Training",
-    "evaluate": "Evaluation",
-}
 
 
-def demo_page(result) -> Report:
-    state, out = result.state, result.out
-    page = result.lead_page()
-    page.heading("The error of the twin")
-    rod = "The measurements are of the stand-in: an elastic rod whose air, creep and hysteresis have other"
-    caption = f"Test error of the tip before and after. {rod} equations than the twin's effects."
-    page.figure(_errors(state, result.added), caption)
+def demo_page(result: DemoResult) -> Report:
+    from lerobot_pneutac.reports.diagnosis import error_bars  # plotly
+    from lerobot_pneutac.reports.figures import curves
+
+    state, out, page = result.state, result.out, result.lead_page()
+    after = f"with {joined(plain_names(result.added))}"
+    ends = (("calibrated", "twin", BEFORE), (after, "add", AFTER))
+    steps = [(name, state[stage]["tip_error_mm"], None, colour) for name, stage, colour in ends]
+    errors = error_bars(steps, "mm", state["add"]["noise_mm"])
+    if result.quick:
+        rod = "a simulated rod with friction of many small elements; the twin's effects have other equations"
+        unseen = "The tip on another day, which neither calibration nor diagnosis saw"
+        page.figure(_another_day(out), f"{unseen}. The measurements are of {rod}.")
+        page.figure(errors, "Error of the tip on that day, before and after.")
+    else:
+        page.heading("The error of the twin")
+        rod = "of the stand-in: an elastic rod whose air, creep and hysteresis have other equations than the"
+        caption = f"Test error of the tip before and after. The measurements are {rod} twin's effects."
+        page.figure(errors, caption)
     page.text(state["diagnose"]["sentence"])
-    page.heading("What the policies do")
-    sides = "at the left trained with augmentation, at the right on the recorded demonstrations alone"
-    page.text(f"Both policies on the stand-in from the same starts: {sides}.")
-    films = [sorted((out / folder).rglob("*.mp4")) for folder in ("eval", "eval_alone")]
-    for start, pair in list(enumerate(zip(*films, strict=False)))[:FILMS]:
-        ends = ["done" if state["evaluate"][arm][start] else "not done" for arm in ("augmented", "alone")]
-        page.videos(list(pair), f"Start {start + 1}: with augmentation {ends[0]}, the ten alone {ends[1]}.")
-    page.heading("What it feels")
-    page.image(demonstration_strip(out / "demonstrations"), "One demonstration: touch over time")
-    for picture in sorted((out / "touch").glob("*.png"))[:1]:
-        page.image(np.asarray(Image.open(picture).convert("RGB")), "Presses and the calibrated model")
-    page.heading("Learning curve")
-    loss = "Training loss of lerobot-train, each on its own data: it does not tell which policy is better"
-    page.figure(_losses(state["train"]), loss)
-    return _with_commands(page, result)
-
-
-def quick_page(result, before, after) -> Report:
-    """The report of a finished quick demo, not yet written, with the `BodyComparison`s of another day."""
-    state, page = result.state, result.lead_page()
-    rod = "a simulated rod with friction of many small elements; the twin's effects have other equations"
-    unseen = "The tip on another day, which neither calibration nor diagnosis saw"
-    page.figure(_another_day(before, after), f"{unseen}. The measurements are of {rod}.")
-    page.figure(_errors(state, result.added), "Error of the tip on that day, before and after.")
-    page.text(state["diagnose"]["sentence"])
-    return _with_commands(page, result)
-
-
-def _with_commands(page: Report, result) -> Report:
+    if not result.quick:
+        page.heading("What the policies do")
+        sides = "at the left trained with augmentation, at the right on the recorded demonstrations alone"
+        page.text(f"Both policies on the stand-in from the same starts: {sides}.")
+        films = [sorted((out / folder).rglob("*.mp4")) for folder in ("eval", f"eval{ALONE}")]
+        for start, pair in list(enumerate(zip(*films, strict=False)))[:FILMS]:
+            done = [state["evaluate"][arm][start] for arm in ("augmented", "alone")]
+            ends = ["done" if d else "not done" for d in done]
+            page.videos(pair, f"Start {start + 1}: with augmentation {ends[0]}, the ten alone {ends[1]}.")
+        page.heading("What it feels")
+        page.image(demonstration_strip(out / "demonstrations"), "One demonstration: touch over time")
+        for picture in sorted((out / "touch").glob("*.png"))[:1]:
+            image = np.asarray(Image.open(picture).convert("RGB"))
+            page.image(image, "Presses and the calibrated model")
+        page.heading("Learning curve")
+        training, names = state["train"], {"augmented": "with augmentation", "alone": "recorded ones alone"}
+        at = {arm: training["log_freq"] * (1 + np.arange(len(training[arm]))) for arm in names}
+        lines = ((name, at[arm], training[arm], None) for arm, name in names.items())
+        figure = curves(lines, "step", "loss (mm² per step + kPa²)").update_yaxes(type="log")
+        loss = "Training loss of lerobot-train, each on its own data: it does not tell which policy is better"
+        page.figure(figure, loss)
     page.heading("Try next")
     page.code("\n".join(result.next_commands))
     page.heading("What was run")
-    for name, stage in ((n, result.state[n]) for n in TITLES if n in result.state):
-        page.text(f"**{TITLES[name]}**, {stage['seconds']:.0f} s")
-        page.code("\n".join(stage["commands"]))
+    for name, title in stages(state["options"], result.quick).items():
+        page.text(f"**{title}**, {state[name]['seconds']:.0f} s")
+        page.code("\n".join(state[name]["commands"]))
     return page
 
 
-def _another_day(before, after):
-    """Where the tip moves most in the longest trial: measured, and by both twins."""
+def _another_day(out: Path):
+    """Where the tip moves most in the longest trial of another day: measured, and by both twins."""
     from lerobot_pneutac.reports.figures import curves  # plotly
 
+    recording = Recording.load(out / "friday")
+    before, after = (compare(Twin.load(out / name), recording) for name in ("before", "twin"))
     rows = max(before.recording.trials().values(), key=lambda r: r.stop - r.start)
     column = int(np.ptp(before.measured[rows, : before.counted], axis=0).argmax())
-    time_s = before.recording.column("time_s")[rows]
     shown = (("measured", before.measured, MEASURED), ("before", before.model, BEFORE))
-    lines = (
-        (name, time_s, values[rows, column].round(3), colour)
-        for name, values, colour in (*shown, ("after", after.model, AFTER))
-    )
+    time_s, shown = before.recording.column("time_s")[rows], (*shown, ("after", after.model, AFTER))
+    lines = ((name, time_s, values[rows, column].round(3), colour) for name, values, colour in shown)
     return curves(lines, "time (s)", before.columns[column])
-
-
-def _errors(state: dict, added: list[str]):
-    from lerobot_pneutac.reports.diagnosis import error_bars  # plotly
-
-    errors = (state[stage]["tip_error_mm"] for stage in ("twin", "add"))
-    names = ("calibrated", f"with {joined(map(plain_name, added))}")
-    steps = [(n, e, None, c) for n, e, c in zip(names, errors, (BEFORE, AFTER), strict=True)]
-    return error_bars(steps, "mm", state["add"]["noise_mm"])
-
-
-def _losses(training: dict):
-    from lerobot_pneutac.reports.figures import curves  # plotly
-
-    lines = (
-        (name, (1 + np.arange(len(training[arm]))) * training["log_freq"], training[arm], None)
-        for arm, name in (("augmented", "with augmentation"), ("alone", "recorded ones alone"))
-    )
-    return curves(lines, "step", "loss (mm² per step + kPa²)").update_yaxes(type="log")
 
 
 def demonstration_strip(root: Path) -> np.ndarray:

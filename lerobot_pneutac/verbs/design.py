@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-import pandas as pd
 
 from lerobot_pneutac.cli.options import PairOptions
 from lerobot_pneutac.cli.terminal import Terminal
@@ -15,10 +14,10 @@ from lerobot_pneutac.diagnosis.hands import GRAVITY, Hands, instructions, named
 from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.diagnosis.thresholds import LITTLE_GAIN
 from lerobot_pneutac.reports.learn import design_page
-from lerobot_pneutac.reports.page import Report, difference
+from lerobot_pneutac.reports.page import Report, difference, rows_of
 from lerobot_pneutac.study.gel_press import HeldChoice, PressChoice, held_choice, press_choices
 from lerobot_pneutac.study.pair import load_bench_pair, load_pair, no_demonstrations, same_device
-from lerobot_pneutac.verbs.benches import save_choice
+from lerobot_pneutac.verbs.benches import program_columns
 from lerobot_pneutac.verbs.diagnose import Diagnosis, described, load_candidates, named_terms
 from lerobot_pneutac.verbs.result import Result, drive_command
 from pneutac_datasets.demonstrations.replay.reading import is_dataset
@@ -28,7 +27,6 @@ from pneutac_datasets.recording.noise import noise_floor
 from pneutac_datasets.recording.pressures import usable
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
-from pneutac_sim.files import whole
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.twin import Twin
 
@@ -78,11 +76,9 @@ class Design(Result):
         )
 
     def rows(self) -> list[dict]:
-        return [
-            {"program": c.name, "s": f"{c.seconds:.0f}", "nats between models": f"{c.rivals:.2f}"}
-            | {"about constants": f"{c.constants:.1f}", "new, %": f"{100 * c.new:.0f}"}
-            for c in self.choices[:SHOWN]
-        ]
+        columns = {"program": "name", "s": "{0.seconds:.0f}", "nats between models": "{0.rivals:.2f}"}
+        columns |= {"about constants": "{0.constants:.1f}", "new": "{0.new:.0%}"}
+        return rows_of(self.choices[:SHOWN], columns)
 
     def next_after(self, out: Path | None) -> str:
         return drive_command(out)
@@ -90,9 +86,9 @@ class Design(Result):
     def content(self) -> dict:
         return super().content() | {"contenders": described(self.contenders)}
 
-    def report(self, out: str | Path, command: str = "") -> Path:
-        save_choice(Path(out) / "program.csv", self.best)
-        return super().report(out, command)
+    def tables(self) -> dict[str, dict]:
+        c = self.best
+        return {"program.csv": program_columns(c.time_s, c.pressure_kpa, c.kind, c.conditions)}
 
     def page(self) -> Report:
         return design_page(self)
@@ -183,12 +179,9 @@ class PressDesign(Result):
         return f"Press the {p.indenter} of {p.size_mm:g} mm {where}: {gain}, of which {best}."
 
     def rows(self) -> list[dict]:
-        return [
-            {"indenter": f"{c.press.indenter}, {c.press.size_mm:g} mm"}
-            | {f"{n}, mm": f"{getattr(c.press, f'{n}_mm'):g}" for n in ("x", "y", "depth")}
-            | {"nats between models": f"{c.rivals:.2f}"}
-            for c in self.choices[:SHOWN]
-        ]
+        columns = {"indenter": "{0.press.indenter}, {0.press.size_mm:g} mm"}
+        columns |= {f"{n}, mm": f"{{0.press.{n}_mm:g}}" for n in ("x", "y", "depth")}
+        return rows_of(self.choices[:SHOWN], columns | {"nats between models": "{0.rivals:.2f}"})
 
     def remarks(self) -> list[str]:
         return [] if self.held_first else [self.held.sentence]
@@ -204,12 +197,9 @@ class PressDesign(Result):
     def _held_rows(self) -> list[dict]:
         return [_row(p) | {"time_s": t, "hold_s": hold} for p, t, hold in self.held.rows()]
 
-    def report(self, out: str | Path, command: str = "") -> Path:
-        """Writes `press.csv` too, a row a press as a gel's recording has it."""
-        with whole(Path(out) / "press.csv") as part:
-            rows = self._held_rows() if self.held_first else [_row(self.best.press)]
-            pd.DataFrame(rows).to_csv(part, index=False)
-        return super().report(out, command)
+    def tables(self) -> dict[str, list[dict]]:
+        """A row a press as a gel's recording has it."""
+        return {"press.csv": self._held_rows() if self.held_first else [_row(self.best.press)]}
 
     def page(self) -> Report:
         page, images = super().page(), self.best.images
@@ -276,7 +266,6 @@ class DesignConfig(PairOptions):
 
 
 def command(cfg: DesignConfig, terminal: Terminal) -> None:
-    """The program, a gel's press or an arm's motions with the most information on what is missing."""
     if is_dataset(cfg.recording):
         from lerobot_pneutac.verbs.design_motion import design_motion  # MuJoCo, which benches do not need
 

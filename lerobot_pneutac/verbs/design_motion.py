@@ -17,7 +17,7 @@ from scipy.ndimage import uniform_filter1d
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.thresholds import TELLS
 from lerobot_pneutac.reports.learn import motion_page
-from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.reports.page import Report, rows_of
 from lerobot_pneutac.study.demonstration_data import COMPLIANCE, STIFFNESS, TYPICAL, Strength
 from lerobot_pneutac.study.demonstrations import UNIT
 from lerobot_pneutac.verbs.result import Result
@@ -260,11 +260,9 @@ class MotionDesign(Result):
         return f"Record {count} episodes with the finger against the bar of '{TASK}': {listed}."
 
     def rows(self) -> list[dict]:
-        return [
-            {"motion": c.motion.name, "s": f"{c.motion.seconds:.0f}"}
-            | {WORDS[change]: f"{c.significance[change]:.1f}" for change in WORDS}
-            for c in self.choices
-        ]
+        columns = {"motion": "motion.name", "s": "{0.motion.seconds:.0f}"}
+        columns |= {words: f"{{0.significance[{change}]:.1f}}" for change, words in WORDS.items()}
+        return rows_of(self.choices, columns)
 
     def remarks(self) -> list[str]:
         out = []
@@ -283,10 +281,8 @@ class MotionDesign(Result):
         return out
 
     def content(self) -> dict:
-        motions = [
-            {"name": c.motion.name, "seconds": c.motion.seconds, "standard_deviations": c.significance}
-            for c in self.choices
-        ]
+        columns = {"name": "motion.name", "seconds": "motion.seconds", "standard_deviations": "significance"}
+        motions = rows_of(self.choices, columns)
         out = super().content() | {"episodes": len(self.recording.episodes), "motions": motions}
         return out | {"chosen": {change: c.motion.name for change, c in self.chosen.items()}}
 

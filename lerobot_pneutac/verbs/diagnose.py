@@ -334,7 +334,6 @@ class DiagnoseConfig(PairOptions):
 
 
 def command(cfg: DiagnoseConfig, terminal: Terminal) -> None:
-    """Finds the physical effect that a twin lacks, its rivals and the next experiment."""
     twin, recording = load_pair(cfg.twin, cfg.recording, "diagnose", cfg.task, cfg.station)
     with terminal.progress() as progress:
         result = diagnose(twin, recording, **keywords(cfg, diagnose), progress=progress)

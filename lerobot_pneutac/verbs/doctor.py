@@ -140,7 +140,6 @@ COLOURS = {OK: "green", NOTE: "yellow", FAIL: "red"}
 
 
 def command(argv: list[str], terminal: Terminal) -> None:
-    """Runs every check and prints one table; exits with 1 where something needed is missing."""
     if argv in (["-h"], ["--help"]):
         print("usage: pneutac doctor\n\nLists what is installed and which devices answer; takes no options.")
         return

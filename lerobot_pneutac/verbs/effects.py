@@ -249,7 +249,6 @@ class EffectsConfig:
 
 
 def command(argv: list[str], terminal: Terminal) -> None:
-    """Lists, shows and exports the effects and laws that a twin may have, as files to begin with."""
     action = argv[0] if argv else ""
     if action in ("-h", "--help"):
         print(f"usage: pneutac effects ACTION\n\nACTION is {ACTIONS}.\n")

@@ -146,7 +146,6 @@ def _rename(text: str, name: str, renamed: dict[str, str], decorated: bool) -> s
 
 
 def command(cfg: ExportConfig, terminal: Terminal) -> None:
-    """Writes a twin as one Python file that needs NumPy alone, or its body as MJCF."""
     if cfg.out.suffix not in (".py", ".xml"):
         raise InputError(f"--out={cfg.out} must name a file that ends in .py or in .xml.")
     if cfg.out.exists():

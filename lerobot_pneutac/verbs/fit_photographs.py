@@ -2,7 +2,7 @@
 
 import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,17 +25,6 @@ from pneutac_sim.twin import Twin
 TRAIN_KPA = (0.0, 3.0, 6.0, 9.0, 12.0, 15.0)
 PARTICLES = 4000
 DETAIL = 2  # of the looks that the twin keeps: sharper than one Gaussian a particle, which the search takes
-
-
-@dataclass(frozen=True)
-class PhotoOptions:
-    """How a body is fitted to photographs."""
-
-    levels_kpa: tuple[float, ...] = TRAIN_KPA  # pressures to fit; all others are held out
-    evaluations: int = cma.EVALUATIONS  # of the objective
-    particles: int = PARTICLES  # of the body, about
-    seed: int = 0  # decides the search
-    device: str = "auto"  # of the material points, see `mpm.runtime.start`
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -129,39 +118,44 @@ class PhotoCalibration(Calibration):
 def calibrate_photographs(
     twin: Twin,
     recording: Recording,
-    options: PhotoOptions = PhotoOptions(),
+    levels_kpa: Sequence[float] = TRAIN_KPA,
+    evaluations: int = cma.EVALUATIONS,
+    particles: int = PARTICLES,
+    seed: int = 0,
     file: Path | None = None,
     best: Path | None = None,
+    device: str = "auto",
     progress: Progress = no_progress,
 ) -> PhotoCalibration:
-    """Fits drive and material to the photographs with masks at the training levels; the rest stays.
+    """Fits drive and material to the photographs with masks at pressures `levels_kpa`; the rest stays.
 
-    `file` stores the search so that an interrupted one goes on, `best` a picture of the best rendering.
+    The search evaluates so many bodies of about so many `particles` on a `device` (see `mpm.runtime.start`);
+    `file` stores it so that an interrupted one goes on, `best` a picture of the best rendering.
     """
     began = time.perf_counter()
-    progress("silhouettes and looks", 0, options.evaluations)
-    study = photo_study(recording, options.levels_kpa)
+    progress("silhouettes and looks", 0, evaluations)
+    study = photo_study(recording, levels_kpa)
     span = float(np.abs(study.pressures).max())
     first = photo.body_parameters(twin, span)
     pressures, photographs = study.pressures[study.train], study.of(study.train)
-    start = cma.coarse_fit(first, pressures, photographs, study.conditions, options.device)
+    start = cma.coarse_fit(first, pressures, photographs, study.conditions, device)
     fitted = photo.body_parameters(first.twin_at(start.x), span)
 
     def bodies(x: np.ndarray, pressures: np.ndarray) -> photo.Equilibria:
-        return photo.Equilibria(fitted, x, pressures, study.conditions, options.particles, options.device)
+        return photo.Equilibria(fitted, x, pressures, study.conditions, particles, device)
 
     equilibria, rest = bodies(start.x, pressures), study.rest  # the photograph nearest to no pressure
     looks = _looks(rest, equilibria, int(np.cumsum(study.train)[rest.state]) - 1)
     objective = photo.Objective(equilibria, photographs, looks)
 
     def report(done: int, _: np.ndarray, value: float) -> None:
-        progress(f"best objective {value:.4f}", done, options.evaluations)
+        progress(f"best objective {value:.4f}", done, evaluations)
         if best is not None and objective.best is not None:
             write_image(best, strip(objective, objective.best, photographs))
 
-    record = cma.SearchRecord(file, search_key(recording, twin, photographs, options.particles))
-    how = {"seed": options.seed, "record": record, "progress": report}
-    found = cma.search(objective, fitted, start, options.evaluations, **how)
+    record = cma.SearchRecord(file, search_key(recording, twin, photographs, particles))
+    how = {"seed": seed, "record": record, "progress": report}
+    found = cma.search(objective, fitted, start, evaluations, **how)
     posterior, everywhere = cma.confidence(objective, found.x), bodies(found.x, study.pressures)
     new = fitted.twin_at(found.x, posterior.ci95)
     looks_into_twin(new, _looks(rest, everywhere, rest.state, DETAIL))
@@ -183,7 +177,7 @@ def calibrate_photographs(
         seconds=time.perf_counter() - began,
         recording=str(recording.folder),
         change=BY_IMAGES,
-        seed=options.seed,
+        seed=seed,
         findings=(*recording.warnings, *study.findings),
         fitted=fitted,
         study=study,

@@ -120,7 +120,6 @@ class HistoryConfig:
 
 
 def command(cfg: HistoryConfig, terminal: Terminal) -> None:
-    """Lists the versions of a twin, and goes back to one of them."""
     if cfg.restore is None:
         twin = Twin.load(cfg.twin, calibrated=False)
     else:

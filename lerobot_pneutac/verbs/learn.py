@@ -19,7 +19,7 @@ from lerobot_pneutac.diagnosis.programs import first_program
 from lerobot_pneutac.diagnosis.result import Candidate, family_in
 from lerobot_pneutac.diagnosis.thresholds import NOISE
 from lerobot_pneutac.reports.learn import PREDICTED, learn_page
-from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.reports.page import Report, rows_of, save_table
 from lerobot_pneutac.reports.sentences import called
 from lerobot_pneutac.study.pair import same_body, same_chambers, same_length
 from lerobot_pneutac.verbs.benches import Bench, check_bench, make_bench, save_choice
@@ -30,7 +30,7 @@ from pneutac_datasets.recording.wording import joined as listed
 from pneutac_sim.effects.laws import family, plain_name
 from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.executor import one_thread
-from pneutac_sim.files import read_json, whole, write_json
+from pneutac_sim.files import read_json, write_json
 from pneutac_sim.finger.quantities import root_mean
 from pneutac_sim.twin import Twin
 
@@ -138,22 +138,18 @@ class Learning(Result):
         return f"{text} It ended because {self.ended}."
 
     def rows(self) -> list[dict]:
-        def number(x: float | None) -> str:
-            return "" if x is None else f"{x:.3g}"
+        def found(r: Round) -> str:
+            known = self.twin.effects
+            kinds = {e: family_in(self.twin, e) if e in known else family(e) for e in r.selected}
+            marked = (k.replace("_", " ") + "*" * (e in r.confirmed_by) for e, k in kinds.items())
+            return ", ".join(dict.fromkeys(marked)) or "-"
 
-        def kind(effect: str) -> str:
-            known = effect in self.twin.effects
-            return (family_in(self.twin, effect) if known else family(effect)).replace("_", " ")
-
-        rows = []
-        for r in self.rounds:
-            found = ", ".join(dict.fromkeys(f"{kind(e)}{'*' * (e in r.confirmed_by)}" for e in r.selected))
-            row = {"round": r.number, "program": r.program, "s": f"{r.seconds:.0f}"}
-            row |= {"predicted": number(r.predicted_error), "as given": number(r.bare_error)}
-            row |= {f"after, {r.unit}": number(r.error), "noise": number(r.noise), "found": found or "-"}
-            right = "" if r.likely_right is None else f"{100 * r.likely_right:.0f} %"
-            rows.append(row | {"right": right, "verdict": r.verdict})
-        return rows
+        columns = {"round": "number", "program": "program", "s": "{0.seconds:.0f}"}
+        columns |= {"predicted": "{0.predicted_error:.3g}", "as given": "{0.bare_error:.3g}"}
+        columns |= {f"after, {self.last.unit}": "{0.error:.3g}", "noise": "{0.noise:.3g}"}
+        ends = {"right": "{0.likely_right:.0%}", "verdict": "verdict"}
+        parts = zip(rows_of(self.rounds, columns), self.rounds, rows_of(self.rounds, ends), strict=True)
+        return [row | {"found": found(r)} | end for row, r, end in parts]
 
     def remarks(self) -> list[str]:
         return [
@@ -431,8 +427,7 @@ class Rounds:
         table = everything.samples.iloc[rows][columns].reset_index(drop=True)
         for i, name in enumerate(names):
             table[f"{name} predicted"], table[f"{name} measured"] = seen[:, i], measured[:, i]
-        with whole(folder / PREDICTED) as part:
-            table.to_csv(part, index=False, float_format="%.6g")
+        save_table(folder / PREDICTED, table)
         errors = [error_of(c.twin, everything, rows) for c in candidates]
 
         def lacking(effect: str) -> float:
@@ -513,7 +508,6 @@ class LearnConfig:
 
 
 def command(cfg: LearnConfig, terminal: Terminal) -> None:
-    """Chooses and measures tests automatically until what a twin lacks is identified."""
     from lerobot_robot_pneutac.hardware.parts import HardwareFault  # LeRobot, which the library does not need
 
     twin = Twin.load(cfg.twin)

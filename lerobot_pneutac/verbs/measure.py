@@ -28,6 +28,7 @@ from pneutac_datasets.recording.wording import plural
 from pneutac_sim.errors import InputError, check_choice
 from pneutac_sim.files import check_new, read_json, write_image
 
+TIP = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
 BUILTIN = ("steps", "ramps", "holds", "loops", "all")
 
 
@@ -74,17 +75,15 @@ def read_program(
         trials = [_proposed(Path(given), recording, hz, chambers)]
     else:
         trials = _table(Path(given), hz, chambers)
-    for t in trials:
-        _check_range(t, per_chamber("min_kpa", min_kpa, chambers), per_chamber("max_kpa", max_kpa, chambers))
+    ends = (per_chamber(n, v, chambers) for n, v in (("min_kpa", min_kpa), ("max_kpa", max_kpa)))
+    allowed = list(zip(*ends, strict=True))
+    for t, i in ((t, i) for t in trials for i in range(chambers)):
+        low, high = t.pressure_kpa[:, i].min(), t.pressure_kpa[:, i].max()
+        if low < allowed[i][0] or high > allowed[i][1]:
+            where = f" in chamber {i + 1}" if chambers > 1 else ""
+            goes = f"The program '{t.program}' goes from {low:g} to {high:g} kPa{where}"
+            raise InputError(f"{goes}; --min_kpa and --max_kpa allow {'{:g} to {:g}'.format(*allowed[i])}.")
     return trials
-
-
-def _check_range(t: PressureTrial, min_kpa: np.ndarray, max_kpa: np.ndarray) -> None:
-    for i, p in enumerate(t.pressure_kpa.T):
-        if p.min() < min_kpa[i] or p.max() > max_kpa[i]:
-            where = f" in chamber {i + 1}" if t.pressure_kpa.shape[1] > 1 else ""
-            goes = f"The program '{t.program}' goes from {p.min():g} to {p.max():g} kPa{where}"
-            raise InputError(f"{goes}; --min_kpa and --max_kpa allow {min_kpa[i]:g} to {max_kpa[i]:g}.")
 
 
 def _builtin(name: str, top: np.ndarray, hz: float) -> list[PressureTrial]:
@@ -256,8 +255,7 @@ class MeasureConfig:
         if self.out is not None:
             check_new(self.out, f"out={self.out}")
         axes.device_with(self.chambers)
-        per_chamber("min_kpa", self.min_kpa, self.chambers)
-        per_chamber("max_kpa", self.max_kpa, self.chambers)
+        _ = self.range_kpa  # which are as many as the chambers
 
     @property
     def chambers(self) -> int:
@@ -273,6 +271,11 @@ class MeasureConfig:
         low, high = (per_chamber(n, getattr(self, n), self.chambers) for n in ("min_kpa", "max_kpa"))
         return low, high
 
+    @property
+    def trials(self) -> list[PressureTrial]:
+        """Those of the program, once; raises InputError where they cannot be read."""
+        return read_program(self.program, self.max_kpa, self.hz, self.recording, self.min_kpa, self.chambers)
+
 
 BASE_IMAGES = 15
 FRAME_MS = 1000 * COMMAND_S  # a camera that is slower than this is lost; the chamber vents by itself then
@@ -280,31 +283,22 @@ OVERPRESSURE = 1.15  # of the set maximum, measured: everything stops
 RESTED_S = 60.0  # without pressure before the first trial: what came before the run is then forgotten
 
 
-@dataclass(frozen=True)
-class TrialNote:
-    """How one trial went."""
-
-    number: int  # of the trial, from 0
-    program: str
-    planned: int  # samples of the program
-    taken: int  # samples for which the cameras were quick enough
-    seen: int  # those of them in which the tip was seen, which are stored
-
-
 def measure(
     config: MeasureConfig,
     on_start: Callable[[int, float], None] = lambda trials, seconds: None,
-    on_trial: Callable[[TrialNote], None] = lambda note: None,
+    on_trial: Callable[[int, PressureTrial, int, int], None] = lambda number, trial, taken, seen: None,
 ) -> Recording:
     """Drives the program; the recording holds every trial that was finished, however it ends.
 
-    `on_start` is called with the number of trials and their seconds before anything moves.
+    `on_start` is called with the number of trials and their seconds before anything moves; `on_trial` with
+    each one's number from 0, the samples for which the cameras were quick enough, and those of them in which
+    the tip was seen, which are stored.
 
     Raises:
         InputError: program or calibration cannot be read.
         HardwareFault: a part failed; the chamber is vented, as after KeyboardInterrupt.
     """
-    trials = program_of(config) * config.repeat
+    trials = config.trials * config.repeat
     if config.bench == STANDIN:
         on_start(len(trials), sum(t.time_s[-1] for t in trials))
         return _on_the_standin(config, trials)
@@ -321,8 +315,7 @@ def measure(
             _camera_call(name, "cannot be opened", c.connect)
         tracker.see_base([_image(cameras["camera"], "camera") for _ in range(BASE_IMAGES)])
         for number, trial in enumerate(trials):
-            taken, seen = driver.drive(number, trial)
-            on_trial(TrialNote(number, trial.program, len(trial.time_s), taken, seen))
+            on_trial(number, trial, *driver.drive(number, trial))
     finally:
         pressure.disconnect()  # vents first, whatever comes after
         for c in cameras.values():
@@ -335,12 +328,6 @@ def measure(
         if not stored:
             shutil.rmtree(config.out, ignore_errors=True)
     return Recording.load(config.out)
-
-
-def program_of(config: MeasureConfig) -> list[PressureTrial]:
-    """The trials that are driven, once; raises InputError where they cannot be read."""
-    low, high = config.range_kpa
-    return read_program(config.program, high, config.hz, config.recording, low, config.chambers)
 
 
 def _on_the_standin(config: MeasureConfig, trials: list[PressureTrial]) -> Recording:
@@ -401,13 +388,9 @@ class BenchDriver:
             if tip is None:
                 continue
             row = {"trial": number, "time_s": now_s, "time_sent_s": sent_s, "program": trial.program}
-            row |= dict(zip(axes.command_columns(len(kpa)), command.tolist(), strict=True))
-            row |= (
-                dict(zip(axes.measured_columns(len(kpa)), kpa.tolist(), strict=True))
-                | self._config.conditions
-            )
-            row |= trial.conditions
-            row |= dict(zip(("tip_x_mm", "tip_y_mm", "tip_z_mm"), tip.tolist(), strict=True))
+            names = *axes.command_columns(len(kpa)), *axes.measured_columns(len(kpa)), *TIP
+            row |= dict(zip(names, np.concatenate([command, kpa, tip]).tolist(), strict=True))
+            row |= self._config.conditions | trial.conditions
             for name, image in images.items():
                 file = folder / f"{name}_{sample:05d}.jpg"
                 write_image(file, image, quality=95)
@@ -438,9 +421,8 @@ class BenchDriver:
         numbers = {"intrinsics": camera.matrix, "extrinsics": self._tracker.extrinsics()}
         numbers |= {"distortion": camera.distortion}
         meta["cameras"] = {"camera": {name: array.tolist() for name, array in numbers.items()}}
-        samples = pd.DataFrame(self._rows)
-        device = axes.device_with(self._config.chambers)
-        new = Recording(self._config.out, meta, samples, device).write(self._config.out / "new")
+        known = meta, pd.DataFrame(self._rows), axes.device_with(self._config.chambers)
+        new = Recording(self._config.out, *known).write(self._config.out / "new")
         # a trial in the table is final, and recording.json names none that is not in it
         names = ["recording.json", "samples.csv"]
         for name in names[::-1] if (self._config.out / "samples.csv").exists() else names:
@@ -470,7 +452,6 @@ MOST_MISSED = 0.1  # share of a trial's samples for which the cameras were too s
 
 
 def command(config: MeasureConfig, terminal: Terminal) -> None:
-    """Drives a pressure program at the bench and writes what finger and gel did."""
     if config.chessboard is not None:
         camera, views = calibrate_camera(config.chessboard, config.corners, config.square_mm)
         camera.save(config.intrinsics)
@@ -484,16 +465,16 @@ def command(config: MeasureConfig, terminal: Terminal) -> None:
         what = plural(trials, "trial")
         terminal.say(f"{what}, {seconds / 60:.1f} min; finished ones stay stored after Ctrl-C.")
 
-    def show(note: TrialNote) -> None:
-        what = "stored" if note.seen else "left out"
-        terminal.say(f"trial {note.number + 1} of {trials}, {note.program}: {what}")
-        unseen, missed = 1 - note.seen / note.taken, 1 - note.taken / note.planned
+    def show(number: int, trial: PressureTrial, taken: int, seen: int) -> None:
+        what = "stored" if seen else "left out"
+        terminal.say(f"trial {number + 1} of {trials}, {trial.program}: {what}")
+        unseen, missed = 1 - seen / taken, 1 - taken / len(trial.time_s)
         if unseen > MOST_UNSEEN:
             terminal.note(f"the tip marker was unseen in {100 * unseen:.0f} % of it")
         if missed > MOST_MISSED:
             terminal.note(f"{100 * missed:.0f} % of its samples are missing, the camera is slower than --hz")
 
-    for sentence in dict.fromkeys(s for t in program_of(config) for s in instructions({}, t.conditions)):
+    for sentence in dict.fromkeys(s for t in config.trials for s in instructions({}, t.conditions)):
         terminal.console.print(f"[yellow]first:[/] {sentence}", highlight=False)
         if terminal.console.is_terminal:
             terminal.console.input("Then press Enter: ")

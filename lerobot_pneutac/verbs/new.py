@@ -166,7 +166,6 @@ class NewConfig(TableOptions):
 
 
 def command(config: NewConfig, terminal: Terminal) -> None:
-    """Makes a twin from the parametric device, a mesh, or the geometry of a recording."""
     if config.recording is not None and is_demonstrations(config.recording):
         raise InputError(f"{config.recording} holds demonstrations; give a bench recording of the device.")
     recording = Recording.load(config.recording) if config.recording is not None else None

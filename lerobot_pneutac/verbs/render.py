@@ -103,10 +103,6 @@ GEL_REMEDY = "press less deep with --depth_mm, or give a larger indenter with --
 
 
 def command(config: RenderConfig, terminal: Terminal) -> None:
-    """Draws a finger, arm or gel of material points under load, as pictures and a film.
-
-    If interrupted, it shows what is finished.
-    """
     twin = Twin.load(config.twin)
     config = filled(config, twin)
     with terminal.console.status("building the body"):

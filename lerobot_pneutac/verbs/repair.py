@@ -18,7 +18,6 @@ class RepairConfig:
 
 
 def command(config: RepairConfig, terminal: Terminal) -> None:
-    """Recovers all finished episodes of a dataset whose recording was interrupted."""
     if not config.dataset.is_dir():  # before imports that take seconds
         raise InputError(f"There is no folder '{config.dataset}'; give the folder of a dataset.")
     from pneutac_datasets.demonstrations.repair.dataset import repair_dataset

@@ -12,7 +12,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from lerobot_pneutac.diagnosis.thresholds import NOISE
-from lerobot_pneutac.reports.page import Report, plain, span, write_result
+from lerobot_pneutac.reports.page import Report, plain, save_table, span, write_result
 from pneutac_datasets.recording.pressures import usable
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
@@ -102,6 +102,10 @@ class Result:
         """Pictures next to the report, file name to uint8 (H, W, 3)."""
         return {}
 
+    def tables(self) -> dict[str, list[dict] | dict]:
+        """Tables next to the report, file name to rows or columns."""
+        return {}
+
     def report(self, out: str | Path, command: str = "") -> Path:
         """Writes `result.json`, `report.html` and pictures into folder `out`; returns the page's path.
 
@@ -112,6 +116,8 @@ class Result:
         write_result(out, self.to_dict() | ({"command": command} if command else {}))
         for name, picture in self.pictures().items():
             write_image(Path(out) / name, picture)
+        for name, table in self.tables().items():
+            save_table(Path(out) / name, table)
         page = self.page()
         page.about = about(*self.subject())
         page.next_step(self.next_step(Path(out), command))

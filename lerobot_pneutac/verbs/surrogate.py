@@ -219,7 +219,6 @@ def _sem(x: float | None, digits: int) -> str:
 
 
 def command(config: SurrogateConfig, terminal: Terminal) -> None:
-    """Trains the networks in place of a twin's material points, from full simulations."""
     twin = Twin.load(config.twin)
     config.check()
     if minutes := config.minutes(twin):

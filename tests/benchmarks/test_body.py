@@ -81,7 +81,7 @@ def test_shape_judges_by_the_truth_and_goes_on_where_it_stopped(tmp_path, monkey
     """A calibration that finds all but the gain, by 2 %."""
     calls = []
 
-    def near(twin, recording, options, file, progress):
+    def near(twin, recording, *_, **__):
         calls.append(recording.folder.name)
         truth = hidden_twin(10, "finger")
         twin.parameters |= truth.parameters

@@ -15,7 +15,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from lerobot_pneutac.verbs.fit_photographs import PhotoOptions, calibrate_photographs
+from lerobot_pneutac.verbs.fit_photographs import calibrate_photographs
 from pneutac_benchmarks.body.options import BenchmarkBodyConfig
 from pneutac_benchmarks.body.shape_case import (
     HIDDEN,
@@ -90,8 +90,11 @@ def solve(case: BodyCase, out: Path, device: str = "auto", progress=lambda done:
         found = calibrate_photographs(
             first_twin(recording),
             photographed(recording),
-            PhotoOptions(TRAIN_KPA, case.evaluations, case.particles, device=device),
-            file,
+            TRAIN_KPA,
+            evaluations=case.evaluations,
+            particles=case.particles,
+            file=file,
+            device=device,
             progress=lambda text, done, total: progress(done),
         )
     except InputError as e:

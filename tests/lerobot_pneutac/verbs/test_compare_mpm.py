@@ -10,7 +10,7 @@ import pytest
 from generated import once
 from verbs import refused, verb
 
-from lerobot_pneutac.verbs.compare_mpm import markers_by_mpm, spread
+from lerobot_pneutac.verbs.compare_body import markers_by_mpm, spread
 from lerobot_pneutac.verbs.fit_body import calibrate_body
 from pneutac_datasets.generate.finger import generate
 from pneutac_datasets.recording.checks import check

@@ -128,7 +128,7 @@ def test_without_markers_photographs_are_fitted(drawn, tmp_path, monkeypatch):
     without = altered(drawn, tmp_path / "without", **{f"tip_{a}_mm": None for a in "xyz"})
 
     def fit_by(way):
-        def fit(*_):
+        def fit(*_, **__):
             raise NotImplementedError(way)
 
         return fit
@@ -222,10 +222,9 @@ def test_an_interrupted_search_says_what_is_kept(drawn, tmp_path, monkeypatch):
         (2, "Stopped after 14 evaluations, stored in"),
     ):
 
-        def stopped(*options, generations=generations):
-            search = options[3]
-            search.parent.mkdir(exist_ok=True)
-            search.write_text(json.dumps({"key": "", "evaluations": [{}] * 7 * generations}))
+        def stopped(*_, file, generations=generations, **__):
+            file.parent.mkdir(exist_ok=True)
+            file.write_text(json.dumps({"key": "", "evaluations": [{}] * 7 * generations}))
             raise KeyboardInterrupt
 
         monkeypatch.setattr("lerobot_pneutac.verbs.fit_photographs.calibrate_photographs", stopped)
