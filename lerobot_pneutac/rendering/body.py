@@ -1,4 +1,4 @@
-"""Frames of a finger or an arm: brought to rest pressure by pressure, drawn as particles or by its looks.
+"""Frames of a finger or an arm: brought to rest pressure by pressure, drawn by Gaussian splats.
 
 Frames of a gel under an indenter: the cut through its material points and the tactile image.
 """
@@ -75,62 +75,12 @@ BODY_PX, GEL_PX = (640, 480), (800, 480)  # width and height of pictures
 PAPER, INK = (246, 248, 250), (27, 36, 48)
 
 
-def draw_particles(
-    image, points, rgb, radius: float, view, scale: float, origin: tuple[float, float]
-) -> None:
-    """Draws balls at points (P, 3) m with colours (P, 3) into an image, uint8 (H, W, 3), the farthest first.
-
-    `view` are the unit vectors in the scene that point right and up in the picture; one looks against their
-    cross product. `scale` is in px a metre, and `origin` where the scene's origin is, px right and down.
-    """
-    right, up = (np.asarray(v, float) for v in view)
-    at = points @ np.stack([right, -up, np.cross(right, up)], 1)  # the last grows towards the eye
-    x, y = origin[0] + scale * at[:, 0], origin[1] + scale * at[:, 1]
-    nearness = (at[:, 2] - at[:, 2].min()) / max(np.ptp(at[:, 2]), 1e-9)
-    r = max(1, round(scale * radius))
-    for i in np.argsort(at[:, 2]):
-        shade = 0.55 + 0.45 * nearness[i]
-        centre = (round(x[i]), round(y[i]))
-        cv2.circle(image, centre, r, (0.78 * shade * rgb[i]).tolist(), -1, cv2.LINE_AA)
-        light, bright = (centre[0] - r // 3, centre[1] - r // 3), np.minimum(1.08 * shade * rgb[i], 255)
-        cv2.circle(image, light, max(1, r // 2), bright.tolist(), -1, cv2.LINE_AA)
-
-
 def blank(width: int, height: int) -> np.ndarray:
     return np.full((height, width, 3), PAPER, np.uint8)
 
 
 def write(image: np.ndarray, text: str, x: int, y: int, size: float = 0.5) -> None:
     cv2.putText(image, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, size, INK, 1, cv2.LINE_AA)
-
-
-def body_picture(
-    pose: Pose, length_m: float, radius: float, caption: str, top_strain: float, turns=(24.0,)
-) -> np.ndarray:
-    """A bending body from its side (x down, so that it hangs; z to the right), its spine drawn over it.
-
-    Colour is the strain, the warmest that of `top_strain`. There is a view for each of `turns`, degrees about
-    the body's length; a little, so that one sees its depth.
-    """
-    width, height = BODY_PX
-    image = blank(width, height)
-    rgb = S.stretch_colours(S.strain(pose.gradients), top_strain)
-    scale = 0.74 * height / length_m
-    for k, degrees in enumerate(turns):
-        tilt = np.radians(degrees)
-        view = (np.array([0.0, np.sin(tilt), np.cos(tilt)]), np.array([-1.0, 0.0, 0.0]))
-        origin = ((k + 0.36) * width / len(turns), 0.09 * height)
-        draw_particles(image, pose.positions, rgb, 0.62 * radius, view, scale, origin)
-        x, y = int(origin[0]), int(origin[1])
-        cv2.rectangle(image, (x - 60, y - 16), (x + 60, y - 2), (90, 100, 112), -1)  # what holds the base
-        at = np.stack([origin[0] + scale * pose.spine @ view[0], origin[1] - scale * pose.spine @ view[1]], 1)
-        xy = at.round().astype(int)
-        cv2.polylines(image, [xy], False, INK, 2, cv2.LINE_AA)
-        for p in xy[1:-1]:
-            cv2.circle(image, tuple(p.tolist()), 5, (255, 214, 102), -1, cv2.LINE_AA)
-            cv2.circle(image, tuple(p.tolist()), 5, INK, 1, cv2.LINE_AA)
-    write(image, caption, 16, height - 18, 0.55)
-    return image
 
 
 def gel_picture(
@@ -158,10 +108,10 @@ def gel_picture(
     cv2.line(image, (16, line), (16 + face_width, line), (255, 255, 255), 1, cv2.LINE_AA)
     left = 16 + face_width + 36
     scale = (width - left - 16) / (1.06 * window_mm[0])
-    origin = (left + 0.53 * window_mm[0] * scale, 0.5 * height)
-    view = (np.array([1.0, 0, 0]), np.array([0, 0, 1.0]))
-    colours = S.stretch_colours(strains, top_strain)
-    draw_particles(image, particles_mm, colours, 0.55 * spacing_mm, view, scale, origin)
+    at = (left + 0.53 * window_mm[0] * scale, 0.5 * height) + scale * particles_mm[:, [0, 2]] * (1, -1)
+    radius, colours = max(1, round(0.55 * scale * spacing_mm)), S.stretch_colours(strains, top_strain)
+    for centre, colour in zip(at.round().astype(int).tolist(), colours.tolist(), strict=True):
+        cv2.circle(image, centre, radius, colour, -1, cv2.LINE_AA)
     write(image, "cut along the white line", left, 40)
     write(image, caption, 16, height - 22, 0.55)
     return image
@@ -384,16 +334,8 @@ def body_film(twin: Twin, config: RenderConfig) -> Film:
     spines = np.concatenate([devices.spine_points(solver, q[None]) for q in q_cmd])
     if recorded is not None:
         painter, lead = photograph_painter(twin, solver.body, recorded, spines)
-    elif config.view is not None:
-        painter, lead = view_painter(twin, solver.body, config.view, spines)
     else:
-        turns = (24.0,) if twin.device == "finger" else (24.0, -66.0)  # an arm bends out of the plane
-        size = 1e-3 * twin.length_mm, solver.body.spacing_m
-
-        def painter(pose: Pose) -> tuple[np.ndarray, dict]:
-            return body_picture(pose, *size, caption(pose), S.MOST_STRAIN, turns), {}
-
-        lead = STRETCH
+        painter, lead = view_painter(twin, solver.body, config.view or RenderView(), spines)
     return Film(twin.device, _frames(solver, program, q_cmd, each, painter), len(program), lead)
 
 

@@ -53,7 +53,8 @@ class RenderConfig:
     conditions: dict[str, float] = field(default_factory=dict)  # what effects ask for, {temperature_c: 30}
     recording: Path | None = None  # photographs to show next to a finger or an arm calibrated by images
     camera: str | None = None  # name of one of the recording's cameras; if omitted, the first
-    # direction of view without a recording, in the twin's looks where it has them
+    # direction of view without a recording; the body is in the twin's looks where it has them, else coloured
+    # by stretch
     view: RenderView | None = None
     # indenter of a gel: `sphere`, `cylinder`, `cube`, `edge`, `cone`, `outline` or `mesh`; if omitted, a
     # sphere

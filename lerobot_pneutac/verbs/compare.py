@@ -13,14 +13,7 @@ import numpy as np
 from lerobot_pneutac.cli.options import PairOptions, keywords
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.reports.page import rows_of
-from lerobot_pneutac.study.pair import (
-    check_length,
-    load_bench_pair,
-    load_pair,
-    no_demonstrations,
-    same_device,
-    with_unit_note,
-)
+from lerobot_pneutac.study.pair import load_bench_pair, load_pair, no_demonstrations, same_body
 from lerobot_pneutac.verbs.result import Comparison, Result
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
@@ -60,8 +53,7 @@ def compare(
     check_fidelity(fidelity, samples)
     if isinstance(recording, Demonstrations) and fidelity != "pipeline":
         raise InputError(f"fidelity={fidelity} does not replay demonstrations; omit it.")
-    same_device(twin, recording, "the twin", "compare")
-    check_length(twin, recording)
+    recording = same_body(twin, recording, "compare")
     if isinstance(recording, Demonstrations):
         from lerobot_pneutac.verbs.compare_demonstrations import compare_demonstrations
 
@@ -74,7 +66,7 @@ def compare(
         return compare_gel(twin, recording)
     from lerobot_pneutac.verbs.compare_body import SAMPLES, by_mpm, compare_body
 
-    whole = compare_body(twin, with_unit_note(twin, recording))
+    whole = compare_body(twin, recording)
     return whole if fidelity == "pipeline" else by_mpm(whole, twin, samples or SAMPLES, seed, progress)
 
 

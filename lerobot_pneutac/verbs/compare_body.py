@@ -147,6 +147,7 @@ class BodyComparison(Comparison):
     fidelity: str = "pipeline"  # `pipeline` or `mpm`
     out_of_range: float | None = None  # share of samples that the twin's action network was not trained for
 
+    heading = "Twin against recording: {0.recording.folder.name}"
     keys = (
         "fidelity", "simulated", "unit", "sentence", "error", "noise_floor", "coverage", "out_of_range", "by",
         "worst", "history", ("checks", "findings"),
@@ -155,10 +156,6 @@ class BodyComparison(Comparison):
     @cached_property
     def squared(self) -> np.ndarray:
         return squared_distance((self.measured - self.model)[:, : self.counted])
-
-    @property
-    def title(self) -> str:
-        return f"Twin against recording: {Path(self.recording.folder).name}"
 
     @property
     def noise_floor(self) -> float | None:
