@@ -3,7 +3,6 @@
 Which device has how many chambers, and what its pressures are called in a table.
 """
 
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -11,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.units import BASE_UNIT, base_unit
 from pneutac_datasets.recording.wording import an, plural
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CHAMBERS
@@ -126,8 +126,8 @@ def _compact(axis: Axis) -> Axis:
 
 def unit_of(name: str) -> str:
     """Unit in a column's name, for axis titles."""
-    m = re.search(r"_(kpa|mm|rad|s|c|g)$", name)
-    return {"kpa": "kPa", "mm": "mm", "rad": "rad", "s": "s", "c": "°C", "g": "g"}[m[1]] if m else ""
+    unit = base_unit(name)
+    return {"temperature": "°C"}.get(unit.dimension, BASE_UNIT[unit.dimension]) if unit else ""
 
 
 def device_with(chambers: int) -> str:

@@ -1,7 +1,6 @@
 """Reads the files of a bench recording, bounded in memory: CSV, Parquet, a LeRobotDataset, images."""
 
 import io
-import re
 import struct
 import warnings
 import zlib
@@ -14,7 +13,7 @@ import pandas as pd
 from PIL import Image, ImageFile
 
 from pneutac_datasets.recording.text_table import MAX_COLUMNS, MAX_ROWS, TextTable, read_text
-from pneutac_datasets.recording.units import unit_named
+from pneutac_datasets.recording.units import base_unit, unit_named
 from pneutac_datasets.recording.wording import SourceFile, cut
 from pneutac_sim.errors import InputError, shown
 from pneutac_sim.files import inside, meant, read_json, refuse_pointer
@@ -73,18 +72,13 @@ def read_csv(file: Path) -> pd.DataFrame:
 
 def _named_table(table: TextTable) -> pd.DataFrame:
     for name, unit in table.units.items():
-        ending = re.search(r"_(kpa|mm|rad|s|c|g|n)$", name)
-        if ending and unit_named(unit) is not None and not _same(unit_named(unit), ending[1]):
+        own, found = base_unit(name), unit_named(unit)
+        if own and found and (found.against == "abs" or found.scale != own.scale):
             raise InputError(
                 f"{table.file}: column {shown(name)} is in {shown(unit)}, as a line below the header or its"
                 f" cells say; `pneutac convert {quote(str(table.file))}` converts it."
             )
     return table.frame
-
-
-def _same(unit, ending: str) -> bool:
-    own = unit_named(ending, unit.dimension)
-    return own is not None and (own.factor, own.shift) == (unit.factor, unit.shift) and unit.against != "abs"
 
 
 def read_parquet(file: Path) -> pd.DataFrame:

@@ -77,6 +77,11 @@ class Unit:
         """Offset that is added after the factor."""
         return SHIFTS.get(self.name, 0.0) if self.dimension == "temperature" else 0.0
 
+    @property
+    def scale(self) -> tuple[str, float, float]:
+        """What two names of one unit share."""
+        return self.dimension, self.factor, self.shift
+
     def __str__(self):
         return f"{self.name} {self.against}".strip()
 
@@ -96,6 +101,18 @@ def unit_named(text: str, dimension: str = "") -> Unit | None:
         if plain in UNITS[known] and (not against or known == "pressure"):
             return Unit(known, plain, against)
     return None
+
+
+# Of a recording's columns, by the last part of their names.
+BASE_UNIT = {"pressure": "kPa", "length": "mm", "angle": "rad", "time": "s", "temperature": "C", "mass": "g"}
+BASE_UNIT |= {"force": "N"}
+ENDINGS = {unit.lower(): dimension for dimension, unit in BASE_UNIT.items()}
+
+
+def base_unit(column: str) -> Unit | None:
+    """The unit in the name of a recording's column, such as that of `tip_x_mm`; None where there is none."""
+    rest, _, ending = column.rpartition("_")
+    return Unit(ENDINGS[ending], ending) if rest and ending in ENDINGS else None
 
 
 def unit_faults(samples: pd.DataFrame, meta: dict, file: Path) -> Iterator[str]:

@@ -21,7 +21,7 @@ from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from lerobot_robot_pneutac.teleoperators.base_teleop import PneutacScriptedConfig
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
-from pneutac_datasets.demonstrations.augment import check, run
+from pneutac_datasets.demonstrations.augment import check, run, scene
 from pneutac_datasets.demonstrations.augment.episode import Attempt, AugmentSetup
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
 from pneutac_datasets.demonstrations.augment.work import Work
@@ -41,8 +41,10 @@ QUICK = ["--planner.samples=4", "--planner.elites=2", "--planner.iterations=1", 
 
 @pytest.fixture(scope="module", autouse=True)
 def few_scenes():
-    """A quarter of the scenes are drawn: that objects are found where they stood is the planner's test."""
+    """Few scenes are drawn and tried: that objects are found where they stood is the planner's test."""
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scene, "PARENTS", (2, 1, 1))
+        patch.setattr(scene, "CHILDREN", 4)
         patch.setattr(AugmentSetup, "__init__", partialmethod(AugmentSetup.__init__, candidates=FEW))
         yield
 

@@ -19,6 +19,8 @@ pressure_offset supply_limit gaps missing_rows closed_loop late_command exchange
 misplaced_tip other_way_round drift no_measured_pressure
 """.split()
 
+TIP = ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
+
 
 def copy(r):
     return Recording(r.folder, r.meta, r.samples.copy(), r.device, list(r.warnings))
@@ -85,6 +87,46 @@ def test_what_is_found_in_public_recordings_is_true(name):
         assert 3 < found["repeated"].numbers["rows_each"] < 5
     if name == "sopra_segment":
         assert found["stale_pose"].numbers["share"] == pytest.approx(0.2, abs=0.01)
+    if name == "three_bellow_arm":
+        kept, curvature = check(r)[0], "curvature_y_1_per_m"
+        assert "1.40 s" in found["jumps"].sentence and 20 <= len(r) - len(kept) < 250
+        assert (
+            np.abs(np.diff(kept.column(curvature))).max() < 1.0 < np.abs(np.diff(r.column(curvature))).max()
+        )
+
+
+def test_jumps_that_come_back_are_left_out_and_named(clean):
+    r, bad = copy(clean), np.zeros(len(clean), bool)
+    for start, length in ((2400, 1), (2500, 8), (2600, 20)):
+        bad[start : start + length] = True
+    r.samples.loc[bad, "tip_x_mm"] += 30.0
+    f = only(r)
+    assert f.kind == "jumps" and "comes back 3 times (first in trial 0 at 120.00 s)" in f.sentence
+    assert set(np.flatnonzero(bad)) <= set(f.rows) and len(f.rows) < 2.5 * bad.sum()
+    assert len(check(r)[0]) == len(r) - len(f.rows)
+
+
+def test_a_shift_that_stays_is_reported_and_kept(clean):
+    r = copy(clean)
+    r.samples.loc[1500 : r.trials()[0].stop - 1, "tip_z_mm"] += 15.0
+    f = only(r)
+    assert f.kind == "shift" and "shifts suddenly 1 time" in f.sentence and len(check(r)[0]) == len(r)
+
+
+def test_a_tracker_that_stands_still_is_left_out(clean):
+    r = copy(clean)
+    moves = r.samples.index[r.samples["program"] == "triangle_slow"][50:150]
+    r.samples.loc[moves, TIP] = r.samples.loc[moves[0], TIP].to_numpy(float)
+    f = only(r)
+    assert f.kind == "frozen" and "stands still while the pressure moves" in f.sentence
+    assert list(f.rows) == list(moves[1:]) and len(check(r)[0]) == len(r) - 99
+
+
+def test_a_pause_within_a_trial_is_a_gap(clean):
+    r = copy(clean)
+    r.samples.loc[1500 : r.trials()[0].stop - 1, "time_s"] += 5.0
+    f = only(r)
+    assert (f.kind, f.numbers["count"]) == ("gaps", 1) and "1 gap (the longest 5.0 s" in f.sentence
 
 
 @pytest.mark.parametrize("each", [2, 5])
@@ -217,9 +259,8 @@ def test_rows_that_an_even_clock_lacks_are_counted(clean):
 
 def test_poses_that_are_repeated_are_found(clean):
     r = copy(clean)
-    tip = ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
     at = np.arange(7, len(r), 20)
-    r.samples.loc[at, tip] = r.samples.loc[at - 1, tip].to_numpy()
+    r.samples.loc[at, TIP] = r.samples.loc[at - 1, TIP].to_numpy()
     f = only(r)
     assert f.kind == "stale_pose" and f.numbers["share"] == pytest.approx(0.05, abs=0.002)
     assert set(at) - set(f.rows) <= {int(s.start) for s in r.trials().values()}

@@ -30,6 +30,33 @@ def recording(p, bend, hz, trial=0, **more):
     return Recording(Path("log"), {"device": "finger", "length_mm": 100.0}, s, "finger")
 
 
+def repeated(noise=0.01, runs=3):
+    """The same program several times."""
+    p = np.tile(stepped(rows=800).column("pressure_cmd_kpa"), runs)
+    bend = 0.04 * (p + 3) + np.random.default_rng(4).normal(0, noise, len(p))
+    return recording(p, bend, 20, np.repeat(np.arange(runs), 800))
+
+
+@pytest.mark.parametrize("noise", [0.005, 0.03])
+def test_equal_runs_measure_the_noise_and_a_drift_between_them_counts_for_the_session_only(noise):
+    r = repeated(noise)
+    floor = noise_floor(r)
+    assert len(repeats(r)) == 3 and "equal runs" in floor.how and floor.known and floor.unit == "rad"
+    assert floor.value == pytest.approx(noise, rel=0.1) and floor.session < 1.2 * noise
+    r.samples["bend_angle_rad"] += 10 * noise * r.samples["trial"]
+    floor = noise_floor(r)
+    assert floor.value == pytest.approx(noise, rel=0.1) and floor.session > 5 * noise
+    r.samples["temperature_c"] = 21.0 + 5.0 * r.samples["trial"]
+    assert repeats(r) == []  # under unequal conditions
+
+
+def test_stated_noise_is_used_where_nothing_repeats():
+    r = stepped()
+    r.samples = r.samples.rename(columns={"bend_angle_rad": "tip_x_mm"}).assign(tip_z_mm=0.0)
+    r.meta["noise"] = {"tip_x_mm": 0.3, "tip_z_mm": 0.4}
+    assert noise_floor(r).value == pytest.approx(0.5) and "stated" in noise_floor(r).how
+
+
 @pytest.mark.parametrize(("hz", "hold_s"), [(10, 1.5), (10, 0.5), (20, 1.2), (5, 2.0), (4, 0.5), (100, 0.5)])
 def test_the_noise_of_a_log_of_short_holds_is_within_a_tenth(hz, hold_s):
     floor = noise_floor(stepped(hz, hold_s))

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from pneutac_datasets.recording.rules import LABELS, pressure_commands
-from pneutac_datasets.recording.units import UNITS, Unit, unit_named
+from pneutac_datasets.recording.units import BASE_UNIT, UNITS, Unit, base_unit, unit_named
 from pneutac_datasets.recording.wording import listed
 from pneutac_sim.errors import InputError, shown
 
@@ -42,9 +42,6 @@ OWN = re.compile(
     r"trial|time_s|time_sent_s|pressure_(cmd_)?(\d+_)?kpa|tip_[xyz]_mm|bend_angle_rad|q_\d+_rad|temperature_c"
     rf"|curvature_[xy]_1_per_m|gravity_[xyz]|payload_g|force_[xyz]_n|base_[xyz]_mm|{LABELS}"
 )
-BASE_UNIT = {"pressure": "kPa", "length": "mm", "angle": "rad", "time": "s", "temperature": "C", "mass": "g"}
-BASE_UNIT |= {"force": "N"}
-ENDINGS = {unit.lower(): dimension for dimension, unit in BASE_UNIT.items()}
 UNIT_BEHIND = r"(.+?)\s*/\s*(\S+)", r"(.+?)\s+in\s+(\S+)", r"(.+)[\s_.:,;-]+([^\s_]+)", r"(.+?)_(1_per_m)"
 LEAVE_OUT = "-"  # instead of a column's name
 AMBIENT_KPA = 101.325
@@ -148,8 +145,8 @@ def dimension_of(column: str) -> str:
     """Which kind of unit a recording's column has; empty for none."""
     if re.fullmatch(r"gravity_[xyz]", column):
         return "acceleration"
-    ending = re.search(r"_([a-z]+)$", column)
-    return ENDINGS.get(ending[1], "") if ending and OWN.fullmatch(column) else ""
+    unit = base_unit(column) if OWN.fullmatch(column) else None
+    return unit.dimension if unit else ""
 
 
 def parse_columns(text: str | dict[str, str]) -> dict[str, str]:
