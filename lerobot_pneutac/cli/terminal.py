@@ -83,13 +83,17 @@ def show(result, console: Console, sentence: bool = True) -> None:
             style = "yellow" if row.get("note", "held") not in ("", "held") else None
             table.add_row(*(Text(printable(cell(row[k], ""))) for k in rows[0]), style=style)
         console.print(table)
-    for remark in map(printable, result.remarks()):
-        try:
-            text = Text.from_markup(remark)
-        except MarkupError:  # a name in it that looks like markup
-            text = Text(remark)
+    for remark in result.remarks():
         # a command stays on one line, so that it can be copied
-        console.print(text, highlight=False, soft_wrap="pneutac " in remark)
+        console.print(unmarked(remark), highlight=False, soft_wrap="pneutac " in remark)
+
+
+def unmarked(remark: str) -> Text:
+    """A remark, whose markup is its style."""
+    try:
+        return Text.from_markup(printable(remark))
+    except MarkupError:  # a name in it that looks like markup
+        return Text(printable(remark))
 
 
 @contextmanager

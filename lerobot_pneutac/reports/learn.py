@@ -27,8 +27,8 @@ def design_page(design) -> Report:
     return report
 
 
-def motion_page(design) -> Report:
-    report = design.lead_page()
+def add_motions(report: Report, design) -> Report:
+    """Responses to the chosen motions of a `MotionDesign`."""
     for c in dict.fromkeys(design.chosen.values()):
         titles, x, y = ("time, s", "force on the gel, N"), "time_s", "force_n"
         if c.motion.drag_mm > 0:
@@ -39,9 +39,6 @@ def motion_page(design) -> Report:
         )
         figure = curves(lines, *titles)
         report.figure(figure, f"{c.motion.name}: the twin as it is, and with one thing changed.".capitalize())
-    report.table(design.rows(), "Standard deviations with which each motion would show a change.")
-    for remark in design.remarks():
-        report.text(remark)
     return report
 
 

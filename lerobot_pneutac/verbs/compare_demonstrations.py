@@ -234,9 +234,7 @@ EVERY = 2  # frames of an episode that are shown in the film
 
 
 def demonstrations_page(c) -> Report:
-    page = c.lead_page()
-    for remark in c.remarks():
-        page.text(remark.replace("[yellow]", "").replace("[/]", ""))
+    page = Comparison.page(c)
     worst = c.worst[0]["trial"]
     frames, most = c.film(worst)
     caption = f"the gel as recorded, as replayed, and their difference, {GAIN} times as large."
@@ -247,8 +245,8 @@ def demonstrations_page(c) -> Report:
     for i in (row["trial"] for row in c.worst):
         page.figure(_curves(c, i), f"Episode {i}: recorded, and replayed by the twin.", 520)
     page.heading("Errors")
-    for axis, rows in c.by.items():
-        page.table([{axis: r.pop("bin"), **r} for r in map(dict, rows)])
+    for axis in ("episode", "depth"):  # the table above has the phases
+        page.table([{axis: r.pop("bin"), **r} for r in map(dict, c.by[axis])])
     page.text(
         f"Error in {c.unit}: root mean square over frames; errors of gauge and touch are converted to the "
         "bend that would cause them. Area is the share of the image that is in contact."

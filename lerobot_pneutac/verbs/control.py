@@ -41,6 +41,7 @@ class Control(Result):
     measured_rad: np.ndarray | None = None  # (m,) bend measured then
 
     heading = "Bend as commanded"
+    caption = "Root mean square of the bend against what was asked for."
     keys = ("reach_rad", "expected_error_rad", "error_rad")
 
     @property
@@ -73,8 +74,7 @@ class Control(Result):
         return "" if self.recording else drive_command(out)
 
     def page(self) -> Report:
-        page = self.lead_page()
-        page.table(self.rows(), "Root mean square of the bend against what was asked for.")
+        page = super().page()
         figure = stacked(("bend, rad", "pressure, kPa"), (0.7, 0.3))
         target = ("asked for", self.target_rad, MEASURED)
         for name, y, colour in (target, ("by the twin", self.predicted_rad, MODEL)):

@@ -16,7 +16,7 @@ from scipy.ndimage import uniform_filter1d
 
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.thresholds import TELLS
-from lerobot_pneutac.reports.learn import motion_page
+from lerobot_pneutac.reports.learn import add_motions
 from lerobot_pneutac.reports.page import Report, rows_of
 from lerobot_pneutac.study.demonstration_data import COMPLIANCE, STIFFNESS, TYPICAL, Strength
 from lerobot_pneutac.study.demonstrations import UNIT
@@ -238,6 +238,7 @@ class MotionDesign(Result):
     known: bool  # whether the twin knows how strong imprints are
 
     heading = "The next demonstrations"
+    caption = "Standard deviations with which each motion would show a change."
     keys = (("imprints_known", "known"), "sentence")
 
     @property
@@ -287,7 +288,7 @@ class MotionDesign(Result):
         return out | {"chosen": {change: c.motion.name for change, c in self.chosen.items()}}
 
     def page(self) -> Report:
-        return motion_page(self)
+        return add_motions(super().page(), self)
 
 
 def design_motion(twin: Twin, recording: Demonstrations, progress: Progress = no_progress) -> MotionDesign:

@@ -65,8 +65,6 @@ class ShownEffect(Result):
 
     def page(self) -> Report:
         page = super().page()
-        for remark in self.remarks():
-            page.text(remark)
         if isinstance(self.effect, BodyEffect):
             page.heading("What it does")
             shown = "The built-in finger without it and with it, at the above start of a fit."

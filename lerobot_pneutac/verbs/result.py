@@ -11,6 +11,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from lerobot_pneutac.cli.terminal import unmarked
 from lerobot_pneutac.diagnosis.thresholds import NOISE
 from lerobot_pneutac.reports.page import Report, plain, save_table, span, write_result
 from pneutac_datasets.recording.pressures import usable
@@ -29,6 +30,7 @@ class Result:
     """
 
     heading: ClassVar[str] = ""  # of table and report; `{0.name}` in it is an attribute of the result
+    caption: ClassVar[str] = ""  # of the table on the page
     findings: tuple[str, ...] = ()  # what the checks of the recording found, one sentence each
     # of `result.json`; a pair is a key and the attribute that holds its value, with dots
     keys: ClassVar[tuple[str | tuple[str, str], ...]] = ()
@@ -87,9 +89,11 @@ class Result:
         return {key: attrgetter(attribute)(self) for key, attribute in pairs}
 
     def page(self) -> Report:
-        """The sentence and the table; a page of its own begins with `lead_page`."""
+        """The sentence, the table and the remarks; others go on from here or begin with `lead_page`."""
         page = self.lead_page()
-        page.table(self.rows())
+        page.table(self.rows(), self.caption)
+        for remark in self.remarks():
+            page.text(unmarked(remark).plain)
         return page
 
     def lead_page(self) -> Report:
@@ -131,10 +135,7 @@ class Result:
         return f"<{type(self).__name__}: {self.sentence or self.title}>"
 
     def _repr_html_(self) -> str:
-        page = Result.page(self)
-        for remark in self.remarks():
-            page.text(remark)
-        return page.fragment()
+        return Result.page(self).fragment()
 
 
 def about(twin: Twin | None, recording: str | Path = "") -> str:

@@ -14,7 +14,6 @@ from typing import ClassVar
 import numpy as np
 
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.reports.page import Report
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.wording import an
 from pneutac_sim.errors import InputError, check_choice, check_least
@@ -99,6 +98,7 @@ class TrainedNetworks(Result):
     errors: list[tuple[str, str, str]]  # on what was held out: what, with the network, without
 
     heading = "Networks in place of material points"
+    sentence = "Errors against the full simulation, on motions and contacts that were held out."
     keys = (("twin", "twin.folder"), "networks")
 
     def rows(self) -> list[dict]:
@@ -111,12 +111,6 @@ class TrainedNetworks(Result):
     @property
     def next_command(self) -> str:
         return shlex.join(["pneutac", "benchmark", "surrogate", f"--twin={self.twin.folder}"])
-
-    def page(self) -> Report:
-        page = Report(self.title)
-        page.lead("Errors against the full simulation, on motions and contacts that were held out.")
-        page.table(self.rows())
-        return page
 
 
 def train_networks(config: SurrogateConfig, twin: Twin, progress: Progress = no_progress) -> TrainedNetworks:
