@@ -62,9 +62,13 @@ class Terminal:
         self.show(result, sentence)
         for path in paths:
             self.say(f"report: {path}")
-        if following := result.next_step(out, self._line):
-            self.say(f"[bold]Do next:[/] {escape(printable(following))}", markup=True)
+        self.next_step(result.next_step(out, self._line))
         return result
+
+    def next_step(self, text: str) -> None:
+        """Prints a command or a sentence on what to do next; nothing where it is empty."""
+        if text:
+            self.say(f"[bold]Do next:[/] {escape(printable(text))}", markup=True)
 
     def show(self, result, sentence: bool = True) -> None:
         show(result, self.console, sentence)

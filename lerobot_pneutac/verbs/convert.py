@@ -211,5 +211,5 @@ def command(config: ConvertConfig, terminal: Terminal) -> None:
     shown = [note for understood in tables for note in understood.notes]
     for warning in (w for w in recording.warnings if w not in shown):
         terminal.note(warning)
-    new = f"`pneutac new --twin=TWIN --recording={shlex.quote(str(recording.folder))}`"
-    terminal.say(f"{recording.folder} holds the recording; next: {new}.")
+    terminal.say(f"{recording.folder} holds the recording.")
+    terminal.next_step(shlex.join(["pneutac", "new", "--twin=TWIN", f"--recording={recording.folder}"]))

@@ -1,5 +1,6 @@
 """Measuring at the bench: drives a pressure program and writes what finger and gel did."""
 
+import shlex
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -488,3 +489,5 @@ def command(config: MeasureConfig, terminal: Terminal) -> None:
             terminal.say(f"{config.out}: {stored} of {trials} trials")
         elif trials:
             terminal.say("No trial was finished; nothing was written.")
+    following = ["pneutac", "calibrate", "--twin=TWIN", f"--recording={config.out}"]
+    terminal.next_step(shlex.join(following))

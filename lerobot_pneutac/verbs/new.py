@@ -201,4 +201,5 @@ def command(config: NewConfig, terminal: Terminal) -> None:
     joints = len(twin.spine_joint_positions_mm)
     shape = f", {twin.length_mm:g} mm long with {joints} spine joints" if joints else ""
     fit = ["pneutac", "calibrate", f"--twin={config.twin}", f"--recording={config.recording or 'DIR'}"]
-    terminal.say(f"{config.twin} holds a new {twin.device}{shape}. Next: `{shlex.join(fit)}`")
+    terminal.say(f"{config.twin} holds a new {twin.device}{shape}.")
+    terminal.next_step(shlex.join(fit))

@@ -68,6 +68,6 @@ def test_the_command_writes_it_and_a_missing_date_is_one_sentence(tmp_path, caps
     assert result["calibrate_again"] is None and (tmp_path / "out" / "report.html").is_file()
     bench(tmp_path / "none", "")
     with pytest.raises(InputError, match="none/recording.json: field 'date' is missing; give the day"):
-        verb("compare", *options, f"--later=[{tmp_path / 'none'}]")
+        verb("compare", *options[:2], f"--later=[{tmp_path / 'none'}]")
     with pytest.raises(InputError, match="two dates or more"):
         ageing(Twin.builtin(), [Recording.load(tmp_path / "1")])

@@ -74,6 +74,17 @@ def test_the_next_command_is_told_of_demonstrations_what_the_first_was(tmp_path)
     assert "<pre>pneutac add --twin=t --recording=d</pre>" in Found().report(tmp_path).read_text()
 
 
+def test_a_notebook_shows_remarks_without_the_markup_of_the_console():
+    class Found(Result):
+        title, sentence = "found", "It is found."
+
+        def remarks(self):
+            return ["[bold]Warnings[/]", r"- of \[this]", "- of [/that]"]
+
+    shown = Found()._repr_html_()
+    assert "Warnings" in shown and "[bold]" not in shown and "of [this]" in shown and "of [/that]" in shown
+
+
 @pytest.fixture
 def folder(tmp_path):
     twin, errors = Twin.builtin(), {"train": 2.0, "heldout": 2.2, "unit": "mm"}
