@@ -232,7 +232,37 @@ def _spatial_levers(links, at, axes, levers):
 
 
 @kernel
-def solve(q, loads, stiffness, links, state):
+def _resist(q, powers, weights, f, B):
+    n = len(q)
+    f[:], B[:] = 0.0, 0.0
+    to_the = np.ones((n, powers.max() + 1))
+    for p in range(1, to_the.shape[1]):
+        to_the[:, p] = to_the[:, p - 1] * q
+    for t in range(len(weights)):
+        for i in range(n):
+            p = powers[t, i]
+            if p == 0:
+                continue
+            others = weights[t] * p
+            for k in range(n):
+                if k != i:
+                    others *= to_the[k, powers[t, k]]
+            f[i] -= others * to_the[i, p - 1]
+            if p > 1:
+                B[i, i] += others * (p - 1) * to_the[i, p - 2]
+            for j in range(i):
+                if powers[t, j] == 0:
+                    continue
+                value = weights[t] * p * to_the[i, p - 1] * powers[t, j] * to_the[j, powers[t, j] - 1]
+                for k in range(n):
+                    if k != i and k != j:  # noqa: PLR1714
+                        value *= to_the[k, powers[t, k]]
+                B[i, j] += value
+                B[j, i] = B[i, j]
+
+
+@kernel
+def solve(q, loads, stiffness, links, state, powers=None, weights=None):
     """Turns free angles into loaded ones, in place.
 
     Args:
@@ -241,6 +271,8 @@ def solve(q, loads, stiffness, links, state):
         stiffness: K of each joint, N m / rad.
         links: (2 N,) length of the link after each joint, m, then their share of the weight.
         state: (N,) or (2 N,) deflection of the sample before, updated.
+        powers: of a soft body that resists too, see `SoftBody`; None for none.
+        weights: the same, at its modulus.
 
     Angles or loads that are not finite make all angles from there on NaN.
     """
@@ -249,7 +281,10 @@ def solve(q, loads, stiffness, links, state):
     at, axes, curves = np.zeros((joints + 1, 3)), np.empty((size, 3)), np.empty((3 * joints, 3))
     levers = np.zeros((6, size))
     A, chol, b = np.empty((size, size)), np.empty((size, size)), np.empty(size)
+    f, at_free, B = np.empty(size), np.empty(size), np.empty((size, size))
     for t in range(n):
+        if weights is not None:
+            _resist(q[t], powers, weights, at_free, B)
         for _ in range(_ITERATIONS):
             if size == joints:
                 _planar(q[t], state, loads[t], links, at, levers, A)
@@ -261,6 +296,10 @@ def solve(q, loads, stiffness, links, state):
                     b[i] += levers[3, i] * loads[t, 3] + levers[5, i] * loads[t, 5]
                 b[i] -= stiffness * state[i]
                 A[i, i] += stiffness
+            if weights is not None:
+                _resist(q[t] + state, powers, weights, f, B)
+                b += f - at_free
+                A += B
             _solve(A, b, stiffness, chol)
             if not math.isfinite(b[0]):
                 q[t:] = np.nan
@@ -359,8 +398,6 @@ def sensitivities(q, free, loads, stiffness, links, by_markers, by_free, by_load
                     by_load[t, o, m] += levers[m, i] * z[i]
 
 
-ITERATIONS, TOLERANCE_RAD = 20, 1e-6
-LARGEST_STEP_RAD = 0.5  # keeps a near-singular step from throwing the spine about
 LEAST_SHARE = 1e-3  # of the whole stiffness, that is left to the controller at least
 
 
@@ -429,36 +466,6 @@ def _derivative(powers: np.ndarray, q: np.ndarray) -> np.ndarray:
     return np.stack(columns, axis=-1)
 
 
-@kernel
-def _resist(q, powers, weights, f, B):
-    n = len(q)
-    f[:], B[:] = 0.0, 0.0
-    to_the = np.ones((n, powers.max() + 1))
-    for p in range(1, to_the.shape[1]):
-        to_the[:, p] = to_the[:, p - 1] * q
-    for t in range(len(weights)):
-        for i in range(n):
-            p = powers[t, i]
-            if p == 0:
-                continue
-            others = weights[t] * p
-            for k in range(n):
-                if k != i:
-                    others *= to_the[k, powers[t, k]]
-            f[i] -= others * to_the[i, p - 1]
-            if p > 1:
-                B[i, i] += others * (p - 1) * to_the[i, p - 2]
-            for j in range(i):
-                if powers[t, j] == 0:
-                    continue
-                value = weights[t] * p * to_the[i, p - 1] * powers[t, j] * to_the[j, powers[t, j] - 1]
-                for k in range(n):
-                    if k != i and k != j:  # noqa: PLR1714
-                        value *= to_the[k, powers[t, k]]
-                B[i, j] += value
-                B[j, i] = B[i, j]
-
-
 def share_of_controller(whole: float, body: np.ndarray, levers: np.ndarray) -> float:
     """K_c in N m/rad, what is left of a finger's whole stiffness K without its soft body; 0 where nothing is.
 
@@ -492,35 +499,6 @@ def loaded(q_free, loads, links, controller: float, modulus: float, body: SoftBo
     m/rad, the body a modulus in MPa.
     """
     q = np.array(q_free, float)
-    _rest(q, np.ascontiguousarray(loads), links, controller, body.powers, modulus * body.weights)
+    soft = body.powers, modulus * body.weights
+    solve(q, np.ascontiguousarray(loads), controller, links, np.zeros(q.shape[1]), *soft)
     return q
-
-
-@kernel
-def _rest(q, loads, links, controller, powers, weights):
-    n = q.shape[1]
-    bend, free = np.zeros(n), np.empty(n)
-    f, B, at_free, torque = np.empty(n), np.empty((n, n)), np.empty(n), np.empty(n)
-    at, levers, A = np.zeros((n + 1, 3)), np.zeros((6, n)), np.empty((n, n))
-    for t in range(len(q)):
-        free[:] = q[t]
-        _resist(free, powers, weights, at_free, B)
-        for _ in range(ITERATIONS):
-            _planar(free, bend, loads[t], links, at, levers, A)
-            _resist(free + bend, powers, weights, f, B)
-            for i in range(n):
-                torque[i] = f[i] - at_free[i] - controller * bend[i]
-                torque[i] += levers[0, i] * loads[t, 0] + levers[2, i] * loads[t, 2]
-                torque[i] += levers[3, i] * loads[t, 3] + levers[5, i] * loads[t, 5]
-                B[i, i] += controller
-                for j in range(n):
-                    B[i, j] += A[max(i, j), min(i, j)]
-            step = np.linalg.solve(B, torque)
-            largest = 0.0
-            for i in range(n):
-                step[i] = min(max(step[i], -LARGEST_STEP_RAD), LARGEST_STEP_RAD)
-                bend[i] += step[i]
-                largest = max(largest, abs(step[i]))
-            if not largest > TOLERANCE_RAD:
-                break
-        q[t] = free + bend
