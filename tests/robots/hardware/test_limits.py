@@ -6,7 +6,6 @@ from draccus.utils import DecodingError
 
 from lerobot_robot_pneutac.hardware.limits import EXCESS, STOPPING_S, Limits, why_refused
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S
-from lerobot_robot_pneutac.hardware.simulated import SimulatedArm
 
 CENTRE = np.array([0.5, 0.0, 0.4])
 
@@ -44,19 +43,6 @@ def test_near_a_wall_the_speed_is_the_room_by_the_time_to_rest():
     np.testing.assert_allclose(limits.velocity(np.full(3, 0.1), near), room)
     np.testing.assert_allclose(limits.velocity(np.full(3, -0.1), np.array(limits.low_m) + 0.01), -room)
     np.testing.assert_array_equal(limits.velocity(np.array([0.3, -0.3, 0.02]), CENTRE), [0.1, -0.1, 0.02])
-
-
-def test_an_arm_pushed_at_every_wall_stays_in_the_box():
-    now = [0.0]
-    arm = SimulatedArm(clock=lambda: now[0])
-    limits = Limits()
-    arm.connect()
-    for direction in ([1, 0, 0], [0, 1, -1], [-1, -1, 1]):
-        for _ in range(150):
-            arm.move(limits.velocity(0.1 * np.array(direction), arm.state().flange_m))
-            now[0] += 1 / 15
-            at = arm.state().flange_m
-            assert (at > np.array(limits.low_m) - 1e-3).all() and (at < np.array(limits.high_m) + 1e-3).all()
 
 
 def test_the_set_point_rises_and_falls_at_the_rate_and_ends_at_the_limit():

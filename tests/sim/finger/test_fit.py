@@ -161,12 +161,6 @@ def test_a_tip_does_not_change_what_photographs_told_of_the_joints(program, reco
     assert {"gain_rad_per_kpa", "stiffening.linear_1_per_kpa"} <= set(held.free_names)
 
 
-def test_the_same_seed_gives_the_same_fit(program, recording):
-    rec = recording(Twin.builtin(), program())
-    a, b = fit(Twin(), rec, ["hysteresis"], seed=3), fit(Twin(), rec, ["hysteresis"], seed=3)
-    np.testing.assert_array_equal(a.theta, b.theta)
-
-
 def test_an_arm_is_fitted_from_its_curvatures_whichever_way_its_chambers_are_numbered(program, recording):
     for hand in (1.0, -1.0):
         truth = Twin(device="arm", length_mm=117.0)

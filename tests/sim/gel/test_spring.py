@@ -6,7 +6,7 @@ import pytest
 from pneutac_sim.gel.force import GelForce
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.probe import probe_grid
-from pneutac_sim.gel.spring import GelSpring, Spring
+from pneutac_sim.gel.spring import GelSpring
 from pneutac_sim.twin import Twin
 
 HERE = np.zeros(3), np.eye(3)
@@ -54,9 +54,3 @@ def test_what_is_near_has_a_spring_and_what_is_far_none(springs):
     near = before_the_face(2.0)
     assert near.force(3e-4) == pytest.approx(touching.force(3e-4), rel=0.02)
     assert before_the_face(20.0) is None
-
-
-def test_slope_is_the_derivative_of_the_force():
-    spring = Spring(200.0, 3e8, 1e-3)
-    slope = (spring.force(7.01e-4) - spring.force(6.99e-4)) / 2e-6
-    assert spring.slope(7e-4) == pytest.approx(slope, rel=1e-6)

@@ -45,17 +45,6 @@ def test_value_is_that_of_torch(network):
     assert np.ptp(expected, axis=0).min() > 1e-2  # it is no constant
 
 
-def test_a_file_gives_the_same_network(network, tmp_path):
-    file = network.save(tmp_path / "action.safetensors")
-    again = ActionNetwork.load(file)
-    x = states(network, 5, np.random.default_rng(2))
-    np.testing.assert_array_equal(
-        again.torque(x[:, :4], x[:, 4:8], x[:, 8]), network.torque(x[:, :4], x[:, 4:8], x[:, 8])
-    )
-    assert again.fingerprint == network.fingerprint
-    assert not list(tmp_path.glob("*.part"))
-
-
 def test_files_that_are_none(network, tmp_path):
     file = network.save(tmp_path / "action.safetensors")
     whole = file.read_bytes()

@@ -59,16 +59,6 @@ def test_seed_means_the_same_as_in_the_world_and_unseeded_starts_differ():
     assert not np.array_equal(one["agent_pos"], two["agent_pos"])
 
 
-def test_vector_env_of_two():
-    env = gymnasium.make_vec("pneutac_sim/switch", num_envs=2, vectorization_mode="sync", touch="area")
-    observation, info = env.reset(seed=[3, 4])
-    single = World("switch", touch="area", fidelity="surrogate")
-    assert np.array_equal(observation["agent_pos"][1], single.reset(4).state)
-    _, _, _, _, info = env.step(np.zeros((2, 4), np.float32))
-    assert info["is_success"].tolist() == [False, False]
-    env.close()
-
-
 def test_a_twin_or_its_folder_makes_an_environment(tmp_path):
     """A twin of another body has no networks yet: it deforms by formulas, and says so."""
     twin = Twin.builtin()

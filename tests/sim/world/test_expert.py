@@ -47,12 +47,6 @@ def test_task_needs_touch(task):
     assert replayed <= 0.40 * 60
 
 
-def test_replay_on_the_same_start_succeeds(worlds):
-    """What makes the replay fail is where the object is, not how it is played."""
-    for world in worlds.values():
-        assert difficulty.replay(world, difficulty.demonstrate(world, 200), 200)
-
-
 def until_touch(world, seed, shift_m):
     """Actions of the expert until anything touches the finger, with the object shifted (3,)."""
     world.reset(seed)

@@ -57,14 +57,6 @@ def test_a_free_finger_goes_along_the_path_whatever_its_stiffness(model):
         at, rate = target, end
 
 
-def test_a_steady_pressure_takes_the_springs_torque_alone(model):
-    K, at = 0.4 * np.eye(JOINTS), np.full(JOINTS, 0.1)
-    D = Springs(model, JOINTS, 0.006, 0.458).set(K)
-    torques, rate = Follower(model, JOINTS).torques(at, np.zeros(JOINTS), at, K, D, 50)
-    np.testing.assert_allclose(torques, np.tile(K @ at, (50, 1)), atol=1e-12)
-    assert not rate.any()
-
-
 @pytest.fixture(scope="module")
 def world():
     return World("switch", touch="none")

@@ -31,18 +31,6 @@ def test_the_expert_does_it_and_holding_still_does_not(world):
     assert not play(world, 0, lambda k: [0, 0, 0, 3.0]) and world.failure is None
 
 
-def test_the_start_is_decided_by_the_seed(world):
-    def places():
-        return world.data.geom_xpos.copy()
-
-    world.reset(5)
-    first = places()
-    world.reset(6)
-    assert np.abs(places() - first).max() > 0.004
-    world.reset(5)
-    np.testing.assert_array_equal(places(), first)
-
-
 def test_a_fruit_that_is_pressed_on_bursts_and_one_that_is_let_go_falls():
     world = World("fruit", touch="none")
     assert not play(world, 1, lambda k: [0.05, 0, 0, 3.0])

@@ -18,7 +18,6 @@ from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 from pneutac_sim.world.env import PneutacEnv
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.station import Station
-from pneutac_sim.world.tasks.base import contact_force
 from pneutac_sim.world.world import World
 
 DT = Station().dt_s
@@ -130,14 +129,6 @@ def test_any_gel_comes_to_rest(modulus_mpa):
     assert abs(world.data.joint("pad").qvel[0]) < 2e-3
     stiffer = press_on_a_fixed_bar(0.02)
     assert (press_mm > stiffer[2]) == (modulus_mpa < 0.1)
-
-
-def test_free_finger_feels_nothing(world):
-    world.reset(0)
-    hold(world, 3.0, steps=5)
-    assert world.touch.pixels == 0 and world.touch.depth_mm.max() == 0
-    assert contact_force(world.model, world.data, "bar") == 0
-    assert abs(world.press_mm) < 0.02
 
 
 @pytest.mark.parametrize("length_mm, joints, stiffness", [
