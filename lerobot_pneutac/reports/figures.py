@@ -6,7 +6,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from lerobot_pneutac.reports.page import FLOOR, SHADE, WHISKER
+from lerobot_pneutac.reports.page import CHAMBERS, FLOOR, SHADE, WHISKER
 
 PASSAGE_S = 2.0
 PASSAGES = 5
@@ -57,6 +57,19 @@ def stacked(titles: Sequence[str], heights: Sequence[float], spacing: float = 0.
     for row, title in enumerate(titles, 1):
         figure.update_yaxes(title_text=title, row=row, col=1)
     return figure.update_xaxes(title_text="time, s", row=len(titles), col=1)
+
+
+def pressure_traces(time_s: np.ndarray, pressure_kpa: np.ndarray) -> list[go.Scatter]:
+    """What is commanded (n, chambers), one line a chamber, each narrower, so that equal ones are seen."""
+    several = pressure_kpa.shape[1] > 1
+    widths = 2.0 + 2.5 * np.arange(pressure_kpa.shape[1])[::-1]
+    return [
+        go.Scatter(
+            x=time_s, y=kpa, name=f"chamber {i + 1}", showlegend=several,
+            line={"shape": "hv", "color": colour, "width": width},
+        )
+        for i, (kpa, colour, width) in enumerate(zip(pressure_kpa.T, CHAMBERS, widths, strict=False))
+    ]  # fmt: skip
 
 
 def whiskers(values: Sequence[float], low: Sequence[float], high: Sequence[float]) -> dict:

@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.reports.page import Report
+from lerobot_pneutac.reports.page import SERIES, Report
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
-from pneutac_datasets.demonstrations.augment.reference import onset_sigma_m
+from pneutac_datasets.demonstrations.augment.reference import Reference, onset_sigma_m
 from pneutac_datasets.demonstrations.faults import TACTILE, Recorded
 from pneutac_datasets.recording.wording import plural
 from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.executor import ExecutorOptions
-from pneutac_sim.features import FIDELITIES, task_names
+from pneutac_sim.features import FIDELITIES, VELOCITY_NAMES, Places, task_names
+from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.base import MOST_WIDE
@@ -28,12 +29,6 @@ if TYPE_CHECKING:
     from lerobot.datasets import LeRobotDatasetMetadata
 
     from pneutac_sim.gel.sensor import TactileSensor
-
-
-from lerobot_pneutac.reports.page import SERIES
-from pneutac_datasets.demonstrations.augment.reference import Reference
-from pneutac_sim.features import VELOCITY_NAMES, Places
-from pneutac_sim.gel.contact import without_specks
 
 METHODS = ("library", "expert", "planner", "naive")
 MOST_START_M, MOST_REAL = 0.1, 0.9
@@ -219,7 +214,39 @@ class Augmentation(Result):
         return out | ({"set_aside": self.failed} if self.failed else {})
 
     def page(self) -> Report:
-        return augment_page(self)
+        summary, references, output = self.summary, self.references, self.config.output
+        report = Report(f"{summary['kept']} demonstrations from {len(references)}")
+        did = f"{summary['kept']} did the task ({100 * self.share:.0f} %)"
+        minutes = f"{summary['wall_s'] / 60:.1f} minutes"
+        report.lead(f"{summary['attempts']} variants were tried and {did}, in {minutes}.")
+        moved = "; objects and reference trajectories were moved together by as much in x and y"
+        sigma = " / ".join(f"{s:.1f}" for s in 1e3 * onset_sigma_m(references))
+        begin = f"within {sigma} mm (standard deviation in x / y / z){moved * bool(summary['scenes'])}"
+        report.text(f"Contacts of the recorded demonstrations begin {begin}.")
+        late = {line["late_commands"] for line in summary["provenance"] if "late_commands" in line}
+        if late:
+            fit = f"the recorded paths fit the twin best where commands act {max(late)} control steps late"
+            report.text(f"Until the touch {fit}; so they do in the new demonstrations.")
+        report.table(self.rows(), "Yield")
+        if summary["scenes"]:
+            scenes = [
+                {"demonstration": r.source, "works in the twin": s["works"]}
+                | {"contact area RMSE": s["area_rmse"]}
+                | {"object moved (mm)": ", ".join(f"{1e3 * x:.1f}" for x in s["shift_m"][:2])}
+                for r, s in zip(references, summary["scenes"], strict=False)
+            ]
+            stood = "Where the object stood: the replay of each recorded demonstration in the twin"
+            report.table(scenes, stood)
+        if "checks" in summary:
+            report.table(list(map(_check_row, summary["checks"])), "Carried out once more by material points")
+        report.heading("Touch")
+        states = _states(output.repo_id, output.root)[: summary["kept"]]
+        sources = [line["source_episode"] for line in summary["provenance"]]
+        report.figure(_touch(states, sources, references), "Contact area: recorded (thick) and new (thin)")
+        report.figure(_paths(states, references), "Where the contacts begin, from above")
+        for sentence in self.set_aside:
+            report.text(sentence)
+        return report
 
 
 def other_sensor(meta: "LeRobotDatasetMetadata", sensor: "TactileSensor") -> str:
@@ -324,41 +351,6 @@ def command(config: AugmentConfig, terminal: Terminal) -> None:
 
 
 SHOWN = 4  # recorded demonstrations whose touch is drawn
-
-
-def augment_page(result) -> Report:
-    """The page of an `Augmentation`."""
-    summary, references, output = result.summary, result.references, result.config.output
-    report = Report(f"{summary['kept']} demonstrations from {len(references)}")
-    did = f"{summary['kept']} did the task ({100 * result.share:.0f} %)"
-    minutes = f"{summary['wall_s'] / 60:.1f} minutes"
-    report.lead(f"{summary['attempts']} variants were tried and {did}, in {minutes}.")
-    moved = "; objects and reference trajectories were moved together by as much in x and y"
-    sigma = " / ".join(f"{s:.1f}" for s in 1e3 * onset_sigma_m(references))
-    begin = f"within {sigma} mm (standard deviation in x / y / z){moved * bool(summary['scenes'])}"
-    report.text(f"Contacts of the recorded demonstrations begin {begin}.")
-    late = {line["late_commands"] for line in summary["provenance"] if "late_commands" in line}
-    if late:
-        fit = f"the recorded paths fit the twin best where commands act {max(late)} control steps late"
-        report.text(f"Until the touch {fit}; so they do in the new demonstrations.")
-    report.table(result.rows(), "Yield")
-    if summary["scenes"]:
-        scenes = [
-            {"demonstration": r.source, "works in the twin": s["works"], "contact area RMSE": s["area_rmse"]}
-            | {"object moved (mm)": ", ".join(f"{1e3 * x:.1f}" for x in s["shift_m"][:2])}
-            for r, s in zip(references, summary["scenes"], strict=False)
-        ]
-        report.table(scenes, "Where the object stood: the replay of each recorded demonstration in the twin")
-    if "checks" in summary:
-        report.table([_check_row(c) for c in summary["checks"]], "Carried out once more by material points")
-    report.heading("Touch")
-    states = _states(output.repo_id, output.root)[: summary["kept"]]
-    sources = [line["source_episode"] for line in summary["provenance"]]
-    report.figure(_touch(states, sources, references), "Contact area: recorded (thick) and new (thin)")
-    report.figure(_paths(states, references), "Where the contacts begin, from above")
-    for sentence in result.set_aside:
-        report.text(sentence)
-    return report
 
 
 def _check_row(check: dict) -> dict:

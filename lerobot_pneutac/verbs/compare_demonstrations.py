@@ -175,7 +175,24 @@ class DemonstrationComparison(Comparison):
         return frames, int(np.argmax(e.state[:, AREA]))
 
     def page(self) -> Report:
-        return demonstrations_page(self)
+        page = Comparison.page(self)
+        worst = self.worst[0]["trial"]
+        frames, most = self.film(worst)
+        caption = f"the gel as recorded, as replayed, and their difference, {GAIN} times as large."
+        page.image(frames[most], f"Episode {worst}: {caption}", 3 * WIDTH)
+        caption = f"The same as a film, {len(frames) / CONTROL_HZ:.0f} s."
+        page.film(frames[::EVERY], EVERY / CONTROL_HZ, caption, 3 * WIDTH)
+        page.heading("Pressure, contact area and path")
+        for i in (row["trial"] for row in self.worst):
+            page.figure(_curves(self, i), f"Episode {i}: recorded, and replayed by the twin.", 520)
+        page.heading("Errors")
+        for axis in ("episode", "depth"):  # the table above has the phases
+            page.table([{axis: r.pop("bin"), **r} for r in map(dict, self.by[axis])])
+        page.text(
+            f"Error in {self.unit}: root mean square over frames; errors of gauge and touch are converted to"
+            " the bend that would cause them. Area is the share of the image that is in contact."
+        )
+        return page
 
     def pictures(self) -> dict[str, np.ndarray]:
         frames, most = self.film(self.worst[0]["trial"])
@@ -231,27 +248,6 @@ def _clock_drift_s(study: DemonstrationStudy) -> float | None:
 WIDTH = 180  # of a picture of the gel, px
 GAIN = 3  # by which a change is shown larger
 EVERY = 2  # frames of an episode that are shown in the film
-
-
-def demonstrations_page(c) -> Report:
-    page = Comparison.page(c)
-    worst = c.worst[0]["trial"]
-    frames, most = c.film(worst)
-    caption = f"the gel as recorded, as replayed, and their difference, {GAIN} times as large."
-    page.image(frames[most], f"Episode {worst}: {caption}", 3 * WIDTH)
-    caption = f"The same as a film, {len(frames) / CONTROL_HZ:.0f} s."
-    page.film(frames[::EVERY], EVERY / CONTROL_HZ, caption, 3 * WIDTH)
-    page.heading("Pressure, contact area and path")
-    for i in (row["trial"] for row in c.worst):
-        page.figure(_curves(c, i), f"Episode {i}: recorded, and replayed by the twin.", 520)
-    page.heading("Errors")
-    for axis in ("episode", "depth"):  # the table above has the phases
-        page.table([{axis: r.pop("bin"), **r} for r in map(dict, c.by[axis])])
-    page.text(
-        f"Error in {c.unit}: root mean square over frames; errors of gauge and touch are converted to the "
-        "bend that would cause them. Area is the share of the image that is in contact."
-    )
-    return page
 
 
 def comparison_picture(recorded: np.ndarray, replayed: np.ndarray) -> np.ndarray:

@@ -174,7 +174,56 @@ class DemoResult(Result):
         }
 
     def page(self) -> Report:
-        return demo_page(self)
+        from lerobot_pneutac.reports.diagnosis import error_bars  # plotly
+        from lerobot_pneutac.reports.figures import curves
+
+        state, out, page = self.state, self.out, self.lead_page()
+        after = f"with {joined(plain_names(self.added))}"
+        ends = (("calibrated", "twin", BEFORE), (after, "add", AFTER))
+        steps = [(name, state[stage]["tip_error_mm"], None, colour) for name, stage, colour in ends]
+        errors = error_bars(steps, "mm", state["add"]["noise_mm"])
+        if self.quick:
+            rod = "of a simulated rod with friction of many small elements; the twin has other equations"
+            unseen = "The tip on another day, which neither calibration nor diagnosis saw"
+            page.figure(_another_day(out), f"{unseen}. The measurements are {rod}.")
+            page.figure(errors, "Error of the tip on that day, before and after.")
+        else:
+            page.heading("The error of the twin")
+            rod = "of the stand-in: an elastic rod whose air, creep and hysteresis have other equations than"
+            caption = f"Test error of the tip before and after. The measurements are {rod} the twin's."
+            page.figure(errors, caption)
+        page.text(state["diagnose"]["sentence"])
+        if not self.quick:
+            page.heading("What the policies do")
+            sides = "at the left trained with augmentation, at the right on the recorded demonstrations alone"
+            page.text(f"Both policies on the stand-in from the same starts: {sides}.")
+            films = [sorted((out / folder).rglob("*.mp4")) for folder in ("eval", f"eval{ALONE}")]
+            for start, pair in list(enumerate(zip(*films, strict=False)))[:FILMS]:
+                done = [state["evaluate"][arm][start] for arm in ("augmented", "alone")]
+                ends = ["done" if d else "not done" for d in done]
+                page.videos(pair, f"Start {start + 1}: with augmentation {ends[0]}, the ten alone {ends[1]}.")
+            page.heading("What it feels")
+            page.image(demonstration_strip(out / "demonstrations"), "One demonstration: touch over time")
+            for picture in sorted((out / "touch").glob("*.png"))[:1]:
+                image = np.asarray(Image.open(picture).convert("RGB"))
+                page.image(image, "Presses and the calibrated model")
+            page.heading("Learning curve")
+            training, names = (
+                state["train"],
+                {"augmented": "with augmentation", "alone": "recorded ones alone"},
+            )
+            at = {arm: training["log_freq"] * (1 + np.arange(len(training[arm]))) for arm in names}
+            lines = ((name, at[arm], training[arm], None) for arm, name in names.items())
+            figure = curves(lines, "step", "loss (mm² per step + kPa²)").update_yaxes(type="log")
+            loss = "Training loss of lerobot-train, each on its own data: not which policy is better"
+            page.figure(figure, loss)
+        page.heading("Try next")
+        page.code("\n".join(self.next_commands))
+        page.heading("What was run")
+        for name, title in stages(state["options"], self.quick).items():
+            page.text(f"**{title}**, {state[name]['seconds']:.0f} s")
+            page.code("\n".join(state[name]["commands"]))
+        return page
 
 
 def wilson(successes: list[bool]) -> list[float]:
@@ -460,56 +509,6 @@ def command(cfg: DemoConfig, terminal: Terminal) -> None:
 
 
 FILMS = 3  # starts of which both films are shown
-
-
-def demo_page(result: DemoResult) -> Report:
-    from lerobot_pneutac.reports.diagnosis import error_bars  # plotly
-    from lerobot_pneutac.reports.figures import curves
-
-    state, out, page = result.state, result.out, result.lead_page()
-    after = f"with {joined(plain_names(result.added))}"
-    ends = (("calibrated", "twin", BEFORE), (after, "add", AFTER))
-    steps = [(name, state[stage]["tip_error_mm"], None, colour) for name, stage, colour in ends]
-    errors = error_bars(steps, "mm", state["add"]["noise_mm"])
-    if result.quick:
-        rod = "a simulated rod with friction of many small elements; the twin's effects have other equations"
-        unseen = "The tip on another day, which neither calibration nor diagnosis saw"
-        page.figure(_another_day(out), f"{unseen}. The measurements are of {rod}.")
-        page.figure(errors, "Error of the tip on that day, before and after.")
-    else:
-        page.heading("The error of the twin")
-        rod = "of the stand-in: an elastic rod whose air, creep and hysteresis have other equations than the"
-        caption = f"Test error of the tip before and after. The measurements are {rod} twin's effects."
-        page.figure(errors, caption)
-    page.text(state["diagnose"]["sentence"])
-    if not result.quick:
-        page.heading("What the policies do")
-        sides = "at the left trained with augmentation, at the right on the recorded demonstrations alone"
-        page.text(f"Both policies on the stand-in from the same starts: {sides}.")
-        films = [sorted((out / folder).rglob("*.mp4")) for folder in ("eval", f"eval{ALONE}")]
-        for start, pair in list(enumerate(zip(*films, strict=False)))[:FILMS]:
-            done = [state["evaluate"][arm][start] for arm in ("augmented", "alone")]
-            ends = ["done" if d else "not done" for d in done]
-            page.videos(pair, f"Start {start + 1}: with augmentation {ends[0]}, the ten alone {ends[1]}.")
-        page.heading("What it feels")
-        page.image(demonstration_strip(out / "demonstrations"), "One demonstration: touch over time")
-        for picture in sorted((out / "touch").glob("*.png"))[:1]:
-            image = np.asarray(Image.open(picture).convert("RGB"))
-            page.image(image, "Presses and the calibrated model")
-        page.heading("Learning curve")
-        training, names = state["train"], {"augmented": "with augmentation", "alone": "recorded ones alone"}
-        at = {arm: training["log_freq"] * (1 + np.arange(len(training[arm]))) for arm in names}
-        lines = ((name, at[arm], training[arm], None) for arm, name in names.items())
-        figure = curves(lines, "step", "loss (mm² per step + kPa²)").update_yaxes(type="log")
-        loss = "Training loss of lerobot-train, each on its own data: it does not tell which policy is better"
-        page.figure(figure, loss)
-    page.heading("Try next")
-    page.code("\n".join(result.next_commands))
-    page.heading("What was run")
-    for name, title in stages(state["options"], result.quick).items():
-        page.text(f"**{title}**, {state[name]['seconds']:.0f} s")
-        page.code("\n".join(state[name]["commands"]))
-    return page
 
 
 def _another_day(out: Path):

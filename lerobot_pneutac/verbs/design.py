@@ -13,7 +13,7 @@ from lerobot_pneutac.diagnosis.design import NO_HANDS, Choice, Limits, choices
 from lerobot_pneutac.diagnosis.hands import GRAVITY, Hands, instructions, named
 from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.diagnosis.thresholds import LITTLE_GAIN
-from lerobot_pneutac.reports.learn import design_page
+from lerobot_pneutac.reports.figures import pressure_traces, stacked
 from lerobot_pneutac.reports.page import Report, difference, rows_of
 from lerobot_pneutac.study.gel_press import HeldChoice, PressChoice, held_choice, press_choices
 from lerobot_pneutac.study.pair import load_bench_pair, load_pair, no_demonstrations, same_device
@@ -91,7 +91,19 @@ class Design(Result):
         return {"program.csv": program_columns(c.time_s, c.pressure_kpa, c.kind, c.conditions)}
 
     def page(self) -> Report:
-        return design_page(self)
+        page, best = self.lead_page(), self.best
+        figure = stacked((f"predicted, {self.unit}", "pressure, kPa"), (0.7, 0.3))
+        # Of the predicted columns the one in which the models differ most.
+        spread = np.std(np.stack(best.predictions), axis=0).max(axis=0)
+        for c, seen in zip(self.contenders, best.predictions, strict=True):
+            name = f"{c.probability:.0%}: {named_terms(c)}"
+            figure.add_scatter(x=best.time_s, y=seen[:, spread.argmax()], name=name[:60], row=1, col=1)
+        for trace in pressure_traces(best.time_s, best.pressure_kpa):
+            figure.add_trace(trace, 2, 1)
+        what = "What each model predicts, with its probability before the program, and the program."
+        page.figure(figure, what, 520)
+        page.table(self.rows(), "The programs with the most information for their time.")
+        return page
 
 
 def design(

@@ -16,7 +16,7 @@ from scipy.ndimage import uniform_filter1d
 
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.thresholds import TELLS
-from lerobot_pneutac.reports.learn import add_motions
+from lerobot_pneutac.reports.figures import curves
 from lerobot_pneutac.reports.page import Report, rows_of
 from lerobot_pneutac.study.demonstration_data import COMPLIANCE, STIFFNESS, TYPICAL, Strength
 from lerobot_pneutac.study.demonstrations import UNIT
@@ -288,7 +288,16 @@ class MotionDesign(Result):
         return out | {"chosen": {change: c.motion.name for change, c in self.chosen.items()}}
 
     def page(self) -> Report:
-        return add_motions(super().page(), self)
+        page = super().page()
+        for c in dict.fromkeys(self.chosen.values()):
+            titles, x, y = ("time, s", "force on the gel, N"), "time_s", "force_n"
+            if c.motion.drag_mm > 0:
+                titles = ("sideways path of the arm, mm", "turn of the imprint, degrees")
+                x, y = "sideways_mm", "turn_deg"
+            lines = ((name, getattr(r, x), getattr(r, y), None) for name, r in c.responses.items())
+            changed = f"{c.motion.name}: the twin as it is, and with one thing changed.".capitalize()
+            page.figure(curves(lines, *titles), changed)
+        return page
 
 
 def design_motion(twin: Twin, recording: Demonstrations, progress: Progress = no_progress) -> MotionDesign:

@@ -9,6 +9,9 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+import pandas as pd
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
 
 from lerobot_pneutac.cli.options import keywords
 from lerobot_pneutac.cli.terminal import Terminal
@@ -18,8 +21,8 @@ from lerobot_pneutac.diagnosis.hands import GRAVITY, Hands, instructions, named
 from lerobot_pneutac.diagnosis.programs import first_program
 from lerobot_pneutac.diagnosis.result import Candidate, family_in
 from lerobot_pneutac.diagnosis.thresholds import NOISE
-from lerobot_pneutac.reports.learn import PREDICTED, learn_page
-from lerobot_pneutac.reports.page import Report, rows_of, save_table
+from lerobot_pneutac.reports.figures import curves, pressure_traces
+from lerobot_pneutac.reports.page import HELDOUT, MEASURED, MODEL, TRAIN, Report, rows_of, save_table
 from lerobot_pneutac.reports.sentences import called
 from lerobot_pneutac.study.pair import same_body, same_chambers, same_length
 from lerobot_pneutac.verbs.benches import Bench, check_bench, make_bench, save_choice
@@ -36,6 +39,7 @@ from pneutac_sim.twin import Twin
 
 KNOWN = ("adequate", "missing_effect")
 CONFIRMS = 1.5  # error over noise, before it was used, up to which a recording confirms what predicted it
+PREDICTED = "predicted.csv"  # in a round's folder: its program as predicted and as measured
 LEFT = 1.15  # error over noise, on all that was measured, above which something unknown is at work
 
 
@@ -164,7 +168,72 @@ class Learning(Result):
         return f"pneutac compare --twin={self.folder / 'twin'} --recording={newest}"
 
     def page(self) -> Report:
-        return learn_page(self)
+        page = self.lead_page()
+        page.figure(
+            _errors_ahead(self),
+            "Error on each program before it was used for anything, by the best model until then and by the "
+            "twin as it was given, re-fitted, and the error of what was found after it, where no fit saw.",
+        )
+        page.table(self.rows(), "* confirmed by a program of another kind that was predicted with it.")
+        page.figure(_programs(self), "What was commanded.", 120 + 90 * len(self.rounds))
+        page.figure(_likely(self), "How likely each model was after each round, by its last effects.")
+        page.heading("What was found, round by round")
+        for r in self.rounds:
+            page.text(f"**Round {r.number}, {r.program}.** {r.sentence}")
+            file = self.folder / f"round_{r.number}" / PREDICTED
+            if file.is_file():
+                page.figure(_as_measured(pd.read_csv(file)), "As predicted before it was measured.", 260)
+        return page
+
+
+def _as_measured(table: pd.DataFrame) -> go.Figure:
+    """Prediction and measurement of the column that moves most."""
+    names = [c.removesuffix(" measured") for c in table if c.endswith(" measured")]
+    name = max(names, key=lambda n: np.ptp(table[f"{n} measured"]))
+    kinds = (("predicted", MODEL), ("measured", MEASURED))
+    lines = ((kind, table["time_s"], table[f"{name} {kind}"], colour) for kind, colour in kinds)
+    return curves(lines, "time, s", name)
+
+
+def _errors_ahead(learning) -> go.Figure:
+    rounds = learning.rounds
+    at = [r.number for r in rounds]
+    lines = (
+        ("predicted", at, [r.predicted_error for r in rounds], {"color": MODEL}),
+        ("as given", at, [r.bare_error for r in rounds], {"color": HELDOUT}),
+        ("after", at, [r.error for r in rounds], {"color": TRAIN, "dash": "dot"}),
+        ("noise", at, [r.noise for r in rounds], {"color": MEASURED, "dash": "dash"}),
+    )
+    figure = curves(lines, "round", f"error, {rounds[-1].unit}", mode="lines+markers")
+    figure.update_xaxes(dtick=1).update_yaxes(rangemode="tozero")
+    return figure
+
+
+def _programs(learning) -> go.Figure:
+    rounds = learning.rounds
+    figure = make_subplots(len(rounds), 1, vertical_spacing=0.25 / max(len(rounds), 2))
+    for i, r in enumerate(rounds):
+        table = pd.read_csv(learning.folder / f"round_{r.number}" / "program.csv")
+        commands = table[[c for c in table if c.startswith("pressure_cmd_")]].to_numpy(float)
+        for trace in pressure_traces(table["time_s"], commands):
+            trace.update(legendgroup=trace.name, showlegend=trace.showlegend and not i)
+            figure.add_trace(trace, i + 1, 1)
+        figure.update_yaxes(title_text=f"{r.number}, kPa", row=i + 1, col=1)
+    figure.update_xaxes(title_text="time, s", row=len(rounds), col=1)
+    return figure
+
+
+def _likely(learning) -> go.Figure:
+    figure = go.Figure()
+    for r in learning.rounds:
+        for name, p in sorted(r.probabilities.items(), key=lambda item: -item[1]):
+            label = " + ".join(map(plain_name, name.split(" + "))) or "no effect"
+            text = {"name": label, "hovertext": label, "text": label.split(" + ")[-1]}
+            figure.add_bar(x=[r.number], y=[p], showlegend=False, **text)
+    figure.update_layout(barmode="stack")
+    figure.update_xaxes(title_text="round", dtick=1)
+    figure.update_yaxes(title_text="probability")
+    return figure
 
 
 SHARES = (0.0, 0.25, 0.5, 0.67, 1.5, 2.0, 3.0, 4.0)  # of the weight that was asked for, tried
