@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from pneutac_datasets.demonstrations.info import ACTION, OWN, ROBOT, STATE, Files
+from pneutac_datasets.recording.sensors import stretches
 from pneutac_sim.errors import shown
 from pneutac_sim.features import (
     CHAMBERS,
@@ -161,9 +162,11 @@ class Recorded(Files):
                 f" --policy.n_action_steps={min(lengths)}."
             )
         for number, action in zip(self.episodes, every, strict=True):
-            begins, frames = _longest_run((action[1:] == action[:-1]).all(axis=1))
-            if frames >= MOST_FROZEN * len(action):
-                frozen.append(f"{number} ({frames} frames from {begins / float(self.info['fps']):.1f} s)")
+            same = stretches((action[1:] == action[:-1]).all(axis=1))
+            begins, end = max(same, key=lambda s: s[1] - s[0], default=(0, 0))
+            if end - begins >= MOST_FROZEN * len(action):
+                begins_s = begins / float(self.info["fps"])
+                frozen.append(f"{number} ({end - begins} frames from {begins_s:.1f} s)")
         if frozen:
             notes.append(
                 f"{folder}: the action stays the same in episode{'s' * (len(frozen) > 1)}"
@@ -266,16 +269,6 @@ def _named(failed: dict[int, str]) -> str:
         f"episode{'s' * (len(which) > 1)} {', '.join(map(str, which))} ({why})"
         for why, which in by_reason.items()
     )
-
-
-def _longest_run(same: np.ndarray) -> tuple[int, int]:
-    """Where the longest stretch of True begins in (T,), and its length."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
-    if not len(edges):
-        return 0, 0
-    lengths = edges[1::2] - edges[::2]
-    best = int(lengths.argmax())
-    return int(edges[::2][best]), int(lengths[best])
 
 
 def unmeasurable(state: np.ndarray, action: np.ndarray, fps: float) -> str:

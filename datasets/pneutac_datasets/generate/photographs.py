@@ -33,7 +33,7 @@ from pneutac_sim.mpm.total_lagrangian import Loads
 from pneutac_sim.splat.body import carry
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
-from pneutac_sim.world.view import gl_context
+from pneutac_sim.world.view import Renderer
 
 WIDTH, HEIGHT = 640, 480
 # Camera: the way it looks and the way up in the picture, base frame. Devices hang from their base.
@@ -303,6 +303,7 @@ def printed_texture(rng: np.random.Generator, length_m: float) -> np.ndarray:
     return np.clip(picture, 4, 250).astype(np.uint8)
 
 
+BODY = 1  # group of the body's surface, which the empty studio lacks
 FINE = 2  # pixels of the renderer a pixel of the photograph, each way
 
 _STUDIO = """
@@ -425,39 +426,25 @@ def _add_body(spec: mujoco.MjSpec, mesh: trimesh.Trimesh, rest: np.ndarray, stud
     shape |= {"usertexcoord": np.stack([u, v.ravel()], 1), "userface": np.arange(len(corners))}
     shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
     spec.add_mesh(name="body", inertia=shell, **{name: values.ravel() for name, values in shape.items()})
-    spec.worldbody.add_geom(name="body", type=mujoco.mjtGeom.mjGEOM_MESH, meshname="body", material="print")
+    spec.worldbody.add_geom(
+        name="body", type=mujoco.mjtGeom.mjGEOM_MESH, meshname="body", material="print", group=BODY
+    )
 
 
 def _render(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     """Picture (H, W, 3) at the renderer's resolution, and which of its pixels show the body."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    w, h = model.vis.global_.offwidth, model.vis.global_.offheight
+    size = model.vis.global_.offwidth, model.vis.global_.offheight
     try:
-        context = gl_context(model)
+        renderer = Renderer(model)
     except Exception as e:  # every platform and driver fails in its own way
         raise InputError(
             f"Photographs need OpenGL, which does not start here ({e}); install Mesa's EGL."
         ) from e
-    mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
     try:
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, mjr)
-        scene, camera = mujoco.MjvScene(model, maxgeom=20), mujoco.MjvCamera()
-        camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, model.camera("eye").id
-        mujoco.mjv_updateScene(
-            model, data, mujoco.MjvOption(), None, camera, mujoco.mjtCatBit.mjCAT_ALL.value, scene
-        )
-        image, ids = np.empty((h, w, 3), np.uint8), np.empty((h, w, 3), np.uint8)
-        rect = mujoco.MjrRect(0, 0, w, h)
-        mujoco.mjr_render(rect, scene, mjr)
-        mujoco.mjr_readPixels(image, None, rect, mjr)
-        scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = True
-        scene.flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = True
-        mujoco.mjr_render(rect, scene, mjr)
-        mujoco.mjr_readPixels(ids, None, rect, mjr)
+        image, depth = renderer.render_depth(data, *size, (0, BODY), camera="eye")
+        behind = renderer.render_depth(data, *size, (0,), camera="eye")[1]
     finally:
-        mjr.free()
-        context.free()
-    names = [model.geom(g).name for g in range(model.ngeom)]
-    body = [g.segid + 1 for g in scene.geoms[: scene.ngeom] if names[g.objid] == "body"]
-    return image[::-1], np.isin(ids[::-1, :, 0], body)
+        renderer.close()
+    return image, depth < behind

@@ -183,10 +183,7 @@ def _other_scale(measured: str, command: str, u: np.ndarray, slope: float, at_ze
 def _lagged(recording: Recording, measured: str, command: str) -> _Pair:
     """The command behind a first-order lag, the one with which the gauge agrees best."""
     p, u = recording.column(measured).astype(float), recording.column(command).astype(float)
-    trials = tuple(recording.trials().values())
-    time = recording.column("time_s")
-    steps = np.concatenate([np.diff(time[rows]) for rows in trials])
-    dt = float(np.median(steps)) if len(steps) else 1.0
+    trials, dt = tuple(recording.trials().values()), recording.step_s or 1.0
     best, most = u, -1.0
     for behind in _behind(u, trials, dt):
         spread = float(np.std(behind) * np.std(p))
@@ -330,9 +327,7 @@ def _late(recording: Recording, measured: str, inside: np.ndarray) -> float:
         return 0.0
     p = recording.column(measured).astype(float)
     y = recording.samples[columns].to_numpy(float)
-    time, trials = recording.column("time_s"), list(recording.trials().values())
-    steps = np.concatenate([np.diff(time[rows]) for rows in trials])
-    dt = float(np.median(steps)) if len(steps) else 0.0
+    trials, dt = recording.trials().values(), recording.step_s
     most = min(round(2.0 / dt), 200) if dt > 0 else 0
     if most < 1:  # a slower log shows no such lag
         return 0.0

@@ -213,6 +213,13 @@ class Recording:
         return {int(trial[a]): slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)}
 
     @property
+    def step_s(self) -> float:
+        """Usual time between two rows of a trial, s; 0 where each trial has one."""
+        time = self.column("time_s")
+        steps = np.concatenate([np.diff(time[rows]) for rows in self.trials().values()])
+        return float(np.median(steps)) if len(steps) else 0.0
+
+    @property
     def starts(self) -> dict[int, TrialStart]:
         """Trial number to how it began, in order."""
         return starts(self.meta, list(self.trials()))

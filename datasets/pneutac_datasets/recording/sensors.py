@@ -42,7 +42,7 @@ def jumps(recording: Recording) -> Iterator[Finding]:
     if bad.any():
         at = np.flatnonzero(bad)
         first, many = where(recording, at[0]), bool(bad.mean() > 0.05)
-        runs = len(list(_stretches(bad)))
+        runs = len(list(stretches(bad)))
         text = (
             f"The tracker seems to jump in {bad.mean():.0%} of the rows (first in {first}); so many may be "
             "the device itself, so they were not removed: see a video."
@@ -131,7 +131,7 @@ def frozen(recording: Recording) -> Iterator[Finding]:
     columns, _, repeats = _pose(recording)
     p, t = recording.commands, recording.column("time_s")
     bad, least = np.zeros(len(recording), bool), 0.05 * np.ptp(p, axis=0).max()
-    for a, b in _stretches(repeats):
+    for a, b in stretches(repeats):
         if b - a >= 8 and t[b - 1] - t[a] >= 0.5 and np.ptp(p[a:b], axis=0).max() > least:
             bad[a:b] = True
     # a recording without any noise repeats numbers everywhere, which says nothing about the tracker
@@ -170,7 +170,7 @@ def _pose(recording: Recording) -> tuple[list[str], np.ndarray, np.ndarray]:
     return columns, pose, repeats
 
 
-def _stretches(mask: np.ndarray) -> Iterator[tuple[int, int]]:
+def stretches(mask: np.ndarray) -> Iterator[tuple[int, int]]:
     """First row, and row after the last, of each stretch in which a mask (n,) is true."""
     edges = np.flatnonzero(np.diff(np.r_[0, mask.astype(int), 0])).tolist()
     return zip(edges[::2], edges[1::2], strict=True)
@@ -242,7 +242,7 @@ def _stands(recording: Recording, u: np.ndarray, extreme: float) -> Iterator[tup
     """First row and row after the last where a command stands at an extreme, coming and leaving on ramps."""
     reach = np.ptp(u)
     for rows in recording.trials().values():
-        for a, b in _stretches(u[rows] == extreme):
+        for a, b in stretches(u[rows] == extreme):
             a, b = a + rows.start, b + rows.start
             if b - a < 8 or a - 3 < rows.start or b + 3 > rows.stop:
                 continue

@@ -3,7 +3,6 @@
 import json
 import shutil
 
-import numpy as np
 import pytest
 import yaml
 from demonstration_sets import write_demonstrations
@@ -16,7 +15,6 @@ from lerobot_lint.engine import check_dataset
 from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment
 from lerobot_pneutac.verbs.check import check_path
 from pneutac_datasets.demonstrations.card import write_card
-from pneutac_datasets.demonstrations.faults import _longest_run
 
 DEMOS = ROOT / "tests/golden/recordings/demos"
 PAGE = (ROOT / "docs/how_to/datasets_for_others.md").read_text()
@@ -63,8 +61,3 @@ def test_check_notes_short_episodes_idle_actions_and_limits(tmp_path):
     assert "3 of 3 episodes have fewer than 100 frames" in notes and "--policy.chunk_size=5 " in notes
     assert "stays the same in episodes 0 (4 frames from 0.0 s), 1 (4" in notes
     assert "pressure.pos is at its highest value, 12, in 67 % of the frames" in notes
-
-
-def test_the_longest_run():
-    assert _longest_run(np.array([0, 1, 1, 0, 1], bool)) == (1, 2)
-    assert _longest_run(np.zeros(3, bool)) == (0, 0) == _longest_run(np.zeros(0, bool))
