@@ -3,7 +3,6 @@
 What is hidden lies next to the recording's folder, never in it.
 """
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +13,7 @@ import pandas as pd
 from pneutac_datasets.recording.axes import command_columns
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
+from pneutac_sim.files import write_json
 from pneutac_truths import EFFECTS, write
 from pneutac_truths import generate as simulate
 from pneutac_truths.programs import DT_S, given
@@ -28,9 +28,7 @@ def truth_file(recording: str | Path) -> Path:
 
 def write_truth(recording: str | Path, truth: dict) -> None:
     """Writes the hidden truth of a recording."""
-    file = truth_file(recording)
-    file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text(json.dumps(truth, indent=1) + "\n")
+    write_json(truth_file(recording), truth)
 
 
 SLEW_S = 0.2  # regulators limit the slope of their set point; a true step would fall between two samples

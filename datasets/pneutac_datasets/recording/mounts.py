@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from pneutac_datasets.recording.noise import STARTS, Memory, headline, history, regress, static_columns
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.finger import quantities
+from pneutac_sim.finger.inputs import other_pressures
 
 LEAST_TURN = 0.003  # of the points' own weight: what speaks for no turn
 
@@ -94,8 +95,7 @@ class Bench:
     """
 
     def __init__(self, recording: Recording, columns: list[str], train: np.ndarray):
-        own = {*recording.pressure_columns, *(c.replace("cmd_", "") for c in recording.pressure_columns)}
-        others = [c for c in recording.samples if c.endswith("_kpa") and c not in own]  # another segment's
+        others = other_pressures(recording.samples, recording.device)  # another segment's
         p = np.c_[recording.pressures, recording.samples[others].to_numpy(float)]
         self.own = np.arange(p.shape[1]) < p.shape[1] - len(others)
         self.p = p / max(float(np.abs(p).max()), 1e-9)

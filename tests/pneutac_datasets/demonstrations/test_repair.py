@@ -4,6 +4,7 @@ import errno
 import json
 import os
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -228,18 +229,6 @@ def test_times_that_do_not_fit_the_videos_are_counted_anew(whole, tmp_path):
     LeRobotDataset("local/demo", root, video_backend="pyav")[9]
 
 
-@pytest.mark.parametrize("version", ["v2.0", "v2.1", "v4.0", None, "3", 3])
-def test_other_versions_are_refused(whole, tmp_path, version):
-    root = tmp_path / "demo"
-    shutil.copytree(whole, root)
-    file = root / "meta/info.json"
-    file.write_text(json.dumps(json.loads(file.read_text()) | {"codebase_version": version}))
-    before = _bytes(root)
-    with pytest.raises(InputError, match="codebase_version is .*, and v3.0 is read here"):
-        repair_dataset(root)
-    assert _bytes(root) == before
-
-
 @pytest.mark.parametrize("number", [errno.EROFS, errno.EACCES])
 def test_a_folder_that_cannot_be_written_is_one_sentence(torn, monkeypatch, number):
     def refuse(*args, **options):
@@ -250,22 +239,28 @@ def test_a_folder_that_cannot_be_written_is_one_sentence(torn, monkeypatch, numb
         repair_dataset(torn)
 
 
-@pytest.mark.parametrize("file", ["data/chunk-000/file-000.parquet", "meta/info.json"])
-def test_pointers_in_place_of_numbers_are_refused(torn, file):
-    _pointer(torn / file)
-    before = _bytes(torn)
-    with pytest.raises(InputError, match=f"{file} is a Git LFS pointer"):
-        repair_dataset(torn)
-    assert _bytes(torn) == before
+DATA, INFO = "data/chunk-000/file-000.parquet", "meta/info.json"
+REFUSED = {
+    "numbers are a pointer": (lambda r: _pointer(r / DATA), f"{DATA} is a Git LFS pointer"),
+    "info is a pointer": (lambda r: _pointer(r / INFO), f"{INFO} is a Git LFS pointer"),
+    "rows are missing": (
+        lambda r: pq.write_table(pq.read_table(r / DATA).slice(0, 8), r / DATA),
+        "data/ holds 3 of the 5 rows of episode 1; restore data/",
+    ),
+    "another version": (
+        lambda r: (r / INFO).write_text((r / INFO).read_text().replace('"v3.0"', '"v4.0"')),
+        "codebase_version is 'v4.0', and v3.0 is read here",
+    ),
+}
 
 
-def test_rows_that_the_metadata_count_and_the_data_lack_are_refused(whole, tmp_path):
-    root = tmp_path / "demo"
-    shutil.copytree(whole, root)
-    file = root / "data/chunk-000/file-000.parquet"
-    pq.write_table(pq.read_table(file).slice(0, 8), file)
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_repaired_is_refused_and_nothing_is_changed(whole, tmp_path, case):
+    root = Path(shutil.copytree(whole, tmp_path / "demo"))
+    spoil, said = REFUSED[case]
+    spoil(root)
     before = _bytes(root)
-    with pytest.raises(InputError, match="data/ holds 3 of the 5 rows of episode 1; restore data/"):
+    with pytest.raises(InputError, match=said):
         repair_dataset(root)
     assert _bytes(root) == before
 

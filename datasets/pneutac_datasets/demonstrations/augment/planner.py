@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pneutac_datasets.demonstrations.augment.reference import frames_at
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.features import ACTION_HIGH, CONTROL_HZ, MAX_PRESSURE_KPA, PRESSURES
 from pneutac_sim.world.gantry import Gantry
 
@@ -39,9 +39,9 @@ class PlannerConfig:
     jitter_kpa: float = 0.6
 
     def __post_init__(self):
-        for name, least in (("horizon", 2), ("samples", 3), ("elites", 2), ("iterations", 1), ("replan", 1)):
-            if getattr(self, name) < least:
-                raise InputError(f"{name} is {getattr(self, name)}; it must be {least} or more.")
+        check_least(2, horizon=self.horizon, elites=self.elites)
+        check_least(3, samples=self.samples)
+        check_least(1, iterations=self.iterations, replan=self.replan)
         for name, limit in (("elites", "samples"), ("replan", "horizon")):
             if getattr(self, name) > getattr(self, limit):
                 raise InputError(
