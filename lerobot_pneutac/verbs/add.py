@@ -373,7 +373,7 @@ def _not_yet(study, names: str, errors: Sequence[float], fall: PairedTest) -> st
         share = f"{100 * T.WORTH_OF_CAUSE:.0f} %"
         return f"Not added: {text}, which is not significant and less than {share} of it"
     power = f"a fall of {fall.least:.3g} {square} with a power of {100 * T.POWER:.0f} %"
-    more = f"{fall.units} held-out pieces show {power}, so record about {study.more_to_show(fall)}"
+    more = f"{fall.units} test pieces show {power}, so record about {study.more_to_show(fall)}"
     stored = "--anyway stores it now, marked as unconfirmed"
     return f"Not added, as it is not significant yet: {text}. {more}; {stored}"
 
