@@ -25,7 +25,7 @@ NAME = "lerobot_robot_pneutac"
 CAMERA = "lerobot_camera_digit"
 FOLDERS = {"pneutac": ".", NAME: "robots", CAMERA: "packages/lerobot_camera_digit"}
 # What the bench's distribution does without.
-PLUGIN = ("av", "datasets", "lerobot", "pyarrow", "quadrants", "rerun", "serial", "taichi", "torch")
+PLUGIN = tuple("av datasets datatrove lerobot pyarrow quadrants rerun serial taichi torch".split())
 
 DISCOVER = """
 from lerobot.utils.import_utils import register_third_party_plugins

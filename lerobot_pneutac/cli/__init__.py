@@ -11,6 +11,7 @@ import importlib.metadata
 import importlib.util
 import inspect
 import os
+import signal
 import sys
 from pathlib import Path
 
@@ -52,15 +53,35 @@ MODULES = {
 # none of the packages is on PyPI yet.
 PLUGIN = "lerobot_robot_pneutac"
 INSTALL = "in a clone: pip install . ./packages/lerobot_camera_digit ./robots"
-PLUGIN_PACKAGES = {PLUGIN, *"av datasets lerobot pyarrow quadrants rerun serial taichi torch".split()}
+PACKAGES = "av datasets datatrove lerobot pyarrow quadrants rerun serial taichi torch"
+PLUGIN_PACKAGES = {PLUGIN, *PACKAGES.split()}
 PLUGIN_VERBS = ("measure", "surrogate", "augment", "ppo", "repair")
+
+
+AGAIN_S = 1.0  # after which Ctrl-C is raised again where a library has swallowed it
+
+
+def _interrupt(signum: int, frame) -> None:
+    """Raises KeyboardInterrupt, and each second again until it is on its way: Taichi swallows some."""
+    signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
+    error = sys.exception() if signum == signal.SIGALRM else None
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return  # what is cleaned up meanwhile, as a chamber that is vented, is not disturbed
+        error = error.__context__
+    raise KeyboardInterrupt
 
 
 def main() -> None:
     try:
+        if hasattr(signal, "setitimer"):
+            signal.signal(signal.SIGINT, _interrupt)
+            signal.signal(signal.SIGALRM, _interrupt)
         try:
             _dispatch(sys.argv[1:])
         finally:
+            if hasattr(signal, "setitimer"):
+                signal.setitimer(signal.ITIMER_REAL, 0.0)
             sys.stdout.flush()
     except BrokenPipeError:  # whoever reads along, such as `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else the exit would flush, too

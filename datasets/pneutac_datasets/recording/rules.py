@@ -21,6 +21,7 @@ from pneutac_sim.twin import DEVICES
 STARTS = ("rested", "continues", "unknown")
 DAY_S = 86400.0
 SLOWEST_S = 3600.0  # between samples; no motion is seen in slower ones
+HUGE = 1e6  # times what 95 % of a column's numbers are at most: a typing error
 MAX_DUPLICATES = 0.01  # share of rows with a doubled stamp that a logger's rounding explains
 ROUNDED_S = 1e-3  # by which stamps of two columns may disagree
 # What is read of a `recording.json` and of a camera in it; a lab's own further fields are left alone.
@@ -317,7 +318,9 @@ def clean_numbers(
         values = pd.to_numeric(column, errors="coerce").astype(float)
         if not known and values.notna().sum() <= 0.5 * len(values):
             continue  # a free label
-        good[name], bad = values, ~np.isfinite(values.to_numpy())
+        size = np.abs(values.to_numpy())
+        usual = np.quantile(size[np.isfinite(size)], 0.95) if np.isfinite(size).any() else 0.0
+        good[name], bad = values, ~(size <= HUGE * max(usual, 1.0))
         if device == "gel" and name not in ("trial", "time_s"):
             bad &= column.notna().to_numpy()  # an unknown depth or radius stays empty
         if bad.any():
@@ -395,11 +398,15 @@ def check_time(samples: pd.DataFrame, file: Path, warnings: list[str]) -> pd.Dat
     step = np.r_[np.inf, np.where(trial[1:] == trial[:-1], np.diff(time), np.inf)]
     if (step < 0).any():
         row = int(np.argmax(step < 0))
-        raise InputError(
-            f"{file}: column 'time_s', {row_name(row, file)} goes back from {time[row - 1]:g} to "
-            f"{time[row]:g} s in trial {trial[row]}; sort the trial by time, or start a new trial "
-            "where the clock was reset."
-        )
+        fault = f"goes back from {time[row - 1]:g} to {time[row]:g} s in trial {trial[row]}; "
+        fault += "sort the trial by time, or start a new trial where the clock was reset"
+        near = np.arange(row - 2, row + 2)
+        if near[0] >= 0 and near[-1] < len(time) and np.ptp(trial[near]) == 0 == (step < 0).sum() - 1:
+            for odd in (row - 1, row):
+                if (np.diff(time[near[near != odd]]) > 0).all():
+                    row, fault = odd, f"is {time[odd]:g} s, out of order; correct it, or leave out that row"
+                    break
+        raise InputError(f"{file}: column 'time_s', {row_name(row, file)} {fault}.")
     doubled = step == 0
     if doubled.any():
         row, n = int(np.argmax(doubled)), int(doubled.sum())

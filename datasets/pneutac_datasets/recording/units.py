@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from pneutac_datasets.recording.wording import row_name
+from pneutac_datasets.recording.wording import plural, row_name
 from pneutac_sim.errors import shown
 from pneutac_sim.twin import MOST_LENGTH_MM
 
@@ -17,6 +17,7 @@ from pneutac_sim.twin import MOST_LENGTH_MM
 MAX_PRESSURE_KPA = 2000.0
 LONGEST_TIP, SHORTEST_TIP = 3.0, 0.02  # of length_mm
 SAME_LENGTH = 0.12  # of length_mm, within which the resting tip in another unit identifies that unit
+FEW = 0.05  # share of the rows that are not zero: another unit would show in more
 RATIO = 30.0  # between measured and commanded pressure
 
 
@@ -118,14 +119,21 @@ def base_unit(column: str) -> Unit | None:
 def unit_faults(samples: pd.DataFrame, meta: dict, file: Path) -> Iterator[str]:
     """A sentence for each quantity whose numbers can only be in another unit than its columns say."""
 
-    def other(name: str, row: int, unit: str, remedy: str, value: float | None = None) -> list[str]:
+    def other(
+        name: str, row: int, unit: str, remedy: str, value: float | None = None, rows=None
+    ) -> list[str]:
+        if rows is not None and rows < FEW * np.count_nonzero(samples[name]):
+            unit, remedy = f"an error ({plural(rows, 'such row')})", "correct it, or leave out that row"
         value = abs(float(samples[name].iloc[row])) if value is None else value
         where = row_name(int(samples.index[row]), file)
         return [f"{file}: column {shown(name)}, {where} is {value:g}, which can only be {unit}; {remedy}."]
 
     def beyond(pattern: str, most: float, unit: str, remedy: str) -> list[str]:
-        tops = ((name, *_top(samples, name)) for name in _columns(samples, pattern))
-        return next((other(name, row, unit, remedy) for name, value, row in tops if value > most), [])
+        for name in _columns(samples, pattern):
+            value, row = _top(samples, name)
+            if value > most:
+                return other(name, row, unit, remedy, rows=int((samples[name].abs() > most).sum()))
+        return []
 
     pascal = "pascal", "divide the column by 1000"
     kpa = beyond(r"pressure_(cmd_)?(\d+_)?kpa", MAX_PRESSURE_KPA, *pascal)
@@ -168,11 +176,13 @@ def _tip_elsewhere(
     row, value = int(reach.argmax()), float(reach.max())
     if 0 < value < (SHORTEST_TIP * length_mm if length_mm else 1.0):
         return other(tips[0], row, "metres", "multiply the tip columns by 1000", value)
-    if not length_mm and value <= LONGEST_TIP * MOST_LENGTH_MM:
+    most, name = LONGEST_TIP * (length_mm or MOST_LENGTH_MM), str(samples[tips].iloc[row].abs().idxmax())
+    far = None, int((reach > most).sum())
+    if not length_mm and value <= most:
         return []
     if not length_mm:
         remedy = f"give the tip in millimetres, at most {MOST_LENGTH_MM:g}"
-        return other(tips[0], row, "another unit or frame", remedy, value)
+        return other(name, row, "another unit or frame", remedy, *far)
     commands, rest = _columns(samples, r"pressure_cmd_(\d+_)?kpa"), 0.0
     if commands:
         driven = samples[commands].abs().max(axis=1).to_numpy(float)
@@ -181,10 +191,10 @@ def _tip_elsewhere(
         if rest and abs(rest * mm / length_mm - 1) < SAME_LENGTH and value < 3 * rest:
             unit += f": at rest the tip is {rest:.3g} from the base of a finger of {length_mm:g} mm"
             return other(tips[0], row, unit, f"multiply the tip columns by {mm:g}", value)
-    if value > LONGEST_TIP * length_mm:
+    if value > most:
         unit = f"another unit or frame (length_mm is {length_mm:g})"
         remedy = "give the tip in millimetres from the base of the device"
-        return other(tips[0], row, unit, remedy, value)
+        return other(name, row, unit, remedy, *far)
     return []
 
 

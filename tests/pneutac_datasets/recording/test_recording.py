@@ -107,10 +107,14 @@ BAD = [  # more are in `tests/snapshots/sentences.txt`
     (lambda s: s.assign(gravity_x=1.0), "'gravity_y' is missing"),
     (lambda s: s.assign(time_s=np.round(s.time_s * 1e4)), "time_s.*milliseconds; divide it by 1000"),
     (lambda s: s.assign(time_s=np.round(s.time_s * 1e6)), "time_s.*every .* divide it by 1e6"),
-    (
-        break_("tip_x_mm", 12, 1e300),
-        "row 13 .* is 1e.300, which can only be another unit or frame",
+    *(  # one row alone is not another unit, nor a clock that was reset
+        (break_(c, 12, 1e18), rf"'{c}', row 13 .line 14 of the file. is '1e.18' .1 such.*leave out that row")
+        for c in (*TIPS, P, "trial", "time_s", "temperature_c")
     ),
+    (break_("time_s", 12, 900.0), "'time_s', row 13 .* is 900 s, out of order; .*leave out that row"),
+    (break_("tip_z_mm", 12, 9e3), "'tip_z_mm', row 13 .* is 9000, .* an error .*leave out that row"),
+    (break_(P, 12, 3e3), rf"'{P}', row 13 .* is 3000, .* an error .*leave out that row"),
+    (lambda s: s.assign(time_s=s.time_s - (s.time_s > 1)), "goes back from .* sort the trial by time"),
     (lambda s: s.assign(time_s=np.round(s.time_s, 1)), "repeats the stamp.*digits"),
     (
         break_("tip_x_mm", 12, np.nan),
