@@ -59,9 +59,9 @@ def augment_naive(
         meta = LeRobotDatasetMetadata(repo_id, recorded.folder)
         features = demonstration_features(meta)
         source = LeRobotDataset(repo_id, recorded.folder, video_backend="pyav", return_uint8=True)
-    if faults := recorded.motion_faults():
-        raise InputError(faults[0])
     used = recorded.used
+    if faults := recorded.motion_faults() or ([] if used else recorded.too_few()):
+        raise InputError(faults[0])
 
     @lru_cache(maxsize=16)
     def load(index: int) -> Episode:

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from demonstration_sets import write_episodes
+from demonstration_sets import write_demonstrations, write_episodes
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata, merge_datasets
 from lerobot.utils.constants import OBS_STATE
 
@@ -128,6 +128,11 @@ def test_bad_input_is_named(source, tmp_path):
         augment_naive(Recorded(tmp_path / "none"), "local/none", tmp_path / "o", "local/o", 1, 0)
     with pytest.raises(InputError, match="exists; give a new folder"):
         augment_naive(Recorded(source), "local/source", tmp_path, "local/o", 1, 0)
+    untouched = write_demonstrations(tmp_path / "untouched", area=0.0)
+    with pytest.raises(
+        InputError, match="has no demonstrations besides episodes 0, 1 .never touches anything"
+    ):
+        augment_naive(Recorded(untouched), "local/untouched", tmp_path / "o", "local/o", 1, 0)
     features = {OBS_STATE: {"dtype": "float32", "shape": (20,), "names": list(STATE_NAMES)}}
     bare = create_dataset("local/bare", tmp_path / "bare", FPS, features, "pneutac", False, 2)
     bare.add_frame({OBS_STATE: np.zeros(20, np.float32), "task": "x"})
