@@ -342,7 +342,7 @@ def clean_numbers(
 def clean_trials(trial: pd.Series, file: Path) -> np.ndarray:
     """Numbers of the trials (n,); raises InputError where they are not whole, or one comes twice."""
     t = trial.to_numpy(float)
-    broken = t != np.round(t)
+    broken = (t != np.round(t)) | (np.abs(t) > 2**53)  # beyond that a float skips whole numbers
     if broken.any():
         row = int(np.argmax(broken))
         raise InputError(
