@@ -109,7 +109,8 @@ def _measure(cfg: BenchmarkAugmentConfig, task: str, console: Console) -> dict:
     with console.status(f"augmenting {task}"):
         summary = augment(config).summary
     s = summary["seconds"]
-    core_s = (s["core"] + time.process_time() - began) / summary["kept"]  # the workers' and this process's
+    core_s = s["core"] + s["encoding"] + time.process_time() - began  # the workers' and this process's
+    core_s /= summary["kept"]
     row = {
         "task": task,
         "demonstrations a minute": 60 * summary["kept"] / summary["wall_s"],
@@ -122,12 +123,12 @@ def _measure(cfg: BenchmarkAugmentConfig, task: str, console: Console) -> dict:
         return row | parts | {"wall (s)": summary["wall_s"]}
     if cfg.method != "planner":
         return row
-    parts = {k: s[k] for k in ("physics", "touch", "execution", "writing")}
+    parts = {k: s[k] for k in ("physics", "touch", "execution", "encoding")}
     total = sum(parts.values())
     return row | {
         "planner steps a second and worker": s["planner_steps"] / (s["physics"] + s["touch"]),
         "planner physics (%)": 100 * parts["physics"] / total,
         "planner touch (%)": 100 * parts["touch"] / total,
         "carrying out (%)": 100 * parts["execution"] / total,
-        "writing (%)": 100 * parts["writing"] / total,
+        "encoding (%)": 100 * parts["encoding"] / total,
     }

@@ -333,7 +333,7 @@ def augment(
         cameras = {k.split(".")[-1]: tuple(f["shape"][:2]) for k, f in further.items() if k != POINTS}
         how = (config.fidelity, config.planner, config.seed, config.method, start_range_m, config.start_width)
         more = {"attempts": config.attempts, "conditions": config.conditions, "station": file}
-        more |= {"tactile_points": POINTS in further, "cameras": cameras}
+        more |= {"tactile_points": POINTS in further, "cameras": cameras, "videos": tuple(meta.video_keys)}
         setup = AugmentSetup(placed, task, config.twin, *how, **more)
         together = (config.device, config.worlds) if config.device != "cpu" else ()
         how = (config.check_mpm, config.real_share, *together)

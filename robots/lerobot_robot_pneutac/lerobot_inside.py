@@ -243,6 +243,7 @@ def _fault_of_dataset(options: dict[str, str], reason: str) -> str:
 _OF_DATASETS = {
     "DatasetInfo": "utils",
     "RunningQuantileStats": "compute_stats",
+    "StreamingVideoEncoder": "video_utils",
     "aggregate_stats": "compute_stats",
     "cast_stats_to_numpy": "io_utils",
     "compute_episode_stats": "compute_stats",
@@ -258,14 +259,15 @@ _OF_DATASETS = {
 
 
 @contextlib.contextmanager
-def statistics_by(tracker: type) -> Iterator[None]:
-    """While it lasts, LeRobot computes statistics by this class in place of its `RunningQuantileStats`."""
-    module = importlib.import_module("lerobot.datasets.compute_stats")
-    of_lerobot, module.RunningQuantileStats = module.RunningQuantileStats, tracker
+def replaced(module: str, name: str, by: Callable) -> Iterator[None]:
+    """While it lasts, a module of `lerobot.datasets` calls this in place of its class or function `name`."""
+    inside = importlib.import_module(f"lerobot.datasets.{module}")
+    of_lerobot = getattr(inside, name)
+    setattr(inside, name, by)
     try:
         yield
     finally:
-        module.RunningQuantileStats = of_lerobot
+        setattr(inside, name, of_lerobot)
 
 
 def __getattr__(name: str):

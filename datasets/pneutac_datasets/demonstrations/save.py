@@ -1,16 +1,19 @@
 """Writing LeRobotDatasets offline: no frame is lost, however fast, and the console stays quiet."""
 
 import contextlib
+import io
 import os
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import av
 import numpy as np
 from lerobot.datasets import LeRobotDataset
 
 import datasets
-from lerobot_robot_pneutac.lerobot_inside import RunningQuantileStats, statistics_by
+from lerobot_robot_pneutac.lerobot_inside import RunningQuantileStats, StreamingVideoEncoder, replaced
 from pneutac_sim.errors import InputError
 
 
@@ -22,11 +25,12 @@ def create_dataset(
     robot_type: str,
     use_videos: bool,
     longest_episode: int,
-    encoder_threads: int | None = None,
+    videos_mb: int | None = None,
 ) -> LeRobotDataset:
     """A new LeRobotDataset for unpaced writing.
 
     The video encoder drops frames that it cannot queue, so its queue holds the longest episode, in frames.
+    A video file grows to `videos_mb`, LeRobot's default where None.
 
     Raises:
         InputError: `root` exists.
@@ -34,7 +38,7 @@ def create_dataset(
     if Path(root).exists():
         raise InputError(f"'{root}' exists; give a new folder for dataset '{repo_id}'.")
     encoding = {"streaming_encoding": use_videos, "encoder_queue_maxsize": longest_episode + 1}
-    encoding["encoder_threads"] = encoder_threads  # as many as it likes where there is no number
+    encoding["video_files_size_in_mb"] = videos_mb
     how = {"use_videos": use_videos, "image_writer_threads": 2, "video_backend": "pyav"}
     return LeRobotDataset.create(repo_id, fps, features, root, robot_type, **how, **encoding)
 
@@ -92,10 +96,67 @@ class PixelStatistics(RunningQuantileStats):
 
 
 @contextlib.contextmanager
+def _quick() -> Iterator[None]:
+    """While it lasts, LeRobot's encoders are quiet and its statistics those of above."""
+    with quiet_encoders(), replaced("compute_stats", "RunningQuantileStats", PixelStatistics):
+        yield
+
+
+@contextlib.contextmanager
 def written(dataset: LeRobotDataset) -> Iterator[None]:
     """While episodes are added to a dataset: quiet, and whole at the end, come what may."""
-    with quiet_encoders(), statistics_by(PixelStatistics):
-        try:
-            yield
-        finally:
-            dataset.finalize()
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(_quick())
+        if not dataset.meta.image_keys:  # looking for images to embed takes longer than all else of a row
+            stack.enter_context(replaced("dataset_writer", "embed_images", lambda rows: rows))
+        stack.callback(dataset.finalize)
+        yield
+
+
+class Film(NamedTuple):
+    """An episode's video, encoded."""
+
+    data: bytes  # of an MP4 file
+    statistics: dict[str, np.ndarray]  # of its pixels, name to (3,) in levels, or (1,) `count`
+
+
+def encode(images: Mapping[str, np.ndarray], fps: int) -> dict[str, Film]:
+    """Encodes videos uint8 (T, H, W, 3) by name, as LeRobot does while it records, on one thread each."""
+    if not images:
+        return {}
+    longest = max(map(len, images.values()))
+    encoder = StreamingVideoEncoder(fps, queue_maxsize=longest + 1, encoder_threads=1)
+    with tempfile.TemporaryDirectory() as folder, _quick():
+        encoder.start_episode(list(images), Path(folder))
+        for key, frames in images.items():
+            for frame in frames:
+                encoder.feed_frame(key, frame)
+        return {key: Film(file.read_bytes(), s) for key, (file, s) in encoder.finish_episode().items()}
+
+
+def decode(film: Film) -> np.ndarray:
+    """The frames of a video, uint8 (T, H, W, 3)."""
+    with av.open(io.BytesIO(film.data)) as container:
+        return np.stack([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)])
+
+
+class EncodedVideos:
+    """Stands in a dataset's writer for LeRobot's encoder: `films` are the next episode's videos."""
+
+    def __init__(self, dataset: LeRobotDataset):
+        self.films: Mapping[str, Film] = {}
+        self._root, dataset.writer._streaming_encoder = dataset.root, self
+
+    def start_episode(self, **_) -> None: ...
+
+    def feed_frame(self, *_) -> None: ...
+
+    def finish_episode(self) -> dict[str, tuple[Path, dict]]:
+        out = {}
+        for key, film in self.films.items():
+            file = Path(tempfile.mkdtemp(dir=self._root)) / "film.mp4"  # LeRobot removes the folder
+            file.write_bytes(film.data)
+            out[key] = file, film.statistics
+        return out
+
+    def close(self) -> None: ...

@@ -201,7 +201,7 @@ run_verb("augment", sys.argv[1:])
 
 
 @pytest.mark.nightly
-def test_killed_and_resumed_on_ray_equals_uninterrupted(recorded, made, tmp_path, monkeypatch):
+def test_killed_and_resumed_on_ray_equals_uninterrupted(recorded, made, tmp_path):
     out = tmp_path / "again"
     work = tmp_path / "again.work"
     process = subprocess.Popen(command(recorded, out), env=os.environ, stdout=subprocess.DEVNULL)
@@ -214,7 +214,6 @@ def test_killed_and_resumed_on_ray_equals_uninterrupted(recorded, made, tmp_path
     assert list(work.glob("episode_*.npz"))
     with pytest.raises(InputError, match="another seed; delete that folder"):
         run_verb("augment", options(recorded, out, "--episodes=2", "--seed=6"))
-    monkeypatch.setattr(run, "SHARD", 1)  # written by two processes
     run_verb("augment", options(recorded, out, "--episodes=2", "--seed=5", "--executor=ray"))
     for one, two in zip(table(made / "more"), table(out), strict=True):
         np.testing.assert_array_equal(one, two)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from demonstration_sets import write_episodes
+from demonstration_sets import features_of, write_episodes
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.utils.constants import ACTION, OBS_STATE
 from lerobot.utils.feature_utils import dataset_to_policy_features
@@ -14,8 +14,16 @@ from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PREVIOUS_ACTIO
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
 from lerobot_robot_pneutac.policy.tactile_encoder import DIFFERENCE_SCALE
 from lerobot_robot_pneutac.standin.world import new_gel
+from pneutac_datasets.demonstrations.episodes import Episode, save_episode
 from pneutac_datasets.demonstrations.pool import main, pool_demonstrations
-from pneutac_datasets.demonstrations.save import PixelStatistics
+from pneutac_datasets.demonstrations.save import (
+    EncodedVideos,
+    PixelStatistics,
+    create_dataset,
+    decode,
+    encode,
+    written,
+)
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, IMAGE_SHAPE, STATE_NAMES
 from pneutac_sim.world.world import World
@@ -135,6 +143,29 @@ def test_bad_input_is_named(pooled, tmp_path):
         pool_demonstrations([small], tmp_path / "z", "local/z")
     with pytest.raises(SystemExit, match="exists"):
         main(["--out", str(sources[1]), str(sources[0])])
+
+
+def test_videos_encoded_before_are_those_that_lerobot_encodes_while_it_writes(tmp_path):
+    rng, roots, column = np.random.default_rng(1), [tmp_path / "one", tmp_path / "other"], (6, *IMAGE_SHAPE)
+    states, actions = rng.normal(size=(6, len(STATE_NAMES))), rng.normal(size=(6, len(ACTION_NAMES)))
+    images = [rng.integers(40 * k, 40 * k + 90, column, dtype=np.uint8) for k in range(3)]
+    for root in roots:
+        dataset = create_dataset("local/x", root, 15, features_of(video=True), "pneutac", True, 6, 1)
+        videos = EncodedVideos(dataset) if root == roots[1] else None
+        with written(dataset):
+            for shown in images:
+                if videos:
+                    videos.films, shown = encode({TACTILE: shown}, 15), np.broadcast_to(np.uint8(0), column)
+                row = (x.astype(np.float32) for x in (states, actions))
+                save_episode(dataset, Episode(*row, shown, "press", 15))
+    one, other = (LeRobotDataset("local/x", root, video_backend="pyav") for root in roots)
+    assert one.meta.info == other.meta.info and len(one) == len(other) == 18
+    assert [p.name for p in roots[1].rglob("*.mp4")] == [p.name for p in roots[0].rglob("*.mp4")]
+    for a, b in zip(one, other, strict=True):
+        assert all(torch.equal(a[key], b[key]) for key in (OBS_STATE, ACTION, TACTILE, "timestamp"))
+    for name, values in one.meta.stats[TACTILE].items():
+        np.testing.assert_array_equal(other.meta.stats[TACTILE][name], values)
+    assert np.abs(decode(videos.films[TACTILE]).astype(int) - images[-1]).mean() < 30
 
 
 def test_statistics_of_pixels_are_those_of_lerobot():

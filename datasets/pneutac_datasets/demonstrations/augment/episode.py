@@ -140,6 +140,7 @@ class AugmentSetup:
     tactile_points: bool = False  # whether demonstrations have touch as data too
     # their scene cameras to height and width of the pictures
     cameras: dict[str, tuple[int, int]] = field(default_factory=dict)
+    videos: tuple[str, ...] = ()  # features that are stored as videos
 
     @property
     def limits(self) -> tuple[int, int, int]:

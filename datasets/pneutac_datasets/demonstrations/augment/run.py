@@ -9,9 +9,9 @@ import hashlib
 import json
 import os
 import shutil
+import threading
 import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import as_completed
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stderr
 from dataclasses import asdict
 from functools import partial
@@ -22,14 +22,14 @@ import numpy as np
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.datasets.aggregate import aggregate_datasets
 from lerobot.datasets.dataset_tools import delete_episodes
-from lerobot.utils.constants import ACTION
+from lerobot.utils.constants import ACTION, OBS_STATE
 
 from lerobot_robot_pneutac.lerobot_inside import load_info, write_info
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import ANSWER_DELAY
 from pneutac_datasets.demonstrations.augment.check import check
-from pneutac_datasets.demonstrations.augment.episode import LONGEST, AugmentSetup
+from pneutac_datasets.demonstrations.augment.episode import AugmentSetup
 from pneutac_datasets.demonstrations.augment.library import lagged_answers
-from pneutac_datasets.demonstrations.augment.reference import EXTRA_STEPS, Reference, onset_sigma_m
+from pneutac_datasets.demonstrations.augment.reference import Reference, onset_sigma_m
 from pneutac_datasets.demonstrations.augment.scene import Scene
 from pneutac_datasets.demonstrations.augment.work import Work, generator, make_episode, make_scene
 from pneutac_datasets.demonstrations.card import write_card
@@ -46,7 +46,7 @@ from pneutac_datasets.demonstrations.faults import Recorded
 from pneutac_datasets.demonstrations.info import check_new, work_folder
 from pneutac_datasets.demonstrations.naive import augment_naive
 from pneutac_datasets.demonstrations.replay.imprint import imprint_centres_mm
-from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders, written
+from pneutac_datasets.demonstrations.save import EncodedVideos, create_dataset, quiet_encoders, written
 from pneutac_sim.errors import InputError
 from pneutac_sim.executor import ExecutorOptions, faults_named, process_pool, run_pieces
 from pneutac_sim.features import Places
@@ -56,8 +56,8 @@ from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.progress import Progress, no_progress
 
 PROVENANCE = "provenance.jsonl"  # in the dataset's folder `meta`
-SHARD = 25  # demonstrations that one process writes as a dataset, at least
-SHARDS = 16  # such datasets, at most
+VIDEOS_MB = 1  # a new video file begins there, since LeRobot copies the last one with every episode
+LOOK_S = 0.2  # between two looks whether the next demonstration is there
 WRITING = "writing the dataset"
 RECORDED = "recorded"  # method of the copies of recorded demonstrations
 
@@ -138,22 +138,27 @@ def augment_guided(
     together = {"device": device} if worlds else {}
     work.open(_run(meta, setup) | ({"real_share": real_share} if real_share else {}) | together)
     scenes = _find_scenes(work, setup, executor, progress) if setup.method == "planner" else []
-    files = [work.episode_file(k) for k in range(episodes)]
-    shards, write = _shards(work, meta, setup.references, out_repo_id, episodes)
-    parts: dict[str, float] = {}
-    if worlds:
-        parts = _make_together(setup, work, files, device, worlds, executor, shards, write, progress)
-    else:
-        make = partial(make_episode, setup, work.folder, scenes)
-        run_pieces(make, files, work.folder / "logs", executor, progress, "making demonstrations")
-    spent = time.monotonic()
-    if len(shards) > 1:
-        run_pieces(write, shards, work.folder / "logs", executor, progress, WRITING)
-    elif not shards[0].exists():  # a process of its own takes seconds to start
-        write(0)
+    files, new = [work.episode_file(k) for k in range(episodes)], work.folder / "dataset"
+    parts, ended, failed = {}, threading.Event(), threading.Event()
+    with ThreadPoolExecutor(1) as writer:
+        columns = meta, setup.references, work, episodes
+        writing = writer.submit(_write, *columns, new, out_repo_id, ended, failed, progress)
+        try:
+            if worlds:
+                parts = _make_together(setup, work, files, device, worlds, executor, progress)
+            else:
+                make = partial(make_episode, setup, work.folder, scenes)
+                run_pieces(make, files, work.folder / "logs", executor, progress, "making demonstrations")
+        except BaseException:
+            failed.set()
+            raise
+        finally:
+            ended.set()
+        spent = time.monotonic()
+        writing.result()
     written = time.monotonic()
     used = [r.source for r in setup.references]
-    copies = _merge(shards, part, out_repo_id, meta, used, real_share)
+    copies = _merge(new, part, out_repo_id, meta, used, real_share)
     made = [work.load_spent(k) for k in range(episodes)]
     provenance = [line for line, _ in made] + copies
     seconds = {name: sum(s[name] for _, s in made) for name in made[0][1]}
@@ -206,13 +211,11 @@ def _make_together(
     device: str,
     worlds: int,
     executor: ExecutorOptions,
-    shards: list[Path],
-    write: Callable[[int], None],
     progress: Progress,
 ) -> dict[str, float]:
-    """Makes what is missing in a batch of worlds, and writes it; returns the seconds of this process by part.
+    """Makes what is missing in a batch of worlds; returns the seconds of this process by part.
 
-    One pool of processes saves and writes; it starts while the worlds are built.
+    A pool of processes draws, encodes and saves; it starts while the worlds are built.
     """
     missing = [k for k, file in enumerate(files) if not file.exists()]
     if not missing:
@@ -226,108 +229,86 @@ def _make_together(
         lockstep = Lockstep(setup, work, device, worlds)
         built = time.monotonic()
         lockstep.make(missing, pool, progress, len(files) - len(missing))
-        made = time.monotonic()
-        writing = [pool.submit(write, k) for k, shard in enumerate(shards) if not shard.exists()]
-        for k, each in enumerate(as_completed(writing), 1):
-            each.result()
-            progress(WRITING, k, len(writing))
-    parts = {"building": built - began, "making": made - built, "writing": time.monotonic() - made}
-    return lockstep.seconds | parts
+    return lockstep.seconds | {"building": built - began, "making": time.monotonic() - built}
 
 
 def _start(setup: AugmentSetup, folder: Path) -> None:
-    """Imports what saving and writing need, and loads the twin."""
+    """Imports what saving needs, and loads the twin."""
     generator(setup, folder)
 
 
-def _shards(
-    work: Work, meta: LeRobotDatasetMetadata, references: list[Reference], repo_id: str, episodes: int
-) -> tuple[list[Path], Callable[[int], None]]:
-    """Folders of datasets that hold the demonstrations in order, and what writes each by its number."""
-    size = max(SHARD, -(-episodes // SHARDS))
-    ranges = [(first, min(first + size, episodes)) for first in range(0, episodes, size)]
-    shards = [work.folder / f"shard_{first:06d}_{end:06d}" for first, end in ranges]
-    source = meta.repo_id, meta.root
-    return shards, partial(_write_shard, work.folder, repo_id, source, references, shards, ranges)
-
-
-def _write_shard(
-    folder: Path,
-    repo_id: str,
-    source: tuple[str, Path],
+def _write(
+    meta: LeRobotDatasetMetadata,
     references: list[Reference],
-    shards: list[Path],
-    ranges: list[tuple[int, int]],
-    number: int,
+    work: Work,
+    episodes: int,
+    root: Path,
+    repo_id: str,
+    ended: threading.Event,
+    failed: threading.Event,
+    progress: Progress,
 ) -> None:
-    meta, work = LeRobotDatasetMetadata(*source), Work(folder)
-    features = demonstration_features(meta)
-    use_videos = features[TACTILE]["dtype"] == "video"
-    features |= further_features(meta)
-    longest = max(max(len(r) + r.frames(EXTRA_STEPS), r.frames(LONGEST)) for r in references)
-    part = shards[number].with_suffix(".part")
-    shutil.rmtree(part, ignore_errors=True)
-    with quiet_encoders():
-        out = create_dataset(repo_id, part, meta.fps, features, meta.robot_type, use_videos, longest, 1)
+    """Writes the demonstrations in order as a dataset, while they are made until `ended` or `failed`."""
+    shutil.rmtree(root, ignore_errors=True)
+    features = demonstration_features(meta) | further_features(meta)
+    out = create_dataset(
+        repo_id, root, meta.fps, features, meta.robot_type, bool(meta.video_keys), 1, VIDEOS_MB
+    )
+    videos = EncodedVideos(out)
     with written(out):
-        for k in range(*ranges[number]):
-            attempt, line, _ = work.load_episode(k)
-            instruction = references[line["source"]].task
-            episode = Episode(attempt.state, attempt.action, attempt.images, instruction, meta.fps)
-            save_episode(out, episode, attempt.more)
-    os.replace(part, shards[number])
+        for k in range(episodes):
+            while not work.episode_file(k).exists() and not failed.is_set():
+                ended.wait(LOOK_S)
+            if failed.is_set():
+                return
+            columns, videos.films = work.load_columns(k)
+            for key in videos.films:
+                columns[key] = np.broadcast_to(np.uint8(0), (len(columns[ACTION]), *features[key]["shape"]))
+            state, action, images = (columns.pop(key) for key in (OBS_STATE, ACTION, TACTILE))
+            task = references[work.load_spent(k)[0]["source"]].task
+            save_episode(out, Episode(state, action, images, task, meta.fps), columns)
+            if ended.is_set():
+                progress(WRITING, k + 1, episodes)
+    out.meta.update_chunk_settings(video_files_size_in_mb=meta.video_files_size_in_mb)
 
 
 def _merge(
-    shards: Sequence[Path],
-    part: Path,
-    repo_id: str,
-    meta: LeRobotDatasetMetadata,
-    used: list[int],
-    share: float,
+    new: Path, part: Path, repo_id: str, meta: LeRobotDatasetMetadata, used: list[int], share: float
 ) -> list[dict]:
-    """Merges datasets into `part`, with copies of `used` episodes; gives the copies' provenance.
+    """Moves a dataset to `part`, with copies of `used` episodes; gives the copies' provenance.
 
     There are as many as make that share of the frames recorded ones.
     """
-    new = [LeRobotDatasetMetadata(repo_id, shard) for shard in shards]
-    frames, episodes = (sum(getattr(m, f"total_{of}") for m in new) for of in ("frames", "episodes"))
-    copies = round(share / (1 - share) * frames / sum(meta.episodes[i]["length"] for i in used))
-    source = part.with_name(f"{part.name}.source")
-    for folder in (part, source):
-        shutil.rmtree(folder, ignore_errors=True)
-    if len(shards) == 1 and not copies:
-        os.replace(shards[0], part)  # one that is missing is written anew
+    info = load_info(new)
+    lengths = sum(meta.episodes[i]["length"] for i in used)
+    copies = round(share / (1 - share) * info.total_frames / lengths)
+    shutil.rmtree(part, ignore_errors=True)
+    if not copies:
+        os.replace(new, part)
         return []
+    folder, recorded = new.with_name("copies"), Path(meta.root)
+    shutil.rmtree(folder, ignore_errors=True)
     with quiet_encoders(), redirect_stderr(StringIO()):  # its own progress bars besides ours
-        recorded = Path(meta.root)
-        left_out = sorted(set(range(meta.total_episodes)) - set(used))
-        if left_out and copies:
+        if left_out := sorted(set(range(meta.total_episodes)) - set(used)):
             whole = LeRobotDataset(meta.repo_id, recorded, video_backend="pyav")
-            recorded = Path(delete_episodes(whole, left_out, source / "used", meta.repo_id).root)
-        repeated = _repeated(recorded, meta.repo_id, copies, source)
-        names = [repo_id] * len(shards) + [meta.repo_id] * len(repeated)
+            recorded = Path(delete_episodes(whole, left_out, folder / "used", meta.repo_id).root)
+        repeated = _repeated(recorded, meta.repo_id, copies, folder)
         # One file after the other, as LeRobot would copy what it has merged with every dataset that is added.
         separate = {"concatenate_videos": False, "concatenate_data": False}
-        aggregate_datasets(names, repo_id, [*shards, *repeated], part, **separate)
-    shutil.rmtree(source, ignore_errors=True)
+        aggregate_datasets([repo_id, meta.repo_id], repo_id, [new, repeated], part, **separate)
     return [
         {"episode": k, "method": RECORDED, "source_episode": source}
-        for k, source in enumerate(used * copies, episodes)
+        for k, source in enumerate(used * copies, info.total_episodes)
     ]
 
 
-def _repeated(root: Path, repo_id: str, times: int, folder: Path) -> list[Path]:
-    """Datasets, in `folder` by doubling, that are together so many copies of one."""
-    roots, size = [], 1
-    while size <= times:
-        if times & size:
-            roots.append(root)
-        size *= 2
-        if size <= times:
-            aggregate_datasets([repo_id] * 2, repo_id, [root] * 2, folder / f"{size}")
-            root = folder / f"{size}"
-    return roots
+def _repeated(root: Path, repo_id: str, times: int, folder: Path) -> Path:
+    """A dataset, in `folder`, of so many copies of one; each is made of two of half as many."""
+    if times == 1:
+        return root
+    parts = [_repeated(root, repo_id, times // 2, folder)] * 2 + [root] * (times % 2)
+    aggregate_datasets([repo_id] * len(parts), repo_id, parts, folder / f"{times}")
+    return folder / f"{times}"
 
 
 def augment_without_simulator(
@@ -407,7 +388,7 @@ def _run(meta: LeRobotDatasetMetadata, setup: AugmentSetup) -> dict:
         **({"start_width": setup.start_width} if setup.start_width else {}),
         "seed": setup.seed,
         "attempts": setup.attempts,
-        "files": 5,  # version of the work folder's files
+        "files": 6,  # version of the work folder's files
         "candidates": setup.candidates,
         **({"tactile_points": True} if setup.tactile_points else {}),
         **({"cameras": setup.cameras} if setup.cameras else {}),

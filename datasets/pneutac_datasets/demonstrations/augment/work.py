@@ -6,20 +6,25 @@ workers, and pieces made twice are equal.
 
 import json
 import time
+from collections.abc import Collection
 from dataclasses import asdict
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from lerobot.utils.constants import ACTION, OBS_STATE
 
 from pneutac_datasets.demonstrations.augment.episode import Attempt, AugmentSetup, Generator
 from pneutac_datasets.demonstrations.augment.scene import Scene
+from pneutac_datasets.demonstrations.faults import TACTILE
+from pneutac_datasets.demonstrations.save import Film, decode, encode
 from pneutac_sim.errors import InputError
+from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.files import whole, write_json
 from pneutac_sim.world.base import START_SOLVES, Variation, solved_joints
 
 CONTACT = slice(6, 8)  # contact area and log(1 + pixels) in a state of `BatchedWorld`
-MORE = "more "  # before the names of further features
+FEATURE = "feature "  # before the names of a dataset's features
 
 
 class Work:
@@ -61,34 +66,55 @@ class Work:
 
     def load_episode(self, index: int) -> tuple[Attempt, dict, dict]:
         """Reads a demonstration, its provenance, and the seconds that it took."""
+        columns, films = self.load_columns(index)
+        columns |= {key: decode(film) for key, film in films.items()}
+        state, action, images = (columns.pop(key) for key in (OBS_STATE, ACTION, TACTILE))
+        provenance, seconds = self.load_spent(index)
+        scores = provenance.get("cost", 0.0), provenance.get("area_rmse", 1.0)
         with np.load(self.episode_file(index)) as d:
-            images = np.repeat(d["first"][None], len(d["action"]), 0)
-            images[d["changed"]] += d["change"]
-            provenance, seconds = json.loads(str(d["provenance"])), json.loads(str(d["seconds"]))
-            scores = provenance.get("cost", 0.0), provenance.get("area_rmse", 1.0)
             start = start_from_json(str(d["start"]))
-            more = {key.removeprefix(MORE): d[key] for key in d.files if key.startswith(MORE)}
-            done = d["carried_out"] if "carried_out" in d.files else None
-            attempt = Attempt(d["state"], d["action"], images, None, *scores, start, more, done)
-        return attempt, provenance, seconds
+            carried_out = d["carried_out"] if "carried_out" in d.files else None
+        return Attempt(state, action, images, None, *scores, start, columns, carried_out), provenance, seconds
 
-    def save_episode(self, index: int, attempt: Attempt, provenance: dict, seconds: dict) -> None:
-        """Writes a demonstration; images as differences from the first, of the frames that have some."""
-        change = attempt.images - attempt.images[0]
-        changed = np.flatnonzero(change.any((1, 2, 3)))
-        arrays = {
-            "state": attempt.state,
-            "action": attempt.action,
-            "start": np.array(start_to_json(attempt.start)),
-            "first": attempt.images[0],
-            "changed": changed,
-            "change": change[changed],
-            "provenance": np.array(json.dumps(provenance)),
-            "seconds": np.array(json.dumps(seconds)),
+    def load_columns(self, index: int) -> tuple[dict[str, np.ndarray], dict[str, Film]]:
+        """Reads a demonstration's features (T, ...), and those that are videos."""
+        with np.load(self.episode_file(index)) as d:
+            found = {key.removeprefix(FEATURE): d[key] for key in d.files if key.startswith(FEATURE)}
+            statistics = json.loads(str(d["statistics"]))
+        films = {
+            key: Film(found.pop(key).tobytes(), {name: np.array(x) for name, x in each.items()})
+            for key, each in statistics.items()
         }
+        summed = {k: np.cumsum(x, 0, dtype=np.uint8) for k, x in found.items() if x.dtype == np.uint8}
+        return found | summed, films
+
+    def save_episode(
+        self,
+        index: int,
+        attempt: Attempt,
+        provenance: dict,
+        seconds: dict,
+        videos: Collection[str] = (),
+        fps: int = CONTROL_HZ,
+    ) -> None:
+        """Writes a demonstration; features in `videos` encoded, other images as changes between frames."""
+        columns = {OBS_STATE: attempt.state, ACTION: attempt.action, TACTILE: attempt.images} | attempt.more
+        began = time.process_time()
+        films = encode({key: columns.pop(key) for key in videos}, fps)
+        seconds = seconds | {"encoding": time.process_time() - began}
+        columns |= {
+            key: np.diff(x, axis=0, prepend=np.zeros_like(x[:1]))
+            for key, x in columns.items()
+            if x.dtype == np.uint8
+        }
+        columns |= {key: np.frombuffer(film.data, np.uint8) for key, film in films.items()}
+        statistics = {k: {name: x.tolist() for name, x in f.statistics.items()} for k, f in films.items()}
+        texts = {"start": start_to_json(attempt.start), "provenance": json.dumps(provenance)}
+        texts |= {"seconds": json.dumps(seconds), "statistics": json.dumps(statistics)}
+        arrays = {name: np.array(text) for name, text in texts.items()}
         if attempt.carried_out is not None:
             arrays["carried_out"] = attempt.carried_out
-        arrays |= {f"{MORE}{key}": values for key, values in attempt.more.items()}
+        arrays |= {f"{FEATURE}{key}": values for key, values in columns.items()}
         with whole(self.episode_file(index)) as part, part.open("wb") as f:
             np.savez_compressed(f, **arrays)
 
@@ -121,7 +147,8 @@ def make_episode(setup: AugmentSetup, folder: Path, scenes: list[Scene], index: 
     before, began = _spent(makes), time.process_time()
     attempt, provenance = makes.episode(index, scenes)
     seconds = {k: v - before[k] for k, v in _spent(makes).items()} | {"core": time.process_time() - began}
-    Work(folder).save_episode(index, attempt, provenance, seconds)
+    video = setup.videos, setup.references[0].control_hz
+    Work(folder).save_episode(index, attempt, provenance, seconds, *video)
 
 
 class Sensed(NamedTuple):
@@ -151,7 +178,8 @@ def save_sensed(setup: AugmentSetup, folder: Path, index: int, sensed: Sensed, p
     images = np.stack([drawn.get(t, world.sensor.rest_image) for t in shown.tolist()])
     attempt = Attempt(np.array(rows, np.float32), sensed.actions, images, None, 0.0, 1.0, sensed.start)
     seconds = {"core": time.process_time() - began}
-    Work(folder).save_episode(index, attempt, provenance, seconds)
+    video = setup.videos, setup.references[0].control_hz
+    Work(folder).save_episode(index, attempt, provenance, seconds, *video)
 
 
 def generator(setup: AugmentSetup, folder: Path) -> Generator:
