@@ -94,14 +94,16 @@ def _after_steps(row, c, low, top):
         f"Step to {middle:.3g} kPa and hold {hold:.3g} s, vent to {low:.3g} kPa for {hold:.3g} s, then "
         f"the same with {top:.3g} kPa"
     )
-    stops = f"the bend goes on for {hold:.3g} s and then stops, and what comes late"
+    falls = c.get("weight", 1.0) < 0
+    goes = "falls back" if falls else "goes on"
+    stops = f"the bend {goes} for {hold:.3g} s and then stops, and what comes late"
     seen = {
         "hold": f"{stops} doubles with the pressure",
         "hold, squared": f"{stops} grows with the square of the pressure",
-        "hold, by pressure": "the bend goes on, faster or slower at the higher pressure",
-        "hold, by warmth": "the bend goes on, faster or slower in the warm",
-        "hold for long": "the bend goes on ever slower, from 10 to 100 s still, and does not stop",
-        "loss": "while the pressure is held the bend falls at a steady pace",
+        "hold, by pressure": f"the bend {goes}, faster or slower at the higher pressure",
+        "hold, by warmth": f"the bend {goes}, faster or slower in the warm",
+        "hold for long": f"the bend {goes} ever slower, from 10 to 100 s still, and does not stop",
+        "loss": f"while the pressure is held the bend {'rises' if falls else 'falls'} at a steady pace",
         "hold, then less": f"at {middle:.3g} kPa it bends differently right after {top:.3g} kPa than after "
         "rest",
     }[row.experiment]
@@ -121,8 +123,7 @@ def _turns(row, c, low, top):
             knots += [(5.0, middle - span), *_strokes(middle - span, middle + span, seconds, 2)]
     text = (
         f"Go back and forth about {middle:.3g} kPa by {', '.join(f'{s:.3g}' for s in spans)} kPa, "
-        "twice each in 20 s, then the same in 5 s: the loop is as wide at both paces, and the smallest moves "
-        "hardly bend it."
+        "twice each in 20 s, then the same in 5 s: the loop is as wide at both paces."
     )
     return text, knots, HZ
 

@@ -11,7 +11,7 @@ from lerobot_pneutac.diagnosis.thresholds import AS_IS_NOISE
 from lerobot_pneutac.diagnosis.verdict import NONE, Explained, Mechanism
 from lerobot_pneutac.study.base import EffectStudy
 from pneutac_datasets.recording.wording import joined
-from pneutac_sim.effects.laws import family, is_law, plain_name
+from pneutac_sim.effects.laws import FAMILIES, family, is_law, plain_name
 from pneutac_sim.twin import Twin
 
 LEAST_SHOWN = 0.05  # probability of a mechanism that is shown
@@ -71,6 +71,7 @@ class State:
     causes: tuple[str, ...] = ()  # what is missing, as noun phrases, the largest first
     set_up: tuple[str, ...] = ()  # those of them that are how the device is made and mounted, no effects
     unnamed: tuple[str, ...] = ()  # those of them whose mechanism is more likely another one
+    useless: tuple[tuple[str, float], ...] = ()  # those without which the test error is lower, and that error
     known: int = 0  # how many of them are known causes, such as the finger's weight
     removed: tuple[float, tuple[float, float]] = (0.0, (0.0, 0.0))  # share of the squared error
     rivals: tuple[tuple[str, str], ...] = ()  # pairs of a cause and of an effect that explains as much
@@ -139,6 +140,9 @@ def state_of(study: EffectStudy, outcome: Outcome) -> State:
         causes=_causes(study, o, named),
         set_up=_causes(study, o, [n for n in named if n in SET_UP]),
         unnamed=_causes(study, o, [n for n in o.selected if n not in o.named]),
+        useless=tuple(
+            (study.cause(o.after, c.name), c.error_without) for c in o.contributions if c.drop[0] <= 0
+        ),
         known=len(o.known),
         before=study.errors(o.before)["heldout"],
         after=after,
@@ -174,7 +178,7 @@ def _causes(study: EffectStudy, outcome: Outcome, named: list[str]) -> tuple[str
     kinds = {n: family_in(outcome.twin, n) for n in named}
     count = Counter(kinds.values())
     phrases = (
-        study.cause(outcome.after, n) if count[k] == 1 else f"{k.replace('_', ' ')} ({count[k]} terms)"
+        study.cause(outcome.after, n) if count[k] == 1 else f"{called(k)} ({count[k]} terms)"
         for n, k in kinds.items()
     )
     return tuple(dict.fromkeys(phrases))
@@ -230,7 +234,8 @@ def _ranked(m: Mechanism) -> str:
     if m.certain:
         return f"{called(m.cause)} is certain ({100 * m.probability:.0f} %)"
     shown = [(k, p) for k, p in m.ranked if p >= LEAST_SHOWN or k == m.cause]
-    return ", ".join(f"{k if k == NONE else called(k)} {100 * p:.0f} %" for k, p in shown)
+    listed = ", ".join(f"{k if k == NONE else called(k)} {100 * p:.0f} %" for k, p in shown)
+    return f"what looks like {called(m.cause)} is {listed}"
 
 
 def _headline(s: State) -> str:
@@ -297,6 +302,8 @@ def warnings(s: State) -> list[str]:
         if s.kind is Kind.CAUSES and not s.at_noise and s.noise and not s.objections:
             out.append(f"The error that remains is {s.rest / s.noise:.2g} times the noise.")
         out += _as_well(s)
+        for cause, without in s.useless:
+            out.append(f"Without {cause} the test error is no higher: {without:.3g} {s.unit}.")
         if s.black_box and not any("black box" in o for o in s.objections):
             share = f"{100 * s.black_box:.0f} %"
             out.append(f"A black box predicts {share} of the remaining error from the inputs.")
@@ -361,8 +368,9 @@ def _removed(s: State) -> str:
 
 def called(name: str, twin: Twin | None = None) -> str:
     """A law by its family, with the constants of a twin where one is given, and its plain name."""
-    kind = (family(name) if twin is None else family_in(twin, name)).replace("_", " ")
-    return f"{kind} ({plain_name(name)})" if is_law(name) else kind
+    kind = family(name) if twin is None else family_in(twin, name)
+    words = FAMILIES[kind][1] if kind in FAMILIES else kind.replace("_", " ")
+    return f"{words} ({plain_name(name)})" if is_law(name) else words
 
 
 def hedged(description: str, kind: str, mechanisms: Sequence[Mechanism]) -> str:

@@ -147,6 +147,10 @@ class Addition(Result):
         if len(self.contributions) > 1:
             worth = "; ".join(f"{plain_name(c.name)} {c.error_without:.3g}" for c in self.contributions)
             out.append(f"Test error without each term, all else re-fitted, {self.unit}: {worth}.")
+        for c in self.contributions:
+            if c.drop[0] <= 0:
+                name, error = plain_name(c.name), f"{c.error_without:.3g} {self.unit}"
+                out.append(f"Without {name} the test error is no higher: {error}.")
         if self.instead and self.accepted:
             more = f"explains slightly more: test error {self.instead_error:.3g} {self.unit}"
             hardly = "This recording hardly distinguishes the two"

@@ -528,7 +528,8 @@ FAMILIES = {
         "bends differently the more it moves, as if it warmed up",
         "dependence on recent motion",
     ),
-    "thermal": ("bends more or less when it is warm", "temperature"),
+    "thermal": ("bends more or less when it is warm", "dependence on temperature"),
+    "tracker": ("is measured wrongly", "an error or lag of the tracker, which measures the tip"),
     "quantisation": ("follows its command in coarse steps", "coarse steps of the command"),
     "dead_band": ("stays where it is until its command has moved enough", "a dead band"),
     "warm_up": ("bends differently in the first minutes of a session", "change over the first minutes"),
@@ -576,7 +577,8 @@ EXPERIMENTS = {
     "strokes": "After a night's rest make many equal strokes: each differs a little less from the one "
     "before.",
     "snap": "Go slowly through the snap and back: it comes at a higher pressure on the way up.",
-    "small stairs": "Go up and down by steps smaller than the band: nothing moves until they add up to it.",
+    "small stairs": "Go up and down by steps smaller than the band, if your regulator can: nothing moves "
+    "until they add up to it.",
     "from rest": "After a night's rest make a stroke now and then: it changes with the time alone.",
     "warming": "Make equal strokes while it warms, for several time constants: they follow the temperature "
     "late.",
