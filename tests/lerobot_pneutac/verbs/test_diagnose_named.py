@@ -220,6 +220,17 @@ def test_effects_without_their_column_are_listed_with_the_remedy(bench):
     assert study.where(valve) == "where the times of commands are not logged"
     study.recording.samples["time_sent_s"] = study.recording.samples["time_s"]
     assert "together with" not in " ".join(study.caveats(air))
+    for times, said in (
+        (3.0, "where the times of commands are logged (without them 3 times the noise)"),
+        (1.1, ""),
+    ):
+
+        def left(twin, recording, times=times):
+            assert "time_sent_s" not in recording.samples
+            return np.full((len(recording), 1), times * study.noise.floor)
+
+        study.residual = left
+        assert study.where(SimpleNamespace(effects=("valve_lag",), twin=None)) == said
 
 
 def test_the_proposed_experiment_separates_the_rivals(bench):
