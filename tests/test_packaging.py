@@ -100,6 +100,18 @@ print(seconds, *heavy)
     pytest.fail(f"importing the plugin takes {seconds} s")
 
 
+def test_an_older_lerobot_is_one_sentence():
+    code = """
+import importlib.metadata as metadata
+version = metadata.version
+metadata.version = lambda name: "0.5.0" if name == "lerobot" else version(name)
+import lerobot_robot_pneutac
+"""
+    done = subprocess.run([sys.executable, "-c", code], text=True, capture_output=True, timeout=60)
+    assert done.returncode == 1 and done.stderr.startswith("LeRobot 0.5.0 is too old for")
+    assert done.stderr.count("\n") == 1
+
+
 @pytest.fixture(scope="module")
 def wheels(tmp_path_factory) -> dict[str, Path]:
     """Each of its sdist, as whoever builds from source gets it; by the name of the distribution."""

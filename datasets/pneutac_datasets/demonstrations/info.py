@@ -287,8 +287,7 @@ class Files:
         for file in self._parquets("data", "restore it"):
             if not file.stat().st_size:
                 raise InputError(f"{file} is empty; restore it.")
-            whole = f"restore it, or run {self._repair}, which keeps its whole episodes"
-            names = set(_read_parquet(file, whole, schema=True).names)
+            names = set(_read_parquet(file, "restore it", schema=True).names)
             if names != set(wanted):
                 missing, more = sorted(set(wanted) - names), sorted(names - set(wanted))
                 what = f"lacks the column '{missing[0]}'" if missing else f"has a column '{more[0]}'"
