@@ -8,6 +8,6 @@ OLDEST = "0.6.1"
 
 if [int(n) for n in re.findall(r"\d+", version("lerobot"))[:3]] < [int(n) for n in OLDEST.split(".")]:
     sys.exit(
-        f"LeRobot {version('lerobot')} is too old for lerobot_camera_digit and lerobot_robot_pneutac; they need"
-        f" {OLDEST} or later; pip install 'lerobot>={OLDEST},<0.7'."
+        f"LeRobot {version('lerobot')} is too old for lerobot_camera_digit and lerobot_robot_pneutac; they"
+        f" need {OLDEST} or later; pip install 'lerobot>={OLDEST},<0.7'."
     )
