@@ -378,15 +378,15 @@ def test_damaged_outcomes_are_one_error(tmp_path):
 def test_failed_demonstrations_are_not_mixed_in(tmp_path):
     """A dataset of 110 frames with half as many recorded ones, all of them of episode 1."""
     source = LeRobotDatasetMetadata("local/demos", copied(tmp_path))
-    shard, part = Path(shutil.copytree(DEMOS, tmp_path / "shard")), tmp_path / "new.part"
-    lines = run._merge([shard], part, "local/new", source, [1], 0.5)
+    shard, part = Path(shutil.copytree(DEMOS, tmp_path / "work" / "set")), tmp_path / "new.part"
+    lines = run._merge(shard, part, "local/new", source, [1], 0.5)
     length = source.episodes[1]["length"]
     assert {line["source_episode"] for line in lines} == {1} and len(lines) == round(110 / length)
     new, recorded = (LeRobotDataset(f"local/{d.name}", d, video_backend="pyav") for d in (part, source.root))
     assert len(new) == 110 + len(lines) * length
     last = source.episodes[1]["dataset_to_index"] - 1
     assert (new[len(new) - 1][TACTILE] - recorded[last][TACTILE]).abs().max() < 0.1  # encoded once more
-    assert sorted(f.name for f in tmp_path.iterdir()) == ["demos", "new.part", "shard"]
+    assert sorted(f.name for f in tmp_path.iterdir()) == ["demos", "new.part", "work"]
 
 
 def test_demonstrations_of_another_task_are_refused():
