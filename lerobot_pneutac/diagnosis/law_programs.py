@@ -5,17 +5,24 @@ speed; friction by speed; a limit that was passed only when one comes back below
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from lerobot_pneutac.diagnosis.programs import HZ, STEP_S, Program, beside_one, pressure_span, table
 from pneutac_datasets.recording.pressures import supply_limits
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.effects.laws import TABLE
+from pneutac_datasets.recording.wording import plural
+from pneutac_sim.effects.laws import TABLE, family
 
 MOST_S = 600.0
 MOST_HZ = 100.0
 WARMER_C = 8.0
+LEAST_MOVE = 0.02  # of the range: regulators resolve a half to one percent
+# Families of laws whose constants make them something else than their name says, to the experiment for that.
+INSTEAD = {
+    "stiffening": "stairs", "gain_saturation": "stairs", "cyclic_softening": "staying", "hysteresis": "turns",
+}  # fmt: skip
 EVENLY = "by as much at both"  # of what motion changed and comes back, at low and at high pressures
 
 Knots = list[tuple[float, float]]  # seconds since the one before, kPa
@@ -30,14 +37,21 @@ def law_program(recording: Recording, name: str, constants: Mapping[str, float])
         constants: its parameters, by name.
 
     Returns:
-        None for what is no law of the drive, or lies beyond the supply.
+        None for what is no law of the drive, lies beyond the supply, or needs moves below `LEAST_MOVE`.
     """
     row = TABLE.get(name.partition(" #")[0])
     if row is None:
         return None
+    found = family(name, constants)
+    if found != row.family:
+        usual = "hold" if row.experiment in ("swing", "fill and vent") else row.experiment
+        row = replace(row, experiment=INSTEAD.get(found, usual), family=found)
     low, top = pressure_span(recording)
     advice, knots, hz = _PROGRAMS[row.experiment](row, constants, low, top)
     time_s, kpa = np.array([(0.0, low), *knots]).T
+    moves = np.abs(np.diff(kpa))
+    if moves[moves > 1e-6].min() < LEAST_MOVE * (top - low) * (1 - 1e-6):
+        return None
     if supply_limits(recording) and kpa.max() > top + 1e-6:
         return None  # no supply gives more
     time_s = np.cumsum(time_s)
@@ -77,17 +91,21 @@ def _stairs(row, c, low, top):
 
 def _around_threshold(row, c, low, top):
     a = c["threshold_kpa"]
-    up = [*np.linspace(low, a, 6), *np.linspace(a, max(top, 1.2 * a), 6)[1:]]
+    below, above = (
+        int(np.clip(s / (LEAST_MOVE * (top - low)), 1, 5)) for s in (a - low, max(top, 1.2 * a) - a)
+    )
+    up = [*np.linspace(low, a, below + 1), *np.linspace(a, max(top, 1.2 * a), above + 1)[1:]]
     text = (
-        f"Go in five stairs of 5 s from {low:.3g} to {a:.3g} kPa, in five more to {up[-1]:.3g} kPa, and down "
-        f"again: up to {a:.3g} kPa nothing differs, above it each step does."
+        f"Go in {plural(below, 'stair')} of 5 s from {low:.3g} to {a:.3g} kPa, in {above} more to "
+        f"{up[-1]:.3g} kPa, and down again: up to {a:.3g} kPa nothing differs, above it each step does."
     )
     return text, [k for p in (*up, *up[-2::-1]) for k in _hold(p, 5.0)], HZ
 
 
 def _after_steps(row, c, low, top):
     """Memories that relax: two levels identify the power of the pressure, a gain needs a third."""
-    tau = c.get("time_s", 1 / c["rate_1_per_s"] if "rate_1_per_s" in c else 33.0)
+    rate = c.get("rate_1_per_s", c.get("frequency_rad_per_s", 0.03))
+    tau = c.get("time_s", c.get("fill_time_s", 1 / rate))
     hold, middle = float(np.clip(3 * tau, 3.0, 100.0)), 0.5 * (low + top)
     knots = [*_hold(middle, hold), *_hold(low, hold), *_hold(top, hold), *_hold(low, hold)]
     text = (
@@ -96,7 +114,7 @@ def _after_steps(row, c, low, top):
     )
     falls = c.get("weight", 1.0) < 0
     goes = "falls back" if falls else "goes on"
-    stops = f"the bend {goes} for {hold:.3g} s and then stops, and what comes late"
+    stops = f"the bend {goes} for {min(3 * tau, hold):.2g} s and then stops, and what comes late"
     seen = {
         "hold": f"{stops} doubles with the pressure",
         "hold, squared": f"{stops} grows with the square of the pressure",
@@ -117,7 +135,8 @@ def _turns(row, c, low, top):
     r = c.get("width_kpa", max(c.get("width_up_kpa", 0.0), c.get("width_down_kpa", 0.0)))
     middle, knots = 0.5 * (low + top), []
     half = 0.5 * (top - low)
-    spans = [s for s in (r, 3 * r) if s < 0.9 * half] + [half]
+    least = 0.5 * LEAST_MOVE * (top - low)
+    spans = [s for s in (r, 3 * r) if least <= s < 0.9 * half] + [half]
     for seconds in (20.0, 5.0):
         for span in spans:
             knots += [(5.0, middle - span), *_strokes(middle - span, middle + span, seconds, 2)]

@@ -32,9 +32,11 @@ def family_in(twin: Twin, effect: str) -> str:
     """The family of an effect, by the constants that a twin has for it and for its other static curves."""
     constants = {e: {k: v.value for k, v in values.items()} for e, values in twin.effects.items()}
     kind = family(effect, constants.get(effect))
-    if not curvature(effect, constants.get(effect, {})):
+    range_kpa = max((v.get("scale_kpa", 0.0) for v in constants.values()), default=0.0)
+    if not curvature(effect, constants.get(effect, {}), range_kpa):
         return kind
-    return "stiffening" if sum(curvature(e, v) for e, v in constants.items()) > 0 else "gain_saturation"
+    bent = sum(curvature(e, v, range_kpa) for e, v in constants.items())
+    return "stiffening" if bent > 0 else "gain_saturation"
 
 
 PROFILE = "bend_profile"  # among known causes: the device bends by a profile of its own, which is no effect

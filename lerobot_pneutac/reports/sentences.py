@@ -370,7 +370,7 @@ def called(name: str, twin: Twin | None = None) -> str:
     """A law by its family, with the constants of a twin where one is given, and its plain name."""
     kind = family(name) if twin is None else family_in(twin, name)
     words = FAMILIES[kind][1] if kind in FAMILIES else kind.replace("_", " ")
-    return f"{words} ({plain_name(name)})" if is_law(name) else words
+    return f"{words} ({plain_name(name)})" if is_law(name) and kind == family(name) else words
 
 
 def hedged(description: str, kind: str, mechanisms: Sequence[Mechanism]) -> str:

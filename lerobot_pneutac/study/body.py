@@ -240,7 +240,9 @@ def _mechanisms(
     for i, (cause, terms) in enumerate(causes.items()):
         missed = 0.0 if i == 0 else 1 - chosen_in.get(terms[0].name, 1.0)
         drop = terms[0].drop[0] / study.noise.floor**2
-        out.append(mechanism(cause, drop, evidence.removed, missed, causes))
+        usual = {family(c.name) for c in terms}
+        elsewhere = max(evidence.elsewhere, default=0.0) <= T.CLOSE
+        out.append(mechanism(cause, drop, evidence.removed, missed, causes, usual, elsewhere))
     return out
 
 

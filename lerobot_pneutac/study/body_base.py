@@ -130,7 +130,8 @@ def features(study: "BodyBase") -> np.ndarray:
 
 
 RESTED_S = 1e4  # a pause at zero pressure after which everything has rested
-LATE = ("creep", "valve_lag", "ringing", "leak")  # families that air and body may both cause
+# Families that air and body may both cause.
+LATE = ("creep", "relaxation", "overshoot", "valve_lag", "ringing", "leak")
 REPEAT = "Repeat one test after an hour. Differences between the two come from the setup, not the device."
 
 

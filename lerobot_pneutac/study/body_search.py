@@ -260,8 +260,7 @@ class BodySearch:
             effects = model.model.structure.effects
             replaced = term in causes and term in own and not set(effects) <= set(own)
             if (term not in chosen or replaced) and space.idle(model.model, term):
-                structure, values = model.model.structure.without(term), model.model.values
-                bare = self.score(space.fitter.fit(structure, values, 8))
+                bare = self.score(space.bare(model.model, term))
                 if engine.is_needed(bare, model):
                     continue
                 model = bare

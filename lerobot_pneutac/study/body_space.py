@@ -294,9 +294,19 @@ class BodySpace(Space):
 
     def without(self, model: BodyModel, *effects: str) -> BodyModel:
         """The model re-fitted without effects; without one of the air, steps seem to come otherwise."""
-        left = self.fitter.fit(model.structure.without(*effects), model.values, 8)
+        left = self.bare(model, *effects)
         of_air = any(get_effect(e).stage == "pneumatics" for e in effects)
         return self.refine_actuation(left) if of_air else left
+
+    def bare(self, model: BodyModel, *effects: str) -> BodyModel:
+        """The model re-fitted without effects, at the same instants; a second instance becomes the first."""
+        old = model.structure.without(*effects)
+        new = replace(old, effects=()).plus(*(e.partition(" #")[0] for e in old.effects))
+        values = dict(model.values)
+        for before, after in zip(old.effects, new.effects, strict=True):
+            of = {k: v for k, v in model.values.items() if k.rpartition(".")[0] == before}
+            values |= {f"{after}.{k.rpartition('.')[2]}": v for k, v in of.items()}
+        return self.fitter.fit(new, values, 8)
 
     def idle(self, model: BodyModel, effect: str) -> bool:
         """Whether an effect ended where it does nothing: it moves no prediction or is too quick to show."""

@@ -23,7 +23,7 @@ from pneutac_benchmarks.diagnosis.cases import BenchmarkDiagnosisConfig, Case, d
 from pneutac_benchmarks.diagnosis.rules import COUNTS, counts
 from pneutac_benchmarks.experiments import _known_at
 from pneutac_datasets.generate.finger import TruthBench
-from pneutac_sim.effects.laws import family, law_names
+from pneutac_sim.effects.laws import FAMILIES, family, law_names
 from pneutac_sim.effects.registry import body_effects
 from pneutac_sim.errors import InputError
 from pneutac_truths import EFFECTS, PAIRS, generate
@@ -45,7 +45,7 @@ def truth_answer(effects, selected, verdict="missing_effect", ratio=1.1, kind="e
 
 
 def test_the_rules_know_every_truth_and_every_name():
-    names = {family(n) for n in law_names()} | set(law_names()) | set(body_effects()) | {rules.BASE}
+    names = {*FAMILIES, *map(family, law_names()), *law_names(), *body_effects(), rules.BASE}
     assert set(rules.COUNTS) == set(EFFECTS)
     assert {n for accepted in rules.COUNTS.values() for n in accepted} <= names
 

@@ -29,7 +29,8 @@ COUNTS: dict[str, tuple[str, ...]] = {
     "leak": ("leak", "gain_saturation"),  # against a finite flow it is a droop that grows with pressure
     "hunting": (),
     "supply_sag": ("rate", "orifice_flow", "valve_lag"),
-    "gas_heat": ("creep",),  # p + w (lag(p) - p) is its equation
+    # p + w (lag(p) - p) with w < 0 is its equation, which counted as creep before it had a name of its own
+    "gas_heat": ("relaxation", "creep"),
     "vent_slow": ("valve_lag", "orifice_flow"),
     "tube_kink": ("orifice_flow", "valve_lag", "lag(p; time moves with p)"),
     "dead_time": ("dead_time",),

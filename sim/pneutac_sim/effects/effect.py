@@ -101,8 +101,8 @@ class Effect:
         return self._filled(self.cause or self.name.replace("_", " "), values, device)
 
     def _filled(self, text: str, values: dict[str, float], device: str) -> str:
-        shown = values | self.derive(values)
-        shown = {k: _Plain(v) if isinstance(v, float) else v for k, v in shown.items()}
+        shown: dict[str, float] = {k: _Plain(v) for k, v in values.items()}
+        shown |= {k: _Plain(v) if isinstance(v, float) else v for k, v in self.derive(shown).items()}
         return text.format(device=device, **shown)
 
 

@@ -24,6 +24,8 @@ from functools import cache, partial
 import numpy as np
 from numba import njit
 
+from pneutac_sim.effects import air_resonance, hysteresis
+from pneutac_sim.effects.air_resonance import second_order
 from pneutac_sim.effects.body_effect import BodyEffect, kernel
 from pneutac_sim.effects.effect import Parameter
 
@@ -149,58 +151,6 @@ def fill_vent_lag(s, f, dt, times):
             keep, old = keeps[way], olds[way]
             s[2, i] = keep * s[2, i] + old * f[t, i] + (1.0 - keep - old) * f[t + 1, i]
             out[t, i] = s[2, i]
-    return out
-
-
-@kernel
-def _mode_weights(omega, zeta, h):
-    """What y and y' h seconds later are made of, where the input f goes in a straight line.
-
-    Returns:
-        Weights of y, y' and the input then for y, and the same for y'. The input before has what is left of
-        1 and 0.
-    """
-    if math.isinf(omega * h):
-        return 0.0, 0.0, 1.0, 0.0, 0.0, 0.0
-    decay = math.exp(-zeta * omega * h)
-    if zeta < 0.9999:
-        w = omega * math.sqrt(1.0 - zeta * zeta)
-        c, sn = decay * math.cos(w * h), decay * math.sin(w * h) / w
-    elif zeta > 1.0001:
-        w = omega * math.sqrt(zeta * zeta - 1.0)
-        slow, quick = math.exp((w - zeta * omega) * h), math.exp(-(w + zeta * omega) * h)
-        c, sn = 0.5 * (slow + quick), 0.5 * (slow - quick) / w
-    else:
-        c, sn = decay, decay * h
-    yy, yv, vy, vv = c + zeta * omega * sn, sn, -omega * omega * sn, c - zeta * omega * sn
-    x = omega * h
-    if x < 1e-4:  # the terms below would cancel
-        return yy, yv, x * x / 6.0 * (1.0 - 0.5 * zeta * x), vy, vv, 0.5 * omega * x * (1.0 - zeta * x / 1.5)
-    behind = 2.0 * zeta / x
-    return yy, yv, 1.0 - behind + behind * yy - yv / h, vy, vv, (1.0 - vv) / h + behind * vy
-
-
-@kernel
-def second_order(s, f, dt, omega, zeta):
-    """Exact steps of y'' + 2 zeta omega y' + omega^2 (y - f) = 0 for f in straight lines.
-
-    Returns y (n, channels). Rows 2 and 3 of s are y and y' (channels,), changed; f is (n + 1, channels),
-    first the one before.
-    """
-    out = np.empty((len(f) - 1, f.shape[1]))
-    y, v = s[2].copy(), s[3].copy()  # arrays of its own, which the compiler knows to be no part of f
-    known = -1.0
-    yy = yv = yf = vy = vv = vf = 0.0
-    for t in range(len(out)):
-        if dt[t] != known:
-            known = dt[t]
-            yy, yv, yf, vy, vv, vf = _mode_weights(omega, zeta, known)
-        for i in range(out.shape[1]):
-            old, new, before = f[t, i], f[t + 1, i], y[i]
-            y[i] = yy * before + yv * v[i] + yf * new + (1.0 - yy - yf) * old
-            v[i] = vy * before + vv * v[i] + vf * new - (vy + vf) * old
-            out[t, i] = y[i]
-    s[2], s[3] = y, v
     return out
 
 
@@ -515,6 +465,11 @@ FAMILIES = {
     ),
     "snap": ("snaps over at a pressure and back at a lower one", "snap-through"),
     "creep": ("creeps (it goes on bending while the pressure is held)", "creep"),
+    "relaxation": (
+        "falls back while the pressure is held, after it went too far at a step",
+        "a bend that falls back while the pressure is held",
+    ),
+    "overshoot": ("overshoots at a step and falls back at once", "overshoot at a step"),
     "valve_lag": ("fills and vents slower than it is commanded", "a slow valve"),
     "ringing": ("rings (it swings on after a step)", "oscillation after a step"),
     "leak": ("loses pressure while it is held", "loss of pressure during holds"),
@@ -617,7 +572,6 @@ class Law:
         weight = Parameter("weight", "", 0.05, -3.0, 3.0)
         scale = Parameter("scale_kpa", "kPa", 1.0, 1e-3, 3.0, neutral=1.0, fixed=True, range_power=1)
         constants = ", ".join(f"{p.name} {{{p.name}:.3g}}" for p in self.constants)
-        shown = [CONSTANTS[p.name] for p in self.constants if p.name in CONSTANTS]
         return BodyEffect(
             name=name,
             stage="drive",
@@ -628,7 +582,7 @@ class Law:
             apart=True,
             linear="weight",
             equation=rf"p \to p + w\,({self.equation})",
-            cause=", ".join([self.cause or "{kind}", *shown]),
+            cause="{kind}",
             summary=f"Your {{device}} {{does}}: the pressure p that bends it becomes "
             f"p + {{weight:.3g}} [{name.partition(' #')[0]}]" + (f", {constants}." if constants else "."),
             experiment=EXPERIMENTS[self.experiment],
@@ -922,68 +876,127 @@ def law(name: str) -> BodyEffect:
 
 
 def _shown(name: str, values: Mapping[str, float]) -> dict:
-    """The words for a law's family, and a frequency in Hz where it has one."""
-    does, kind = FAMILIES[family(name, values)]
+    """The words for a law's family, its constants where these are of that family, and a frequency in Hz."""
+    found = family(name, values)
+    does, kind = FAMILIES[found]
     w = values.get("frequency_rad_per_s")
-    return {"does": does, "kind": kind} | ({} if w is None else {"hz": w / (2 * math.pi)})
+    shown = dict(values) | ({} if w is None else {"hz": w / (2 * math.pi)})
+    own = TABLE[name.partition(" #")[0]]
+    if found == own.family:
+        constants = [CONSTANTS[p.name].format(**shown) for p in own.constants if p.name in CONSTANTS]
+        kind = ", ".join([own.cause or kind, *constants])
+    return {"does": does, "kind": kind}
 
 
 QUICK_S = 0.2  # a lag that is over by then is of the air or the tracker; materials creep for seconds
-ABRUPT, NARROW = 0.1, 0.01  # of the range: a snap comes within, and a loop narrower than that is a curve
+ABRUPT = 0.1  # of the range: a snap comes within
 FAST = 1.0  # ranges a second: friction that still grows there is viscous
 OPEN = 0.5  # of the range: a valve that opens in proportion over more of it makes a lag, not a ramp
 COOLING_S = 20.0  # a wall of 2 mm cools in minutes: what motion changes for a shorter time is no heat
 GROWS = (
     0.2  # of the vent rate, over the range: an orifice vents faster from a higher pressure, a ramp does not
 )
+STATIC = 0.1  # of how far a curve bends off a line: with less besides, a law is that curve and nothing else
+SWINGS = 0.05  # of a step: less overshoot, as from a damping ratio of 0.7 on, is no oscillation
 
-# Laws that are a static curve, where they are one: its value at a share u of the range, per range.
-CURVES: dict[str, Callable[[float, Mapping[str, float]], float]] = {
-    "power(p)": lambda u, v: u ** v["exponent"],
-    "tanh(p)": lambda u, v: math.tanh(v["slope"] * u) / v["slope"],
-    "p^2": lambda u, v: u**2,
-    "p^3": lambda u, v: u**3,
-    "step(p)": lambda u, v: math.tanh((u * v["scale_kpa"] - v["centre_kpa"]) / v["slope_kpa"]),
-    "flip(p)": lambda u, v: math.tanh((u * v["scale_kpa"] - v["centre_kpa"]) / v["slope_kpa"]),
-    "lag(p^2)": lambda u, v: u**2,
-    "p lag(p)": lambda u, v: u**2,
-    "p lag(p^2)": lambda u, v: u**3,
-}
+_NAMED = {e.name: e for e in (air_resonance.EFFECT, hysteresis.EFFECT)}  # named by what they do, as laws are
+_CURVES = ("stiffening", "gain_saturation")  # families of static curves
+_LOOPS = ("hysteresis", "snap")  # families of what depends on the direction, at any pace
+_LATE = ("creep", "valve_lag", "ringing", "air_resonance", "leak")  # and of what goes on after a step
+
+# Slow strokes to the top, half way and to the top, in shares of the range times 100.
+_STROKES = np.r_[0:101, 99:-1:-1, 1:51, 49:-1:-1, 1:101, 99:-1:-1]
+_UP, _DOWN = slice(-201, -100), slice(-1, -102, -1)  # the last stroke
+_STROKE_S = 20.0  # to the top
+_AFTER_S = np.geomspace(1e-3, 1e4, 141)  # seconds after a step
+_HELD = _AFTER_S > 1.0
 
 
-def curvature(name: str, values: Mapping[str, float]) -> float:
-    """Second difference of a static curve over half the range, of the range; 0 of a law that is none.
+@dataclass(frozen=True)
+class Response:
+    """What an effect with fitted constants does to a pressure; pressures are shares of the range."""
+
+    curve: np.ndarray  # (101,) what it adds at 0 to the range, the mean of both ways of a slow stroke
+    of_largest: bool  # whether the largest pressure so far matters, and hardly the direction
+    static: bool  # whether it does nothing but that curve
+    rises: bool  # whether the pressure goes on rising after a step up; else it overshoots and falls back
+    swings: bool  # whether it goes beyond where it ends
+    time_s: float  # until 37 % of what is late is left
+
+
+@cache
+def _response(name: str, values: tuple[tuple[str, float], ...], range_kpa: float) -> Response:
+    """Runs an effect on slow strokes and on a step."""
+    effect = (
+        law(name) if is_law(name) else {e.name: e for e in (air_resonance.EFFECT, hysteresis.EFFECT)}[name]
+    )
+
+    def added(share: np.ndarray, dt: np.ndarray) -> np.ndarray:
+        """What it adds to the pressure, (n,)."""
+        usual = np.array([[COUNTED[c][0] for c in effect.columns]])
+        x = share * range_kpa
+        after = effect.apply(x, dt, dict(values), np.repeat(usual, len(x), axis=0))
+        return (after - x) / range_kpa
+
+    strokes = _STROKES / 100
+    slow = added(strokes, np.full(len(strokes), _STROKE_S / 100))
+    slowest = added(strokes, np.full(len(strokes), 1e4))
+    step = added(np.r_[0.0, np.ones(len(_AFTER_S))], np.r_[np.inf, np.diff(_AFTER_S, prepend=0.0)])[1:]
+    curve = 0.5 * (slow[_UP] + slow[_DOWN])
+    bent = np.abs(curve - np.linspace(curve[0], curve[-1], 101)).max()
+    besides = max(np.abs(slow - curve[_STROKES]).max(), np.abs(step[_HELD] - curve[-1]).max())
+    loop, late = np.abs(slowest[_UP] - slowest[_DOWN]).max(), step - step[-1]
+    size = max(abs(late[0]), 1e-12)
+    return Response(
+        curve,
+        of_largest=bool(loop < STATIC * np.abs(slowest[:101] - slowest[_UP]).max()),
+        static=bool(besides < STATIC * bent),
+        rises=bool(late[0] < 0),
+        swings=bool(np.max(-np.sign(late[0]) * late) > SWINGS * size),
+        time_s=float(_AFTER_S[np.argmax(np.abs(late) < size / math.e)]),
+    )
+
+
+def curvature(name: str, values: Mapping[str, float], range_kpa: float = 0.0) -> float:
+    """Second difference of a static curve over half the range, of the range; 0 of an effect that is none.
 
     Positive where each further kPa bends more.
+
+    Args:
+        name: of an effect.
+        values: its constants.
+        range_kpa: largest pressure, where the constants do not give it.
     """
-    curve = CURVES.get(name.partition(" #")[0])
-    if curve is None or _kind(name, values) not in ("stiffening", "gain_saturation"):
+    range_kpa = values.get("scale_kpa", range_kpa)
+    if not range_kpa or _kind(name, values) not in _CURVES:
         return 0.0
-    return values["weight"] * (curve(1.0, values) - 2 * curve(0.5, values) + curve(0.0, values))
+    curve = _response(name, tuple(values.items()), range_kpa).curve
+    return float(curve[100] - 2 * curve[50] + curve[0])
 
 
 def family(name: str, values: Mapping[str, float] | None = None) -> str:
-    """What the library calls the physics of a law; the name itself where it has no name for it.
+    """What the library calls the physics of an effect; the name itself where it has no name for it.
 
-    One equation may be several kinds of physics, by its fitted constants: `flip(p)`, a play through a sigmoid
-    (generalised Prandtl-Ishlinskii operator), is a snap only where it is abrupt; a static curve is a
-    saturation where each further kPa bends less, see `curvature`.
+    One equation may be several kinds of physics. With its fitted constants it is called by what it does on
+    slow strokes and after a step: play through a sigmoid (`flip(p)`, generalised Prandtl-Ishlinskii operator)
+    is a snap where it is abrupt, hysteresis where it is not, and a static curve where its width does nothing.
     """
-    bent = curvature(name, values) if values else 0.0
-    return ("stiffening" if bent > 0 else "gain_saturation") if bent else _kind(name, values)
+    if not values:
+        return _declared(name)
+    kind = _kind(name, values)
+    bent = curvature(name, values)
+    return ("stiffening" if bent > 0 else "gain_saturation") if bent else kind
 
 
-def _kind(name: str, values: Mapping[str, float] | None) -> str:
+def _declared(name: str) -> str:
     structure = name.partition(" #")[0]
     entry = TABLE.get(structure) or SEEN.get(structure)
-    kind = entry.family if entry else "tracker" if structure == TRACKER else name
-    if not values:
-        return kind
+    return entry.family if entry else "tracker" if structure == TRACKER else name
+
+
+def _kind(name: str, values: Mapping[str, float]) -> str:
+    structure, kind = name.partition(" #")[0], _declared(name)
     range_kpa = values.get("scale_kpa", 1.0)
-    if structure == "flip(p)" and values["slope_kpa"] > ABRUPT * range_kpa:
-        return "hysteresis" if values["width_kpa"] > NARROW * range_kpa else "stiffening"
-    if structure in TABLE and kind == "creep" and values.get("time_s", QUICK_S) < QUICK_S:
-        return "valve_lag" if TABLE[structure].minus else "stiffening"
     if structure == "tanh(dp/dt)" and values["rate_kpa_per_s"] > FAST * range_kpa:
         return "rate"
     if structure == "valve_slew" and values["band_kpa"] > OPEN * range_kpa:
@@ -992,7 +1005,25 @@ def _kind(name: str, values: Mapping[str, float] | None) -> str:
         return "orifice_flow"
     if kind == "self_heating" and structure in TABLE and values["time_s"] < COOLING_S:
         return "cyclic_softening" if values["weight"] > 0 else "rate"
-    return kind
+    if name == "hysteresis":
+        range_kpa = 2 * values["width_kpa"]
+    elif structure not in TABLE and name not in _NAMED:
+        return kind
+    if kind not in (*_LOOPS, *_LATE):
+        return kind
+    response = _response(name, tuple(values.items()), range_kpa)
+    if response.static:
+        return "stiffening"
+    if kind in _LOOPS:
+        if response.of_largest:
+            return "cyclic_softening"
+        return "hysteresis" if kind == "snap" and values["slope_kpa"] > ABRUPT * range_kpa else kind
+    if (kind in ("ringing", "air_resonance") and response.swings) or (kind == "leak" and not response.rises):
+        return kind
+    quick = response.time_s < QUICK_S
+    if not response.rises:
+        return "overshoot" if quick else "relaxation"
+    return "valve_lag" if quick or kind in ("valve_lag", "air_resonance") else "creep"
 
 
 def starts(name: str) -> tuple[tuple[float, ...], ...]:

@@ -60,7 +60,7 @@ def test_a_term_at_its_quickest_stays_where_the_error_rises_without_it(needed):
         engine=lambda space: SimpleNamespace(is_needed=lambda without, model: needed),
         score=lambda model: bare,
     )
-    space = SimpleNamespace(idle=lambda model, term: True, fitter=SimpleNamespace(fit=lambda *_: bare.model))
+    space = SimpleNamespace(idle=lambda model, term: True, bare=lambda model, term: bare.model)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("lerobot_pneutac.study.body_search.base_effects", lambda study: ())
         assert BodySearch.without_idle(search, space, model, ()) is (model if needed else bare)

@@ -439,30 +439,54 @@ def twin_with(laws, device="finger"):
 def test_a_law_may_act_twice_and_statics_come_first():
     names = [e.name for e in in_order(["lag(p) #2", "creep", "lag(p)", "tracker_lag", "p^2", "stiffening"])]
     assert names == ["stiffening", "creep", "p^2", "lag(p)", "lag(p) #2", "tracker_lag"]
-    flip = {"scale_kpa": 60.0, "width_kpa": 5.0, "centre_kpa": 30.0}
-    assert family("flip(p)", flip | {"slope_kpa": 3.0}) == "snap"
-    assert family("flip(p)", flip | {"slope_kpa": 20.0}) == "hysteresis"
-    narrow = flip | {"slope_kpa": 20.0, "width_kpa": 0.2, "centre_kpa": 50.0}
-    assert family("flip(p)", narrow | {"weight": 0.2}) == "stiffening"
-    assert family("flip(p)", narrow | {"weight": -0.2}) == "gain_saturation"
-    power = {"weight": 0.2, "scale_kpa": 60.0}
-    assert family("power(p)", power | {"exponent": 2.0}) == "stiffening"
-    assert family("power(p)", power | {"exponent": 0.5}) == "gain_saturation"
-    assert family("tanh(p)", power | {"slope": 1.0}) == "gain_saturation"
-    motion, slew = power | {"time_s": 60.0}, {"scale_kpa": 60.0, "band_kpa": 1.0}
-    assert family("p lag(|dp/dt|)", motion) == "self_heating"
-    assert family("p lag(|dp/dt|)", motion | {"time_s": 5.0}) == "cyclic_softening"
-    assert family("p lag(|dp/dt|)", motion | {"time_s": 5.0, "weight": -0.2}) == "rate"
-    assert family("valve_slew", slew | {"vent_growth": 0.0}) == "valve_slew"
-    assert family("valve_slew", slew | {"vent_growth": 1.5}) == "orifice_flow"
-    assert family("lag(p)", {"time_s": 5.0}) == "creep" and family("lag(p)", {"time_s": 0.05}) == "valve_lag"
-    assert "snap" not in law("flip(p)").as_cause(flip | {"slope_kpa": 20.0})
+    flip = {"weight": 0.2, "scale_kpa": 60.0, "width_kpa": 5.0, "centre_kpa": 30.0, "slope_kpa": 20.0}
+    assert "snap" not in law("flip(p)").as_cause(flip)
     assert family("lag(p) #2") == "creep" == family("power_law_memory(p)") and family("creep") == "creep"
     plain = [plain_name(n) for n in law_names()]
     assert len(set(plain)) == len(plain) and not any("(p" in n or "_" in n for n in plain)
     assert plain_name("play(p) #2") == "play between pressure and bend, second one"
     assert plain_name("valve_lag") == "valve lag"
     assert is_law("lag(p) #2") and not is_law("creep")
+
+
+@pytest.mark.parametrize(
+    ("name", "constants", "found"),
+    [
+        ("flip(p)", {"width_kpa": 5.0, "centre_kpa": 30.0, "slope_kpa": 3.0}, "snap"),
+        ("flip(p)", {"width_kpa": 5.0, "centre_kpa": 30.0, "slope_kpa": 20.0}, "hysteresis"),
+        ("flip(p)", {"width_kpa": 0.2, "centre_kpa": 50.0, "slope_kpa": 20.0}, "stiffening"),
+        ("flip(p)", {"width_kpa": 0.2, "centre_kpa": 10.0, "slope_kpa": 20.0}, "gain_saturation"),
+        ("flip(p)", {"width_kpa": 0.2, "centre_kpa": 10.0, "slope_kpa": 3.0}, "gain_saturation"),
+        ("play(p)", {"width_kpa": 6.0}, "hysteresis"),
+        ("play(p)", {"width_kpa": 40.0}, "cyclic_softening"),  # it moves on the first fill alone
+        ("play(p)^3", {"width_kpa": 6.0}, "hysteresis"),
+        ("play(p)^3", {"width_kpa": 0.2}, "stiffening"),
+        ("power(p)", {"exponent": 2.0}, "stiffening"),
+        ("power(p)", {"exponent": 0.5}, "gain_saturation"),
+        ("tanh(p)", {"slope": 1.0}, "gain_saturation"),
+        ("lag(p)", {"time_s": 5.0}, "creep"),
+        ("lag(p)", {"time_s": 5.0, "weight": -0.2}, "relaxation"),
+        ("lag(p)", {"time_s": 0.05}, "valve_lag"),
+        ("lag(p)", {"time_s": 0.05, "weight": -0.2}, "overshoot"),
+        ("lag(p^2)", {"time_s": 0.05}, "stiffening"),
+        ("p lag(p^2)", {"time_s": 0.05, "weight": -0.2}, "gain_saturation"),
+        ("power_law_memory(p)", {"exponent": 0.0, "weight": -0.2}, "relaxation"),
+        ("held(p)", {"rate_1_per_s": 0.05}, "leak"),
+        ("held(p)", {"rate_1_per_s": 0.05, "weight": -0.2}, "creep"),
+        ("mode(p)", {"frequency_rad_per_s": 9.0, "damping_ratio": 0.3}, "ringing"),
+        ("mode(p)", {"frequency_rad_per_s": 4.0, "damping_ratio": 0.84}, "creep"),
+        ("mode(p)", {"frequency_rad_per_s": 40.0, "damping_ratio": 0.84}, "valve_lag"),
+        ("air_resonance", {"frequency_rad_per_s": 9.0, "damping_ratio": 0.3}, "air_resonance"),
+        ("air_resonance", {"frequency_rad_per_s": 9.0, "damping_ratio": 0.9}, "valve_lag"),
+        ("p lag(|dp/dt|)", {"time_s": 60.0}, "self_heating"),
+        ("p lag(|dp/dt|)", {"time_s": 5.0}, "cyclic_softening"),
+        ("p lag(|dp/dt|)", {"time_s": 5.0, "weight": -0.2}, "rate"),
+        ("valve_slew", {"band_kpa": 1.0, "vent_growth": 0.0}, "valve_slew"),
+        ("valve_slew", {"band_kpa": 1.0, "vent_growth": 1.5}, "orifice_flow"),
+    ],
+)
+def test_a_law_is_called_by_what_it_does_with_its_constants(name, constants, found):
+    assert family(name, {"weight": 0.2, "scale_kpa": 60.0} | constants) == found
 
 
 def test_a_law_is_kept_as_its_name_and_its_constants(tmp_path):
