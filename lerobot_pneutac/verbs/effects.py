@@ -19,7 +19,7 @@ from lerobot_pneutac.verbs.export import Source
 from lerobot_pneutac.verbs.result import Result
 from pneutac_sim.effects.body_effect import BodyEffect
 from pneutac_sim.effects.effect import Effect, Parameter
-from pneutac_sim.effects.laws import family, is_law, law, law_names
+from pneutac_sim.effects.laws import FAMILIES, family, is_law, law, law_names
 from pneutac_sim.effects.registry import BUILTIN, all_effects, get_effect, of_sensor
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import write_text
@@ -191,7 +191,7 @@ def _law_source(effect: BodyEffect) -> str:
     expression = source.add(run)
     body = source.functions
     own = file_name(effect.name)
-    summary = effect.summary.replace("{does}", effect.derive({}).get("does", ""))
+    summary = effect.summary.replace("{does}", FAMILIES.get(family(effect.name), ("",))[0])
     head = f'"""{effect.name}: a law, as it acts in a twin.\n\n{effect.equation}\n'
     head += f'{PROJECT.format(name=own)}"""\n'
     step = effect.state_size(2) - effect.state_size(1)

@@ -139,11 +139,14 @@ class Twin:
         for name, p in self.parameters.items():
             if not abs(p.value) < MOST_VALUE:
                 raise InputError(f"Twin parameter '{name}' is {p.value}; it must be a finite number.")
+
+    def _no_coil(self) -> None:
+        """Refuses what a slip of units makes of a stored twin; a fit may pass through such values."""
         gain, rest = (
             self.parameters.get(n, Value(0.0)).value for n in ("gain_rad_per_kpa", "rest_pressure_kpa")
         )
         end = max(self.pressure_range_kpa, key=lambda p: abs(p + rest))
-        bend = (len(joints) - 2) * gain * (end + rest)
+        bend = len(self.spine_joint_positions_mm) * gain * (end + rest)
         if abs(bend) > MOST_BEND_RAD:
             raise InputError(
                 f"Twin parameter 'gain_rad_per_kpa' is {gain:g}: at {end:g} kPa, of pressure_range_kpa,"
@@ -266,6 +269,7 @@ class Twin:
         if faults:
             raise InputError(f"{file}: {faults[0]}")
         twin, folder = cls(**fields), Path(path)
+        twin._no_coil()
         if calibrated and twin.missing:
             raise InputError(
                 f"{file}: body: {', '.join(twin.missing)} {'are' if twin.missing[1:] else 'is'} missing; "

@@ -185,7 +185,7 @@ def test_a_constant_command_and_too_few_rows_lead_the_headline(bench, tmp_path):
         (r.write(tmp_path / "constant"), "The commanded pressure never moves", " mm."),
         (few, "The twin misses", "20 rows are too few to show where it is worst; record longer."),
     ):
-        result = run(bench, folder, tmp_path / "o")
+        result = run(bench, folder, tmp_path / "out" / folder.name)
         assert result["sentence"].startswith(start) and result["sentence"].endswith(end)
 
 

@@ -94,6 +94,8 @@ def calibrate(cfg, scratch, console):
     terminal = Terminal("calibrate", [])
     terminal.console = console
     result = run(cfg, scratch, terminal)
+    if not result.worse:
+        result = result.save(cfg.twin)
     if cfg.out is not None:
         result.report(cfg.out)
     return result.to_dict()
