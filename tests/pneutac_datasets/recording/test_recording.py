@@ -123,7 +123,7 @@ BAD = [  # more are in `tests/snapshots/sentences.txt`
     (break_("tip_z_mm", 3, np.inf), "'tip_z_mm', row 4"),
     (break_("temperature_c", 0, np.nan), "'temperature_c', row 1"),
     (lambda s: s.assign(trial=s.trial + 0.5), "'trial', row 1"),
-    (break_("trial", 12, 1e300), r"'trial', row 13 .* is 1e\+300; number the trials 0, 1, 2"),
+    (break_("trial", 12, 1e300), r"'trial', row 13 .* is '1e\+300' \(1 such row\); correct it"),
     (lambda s: pd.concat([s, s[s.trial == 0]]), "'trial', row 401 .*goes back to trial 0"),
     (lambda s: with_sent(s, 12, np.nan), "'time_sent_s', row 13 .* is empty"),
     (
