@@ -896,7 +896,7 @@ COOLING_S = 20.0  # a wall of 2 mm cools in minutes: what motion changes for a s
 GROWS = (
     0.2  # of the vent rate, over the range: an orifice vents faster from a higher pressure, a ramp does not
 )
-STATIC = 0.1  # of how far a curve bends off a line: with less besides, a law is that curve and nothing else
+STATIC = 0.1  # of how far a curve bends off a line: with a smaller residual, a law is that curve alone
 SWINGS = 0.05  # of a step: less overshoot, as from a damping ratio of 0.7 on, is no oscillation
 
 _NAMED = {e.name: e for e in (air_resonance.EFFECT, hysteresis.EFFECT)}  # named by what they do, as laws are
@@ -944,13 +944,13 @@ def _response(name: str, values: tuple[tuple[str, float], ...], range_kpa: float
     step = added(np.r_[0.0, np.ones(len(_AFTER_S))], np.r_[np.inf, np.diff(_AFTER_S, prepend=0.0)])[1:]
     curve = 0.5 * (slow[_UP] + slow[_DOWN])
     bent = np.abs(curve - np.linspace(curve[0], curve[-1], 101)).max()
-    besides = max(np.abs(slow - curve[_STROKES]).max(), np.abs(step[_HELD] - curve[-1]).max())
+    residual = max(np.abs(slow - curve[_STROKES]).max(), np.abs(step[_HELD] - curve[-1]).max())
     loop, late = np.abs(slowest[_UP] - slowest[_DOWN]).max(), step - step[-1]
     size = max(abs(late[0]), 1e-12)
     return Response(
         curve,
         of_largest=bool(loop < STATIC * np.abs(slowest[:101] - slowest[_UP]).max()),
-        static=bool(besides < STATIC * bent),
+        static=bool(residual < STATIC * bent),
         rises=bool(late[0] < 0),
         swings=bool(np.max(-np.sign(late[0]) * late) > SWINGS * size),
         time_s=float(_AFTER_S[np.argmax(np.abs(late) < size / math.e)]),
