@@ -19,7 +19,6 @@ how the finger gives way to contact and to the arm's motion: there its mass, dam
 import mujoco
 import numpy as np
 from numba import njit
-from scipy.spatial.transform import Rotation
 
 from pneutac_sim.finger.online import PressurePipeline
 from pneutac_sim.surrogate.skeleton import coupling, dynamics
@@ -220,18 +219,19 @@ class Follower:
         bow = 3.0 * steps / (steps + 1.0) * (slope - rate)  # as in `_torques`
         path = h * np.cumsum(rate + (slope - rate) * s + bow * s * (1.0 - s), axis=0)
         w = before + np.concatenate([[-h * rate], [0.0 * rate], path])  # from one step before the first
-        at = quaternions(w.reshape(-1, 2))
-        turns, n = Rotation.from_quat(at, scalar_first=True), len(before)
-        v = (turns[:-n].inv() * turns[n:]).as_rotvec().reshape(steps + 1, n, 3) / h
-        at, a, out = at.reshape(steps + 2, -1), np.diff(v, axis=0) / h, np.empty((steps, n, 3))
+        at = quaternions(w.reshape(-1, 2)).reshape(steps + 2, -1)
+        v, out = np.empty((steps + 1, data.model.nv)), np.empty((steps, data.model.nv))
+        for k in range(steps + 1):
+            mujoco.mj_differentiatePos(data.model, v[k], h, at[k], at[k + 1])
+        a, qpos, qvel, qacc = np.diff(v, axis=0) / h, data.qpos, data.qvel, data.qacc
         for k in range(steps):
-            data.qpos[:], data.qvel[:], data.qacc[:] = at[k + 1], v[k].ravel(), a[k].ravel()
+            qpos[:], qvel[:], qacc[:] = at[k + 1], v[k], a[k]
             mujoco.mj_inverse(data.model, data)
-            out[k] = data.qfrc_inverse.reshape(n, 3)
-        out += D[:, None] * v[1:]
-        out[..., 1] -= K * w[1:-1, :, 0]
-        out[..., 2] += K * w[1:-1, :, 1]
-        return out.reshape(steps, -1)
+            out[k] = data.qfrc_inverse
+        out += np.repeat(D, 3) * v[1:]
+        out[:, 1::3] -= K * w[1:-1, :, 0]
+        out[:, 2::3] += K * w[1:-1, :, 1]
+        return out
 
 
 def _chain(mass, centre, inertia, ways) -> mujoco.MjModel:
