@@ -2,7 +2,8 @@
 
 How much of the error is explained:
 
-fully          what remains is noise, on test blocks and out of time, under the condition `Evidence.where`
+fully          what remains of test blocks, later rows and other programs is noise, under the condition
+               `Evidence.where`
 mostly         at least half of the avoidable squared error is gone
 no             less than half of it is gone
 undetermined   this recording does not decide
@@ -76,17 +77,19 @@ class Evidence:
     @property
     def is_noise(self) -> bool:
         """Whether what is left is called noise, wherever it is spoken of."""
-        return self.after is not None and self.after <= T.NOISE
+        return self.after is not None and (self.after <= T.NOISE or self.is_noise_everywhere)
 
     @property
-    def holds_elsewhere(self) -> bool:
-        """Whether what is left is noise in the later part and in other programs, each of them unseen.
+    def is_noise_everywhere(self) -> bool:
+        """Whether what is left is noise in all that no fit saw: test blocks, later rows, other programs.
 
-        Each is one draw of few independent pieces, so both together are the estimate, and the larger of them
-        stands for its upper bound.
+        Each is one draw of few independent pieces, so all together are the estimate, and the largest of them
+        and of the test blocks' upper bound stands for its upper bound.
         """
-        each = self.elsewhere
-        return not each or (float(np.sqrt(np.mean(np.square(each)))) <= T.NOISE and max(each) <= T.CLOSE)
+        if self.after is None:
+            return False
+        each, high = [self.after, *self.elsewhere], (self.interval or (0.0, self.after))[1]
+        return float(np.sqrt(np.mean(np.square(each)))) <= T.NOISE and max(high, *each) <= T.CLOSE
 
     @property
     def elsewhere(self) -> list[float]:
@@ -170,7 +173,7 @@ def explained(e: Evidence) -> Explained:
     low, high = e.interval or (e.after, e.after)
     if e.is_noise and high > T.CLOSE:
         return Explained.UNDETERMINED
-    if e.is_noise and e.holds_elsewhere and not e.unseen:
+    if e.is_noise_everywhere and not e.unseen:
         return Explained.FULLY
     if not (e.noise_known or e.is_noise) or (e.near_miss and not e.selected):
         return Explained.UNDETERMINED
