@@ -20,11 +20,13 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from pneutac_sim.errors import InputError, check_least
+from pneutac_sim.errors import InputError, check_least, refuse_given
 from pneutac_sim.files import check_writable, inside, read_json, read_yaml
 
 COLUMN = 28  # where help texts begin
 OUTPUTS = ("out", "output.root", "student.root")  # options that name a folder to be written
+# Endings that a file has and hardly a folder.
+FILES = ".csv .gif .htm .html .jpg .json .mat .md .mp4 .parquet .pdf .png .py .rrd .txt .xlsx .yaml .yml .zip"
 
 
 @dataclass(frozen=True)
@@ -140,6 +142,7 @@ def _check_outputs(config, argv: list[str]) -> None:
         if getattr(config, "names_a_file", False):
             check_writable(path.parent, f"{path.parent}, the folder of --{name}={path},")
             continue
+        check_folder(name, path)
         check_writable(path, f"--{name}={path}")
         for source, folder in paths:
             if source not in outputs and folder.is_dir() and inside(folder, path):
@@ -153,6 +156,16 @@ def _check_outputs(config, argv: list[str]) -> None:
             raise InputError(
                 f"--{name}={path} is not empty and holds no earlier run of this; give a new folder."
             )
+
+
+def check_folder(name: str, path: Path) -> None:
+    """Raises InputError where an option that takes a folder is given what is, or looks like, a file."""
+    if path.is_file():
+        raise InputError(f"--{name}={path} is a file; give a folder.")
+    if path.suffix.lower() in FILES.split() and not path.is_dir():
+        raise InputError(
+            f"--{name}={path} names a file; give a folder, in which files get names of their own."
+        )
 
 
 HELD = {"recording.json": "a recording", "twin.yaml": "a twin", "meta/info.json": "a dataset"}
@@ -189,6 +202,9 @@ def _paths(config, group: str = "") -> Iterator[tuple[str, Path]]:
 def _convert_tables(config) -> None:
     """Puts the folders of recordings where tables are given."""
     recording, later = getattr(config, "recording", None), getattr(config, "later", [])
+    tables = any(isinstance(p, Path) and not p.is_dir() for p in (recording, *later))
+    if isinstance(config, TableOptions) and not tables:
+        refuse_given(config, ("mapping",), "is of a table, and none is given as a recording")
     if all(isinstance(p, Path) and p.is_dir() for p in (recording, *later) if p is not None):
         return
     from lerobot_pneutac.cli.tables import recording_folder  # pandas, which many commands do not need

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, refuse_given
 
 HANDS = ("flip", "payload", "warm")
 GRAVITY = ("gravity_x", "gravity_y", "gravity_z")
@@ -69,6 +69,13 @@ class Hands:
 def named(text: str) -> tuple[str, ...]:
     """Names out of an option such as `flip,payload`; none of `none`."""
     return () if text == "none" else tuple(n.strip() for n in text.split(","))
+
+
+def refuse_unused(options) -> None:
+    """Raises InputError where the options of a command give a weight or a warmth that no hand brings."""
+    for hand, name in (("payload", "payload_g"), ("warm", "warm_c")):
+        if hand not in named(options.hands):
+            refuse_given(options, (name,), f"is of --hands={hand}, which is not given")
 
 
 def instructions(before: Mapping[str, float], after: Mapping[str, float]) -> list[str]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
-from pneutac_sim.errors import InputError, check_choice, check_least
+from pneutac_sim.errors import InputError, check_choice, check_least, refuse_given
 from pneutac_sim.features import CHAMBERS, FIDELITIES, task_names
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.checks import check_world
@@ -65,10 +65,14 @@ class PpoConfig:
         check_world(twin, self.student.fidelity, self.conditions)
         if self.station is not None:
             Station.load(self.station).make_arm()
+        if self.student.root is None and self.student != StudentRef():
+            raise InputError("student has options, but no folder; give --student.root, or leave them out.")
         if self.student.root is not None and Path(self.student.root).exists():
             raise InputError(f"root is '{self.student.root}', which exists; give a new folder.")
         cores = len(os.sched_getaffinity(0))
         self.batch = self.batch if self.batch is not None else self.device == "cuda"
+        if self.batch:
+            refuse_given(self, ("parallel",), "is of worlds that are not stepped in a batch")
         self.envs = self.envs if self.envs is not None else BATCH if self.batch else max(8, 2 * cores)
         self.parallel = self.parallel if self.parallel is not None else cores > 2
         check_least(1, steps=self.steps, envs=self.envs)

@@ -15,7 +15,7 @@ from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
 from pneutac_datasets.demonstrations.augment.reference import Reference, onset_sigma_m
 from pneutac_datasets.demonstrations.faults import TACTILE, Recorded
 from pneutac_datasets.recording.wording import plural
-from pneutac_sim.errors import InputError, check_choice, check_least
+from pneutac_sim.errors import InputError, check_choice, check_least, refuse_given
 from pneutac_sim.executor import ExecutorOptions
 from pneutac_sim.features import FIDELITIES, VELOCITY_NAMES, Places, task_names
 from pneutac_sim.gel.contact import without_specks
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from pneutac_sim.gel.sensor import TactileSensor
 
 METHODS = ("library", "expert", "planner", "naive")
+SCENE = ("twin", "fidelity", "conditions", "station", "planner", "attempts", "device")  # not of naive ones
 MOST_START_M, MOST_REAL = 0.1, 0.9
 MOST_ELSEWHERE = 0.05  # share of the pixels that differ from the twin's image at rest; more is noted
 FEW_ATTEMPTS, FEW_WORKED = 20, 0.15  # with demonstrations of the same finger 17 % or more do the task
@@ -98,6 +99,8 @@ class AugmentConfig(ExecutorOptions):
         for name in ("start_range", "start_width"):
             if getattr(self, name) and not anywhere:
                 raise InputError(f"{name} is of library and expert, not of {self.method}; leave it out.")
+        if self.device == "cpu":
+            refuse_given(self, ("worlds",), "is of --device=cuda")
         if not all(0 <= x <= MOST_START_M for x in self.start_range or ()):
             raise InputError(f"start_range must be three numbers of 0 to {MOST_START_M} m.")
         if not 0 <= self.start_width <= MOST_WIDE:
@@ -119,6 +122,8 @@ class AugmentConfig(ExecutorOptions):
             raise InputError("check_mpm carries demonstrations out; naive ones have no scene; leave it out.")
         if self.check_mpm and self.fidelity == "mpm":
             raise InputError("check_mpm compares with what fidelity=mpm is already; leave it out.")
+        if self.method == "naive":
+            refuse_given(self, SCENE, "is of a simulated scene, which method=naive does without")
         twin = Twin.load(self.twin) if self.twin else Twin.builtin()
         if self.method != "naive":
             check_world(twin, self.fidelity, self.conditions)

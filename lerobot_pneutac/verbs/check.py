@@ -208,15 +208,17 @@ def command(argv: list[str], terminal: Terminal) -> None:
         raise InputError(f"There is no option {wrong[0]}; the options are --twin=PATH and --station=FILE.")
     twin = Twin.load(options["--twin"]) if "--twin" in options else None
     station = Station.load(options["--station"]) if "--station" in options else None
-    faulty = False
-    for path in (a for a in argv if not a.startswith("-")):
-        found = check_path(path, twin, station)
+    faulty, checked = False, [check_path(a, twin, station) for a in argv if not a.startswith("-")]
+    for name, kinds in (("--twin", ("station", "demonstrations")), ("--station", ("demonstrations",))):
+        if name in options and not any(found.kind in kinds for found in checked):
+            raise InputError(f"{name} is of {' or '.join(kinds)}, and none is given; leave it out.")
+    for found in checked:
         faulty = faulty or bool(found.faults)
         if found.understood is not None:
             show_understood(found.understood, terminal.console)
         n = len(found.faults)
         verdict = f"[red]{n} problem{'s' * (n > 1)}[/]" if n else "[green]good[/]"
-        terminal.say(f"{escape(path)} ({found.kind}): {verdict}", markup=True)
+        terminal.say(f"{escape(str(found.path))} ({found.kind}): {verdict}", markup=True)
         for mark, sentences in (("[red]fault:[/]", found.faults), ("[yellow]note:[/]", found.notes)):
             for sentence in sentences:
                 terminal.say(f"  {mark} {escape(sentence)}", markup=True)

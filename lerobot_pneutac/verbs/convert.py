@@ -19,8 +19,13 @@ from pneutac_datasets.recording.sources.columns import Column, parse_columns
 from pneutac_datasets.recording.sources.plain import Given, Understood
 from pneutac_datasets.recording.sources.readers import BaseFrame, Source, Track, read_rosbag
 from pneutac_datasets.recording.wording import listed
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, refuse_given
 
+# Options that only some sources have a use for; see `_refuse_ignored`.
+FILM = ("marker_mm", "intrinsics", "tip_rgb", "base_rgb", "dots_mm")
+MARKERS = ("log", "offset_s", "base_offset_mm")
+ARUCO, DOTS = ("tip", "base", "base_offset_mm", "marker_mm"), ("tip_rgb", "base_rgb", "dots_mm")
+BASE, LOG = ("base", "base_x", "base_z", "base_offset_mm"), ("time", "rate_hz")
 FILMS = (".mp4", ".avi", ".mov", ".mkv")
 
 
@@ -82,10 +87,29 @@ class ConvertConfig:
             raise InputError(f"rate_hz is {self.rate_hz:g}; give the rows a second.")
 
 
+def _refuse_ignored(config: ConvertConfig, film: bool, tables: bool) -> None:
+    """Raises InputError where an option is given that such a source has no use for."""
+    if tables:
+        return refuse_given(config, (*FILM, *MARKERS), "is of markers or a film, and the source is a table")
+    refuse_given(config, ("mapping",), "is of a table, and the source is none")
+    if config.log is None:
+        refuse_given(config, LOG, "is of a table, and neither source nor --log is one")
+    if not film:
+        refuse_given(config, FILM, "is of a film, and the source is none")
+        if not config.tip:
+            refuse_given(config, BASE, "is of markers, and --tip names none")
+        return
+    refuse_given(config, ("base_x", "base_z"), "is of a body with axes, and a film has none")
+    aruco = config.marker_mm is not None
+    other = "ArUco markers (--marker_mm)" if aruco else "coloured dots"
+    refuse_given(config, DOTS if aruco else ARUCO, f"has no use beside {other}")
+
+
 def convert(config: ConvertConfig, show: Callable[[Understood], None] = lambda understood: None) -> Recording:
     """Writes the recording and reads it back with all the checks of one; InputError says what is missing."""
     film = config.source.suffix.lower() in FILMS
     read = None if film else _reader(config.source)
+    _refuse_ignored(config, film, not (film or read))
     if not (film or config.tip or read):
         return _convert_tables(config, show)
     missing = [n for n in ("out", "length_mm") if getattr(config, n) is None]
@@ -176,6 +200,7 @@ def _frame(base: Track, tip: Track, config: ConvertConfig, kpa: np.ndarray) -> B
     """The base frame, by a body's axes or, of a single marker, by how the tip moves."""
     if base.rotation is not None:
         return readers.of_body(base, config.base_x, config.base_z, np.array(config.base_offset_mm))
+    refuse_given(config, ("base_x", "base_z"), "is of a body with axes, and --base is a single marker")
     seen = np.isfinite(base.position_mm).all(1)
     if not seen.any():
         raise InputError("The base's marker is never seen; choose another --base.")
@@ -212,4 +237,5 @@ def command(config: ConvertConfig, terminal: Terminal) -> None:
     for warning in (w for w in recording.warnings if w not in shown):
         terminal.note(warning)
     terminal.say(f"{recording.folder} holds the recording.")
-    terminal.next_step(shlex.join(["pneutac", "new", "--twin=TWIN", f"--recording={recording.folder}"]))
+    new = ["pneutac", "new", "--twin=TWIN", f"--recording={recording.folder}"]
+    terminal.next_step(shlex.join([*new, *["--length_mm=LENGTH"] * (recording.length_mm is None)]))

@@ -1,7 +1,7 @@
 """The next program for the bench: what it separates, what it narrows, where it goes for the first time."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
@@ -10,7 +10,7 @@ import numpy as np
 from lerobot_pneutac.cli.options import PairOptions
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis.design import NO_HANDS, Choice, Limits, choices
-from lerobot_pneutac.diagnosis.hands import GRAVITY, Hands, instructions, named
+from lerobot_pneutac.diagnosis.hands import GRAVITY, Hands, instructions, named, refuse_unused
 from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.diagnosis.thresholds import LITTLE_GAIN
 from lerobot_pneutac.reports.figures import pressure_traces, stacked
@@ -26,7 +26,7 @@ from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.noise import noise_floor
 from pneutac_datasets.recording.pressures import usable
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, refuse_given
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.twin import Twin
 
@@ -275,13 +275,14 @@ class DesignConfig(PairOptions):
         for name in ("budget_s", "program_s", "hz", "payload_g"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise InputError(f"{name}={getattr(self, name)} must be positive.")
+        refuse_unused(self)
 
 
 def command(cfg: DesignConfig, terminal: Terminal) -> None:
     if is_dataset(cfg.recording):
         from lerobot_pneutac.verbs.design_motion import design_motion  # MuJoCo, which benches do not need
 
-        _take_no_more(cfg, "the next demonstrations have")
+        refuse_given(cfg, PROGRAM, "is of a bench's program, not of demonstrations")
         if cfg.diagnosis:
             raise InputError("diagnosis: motions are chosen by the twin alone; leave it out.")
         twin, shown = load_pair(cfg.twin, cfg.recording, "design by", cfg.task, cfg.station)
@@ -293,7 +294,7 @@ def command(cfg: DesignConfig, terminal: Terminal) -> None:
     if cfg.diagnosis is None:
         raise InputError("Give the folder that `pneutac diagnose --out=DIR` wrote, as --diagnosis=DIR.")
     if recording.device == "gel":
-        _take_no_more(cfg, "a press of a gel has", "task", "station")
+        refuse_given(cfg, PROGRAM, "is of a bench's program, not of a gel's press")
         return terminal.finish(design_press(twin, recording, cfg.diagnosis), cfg.out)
     usual = {
         c: float(recording.column(c)[0]) for c in (*GRAVITY, "payload_g", "temperature_c") if recording.has(c)
@@ -301,11 +302,3 @@ def command(cfg: DesignConfig, terminal: Terminal) -> None:
     hands = Hands.of(named(cfg.hands), usual, cfg.payload_g, cfg.warm_c)
     limits = (cfg.max_kpa, cfg.min_kpa, cfg.budget_s, cfg.program_s, cfg.hz)
     return terminal.finish(design(twin, recording, cfg.diagnosis, *limits, hands), cfg.out)
-
-
-def _take_no_more(cfg: DesignConfig, has: str, *names: str) -> None:
-    """Raises InputError where one of these options, or one of a bench's programs, is given."""
-    for option in fields(cfg):
-        changed = option.name in (*names, *PROGRAM) and getattr(cfg, option.name) != option.default
-        if changed:
-            raise InputError(f"{option.name}: {has} no such option; leave it out.")

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from rich.table import Table
 
-from lerobot_pneutac.cli.options import parse_options
+from lerobot_pneutac.cli.options import check_folder, parse_options
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.reports.page import AFTER, BEFORE, COMMAND, MEASURED, Report
 from lerobot_pneutac.verbs.export import Source
@@ -21,7 +21,7 @@ from pneutac_sim.effects.body_effect import BodyEffect
 from pneutac_sim.effects.effect import Effect, Parameter
 from pneutac_sim.effects.laws import FAMILIES, family, is_law, law, law_names
 from pneutac_sim.effects.registry import BUILTIN, all_effects, get_effect, of_sensor
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, refuse_given
 from pneutac_sim.files import write_text
 from pneutac_sim.twin import Twin, Value
 
@@ -258,13 +258,14 @@ def command(argv: list[str], terminal: Terminal) -> None:
         raise InputError(f"Name the effect: pneutac effects {action} NAME; `pneutac effects list` has all.")
     cfg = parse_options(EffectsConfig, argv[1 + len(names) :])
     if action == "list":
+        refuse_given(cfg, ("out",), "is of `show` and `export`, and `list` writes nothing")
         table = Table("name", "stage", "family", "equation")
         for row in list_effects():
             table.add_row(*row.values())
         terminal.console.print(table)
     elif action == "show":
-        if cfg.out is not None and cfg.out.is_file():
-            raise InputError(f"--out={cfg.out} is a file; give a folder.")
+        if cfg.out is not None:
+            check_folder("out", cfg.out)
         terminal.finish(show_effect(names[0]), cfg.out)
     else:
         text, out = effect_source(names[0]), cfg.out or Path(f"{file_name(names[0])}.py")

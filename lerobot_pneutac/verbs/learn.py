@@ -17,7 +17,7 @@ from lerobot_pneutac.cli.options import keywords
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis.design import NO_HANDS, Choice, Limits, choices
 from lerobot_pneutac.diagnosis.experiment import predict, read
-from lerobot_pneutac.diagnosis.hands import GRAVITY, Hands, instructions, named
+from lerobot_pneutac.diagnosis.hands import GRAVITY, Hands, instructions, named, refuse_unused
 from lerobot_pneutac.diagnosis.programs import first_program
 from lerobot_pneutac.diagnosis.result import Candidate, family_in
 from lerobot_pneutac.diagnosis.thresholds import NOISE
@@ -572,6 +572,7 @@ class LearnConfig:
 
     def __post_init__(self):
         check_bench(self.bench, self.measure)
+        refuse_unused(self)
         check_least(5, program_s=self.program_s)
         check_least(1, payload_g=self.payload_g)
 

@@ -26,7 +26,7 @@ from pneutac_datasets.recording.axes import per_chamber
 from pneutac_datasets.recording.mounts import CONDITIONS
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import plural
-from pneutac_sim.errors import InputError, check_choice
+from pneutac_sim.errors import InputError, check_choice, refuse_given
 from pneutac_sim.files import check_new, read_json, write_image
 
 TIP = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
@@ -224,6 +224,12 @@ class MeasureConfig:
 
     def __post_init__(self):
         check_choice("bench", self.bench, BENCHES)
+        if self.bench == OWN:
+            refuse_given(self, ("seed",), f"is of --bench={STANDIN}")
+        if self.chessboard is None:
+            refuse_given(self, ("corners", "square_mm"), "is of a --chessboard, which is not given")
+        if not self.program.endswith(".json"):
+            refuse_given(self, ("recording",), "is of a `result.json` program, which is not given")
         needed = ["out"] if self.bench == STANDIN else ["intrinsics"]
         if self.chessboard is None and self.bench != STANDIN:
             needed += ["camera", "out", "length_mm"]

@@ -17,7 +17,7 @@ from lerobot_pneutac.verbs.result import measured_range, range_sentence
 from pneutac_datasets.demonstrations.info import is_demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import an
-from pneutac_sim.errors import InputError, check_choice
+from pneutac_sim.errors import InputError, check_choice, refuse_given
 from pneutac_sim.files import whole
 from pneutac_sim.finger import Pipeline
 from pneutac_sim.gel.model import GelModel
@@ -176,6 +176,8 @@ def command(config: NewConfig, terminal: Terminal) -> None:
     if converted and not (recording.length_mm or config.length_mm):
         raise InputError(f"Give --length_mm: {config.recording} does not state the length of the device.")
     device = config.device or (recording.device if recording else "finger")
+    if device == "gel":
+        refuse_given(config, ("length_mm",), "is of a finger or an arm, and this is a gel")
     known_mm = recording.length_mm if recording is not None else None
     if known_mm and config.length_mm and not 0.5 <= config.length_mm / known_mm <= 2.0:
         raise InputError(

@@ -128,7 +128,7 @@ class Result:
         if command:
             page.heading("Do it again")
             page.code(command)
-        return page.write(out)
+        return page.write(Path(out) / "report.html")
 
     def __repr__(self) -> str:
         """Kind and sentence; the numbers are in `to_dict`."""

@@ -16,7 +16,7 @@ import numpy as np
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.wording import an
-from pneutac_sim.errors import InputError, check_choice, check_least
+from pneutac_sim.errors import InputError, check_choice, check_least, refuse_given
 from pneutac_sim.executor import ExecutorOptions
 from pneutac_sim.files import whole, write_text
 from pneutac_sim.progress import Progress, no_progress
@@ -215,6 +215,9 @@ def _sem(x: float | None, digits: int) -> str:
 def command(config: SurrogateConfig, terminal: Terminal) -> None:
     twin = Twin.load(config.twin)
     config.check()
+    if twin.device == "finger" and not config.to_train(twin):
+        size = ("trajectories", "seconds", "contacts", "particles")
+        refuse_given(config, size, "has no use where such networks are shipped (--fresh trains all the same)")
     if minutes := config.minutes(twin):
         about = f"about {max(1, round(minutes))} min on two cores of their own"
         terminal.say(f"Full simulations and training: {about}.")

@@ -8,6 +8,7 @@ import re
 import shlex
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import MISSING, fields
 
 import numpy as np
 
@@ -82,6 +83,18 @@ def check_least(least: float, **values: float) -> None:
     for name, value in values.items():
         if not value >= least:
             raise InputError(f"{name} is {value}; it must be {least} or more.")
+
+
+def refuse_given(options, names: Iterable[str], why: str) -> None:
+    """Raises InputError where one of these fields of a dataclass has another value than its default.
+
+    That is what an option is refused by which would else be ignored; `why` follows its name.
+    """
+    for field in fields(options):
+        made = field.default_factory
+        default = field.default if made is MISSING else made()
+        if field.name in names and getattr(options, field.name) != default:
+            raise InputError(f"{field.name} {why}; leave it out.")
 
 
 def finite_array(what: str, value, shape: tuple[int, ...], dtype: type = np.float64) -> np.ndarray:

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from pneutac_datasets.recording import pressures, reading, rules, sensors
 from pneutac_datasets.recording.gel import gel_faults
 from pneutac_datasets.recording.noise import headline, noise_floor, regress, static_columns
-from pneutac_datasets.recording.recording import Recording, time_blocks
+from pneutac_datasets.recording.recording import Recording, time_blocks, wide_gaps
 from pneutac_datasets.recording.sensors import measured_pressures, where
 from pneutac_datasets.recording.wording import Finding, collected, plural
 from pneutac_sim.errors import InputError
@@ -34,9 +34,8 @@ def clock(recording: Recording) -> Iterator[Finding]:
         dt = np.diff(time[rows])
         if len(dt) < 5:
             continue
-        usual = float(np.median(dt))
+        usual, wide = wide_gaps(time[rows])
         even &= bool((np.abs(dt - usual) < 0.2 * usual).mean() > 0.9)
-        wide = dt > max(10 * usual, 0.5)
         gaps += list(np.flatnonzero(wide) + rows.start)
 
         short = (dt > 1.5 * usual) & ~wide
@@ -45,17 +44,19 @@ def clock(recording: Recording) -> Iterator[Finding]:
     if gaps:
         at = max(gaps, key=lambda i: time[i + 1] - time[i])
         text = (
-            f"The clock has {plural(len(gaps), 'gap')} (the longest {time[at + 1] - time[at]:.1f} s, in "
+            f"The rows have {plural(len(gaps), 'gap')} (the longest {time[at + 1] - time[at]:.1f} s, in "
             f"{where(recording, at)}); what happened meanwhile is unknown to a model with memory, so start a "
             "new trial there."
         )
         yield Finding("gaps", text, ("time_s",), np.array(gaps) + 1, {"count": len(gaps)})
-    left_out = recording.meta.get("conversion", {}).get("rows_left_out", 0)  # which its notes say
-    missing -= left_out
-    if lost and even and missing > 0:
+    left_out = recording.meta.get("conversion", {}).get("rows_left_out", 0)
+    if lost and even and missing > left_out:  # else the notes of the conversion say it
+        why = "frames were dropped, or left out because the tip was not seen"
+        if left_out:
+            why = f"the conversion left out {left_out} without a tip, {missing - left_out} were not logged"
         text = (
             f"{plural(missing, 'row')} {'is' if missing == 1 else 'are'} missing from an even clock (first "
-            f"before {where(recording, lost[0])}): frames were dropped there."
+            f"before {where(recording, lost[0])}): {why}."
         )
         yield Finding("missing_rows", text, ("time_s",), np.array(lost), {"count": missing})
 

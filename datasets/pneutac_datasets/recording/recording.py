@@ -301,3 +301,21 @@ def joined(recordings: Sequence[Recording], pauses_s: Sequence[float | None]) ->
         count += len(names)
     samples = pd.concat(tables, ignore_index=True)[list(first.samples)]
     return replace(first, samples=samples, meta=first.meta | {"trials": trials}, warnings=[])
+
+
+def wide_gaps(time_s: np.ndarray) -> tuple[float, np.ndarray]:
+    """The usual step (s) of a trial's clock (n,), and whether each step (n - 1,) is a pause of it.
+
+    Shorter ones, above the usual step, are rows that are missing.
+    """
+    dt = np.diff(time_s)
+    usual = float(np.median(dt)) if len(dt) else 0.0
+    return usual, dt > max(10 * usual, 0.5)
+
+
+def count_left_out(trial: np.ndarray, time_s: np.ndarray, seen: np.ndarray) -> int:
+    """How many of the rows (n,) that a conversion leaves out, as not `seen`, will miss from an even clock."""
+    count = 0
+    for rows in (np.flatnonzero(seen & (trial == t)) for t in np.unique(trial)):
+        count += int((np.diff(rows) - 1)[~wide_gaps(time_s[rows])[1]].sum())
+    return count

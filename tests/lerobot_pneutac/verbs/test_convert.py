@@ -9,6 +9,7 @@ import pytest
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
+from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.measuring.camera import DICTIONARY, Intrinsics
 from lerobot_pneutac.verbs.convert import ConvertConfig, convert
 from pneutac_sim.errors import InputError
@@ -137,10 +138,10 @@ def test_a_pointer_of_git_lfs_is_named(tmp_path, log):
     pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n"
     for name in ("lab.csv", "run.mat", "film.mp4"):
         (tmp_path / name).write_text(pointer)
-        colours = {"tip_rgb": (220, 30, 30), "base_rgb": (40, 200, 40), "dots_mm": 20.0}
-        options = log | {"out": tmp_path / "b"}
+        film = log | {"tip_rgb": (220, 30, 30), "base_rgb": (40, 200, 40), "dots_mm": 20.0}
+        options = (film if name == "film.mp4" else {}) | {"out": tmp_path / "b"}
         with pytest.raises(InputError, match=f"{name} is a Git LFS pointer.*git lfs pull"):
-            convert(ConvertConfig(tmp_path / name, **(colours if name == "film.mp4" else {}), **options))
+            convert(ConvertConfig(tmp_path / name, **options))
 
 
 def test_a_mat_may_have_all_of_it(tmp_path):
@@ -303,7 +304,7 @@ def test_aruco_markers_in_a_film_are_found(tmp_path, log):
 
 
 def test_what_is_missing_is_one_sentence(tmp_path, log):
-    options = {k: v for k, v in log.items() if k != "log"}
+    options = {k: v for k, v in log.items() if k not in ("log", "time")}
     with pytest.raises(InputError, match="There is no file '.*none.csv'; there is log.csv"):
         ConvertConfig(tmp_path / "none.csv", **options)
     source = optitrack(tmp_path / "take.csv")
@@ -315,3 +316,14 @@ def test_what_is_missing_is_one_sentence(tmp_path, log):
     (tmp_path / "bench" / "samples.csv").touch()
     with pytest.raises(InputError, match="which exists; give a new folder"):
         ConvertConfig(source, **options)
+
+
+def test_the_next_command_has_all_that_new_needs(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    t = np.arange(0, 5, 0.1)
+    table = {"time_s": t, "pressure_cmd_kpa": pressure(t), "bend_angle_rad": 0.01 + 0.06 * pressure(t)}
+    pd.DataFrame(table).to_csv("bends.csv", index=False)
+    run_verb("convert", ["bends.csv"])
+    following = capsys.readouterr().out.strip().splitlines()[-1]
+    assert following == "Do next: pneutac new --twin=TWIN --recording=bends.recording --length_mm=LENGTH"
+    run_verb("new", following.replace("LENGTH", "90").split()[4:])

@@ -60,7 +60,7 @@ def test_models_that_predict_the_same_are_told_apart_by_none(recording, models, 
     (again,) = GelRecording.load(Recording(recording.folder, recording.meta, samples, "gel")).samples
     assert {"x_mm": again.press.x_mm, "depth_mm": again.press.depth_mm}.items() <= result["press"].items()
 
-    with pytest.raises(InputError, match="max_kpa: a press of a gel has no such option; leave it out"):
+    with pytest.raises(InputError, match="max_kpa is of a bench's program, not of a gel's press"):
         verb("design", *common, f"--diagnosis={tmp_path / 'apart'}", "--max_kpa=10")
     refused("contenders.json; give the folder", "design", *common, f"--diagnosis={tmp_path / 'nothing'}")
 

@@ -146,10 +146,42 @@ REFUSED = (
     ("new", "--twin=bench --recording=bench", "^--twin=bench lies in --recording=bench, which is read"),
     (
         "augment",
-        AUGMENT + "--method=naive --dataset.root=shown --output.root=shown/o",
+        PLANNER + "--dataset.root=shown --output.root=shown/o",
         "^--output.root=shown/o lies in --dataset.root=shown, which is read",
     ),
     ("report", "finger --rrd=finger/twin.yaml/x.rrd", "the folder of --rrd=.*, is a file; give a folder"),
+    *(
+        (verb, f"{twin} --out=o/page.html {more}", "^--out=o/page.html names a file; give a folder")
+        for verb, twin, more in (
+            ("report", "finger", ""),
+            ("compare", "--twin=finger", "--recording=bench"),
+            ("diagnose", "--twin=finger", "--recording=bench"),
+            ("learn", "--twin=finger", ""),
+            ("render", "--twin=finger", ""),
+            ("effects", "show creep", ""),
+        )
+    ),
+    ("new", "--twin=o/twin.yaml", "^--twin=o/twin.yaml names a file; give a folder"),
+    ("augment", PLANNER + "--output.root=o.csv", "^--output.root=o.csv names a file"),
+    *(
+        ("convert", f"log.csv --out=o --{option}", f"^{option.partition('=')[0]} is of markers or a film")
+        for option in ("log=log.csv", "offset_s=1", "marker_mm=12", "dots_mm=9", "base_offset_mm=1,0,0")
+    ),
+    ("convert", "film.mp4 --out=o --length_mm=90 --base_z=y", "base_z is of a body with axes"),
+    ("convert", "film.mp4 --out=o --length_mm=90 --time=t", "time is of a table, and neither source nor"),
+    ("convert", "film.mp4 --out=o --length_mm=90 --mapping=m", "mapping is of a table"),
+    ("convert", "film.mp4 --out=o --length_mm=90 --log=log.csv --marker_mm=9 --dots_mm=9", "dots_mm has"),
+    ("compare", "--twin=finger --recording=bench --mapping=m.yaml", "^mapping is of a table, and none"),
+    ("design", "--twin=finger --recording=bench --payload_g=9", "payload_g is of --hands=payload"),
+    ("learn", "--twin=finger --out=o --hands=flip --warm_c=40", "warm_c is of --hands=warm"),
+    ("measure", "--bench=standin --out=o --square_mm=9", "square_mm is of a --chessboard"),
+    ("measure", "--bench=standin --out=o --recording=bench", "recording is of a `result.json` program"),
+    ("augment", AUGMENT + "--method=naive", "(fidelity|planner) is of a simulated scene"),
+    ("augment", PLANNER + "--worlds=9", "worlds is of --device=cuda"),
+    ("ppo", "--out=o --student.episodes=9", "student has options, but no folder"),
+    ("effects", "list --out=o", "^out is of `show` and `export`"),
+    ("check", "bench --twin=finger", "^--twin is of station or demonstrations"),
+    ("new", "--twin=o --device=gel --length_mm=50", "length_mm is of a finger or an arm"),
     ("report", "gel --rrd=x.txt", "must end in .rrd"),
     ("report", "gel --recording=x", "goes with --rrd"),
     ("report", "gel --rrd=x.rrd", "--rrd takes a finger or an arm"),
@@ -168,6 +200,8 @@ def lab(tmp_path_factory):
     text = (folder / "short" / "twin.yaml").read_text().replace("length_mm: 95.0", "length_mm: 1.0e+30")
     (folder / "endless").mkdir()
     (folder / "other").mkdir()
+    (folder / "film.mp4").touch()
+    (folder / "log.csv").write_text("t,pressure_cmd_kpa\n0,1\n")
     (folder / "other" / "notes.txt").write_text("mine")
     (folder / "endless" / "twin.yaml").write_text(text)
     shutil.copytree(GOLDEN / "finger_creep", folder / "bench")

@@ -376,7 +376,17 @@ def test_what_is_not_recognised_is_retained_and_what_is_empty_said(tmp_path):
     )
     stored = found.write(tmp_path / "lab.recording")
     assert set(found.notes) <= set(stored.warnings)
-    assert "frames were dropped" not in " ".join(check(stored)[1])
+    assert "missing from" not in " ".join(check(stored)[1])
+
+
+def test_rows_left_out_at_an_end_hide_none_that_was_not_logged(tmp_path):
+    table = TRUTH.copy()
+    table.loc[0:3, "tip_z_mm"] = np.nan  # before the first pose: no gap
+    table.loc[60, "tip_z_mm"] = np.nan
+    table.drop(index=[40, 50]).to_csv(tmp_path / "lab.csv", index=False)
+    stored = understood(tmp_path / "lab.csv").write(tmp_path / "lab.recording")
+    assert "3 rows are missing" in (found := " ".join(check(stored)[1]))
+    assert "the conversion left out 1 without a tip, 2 were not logged" in found
 
 
 def test_faults_name_the_table_its_line_and_its_column(tmp_path):

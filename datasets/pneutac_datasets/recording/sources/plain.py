@@ -15,7 +15,7 @@ import pandas as pd
 import yaml
 
 from pneutac_datasets.recording import reading, rules
-from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.recording import Recording, count_left_out
 from pneutac_datasets.recording.sources import readers
 from pneutac_datasets.recording.sources.columns import LEAVE_OUT, Column, parse_columns, read_name, understand
 from pneutac_datasets.recording.sources.readers import axes_of
@@ -342,7 +342,7 @@ class Understood:
         return np.cumsum(back | other_file) - 1
 
     def _seen(self, table: pd.DataFrame) -> tuple[pd.DataFrame, int]:
-        """The rows in which all of the pose was measured, and how many others there are."""
+        """The rows in which all of the pose was measured, and how many are now missing between them."""
         pose = [c for c in table if re.fullmatch(r"tip_[xyz]_mm|bend_angle_rad|q_\d+_rad", c)]
         seen = table[pose].notna().all(axis=1).to_numpy()
         lost = int((~seen).sum())
@@ -350,7 +350,9 @@ class Understood:
             return table, 0
         self.notes.append(f"{self._source}: {plural(lost, 'row')} without {' or '.join(pose)} left out.")
         self._of_file, self._line = self._of_file[seen], self._line[seen]
-        return table[seen].reset_index(drop=True), lost
+        time_s = pd.to_numeric(table["time_s"], errors="coerce").to_numpy(float)
+        missing = count_left_out(table["trial"].to_numpy(), time_s, seen)
+        return table[seen].reset_index(drop=True), missing
 
     def _fill(self, table: pd.DataFrame) -> None:
         """Fills gaps of conditions with the trial's last value; what drives or times the device has none."""

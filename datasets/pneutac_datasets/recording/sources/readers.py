@@ -13,10 +13,10 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from pneutac_datasets.recording.reading import MAX_CELLS
-from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.recording import Recording, count_left_out
 from pneutac_datasets.recording.sources.columns import read_name
 from pneutac_datasets.recording.text_table import MAX_CSV_BYTES, MAX_ROWS, TextTable
-from pneutac_datasets.recording.wording import cut, listed
+from pneutac_datasets.recording.wording import cut, listed, plural
 from pneutac_sim.errors import InputError, shown
 from pneutac_sim.files import refuse_pointer
 
@@ -194,7 +194,8 @@ def joined(tip: Track, frame: BaseFrame, log: Source, columns: dict[str, str], l
     log.need(columns)
     begin = max(log.columns[n][0][0] for n in columns)
     end = min(log.columns[n][0][-1] for n in columns)
-    seen = np.isfinite(tip.position_mm).all(1) & (tip.time_s >= begin) & (tip.time_s <= end)
+    ran = (tip.time_s >= begin) & (tip.time_s <= end)
+    seen = np.isfinite(tip.position_mm).all(1) & ran
     if seen.sum() < LEAST_ROWS:
         raise InputError(
             f"The tip is seen in {seen.sum()} frames while {log.file} runs ({begin:.4g} to {end:.4g} s on the"
@@ -206,10 +207,14 @@ def joined(tip: Track, frame: BaseFrame, log: Source, columns: dict[str, str], l
     place = frame.of(tip.position_mm[seen])
     table |= {f"tip_{a}_mm": place[:, i] for i, a in enumerate("xyz")}
     recording = Recording(Path(), {"length_mm": length_mm}, pd.DataFrame(table), "finger")
-    ran = {"the markers": tip.time_s[-1] - tip.time_s[0], f"{log.file}": end - begin}
+    if lost := int((ran & ~seen).sum()):
+        note = f"{plural(lost, 'frame')} in which the tip was not seen left out."
+        missing = count_left_out(np.zeros(int(ran.sum())), tip.time_s[ran], seen[ran])
+        recording.meta["conversion"] = {"notes": [note], "rows_left_out": missing}
+    lasted_s = {"the markers": tip.time_s[-1] - tip.time_s[0], f"{log.file}": end - begin}
     used = at[-1] - at[0]
-    if used < LEAST_SHARE * max(ran.values()):
-        lasted = " and ".join(f"{name} {seconds:.3g} s" for name, seconds in ran.items())
+    if used < LEAST_SHARE * max(lasted_s.values()):
+        lasted = " and ".join(f"{name} {seconds:.3g} s" for name, seconds in lasted_s.items())
         recording.warnings.append(
             f"{used:.3g} s are used, in which both ran: {lasted}. If that is too little, give --offset_s, or"
             " export a film at the rate at which it was taken."
