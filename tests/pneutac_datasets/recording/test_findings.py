@@ -252,10 +252,10 @@ def test_rows_that_an_even_clock_lacks_are_counted(clean):
     keep[[500, 900, 901, 1500]] = False
     f = only(clean.keep(keep))
     assert (f.kind, f.numbers["count"]) == ("missing_rows", 4) and list(f.rows) == [500, 899, 1497]
-    assert "dropped, or left out because the tip was not seen" in f.text
+    assert "dropped, or left out because the tip was not seen" in f.sentence
     r = clean.keep(keep)
     r.meta["conversion"] = {"rows_left_out": 3}
-    assert "the conversion left out 3 without a tip, 1 were not logged" in only(r).text
+    assert "the conversion left out 3 without a tip, 1 were not logged" in only(r).sentence
     uneven = copy(clean)
     uneven.samples["time_s"] += np.random.default_rng(0).uniform(-0.012, 0.012, len(clean))
     assert findings(uneven.keep(keep)) == []
