@@ -43,14 +43,14 @@ def recording_folder(
     if known is None or yes:
         show_understood(understood, console)
     if known is None and not yes:
-        _confirm(path)
+        confirm(path)
     understood.write(folder)
     how = f", by {known}" if known else ""
     console.print(f"Stored in {folder}{how}.", highlight=False, soft_wrap=True, markup=False)
     return folder
 
 
-def _confirm(path: Path) -> None:
+def confirm(path: Path) -> None:
     """Asks whether the table that was shown is right; InputError where it is not, or nobody is there."""
     change = f"`pneutac convert {shlex.quote(str(path))} --columns='NAME: COLUMN [UNIT]'` changes it"
     if not sys.stdin.isatty():
@@ -73,7 +73,7 @@ def show_understood(understood: plain.Understood, console: Console) -> None:
     if understood.length_mm is not None:
         where = "" if understood.given.length_mm else ", where the tip rests (--length_mm)"
         console.print(f"  length {understood.length_mm:g} mm{where}", highlight=False)
-    for note in understood.notes:
+    for note in filter(None, (understood.guessed, *understood.notes)):
         console.print(f"[yellow]note:[/] {escape(printable(note))}", highlight=False, soft_wrap=True)
 
 

@@ -11,6 +11,7 @@ from pneutac_datasets.demonstrations.info import is_demonstrations
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations, is_dataset, load_demonstrations
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.units import unit_faults
 from pneutac_datasets.recording.wording import an, listed, plural
 from pneutac_sim.errors import InputError, option
 from pneutac_sim.features import CHAMBERS
@@ -21,7 +22,7 @@ from pneutac_sim.twin import Twin, no_twin
 # kappa w E / p of a bent body of width w: about 1.5 for a solid bar with a hole in it (A h w / I), 8 for the
 # paper's finger, 2 to 14 for rods of 15 to 90 kPa. What is softer than the twin's modulus has more.
 USUAL = 6.0
-UNITS = (("psi", 6.895), ("bar", 100.0))  # kPa in one
+UNITS = (("psi", 6.895), ("bar", 100.0), ("mbar", 0.1), ("Pa", 0.001))  # kPa in one
 
 
 def pressure_unit_doubts(twin: Twin) -> list[str]:
@@ -46,7 +47,7 @@ def pressure_unit_doubts(twin: Twin) -> list[str]:
 
 
 def unlike_the_twin(twin: Twin, recording: Recording) -> list[str]:
-    """A note where a calibrated twin would roll itself up at a recording's pressures, or hardly move."""
+    """A note where a calibrated twin would roll up at a recording's pressures, or bends far otherwise."""
     gain = twin.parameters.get("gain_rad_per_kpa")
     if gain is None or gain.ci95 is None:
         return []
@@ -59,10 +60,11 @@ def unlike_the_twin(twin: Twin, recording: Recording) -> list[str]:
             "more than once around; if it is not in kPa, convert it (pascal: divide by 1000)."
         ]
     times = _bend(recording, twin.length_mm) / max(turn * len(twin.spine_joint_positions_mm), 1e-9)
-    if not times > T.PSI_TIMES:
+    if 1 / T.PSI_TIMES <= times <= T.PSI_TIMES or not times:
         return []
+    far = f"{times:.0f} times as far" if times > 1 else f"only {times:.1g} times as far"
     return [
-        f"At up to {top[name]:.3g} kPa in '{name}' the {twin.device} bends {times:.0f} times as far as the"
+        f"At up to {top[name]:.3g} kPa in '{name}' the {twin.device} bends {far} as the"
         f" calibrated twin: {_asked(times)}; else calibrate the twin to it."
     ]
 
@@ -142,25 +144,26 @@ def same_chambers(twin: Twin, driven: int) -> None:
 
 
 def same_body[R: Recording | Demonstrations](twin: Twin, recording: R, verb: str) -> R:
-    """The recording, with a note where one is due; raises InputError where the two do not fit together."""
+    """The recording with the twin's length where it states none, and with a note where one is due.
+
+    Raises InputError where the two do not fit together.
+    """
     same_device(twin, recording, "the twin", verb)
-    check_length(twin, recording)
     if isinstance(recording, Demonstrations) or recording.device == "gel":
         return recording
-    return with_unit_note(twin, recording)
-
-
-def check_length(twin: Twin, recording: Recording | Demonstrations) -> None:
-    """Raises InputError where the recording's finger or arm is of another length than the twin's."""
-    if isinstance(recording, Demonstrations) or recording.device == "gel":
-        return
     length_mm = None if recording.meta.get("length_proposed") else recording.length_mm
-    if length_mm is not None and not same_length(length_mm, twin):
+    if length_mm is None:  # of the twin's finger the tip tells its unit, and the checks its frame
+        meta = {k: v for k, v in recording.meta.items() if k != "length_proposed"}
+        recording = replace(recording, meta=meta | {"length_mm": twin.length_mm})
+        for fault in unit_faults(recording.samples, recording.meta, Path(recording.folder)):
+            raise InputError(fault)
+    elif not same_length(length_mm, twin):
         raise InputError(
             f"{recording.folder}/recording.json: length_mm is {recording.length_mm:g}, the twin's is "
             f"{twin.length_mm:g}; make the twin with "
             f"`pneutac new --twin=DIR {option('recording', recording.folder)}`."
         )
+    return with_unit_note(twin, recording)
 
 
 def same_length(length_mm: float, twin: Twin) -> bool:

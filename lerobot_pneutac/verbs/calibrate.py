@@ -13,7 +13,7 @@ import numpy as np
 
 from lerobot_pneutac.cli.options import PairOptions, keywords
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.study.pair import check_length, no_demonstrations
+from lerobot_pneutac.study.pair import no_demonstrations, same_body
 from lerobot_pneutac.verbs.result import Calibration, measured_range
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations, is_dataset, load_demonstrations
 from pneutac_datasets.recording.recording import Recording
@@ -108,7 +108,7 @@ def calibrate(
         if isinstance(effects, str):
             effects = [e.strip() for e in effects.split(",") if e != "none"]
         return calibrate_gel(twin, recording, effects, through == "mpm", image_size, progress)
-    check_length(twin, recording)
+    recording = same_body(twin, recording, "calibrate")
     if method == "images":
         from lerobot_pneutac.verbs.fit_photographs import calibrate_photographs
 

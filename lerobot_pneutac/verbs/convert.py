@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from lerobot_pneutac.cli.tables import show_understood
+from lerobot_pneutac.cli.tables import confirm, show_understood
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.measuring.camera import Intrinsics, MarkerTracker, track_aruco, track_dots
 from pneutac_datasets.recording import rules
@@ -48,6 +48,7 @@ class ConvertConfig:
     # what columns of a table or log are, where their names do not say it: `p: pressure_cmd_kpa [bar], u:
     # pressure_kpa * 20 - 10, note: -`; `-` leaves one out
     columns: str = ""
+    yes: bool = False  # take the units of the pose that are guessed by size, without asking
     mapping: Path | None = None  # `mapping.yaml` of an earlier conversion, which is repeated
     time: str = ""  # name of the times in a table or .mat, where it does not say so
     rate_hz: float | None = None  # rows or frames a second of a table without times
@@ -229,6 +230,8 @@ def command(config: ConvertConfig, terminal: Terminal) -> None:
     def show(understood: Understood) -> None:
         tables.append(understood)
         show_understood(understood, terminal.console)
+        if understood.guessed and not config.yes:
+            confirm(config.source)
 
     recording = convert(config, show)
     if not tables:

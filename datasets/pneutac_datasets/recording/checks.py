@@ -311,12 +311,19 @@ def misplaced_tip(recording: Recording) -> Iterator[Finding]:
     best = min(scales, key=lambda s: _off_path(s * x, s * aside))
     remedy = f"it fits a device of {length / best:.3g} mm; correct length_mm, or the scale of the tip"
     readings.append((2 * _off_path(best * x, best * aside), remedy, best))
+    driven = np.abs(_drive(recording)).max(1)
+    rest = np.median(recording.samples[names].to_numpy(float)[driven <= np.quantile(driven, 0.1)], axis=0)
+    away, origin = float(np.linalg.norm(rest)), rest / length - np.eye(len(names))[0]
+    if np.linalg.norm(origin) > 1 - 1 / OTHER_LENGTH:  # a finger bent at rest is not straight on x either
+        shifted = tip - origin
+        place = ", ".join(f"{v:.3g}" for v in length * origin)
+        remedy = (
+            f"its base is at ({place}) mm of the recording's frame; subtract that from {' and '.join(names)}"
+        )
+        readings.append((2 * _off_path(shifted[:, 0], np.linalg.norm(shifted[:, 1:], axis=1)), remedy, 1))
     off, remedy, kind = min(readings, key=lambda r: r[0])
     if off > MUCH_NEARER * now:
         return
-    rest = np.abs(_drive(recording)).max(1)
-    rest = recording.samples[names].to_numpy(float)[rest <= np.quantile(rest, 0.1)]
-    away = float(np.linalg.norm(np.median(rest, axis=0)))
     text = (
         f"At the lowest pressures the tip is {away:.3g} mm from the base of a {recording.device} of "
         f"{length:g} mm, and its path does not fit such a device: {remedy}."

@@ -24,7 +24,7 @@ from functools import cache, partial
 import numpy as np
 from numba import njit
 
-from pneutac_sim.effects import air_resonance, hysteresis
+from pneutac_sim.effects import air_resonance, gain_saturation, hysteresis, stiffening
 from pneutac_sim.effects.air_resonance import second_order
 from pneutac_sim.effects.body_effect import BodyEffect, kernel
 from pneutac_sim.effects.effect import Parameter
@@ -900,6 +900,7 @@ STATIC = 0.1  # of how far a curve bends off a line: with a smaller residual, a 
 SWINGS = 0.05  # of a step: less overshoot, as from a damping ratio of 0.7 on, is no oscillation
 
 _NAMED = {e.name: e for e in (air_resonance.EFFECT, hysteresis.EFFECT)}  # named by what they do, as laws are
+_STATIC = {e.name: e for e in (gain_saturation.EFFECT, stiffening.EFFECT)}
 _CURVES = ("stiffening", "gain_saturation")  # families of static curves
 _LOOPS = ("hysteresis", "snap")  # families of what depends on the direction, at any pace
 _LATE = ("creep", "valve_lag", "ringing", "air_resonance", "leak")  # and of what goes on after a step
@@ -927,9 +928,7 @@ class Response:
 @cache
 def _response(name: str, values: tuple[tuple[str, float], ...], range_kpa: float) -> Response:
     """Runs an effect on slow strokes and on a step."""
-    effect = (
-        law(name) if is_law(name) else {e.name: e for e in (air_resonance.EFFECT, hysteresis.EFFECT)}[name]
-    )
+    effect = law(name) if is_law(name) else (_NAMED | _STATIC)[name]
 
     def added(share: np.ndarray, dt: np.ndarray) -> np.ndarray:
         """What it adds to the pressure, (n,)."""

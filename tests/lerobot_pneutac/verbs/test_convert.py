@@ -10,8 +10,10 @@ from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 from lerobot_pneutac.cli import run_verb
+from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.measuring.camera import DICTIONARY, Intrinsics
-from lerobot_pneutac.verbs.convert import ConvertConfig, convert
+from lerobot_pneutac.verbs.convert import ConvertConfig, command, convert
+from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 
 LENGTH, OFFSET_S = 100.0, 0.5  # mm; the markers' clock shows it when the log begins
@@ -327,3 +329,19 @@ def test_the_next_command_has_all_that_new_needs(tmp_path, monkeypatch, capsys):
     following = capsys.readouterr().out.strip().splitlines()[-1]
     assert following == "Do next: pneutac new --twin=TWIN --recording=bends.recording --length_mm=LENGTH"
     run_verb("new", following.replace("LENGTH", "90").split()[4:])
+
+
+def test_a_unit_that_is_guessed_is_stored_only_where_it_is_confirmed(tmp_path, capsys):
+    bend = np.abs(np.sin(np.arange(400) / 40)) + 1e-6
+    table = {"run": 0, "t_s": np.arange(400) / 10, "p_set_kpa": 40 * bend}
+    table |= {"x": 10 * np.sin(bend) / bend, "z": 10 * (1 - np.cos(bend)) / bend}
+    pd.DataFrame(table).to_csv(tmp_path / "lab.csv", index=False)
+    given = {"source": tmp_path / "lab.csv", "length_mm": 100.0}
+    with pytest.raises(InputError, match="Add --yes"):
+        command(ConvertConfig(**given), Terminal("convert", []))
+    assert "No unit is written for 'x' and 'z'" in " ".join(capsys.readouterr().out.split())
+    assert not (tmp_path / "lab.recording").exists()
+    command(ConvertConfig(**given, yes=True), Terminal("convert", []))
+    np.testing.assert_allclose(
+        Recording.load(tmp_path / "lab.recording").column("tip_z_mm"), 10 * table["z"], atol=1e-4
+    )

@@ -460,3 +460,19 @@ def test_spoilt_bytes_end_in_a_recording_or_one_sentence(tmp_path, seed):
                 assert len(found.write(tmp_path / "out.recording"))
         except InputError as e:
             assert "\n" not in str(e)
+
+
+@pytest.mark.parametrize(("mm", "unit"), [(10.0, "cm"), (1000.0, "m"), (25.4, "in"), (1.0, "mm")])
+def test_all_columns_of_a_tip_are_guessed_to_be_in_one_unit_and_that_is_said(mm, unit, tmp_path):
+    """A finger of 100 mm that bends by up to 1 rad: its z alone would fit 100 mm in another unit."""
+    bend = 1.0 * np.abs(np.sin(np.arange(400) / 40)) + 1e-6
+    x, z = 100 * np.sin(bend) / bend / mm, 100 * (1 - np.cos(bend)) / bend / mm
+    table = {"run": 0, "t_s": np.arange(400) / 10, "p_set_kpa": 40 * bend, "x": x, "z": z}
+    pd.DataFrame(table).to_csv(tmp_path / "lab.csv", index=False)
+    found = plain.Understood([tmp_path / "lab.csv"], Given(length_mm=100.0))
+    assert [str(c.unit) for c in found.columns if c.column.startswith("tip_")] == [unit, unit]
+    assert f"No unit is written for 'x' and 'z'; by the size of the numbers {unit} was taken" in found.guessed
+    given = {"x": f"tip_x_mm [{unit}]"}
+    found = plain.Understood([tmp_path / "lab.csv"], Given(given))
+    assert [str(c.unit) for c in found.columns if c.column.startswith("tip_")] == [unit, unit]
+    assert not found.guessed

@@ -7,11 +7,13 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.signal import lfilter, lsim
 
+from lerobot_pneutac.diagnosis.result import family_in
 from pneutac_sim.effects import get_effect, in_order
 from pneutac_sim.effects.laws import (
     REFERENCE_C,
     TABLE,
     TIMES_S,
+    curvature,
     family,
     is_law,
     law,
@@ -526,3 +528,17 @@ def test_nothing_that_came_with_a_twin_is_executed(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="not valid YAML"):
         Twin.load(folder)
     assert not (tmp_path / "executed").exists()
+
+
+def test_a_named_curve_bends_as_its_equation_does_next_to_a_law_that_states_the_range():
+    """p (1 + a p) has the second difference P a / 2 over half the range."""
+    values = {"linear_1_per_kpa": -0.004, "quadratic_1_per_kpa2": 0.0}
+    assert curvature("stiffening", values, 60.0) == pytest.approx(-0.004 * 60 / 2)
+    s = 30.0
+    bent = s * (math.tanh(60 / s) - 2 * math.tanh(30 / s)) / 60
+    assert curvature("gain_saturation", {"saturation_pressure_kpa": s}, 60.0) == pytest.approx(bent)
+    twin = Twin("finger", 100.0, [50.0])
+    twin.effects["stiffening"] = {k: Value(v) for k, v in values.items()}
+    law = {"weight": 0.1, "scale_kpa": 60.0, "time_s": 5.0}
+    twin.effects["lag(p)"] = {k: Value(v) for k, v in law.items()}
+    assert family_in(twin, "stiffening") == "gain_saturation"

@@ -1,7 +1,7 @@
 """What the columns of a lab's table are: by their names, in English and German, their units and numbers."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from shlex import quote
 
@@ -10,7 +10,7 @@ import pandas as pd
 
 from pneutac_datasets.recording.rules import LABELS, pressure_commands
 from pneutac_datasets.recording.units import BASE_UNIT, UNITS, Unit, base_unit, unit_named
-from pneutac_datasets.recording.wording import listed
+from pneutac_datasets.recording.wording import joined, listed
 from pneutac_sim.errors import InputError, shown
 
 WORDS = {
@@ -45,6 +45,8 @@ OWN = re.compile(
 UNIT_BEHIND = r"(.+?)\s*/\s*(\S+)", r"(.+?)\s+in\s+(\S+)", r"(.+)[\s_.:,;-]+([^\s_]+)", r"(.+?)_(1_per_m)"
 LEAVE_OUT = "-"  # instead of a column's name
 AMBIENT_KPA = 101.325
+POSES = "length", "angle"  # dimensions of what one tracker writes, in one unit
+NO_CM = 30.0  # from there on a tip is not in cm: soft fingers are 40 to 250 mm long
 NEAR_AMBIENT_KPA = 85.0, 110.0  # of the air, from 1,500 m above the sea
 PARTS = re.compile(
     r"(?P<column>[^\[*]*?)\s*(\[(?P<unit>[^\]]*)\])?\s*(\*\s*(?P<factor>[-+\d.eE]+))?\s*"
@@ -169,6 +171,19 @@ def parse_columns(text: str | dict[str, str]) -> dict[str, str]:
         if part:
             found[name.strip().strip("\"'")] = column.strip().strip("\"'")
     return found
+
+
+def guesses(columns: Sequence[Column]) -> str:
+    """One sentence on the units of the pose that are guessed and not written; empty where all are written."""
+    guessed = [c for c in columns if c.guess == "by size" and dimension_of(c.column) in POSES]
+    if not guessed:
+        return ""
+    units = joined(dict.fromkeys(str(c.unit) for c in guessed))
+    answer = ", ".join(f"{c.name}: {c.column} [UNIT]" for c in guessed)
+    return (
+        f"No unit is written for {joined(shown(c.name) for c in guessed)}; by the size of the numbers {units}"
+        f" was taken: confirm it, or give it by --columns='{answer}'."
+    )
 
 
 # ---------------------------------------------------------------- names
@@ -346,23 +361,30 @@ class _Table:
     def find_units(self) -> None:
         """Units that are not written, by those of the others or by the size of the numbers."""
         for i, column in enumerate(self.columns):
+            dimension = dimension_of(column.column)
+            if column.name in self.given and not (column.unit or column.retained) and dimension:
+                # its name says the unit; a pressure with a factor is stated in full
+                unit = "" if dimension == "pressure" and column.factor != 1 else BASE_UNIT.get(dimension, "")
+                numbers = self.frame[column.name].dtype.kind in "fiu"  # else times of day
+                self.columns[i] = replace(column, unit=unit_named(unit, dimension) if numbers else None)
+        for i, column in enumerate(self.columns):
             target, name, dimension = column.column, column.name, dimension_of(column.column)
             if column.guess == "voltage":
                 what = f"{shown(name)} is no pressure but a signal; give kPa for each of its units"
                 self.questions.append((what, f"{name}: {target} * KPA_PER_UNIT + KPA_AT_ZERO"))
                 continue
-            if column.unit is not None or column.retained or target == LEAVE_OUT or not dimension:
+            done = column.unit is not None or name in self.given
+            if done or column.retained or target == LEAVE_OUT or not dimension:
                 continue
             if self.frame[name].dtype.kind not in "fiu":
                 continue  # times of day, or what the rules refuse
-            if name in self.given:  # its name says the unit; a pressure with a factor is stated in full
-                unit = "" if dimension == "pressure" and column.factor != 1 else BASE_UNIT.get(dimension, "")
-                self.columns[i] = replace(column, unit=unit_named(unit, dimension))
-                continue
-            kin = [c for c in self.columns if c.column[:4] == target[:4] and c.unit and not c.guess]
-            written = {str(c.unit): c.unit for c in kin if dimension_of(c.column) == dimension == "length"}
-            if len(written) == 1:
-                self.columns[i] = replace(column, unit=next(iter(written.values())), guess="as the others")
+            kin = [c.unit for c in self._same_quantity(dimension) if c.unit and not c.guess]
+            if kin and dimension in POSES:
+                if len({unit.scale for unit in kin}) == 1:
+                    self.columns[i] = replace(column, unit=kin[0], guess="as the others")
+                    continue
+                what = f"{shown(name)} has no unit and the others have several"
+                self.questions.append((what, f"{name}: {target} [{'|'.join(map(str, kin))}]"))
                 continue
             unit = self._by_size(column)
             if isinstance(unit, tuple):
@@ -380,8 +402,9 @@ class _Table:
         if dimension == "pressure":
             extent = f"{numbers.min():.4g} to {numbers.max():.4g}" if len(numbers) else "empty"
             return extent, "kPa", "bar", "psi"
+        kin = self._same_quantity(dimension)  # all of a table have one unit, also those without their own
         if dimension == "length":  # by how far the tip is from the base
-            tips = [c.name for c in self.columns if re.fullmatch(r"tip_[xyz]_mm", c.column) and not c.unit]
+            tips = [c.name for c in kin if c.column.startswith("tip_")]
             places = self.frame[tips].apply(pd.to_numeric, errors="coerce").to_numpy(float)
             reach = float(np.nanmax(np.linalg.norm(places, axis=1))) if len(places) else 0.0
             if self.length_mm:
@@ -389,10 +412,12 @@ class _Table:
                 good = [u for u, mm in factors.items() if 0.7 < reach * mm / self.length_mm < 1.4]
                 if len(good) == 1:
                     return good[0]
-            if 0.01 <= reach < 1 or reach >= 20:
+            if 0.01 <= reach < 1 or reach >= NO_CM:
                 return "m" if reach < 1 else "mm"
             return f"{reach:.3g} from the origin", "mm", "cm", "m", "in"
         if dimension == "angle":
+            turns = self.frame[[c.name for c in kin]].apply(pd.to_numeric, errors="coerce").to_numpy(float)
+            top = float(np.nanmax(np.abs(turns), initial=0.0))
             return "deg" if top > 7 else (f"up to {top:.3g}", "rad", "deg")
         if dimension == "temperature":
             middle = float(np.median(numbers)) if len(numbers) else 20.0
@@ -415,6 +440,10 @@ class _Table:
         steps = np.diff(numbers)
         step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
         return "s" if step < 1 else (f"in steps of {step:.3g}", "s", "ms")
+
+    def _same_quantity(self, dimension: str) -> list[Column]:
+        """The recording's own columns of a dimension."""
+        return [c for c in self.columns if not c.retained and dimension_of(c.column) == dimension]
 
     def take_ambient_off(self) -> None:
         """Turns absolute pressures into those above the surroundings; asks where one seems to be absolute."""

@@ -17,7 +17,14 @@ import yaml
 from pneutac_datasets.recording import reading, rules
 from pneutac_datasets.recording.recording import Recording, count_left_out
 from pneutac_datasets.recording.sources import readers
-from pneutac_datasets.recording.sources.columns import LEAVE_OUT, Column, parse_columns, read_name, understand
+from pneutac_datasets.recording.sources.columns import (
+    LEAVE_OUT,
+    Column,
+    guesses,
+    parse_columns,
+    read_name,
+    understand,
+)
 from pneutac_datasets.recording.sources.readers import axes_of
 from pneutac_datasets.recording.text_table import TextTable, read_text
 from pneutac_datasets.recording.wording import SourceFile, listed, plural
@@ -180,6 +187,7 @@ class Understood:
         style: delimiter and decimal mark.
         notes: a sentence for each thing that was left out, filled in or looks wrong.
         length_mm: of the straight finger; proposed where `given` has none.
+        guessed: a sentence on units of the pose that nobody wrote; empty where all are written.
         faults: what the rules of a recording refuse, by the names of the tables.
     """
 
@@ -191,6 +199,7 @@ class Understood:
         frame = self._one_frame()
         units = {k: v for t in self._read for k, v in t.units.items()}
         self.columns = understand(frame, units, given.columns, self._source, given.length_mm, log)
+        self.guessed = guesses(self.columns)
         self._clock = next((c for c in self.columns if c.column == "time_s"), None)
         table = self._converted(frame)
         table, left_out = self._seen(table)
