@@ -63,7 +63,7 @@ def page(pictures: dict) -> str:
 def _sentence(effect) -> str:
     values = {p.name: p.limits(15.0)[0] for p in effect.parameters}
     device = "gel" if of_sensor([effect.name]) else "finger"
-    return f"*{effect.describe(values, device)}*"
+    return f"*{effect.describe_any(values, device)}*"
 
 
 def _equation(effect) -> list[str]:

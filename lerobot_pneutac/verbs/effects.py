@@ -18,8 +18,8 @@ from lerobot_pneutac.reports.page import AFTER, BEFORE, COMMAND, MEASURED, Repor
 from lerobot_pneutac.verbs.export import Source
 from lerobot_pneutac.verbs.result import Result
 from pneutac_sim.effects.body_effect import BodyEffect
-from pneutac_sim.effects.effect import Effect, Parameter
-from pneutac_sim.effects.laws import FAMILIES, family, is_law, law, law_names
+from pneutac_sim.effects.effect import Effect, Parameter, plain_equation
+from pneutac_sim.effects.laws import FAMILIES, family, is_law, law, law_names, terms_of
 from pneutac_sim.effects.registry import BUILTIN, all_effects, get_effect, of_sensor
 from pneutac_sim.errors import InputError, refuse_given
 from pneutac_sim.files import write_text
@@ -45,7 +45,7 @@ class ShownEffect(Result):
     @property
     def sentence(self) -> str:
         values = {p.name: p.limits(TOP_KPA)[0] for p in self.effect.parameters}
-        return self.effect.describe(values, "gel" if of_sensor([self.effect.name]) else "finger")
+        return self.effect.describe_any(values, "gel" if of_sensor([self.effect.name]) else "finger")
 
     def rows(self) -> list[dict]:
         return units(self.effect)
@@ -53,6 +53,7 @@ class ShownEffect(Result):
     def remarks(self) -> list[str]:
         e = self.effect
         out = [f"equation: {plain_equation(e.equation)}", f"LaTeX: {e.equation}"] if e.equation else []
+        out += [f"where {line}" for line in terms_of(e.equation)] if is_law(e.name) else []
         out += [f"family: {family(e.name)}"] if is_law(e.name) else []
         columns = getattr(e, "columns", ())
         out += [f"needs on record: {', '.join(columns)}"] if columns else []
@@ -129,31 +130,6 @@ def _figure(name: str):
     ):
         figure.add_scatter(x=t, y=np.round(y, 4), name=label, line={"color": colour}, row=row, col=1)
     return figure
-
-
-_WORDS = {
-    r"\to": "->", r"\le": "<=", r"\cdot": "*", r"\quad": " ", r"\,": " ", r"\;": " ", r"\left": "",
-    r"\right": "", r"\mathrel": "", r"\pm": "+-", r"\int": "integral ", r"\Delta ": "d", r"\varphi": "phi",
-    r"\nabla ": "grad ",
-}  # fmt: skip
-
-
-def plain_equation(latex: str) -> str:
-    text = re.sub(r"\\(?:text|mathrm|mathrel)\{([^{}]*)\}", r"\1", latex)
-    text = re.sub(r"\\bar\s*(\w+)", r"mean \1", text)
-    text = re.sub(r"\\ddot\s*(\w+)", r"d^2\1/dt^2", text)
-    text = re.sub(r"\\dot\s*(\w+)", r"d\1/dt", text)
-    for _ in range(4):
-        text = re.sub(
-            r"\\frac\{([^{}]*(?:\{[^{}]*\}[^{}]*)*)\}\{([^{}]*(?:\{[^{}]*\}[^{}]*)*)\}", r"(\1)/(\2)", text
-        )
-        text = re.sub(r"\\sqrt\{([^{}]*(?:\{[^{}]*\}[^{}]*)*)\}", r"sqrt(\1)", text)
-    for word in sorted(_WORDS, key=len, reverse=True):
-        text = text.replace(word, _WORDS[word])
-    text = re.sub(r"_\{([^{}]*)\}", r"_\1", text)
-    text = re.sub(r"\^\{([^{}]*)\}", r"^(\1)", text)
-    text = re.sub(r"\\(\w+)", r"\1", text).replace("{", "").replace("}", "")
-    return " ".join(text.split())
 
 
 PROJECT = """

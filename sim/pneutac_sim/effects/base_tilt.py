@@ -37,7 +37,7 @@ EFFECT = BodyEffect(
         Parameter("shift_z_mm", "mm", default=0.0, lower=-30.0, upper=30.0),
     ),
     run=run,
-    equation=r"x \to R\,x + t",
+    equation=r"x \to R\,x + t, \quad \mathrm{bend} \to \mathrm{bend} + (\mathrm{pitch}, \mathrm{yaw})",
     cause="a tilted or shifted base",
     summary="Your {device}'s base is tilted by {degrees:.1f} degrees in the bending plane "
     "and shifted by {shift_x_mm:.1f}, {shift_z_mm:.1f} mm along x, z.",

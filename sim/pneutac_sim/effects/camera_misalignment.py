@@ -42,7 +42,8 @@ EFFECT = BodyEffect(
     ),
     run=run,
     columns=("length_mm",),
-    equation=r"P \to z\,\frac{P'}{z'}, \quad P' = \delta R\,P + \delta t",
+    equation=r"P \to d\,\frac{P'}{d'}, \quad P' = \delta R\,P + \delta t, \quad "
+    r"\mathrm{bend} \to \mathrm{bend} + \mathrm{roll}",
     cause="a tilted camera",
     summary="Your camera stands askew: turned by {roll:.1f}, {pan:.1f}, {tilt:.1f} degrees "
     "(roll, pan, tilt).",

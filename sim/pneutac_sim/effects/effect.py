@@ -4,6 +4,7 @@ A finger's or an arm's effects act on a signal of the finger pipeline (`body_eff
 contacts and pictures (`sensor_effect`). Both are found by one registry and one entry point.
 """
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -56,6 +57,33 @@ def nothing_more(values: dict[str, float]) -> dict[str, float]:
     return {}
 
 
+_WORDS = {
+    r"\to": "->", r"\le": "<=", r"\cdot": "*", r"\quad": " ", r"\,": " ", r"\;": " ", r"\left": "",
+    r"\right": "", r"\mathrel": "", r"\pm": "+-", r"\int": "integral ", r"\Delta ": "d", r"\varphi": "phi",
+    r"\nabla ": "grad ",
+}  # fmt: skip
+
+
+def plain_equation(latex: str) -> str:
+    """An equation as a terminal shows it."""
+    text = re.sub(r"(?<=[A-Za-z0-9])(?=\\[A-Za-z])", " ", latex)
+    text = re.sub(r"\\(?:text|mathrm|mathrel)\{([^{}]*)\}", r"\1", text)
+    text = re.sub(r"\\bar\s*(\w+)", r"mean \1", text)
+    text = re.sub(r"\\ddot\s*([A-Za-z]+(?:_\{[^{}]*\})?)", r"d^2\1/dt^2", text)
+    text = re.sub(r"\\dot\s*([A-Za-z]+(?:_\{[^{}]*\}|_\w)?)", r"d\1/dt", text)
+    for _ in range(4):
+        text = re.sub(
+            r"\\frac\{([^{}]*(?:\{[^{}]*\}[^{}]*)*)\}\{([^{}]*(?:\{[^{}]*\}[^{}]*)*)\}", r"(\1)/(\2)", text
+        )
+        text = re.sub(r"\\sqrt\{([^{}]*(?:\{[^{}]*\}[^{}]*)*)\}", r"sqrt(\1)", text)
+    for word in sorted(_WORDS, key=len, reverse=True):
+        text = text.replace(word, _WORDS[word])
+    text = re.sub(r"_\{([^{}]*)\}", r"_\1", text)
+    text = re.sub(r"\^\{([^{}]*)\}", r"^(\1)", text)
+    text = re.sub(r"\\(\w+)", r"\1", text).replace("{", "").replace("}", "")
+    return " ".join(text.split())
+
+
 @dataclass(frozen=True, kw_only=True)
 class Effect:
     """One physical mechanism; `BodyEffect` and `SensorEffect` say how it acts."""
@@ -95,6 +123,12 @@ class Effect:
     def describe(self, values: dict[str, float], device: str = "finger") -> str:
         """The summary with numbers, e.g. of a fit."""
         return self._filled(self.summary, values, device)
+
+    def describe_any(self, values: dict[str, float], device: str = "finger") -> str:
+        """The same where no device of the reader's is meant, as in a catalogue."""
+        text = self.describe(values, device)
+        text = re.sub(rf"^Your (?={device})", f"A{'n' * (device[0] in 'aeiou')} ", text)
+        return text.replace("Your ", "The ").replace("your ", "the ")
 
     def as_cause(self, values: dict[str, float], device: str = "finger") -> str:
         """The cause with numbers, e.g. `creep, time constant 8 s`."""

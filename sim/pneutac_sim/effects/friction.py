@@ -38,7 +38,8 @@ EFFECT = BodyEffect(
     run=run,
     apart=True,
     state_size=lambda channels: 2 * channels,
-    equation=r"x \to p - c\,\mathrm{sign}(p - x) \text{ where } |p - x| > c \text{ (at rest: } c + b)",
+    equation=r"x \to p - c\,\mathrm{sign}(p - x) \text{ where } |p - x| > c "
+    r"\text{ (from rest or the other way: } c + b)",
     cause="friction, dead band {band:.2g} kPa",
     summary="Your {device} sticks: on each reversal it waits until the pressure has changed by {band:.2g} "
     "kPa.",

@@ -17,6 +17,7 @@ Int. J. Solids Struct. 41, 2004); damage under load (Kachanov, 1958); path trave
 # ruff: noqa: D103 - inputs and memories are what the equations in the catalogue say
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
@@ -27,7 +28,7 @@ from numba import njit
 from pneutac_sim.effects import air_resonance, gain_saturation, hysteresis, stiffening
 from pneutac_sim.effects.air_resonance import second_order
 from pneutac_sim.effects.body_effect import BodyEffect, kernel
-from pneutac_sim.effects.effect import Parameter
+from pneutac_sim.effects.effect import Parameter, plain_equation
 
 REFERENCE_C = 23.0
 SLOTS = (
@@ -549,13 +550,46 @@ EXPERIMENTS = {
 COUNTED = {"temperature_c": (REFERENCE_C, 10.0), "session_time_s": (0.0, 1.0), "gravity_y": (0.0, 1.0)}
 
 
+# Constant to its symbol in the equations; a `width_kpa` is r, as every other one that is not named here.
+SYMBOLS = {
+    "scale_kpa": "P", "time_s": "tau", "fill_time_s": "tau_+", "vent_time_s": "tau_-", "rate_1_per_s": "k",
+    "times_per_10_k": "k", "times_at_full_pressure": "k", "frequency_rad_per_s": "omega",
+    "damping_ratio": "zeta", "exponent": "c", "slope": "c", "threshold_kpa": "a", "centre_kpa": "a",
+    "slope_kpa": "b", "width_down_kpa": "l", "path_kpa": "n_0",
+}  # fmt: skip
+# What stands in the equations, and what it is.
+TERMS = {
+    "lag": "lag_tau(f) is y of tau dy/dt = f - y; of two times tau_+ holds where f > y, tau_- elsewhere",
+    "springpot": "springpot_c(f) is the mean of lag_tau(f) over 12 tau from 0.1 to 400 s, weighted by tau^c",
+    "play": "play_r(f) is y that moves with f only where |f - y| would exceed r (play_r,l: r up, l down)",
+    "band": "band_r(f) is y that becomes f where |f - y| exceeds r",
+    "loop": "loop_r(f) is y of dy/dt = df/dt - |df/dt| |y/r|^0.3 y/r",
+    "mode": "mode_omega,zeta(f) is y of d^2y/dt^2 + 2 zeta omega dy/dt + omega^2 (y - f) = 0",
+    "peak": "peak_tau(f) is the largest f so far, which fades with exp(-t/tau)",
+    "p_{max}": "p_max is the largest p so far",
+    "t_{held}": "t_held is the time since p changed last",
+    r"\Delta T": "dT is (temperature_c - 23) / 10",
+    "e^{-t/": "t is session_time_s",
+    "L": "L is the length of the straight device",
+}
+
+
+def terms_of(equation: str) -> list[str]:
+    """What the operators in an equation of a law do, a line each."""
+    return [line for term, line in TERMS.items() if term in equation]
+
+
+def _symbol(name: str) -> str:
+    return f"{SYMBOLS.get(name, 'r')} ({name})"
+
+
 @dataclass(frozen=True)
 class Law:
     """One law of the drive."""
 
     memory: Callable  # M
     family: str  # the library's name for such physics, see `FAMILIES`
-    equation: str  # LaTeX of what is added
+    equation: str  # LaTeX of what is added; after `\quad` what a symbol in it is
     experiment: str  # what shows it, see `EXPERIMENTS`
     constants: tuple[Parameter, ...] = ()  # of the memory, with bounds
     # constants with which a search begins, in units of the parameters' default
@@ -571,7 +605,13 @@ class Law:
         """The effect of this name, `lag(p)` or `lag(p) #2`."""
         weight = Parameter("weight", "", 0.05, -3.0, 3.0)
         scale = Parameter("scale_kpa", "kPa", 1.0, 1e-3, 3.0, neutral=1.0, fixed=True, range_power=1)
-        constants = ", ".join(f"{p.name} {{{p.name}:.3g}}" for p in self.constants)
+        term, comma, where = self.equation.partition(r", \quad ")
+        own = [p for p in (scale, *self.constants) if p is not scale or "P" in term + where]
+        numbers = ", ".join(f"{_symbol(p.name)} = {{{p.name}:.3g}}" for p in own)
+        factor = plain_equation(term)
+        if re.search(r"^-|[+-] ", re.sub(r"\(.*\)", "", factor)):  # a sum, not a product
+            factor = f"({factor})"
+        shown = f"p + {{weight:.3g}} {factor}" + f", {plain_equation(where)}" * bool(where)
         return BodyEffect(
             name=name,
             stage="drive",
@@ -581,10 +621,10 @@ class Law:
             state_size=lambda channels: SLOTS * channels,
             apart=True,
             linear="weight",
-            equation=rf"p \to p + w\,({self.equation})",
+            equation=rf"p \to p + w\,({term}){comma}{where}",
             cause="{kind}",
-            summary=f"Your {{device}} {{does}}: the pressure p that bends it becomes "
-            f"p + {{weight:.3g}} [{name.partition(' #')[0]}]" + (f", {constants}." if constants else "."),
+            summary=f"Your {{device}} {{does}}: the pressure p that bends it becomes {shown}"
+            + (f", with {numbers}." if numbers else "."),
             experiment=EXPERIMENTS[self.experiment],
             derive=partial(_shown, name),
         )
@@ -596,6 +636,13 @@ class Law:
             "input": self.input, "memory": self.memory, "late": int(self.input in OF_RATE),
             "gain": self.gain, "minus": self.minus, "scaled": self.scaled, "counted": counted,
         }  # fmt: skip
+
+
+# Feature in a law's name to its LaTeX; those of the tip are in lengths L, so that the weight has no unit.
+_FEATURES = {
+    "z^2": "z^2/L", "x z": r"x\,z/L", "dT": r"L\,\Delta T", "g_y": r"L\,g_y", "bend^2": r"\mathrm{bend}^2",
+    "dT of bend": r"\Delta T",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -611,6 +658,8 @@ class SeenLaw:
     def effect(self, name: str) -> BodyEffect:
         """The effect of this name."""
         structure, of_tip = name.partition(" #")[0], self.out < 3
+        output, _, feature = structure.partition(" += ")
+        feature = _FEATURES[feature if of_tip or feature != "dT" else "dT of bend"]
         columns = (self.column,) if self.column else ()
         counted = COUNTED[self.column] if self.column else ()
         return BodyEffect(
@@ -620,11 +669,10 @@ class SeenLaw:
             run=partial(run_seen, out=self.out, feature=self.feature, counted=counted),
             parameters=(Parameter("weight", "", 0.01, -1.0, 1.0),),
             columns=("length_mm", *columns),
-            equation=structure.replace("+=", r"\mathrel{+}="),
+            equation=rf"{output} \to {output} + w\,{feature}",
             cause=self.cause,
             summary=f"The {'tip' if of_tip else 'bend'} of your {{device}} is off: "
-            + structure.replace("+=", "gains {weight:.2g} times")
-            + ".",
+            f"{output} becomes {output} + {{weight:.2g}} {plain_equation(feature)}.",
             experiment="Look at the same motion with a second camera.",
         )
 
@@ -657,13 +705,13 @@ _MANY = "creep over many time scales"
 # fmt: off
 # Name to law, in the order in which laws act: statics, plays, memories, history, conditions.
 TABLE = {
-    "power(p)": Law(power, "stiffening", r"P\,(p/P)^c - p", "stairs",
+    "power(p)": Law(power, "stiffening", r"P\,\mathrm{sign}(p)\,|p/P|^c - p", "stairs",
                     (_POWER,), ((0.6,), (1.6,)), minus=True),
     "tanh(p)": Law(tanh, "gain_saturation", r"P\tanh(c\,p/P)/c - p", "stairs",
                    (_SLOPE,), ((1.0,), (3.0,)), minus=True),
     "hinge(p)": Law(hinge, "contact", r"\max(p - a, 0)", "threshold",
                     (_width(0.5, 0.95, "threshold_kpa", 0.05),), ((0.3,), (0.6,))),
-    "p^2": Law(none, "stiffening", r"p^2/P - p", "stairs", input=squared),
+    "p^2": Law(none, "stiffening", r"p\,|p|/P", "stairs", input=squared),
     "p^3": Law(cube, "stiffening", r"p^3/P^2 - p", "stairs", minus=True),
     "step(p)": Law(step, "stiffening", r"P\tanh((p - a)/b)", "stairs",
                    _FLIP[1:], ((0.2, 0.15), (0.5, 0.15), (0.8, 0.15))),
@@ -686,46 +734,48 @@ TABLE = {
     "flip(p)": Law(flip, "snap", r"P\tanh((\mathrm{play}_r(p) - a)/b)", "snap",
                    _FLIP, ((0.05, 0.2, 0.15), (0.05, 0.5, 0.15), (0.05, 0.8, 0.15))),
     "lag(p)": Law(lag, "creep", r"\mathrm{lag}_\tau(p) - p", "hold", (_time(),), _TIMES, minus=True),
-    "lag(p^2)": Law(lag, "creep", r"\mathrm{lag}_\tau(p^2)/P", "hold, squared",
+    "lag(p^2)": Law(lag, "creep", r"\mathrm{lag}_\tau(p\,|p|)/P", "hold, squared",
                     (_time(),), _TIMES, input=squared),
-    "power_law_memory(p)": Law(spectrum, "creep", r"\mathrm{springpot}_m(p) - p", "hold for long",
+    "power_law_memory(p)": Law(spectrum, "creep", r"\mathrm{springpot}_c(p) - p", "hold for long",
                                (_SPECTRAL,), ((0.0,), (-0.4,), (0.4,)), minus=True, cause=_MANY),
-    "power_law_memory(p^2)": Law(spectrum, "creep", r"\mathrm{springpot}_m(p^2)/P", "hold for long",
+    "power_law_memory(p^2)": Law(spectrum, "creep", r"\mathrm{springpot}_c(p\,|p|)/P", "hold for long",
                                  (_SPECTRAL,), ((0.0,),), input=squared, cause=_MANY),
     "p lag(p)": Law(lag, "creep", r"p\,\mathrm{lag}_\tau(p)/P", "hold, then less",
                     (_time(),), _SHORT_TO_LONG, gain=True),
-    "p lag(p^2)": Law(lag, "creep", r"p\,\mathrm{lag}_\tau(p^2)/P^2", "hold, then less",
+    "p lag(p^2)": Law(lag, "creep", r"p\,\mathrm{lag}_\tau(p\,|p|)/P^2", "hold, then less",
                       (_time(),), _SHORT_TO_LONG, input=squared, gain=True),
     "lag(p; time moves with p)": Law(lag_pressure, "creep", r"\mathrm{lag}_{\tau k^{p/P}}(p) - p",
                                      "hold, by pressure", (_time(), _BY_PRESSURE),
                                      ((3.0, 0.3), (20.0, 0.3)), minus=True),
-    "fill_vent(p)": Law(fill_vent, "valve_lag", r"\mathrm{lag}_{\tau_\pm}(p) - p", "fill and vent",
+    "fill_vent(p)": Law(fill_vent, "valve_lag", r"\mathrm{lag}_{\tau_+,\tau_-}(p) - p", "fill and vent",
                         _FILL_VENT, ((0.3, 0.6),), minus=True),
     "mode(p)": Law(mode, "ringing", r"\mathrm{mode}_{\omega,\zeta}(p) - p", "swing",
                    _OMEGA_ZETA, _MODES, minus=True),
-    "held(p)": Law(held, "leak", r"-\int k\,p \text{ while held}", "loss",
+    "held(p)": Law(held, "leak", r"-p\,(1 - e^{-k\,t_{held}})", "loss",
                    (Parameter("rate_1_per_s", "1/s", 0.05, 0.001, 2.0, log=True),), ((0.05,),)),
     "tanh(dp/dt)": Law(tanh_of_lag, "friction", r"P\tanh(\mathrm{lag}_\tau(\dot p)/r)", "paces",
                        _CROSSING, ((0.1, 0.05), (0.5, 0.05)), input=rate),
-    "p tanh(|dp/dt|)": Law(tanh_of_lag, "rate", r"p\tanh(\mathrm{lag}_\tau|\dot p|/r)", "paces",
+    "p tanh(|dp/dt|)": Law(tanh_of_lag, "rate", r"p\tanh(\mathrm{lag}_\tau(|\dot p|)/r)", "paces",
                            _CROSSING, ((0.3, 0.05),), input=speed, gain=True),
-    "p root lag(|dp/dt|)": Law(root_of_lag, "rate", r"p\sqrt{\mathrm{lag}_\tau|\dot p|/P}", "paces",
+    "p root lag(|dp/dt|)": Law(root_of_lag, "rate", r"p\sqrt{\mathrm{lag}_\tau(|\dot p|)/P}", "paces",
                                (_time(0.2, 0.02, 3.0),), ((0.2,),), input=speed, gain=True),
-    "p fading_max(p)": Law(fading_max, "cyclic_softening", r"p\,(\max_\tau(p) - p)/P", "fading",
+    "p fading_max(p)": Law(fading_max, "cyclic_softening", r"p\,(\mathrm{peak}_\tau(p) - p)/P", "fading",
                            (_time(10.0, 0.2),), _SHORT_TO_LONG, gain=True, minus=True),
-    "p tanh(fading_max(p))": Law(below_fading_max, "cyclic_softening", r"p\tanh((\max_\tau(p) - p)/r)",
-                                 "fading", (_time(30.0, 0.2), _width(0.2)),
+    "p tanh(fading_max(p))": Law(below_fading_max, "cyclic_softening",
+                                 r"p\tanh((\mathrm{peak}_\tau(p) - p)/r)", "fading",
+                                 (_time(30.0, 0.2), _width(0.2)),
                                  ((20.0, 0.2), (100.0, 0.2)), gain=True),
-    "p below_max(p)": Law(below_max, "cyclic_softening", r"p\,(1 - p/p_{max})^c", "staying",
+    "p below_max(p)": Law(below_max, "cyclic_softening", r"p\,(1 - \max(p, 0)/p_{max})^c", "staying",
                           (Parameter("exponent", "", 1.5, 0.3, 4.0, log=True),), ((1.5,),), gain=True),
-    "p damage(p)": Law(damage, "cyclic_softening", r"p\,(1 - e^{-D}), \; \dot D = (p/P)^c/\tau", "staying",
+    "p damage(p)": Law(damage, "cyclic_softening",
+                       r"p\,(1 - e^{-D}), \quad \dot D = \max(p/P, 0)^c/\tau", "staying",
                        (_time(60.0, 1.0, 2000.0), Parameter("exponent", "", 3.0, 1.0, 12.0, log=True)),
                        ((20.0, 3.0), (100.0, 3.0), (100.0, 8.0)), gain=True),
-    "p path(p)": Law(path, "cyclic_softening", r"p\,n/(n + n_0), \; n = \int |dp|", "strokes",
+    "p path(p)": Law(path, "cyclic_softening", r"p\,n/(n + n_0), \quad n = \int |dp|", "strokes",
                      (_width(10.0, 200.0, "path_kpa", 0.5),), ((10.0,),), gain=True),
-    "p lag(|dp/dt|)": Law(lag, "self_heating", r"p\,\mathrm{lag}_\tau|\dot p|/P", "motion",
+    "p lag(|dp/dt|)": Law(lag, "self_heating", r"p\,\mathrm{lag}_\tau(|\dot p|)/P", "motion",
                           (_time(90.0, 3.0, 200.0),), ((30.0,), (90.0,)), input=speed, gain=True),
-    "p lag(p |dp/dt|)": Law(lag, "self_heating", r"p\,\mathrm{lag}_\tau(p|\dot p|)/P^2",
+    "p lag(p |dp/dt|)": Law(lag, "self_heating", r"p\,\mathrm{lag}_\tau(|p\,\dot p|)/P^2",
                             "motion, by pressure",
                             (_time(90.0, 3.0, 200.0),), ((30.0,), (90.0,)), input=work, gain=True),
     "p exp(-t)": Law(fading_time, "warm_up", r"p\,e^{-t/\tau}", "from rest",

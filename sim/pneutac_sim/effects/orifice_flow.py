@@ -93,7 +93,7 @@ EFFECT = BodyEffect(
     run=run,
     apart=True,
     state_size=lambda channels: 2 * channels,
-    equation=r"\dot p = k\,p_1\,\psi, \quad \psi = \sqrt{1 - \left(\frac{p_2/p_1 - b}{1 - b}\right)^2} "
+    equation=r"\dot p = \pm k\,p_1\,\psi, \quad \psi = \sqrt{1 - \left(\frac{p_2/p_1 - b}{1 - b}\right)^2} "
     r"\text{ or, where } p_2/p_1 \le b, \; 1",
     cause="air flow through a narrow line",
     summary="Air flows through a narrow line: large steps take longer than small ones (filling rate "

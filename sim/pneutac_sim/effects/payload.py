@@ -19,7 +19,7 @@ EFFECT = BodyEffect(
     parameters=(Parameter("share", "", default=1.0, lower=0.0, upper=20.0),),
     run=run,
     columns=("payload_g", "gravity_x", "gravity_y", "gravity_z"),
-    equation=r"K\,(q - q_{el}) = J_{tip}^T\,m\,g",
+    equation=r"K\,(q - q_{el}) = s\,J_{tip}^T\,m\,g",
     cause="the weight at the tip",
     summary="The weight at the tip bends your {device} {share:.2g} times as far as the fitted stiffness "
     "predicts.",

@@ -39,7 +39,8 @@ EFFECT = SensorEffect(
     prior_sd=(40.0,) * len(CHANNELS) + (30.0,) * (len(QUADRATIC) * len(CHANNELS)),
     standard=True,
     coefficients=direct_and_squares,
-    equation=r"t \to \varphi\,\left(\frac{\max(0, 1 + t / \varphi)}{\sqrt{1 + |\nabla u|^2}} - 1\right)",
+    equation=r"t \to \varphi\,\left(\frac{\max(0, 1 + t / \varphi)}{\sqrt{1 + |\nabla u|^2}} - 1\right)"
+    r" + a\,u_\parallel^2 + b\,u_\perp^2 + c\,u^2",
     cause="a nonlinear response to the surface slope",
     summary="The light of your {device} follows Lambert's cosine, not the slope: sides that face away go "
     "dark and no darker, by {direct_red_levels:.3g}, {direct_green_levels:.3g} and {direct_blue_levels:.3g} "

@@ -91,7 +91,7 @@ EFFECT = SensorEffect(
     prior_sd=(40.0,) * 3 + (0.08,) * 3 + (0.08,),
     standard=True,
     coefficients=level_and_edge,
-    equation=r"t \to t - (3 d^2 - 2 d^3)\,(t + \lambda), \quad d = \min(1, h / h_0)",
+    equation=r"t \to t - (3 d^2 - 2 d^3)\,(t + \lambda), \quad d = \min(1, \max(h, 0) / h_0)",
     cause="shadows of imprints",
     summary="Imprints cast shadows in your {device}: {shadow_red_levels:.3g}, {shadow_green_levels:.3g} and "
     "{shadow_blue_levels:.3g} levels are missing behind them; the lights stand at slopes of "

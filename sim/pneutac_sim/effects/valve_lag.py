@@ -30,7 +30,8 @@ EFFECT = BodyEffect(
     run=run,
     apart=True,
     state_size=lambda channels: 3 * channels,
-    equation=r"\tau\,\dot p = p_{cmd} - p",
+    equation=r"\tau\,\dot p = p_{cmd} - p, \quad "
+    r"\tau = \tau_{fill} \text{ where } p_{cmd} > p, \text{ else } \tau_{vent}",
     cause="a slow valve, {fill_time_s:.2g} s to fill and {vent_time_s:.2g} s to vent",
     summary="Your pressure lags its command: filling takes about {fill_time_s:.2g} s, venting "
     "{vent_time_s:.2g} s.",

@@ -93,6 +93,11 @@ def test_show_writes_a_page(name, tmp_path, capsys):
     assert show_effect(name).to_dict()["parameters"]
 
 
+@pytest.mark.parametrize("name", [*all_effects(), *law_names()])
+def test_the_sentence_of_a_catalogue_speaks_of_nobodys_device(name):
+    assert not re.search(r"\b[Yy]our\b", sentence := show_effect(name).sentence) and sentence[0].isupper()
+
+
 def test_a_late_law_makes_the_tip_late():
     t, command_kpa, without, with_it = tips("lag(p)")
     held = (t > 15) & (t < 20)
