@@ -20,7 +20,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from pneutac_sim.errors import InputError, check_least, refuse_given
+import yaml
+
+from pneutac_sim.errors import InputError, check_least, refuse_given, shown
 from pneutac_sim.files import check_writable, inside, read_json, read_yaml
 
 COLUMN = 28  # where help texts begin
@@ -37,6 +39,7 @@ class Option:
     kind: type  # type of its value, without None; a dataclass for a group of options
     default: object  # None where there is none
     text_of: type | str  # the class whose comments or docstring say what it means, or that text itself
+    optional: bool = False  # whether its value may be None
 
     @property
     def text(self) -> str:
@@ -243,18 +246,46 @@ def _check_file(path: Path, options: dict[str, Option]) -> None:
     content = read_yaml(path)
     if not isinstance(content, dict):
         raise InputError(f"--config_path={path} must hold options, one `name: value` in each line.")
-    for name in _names(content, options):
+    for name, value in _given(content, options):
         if name not in options:
             raise InputError(f"{path}: {_unknown(name, options)}")
+        _check_value(options[name], value, f"{path}: {name} is {shown(value)}")
 
 
-def _names(content: dict, options: dict[str, Option], group: str = "") -> Iterator[str]:
-    """The options that a file names, those of a group with its name."""
+def _given(content: dict, options: dict[str, Option], group: str = "") -> Iterator[tuple[str, object]]:
+    """The options that a file gives, those of a group with its name, and their values."""
     for name, value in content.items():
-        yield f"{group}{name}"
         own = options.get(f"{group}{name}")
         if isinstance(value, dict) and own and dataclasses.is_dataclass(own.kind):
-            yield from _names(value, options, f"{group}{name}.")
+            yield from _given(value, options, f"{group}{name}.")
+        else:
+            yield f"{group}{name}", value
+
+
+def _check_value(option: Option, value: object, said: str) -> None:
+    """Raises InputError, which begins with `said`, where a value of YAML is not of the option's kind."""
+    if not (value is None and option.optional or _fits(option.kind, value)):
+        raise InputError(f"{said}; it must be {_wanted(option.name, option.kind)}.")
+
+
+def _fits(kind: type, value: object) -> bool:
+    """Whether a value of YAML is of this kind; of one that is not known here, draccus judges."""
+    origin, kinds = typing.get_origin(kind) or kind, typing.get_args(kind)
+    if origin in (types.UnionType, typing.Union):
+        return any(_fits(k, value) for k in kinds)
+    if origin in (list, tuple):
+        each = isinstance(value, list) and all(_fits(kinds[0], v) for v in value)
+        return each and (origin is list or Ellipsis in kinds or len(value) == len(kinds))
+    if origin is dict:
+        return isinstance(value, dict) and all(_fits(kinds[1], v) for v in value.values())
+    if origin in (int, float):
+        try:  # YAML takes 1e3 and nan for texts
+            number = float(value)
+            return not isinstance(value, bool) and (origin is float or int(value) == number)
+        except (TypeError, ValueError, OverflowError):
+            return False
+    kinds = {bool: bool, Path: str, str: str | int | float, types.NoneType: types.NoneType}
+    return isinstance(value, kinds.get(origin, object))
 
 
 def _in_words(text: str, options: dict[str, Option]) -> str:
@@ -266,25 +297,25 @@ def _in_words(text: str, options: dict[str, Option]) -> str:
         shown = [f"--{o.name}{_placeholder(o.kind)}" for o in wanted if not dataclasses.is_dataclass(o.kind)]
         shown = [", ".join(shown[:-1]), shown[-1]] if shown[1:] else shown
         return f"Give {' and '.join(shown)}; --help lists all options."
-    text = re.sub(r"^`([\w.]+?)\.\d+`", r"`\1`", text)  # an entry of a list
-    if wrong := re.match(r"`([\w.]+)`: Couldn't parse '(.*)' into an? (\w+)$", text):
-        kind = {"int": "a whole number", "float": "a number", "bool": "true or false"}.get(wrong[3], wrong[3])
-        return f"--{wrong[1]} is '{wrong[2]}'; it must be {kind}."
-    if wrong := re.match(r"`([\w.]+)`: Could not decode the value into any of the given types", text):
-        return f"--{wrong[1]} must be {_numbers(wrong[1], options[wrong[1]].kind)}."
     return text
 
 
-def _numbers(name: str, kind: type) -> str:
-    """How many numbers an option takes, and how they are written."""
-    kinds = typing.get_args(kind)
+_KINDS = {int: "a whole number", float: "a number", bool: "true or false", Path: "a path", str: "a text"}
+
+
+def _wanted(name: str, kind: type) -> str:
+    """What an option takes, and how that is written."""
+    kinds, (always, sometimes) = typing.get_args(kind), _lists(kind)
     if typing.get_origin(kind) is tuple and Ellipsis not in kinds:
         whole = "whole " * (kinds[0] is int)
         return f"{len(kinds)} {whole}numbers with commas, as in --{name}={','.join('ABCDEF'[: len(kinds)])}"
-    if kind is int:
-        return "a whole number"
-    always, sometimes = _lists(kind)
-    return "a number, or several with commas, such as 15,20,15" if sometimes or always else "a number"
+    if typing.get_origin(kind) is dict:
+        return f"names and their values, as in --{name}='{{temperature_c: 22}}'"
+    if always:
+        return f"{_KINDS.get(kinds[0], 'one')}, or several with commas, as in --{name}=A,B"
+    if sometimes:
+        return "a number, or several with commas, such as 15,20,15"
+    return _KINDS.get(kind, "of another kind")
 
 
 def list_options(config_class: type, group: str = "") -> Iterator[Option]:
@@ -305,7 +336,8 @@ def _fields(config_class: type, group: str) -> Iterator[Option]:
         kinds = [k for k in typing.get_args(kind) if k is not type(None)]
         kind = kinds[0] if len(kinds) == 1 and type(None) in typing.get_args(kind) else kind
         default = None if field.default is dataclasses.MISSING else field.default
-        yield Option(group + field.name, kind, default, config_class)
+        optional = types.NoneType in typing.get_args(hints[field.name])
+        yield Option(group + field.name, kind, default, config_class, optional)
         if dataclasses.is_dataclass(kind):
             yield from list_options(kind, f"{group}{field.name}.")
 
@@ -412,13 +444,27 @@ def _completed(options: dict[str, Option], argv: list[str], aliases: dict[str, s
         if dataclasses.is_dataclass(kind) and not value.startswith("{"):
             inside = [f"--{o}" for o in options if o.startswith(f"{name}.")]
             raise InputError(f"--{name}={value} names none of its options; give {' or '.join(inside)}.")
-        always, sometimes = _lists(kind)
-        if sometimes and value and value[0] not in "[{" and ("," in value or always):
-            value = f"[{value}]"
-        if kind in (str, Path) and not re.fullmatch(r"[\w./~+-]*", value):
-            value = json.dumps(value, ensure_ascii=False)  # draccus takes brackets, stars and colons for YAML
-        out.append(f"--{name}={value}")
+        if not value and kind is not str:
+            raise InputError(f"--{name} has no value; write --{name}=VALUE.")
+        out.append(f"--{name}={_of_yaml(options[name], value) if name in options else value}")
     return out
+
+
+def _of_yaml(option: Option, text: str) -> str:
+    """A value as draccus reads it; raises InputError where it is not of the option's kind."""
+    if option.kind in (str, Path) and text != "null":
+        return json.dumps(text, ensure_ascii=False)  # else brackets, stars and colons would be YAML
+    value, (always, sometimes) = text, _lists(option.kind)
+    if sometimes and text[0] not in "[{" and ("," in text or always):
+        quoted = always and typing.get_args(option.kind)[0] in (str, Path)
+        value = json.dumps([v.strip() for v in text.split(",")]) if quoted else f"[{text}]"
+    if not dataclasses.is_dataclass(option.kind):
+        try:
+            found = yaml.safe_load(value)
+        except yaml.YAMLError:
+            found = object()
+        _check_value(option, found, f"--{option.name} is {shown(text)}")
+    return value
 
 
 def _unknown(name: str, options: dict[str, Option]) -> str:

@@ -20,11 +20,14 @@ from typing import override
 
 from draccus.utils import DecodingError, ParsingError
 from huggingface_hub.constants import HF_HUB_OFFLINE
+from lerobot.configs import PreTrainedConfig
+from lerobot.configs.parser import get_cli_overrides
 from lerobot.utils.constants import HF_LEROBOT_HOME
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
+from safetensors import SafetensorError, safe_open
 
-from pneutac_sim.errors import InputError, printable
-from pneutac_sim.files import check_writable, inside
+from pneutac_sim.errors import InputError, printable, unknown_names
+from pneutac_sim.files import check_writable, inside, read_json, refuse_pointer
 from pneutac_sim.pace import info_file, read_info, refuse_version
 
 TRIED_ON = "0.6.1"
@@ -163,6 +166,8 @@ def _check_folders(options: dict[str, str]) -> None:
     policy = Path(options.get("policy.path", ""))
     if (policy.is_absolute() or policy.is_dir()) and (fault := _fault_of_policy(options)):
         raise InputError(fault)
+    if options.get("resume") == "true" and (file := Path(options.get("config_path", ""))).is_file():
+        check_policy(file.parent)
     if not (root := options.get("dataset.root")):
         return
     if _records(options):
@@ -210,12 +215,47 @@ def explained(error: BaseException) -> str | None:
 def _fault_of_policy(options: dict[str, str]) -> str | None:
     """What is wrong with the folder of a policy; None where it holds one, or the Hub may have it."""
     path = options.get("policy.path")
-    if not path or (Path(path) / "config.json").is_file():
+    if not path:
+        return None
+    if (Path(path) / "config.json").is_file():
+        try:
+            check_policy(Path(path))
+        except InputError as e:
+            return f"--policy.path: {e}"
         return None
     return printable(
         f"--policy.path={path} holds no policy (no config.json); give a folder `pretrained_model` of"
         " lerobot-train, or the name of a policy on the Hub that can be reached."
     )
+
+
+def check_policy(folder: Path) -> None:
+    """Raises InputError where a file of a policy is missing or damaged; LeRobot notices after its work."""
+    config, weights = folder / "config.json", folder / "model.safetensors"
+    again = "copy the whole folder again that lerobot-train wrote"
+    kind = read_json(config).get("type")
+    for fault in unknown_names([kind], PreTrainedConfig.get_known_choices(), "policy"):
+        raise InputError(f"{config}: field 'type': {fault}")
+    for file in folder.glob("policy_*processor.json"):
+        read_json(file)
+    try:
+        PreTrainedConfig.from_pretrained(folder, cli_overrides=get_cli_overrides("policy") or [])
+    except Exception as error:  # what an option's own type raises, too
+        cause: BaseException = error
+        while cause.__cause__ is not None and not isinstance(cause, _OF_USERS):
+            cause = cause.__cause__
+        reason = " ".join(str(cause).split()).rstrip(".")
+        raise InputError(f"{config}: {reason}; {again}, or train again with this version.") from error
+    if (folder / "adapter_config.json").is_file():
+        return  # its weights are another policy's and an adapter
+    if not weights.is_file():
+        raise InputError(f"{weights} is missing; {again}.")
+    refuse_pointer(weights)
+    try:
+        with safe_open(weights, "np"):
+            pass
+    except (SafetensorError, OSError) as e:
+        raise InputError(f"{weights} is damaged ({e}); {again}.") from e
 
 
 def _fault_of_dataset(options: dict[str, str], reason: str) -> str:

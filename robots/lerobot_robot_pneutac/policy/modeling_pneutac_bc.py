@@ -329,6 +329,9 @@ class PneutacBCPolicy(PreTrainedPolicy):
                 f" --policy.memory={'false' if model.config.memory else 'true'}, or train again."
             )
         model = super()._load_as_safetensor(model, model_file, map_location, strict)
+        for name, values in model.state_dict().items():
+            if name != REST and not values.isfinite().all():
+                raise InputError(f"'{model_file}': {name} contains NaN or infinity; train again.")
         if model._dataset_scaling is not None:
             model._reach(model._dataset_scaling)
         if model._dataset_rest is not None:

@@ -106,6 +106,17 @@ def test_a_flag_may_stand_alone(argv, expected):
         (["--out"], "--out has no value; write --out=VALUE."),
         (["--out", "--overwrite"], "--out has no value; write --out=VALUE."),
         (["bench"], "'bench' is not an option; they are written --name=value."),
+        (["--out="], "--out has no value; write --out=VALUE."),
+        (
+            ["--seeds=[1"],
+            "--seeds is '[1'; it must be a whole number, or several with commas, as in --seeds=A,B.",
+        ),
+        (["--size=@"], "--size is '@'; it must be 2 whole numbers with commas, as in --size=A,B."),
+        (["--planner.horizon=true"], "--planner.horizon is 'true'; it must be a whole number."),
+        (["--planner.horizon=null"], "--planner.horizon is 'null'; it must be a whole number."),
+        (["--planner.horizon={a: 1}"], "--planner.horizon is '{a: 1}'; it must be a whole number."),
+        (["--overwrite=1"], "--overwrite is '1'; it must be true or false."),
+        (["--program=null"], "--program is 'null'; it must be a text."),
     ],
 )
 def test_a_wrong_option_is_one_sentence(argv, sentence):
@@ -140,6 +151,10 @@ def test_a_librarys_sentence_about_a_parameter_is_told_of_the_option(sentence, t
         ("programm: x", "no option --programm; did you mean --program?"),
         ("planner: {horizont: 3}", "horizont"),
         ("\xff\x00", "is no text in UTF-8"),
+        ("planner: {horizon: true}", r"o\.yaml: planner\.horizon is True; it must be a whole number"),
+        ("seeds: [1, x]", r"o\.yaml: seeds is \[1, 'x'\]; it must be a whole number, or several"),
+        ("size:", r"o\.yaml: size is None; it must be 2 whole numbers"),
+        ("out: 20260301", r"o\.yaml: out is 20260301; it must be a path"),
     ],
 )
 def test_a_bad_file_of_options_is_one_sentence(tmp_path, content, sentence):
@@ -155,6 +170,20 @@ def test_a_file_of_options_is_read_and_the_command_line_wins(tmp_path):
     file.write_text("program: x\nplanner: {horizon: 3}\nseeds: [1, 2]")
     found = parse_options(Options, [f"--config_path={file}", "--program=y"])
     assert (found.program, found.planner.horizon, found.seeds) == ("y", 3, (1, 2))
+
+
+def test_names_may_look_like_numbers_and_hold_spaces(tmp_path):
+    folder = tmp_path / "a b"
+    folder.mkdir()
+    (folder / "o.yaml").write_text("seeds:")
+    argv = [f"--config_path={folder / 'o.yaml'}", "--out=20260301", "--tasks=1,true", "--program=1e3"]
+    found = parse_options(Options, argv)
+    assert (found.out, found.tasks, found.program, found.seeds) == (
+        Path("20260301"),
+        ("1", "true"),
+        "1e3",
+        None,
+    )
 
 
 def test_a_file_in_place_of_the_folder_for_results_is_refused(tmp_path):

@@ -26,7 +26,7 @@ PLANNER = AUGMENT + "--method=planner "
 
 REFUSED = (
     ("render", "--twin=finger --seconds=1e9", "to 3600 s"),
-    ("render", "--twin=finger --particles=1e12", "^--particles must be a whole number.$"),
+    ("render", "--twin=finger --particles=1e12", "^--particles is '1e12'; it must be a whole number.$"),
     ("control", "--twin=finger --conditions='{temperature_c: .nan}'", "temperature_c: nan; give a finite"),
     ("compare", "--twin=endless --recording=bench", "twin.yaml: Twin length_mm is 1e.30; .* at most 10000"),
     ("render", "--twin=finger --particles=3", "it must be 100 or more"),
@@ -119,7 +119,7 @@ REFUSED = (
     ("new", "--twin=o --mesh_unit=m", "mesh_unit and mesh_axis are of a --mesh=FILE"),
     ("new", "--twin=o --recording=bench --length_mm=11", "^--length_mm is 11, but bench is of a finger"),
     ("new", "--twin=o --length_mm=-5", "^length_mm is -5; give 1 to 1000 mm"),
-    ("new", "--twin=o --length_mm=abc", "^--length_mm must be a number.$"),
+    ("new", "--twin=o --length_mm=abc", "^--length_mm is 'abc'; it must be a number.$"),
     ("new", "--twin=o --recording=shown", "^shown holds demonstrations; give a bench recording"),
     ("compare", "--twin=bench/samples.csv --recording=bench", "is a file; give the folder of a twin"),
     ("measure", "--out=bench --bench=standin", "^out=bench is not empty; give a new folder"),

@@ -1,3 +1,7 @@
+import json
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -9,6 +13,7 @@ from lerobot.policies import make_policy
 from lerobot.utils.constants import ACTION, OBS_STATE
 from safetensors.torch import load_file, save_file
 
+from lerobot_robot_pneutac.lerobot_inside import prepare
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy, Scaling
 from pneutac_sim.errors import InputError
@@ -355,6 +360,57 @@ def test_weights_of_another_body_are_named(tmp_path):
     arm.output_features[ACTION] = PolicyFeature(FeatureType.ACTION, (6,))
     with pytest.raises(InputError, match="on 20 numbers of state and 4 of action, and here are 22 and 6"):
         PneutacBCPolicy.from_pretrained(tmp_path, config=arm)
+
+
+def cut(file):
+    file.write_bytes(file.read_bytes()[:-9])
+
+
+def changed(**fields):
+    def change(file):
+        file.write_text(json.dumps(json.loads(file.read_text()) | fields))
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("name", "damage", "said"),
+    [
+        ("model.safetensors", Path.unlink, "model.safetensors is missing; copy the whole folder again"),
+        ("model.safetensors", cut, "model.safetensors is damaged .*not fully covered"),
+        ("model.safetensors", lambda f: f.write_bytes(b""), "model.safetensors is damaged"),
+        ("config.json", cut, "config.json is not valid JSON"),
+        ("config.json", changed(type="pneutac_bd"), "config.json: field 'type': .*did you mean 'pneutac_bc'"),
+        ("config.json", changed(type=None), "config.json: field 'type': unknown policy 'None'"),
+        ("config.json", changed(newer=1), "config.json: The fields `newer` are not valid for .*train again"),
+        ("config.json", changed(networks=0), "config.json: .*networks is 0; it must be 1 or more"),
+        ("config.json", changed(input_features=3), "config.json: `input_features`"),
+        (
+            "policy_preprocessor.json",
+            lambda f: f.write_text("{"),
+            "policy_preprocessor.json is not valid JSON",
+        ),
+    ],
+)
+def test_a_damaged_checkpoint_is_one_sentence_before_the_work(tmp_path, monkeypatch, name, damage, said):
+    make_ready_policy().save_pretrained(tmp_path / "p")
+    monkeypatch.setattr(sys, "argv", ["lerobot-eval", f"--policy.path={tmp_path / 'p'}"])
+    monkeypatch.setattr(sys, "excepthook", sys.excepthook)  # which `prepare` changes
+    prepare()
+    damage(tmp_path / "p" / name)
+    with pytest.raises(SystemExit, match=f"^error: --policy.path: .*{said}"):
+        prepare()
+
+
+def test_weights_that_are_no_numbers_are_named(tmp_path):
+    policy = make_ready_policy()
+    policy.encoder.rest_image.fill_(torch.nan)  # of a policy without data
+    policy.save_pretrained(tmp_path)
+    PneutacBCPolicy.from_pretrained(tmp_path)
+    policy.mlp[2].bias.data[3] = torch.inf
+    policy.save_pretrained(tmp_path)
+    with pytest.raises(InputError, match=r"model.safetensors': mlp.2.bias contains NaN or infinity"):
+        PneutacBCPolicy.from_pretrained(tmp_path)
 
 
 def test_config_survives_saving_and_loading(tmp_path):
