@@ -28,8 +28,10 @@ from lerobot_pneutac.study.body_model import BodyFitter, BodyModel
 from lerobot_pneutac.study.body_search import LATE_S, LATE_TEMPERATURE, BodySearch, Searched
 from lerobot_pneutac.study.body_space import BodySpace
 from pneutac_sim.effects.laws import family, is_law, starts
+from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.finger.data import BodyData
 
+FLOWS = ("valve_lag", "valve_slew", "orifice_flow")  # equations of how a valve limits the flow
 OF_TRIALS = (
     "Each run has its own small offset, gain and time shift. They are no part of the device and not in the "
     "twin; the error without them is reported separately."
@@ -197,7 +199,7 @@ def body_outcome(
         chosen_in=done.chosen_in,
         base_model=_base(done) if helps else {},
         contenders=_contenders(study, search, start, done if helps else None),
-        mechanisms=_mechanisms(study, evidence, after, worth, done.chosen_in),
+        mechanisms=_mechanisms(study, evidence, after, worth, done),
         not_yet=not_yet,
     )
 
@@ -227,7 +229,7 @@ def _mechanisms(
     evidence: Evidence,
     after: FittedModel,
     worth: Sequence[Contribution],
-    chosen_in: Mapping[str, float],
+    done: Searched,
 ) -> list[Mechanism]:
     """What each cause may be, the largest first; none where the noise was not measured."""
     if evidence.poor or not evidence.noise_known:
@@ -238,12 +240,30 @@ def _mechanisms(
             causes.setdefault(family_in(after.twin, c.name), []).append(c)
     out = []
     for i, (cause, terms) in enumerate(causes.items()):
-        missed = 0.0 if i == 0 else 1 - chosen_in.get(terms[0].name, 1.0)
+        missed = 0.0 if i == 0 else 1 - done.chosen_in.get(terms[0].name, 1.0)
         drop = terms[0].drop[0] / study.noise.floor**2
         usual = {family(c.name) for c in terms}
         elsewhere = max(evidence.elsewhere, default=0.0) <= T.CLOSE
-        out.append(mechanism(cause, drop, evidence.removed, missed, causes, usual, elsewhere))
+        in_air = all(get_effect(c.name).of_air for c in terms)
+        gauge = shown_by_gauge(study, done, cause, causes) if in_air else None
+        out.append(mechanism(cause, drop, evidence.removed, missed, causes, usual, elsewhere, gauge))
     return out
+
+
+def shown_by_gauge(study: "BodyStudy", done: Searched, cause: str, found: Iterable[str]) -> bool | None:
+    """Whether the measured pressure shows a cause in the air; None where it does not decide.
+
+    It shows it where its own model has such air, and none that was not found from the pose: a leak can pass
+    for a lag there. How a valve limits the flow is one kind, which the pose and the pressure may fit best by
+    different equations.
+    """
+    if done.air is None:
+        return None
+    final, kind = done.air.final, lambda f: FLOWS[0] if f in FLOWS else f
+    seen = {kind(family(e)) for e in final.model.structure.effects if e not in study.twin_effects}
+    if not seen:
+        return False if np.sqrt(final.value) <= T.NOISE * study.air_noise else None
+    return True if kind(cause) in seen <= set(map(kind, found)) else None
 
 
 def _known(study: "BodyStudy", start: Scored, done: Searched) -> list[str]:

@@ -1,5 +1,7 @@
 """Each branch of the verdict, and each objection."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from lerobot_pneutac.diagnosis.verdict import (
@@ -11,6 +13,7 @@ from lerobot_pneutac.diagnosis.verdict import (
     mechanism,
     too_few,
 )
+from lerobot_pneutac.study.body import shown_by_gauge
 
 
 def evidence(**change):
@@ -152,3 +155,42 @@ def test_probabilities_of_a_mechanism_sum_to_one_and_grow_with_the_evidence():
     assert of("valve_lag").probability < of().probability
     assert "leak" in dict(of("valve_lag").ranked)
     assert "leak" not in dict(of("valve_lag", found=["leak"]).ranked)
+
+
+def test_the_measured_pressure_decides_whether_a_lag_is_in_the_air():
+    def of(cause, **more):
+        return mechanism(cause, 60.0, 0.99, 0.0, {cause}, **more)
+
+    for cause in ("dead_time", "valve_lag"):
+        assert not of(cause).named
+        assert of(cause, gauge=True).probability > 0.7
+        not_shown = of(cause, gauge=False)
+        assert not_shown.probability <= 0.1 and "tracker" in dict(not_shown.ranked)
+        assert sum(p for _, p in not_shown.ranked) == pytest.approx(1.0)
+    assert of("orifice_flow", gauge=True) == of("orifice_flow")
+    assert of("dead_time", gauge=True).certain
+    assert not of("dead_time", gauge=True, elsewhere=False).certain
+
+
+@pytest.mark.parametrize(
+    ("of_pressure", "error", "cause", "found", "shown"),
+    [
+        (["dead_time"], 1.0, "dead_time", ["dead_time", "creep"], True),
+        (["valve_slew"], 9.0, "valve_lag", ["valve_lag"], True),
+        (["valve_lag", "leak"], 1.0, "valve_lag", ["valve_lag"], None),
+        (["valve_lag", "leak"], 1.0, "valve_lag", ["valve_lag", "leak"], True),
+        (["valve_lag"], 1.0, "dead_time", ["dead_time"], None),
+        ([], 1.0, "dead_time", ["dead_time"], False),
+        ([], 1.3, "dead_time", ["dead_time"], None),
+        (["leak"], 1.0, "dead_time", ["dead_time"], False),  # which the twin has already
+        (None, 1.0, "dead_time", ["dead_time"], None),
+    ],
+)
+def test_a_cause_is_shown_where_the_pressure_needs_it_and_no_other(of_pressure, error, cause, found, shown):
+    final = SimpleNamespace(value=error**2, model=None)
+    air = None
+    if of_pressure is not None:
+        final.model = SimpleNamespace(structure=SimpleNamespace(effects=of_pressure))
+        air = SimpleNamespace(final=final)
+    study = SimpleNamespace(air_noise=1.0, twin_effects=["leak"] if of_pressure == ["leak"] else [])
+    assert shown_by_gauge(study, SimpleNamespace(air=air), cause, found) is shown
