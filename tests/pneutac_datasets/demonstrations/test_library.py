@@ -101,26 +101,6 @@ def test_alone_it_searches_the_same_way_again_where_touch_does_not_come():
     assert len(follower.paths[0]) > 2 and (actions[50:, 1] < 0).any() and (actions[50:, 1] > 0).any()
 
 
-def test_it_does_not_search_in_a_circle():
-    """Touch never comes: a demonstration 30 mm aside gets its turn, though another is nearer."""
-    first, aside = walk(0), walk(1, (0.03, 0.0, 0.3))
-    start = first.flange_m[0]
-    follower = next(f for k in range(9) if (f := follower_of([first, aside], start, k)).paths[0][0][1] == 0)
-    run(follower, lambda *_: 0.0, 300, start)
-    assert {source for _, source, _ in follower.paths[0]} == {0, 1}
-
-
-def test_after_a_touch_it_approaches_as_far_as_that_came():
-    """A thin thing stands 20 mm nearer than demonstrated; the hand that has passed it meets it again."""
-    r = walk(0, touch=(40, 80))
-    thing_m = r.flange_m[40][1] - 0.02
-    follower = follower_of([r], r.flange_m[0])
-    felt = lambda flange, k: 0.05 * (0 <= flange[1] - thing_m < 0.004)  # noqa: E731
-    run(follower, felt, 120, r.flange_m[0])
-    begun = [frame for _, _, frame in follower.paths[0]]
-    assert begun.count(42) >= 2  # each time without the frames in which a hand has not answered yet
-
-
 def test_far_from_all_demonstrations_it_gives_up():
     r = walk(0)
     far_m = r.flange_m[0] + (0.3, 0.0, 0.0)

@@ -3,8 +3,7 @@
 On a free path it follows one of the demonstrations and is led back to it. When touch comes, the next contact
 of that demonstration follows, relative to where the touch came. Where touch does not come, is lost, or the
 demonstration is over, the controller jumps to the nearest free frame of any demonstration that still
-searches, rather of one that it has not followed yet. After a touch it approaches as far as that came, not
-past it. A touch elsewhere on the gel than demonstrated, or more of it, is answered as they answer it.
+searches. A touch elsewhere on the gel than demonstrated, or more of it, is answered as they answer it.
 """
 
 from dataclasses import replace
@@ -21,7 +20,6 @@ TOUCH = 0.0007  # area from which it is a touch: some 50 pixels of 76,800
 # Frames of the paper's rate, see `reference.frames_at`.
 LONG = 6  # from which a contact is one of those that are to come
 EARLY, HOLD = 16, 30  # by which a contact may end before the demonstrated release, and after it
-UNANSWERED = 2  # in which a hand has not answered a touch yet
 GONE, LOST = 2, 12  # without touch until a contact is over near its release, and lost before it
 WAIT = 8  # by which touch may come too late
 SEARCHING, LEFT = 4, 12  # free frames ahead of where a jump may land: after a contact, and where none came
@@ -29,10 +27,6 @@ SEARCHING, LEFT = 4, 12  # free frames ahead of where a jump may land: after a c
 NEAR_M, NEAR_HEIGHT_M, NEAR_KPA, NEAR_AREA, NEAR_MM = 0.012, 0.006, 1.5, 0.05, 3.0
 UNSEEN = 4.0  # squared distance of a touch from a frame whose imprint's middle was not seen
 FARTHEST = 40.0  # squared distance beyond which no frame is near
-REPEATED = 4.0  # squared distance that a demonstration is farther for each time it was followed before
-LEAD_HZ = 3.0  # by which the hand is led there
-AWAY_M = 0.02  # from a path that is moved to where touch came: it is gone on with when the hand is nearer
-MEANT = 0.5  # of the pressure of a demonstration's first contact; with less a contact only brushes
 FAR_M = 0.02  # displacement at a release from which the demonstration is not gone on with
 START_M = (0.02, 0.01, 0.02)  # distances that count 1 where starts are compared
 NEAREST = 3  # starts of which one is drawn
@@ -106,9 +100,7 @@ class Library(NamedTuple):
         sources: (R,) their episodes.
         contacts: (R, K, 2) first frame of each contact that is to come and that of its release, counted from
             the reference's first frame; -1 where it has fewer.
-        met_m, way: (R, 3) where the flange was when the last contact that was meant came, and the unit vector
-            along which it came there; `way` is 0 without such a contact.
-        within: (F, 2) as `contacts`, of the contact in which a frame lies; -1 outside of contacts.
+        within: (F, 2) the same of the contact in which a frame lies; -1 outside of contacts.
         ahead: (F,) frames until the next contact, or the end.
         flange_m, area, action, centre_mm: (F, ...) as in `Reference`.
         felt_mm: (F, 2) as `centre_mm`; that of its contact's first one where it was not seen.
@@ -121,8 +113,6 @@ class Library(NamedTuple):
     begins: np.ndarray
     sources: np.ndarray
     contacts: np.ndarray
-    met_m: np.ndarray
-    way: np.ndarray
     within: np.ndarray
     ahead: np.ndarray
     flange_m: np.ndarray
@@ -142,15 +132,8 @@ class Library(NamedTuple):
         coming = [[c for c in r.contacts if c[1] - c[0] >= r.frames(LONG)] for r in references]
         contacts = np.full((len(references), max(map(len, coming)) + 1, 2), -1)
         within, columns = np.full((begins[-1], 2), -1), []
-        met_m, way = np.zeros((2, len(references), 3))
         for i, (r, to_come) in enumerate(zip(references, coming, strict=True)):
             contacts[i, : len(to_come)] = np.reshape(to_come, (-1, 2))
-            held = np.abs(r.action[:, PRESSURES]).max(1)
-            meant = [first for first, _ in to_come if held[first] >= MEANT * held[to_come[0][0]]]
-            if meant and meant[-1]:
-                met_m[i] = r.flange_m[meant[-1]]
-                came = met_m[i] - r.flange_m[max(meant[-1] - r.frames(LEFT), 0)]
-                way[i] = came / max(np.linalg.norm(came), 1e-6)
             t, firsts = np.arange(len(r)), np.array([c[0] for c in to_come] + [len(r)])
             next_first = firsts[np.minimum(np.searchsorted(firsts, t, "right"), len(firsts) - 1)]
             centre = np.full((len(r), 2), np.nan) if r.centre_mm is None else r.centre_mm
@@ -164,7 +147,7 @@ class Library(NamedTuple):
         joined = (np.concatenate(column) for column in zip(*columns, strict=True))
         sources, unit = np.array([r.source for r in references]), NEAR_KPA * width_kpa / MAX_PRESSURE_KPA
         hz = references[0].control_hz
-        return cls(begins, sources, contacts, met_m, way, within, *joined, np.array(answers), unit, hz)
+        return cls(begins, sources, contacts, within, *joined, np.array(answers), unit, hz)
 
 
 RUN = np.dtype(
@@ -177,9 +160,6 @@ RUN = np.dtype(
         ("lost", np.int64),
         ("largest", np.float64),  # area in this contact
         ("offset_m", np.float64, 3),  # of the reference's path
-        ("known", np.int64),  # whether touch came, and was not missed there since, ...
-        ("place_m", np.float64, 3),  # ... and where the flange was then
-        ("led", np.int64),  # whether the path waits for the hand
         ("step", np.int64),
         ("begun", np.int64),  # pieces in this step
         ("pieces", np.int64, (4, 2)),  # reference and frame with which they begin
@@ -200,15 +180,14 @@ class Followers:
 
     def __init__(self, library: Library, runs: int = 1):
         self._library, self._runs = library, np.zeros(runs, RUN)
-        self._followed = np.zeros((runs, len(library.sources)), np.int64)  # how often each demonstration was
         self.paths: list[list[tuple[int, int, int]]] = [[] for _ in range(runs)]
 
     def begin(self, k: int, rng: np.random.Generator, flange_m: np.ndarray) -> None:
         """Begins run `k` at (3,); `rng` draws its first demonstration among the nearest."""
         starts = self._library.flange_m[self._library.begins[:-1]]
         far = np.linalg.norm((starts - flange_m) / START_M, axis=1)
-        self._runs[k], self._followed[k], self.paths[k] = np.zeros((), RUN), 0, []
-        _go(self._runs[k], self._followed[k], int(rng.choice(np.argsort(far)[:NEAREST])), -1)
+        self._runs[k], self.paths[k] = np.zeros((), RUN), []
+        _go(self._runs[k], int(rng.choice(np.argsort(far)[:NEAREST])), -1)
         self._note(k)
 
     def actions(
@@ -233,7 +212,7 @@ class Followers:
         """
         actions = np.zeros((len(which), self._library.action.shape[1]))
         felt = (area, centre_mm, flange_m, pressure_kpa)
-        goes_on = _actions(self._library, self._runs, self._followed, which, *felt, actions)
+        goes_on = _actions(self._library, self._runs, which, *felt, actions)
         for k in which[self._runs["begun"][which] > 0]:
             self._note(k)
         return actions, goes_on
@@ -249,11 +228,10 @@ class Followers:
 
 
 @njit(cache=True)
-def _actions(library, runs, followed, which, area, centre_mm, flange_m, pressure_kpa, actions):
+def _actions(library, runs, which, area, centre_mm, flange_m, pressure_kpa, actions):
     goes_on = np.zeros(len(which), np.bool_)
     for i, k in enumerate(which):
-        felt = area[i], centre_mm[i], flange_m[i], pressure_kpa[i]
-        if _advance(library, runs[k], followed[k], *felt):
+        if _advance(library, runs[k], area[i], centre_mm[i], flange_m[i], pressure_kpa[i]):
             goes_on[i] = True
             _act(library, runs[k], area[i], centre_mm[i], flange_m[i], actions[i])
     return goes_on
@@ -265,9 +243,6 @@ def _act(library, run, area, centre_mm, flange_m, action):
     begin, end = library.begins[run.reference], library.begins[run.reference + 1]
     t = begin + min(run.frame, end - begin - 1)
     action[:] = library.action[t]
-    if run.led:
-        _lead(library, run, t, flange_m, action)
-        return
     led = run.first >= 0 or not run.waited
     known = run.first >= 0 and np.isfinite(centre_mm[0]) and np.isfinite(library.felt_mm[t, 0])
     for i in range(3):
@@ -285,23 +260,12 @@ def _act(library, run, area, centre_mm, flange_m, action):
 
 
 @njit(cache=True)
-def _lead(library, run, t, flange_m, action):
-    """To a path that is moved to where touch came: level, and down only beside it."""
-    for i in range(3):
-        back = library.flange_m[t, i] + run.offset_m[i] - flange_m[i]
-        action[i] = min(max(LEAD_HZ * back, -MAX_SPEED_M_S), MAX_SPEED_M_S)
-    if action[2] < 0 and np.hypot(action[0], action[1]) > LEAD_HZ * AWAY_M:
-        action[2] = 0.0
-
-
-@njit(cache=True)
 def _frames(library, paper):
     return max(1, round(paper * library.control_hz / CONTROL_HZ))
 
 
 @njit(cache=True)
-def _go(run, followed, reference, frame):
-    followed[reference] += 1
+def _go(run, reference, frame):
     run.reference, run.frame = reference, frame
     run.first = run.end = -1
     run.offset_m[:] = 0.0
@@ -343,40 +307,27 @@ def _at(library, t):
 
 
 @njit(cache=True)
-def _jump(library, run, followed, flange_m, pressure_kpa, paper):
-    """To the nearest free frame with free frames ahead; False where none is near.
-
-    Where touch came before, all paths are moved along their own way to touch as far as it came there.
-    """
-    ahead, nearest, least = _frames(library, LEFT if run.known else paper), -1, np.inf
-    shift_m = np.zeros(library.way.shape)
-    if run.known:
-        for r in range(len(shift_m)):
-            shift_m[r] = np.sum((run.place_m - library.met_m[r]) * library.way[r]) * library.way[r]
-    for r in range(len(shift_m)):
-        again = REPEATED * followed[r]
-        for t in range(library.begins[r], library.begins[r + 1]):
-            if library.within[t, 0] >= 0 or library.ahead[t] < ahead:
-                continue
-            away = again
-            for i in range(3):
-                away += ((library.flange_m[t, i] + shift_m[r, i] - flange_m[i]) / NEAR_M) ** 2
-            if away < least:  # saves the rest
-                away += _kpa_away(library, t, pressure_kpa, 2.5)
-                if away < least:
-                    nearest, least = t, away
-    if nearest < 0:
+def _jump(library, run, flange_m, pressure_kpa, paper):
+    """To the nearest free frame with free frames ahead; False where none is near."""
+    ahead, nearest, least = _frames(library, paper), -1, np.inf
+    for t in range(len(library.ahead)):
+        if library.within[t, 0] >= 0 or library.ahead[t] < ahead:
+            continue
+        away = 0.0
+        for i in range(3):
+            away += ((library.flange_m[t, i] - flange_m[i]) / NEAR_M) ** 2
+        if away < least:  # saves the rest
+            away += _kpa_away(library, t, pressure_kpa, 2.5)
+            if away < least:
+                nearest, least = t, away
+    if not least <= FARTHEST:
         return False
-    reference, frame = _at(library, nearest)
-    if least - REPEATED * followed[reference] > FARTHEST:
-        return False
-    _go(run, followed, reference, frame)
-    run.offset_m[:] = shift_m[reference]
+    _go(run, *_at(library, nearest))
     return True
 
 
 @njit(cache=True)
-def _into_contact(library, run, followed, area, centre_mm, flange_m, pressure_kpa):
+def _into_contact(library, run, area, centre_mm, flange_m, pressure_kpa):
     """Into the middle of whichever contact is nearest; False where no demonstration has one."""
     nearest, least = -1, np.inf
     for t in range(len(library.ahead)):
@@ -394,35 +345,18 @@ def _into_contact(library, run, followed, area, centre_mm, flange_m, pressure_kp
     if nearest < 0:
         return False
     reference, frame = _at(library, nearest)
-    _go(run, followed, reference, frame)
+    _go(run, reference, frame)
     _touched(library, run, library.within[nearest, 0], library.within[nearest, 1], flange_m, frame)
     return True
 
 
 @njit(cache=True)
-def _behind(library, run, area, flange_m):
-    """Whether the hand is still on its way to the path, without touch."""
-    t = library.begins[run.reference] + run.frame
-    if run.first >= 0 or run.waited or run.frame < 0 or area > TOUCH:
-        return False
-    if t >= library.begins[run.reference + 1]:
-        return False
-    away = 0.0
-    for i in range(3):
-        away += (library.flange_m[t, i] + run.offset_m[i] - flange_m[i]) ** 2
-    return away > AWAY_M**2
-
-
-@njit(cache=True)
-def _advance(library, run, followed, area, centre_mm, flange_m, pressure_kpa):
+def _advance(library, run, area, centre_mm, flange_m, pressure_kpa):
     """Goes on by a frame; False where it is at a loss."""
     run.step += 1
-    run.led = run.known and _behind(library, run, area, flange_m)
-    if run.led:
-        return True
     run.frame += 1
     if run.first >= 0:
-        return _in_contact(library, run, followed, area, flange_m, pressure_kpa)
+        return _in_contact(library, run, area, flange_m, pressure_kpa)
     first = end = -1  # of the next contact
     for c in library.contacts[run.reference]:
         if c[1] > run.frame:
@@ -430,26 +364,22 @@ def _advance(library, run, followed, area, centre_mm, flange_m, pressure_kpa):
             break
     if area > TOUCH:
         if first >= 0:
-            begin = first + min(_frames(library, UNANSWERED), max(end - first - 4, 0))
-            _touched(library, run, first, end, flange_m, begin)
-            run.known = 1
-            run.place_m[:] = flange_m
+            _touched(library, run, first, end, flange_m, first)
             return True
-        return _into_contact(library, run, followed, area, centre_mm, flange_m, pressure_kpa)
+        return _into_contact(library, run, area, centre_mm, flange_m, pressure_kpa)
     if first >= 0 and run.frame >= first:
         run.waited += 1
         run.frame = max(first - 1, 0)
         wait = _frames(library, WAIT)
-        run.known &= run.waited <= wait
-        late = run.waited > wait and not _jump(library, run, followed, flange_m, pressure_kpa, LEFT)
+        late = run.waited > wait and not _jump(library, run, flange_m, pressure_kpa, LEFT)
         return not late or run.waited < 3 * wait
     if run.frame >= library.begins[run.reference + 1] - library.begins[run.reference]:
-        return _jump(library, run, followed, flange_m, pressure_kpa, LEFT)
+        return _jump(library, run, flange_m, pressure_kpa, LEFT)
     return True
 
 
 @njit(cache=True)
-def _in_contact(library, run, followed, area, flange_m, pressure_kpa):
+def _in_contact(library, run, area, flange_m, pressure_kpa):
     begin, first, end = library.begins[run.reference], run.first, run.end
     length = library.begins[run.reference + 1] - begin
     lasts, gone = end >= length, _frames(library, GONE)
@@ -458,7 +388,7 @@ def _in_contact(library, run, followed, area, flange_m, pressure_kpa):
     if run.lost >= gone and end - run.frame <= _frames(library, EARLY) and not lasts:
         run.frame = end
     elif run.lost > _frames(library, LOST):
-        return _jump(library, run, followed, flange_m, pressure_kpa, SEARCHING)
+        return _jump(library, run, flange_m, pressure_kpa, SEARCHING)
     elif run.frame >= end and (run.lost < gone or lasts):
         run.waited += 1
         if run.waited > _frames(library, HOLD):
@@ -472,10 +402,10 @@ def _in_contact(library, run, followed, area, flange_m, pressure_kpa):
         run.first = run.end = -1
         run.waited = 0
         run.offset_m[:] = 0.0
-        if far and not _jump(library, run, followed, flange_m, pressure_kpa, SEARCHING):
+        if far and not _jump(library, run, flange_m, pressure_kpa, SEARCHING):
             return False
         if run.frame >= library.begins[run.reference + 1] - library.begins[run.reference]:
-            return _jump(library, run, followed, flange_m, pressure_kpa, LEFT)
+            return _jump(library, run, flange_m, pressure_kpa, LEFT)
     return True
 
 

@@ -388,7 +388,7 @@ def _run(meta: LeRobotDatasetMetadata, setup: AugmentSetup) -> dict:
         **({"start_width": setup.start_width} if setup.start_width else {}),
         "seed": setup.seed,
         "attempts": setup.attempts,
-        "files": 7,  # version of the work folder's files and of the library
+        "files": 8,  # version of the work folder's files and of the library
         "candidates": setup.candidates,
         **({"tactile_points": True} if setup.tactile_points else {}),
         **({"cameras": setup.cameras} if setup.cameras else {}),
