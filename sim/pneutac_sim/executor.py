@@ -23,7 +23,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack, contextmanager, redirect_stderr
+from contextlib import ExitStack, contextmanager, redirect_stderr, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -241,8 +241,8 @@ def _ray(pipeline: list, tasks: int, logs: Path, options: ExecutorOptions) -> No
         if not ray.is_initialized():
             try:
                 ray.init(log_to_driver=False, logging_level="ERROR")
-            except (ConnectionError, RuntimeError, ValueError) as e:
-                raise InputError(f"Ray: {str(e).splitlines()[0]}") from e
+            except Exception as e:  # plain ones too, as where a node does not start in time
+                raise InputError(f"Ray does not start: {(str(e) or repr(e)).splitlines()[0]}") from e
             stack.callback(ray.shutdown)
         workers = options.workers or -1
         engine = _quiet().RayPipelineExecutor(pipeline, tasks, workers, logging_dir=str(logs), **given)
@@ -258,7 +258,8 @@ def _slurm(pipeline: list, tasks: int, logs: Path, options: ExecutorOptions) -> 
     except subprocess.CalledProcessError:  # a job has failed; what is missing is found by its file
         pass
     except BaseException:
-        subprocess.run(["scancel", f"--name={engine.job_name}"], check=False)
+        with suppress(FileNotFoundError):  # what ended this counts, not that it cannot be called
+            subprocess.run(["scancel", f"--name={engine.job_name}"], check=False)
         raise
 
 

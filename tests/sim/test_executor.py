@@ -142,6 +142,33 @@ def test_what_is_wrong_with_an_executor_is_one_sentence(tmp_path, cluster, monke
     refused("'ray', which is not installed; in a clone: uv pip install", executor="ray")
 
 
+def test_ray_that_does_not_start_is_one_sentence(tmp_path, monkeypatch):
+    ray = pytest.importorskip("ray")
+
+    def init(**_) -> None:
+        raise Exception("The current node timed out during startup.\nLook at its logs.")
+
+    monkeypatch.setattr(ray, "init", init)
+    with pytest.raises(InputError, match="^Ray does not start: The current node timed out during startup.$"):
+        run(tmp_path, ExecutorOptions(executor="ray"))
+
+
+@pytest.mark.parametrize("installed", [True, False])
+def test_an_interrupt_cancels_the_jobs_of_slurm_and_stays_one(tmp_path, cluster, monkeypatch, installed):
+    def interrupt(_) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("datatrove.executor.SlurmPipelineExecutor.run", interrupt)
+    if installed:
+        scancel = tmp_path / "bin" / "scancel"
+        scancel.write_text(f"#!/bin/bash\necho $* >{tmp_path / 'cancelled'}\n")
+        scancel.chmod(stat.S_IRWXU)
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path / "jobs", ExecutorOptions(executor="slurm", executor_config=cluster))
+    if installed:
+        assert (tmp_path / "cancelled").read_text() == f"--name=pneutac-{os.getpid()}\n"
+
+
 def test_an_interrupt_ends_at_once_what_runs(tmp_path):
     def interrupt(*_) -> None:
         raise KeyboardInterrupt
