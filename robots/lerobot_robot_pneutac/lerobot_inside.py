@@ -300,14 +300,14 @@ _OF_DATASETS = {
 
 @contextlib.contextmanager
 def replaced(module: str, name: str, by: Callable) -> Iterator[None]:
-    """While it lasts, a module of `lerobot.datasets` calls this in place of its class or function `name`."""
-    inside = importlib.import_module(f"lerobot.datasets.{module}")
-    of_lerobot = getattr(inside, name)
+    """While it lasts, a module of LeRobot, or of what it uses, calls this in place of its own `name`."""
+    inside = importlib.import_module(module)
+    before = getattr(inside, name)
     setattr(inside, name, by)
     try:
         yield
     finally:
-        setattr(inside, name, of_lerobot)
+        setattr(inside, name, before)
 
 
 def __getattr__(name: str):

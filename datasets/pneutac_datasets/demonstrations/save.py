@@ -98,7 +98,8 @@ class PixelStatistics(RunningQuantileStats):
 @contextlib.contextmanager
 def _quick() -> Iterator[None]:
     """While it lasts, LeRobot's encoders are quiet and its statistics those of above."""
-    with quiet_encoders(), replaced("compute_stats", "RunningQuantileStats", PixelStatistics):
+    statistics = replaced("lerobot.datasets.compute_stats", "RunningQuantileStats", PixelStatistics)
+    with quiet_encoders(), statistics:
         yield
 
 
@@ -107,8 +108,12 @@ def written(dataset: LeRobotDataset) -> Iterator[None]:
     """While episodes are added to a dataset: quiet, and whole at the end, come what may."""
     with contextlib.ExitStack() as stack:
         stack.enter_context(_quick())
-        if not dataset.meta.image_keys:  # looking for images to embed takes longer than all else of a row
-            stack.enter_context(replaced("dataset_writer", "embed_images", lambda rows: rows))
+        if not dataset.meta.image_keys:  # what follows takes longer than all else of a row
+            embed = replaced("lerobot.datasets.dataset_writer", "embed_images", lambda rows: rows)
+            # Pickles all rows, to find what was computed of them before; nothing is.
+            name = replaced("datasets.arrow_dataset", "generate_fingerprint", lambda rows: "episode")
+            stack.enter_context(embed)
+            stack.enter_context(name)
         stack.callback(dataset.finalize)
         yield
 

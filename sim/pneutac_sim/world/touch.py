@@ -5,6 +5,7 @@ import numpy as np
 import trimesh
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.gel.contact import ContactArea
 from pneutac_sim.gel.probe import COLS, KINDS, MESH, ROWS
 from pneutac_sim.gel.sensor import Memory, TactileSensor, branches_of
 from pneutac_sim.world.scene import OBJECT_GROUP
@@ -102,7 +103,8 @@ class Touch:
             self._memory.hold(self.displacement_mm if self.depth_mm.any() else None)
         if self._mode == "image":
             self.image = self.sensor.image(self.depth_mm, self.left_mm)
-            contact = self.sensor.contact(self.image)
+            touched = self.left_mm is not None or self.depth_mm.any()  # else it is the image at rest
+            contact = self.sensor.contact(self.image) if touched else ContactArea.of(0, 1)
         else:
             contact = self.sensor.contact_from_depth(self.depth_mm, self.left_mm)
         self.pixels, self.area = contact.pixels, contact.area
