@@ -16,11 +16,11 @@ from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.hands import Hands
 from lerobot_pneutac.diagnosis.law_programs import law_program
+from lerobot_pneutac.diagnosis.names import called
 from lerobot_pneutac.diagnosis.programs import Limits, common_programs, on_chambers, table, visited, ways
 from lerobot_pneutac.diagnosis.result import Candidate
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import plural
-from pneutac_sim.effects.laws import plain_name
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.data import BodyData
 from pneutac_sim.twin import Twin, Value
@@ -168,7 +168,7 @@ def _programs(
                 along = np.where(
                     shares > 0, np.clip(p[:, None], limits.low_kpa, limits.high_kpa), limits.rest_kpa
                 )
-                yield on_chambers(f"for {plain_name(effect)}", way), f"for {effect}", grid, along, ""
+                yield on_chambers(f"for {called(effect)}", way), f"for {effect}", grid, along, ""
 
 
 # ---------------------------------------------------------------- the information of each

@@ -5,8 +5,8 @@ from functools import cached_property
 
 import numpy as np
 
+from lerobot_pneutac.diagnosis.names import PROFILE, family_in
 from lerobot_pneutac.diagnosis.verdict import Evidence, Explained, Mechanism, explained
-from pneutac_sim.effects.laws import curvature, family
 from pneutac_sim.finger.quantities import squared_distance
 from pneutac_sim.twin import Twin
 
@@ -26,20 +26,6 @@ class FittedModel:
     @cached_property
     def squared(self) -> np.ndarray:
         return squared_distance(self.residual)
-
-
-def family_in(twin: Twin, effect: str) -> str:
-    """The family of an effect, by the constants that a twin has for it and for its other static curves."""
-    constants = {e: {k: v.value for k, v in values.items()} for e, values in twin.effects.items()}
-    kind = family(effect, constants.get(effect))
-    range_kpa = max((v.get("scale_kpa", 0.0) for v in constants.values()), default=0.0)
-    if not curvature(effect, constants.get(effect, {}), range_kpa):
-        return kind
-    bent = sum(curvature(e, v, range_kpa) for e, v in constants.items())
-    return "stiffening" if bent > 0 else "gain_saturation"
-
-
-PROFILE = "bend_profile"  # among known causes: the device bends by a profile of its own, which is no effect
 
 
 SET_UP = (PROFILE, "base_tilt")  # how the body is made and mounted: fitted, but no effect that is missing

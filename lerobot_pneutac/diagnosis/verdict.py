@@ -26,7 +26,7 @@ from enum import StrEnum
 import numpy as np
 
 from lerobot_pneutac.diagnosis import thresholds as T
-from pneutac_sim.effects.laws import plain_name
+from lerobot_pneutac.diagnosis.names import called
 
 NONE = "none of these"  # a mechanism that no family of effects and laws describes
 
@@ -128,10 +128,10 @@ class Evidence:
             out.append(f"only {100 * self.agreed:.0f} % of the splits chose it")
         if self.at_bound:
             of = [n.rpartition(".") for n in self.at_bound]
-            names = ", ".join(f"{p} of {plain_name(e)}" if e else p for e, _, p in of)
+            names = ", ".join(f"{p} of {called(e)}" if e else p for e, _, p in of)
             out.append(f"{names} stopped at a bound")
         if self.cancelling:
-            laws = " and ".join(map(plain_name, self.cancelling))
+            laws = " and ".join(map(called, self.cancelling))
             out.append(f"{laws} would alone move it by more than it travels, and cancel with the rest")
         return out
 

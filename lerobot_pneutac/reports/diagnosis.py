@@ -8,7 +8,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from lerobot_pneutac.diagnosis.experiment import Separation, read
-from lerobot_pneutac.diagnosis.result import Outcome, family_in
+from lerobot_pneutac.diagnosis.names import called, family_in
+from lerobot_pneutac.diagnosis.result import Outcome
 from lerobot_pneutac.reports import figures as F
 from lerobot_pneutac.reports import page as C
 from lerobot_pneutac.reports.page import Report, parameter_rows, rows_of
@@ -16,7 +17,7 @@ from lerobot_pneutac.reports.sentences import State, alternatives, evidence, hed
 from lerobot_pneutac.study.base import EffectStudy
 from pneutac_datasets.recording.axes import Axis, axes, numbers, unit_of
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.effects.laws import family, plain_name
+from pneutac_sim.effects.laws import family
 from pneutac_sim.effects.registry import get_effect
 
 SLOW = ("creep", "valve_lag", "ringing", "leak", "tracker")  # families that a step response shows
@@ -86,9 +87,13 @@ def contributions(study: EffectStudy, o: Outcome) -> go.Figure:
         ends = (  # rises of the error at the ends of the interval of the mean square's
             [max(c.error_with**2 + c.drop[i], 0.0) ** 0.5 - c.error_with for c in some] for i in (1, 2)
         )
-        bars = {"y": [plain_name(c.name) for c in some], "x": rise, "error_x": F.whiskers(rise, *ends)}
+        bars = {
+            "y": [called(c.name, o.twin) for c in some],
+            "x": rise,
+            "error_x": F.whiskers(rise, *ends),
+        }
         figure.add_bar(**bars, orientation="h", name=name, marker_color=colour)
-    figure.update_yaxes(categoryorder="array", categoryarray=[plain_name(c.name) for c in shown])
+    figure.update_yaxes(categoryorder="array", categoryarray=[called(c.name, o.twin) for c in shown])
     return figure.update_xaxes(title=f"rise of the test error without it ({study.unit})")
 
 
@@ -102,7 +107,11 @@ def _candidates(page: Report, study: EffectStudy, o: Outcome, state: State) -> N
     names = [t.name for t in o.tested]
     for name in [*(e for e in o.selected if e not in names), *names]:
         t = next((t for t in o.tested if t.name == name), None)
-        row = {"effect": plain_name(name), "name": name, "in the headline": "yes" * (name in o.selected)}
+        row = {
+            "effect": called(name, o.twin),
+            "name": name,
+            "in the headline": "yes" * (name in o.selected),
+        }
         row |= {f"test error alone ({study.unit})": t and t.heldout, "removes alone": "not tried alone"}
         row |= {"in the contact": t.errors["heldout_contact"]} if t and "heldout_contact" in t.errors else {}
         if t is not None:
@@ -113,11 +122,11 @@ def _candidates(page: Report, study: EffectStudy, o: Outcome, state: State) -> N
     alone = "Alone: with this effect and no other. Without it: with all others, re-fitted."
     page.table(rows, alone * bool(without))
     page.table(rival_rows(o), "Effects that fit the data about as well.")
-    page.table([{"not tested": plain_name(u.name), "why": u.reason} for u in study.untested])
+    page.table([{"not tested": called(u.name), "why": u.reason} for u in study.untested])
 
 
 def rival_rows(o: Outcome) -> list[dict]:
-    pairs = ((plain_name(r.effect), plain_name(r.rival), r.difference) for r in o.rivals)
+    pairs = ((called(r.effect, r.winner.twin), called(r.rival, r.fit.twin), r.difference) for r in o.rivals)
     return rows_of(pairs, {"cause": "{0[0]}", "instead": "{0[1]}", "its mean square error": "{0[2]:+.1%}"})
 
 
@@ -137,7 +146,7 @@ def _parameters(page: Report, study: EffectStudy, o: Outcome) -> None:
     if not o.selected:
         return
     page.heading("How well each parameter is known")
-    known = [parameter_rows(study.parameters(o.after, e), effect=plain_name(e)) for e in o.selected]
+    known = [parameter_rows(study.parameters(o.after, e), effect=called(e, o.twin)) for e in o.selected]
     page.table(sum(known, []))
 
 
@@ -148,7 +157,7 @@ def ladder(study: EffectStudy, o: Outcome) -> go.Figure:
         steps.append(("with known causes", o.baseline, C.KNOWN))
     for label, model in o.ladder[1:-1]:
         text = label.removeprefix("how it bends").strip().removeprefix("+").strip()
-        text = " + ".join(map(plain_name, text.split(" + ")))
+        text = " + ".join(map(called, text.split(" + ")))
         steps += [(f"+ {text}", model, C.OTHER)] if text else []
     if o.selected or o.known:
         steps.append(("with all", o.after, C.AFTER))
@@ -175,7 +184,7 @@ def reductions(o: Outcome) -> go.Figure:
     value = [100 * share for _, share, _ in shown]
     colours = [C.AFTER if t.name in o.selected else C.OTHER for t, *_ in shown]
     ends = ([100 * ci[k] for *_, ci in shown] for k in (0, 1))
-    bar = go.Bar(y=[plain_name(t.name) for t, *_ in shown], x=value, orientation="h", marker_color=colours)
+    bar = go.Bar(y=[called(t.name) for t, *_ in shown], x=value, orientation="h", marker_color=colours)
     figure = go.Figure(bar.update(error_x=F.whiskers(value, *ends)))
     return figure.update_xaxes(
         title="error above the noise removed (%)", range=[min(-10, *value, 0) - 5, 105]

@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from lerobot_pneutac.diagnosis.experiment import Separation
-from lerobot_pneutac.diagnosis.result import SET_UP, Outcome, family_in
+from lerobot_pneutac.diagnosis.names import called, family_in
+from lerobot_pneutac.diagnosis.result import SET_UP, Outcome
 from lerobot_pneutac.diagnosis.thresholds import AS_IS_NOISE
 from lerobot_pneutac.diagnosis.verdict import NONE, Explained, Mechanism
 from lerobot_pneutac.study.base import EffectStudy
 from pneutac_datasets.recording.wording import joined
-from pneutac_sim.effects.laws import FAMILIES, family, is_law, plain_name
-from pneutac_sim.twin import Twin
 
 LEAST_SHOWN = 0.05  # probability of a mechanism that is shown
 UNTESTED = "cannot be tested, "  # what the reasons of untested effects begin with
@@ -364,13 +363,6 @@ def evidence(s: State) -> str:
 
 def _removed(s: State) -> str:
     return f"{percent(*s.removed)} of the squared error{'' if s.noise is None else ' above the noise'}"
-
-
-def called(name: str, twin: Twin | None = None) -> str:
-    """A law by its family, with the constants of a twin where one is given, and its plain name."""
-    kind = family(name) if twin is None else family_in(twin, name)
-    words = FAMILIES[kind][1] if kind in FAMILIES else kind.replace("_", " ")
-    return f"{words} ({plain_name(name)})" if is_law(name) and kind == family(name) else words
 
 
 def hedged(description: str, kind: str, mechanisms: Sequence[Mechanism]) -> str:

@@ -13,6 +13,7 @@ from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.black_box import share_left
 from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap, PairedTest
 from lerobot_pneutac.diagnosis.experiment import Separation
+from lerobot_pneutac.diagnosis.names import called
 from lerobot_pneutac.diagnosis.parts import Parts
 from lerobot_pneutac.diagnosis.result import (
     Contribution,
@@ -316,9 +317,10 @@ class EffectStudy(Study, ABC):
         return get_effect(effect).describe(values, self.recording.device)
 
     def cause(self, model: FittedModel, effect: str) -> str:
-        """What is missing, as a noun phrase with the fitted numbers."""
+        """What is missing, by the one name of it, with the fitted numbers."""
         values = {k: p["value"] for k, p in self.parameters(model, effect).items()}
-        return get_effect(effect).as_cause(values, self.recording.device)
+        _, comma, numbers = get_effect(effect).as_cause(values, self.recording.device).partition(", ")
+        return called(effect, model.twin) + comma + numbers
 
     def size(self, model: FittedModel, effect: str) -> str:
         """How much an effect moves the device, a sentence; empty where that is not known."""

@@ -11,8 +11,9 @@ from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
 from lerobot_pneutac.diagnosis.experiment import Separation, predict, read, separations
 from lerobot_pneutac.diagnosis.law_programs import law_program
+from lerobot_pneutac.diagnosis.names import PROFILE, called
 from lerobot_pneutac.diagnosis.parts import deal
-from lerobot_pneutac.diagnosis.result import PROFILE, FittedModel, Outcome, Rival, Untested
+from lerobot_pneutac.diagnosis.result import FittedModel, Outcome, Rival, Untested
 from lerobot_pneutac.diagnosis.verdict import too_few
 from lerobot_pneutac.study.base import EffectStudy
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel
@@ -333,7 +334,7 @@ class BodyBase(EffectStudy):
         return f": the supply ends at {listed(f'{kpa:.3g}' for kpa in ends)} kPa" if ends else ""
 
     def cause(self, model: FittedModel, effect: str) -> str:
-        return "a bend that is uneven along its length" if effect == PROFILE else super().cause(model, effect)
+        return called(effect) if effect == PROFILE else super().cause(model, effect)
 
     @property
     def recorded(self) -> str:

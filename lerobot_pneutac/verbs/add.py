@@ -9,7 +9,8 @@ from lerobot_pneutac.cli.options import PairOptions, keywords
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.bootstrap import PairedTest
-from lerobot_pneutac.diagnosis.result import Contribution, FittedModel, Refits, family_in
+from lerobot_pneutac.diagnosis.names import called, family_in
+from lerobot_pneutac.diagnosis.result import Contribution, FittedModel, Refits
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.diagnosis.verdict import Mechanism
 from lerobot_pneutac.reports.page import AFTER, BEFORE, KNOWN, Report, parameter_rows, span
@@ -21,7 +22,6 @@ from lerobot_pneutac.verbs.result import ANOTHER_DAY, Result, command_on
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import joined
-from pneutac_sim.effects.laws import plain_name, plain_names
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.executor import one_thread
@@ -145,16 +145,18 @@ class Addition(Result):
     def remarks(self) -> list[str]:
         out = []
         if len(self.contributions) > 1:
-            worth = "; ".join(f"{plain_name(c.name)} {c.error_without:.3g}" for c in self.contributions)
+            worth = "; ".join(
+                f"{called(c.name, self.twin)} {c.error_without:.3g}" for c in self.contributions
+            )
             out.append(f"Test error without each term, all else re-fitted, {self.unit}: {worth}.")
         for c in self.contributions:
             if c.drop[0] <= 0:
-                name, error = plain_name(c.name), f"{c.error_without:.3g} {self.unit}"
+                name, error = called(c.name, self.twin), f"{c.error_without:.3g} {self.unit}"
                 out.append(f"Without {name} the test error is no higher: {error}.")
         if self.instead and self.accepted:
             more = f"explains slightly more: test error {self.instead_error:.3g} {self.unit}"
             hardly = "This recording hardly distinguishes the two"
-            out.append(f"{plain_name(self.instead)} by itself {more}. {hardly}.")
+            out.append(f"{called(self.instead)} by itself {more}. {hardly}.")
         if self.at_bound:
             out.append(f"[yellow]at a bound:[/] {', '.join(self.at_bound)}")
         if self.accepted and self.objections:
@@ -193,7 +195,7 @@ class Addition(Result):
             page.text(f"Of the squared error above the noise {share} goes with all of it.")
         worth, fall = [], f"fall of the mean square, {self.unit}^2 (98 % interval)"
         for c in self.contributions:
-            row = {"term": plain_name(c.name), "known cause": "yes" if c.known else ""}
+            row = {"term": called(c.name, self.twin), "known cause": "yes" if c.known else ""}
             row |= {f"test error without it, {self.unit}": c.error_without, "with all": c.error_with}
             worth.append(row | {fall: "{:.3g} ({:.3g} to {:.3g})".format(*c.drop)})
         page.table(worth, "What each term is worth: the model is re-fitted without it.")
@@ -209,7 +211,7 @@ class Addition(Result):
 
 
 def _plain(effects: Sequence[str]) -> str:
-    return joined(plain_names(effects)) if effects else ""
+    return joined(map(called, effects)) if effects else ""
 
 
 @one_thread
@@ -342,7 +344,7 @@ def _refusal(study, effects: Sequence[str], found: Refits, named: bool) -> str:
         other, model = found.better
         without, all_in, instead = (study.test.value(m.squared) for m in (found.baseline, after, model))
         if without - all_in <= T.NEARLY * (without - instead):  # else the effects remove nearly as much
-            lower = f"{plain_name(other)} lowers it to {study.errors(model)['heldout']:.4g} {unit}"
+            lower = f"{called(other)} lowers it to {study.errors(model)['heldout']:.4g} {unit}"
             but = f"{lower} and leaves nothing to {names}"
             return f"Not added: {names} lowers the test error {from_to}, but {but}."
     if idle := [e for e in effects if study.idle(after, e)]:

@@ -27,12 +27,12 @@ from scipy.stats import binomtest
 
 from lerobot_pneutac.cli import INSTALL
 from lerobot_pneutac.cli.terminal import Terminal
+from lerobot_pneutac.diagnosis.names import called
 from lerobot_pneutac.reports.page import AFTER, BEFORE, MEASURED, Report
 from lerobot_pneutac.verbs.compare import compare
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import joined
-from pneutac_sim.effects.laws import plain_names
 from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.features import CONTROL_HZ, TRIAL_S
 from pneutac_sim.files import read_json, write_json
@@ -117,7 +117,7 @@ class DemoResult(Result):
     def sentence(self) -> str:
         before, after = (self.state[stage]["tip_error_mm"] for stage in ("twin", "add"))
         noise, went = self.state["add"]["noise_mm"], f"went from {before:.2f} to {after:.2f} mm (noise "
-        added = f"With {joined(plain_names(self.added))} added, the"
+        added = f"With {joined(map(called, self.added))} added, the"
         if self.quick:
             return f"{added} tip error on another day {went}{noise:.2f} mm)."
         left = max(after**2 - noise**2, 0.0) ** 0.5
@@ -178,7 +178,7 @@ class DemoResult(Result):
         from lerobot_pneutac.reports.figures import curves
 
         state, out, page = self.state, self.out, self.lead_page()
-        after = f"with {joined(plain_names(self.added))}"
+        after = f"with {joined(map(called, self.added))}"
         ends = (("calibrated", "twin", BEFORE), (after, "add", AFTER))
         steps = [(name, state[stage]["tip_error_mm"], None, colour) for name, stage, colour in ends]
         errors = error_bars(steps, "mm", state["add"]["noise_mm"])

@@ -26,7 +26,6 @@ from lerobot_pneutac.verbs.result import Result, command_on
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.noise import noise_text
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.effects.laws import plain_name
 from pneutac_sim.errors import InputError, option
 from pneutac_sim.executor import one_thread
 from pneutac_sim.files import read_json, write_json
@@ -168,7 +167,7 @@ class Diagnosis(Result):
         if self.selected or o.known:
             rows.append(("with all", self.after))
         worth = sorted(o.contributions, key=lambda c: -c.drop[0]) if len(o.contributions) > 1 else []
-        rows += [(f"without {plain_name(c.name)}", {"heldout": c.error_without}) for c in worth]
+        rows += [(f"without {sentences.called(c.name, o.twin)}", {"heldout": c.error_without}) for c in worth]
         contact = any("heldout_contact" in errors for _, errors in rows)
         return [
             {"model": name, "error": f"{errors['heldout']:.3g}"}

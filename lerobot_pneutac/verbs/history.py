@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lerobot_pneutac.cli.terminal import Terminal
+from lerobot_pneutac.diagnosis.names import called
 from lerobot_pneutac.reports.page import Report, span
 from lerobot_pneutac.verbs.result import Result, history_of
 from pneutac_datasets.recording.wording import joined
-from pneutac_sim.effects.laws import plain_name
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
@@ -35,7 +35,7 @@ class TwinReport(Result):
     @property
     def sentence(self) -> str:
         twin = self.twin
-        effects = joined(map(plain_name, twin.effects)) if twin.effects else "no effects"
+        effects = joined([called(e, twin) for e in twin.effects]) if twin.effects else "no effects"
         tested = [e for e in twin.history if e.get("heldout") is not None]
         long = "" if twin.device == "gel" else f", {twin.length_mm:g} mm long"
         version = f", in version {len(twin.history) - 1}" if twin.history else ""

@@ -30,7 +30,7 @@ from lerobot_pneutac.verbs.diagnose import Diagnosis, diagnose, load_candidates
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.recording import Recording, joined
 from pneutac_datasets.recording.wording import joined as listed
-from pneutac_sim.effects.laws import family, plain_name
+from pneutac_sim.effects.laws import family
 from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.executor import one_thread
 from pneutac_sim.files import read_json, write_json
@@ -227,7 +227,7 @@ def _likely(learning) -> go.Figure:
     figure = go.Figure()
     for r in learning.rounds:
         for name, p in sorted(r.probabilities.items(), key=lambda item: -item[1]):
-            label = " + ".join(map(plain_name, name.split(" + "))) or "no effect"
+            label = " + ".join(map(called, name.split(" + "))) or "no effect"
             text = {"name": label, "hovertext": label, "text": label.split(" + ")[-1]}
             figure.add_bar(x=[r.number], y=[p], showlegend=False, **text)
     figure.update_layout(barmode="stack")
@@ -594,7 +594,7 @@ def command(cfg: LearnConfig, terminal: Terminal) -> None:
     def show_round(r: Round) -> None:
         predicted = "" if r.predicted_error is None else f", predicted to {r.predicted_error:.3g}"
         error = f"{r.error:.3g} {r.unit} (noise {r.noise:.3g})"
-        found = listed(map(plain_name, r.selected or ["nothing"]))
+        found = listed(map(called, r.selected)) or "nothing"
         program = f"{r.program} ({r.seconds:.0f} s){predicted}"
         terminal.say(f"round {r.number}, {program}: {error} with {found}, {r.verdict}")
 

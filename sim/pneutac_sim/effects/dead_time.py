@@ -49,7 +49,7 @@ EFFECT = BodyEffect(
     apart=True,
     state_size=lambda channels: 3 + _KEPT * (channels + 1),
     equation=r"p(t) = p_{cmd}(t - L)",
-    cause="a dead time of {delay_s:.2g} s",
+    cause="dead time, {delay_s:.2g} s",
     summary="Your pressure starts late: nothing happens for {delay_s:.2g} s after a command.",
     experiment="Command single steps and log the measured pressure at 50 Hz or more: it stays flat first.",
 )

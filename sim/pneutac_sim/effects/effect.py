@@ -134,6 +134,11 @@ class Effect:
         """The cause with numbers, e.g. `creep, time constant 8 s`."""
         return self._filled(self.cause or self.name.replace("_", " "), values, device)
 
+    @property
+    def plain_cause(self) -> str:
+        """The cause without numbers, which follow a comma."""
+        return (self.cause or self.name.replace("_", " ")).partition(",")[0]
+
     def _filled(self, text: str, values: dict[str, float], device: str) -> str:
         shown: dict[str, float] = {k: _Plain(v) for k, v in values.items()}
         shown |= {k: _Plain(v) if isinstance(v, float) else v for k, v in self.derive(shown).items()}

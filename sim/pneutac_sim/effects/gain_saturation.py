@@ -29,7 +29,7 @@ EFFECT = BodyEffect(
     run=run,
     apart=True,
     equation=r"p \to p_s \tanh(p / p_s)",
-    cause="saturation above {saturation_pressure_kpa:.3g} kPa",
+    cause="saturation, above {saturation_pressure_kpa:.3g} kPa",
     summary="Your {device} saturates: far above {saturation_pressure_kpa:.3g} kPa more pressure bends it "
     "little.",
     experiment="Go up in small steps to the highest safe pressure and wait at each: the curve flattens.",

@@ -30,7 +30,7 @@ EFFECT = BodyEffect(
     run=run,
     columns=("gravity_x", "gravity_y", "gravity_z"),
     equation=r"K\,(q - q_{el}) = \sum_j J_j^T\,m_j\,g",
-    cause="the {device}'s own weight",
+    cause="the weight of the body",
     summary="Your {device} sags under its own weight ({body_mass_g:.0f} g along it, {tip_mass_g:.0f} g at "
     "its tip).",
     experiment="Repeat one program with the base upside down, and write gravity_x, gravity_y, gravity_z.",

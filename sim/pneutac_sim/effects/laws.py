@@ -18,7 +18,7 @@ Int. J. Solids Struct. 41, 2004); damage under load (Kachanov, 1958); path trave
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
 
@@ -485,7 +485,7 @@ FAMILIES = {
         "dependence on recent motion",
     ),
     "thermal": ("bends more or less when it is warm", "dependence on temperature"),
-    "tracker": ("is measured wrongly", "an error or lag of the tracker, which measures the tip"),
+    "tracker": ("is measured wrongly", "an error or lag of the tracker"),
     "quantisation": ("follows its command in coarse steps", "coarse steps of the command"),
     "dead_band": ("stays where it is until its command has moved enough", "a dead band"),
     "warm_up": ("bends differently in the first minutes of a session", "change over the first minutes"),
@@ -896,11 +896,6 @@ def plain_name(name: str) -> str:
     structure, _, number = name.partition(" #")
     plain = PLAIN.get(structure, structure).replace("_", " ")
     return f"{plain}, {ORDINALS[int(number) - 2]} one" if number and is_law(name) else plain
-
-
-def plain_names(names: Sequence[str]) -> list[str]:
-    """The same of several together; a second instance is called so only beside the first."""
-    return [plain_name(n if n.partition(" #")[0] in names else n.partition(" #")[0]) for n in names]
 
 
 @cache

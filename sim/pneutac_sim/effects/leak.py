@@ -32,7 +32,7 @@ EFFECT = BodyEffect(
     apart=True,
     state_size=lambda channels: 2 * channels,
     equation=r"\dot p = -k\,p \text{ while } \dot p_{cmd} = 0",
-    cause="a leak of {percent_per_min:.0f} % of the pressure per minute",
+    cause="loss of pressure during holds, {percent_per_min:.0f} % a minute",
     summary="Your {device} leaks: while the valve holds it loses {percent_per_min:.0f} % of its pressure a "
     "minute.",
     experiment="Hold a high pressure for two minutes with the valve shut and log the measured pressure.",

@@ -32,7 +32,7 @@ EFFECT = BodyEffect(
     run=run,
     columns=("temperature_c",),
     equation=r"q \to q\,e^{c\,\Delta T + d\,\Delta T^2}, \quad \Delta T = T - T_{ref}",
-    cause="temperature, {percent:+.1f} % bend per degree",
+    cause="dependence on temperature, {percent:+.1f} % bend per degree",
     summary="Your {device} feels the temperature: it bends {percent:+.1f} % more for each degree near "
     "{reference_temperature_c:.0f} °C.",
     experiment="Repeat one program at two room temperatures, 5 degrees or more apart, and log temperature_c.",

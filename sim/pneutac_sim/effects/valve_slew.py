@@ -69,7 +69,7 @@ EFFECT = BodyEffect(
     state_size=lambda channels: 2 * channels,
     equation=r"\dot p = k\,\mathrm{clip}((p_{cmd} - p)/b,\, -1,\, 1), \quad "
     r"k = k_{fill} \text{ or, venting, } k_{vent}\,(1 + h\,\max(p, 0)/P)",
-    cause="a valve that fills at {fill_rate_kpa_per_s:.3g} kPa/s at most",
+    cause="a valve of limited flow, filling at {fill_rate_kpa_per_s:.3g} kPa/s at most",
     summary="Your valve is slow for large steps: at most {fill_rate_kpa_per_s:.3g} kPa/s in and "
     "{vent_rate_kpa_per_s:.3g} kPa/s out, proportional within {band_kpa:.2g} kPa.",
     experiment="Step to several pressures and log the measured pressure: it rises in straight lines.",

@@ -120,13 +120,14 @@ def test_confidence_follows_the_verdict_and_what_is_open(case, verdict, confiden
 def test_warnings_have_findings_of_the_data_and_what_was_not_tested():
     told = warnings(state_of(*given(after=0.9)))
     assert told[0].startswith("A check failed: the error stays at 2.1 times the noise")
-    assert "The clock jumps." in told and told[-1] == "Not tested: gravity (record column gravity_x)."
+    assert (
+        "The clock jumps." in told
+        and told[-1] == "Not tested: the weight of the body (record column gravity_x)."
+    )
 
 
 def test_what_to_record_next_is_the_effects_own():
-    assert (
-        next_experiment(*given())[0] == "To confirm creep (a lag between pressure and bend): Step and hold."
-    )
+    assert next_experiment(*given())[0] == "To confirm creep (lag(p)): Step and hold."
     assert next_experiment(*given(selected=(), after=0.43))[0] == "Nothing."
     study, outcome = given(selected=(), near_miss=["creep"])
     outcome.not_yet = "Record about 12 more minutes of the same programs."

@@ -92,7 +92,8 @@ def test_an_effect_that_does_not_help_is_refused_with_numbers(pair, tmp_path):
     twin = new_twin("finger", r).save(tmp_path / "twin")
     before = (twin / "twin.yaml").read_text()
     with pytest.raises(
-        InputError, match="Not added: leak changes nothing; its constants end where it does nothing"
+        InputError,
+        match="Not added: loss of pressure during holds changes nothing; its constants end where it does",
     ):
         verb("add", twin=twin, recording=recording, effect="leak")
     assert (twin / "twin.yaml").read_text() == before and not (twin / "history").exists()

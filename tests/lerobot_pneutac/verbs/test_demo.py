@@ -198,7 +198,7 @@ def test_the_sentence_says_what_was_found_and_the_report_is_written(commands, tm
     assert result["difference_percent"] == 40 and 20 < result["difference_ci95"][0] < 30
     page = (out / "report.html").read_text()
     sentence = (
-        "With creep and valve lag added, the test error of the tip went from 2.50 to 0.83 mm "
+        "With creep and a slow valve added, the test error of the tip went from 2.50 to 0.83 mm "
         "(noise 0.50 mm, unexplained 0.67 mm). Trained on 10 demonstrations and 3 made of them on the"
         " corrected twin, the policy pulled the card in 36 of 40 starts that it had not seen (90 %, 95 %"
         " interval 77 to 96); trained on the 10 alone in 20 of 40 of the same (50 %, 95 % interval 35 to 65)."
