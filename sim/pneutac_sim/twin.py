@@ -258,7 +258,9 @@ class Twin:
         file = Path(path) / ("twin.yaml" if version is None else f"history/{version:03d}/twin.yaml")
         if not file.is_file():
             if version is not None:
-                raise InputError(f"{path} has no version {version} ({file} is missing).")
+                raise InputError(
+                    f"{path} has no version {version} ({file} is missing); restore it from the twin's source."
+                )
             if Path(path).is_file():
                 raise InputError(f"{path} is a file; give the folder of a twin.")
             raise InputError(no_twin(Path(path)))
@@ -317,7 +319,7 @@ class Twin:
                 cls.load(path, version, calibrated=version is None)
             except InputError as e:
                 found.append(str(e))
-        return found
+        return list(dict.fromkeys(found))  # versions may share a file
 
     def copy(self) -> "Twin":
         return copy.deepcopy(self)
@@ -385,7 +387,7 @@ def checked_range(pressures_kpa, name: str) -> tuple[float, float]:
     Raises InputError: it is not two finite numbers, the first below the second, with 0 (vented) among them.
     """
     try:
-        low, high = (float(x) for x in pressures_kpa)
+        low, high = map(_number, pressures_kpa)
         right = -math.inf < low <= 0 <= high < math.inf and low < high
     except (TypeError, ValueError):
         right = False
@@ -445,14 +447,22 @@ def _value(v, where: str) -> Value:
         raise InputError(f"field '{where}' is {shown(v)}; it must hold 'value', a number.")
     for fault in unknown_names(v, ("value", "ci95")):
         raise InputError(f"{where}: {fault}")
+    ends = v.get("ci95")
     try:
-        ci95 = tuple(float(x) for x in v.get("ci95") or ())
-        value = Value(float(v["value"]), (ci95[0], ci95[1]) if ci95 else None)
-    except (TypeError, ValueError, IndexError) as e:
+        number, ci95 = _number(v["value"]), [] if ends is None else [_number(x) for x in ends]
+    except (TypeError, ValueError) as e:
         raise InputError(f"field '{where}' is {shown(v)}; its numbers are malformed ({e}).") from e
-    if not all(abs(x) < MOST_VALUE for x in (value.value, *ci95)) or list(ci95[:2]) != sorted(ci95):
+    right = ends is None or isinstance(ends, list) and len(ends) in (0, 2) and ci95 == sorted(ci95)
+    if not (right and all(abs(x) < MOST_VALUE for x in (number, *ci95))):
         raise InputError(f"field '{where}' is {shown(v)}; its numbers must be finite, ci95 low and high.")
-    return value
+    return Value(number, (ci95[0], ci95[1]) if ci95 else None)
+
+
+def _number(x) -> float:
+    """A number of YAML, which takes 1e-5 for a text; raises TypeError or ValueError where it is none."""
+    if isinstance(x, bool):
+        raise TypeError(f"{x} is no number")
+    return float(x)
 
 
 def _effects(d, faults: list[str]) -> dict[str, dict[str, Value]]:
@@ -504,8 +514,8 @@ def _history(d, faults: list[str]) -> list[dict]:
 
 _READ: dict[str, Callable[[Any, list[str]], Any]] = {
     "device": lambda d, _: d,
-    "length_mm": lambda d, _: float(d),
-    "spine_joint_positions_mm": lambda d, _: [float(x) for x in d],
+    "length_mm": lambda d, _: _number(d),
+    "spine_joint_positions_mm": lambda d, _: [_number(x) for x in d],
     "parameters": lambda d, faults: _values(d, "parameters", faults),
     "effects": _effects,
     "pressure_range_kpa": lambda d, _: d,

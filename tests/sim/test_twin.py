@@ -123,6 +123,19 @@ def test_missing_and_corrupted_files(tmp_path):
             "effects.dead_time: unknown parameter 'delay_sec'; did you mean 'delay_s'\\?",
         ),
         ("effects: {}", "effects:\n  dead_time: {}", "effects.dead_time: delay_s is missing; add what is"),
+        ("value: 0.01114", "value: true", "field 'parameters.gain_rad_per_kpa' .*True is no number"),
+        (
+            "value: 0.01114",
+            "value: 0.01114\n    ci95: '12'",
+            "field 'parameters.gain_rad_per_kpa' .* low and high",
+        ),
+        (
+            "value: 0.01114",
+            "value: 0.01114\n    ci95: [0, 1, 2]",
+            "field 'parameters.gain_rad_per_kpa' .* low and",
+        ),
+        ("- 13.75", "- true", "field 'spine_joint_positions_mm' is malformed .True is no number"),
+        ("length_mm: 110.0", "length_mm: true", "field 'length_mm' is malformed .True is no number"),
         ("history: []", "history: {}", "field 'history' is {}; it must hold an entry for each version"),
         ("history: []", "history: [first]", "field 'history, entry 0' is 'first'"),
         ("history: []", "history: [{change: new}]", "history, entry 0: field 'version' is missing"),
@@ -145,6 +158,17 @@ def test_a_malformed_twin_names_file_and_field(old, new, said, tmp_path):
     with pytest.raises(InputError, match=f"twin.yaml: {said}"):
         Twin.load(tmp_path)
     assert any(re.search(f"twin.yaml: {said}", fault) for fault in Twin.faults(tmp_path))
+
+
+def test_a_fault_of_a_file_that_versions_share_is_reported_once(tmp_path):
+    twin = Twin.builtin()
+    twin.arrays["rest_image"] = np.zeros((4, 3, 3), np.uint8)
+    for change in ("first", "second", "third"):
+        twin.save_version(tmp_path, change, "bench", {})
+    (arrays,) = tmp_path.glob("arrays-*")
+    arrays.write_bytes(b"")
+    (fault,) = [f for f in Twin.faults(tmp_path) if "history" not in f]
+    assert "is corrupted" in fault
 
 
 def test_a_twin_may_have_the_parameters_that_the_pipeline_the_solid_and_the_gel_know():
