@@ -31,7 +31,7 @@ RINGS = {"inside": (0.0, 0.8), "rim": (0.8, 1.2), "around": (1.2, CONTACT_DISC)}
 def parts(folder: Path, presses: tuple[int, ...]) -> dict[str, float]:
     """Mean squares over photographs that are not among the presses, levels^2."""
     data = GelRecording.load(Recording.load(folder))
-    pairs = [data.samples[k].photograph for k in presses]
+    pairs = [data.samples[k] for k in presses]
     gel = fit_presses(pairs, data.px_per_mm, None, data.thickness_mm).gel
     predictor = Predictor(gel, pairs)
     others = [s for i, s in enumerate(data.samples) if i not in presses]
@@ -40,7 +40,7 @@ def parts(folder: Path, presses: tuple[int, ...]) -> dict[str, float]:
 
 
 def _parts_of(s: GelSample, gel, predictor: Predictor, data: GelRecording) -> dict[str, float]:
-    sensor, photograph = TactileSensor(replace(gel, rest_image=s.rest)), s.photograph
+    sensor, photograph = TactileSensor(replace(gel, rest_image=s.rest)), s
     m = disc(s.rest.shape, s.x_px, s.y_px, CONTACT_DISC * s.radius_px)
     y, x = np.mgrid[: m.shape[0], : m.shape[1]] + 0.5
     r = np.hypot(x - s.x_px, y - s.y_px) / s.radius_px

@@ -38,7 +38,7 @@ def main() -> None:
         known = data.presses
         if options.presses:
             known = [data.samples[i] for i in np.linspace(0, n - 1, options.presses).round().astype(int)]
-        fit = fit_presses([s.photograph for s in known], data.px_per_mm, None, data.thickness_mm, (DIGIT,))
+        fit = fit_presses(known, data.px_per_mm, None, data.thickness_mm, (DIGIT,))
         reader = TouchReader(fit.gel)
         others = [s for s in data.samples if s not in known]
         reader.read(others[0].image, others[0].rest)  # compiles

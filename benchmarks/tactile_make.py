@@ -23,7 +23,7 @@ from pneutac_sim.gel.layout import SensorPrior
 def unit(folder: Path) -> SensorPrior:
     """What the model leaves over on the sensor of a recording."""
     data = GelRecording.load(Recording.load(folder))
-    pairs = [s.photograph for s in data.samples]
+    pairs = data.samples
     fit = fit_presses(pairs, data.px_per_mm, None, data.thickness_mm, (replace(layout.DIGIT, units=()),))
     rest = np.asarray(layout.stored_rest(fit.gel.rest_image))
     return SensorPrior.of(rest, fit.leftovers, float(np.linalg.norm(fit.gel.light)))

@@ -35,7 +35,7 @@ def tried(folder: Path, k: int) -> tuple[float, ...]:
     moved = replace(true, x_mm=true.x_mm + by[0], y_mm=true.y_mm + by[1], depth_mm=depth)
     others, errors, off = [s for i, s in enumerate(data.samples) if i != k], [], []
     for deviations in ({}, sd):
-        pair = replace(data.samples[k].photograph, press=moved, sd=deviations)
+        pair = replace(data.samples[k], press=moved, sd=deviations)
         fit = fit_presses([pair], data.px_per_mm, None, data.thickness_mm)
         predictor, found = Predictor(fit.gel, [pair]), fit.presses[0]
         scores = [

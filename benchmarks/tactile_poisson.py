@@ -36,7 +36,7 @@ def main() -> None:
     )
     for name in options.sets.split(","):
         data = GelRecording.load(Recording.load(options.data / name))
-        pair = data.calibration.photograph
+        pair = data.presses[0]
         sizes = GelModel(data.rest, np.zeros((3, 2)), np.zeros(3), data.px_per_mm)
         given = [None]
         for ratio in RATIOS:

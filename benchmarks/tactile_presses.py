@@ -21,8 +21,8 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.gel.fit import GelFit, fit_presses
 from pneutac_sim.gel.identifiability import open_levels
 from pneutac_sim.gel.layout import DIGIT
-from pneutac_sim.gel.pair import ImageScores, score
-from pneutac_sim.gel.photograph import Predictor, PressPhotograph
+from pneutac_sim.gel.pair import ImageScores, PressPhotograph, score
+from pneutac_sim.gel.photograph import Predictor
 
 
 def fitted(pairs: list[PressPhotograph], data: GelRecording, fields: str) -> GelFit:
@@ -37,7 +37,7 @@ def fitted(pairs: list[PressPhotograph], data: GelRecording, fields: str) -> Gel
 def predicted_by(folder: Path, fields: str, presses: tuple[int, ...]) -> tuple[str, ImageScores]:
     """The make that was recognised, and mean scores over all photographs but these presses."""
     data = GelRecording.load(Recording.load(folder))
-    pairs = [data.samples[k].photograph for k in presses]
+    pairs = [data.samples[k] for k in presses]
     fit = fitted(pairs, data, fields)
     predictor = Predictor(fit.gel, pairs)
     others = [s for i, s in enumerate(data.samples) if i not in presses]
@@ -52,7 +52,7 @@ def predicted_by(folder: Path, fields: str, presses: tuple[int, ...]) -> tuple[s
 def advised(folder: Path, fields: str, first: int) -> int:
     """Of all other photographs' presses, the one that leaves least open beside the first."""
     data = GelRecording.load(Recording.load(folder))
-    fit = fitted([data.samples[first].photograph], data, fields)
+    fit = fitted([data.samples[first]], data, fields)
     left = open_levels(fit.gel, fit.channels, [s.press for s in data.samples])[1]
     left[first] = np.inf
     return int(np.argmin(left))

@@ -21,7 +21,8 @@ from pneutac_sim.gel.batch import TactileBatch
 from pneutac_sim.gel.fit import fit_presses
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.photograph import PressPhotograph, press_depth
+from pneutac_sim.gel.pair import PressPhotograph
+from pneutac_sim.gel.photograph import press_depth
 from pneutac_sim.gel.sensor import TactileSensor
 
 BATCH, COPY_BYTES = 64, 1 << 30

@@ -20,7 +20,8 @@ from pneutac_sim.gel import layout
 from pneutac_sim.gel.fit import fit_presses
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.photograph import PressPhotograph, press_depth
+from pneutac_sim.gel.pair import PressPhotograph
+from pneutac_sim.gel.photograph import press_depth
 from pneutac_sim.gel.probe import BOX, CAPSULE, SPHERE, probe_grid
 from pneutac_sim.gel.sensor import TactileSensor
 

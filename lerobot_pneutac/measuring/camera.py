@@ -11,10 +11,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from pneutac_datasets.recording.reading import read_image
 from pneutac_datasets.recording.sources.readers import Track
 from pneutac_sim.errors import InputError
-from pneutac_sim.files import read_json, refuse_pointer, write_json
+from pneutac_sim.files import read_image, read_json, refuse_pointer, write_json
 
 DICTIONARY = cv2.aruco.DICT_4X4_50
 CELLS = 6  # of a marker's side, its dark rim included

@@ -43,8 +43,8 @@ from pneutac_sim.finger.quantities import root_mean
 from pneutac_sim.gel import optics
 from pneutac_sim.gel.fit import FAR_ENOUGH, LEFT_RADII
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.pair import check_pair
-from pneutac_sim.gel.photograph import PressPhotograph, session_light
+from pneutac_sim.gel.pair import PressPhotograph
+from pneutac_sim.gel.photograph import session_light
 from pneutac_sim.twin import Twin
 
 RECENT = 3  # presses before, of which something may be left that is no noise
@@ -188,9 +188,7 @@ class GelStudy(EffectStudy):
     nothing_left = repeat
 
     def __init__(self, twin: Twin, recording: Recording, seed: int = 0):
-        data = GelRecording.load(recording)
-        for pair in data.presses:
-            check_pair(pair.rest, pair.image, pair.press, data.px_per_mm)
+        data = GelRecording.load(recording, to_fit=True)
         self.twin, self.recording, self.seed, self.data = twin, recording, seed, data
         self.findings = data.warnings
         self.twin_effects = tuple(of_sensor(twin.effects))

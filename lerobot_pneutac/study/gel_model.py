@@ -15,7 +15,7 @@ from pneutac_sim.gel.fit import GelFit, fit_photographs
 from pneutac_sim.gel.identifiability import library
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import CONTACT_DISC
-from pneutac_sim.gel.photograph import Predictor, Pressed, PressPhotograph
+from pneutac_sim.gel.photograph import Predictor, Pressed
 from pneutac_sim.twin import Twin
 
 
@@ -23,11 +23,6 @@ def for_twin(gel: GelModel, twin: Twin) -> GelModel:
     """The gel at the size in which the twin has its images; as it is where that is of other proportions."""
     (h, w), (rows, columns) = gel.rest_image.shape[:2], GelModel.from_twin(twin).rest_image.shape[:2]
     return gel.resized(rows, columns) if twin.gel and abs(w * rows / (h * columns) - 1) <= 0.02 else gel
-
-
-def calibration_pairs(data: GelRecording) -> list[PressPhotograph]:
-    """Photographs of role `calibration`, whose drift of light every prediction may know; none is allowed."""
-    return [s.photograph for s in data.samples if s.role == "calibration"]
 
 
 def predict(gel: GelModel, data: GelRecording, pressed: Pressed | None = None) -> list[np.ndarray]:
@@ -38,7 +33,7 @@ def predict(gel: GelModel, data: GelRecording, pressed: Pressed | None = None) -
         data: its images.
         pressed: gives the surfaces, see `Predictor`.
     """
-    predictor = Predictor(gel, calibration_pairs(data), pressed)
+    predictor = Predictor(gel, data.presses, pressed)
     return [predictor.image(s.press, s.rest, s.clock, s.earlier) for s in data.samples]
 
 
@@ -116,7 +111,7 @@ class GelSpace(Space):
     ):
         self.data, self.gel, self.twin, self.train, self.fold = data, gel, twin, train, fold
         self.twin_effects, self.candidates = tuple(own), list(candidates)
-        self.photographs = [s.photograph for s in data.samples]
+        self.photographs = data.samples
         self.steps, self._makes = Steps(), library()
         self._regions = [p.near(data.px_per_mm, CONTACT_DISC) for p in self.photographs]
         self._wholes: dict[Structure, tuple[GelFit, np.ndarray]] = {}
@@ -173,8 +168,7 @@ class GelSpace(Space):
 
     def differences(self, gels: Sequence[GelModel]) -> list[np.ndarray]:
         """Predicted - photographed of every photograph, each by its own gel, int16 (H, W, 3)."""
-        pairs = calibration_pairs(self.data)
-        predictors = {id(g): Predictor(g, pairs) for g in gels}
+        predictors = {id(g): Predictor(g, self.data.presses) for g in gels}
         return [
             predictors[id(g)].image(p.press, p.rest, p.clock, p.earlier).astype(np.int16) - p.image
             for g, p in zip(gels, self.photographs, strict=True)

@@ -3,7 +3,7 @@
 At every imprint the law's force is proportional to the modulus, so that each press gives one; the gel's is
 their geometric mean, as errors of depth and of the law are relative ones.
 
-The two rows that keep a comparison honest: nothing but the rest image, and the calibration pasted.
+The baseline that a model must beat: the calibration's difference image, pasted.
 """
 
 import math
@@ -16,7 +16,7 @@ from pneutac_datasets.recording.gel import GelRecording, GelSample
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.force import MATERIAL, MODULUS, MODULUS_MPA, GelForce
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.pair import Pair, press_px
+from pneutac_sim.gel.pair import PressPhotograph, press_px
 from pneutac_sim.twin import Twin, Value
 
 
@@ -93,21 +93,6 @@ def modulus_sentence(modulus: Modulus | None, twin: Twin) -> str:
     return f"The force of {of} gives the gel a modulus of {modulus.value_mpa:.2g} MPa{between}{off}."
 
 
-class RestAlone:
-    """Predicts that no contact shows."""
-
-    def __init__(self, rest: np.ndarray):
-        self._rest = rest
-
-    @classmethod
-    def fit(cls, pair: Pair) -> "RestAlone":
-        """Keeps the rest image, uint8 (H, W, 3); the rest is checked and not used."""
-        return cls(pair.rest)
-
-    def image(self, press: Press) -> np.ndarray:
-        return self._rest.copy()
-
-
 class Pasted:
     """Predicts the calibration's difference to rest, moved to the contact by whole pixels.
 
@@ -115,19 +100,15 @@ class Pasted:
     it wherever the test's contact differs from the calibration's.
     """
 
-    def __init__(self, rest: np.ndarray, difference: np.ndarray, press: Press, px_per_mm: float):
-        self._rest, self._difference = rest, difference
-        self._press, self._px_per_mm = press, px_per_mm
-
-    @classmethod
-    def fit(cls, pair: Pair) -> "Pasted":
-        """Keeps indentation - rest, both uint8 (H, W, 3), and where the contact was."""
-        return cls(pair.rest, pair.indentation.astype(np.int16) - pair.rest, pair.press, pair.px_per_mm)
+    def __init__(self, pair: PressPhotograph, px_per_mm: float):
+        self._pair, self._px_per_mm = pair, px_per_mm
 
     def image(self, press: Press) -> np.ndarray:
-        here, there = (press_px(p, self._rest.shape, self._px_per_mm) for p in (press, self._press))
-        moved = shift(self._difference, round(here[0] - there[0]), round(here[1] - there[1]))
-        return np.clip(self._rest + moved, 0, 255).astype(np.uint8)
+        rest = self._pair.rest
+        here, there = (press_px(p, rest.shape, self._px_per_mm) for p in (press, self._pair.press))
+        difference = self._pair.image.astype(np.int16) - rest
+        moved = shift(difference, round(here[0] - there[0]), round(here[1] - there[1]))
+        return np.clip(rest + moved, 0, 255).astype(np.uint8)
 
 
 def shift(image: np.ndarray, dx: int, dy: int) -> np.ndarray:

@@ -10,17 +10,17 @@ from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.design import nats_between
 from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.diagnosis.search import Found, Scored
-from lerobot_pneutac.study.gel_model import calibration_pairs, seen_by
+from lerobot_pneutac.study.gel_model import seen_by
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_sim.effects.gel_creep import EFFECT, share_left
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.gel.identifiability import DEEPER, DEEPEST, PLACES
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.pair import CONTACT_DISC
-from pneutac_sim.gel.photograph import Predictor, PressPhotograph
+from pneutac_sim.gel.pair import CONTACT_DISC, Earlier, PressPhotograph
+from pneutac_sim.gel.photograph import Predictor
 from pneutac_sim.gel.residual import ERROR_LEVELS, INDEPENDENT
-from pneutac_sim.gel.sensor import Earlier, branches_of
+from pneutac_sim.gel.sensor import branches_of
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,7 @@ def press_choices(data: GelRecording, models: Sequence[Candidate]) -> list[Press
         data: the photographs so far.
         models: candidates.
     """
-    predictors = [
-        Predictor(seen_by(GelModel.from_twin(m.twin), data), calibration_pairs(data)) for m in models
-    ]
+    predictors = [Predictor(seen_by(GelModel.from_twin(m.twin), data), data.presses) for m in models]
     probability = np.array([m.probability for m in models])
     found = []
     for press in _presses(data):
@@ -136,7 +134,7 @@ def held_choice(data: GelRecording, models: Sequence[Candidate]) -> HeldChoice:
         gel = replace(
             gel, effects=gel.effects | {EFFECT.name: {p.name: p.default for p in EFFECT.parameters}}
         )
-    branches, pairs = branches_of(gel), calibration_pairs(data)
+    branches, pairs = branches_of(gel), data.presses
     left = {
         (hold, wait): share_left(branches, hold, wait + SHORT_S) for hold, wait in product(HOLDS_S, WAITS_S)
     }

@@ -14,7 +14,7 @@ from lerobot_pneutac.study.gel import UNHELD
 from lerobot_pneutac.study.gel_model import at_bound, late_effects, predict, seen_by
 from lerobot_pneutac.study.gel_modulus import Modulus, Pasted, keep_modulus, modulus_sentence
 from lerobot_pneutac.verbs.result import Calibration, Comparison, rms_of
-from pneutac_datasets.recording.gel import GelRecording, GelSample, pair_faults
+from pneutac_datasets.recording.gel import GelRecording, GelSample
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect, of_sensor, sensor_effects
 from pneutac_sim.errors import InputError
@@ -24,13 +24,12 @@ from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.inverse import TouchReader
 from pneutac_sim.gel.layout import LIKE, Layout, Orientation, recognise
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.pair import ImageScores, Pair, RestDifference, cells, disc, score
-from pneutac_sim.gel.photograph import PressPhotograph
+from pneutac_sim.gel.pair import ImageScores, PressPhotograph, disc, rest_changed, score
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 
 if TYPE_CHECKING:
-    from pneutac_sim.mpm.devices import PressedGel  # which starts a compiler
+    pass  # which starts a compiler
 
 EFFECTS, STANDARD = "effects", "standard"  # in the history of a twin whose effects nobody chose
 OURS, BASELINE, REST = "this model", "difference pasted", "rest image"
@@ -41,20 +40,61 @@ PICTURES, PICTURE_PX = 6, 213  # held-out images in the picture grid, and the he
 MPM = "this model, material points"  # light and all predictions on their surfaces
 
 
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """A recording's photographs as a gel draws them, uint8 (H, W, 3); `images` are by the closed form."""
+
+    gel: GelModel
+    data: GelRecording
+    given: list[np.ndarray] | None = None  # in place of these
+
+    @cached_property
+    def images(self) -> list[np.ndarray]:
+        return predict(self.gel, self.data) if self.given is None else self.given
+
+    @cached_property
+    def scores(self) -> list[ImageScores]:
+        return scores_of(self.data, self.images)
+
+    @cached_property
+    def rest_scores(self) -> list[ImageScores]:
+        """Of the rest image alone."""
+        return scores_of(self.data, [s.rest for s in self.data.samples])
+
+    @cached_property
+    def pasted_scores(self) -> list[ImageScores]:
+        """Of the first calibration image's difference to its rest image, moved to each contact."""
+        pasted = Pasted(self.data.presses[0], self.data.px_per_mm)
+        return scores_of(self.data, [pasted.image(s.press) for s in self.data.samples])
+
+
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class GelCalibration(Calibration):
     """A gel calibrated to one pair of images or several."""
 
     gel: GelModel  # as the twin keeps it
     fit: GelFit
-    identified: Identified  # what they identify
-    data: GelRecording
-    predicted: list[np.ndarray]  # of every image, uint8 (H, W, 3), by the model
-    scores: dict[str, list[ImageScores]]  # method to the score of every image
+    drawn: Drawn  # by the fit
     notes: str = ""
     standard: bool = False  # whether nobody chose the effects
     modulus: Modulus | None = None  # of the gel, by the presses with a force; None if there is none
-    material: str = ""  # of the material points that the light was fitted to; empty for the closed form
+    by_points: Drawn | None = None  # by material points, if the light was fitted to them
+    material: str = ""  # of these; empty for the closed form
+
+    @property
+    def data(self) -> GelRecording:
+        return self.drawn.data
+
+    @cached_property
+    def identified(self) -> Identified:
+        """What the presses identify."""
+        return identify(self.fit.gel, self.fit.channels, self.data.presses)
+
+    @property
+    def scores(self) -> dict[str, list[ImageScores]]:
+        """Method to the score of every image."""
+        out = {OURS: self.drawn.scores, BASELINE: self.drawn.pasted_scores, REST: self.drawn.rest_scores}
+        return out | ({MPM: self.by_points.scores} if self.by_points else {})
 
     def _noted(self) -> dict:
         """That the effects were no one's choice, so that the next calibration need not keep them."""
@@ -103,7 +143,7 @@ class GelCalibration(Calibration):
         if (rows, columns) != self.data.rest.shape[:2]:
             first.append(f"The twin's images are {columns} x {rows} px, made of the photographs'.")
         first.append(modulus_sentence(self.modulus, self.twin))
-        moved = moved_sentences([s.photograph for s in self.data.presses], self.fit)
+        moved = moved_sentences(self.data.presses, self.fit)
         first.append(residual_sentence(self.fit))
         return [*filter(None, first), *moved, *identified_sentences(self.identified, self.fit.make)]
 
@@ -150,7 +190,7 @@ class GelCalibration(Calibration):
         }
 
     def pictures(self) -> dict[str, np.ndarray]:
-        return {"tactile.png": picture_grid(self.data, self.predicted, self.data.calibration)}
+        return {"tactile.png": picture_grid(self.data, self.drawn.images, self.data.presses[0])}
 
     def page(self) -> Report:
         page = self.lead_page()
@@ -247,107 +287,104 @@ def calibrate_gel(
     twin: Twin,
     recording: Recording,
     effects: Sequence[str] | None = None,
-    through_mpm: bool = False,
+    image_size: Sequence[int] | None = None,
+) -> GelCalibration:
+    """Fits light and optics to all images of role `calibration`; see `calibrate`."""
+    names = wanted(effects, twin)
+    known = late_effects(_sensor_effects(twin))
+    data = _photographs(twin, recording, names, known)
+    start = time.monotonic()
+    fit = fit_presses(data.presses, data.px_per_mm, names, data.thickness_mm, library(), known=known)
+    return _calibrated(twin, recording, Drawn(fit.gel, data), fit, names, image_size, start)
+
+
+def calibrate_through_points(
+    twin: Twin,
+    recording: Recording,
+    effects: Sequence[str] | None = None,
     image_size: Sequence[int] | None = None,
     progress: Progress = no_progress,
 ) -> GelCalibration:
-    """Fits light and optics to all images of role `calibration`; see `calibrate`."""
-    data = GelRecording.load(recording)
-    names, start = wanted(effects, twin), time.monotonic()
-    if faults := pair_faults(recording, data):
-        raise InputError(faults[0])
-    presses = [s.photograph for s in data.presses]
-    points = _material_points(twin, data, names) if through_mpm else None
-    if points:
-        progress("material points under the presses of the calibration", 0, 1)
-    given = points and points.between
-    numbers = {n: {k: v.value for k, v in twin.effects[n].items()} for n in of_sensor(twin.effects)}
-    known = late_effects(numbers)
+    """The same with the surfaces that material points have, its light refined through the splat renderer."""
+    from pneutac_sim.mpm.devices import PressedGel
+    from pneutac_sim.mpm.solid import parameter
+    from pneutac_sim.splat.refine import refine_fit  # numba takes a second to start
+
+    names = wanted(effects, twin)
+    moving = [name for name in names or () if get_effect(name).press is not None]
+    if moving:
+        but = f"the effect '{moving[0]}' moves the presses; choose other effects, or omit through"
+        raise InputError(f"through=mpm presses where the recording says, but {but}.")
+    known = late_effects(_sensor_effects(twin))
+    data = _photographs(twin, recording, names, known)
+    start = time.monotonic()
+    progress("material points under the presses of the calibration", 0, 1)
+    points = PressedGel(GelModel(data.rest, np.zeros((3, 2)), np.zeros(3), data.px_per_mm), twin)
+    args = data.presses, data.px_per_mm, names, data.thickness_mm, library()
+    fit = fit_presses(*args, points.between, known)
+    progress("the light refined through the splat renderer", 0, 1)
+    refine_fit(fit, data.presses, points.between)
+    found = _calibrated(twin, recording, Drawn(fit.gel, data), fit, names, image_size, start)
+    progress(f"material points under all {len(data.samples)} presses", 0, 1)
+    by_points = Drawn(fit.gel, data, predict(fit.gel, data, points.surface))
+    name = "gel_poissons_ratio"
+    assumed = "" if name in twin.parameters else ", assumed"
+    material = f"Poisson's ratio {parameter(twin, name):g}{assumed}"
+    change = "calibrated gel through material points"
+    return replace(found, by_points=by_points, material=material, change=change)
+
+
+def _sensor_effects(twin: Twin) -> dict[str, dict[str, float]]:
+    return {n: {k: v.value for k, v in twin.effects[n].items()} for n in of_sensor(twin.effects)}
+
+
+def _photographs(
+    twin: Twin, recording: Recording, names: Sequence[str] | None, known: dict[str, dict[str, float]]
+) -> GelRecording:
+    """Raises InputError where an effect of `names` is not `known` and they do not show it."""
+    data = GelRecording.load(recording, to_fit=True)
+    earlier = twin.arrays.get("rest_image") if twin.gel else None
+    data.warnings += rest_changed(earlier, data.rest, data.px_per_mm)
     unseen = [n for n in late_effects(dict.fromkeys(names or (), {})) if n not in known]
-    if unseen and not any(p.earlier for p in presses):
+    if unseen and not any(p.earlier for p in data.presses):
         remedy = "give role 'calibration' to a press that came after another"
         raise InputError(f"effects={','.join(names or ())}: '{unseen[0]}' {UNHELD}, and {remedy}.")
-    fit = fit_presses(presses, data.px_per_mm, names, data.thickness_mm, library(), given, known)
-    if points:
-        from pneutac_sim.splat.refine import refine_fit  # numba takes a second to start
+    return data
 
-        progress("the light refined through the splat renderer", 0, 1)
-        refine_fit(fit, presses, given)
+
+def _calibrated(
+    twin: Twin,
+    recording: Recording,
+    drawn: Drawn,
+    fit: GelFit,
+    names: Sequence[str] | None,
+    image_size: Sequence[int] | None,
+    start: float,
+) -> GelCalibration:
+    """The result of a fit of effects `names` that began at `start`, of the monotonic clock."""
+    data, new = drawn.data, twin.copy()
     gel = fit.gel if image_size is None else fit.gel.resized(*image_size[::-1])
     seconds = time.monotonic() - start
-    images = render(fit.gel, data)
-    material = ""
-    if points:
-        from pneutac_sim.mpm.solid import parameter
-
-        progress(f"material points under all {len(data.samples)} presses", 0, 1)
-        images[MPM] = predict(fit.gel, data, points.surface)
-
-        name = "gel_poissons_ratio"
-        assumed = "" if name in twin.parameters else ", assumed"
-        material = f"Poisson's ratio {parameter(twin, name):g}{assumed}"
-    scores = {name: scores_of(data, predicted) for name, predicted in images.items()}
-    new = twin.copy()
     gel.into_twin(new)
     modulus = keep_modulus(new, data)
     return GelCalibration(
         twin=new,
         parameters=_parameters(gel) | (modulus.parameter() if modulus else {}),
-        error=errors_of(scores[OURS], data),
+        error=errors_of(drawn.scores, data),
         unit="levels",
         evaluations=fit.evaluations,
         seconds=seconds,
         recording=str(recording.folder),
-        change="calibrated gel through material points" if through_mpm else "calibrated gel",
+        change="calibrated gel",
         seed=None,
-        findings=(*data.warnings, *_against_earlier(twin, data)),
+        findings=tuple(data.warnings),
         gel=gel,
         fit=fit,
-        identified=identify(fit.gel, fit.channels, presses),
-        data=data,
-        predicted=images[OURS],
-        scores=scores,
+        drawn=drawn,
         notes=recording.meta.get("notes", ""),
         standard=names is None,
         modulus=modulus,
-        material=material,
     )
-
-
-def _against_earlier(twin: Twin, data: GelRecording) -> list[str]:
-    """A note where the rest image shows something that the twin's earlier one does not."""
-    earlier = twin.arrays.get("rest_image")
-    if not twin.gel or earlier is None or earlier.shape != data.rest.shape:
-        return []
-    found = RestDifference.of(*(cells(i, data.px_per_mm) for i in (data.rest, earlier)), data.px_per_mm)
-    if not found.shows:
-        return []
-    where = f"({found.x_mm:.1f}, {found.y_mm:.1f}) mm"
-    seen = f"the rest image shows something at {where} that the twin's earlier one does not"
-    again = "if it is not the gel's own light, take it again"
-    return [f"{seen}, {found.levels:.0f} levels strong; {again}."]
-
-
-def _material_points(twin: Twin, data: GelRecording, effects: Sequence[str] | None) -> "PressedGel":
-    """The gel of a recording; raises InputError where an effect would move its presses."""
-    from pneutac_sim.mpm.devices import PressedGel
-
-    moving = [name for name in effects or () if get_effect(name).press is not None]
-    if moving:
-        but = f"the effect '{moving[0]}' moves the presses; choose other effects, or omit through"
-        raise InputError(f"through=mpm presses where the recording says, but {but}.")
-    return PressedGel(GelModel(data.rest, np.zeros((3, 2)), np.zeros(3), data.px_per_mm), twin)
-
-
-def render(gel: GelModel, data: GelRecording) -> dict[str, list[np.ndarray]]:
-    """Predictions of every sample by the model and by the two rows that keep one honest."""
-    c = data.calibration
-    baseline = Pasted.fit(Pair(c.rest, c.image, c.press, data.px_per_mm))
-    return {
-        OURS: predict(gel, data),
-        BASELINE: [baseline.image(s.press) for s in data.samples],
-        REST: [s.rest for s in data.samples],
-    }
 
 
 def scores_of(data: GelRecording, predicted: list[np.ndarray]) -> list[ImageScores]:
@@ -430,10 +467,7 @@ class GelComparison(Comparison):
 
     heading = "Gel twin against recording: {0.folder.name}"
 
-    data: GelRecording
-    predicted: list[np.ndarray]  # of each, uint8 (H, W, 3)
-    scores: list[ImageScores]  # of each
-    rest_scores: list[ImageScores]  # of the rest image alone
+    drawn: Drawn
     touch: list[dict]  # of each, what `TouchReader` reads from the photograph, and what its row states
     folder: Path
     twin: Twin
@@ -446,6 +480,19 @@ class GelComparison(Comparison):
 
     def subject(self) -> tuple[Twin, Path]:
         return self.twin, self.folder
+
+    @property
+    def data(self) -> GelRecording:
+        return self.drawn.data
+
+    @property
+    def predicted(self) -> list[np.ndarray]:
+        """Of each photograph, uint8 (H, W, 3)."""
+        return self.drawn.images
+
+    @property
+    def scores(self) -> list[ImageScores]:
+        return self.drawn.scores
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -461,7 +508,7 @@ class GelComparison(Comparison):
         if not self.data.heldout:
             return None
         mean = ImageScores.mean([self.scores[i] for i in self.data.heldout])
-        rest = ImageScores.mean([self.rest_scores[i] for i in self.data.heldout])
+        rest = ImageScores.mean([self.drawn.rest_scores[i] for i in self.data.heldout])
         # two equal pictures have an infinite PSNR, which JSON cannot hold; 8-bit rounding ends at 59 dB
         psnr = {"psnr": min(mean.psnr, 99.0)}
         return vars(mean) | psnr | {"rest_rmse": rest.rmse, "n": len(self.data.heldout)}
@@ -517,7 +564,7 @@ class GelComparison(Comparison):
         return super().content() | {"noise": {"how": how}}
 
     def pictures(self) -> dict[str, np.ndarray]:
-        first = next((s for s in self.data.samples if s.role == "calibration"), self.data.samples[0])
+        first = next(iter(self.data.presses), self.data.samples[0])
         return {"tactile.png": picture_grid(self.data, self.predicted, first)}
 
     def page(self) -> Report:
@@ -551,12 +598,8 @@ def compare_gel(twin: Twin, recording: Recording) -> GelComparison:
         raise InputError("The twin has no gel; `pneutac calibrate` it on a recording of a gel.")
     gel = seen_by(GelModel.from_twin(twin), data)
     data.warnings += turned(gel, data)
-    predicted = predict(gel, data)
     return GelComparison(
-        data=data,
-        predicted=predicted,
-        scores=scores_of(data, predicted),
-        rest_scores=scores_of(data, [s.rest for s in data.samples]),
+        drawn=Drawn(gel, data),
         touch=read_back(gel, data),
         folder=Path(recording.folder),
         twin=twin,
@@ -576,14 +619,14 @@ def read_back(gel: GelModel, data: GelRecording) -> list[dict]:
 
 def turned(gel: GelModel, data: GelRecording) -> list[str]:
     """A note where the recording's images are mirrored, or have their channels in another order."""
-    pair = next((s.photograph for s in data.samples if s.role == "calibration"), None)
-    if pair is None:
+    if not data.presses:
         return []
     far = -1e3 * gel.light / np.maximum(np.linalg.norm(gel.light, axis=1), 1e-9)[:, None]
     height, width = data.rest.shape[:2]
     own = Layout("twin", tuple(map(tuple, far)), (0.0, 0.0, 0.0), width / height)
-    light = slope_light(replace(gel, effects={}), pair)
-    orientation = recognise(light, pair.press.x_mm, pair.press.y_mm, (width, height), own)
+    first = data.presses[0]
+    light = slope_light(replace(gel, effects={}), first)
+    orientation = recognise(light, first.press.x_mm, first.press.y_mm, (width, height), own)
     if orientation is None or orientation == Orientation():
         return []
     remedy = "turn them, or calibrate a twin of their own"

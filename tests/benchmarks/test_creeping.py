@@ -20,7 +20,7 @@ from pneutac_sim.gel.photograph import Predictor
 def errors(folder):
     """Errors of the last four photographs without and with the effect, and the share that it leaves."""
     data = GelRecording.load(Recording.load(folder))
-    photographs = [s.photograph for s in data.samples]
+    photographs = data.samples
     known, unseen = photographs[:8], photographs[8:]
     gel = GelModel(data.rest, np.zeros((3, 2)), np.zeros(3), data.px_per_mm, data.thickness_mm)
     out, near = [], None
@@ -54,8 +54,8 @@ def test_what_is_left_of_earlier_presses_is_no_noise(tmp_path):
     floors = []
     for name, share in (("creeps", 0.25), ("does_not", 0.0)):
         data = GelRecording.load(Recording.load(write_creeping(tmp_path / name, share, seed=1, presses=6)))
-        floors.append(noise([s.photograph for s in data.samples], data.px_per_mm))
-        told = [replace(s.photograph, earlier=()) for s in data.samples]
+        floors.append(noise(data.samples, data.px_per_mm))
+        told = [replace(s, earlier=()) for s in data.samples]
         floors.append(noise(told, data.px_per_mm))
     creeps, taken_in, plain, all_of_it = floors
     assert creeps - plain < 0.5 * (taken_in - all_of_it), floors

@@ -35,8 +35,8 @@ from pneutac_sim.features import task_names
 from pneutac_sim.finger import Inputs, Pipeline
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.pair import Earlier
 from pneutac_sim.gel.photograph import Predictor
-from pneutac_sim.gel.sensor import Earlier
 from pneutac_sim.twin import Twin
 from pneutac_sim.world import World
 

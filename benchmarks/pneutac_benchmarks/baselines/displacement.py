@@ -8,9 +8,9 @@ and none is held back by its geometry.
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from pneutac_benchmarks.baselines.pair import Pair
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.optics import gradient, upsample
-from pneutac_sim.gel.pair import Pair
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.gel.surface import surface
 
@@ -37,7 +37,7 @@ class Displacement:
     def fit(cls, pair: Pair) -> "Displacement":
         """Searches the decay length under which slopes and depth explain most of indentation - rest."""
         model = cls(pair.rest.shape[:2], pair.px_per_mm, pair.thickness_mm)
-        difference = (pair.indentation.astype(np.float32) - pair.rest).reshape(-1, 3)
+        difference = (pair.image.astype(np.float32) - pair.rest).reshape(-1, 3)
 
         def error(log_decay: float) -> float:
             model.decay_mm = float(np.exp(log_decay))

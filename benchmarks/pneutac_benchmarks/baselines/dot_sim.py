@@ -18,8 +18,8 @@ from torch import nn
 from torch.nn import functional as F
 
 from pneutac_benchmarks.baselines.displacement import Displacement
+from pneutac_benchmarks.baselines.pair import Pair
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.pair import Pair
 
 WIDTH_PX = 120
 CHANNELS = 16  # of the finest level, doubled at each coarser one
@@ -41,7 +41,7 @@ class DotSim:
     def fit(cls, pair: Pair) -> "DotSim":
         """Trains the network; always from the same seed."""
         displacement = Displacement.fit(pair)
-        residual = _small((pair.indentation.astype(np.float32) - pair.rest).transpose(2, 0, 1)) / LEVELS
+        residual = _small((pair.image.astype(np.float32) - pair.rest).transpose(2, 0, 1)) / LEVELS
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(SEED)
             network = _UNet()

@@ -19,8 +19,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from pneutac_benchmarks.baselines.displacement import Displacement
+from pneutac_benchmarks.baselines.pair import Pair
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.pair import Pair
 
 LIGHTS = 3
 FIT_PIXELS = 2500
@@ -51,7 +51,7 @@ class Tacchi:
         touched = touched[:: max(1, len(touched) // FIT_PIXELS)]
         fields = fields.reshape(3, -1)[:, touched].astype(np.float64)
         background = pair.rest.reshape(-1, 3)[touched].astype(np.float64)
-        target = pair.indentation.reshape(-1, 3)[touched] - background
+        target = pair.image.reshape(-1, 3)[touched] - background
         slope_light = np.linalg.lstsq(fields[:2].T, target, rcond=None)[0].T  # (3, 2) levels per unit slope
 
         def residual(parameters):

@@ -21,8 +21,8 @@ import cv2
 import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
+from pneutac_benchmarks.baselines.pair import Pair
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.pair import Pair
 
 BINS = 125  # of slope, 0 to 90 degrees, and of direction, all round
 PYRAMID_PX = (201, 101, 51, 21, 11, 5)  # blur kernels, at the scale of the released sensor
@@ -54,7 +54,7 @@ class Taxim:
         """Fills both tables."""
         model = cls(pair.rest, pair.px_per_mm, pair.thickness_mm)
         height, contact = model._surface(pair.press)
-        change = pair.indentation.astype(np.float64) - pair.rest
+        change = pair.image.astype(np.float64) - pair.rest
         model._table = _fit_table(_bins(height, pair.px_per_mm), model._positions, change)
         darker = gaussian_filter(change - model._looked_up(height), (model._smooth_px, model._smooth_px, 0))
         rays = _Rays(height, contact)

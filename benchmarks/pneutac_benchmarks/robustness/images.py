@@ -13,8 +13,8 @@ import numpy as np
 from PIL import Image
 
 from pneutac_benchmarks.robustness.outcome import Outcome, judge
-from pneutac_datasets.recording.reading import FORMATS, read_image
 from pneutac_sim.errors import InputError
+from pneutac_sim.files import FORMATS, read_image
 
 MOST_S, MOST_MB = 1.0, 500.0
 SIZES = (0, 1, 255, 256, 65535, 2**31 - 1, 2**32 - 1)

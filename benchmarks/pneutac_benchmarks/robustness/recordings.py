@@ -72,7 +72,7 @@ def read(folder: Path) -> None:
     recording.split()
     _ = recording.starts, recording.conditions, recording.observations, recording.spine_joint_positions_mm
     if recording.device == "gel":
-        _ = GelRecording.load(recording).calibration
+        GelRecording.load(recording, to_fit=True)
         return
     noise_floor(check(recording)[0])
     for camera in masked_cameras(recording):

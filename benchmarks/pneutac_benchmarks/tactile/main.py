@@ -104,9 +104,9 @@ def measure(chosen: TactileSet, key: str) -> tuple[dict, np.ndarray]:
     try:
         predict = method.fit(chosen.name, chosen.data)
     except InputError as e:
-        raise InputError(f"{chosen.name}, '{chosen.data.calibration.name}': {e}") from e
+        raise InputError(f"{chosen.name}, '{chosen.data.presses[0].name}': {e}") from e
     fit_s = time.process_time() - began
-    predict(chosen.data.calibration)  # compiles
+    predict(chosen.data.presses[0])  # compiles
     began = time.process_time()
     images = [predict(s) for s in chosen.heldout]
     image_ms = 1e3 * (time.process_time() - began) / len(images)
@@ -122,7 +122,7 @@ def measure_across(source: TactileSet, target: TactileSet) -> tuple[dict, None]:
     from lerobot_pneutac.study.gel_model import seen_by
     from pneutac_sim.gel.photograph import Predictor
 
-    data, pair = target.data, target.data.calibration.photograph
+    data, pair = target.data, target.data.presses[0]
     moved = seen_by(own_gel(source.data, makes=makes_for(source.name, target.name)), data)
     own = own_gel(data, makes=makes_for(source.name, target.name))
     row = {"from": source.name, "to": target.name, "rest": _scores(target, [s.rest for s in target.heldout])}

@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lerobot_pneutac.study.gel_modulus import Pasted, RestAlone
+from lerobot_pneutac.study.gel_modulus import Pasted
 from pneutac_benchmarks.baselines.dot_sim import DotSim
+from pneutac_benchmarks.baselines.pair import Pair
 from pneutac_benchmarks.baselines.tacchi import Tacchi
 from pneutac_benchmarks.baselines.taxim import Taxim
 from pneutac_datasets.recording.gel import GelRecording, GelSample
@@ -14,7 +15,6 @@ from pneutac_sim.gel.fit import fit_presses
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.layout import DIGIT, Layout
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.pair import Pair
 from pneutac_sim.gel.photograph import Predictor, Pressed, expected_drift, press_depth, registered
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.mpm.devices import PressedGel
@@ -71,7 +71,7 @@ def own_gel(
     pressed: Pressed | None = None,
 ) -> GelModel:
     """This library's gel, fitted to a recording's calibration pair; refined by splats where `pressed`."""
-    pair = data.calibration.photograph
+    pair = data.presses[0]
     fit = fit_presses([pair], data.px_per_mm, effects, data.thickness_mm, makes, pressed)
     if pressed is not None:
         refine_fit(fit, [pair], pressed)
@@ -82,7 +82,7 @@ def _model(
     effects: tuple[str, ...] | None = None, makes: Callable[[str], tuple[Layout, ...]] = lambda name: (DIGIT,)
 ):
     def fit(name: str, data: GelRecording) -> Predict:
-        predictor = Predictor(own_gel(data, effects, makes(name)), [data.calibration.photograph])
+        predictor = Predictor(own_gel(data, effects, makes(name)), [data.presses[0]])
         return lambda s: predictor.image(s.press, s.rest, s.clock)
 
     return fit
@@ -97,7 +97,7 @@ def _through_mpm(effects: tuple[str, ...] | None = None, drawn: bool = True, spl
         gel = own_gel(data, effects, pressed=points.between)
         if splats:
             return _by_splats(gel, data, lambda press: points.surface(press, gel.depth_scale))
-        predictor = Predictor(gel, [data.calibration.photograph], points.surface if drawn else None)
+        predictor = Predictor(gel, [data.presses[0]], points.surface if drawn else None)
         return lambda s: predictor.image(s.press, s.rest, s.clock)
 
     return fit
@@ -112,7 +112,7 @@ def _baseline(kind: type):
     """A renderer that knows the calibration's rest image; what it adds is added to another session's."""
 
     def fit(name: str, data: GelRecording) -> Predict:
-        c = data.calibration
+        c = data.presses[0]
         fitted = kind.fit(Pair(c.rest, c.image, c.press, data.px_per_mm, data.thickness_mm))
 
         def predict(s: GelSample) -> np.ndarray:
@@ -134,8 +134,8 @@ def _splats(name: str, data: GelRecording) -> Predict:
 
 
 def _by_splats(gel: GelModel, data: GelRecording, surface: Callable[[Press], np.ndarray]) -> Predict:
-    c = data.calibration
-    pair = c.photograph
+    c = data.presses[0]
+    pair = c
     drift = expected_drift([pair], pair.rest, gel.px_per_mm)
     sensors = {id(c.rest): SplatSensor(gel)}
 
@@ -148,9 +148,29 @@ def _by_splats(gel: GelModel, data: GelRecording, surface: Callable[[Press], np.
     return predict
 
 
+class RestAlone:
+    """Predicts that no contact shows."""
+
+    def __init__(self, rest: np.ndarray):
+        self._rest = rest
+
+    @classmethod
+    def fit(cls, pair: Pair) -> "RestAlone":
+        return cls(pair.rest)
+
+    def image(self, press: Press) -> np.ndarray:
+        return self._rest.copy()
+
+
+class PastedPair(Pasted):
+    @classmethod
+    def fit(cls, pair: Pair) -> "PastedPair":
+        return cls(pair, pair.px_per_mm)
+
+
 METHODS = {
     "rest": Method("rest image", _baseline(RestAlone), seconds=0.5),
-    "pasted": Method("difference pasted", _baseline(Pasted), seconds=0.5),
+    "pasted": Method("difference pasted", _baseline(PastedPair), seconds=0.5),
     "taxim": Method("Taxim", _baseline(Taxim), seconds=6),
     "tacchi": Method("Tacchi", _baseline(Tacchi), seconds=8),
     "dot_sim": Method("DOT-Sim", _baseline(DotSim), seconds=35),

@@ -38,7 +38,7 @@ class TactileSet:
         """
         data = GelRecording.load(Recording.load(folder))
         try:
-            first = data.calibration
+            first = data.presses[0]
         except InputError as e:
             raise InputError(f"{folder}: {e}") from e
         if all(s.role == first.role for s in data.samples):

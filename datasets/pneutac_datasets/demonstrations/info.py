@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pneutac_datasets.recording.reading import read_image
 from pneutac_sim.errors import InputError, shown
-from pneutac_sim.files import read_json, refuse_pointer
+from pneutac_sim.files import read_image, read_json, refuse_pointer
 from pneutac_sim.pace import info_file, read_info, refuse_version
 
 TOLERANCE_S = 1e-4  # LeRobot's, between the time of a row and that of its frame

@@ -19,8 +19,8 @@ from pneutac_sim.effects.sensor_effect import CHANNELS
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
+from pneutac_sim.gel.pair import Earlier
 from pneutac_sim.gel.photograph import Predictor
-from pneutac_sim.gel.sensor import Earlier
 
 BALLS_MM = (3.0, 2.0, 4.0)
 

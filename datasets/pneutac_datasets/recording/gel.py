@@ -5,7 +5,6 @@ Indenters of any form, as the rows of a gel's recording describe them.
 
 import math
 from dataclasses import dataclass, field
-from functools import lru_cache
 from pathlib import Path
 
 import cv2
@@ -14,42 +13,18 @@ import pandas as pd
 
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError, shown
-from pneutac_sim.files import inside
 from pneutac_sim.gel.indenter import FIGURES, INDENTERS, AnyFigure, Figure, Outline, Press
-from pneutac_sim.gel.pair import RestDifference, cell_px, cells, check_pair, saturated, shows_contact
-from pneutac_sim.gel.photograph import PressPhotograph
+from pneutac_sim.gel.pair import (
+    Earlier,
+    PressPhotograph,
+    RestDifference,
+    cell_px,
+    cells,
+    check_pair,
+    saturated,
+    shows_contact,
+)
 from pneutac_sim.gel.probe import THICKNESS_MM
-from pneutac_sim.gel.sensor import Earlier
-
-
-def figure_of(folder: Path, row: pd.Series, indenter: str) -> AnyFigure | None:
-    """The figure of a row's indenter, of its `outline_mm` or the `indenter_file` in the recording's folder.
-
-    None where it is one of the plain shapes; raises InputError where the column is empty, or names no
-    indenter.
-    """
-    if indenter == "outline":
-        return Outline.of_text(_text(row, "outline_mm", "give its corners in mm, x y; x y; x y"))
-    if indenter == "mesh":
-        name = _text(row, "indenter_file", "name the STL inside the recording's folder")
-        file = folder / name
-        if "\0" in name or not inside(folder, file):
-            raise InputError(f"indenter_file {shown(name)} lies outside the recording's folder.")
-        return _read(file, file.stat().st_mtime_ns if file.is_file() else 0)
-    return None
-
-
-def _text(row: pd.Series, column: str, remedy: str) -> str:
-    value = row.get(column)
-    if not isinstance(value, str) or not value.strip():
-        raise InputError(f"{column} is empty; {remedy}.")
-    return value
-
-
-@lru_cache(maxsize=16)
-def _read(file: Path, changed: int) -> Figure:
-    return Figure.read(file)
-
 
 MIRROR_SAMPLES = 4  # photographs from which a mirrored axis can be detected
 AGREE_MM = 0.5  # by which a contact's place in pixels and in millimetres may differ
@@ -77,31 +52,21 @@ FARTHER, WIDTHS = 1.25, (0.6, 2.4)
 REST_SAMPLES, REST_GAIN = 5, 0.05
 BLACK_LEVEL, WHITE_LEVEL = 8, 247  # an image below or above all over shows nothing
 ASSUMED_RADIUS_MM = 3.0  # of a ball that the recording does not state: the scale of the light absorbs it
+NO_PRESS = (
+    "The recording has no row with role 'calibration'; add a column 'role' and mark one indentation with it."
+)
 
 
-@dataclass
-class GelSample:
-    """One photograph under an indenter."""
+@dataclass(eq=False, kw_only=True)
+class GelSample(PressPhotograph):
+    """A photograph as a row of the recording describes it."""
 
     name: str  # the image's path as the recording names it
     role: str  # `calibration`, `heldout`, `known_depth` or another label
-    image: np.ndarray  # uint8 (H, W, 3)
-    # image without contact of the same session: the row's `rest_image`, else the recording's
-    rest: np.ndarray
-    clock: float  # when in the recording, 0 to 1: by `time_s` where it runs on, else by trial, else by row
-    press: Press  # what pressed where
     x_px: float  # column of the contact centre
     y_px: float  # row of the contact centre
     radius_px: float  # contact radius
-    # what is uncertain of the press, see `PressPhotograph`
-    sd: dict[str, float] = field(default_factory=dict)
     force_n: float | None = None  # on the indenter, along the gel's view; None if the row has none
-    earlier: tuple[Earlier, ...] = ()  # presses with the same rest image that were over before, from `hold_s`
-
-    @property
-    def photograph(self) -> PressPhotograph:
-        """The part of the sample that a fit needs."""
-        return PressPhotograph(self.press, self.image, self.rest, self.clock, self.sd, self.earlier)
 
 
 @dataclass
@@ -113,72 +78,79 @@ class GelRecording:
     thickness_mm: float  # gel thickness
     samples: list[GelSample]  # one photograph each
     warnings: list[str] = field(default_factory=list)  # one sentence for each thing that had to be assumed
+    faults: list[str] = field(default_factory=list)  # one sentence for each row that is wrong
+    # one sentence for each photograph of role `calibration` that `check_pair` refuses
+    unfit: list[str] = field(default_factory=list)
 
     @classmethod
-    def load(cls, recording: Recording) -> "GelRecording":
-        """Reads and checks every image and indenter of a gel's recording.
+    def load(cls, recording: Recording, to_fit: bool = False) -> "GelRecording":
+        """Reads and checks every image and indenter of a gel's recording, one that is `to_fit` for that too.
 
         Raises InputError: one sentence naming the file, the row (the first is row 1) or field, and the
         remedy.
         """
-        out, rests = _begun(recording)
-        clocks = _clock(recording.samples)
-        for (i, row), clock in zip(recording.samples.iterrows(), clocks, strict=True):
-            out.samples.append(_sample(recording, out, rests, int(i), row, clock))
-        _fill_earlier(recording, out.samples)
-        out.warnings += [*(_misplaced(out) or _doubtful(out)), *_rest_doubts(out)]
+        out = _read(recording)
+        for fault in [*out.faults, *(out.unfit if to_fit else ())]:
+            raise InputError(fault)
+        if to_fit and not out.presses:
+            raise InputError(NO_PRESS)
         return out
 
     @property
     def presses(self) -> list[GelSample]:
-        """The samples to fit to, all with role `calibration`; InputError where there is none."""
-        found = [s for s in self.samples if s.role == "calibration"]
-        if not found:
-            raise InputError(
-                "The recording has no row with role 'calibration'; "
-                "add a column 'role' and mark one indentation with it."
-            )
-        return found
+        """The samples of role `calibration`."""
+        return [s for s in self.samples if s.role == "calibration"]
 
     @property
     def heldout(self) -> list[int]:
         """Numbers of the samples of other roles, which no fit of a calibration sees."""
         return [i for i, s in enumerate(self.samples) if s.role != "calibration"]
 
-    @property
-    def calibration(self) -> GelSample:
-        """The first press of the recording."""
-        return self.presses[0]
-
 
 def gel_faults(recording: Recording) -> tuple[list[str], list[str]]:
     """A sentence for each fault of a gel's recording that `calibrate` refuses; else one for each note."""
-    faults: list[str] = []
     try:
-        gel, rests = _begun(recording)
-        for i, row in recording.samples.iterrows():
-            try:
-                _sample(recording, gel, rests, int(i), row, 0.0)
-            except InputError as e:
-                faults.append(str(e))
-        if faults:
-            return list(dict.fromkeys(faults)), []
-        data = GelRecording.load(recording)
-        notes = [f"{recording.folder}: {note}" for note in data.warnings[len(recording.warnings) :]]
-        return pair_faults(recording, data), notes
+        data = _read(recording)
     except InputError as e:
         return [str(e)], []
+    faults = data.faults or data.unfit or [NO_PRESS] * (not data.presses)
+    notes = [f"{recording.folder}: {note}" for note in data.warnings[len(recording.warnings) :]]
+    return list(dict.fromkeys(faults)), [] if faults else notes
 
 
-def pair_faults(recording: Recording, data: GelRecording) -> list[str]:
-    """One sentence for each press to calibrate by that `check_pair` refuses."""
-    out = []
-    for s in data.presses:
+def _read(recording: Recording) -> GelRecording:
+    """All photographs; their checks wait until no row is wrong."""
+    out, rests = _begun(recording)
+    clocks = _clock(recording.samples)
+    figures: dict[str, Figure] = {}
+    for (i, row), clock in zip(recording.samples.iterrows(), clocks, strict=True):
         try:
-            check_pair(s.rest, s.image, s.press, data.px_per_mm)
+            out.samples.append(_sample(recording, out, rests, figures, int(i), row, clock))
+        except InputError as e:
+            out.faults.append(str(e))
+    if out.faults:
+        return out
+    _fill_earlier(recording, out.samples)
+    misplaced, rest_doubts = _misplaced(out), _rest_doubts(out)
+    empty, bright, scale = [], [], out.px_per_mm
+    for i, s in enumerate(out.samples, 1):
+        if s.role != "calibration":
+            empty += [str(i)] * (not shows_contact(s.rest, s.image, s.press, scale))
+            bright += [str(i)] * saturated(s.image, s.near(scale, 1.2))
+            continue
+        try:
+            check_pair(s.rest, s.image, s.press, scale)
         except InputError as e:
             where = f"rest image '{recording.meta['rest_image']}', indentation '{s.name}'"
-            out.append(f"{recording.folder} ({where}): {e}")
+            out.unfit.append(f"{recording.folder} ({where}): {e}")
+    out.warnings += misplaced
+    if empty and not misplaced:
+        rows = ", ".join(empty)
+        out.warnings.append(f"no contact shows where rows {rows} put it; check their x_mm and y_mm.")
+    if bright and not misplaced:
+        rows = ", ".join(bright)
+        out.warnings.append(f"most of the contact is saturated in rows {rows}; lower the exposure.")
+    out.warnings += rest_doubts
     return out
 
 
@@ -344,31 +316,16 @@ def _rest_doubt(rest: np.ndarray, samples: list[GelSample], px_per_mm: float) ->
     return out
 
 
-def _doubtful(data: GelRecording) -> list[str]:
-    """A note on the photographs to score by that show no contact where it should be, or a saturated one.
-
-    Those to calibrate by are refused for it, see `pair.check_pair`.
-    """
-    out, scale = [], data.px_per_mm
-    scored = [(str(i), s) for i, s in enumerate(data.samples, 1) if s.role != "calibration"]
-    empty = [i for i, s in scored if not shows_contact(s.rest, s.image, s.press, scale)]
-    bright = [i for i, s in scored if saturated(s.image, s.photograph.near(scale, 1.2))]
-    if empty:
-        out.append(f"no contact shows where rows {', '.join(empty)} put it; check their x_mm and y_mm.")
-    if bright:
-        out.append(f"most of the contact is saturated in rows {', '.join(bright)}; lower the exposure.")
-    return out
-
-
 def _sample(
     recording: Recording,
     gel: GelRecording,
     rests: dict[str, np.ndarray],
+    figures: dict[str, Figure],
     i: int,
     row: pd.Series,
     clock: float,
 ) -> GelSample:
-    """One row, its rest image among `rests` by name; raises InputError where it is wrong."""
+    """One row; raises InputError where it is wrong. `rests` and `figures` hold, by name, what was read."""
     where, own = f"{recording.folder}, row {i + 1}", row.get("rest_image")
     own = own if own and isinstance(own, dict | str) else recording.meta["rest_image"]
     name = own if isinstance(own, str) else where
@@ -382,7 +339,7 @@ def _sample(
             raise InputError(f"indenter is {shown(kind)}; it must be one of {every}.")
         x_px, x_mm = _place(row, gel.px_per_mm, "x", image.shape[1])
         y_px, y_mm = _place(row, gel.px_per_mm, "y", image.shape[0])
-        figure = figure_of(recording.folder, row, kind)
+        figure = _figure(recording.folder, row, kind, figures)
         size_mm, depth_mm = _size_and_depth(row, gel, kind, figure)
         press = Press(kind, size_mm, x_mm, y_mm, depth_mm, _number(row, "yaw_rad") or 0.0, figure)
         radius_px = _number(row, "contact_radius_px")
@@ -395,8 +352,44 @@ def _sample(
             raise InputError(f"force_n is {force_n:g}; give newton, above 0 and below {MOST_N:g}.")
     except InputError as e:
         raise InputError(f"{where}: {e}") from e
-    taken = str(row["image"]), role, image, rests[name], float(clock)
-    return GelSample(*taken, press, x_px, y_px, radius_px, sd, force_n)
+    return GelSample(
+        press=press,
+        image=image,
+        rest=rests[name],
+        clock=float(clock),
+        sd=sd,
+        name=str(row["image"]),
+        role=role,
+        x_px=x_px,
+        y_px=y_px,
+        radius_px=radius_px,
+        force_n=force_n,
+    )
+
+
+def _figure(folder: Path, row: pd.Series, indenter: str, read: dict[str, Figure]) -> AnyFigure | None:
+    """Of a row's indenter: its `outline_mm`, or the `indenter_file` in the recording's folder.
+
+    None where it is one of the plain shapes; raises InputError where the column is empty, or names no
+    indenter. `read` holds the files that were read before.
+    """
+    if indenter == "outline":
+        return Outline.of_text(_text(row, "outline_mm", "give its corners in mm, x y; x y; x y"))
+    if indenter != "mesh":
+        return None
+    name = _text(row, "indenter_file", "name the STL inside the recording's folder")
+    if name not in read:
+        if "\0" in name:
+            raise InputError(f"indenter_file {shown(name)} is no file's name; give its file.")
+        read[name] = Figure.read(folder / name, within=folder)
+    return read[name]
+
+
+def _text(row: pd.Series, column: str, remedy: str) -> str:
+    value = row.get(column)
+    if not isinstance(value, str) or not value.strip():
+        raise InputError(f"{column} is empty; {remedy}.")
+    return value
 
 
 def _deviations(row: pd.Series) -> dict[str, float]:

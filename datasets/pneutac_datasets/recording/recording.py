@@ -15,11 +15,10 @@ import numpy as np
 import pandas as pd
 
 from pneutac_datasets.recording import reading, rules
-from pneutac_datasets.recording.reading import read_image
 from pneutac_datasets.recording.rules import TrialStart, meta_of_trials, starts
 from pneutac_datasets.recording.wording import listed
 from pneutac_sim.errors import InputError, shown
-from pneutac_sim.files import inside, whole, write_json
+from pneutac_sim.files import inside, read_image, whole, write_json
 
 TARGET_BLOCKS = 40
 EDGE = 1e-5  # of a block: rows so near its end belong to the next

@@ -23,10 +23,9 @@ from pneutac_sim.gel.contact import quiet_threshold
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.layout import DIGIT, Layout, Orientation, recognise, recognise_rest
 from pneutac_sim.gel.model import GelModel, further_light
-from pneutac_sim.gel.pair import CONTACT_DISC, check_pair
+from pneutac_sim.gel.pair import CONTACT_DISC, PressPhotograph, check_pair, to_grid
 from pneutac_sim.gel.photograph import (
     Pressed,
-    PressPhotograph,
     Residues,
     contact_light,
     drift_known,
@@ -34,7 +33,6 @@ from pneutac_sim.gel.photograph import (
     press_depth,
     registered,
     session_light,
-    to_grid,
 )
 from pneutac_sim.gel.probe import COLS, ROWS, THICKNESS_MM
 from pneutac_sim.gel.residual import ERROR_LEVELS, INDEPENDENT, Leftover, faded, learn, levels, trusted_share
@@ -329,9 +327,13 @@ class Problem:
 
     def _closed(self, decay_mm: float, depth_scale: float) -> list[np.ndarray]:
         gel = replace(self.gel, depth_scale=depth_scale)
-        left = self._residues.surfaces(replace(gel, decay_mm=decay_mm))
+        left = self.left(replace(gel, decay_mm=decay_mm))
         each = zip(self.depths, left, strict=True)
         return [pressed_on(gel.imprint(d), r, self.cell, decay_mm) for d, r in each]
+
+    def left(self, gel: GelModel) -> list[np.ndarray | None]:
+        """What earlier presses left under each photograph, (80, 59) mm by this gel's mechanics."""
+        return self._residues.surfaces(gel)
 
     def _given(self, depth_scale: float) -> list[np.ndarray]:
         assert self.pressed is not None
@@ -455,19 +457,14 @@ def estimate_gains(
 
 
 def refine_contacts(
-    gel: GelModel,
-    effects: Sequence[SensorEffect],
-    photographs: Sequence[PressPhotograph],
-    masks: Sequence[np.ndarray],
-    seen: Sequence[np.ndarray],
-    rests: Sequence[np.ndarray],
+    gel: GelModel, effects: Sequence[SensorEffect], problem: Problem
 ) -> dict[str, dict[str, float]]:
     """One Gauss-Newton step of effects on the contacts from what the gel has, all else as it is.
 
-    Minimises |(predicted - seen) / error|^2 + |(x - neutral) / prior_sd|^2 linearised at the present x. Of
-    each photograph: where it is compared, `masks` (80, 59); what its contact changes, `seen` (80, 59, 3)
-    levels; its rest image, `rests` (80, 59, 3). Returns effect to its values.
+    Minimises |(predicted - seen) / error|^2 + |(x - neutral) / prior_sd|^2 linearised at the present x.
+    Returns effect to its values.
     """
+    photographs = problem.photographs
     specs = [(e, p) for e in effects for p in e.parameters]
     neutral = np.array([p.neutral for _, p in specs])
     now = np.array([gel.effects[e.name][p.name] for e, p in specs])
@@ -485,7 +482,7 @@ def refine_contacts(
     def predicted(x: np.ndarray) -> list[np.ndarray]:
         moved = replace(gel, effects=gel.effects | values(x))
         out = []
-        for p, rest in zip(photographs, rests, strict=True):
+        for p, rest in zip(photographs, problem.rests, strict=True):
             left = Residues(moved, [p.earlier]).surfaces(moved)[0]
             out.append(contact_light(moved, p.press, left) * gel.weight_on(rest))
         return out
@@ -495,7 +492,7 @@ def refine_contacts(
     moved = [predicted(now + step * unit) for step, unit in zip(steps, np.eye(len(now)), strict=True)]
     sd = np.concatenate([e.prior_sd for e in effects])
     A, b = [np.diag(1 / sd)], [(neutral - now) / sd]
-    for j, (near, difference) in enumerate(zip(masks, seen, strict=True)):
+    for j, (near, difference) in enumerate(zip(problem.masks, problem.seen, strict=True)):
         scale = np.sqrt(INDEPENDENT / max(near.sum(), 1)) / ERROR_LEVELS
         mask = near | _left_in(gel, photographs[j]) if late else near
         slopes = [((m[j] - base[j]) / step)[mask].ravel() for m, step in zip(moved, steps, strict=True)]
@@ -508,28 +505,20 @@ def refine_contacts(
     return {e.name: e.inside(v) for e, v in zip(effects, values(now + step).values(), strict=True)}
 
 
-def refine_press(
-    gel: GelModel,
-    photograph: PressPhotograph,
-    stated: Press,
-    mask: np.ndarray,
-    seen: np.ndarray,
-    rest: np.ndarray,
-) -> Press:
-    """One Gauss-Newton step of what is uncertain of a photograph's press, all else as it is.
+def refine_press(gel: GelModel, problem: Problem, i: int, stated: Press) -> Press:
+    """One Gauss-Newton step of what is uncertain of the press of photograph i, all else as it is.
 
-    Minimises |(predicted - seen) / error|^2 + |(x - stated) / sd|^2; the step is halved until it does. Where
-    it is compared, `mask` (80, 59); what the contact changes, `seen` (80, 59, 3) levels; and `rest` (80, 59,
-    3).
+    Minimises |(predicted - seen) / error|^2 + |(x - stated) / sd|^2; the step is halved until it does.
     """
+    photograph, mask, seen = problem.photographs[i], problem.masks[i], problem.seen[i]
     now, names, sd = photograph.press, list(photograph.sd), np.array(list(photograph.sd.values()))
-    weight, scale = gel.weight_on(rest), np.sqrt(INDEPENDENT / max(mask.sum(), 1)) / ERROR_LEVELS
+    weight, scale = gel.weight_on(problem.rests[i]), np.sqrt(INDEPENDENT / max(mask.sum(), 1)) / ERROR_LEVELS
 
     def moved(by: np.ndarray) -> Press:
         values = {n: getattr(now, n) + b for n, b in zip(names, by.tolist(), strict=True)}
         return replace(now, **values | {"depth_mm": max(values.get("depth_mm", now.depth_mm), SHALLOWEST_MM)})
 
-    left = Residues(gel, [photograph.earlier]).surfaces(gel)[0]
+    left = problem.left(gel)[i]
 
     def residual(press: Press) -> np.ndarray:
         s = contact_light(gel, press, left)
@@ -702,13 +691,13 @@ def fit_photographs(
         problem = Problem(gel, photographs, chosen, pressed)
         best = problem.best(makes, near, quick=quick or left > 0)
         if left:
-            near, data = best.gel, (problem.masks, problem.seen, problem.rests)
+            near = best.gel
             if of_contacts:
-                gel.effects |= refine_contacts(near, of_contacts, photographs, *data)
+                gel.effects |= refine_contacts(near, of_contacts, problem)
             if uncertain:
-                each = zip(photographs, stated, *data, strict=True)
                 photographs = [
-                    replace(p, press=refine_press(near, p, *rest)) if p.sd else p for p, *rest in each
+                    replace(p, press=refine_press(near, problem, i, stated[i])) if p.sd else p
+                    for i, p in enumerate(photographs)
                 ]
     best.presses = [p.press for p in photographs]
     quiet = [(p.image - p.rest.astype(np.float32), ~p.near(gel.px_per_mm)) for p in photographs]

@@ -24,7 +24,8 @@ from pneutac_sim.gel.fit import Channel
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.layout import DIGIT, MAKE_SD, MAKE_SD_MM, MAKE_SD_RAD, Layout, SensorPrior, stored_rest
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.photograph import PressPhotograph, press_depth, to_grid
+from pneutac_sim.gel.pair import PressPhotograph, to_grid
+from pneutac_sim.gel.photograph import press_depth
 from pneutac_sim.gel.residual import ERROR_LEVELS, INDEPENDENT, Leftover
 from pneutac_sim.gel.surface import surface
 

@@ -15,8 +15,8 @@ from numba import njit
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from pneutac_sim.errors import InputError, check_choice
-from pneutac_sim.files import refuse_pointer
+from pneutac_sim.errors import InputError, check_choice, shown
+from pneutac_sim.files import inside, refuse_pointer
 from pneutac_sim.gel.probe import BOX, COLS, CONE, CYLINDER, ROWS, SPHERE, THICKNESS_MM, WINDOW_MM, probe_grid
 
 FORMATS = (".stl", ".obj", ".ply")
@@ -128,9 +128,9 @@ class Figure:
         object.__setattr__(self, "_radii", (height[order], np.maximum.accumulate(r[order])))
 
     @classmethod
-    def read(cls, file: Path) -> "Figure":
+    def read(cls, file: Path, within: Path | None = None) -> "Figure":
         """From an STL, OBJ or PLY file in mm; see `load_mesh`."""
-        return cls(load_mesh(file).triangles, str(file))
+        return cls(load_mesh(file, within).triangles, str(file))
 
     @property
     def reach_mm(self) -> float:
@@ -159,11 +159,13 @@ class Figure:
 AnyFigure = Outline | Figure
 
 
-def load_mesh(file: Path) -> trimesh.Trimesh:
+def load_mesh(file: Path, within: Path | None = None) -> trimesh.Trimesh:
     """The triangles of an STL, OBJ or PLY file, as they are.
 
-    Raises InputError where there is none, it is no mesh, or larger than anyone needs.
+    Raises InputError where there is none, it is no mesh, too large, or outside the recording `within`.
     """
+    if within is not None and not inside(within, file):
+        raise InputError(f"{shown(str(file))} lies outside the recording's folder; copy it there.")
     if not file.is_file():
         raise InputError(f"There is no mesh '{file}'; give an STL, OBJ or PLY file.")
     if file.suffix.lower() not in FORMATS:

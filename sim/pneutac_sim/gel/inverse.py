@@ -23,7 +23,7 @@ from scipy.sparse.linalg import splu
 from pneutac_sim.gel import optics
 from pneutac_sim.gel.force import MATERIAL, MODULUS
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.photograph import to_grid
+from pneutac_sim.gel.pair import to_grid
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.gel.sensor import centre_mm
 from pneutac_sim.twin import Twin

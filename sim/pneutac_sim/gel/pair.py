@@ -1,4 +1,4 @@
-"""Whether two images can be a rest and an indentation image of one sensor.
+"""A photograph of an indentation with its rest image: whether the two can be of one sensor.
 
 How well a rendered tactile image agrees with a photograph, in 8-bit levels.
 
@@ -9,7 +9,8 @@ would reward the mere order of their mean levels; differences to the rest image 
 channels are correlated together, so that a wrong balance of colours counts.
 """
 
-from dataclasses import dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
 
 import cv2
 import numpy as np
@@ -17,7 +18,7 @@ from scipy.ndimage import gaussian_laplace
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.probe import THICKNESS_MM
+from pneutac_sim.gel.probe import COLS, ROWS
 
 # Of 66 photographs of three real sensors, an indentation has at least 2.5 times the rest image's relief at
 # the contact, its blurred difference is at least 3 times that elsewhere, and away from the contact it
@@ -43,21 +44,43 @@ def press_px(press: Press, shape: tuple[int, ...], px_per_mm: float) -> tuple[fl
     return shape[1] / 2 + press.x_mm * px_per_mm, shape[0] / 2 + press.y_mm * px_per_mm
 
 
+NEAR_RADII = 3.0  # pixels within so many contact radii belong to the gel, those beyond to the session
+
+
 @dataclass(frozen=True)
-class Pair:
-    """One rest and one indentation image of a gel, checked.
+class Earlier:
+    """A press that was over before a photograph was taken."""
 
-    Raises InputError: the pair is no rest and indentation image, see `check_pair`.
-    """
-
-    rest: np.ndarray  # image without contact, uint8 (H, W, 3)
-    indentation: np.ndarray  # image under the indenter, uint8, same shape
     press: Press  # which indenter, where and how deep
-    px_per_mm: float  # scale of the images
-    thickness_mm: float = THICKNESS_MM  # gel thickness
+    held_s: float  # how long it was in the gel
+    since_s: float  # from its release to the photograph
 
-    def __post_init__(self):
-        check_pair(self.rest, self.indentation, self.press, self.px_per_mm)
+
+@dataclass(eq=False)
+class PressPhotograph:
+    """One indentation."""
+
+    press: Press  # which indenter, where and how deep, as the recording states it
+    image: np.ndarray  # uint8 (H, W, 3)
+    rest: np.ndarray  # the image without contact of the same session, uint8 (H, W, 3)
+    clock: float = 0.0  # when in the session, from 0 to 1
+    # attributes of the press to the standard deviation with which they are stated; all others hold
+    sd: dict[str, float] = field(default_factory=dict)
+    # presses since the rest image that were over before; empty if the recording does not state them
+    earlier: Sequence[Earlier] = ()
+
+    def near(self, px_per_mm: float, radii: float = NEAR_RADII) -> np.ndarray:
+        """Pixels (H, W) within so many contact radii of the press."""
+        return _disc(self.rest, self.press, px_per_mm, radii)
+
+    def far(self, px_per_mm: float) -> np.ndarray:
+        """Probe grid cells (80, 59) whose pixels all lie away from the contact."""
+        return to_grid(~self.near(px_per_mm)) > 0.99
+
+
+def to_grid(image: np.ndarray) -> np.ndarray:
+    """Mean of an image (H, W) or (H, W, C) over each cell of the probe grid, float32."""
+    return cv2.resize(image.astype(np.float32), (COLS, ROWS), interpolation=cv2.INTER_AREA)
 
 
 def check_pair(rest: np.ndarray, indentation: np.ndarray, press: Press, px_per_mm: float) -> None:
@@ -223,6 +246,19 @@ class RestDifference:
         y_mm, x_mm = ((at + 0.5) - np.array(levels.shape) / 2) * cell / px_per_mm
         typical = float(np.median(levels[free]))
         return cls(float(gain.mean()), float(levels.max()), typical, float(x_mm), float(y_mm))
+
+
+def rest_changed(earlier: np.ndarray | None, rest: np.ndarray, px_per_mm: float) -> list[str]:
+    """A note where a rest image shows something that the twin's earlier one, if it has one, does not."""
+    if earlier is None or earlier.shape != rest.shape:
+        return []
+    found = RestDifference.of(*(cells(i, px_per_mm) for i in (rest, earlier)), px_per_mm)
+    if not found.shows:
+        return []
+    where = f"({found.x_mm:.1f}, {found.y_mm:.1f}) mm"
+    seen = f"the rest image shows something at {where} that the twin's earlier one does not"
+    again = "if it is not the gel's own light, take it again"
+    return [f"{seen}, {found.levels:.0f} levels strong; {again}."]
 
 
 CONTACT_DISC = 2.0  # radius of the contact region, in contact radii

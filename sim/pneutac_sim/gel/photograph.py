@@ -1,4 +1,4 @@
-"""A photograph of an indentation: what was pressed where, and what the light did since the rest image.
+"""What a gel shows of a press, and what the light did between a rest image and a photograph.
 
 Light and exposure drift between a rest image and the photographs of a session. One pair of images shows how
 far, away from its contact, but not whether that is the session's or its own: half of it is expected of the
@@ -7,53 +7,23 @@ So is a part of each pixel's own difference away from a contact, which is the re
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
-import cv2
 import numpy as np
 
 from pneutac_sim.effects.gel_creep import share_left
 from pneutac_sim.gel import optics
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.pair import disc, press_px
+from pneutac_sim.gel.pair import Earlier, PressPhotograph, to_grid
 from pneutac_sim.gel.probe import COLS, ROWS
-from pneutac_sim.gel.sensor import LEAST_MM, Earlier, TactileSensor, branches_of, pressed_on
+from pneutac_sim.gel.sensor import LEAST_MM, TactileSensor, branches_of, pressed_on
 from pneutac_sim.gel.surface import surface
 
 # The gel's surface (80, 59) in mm under a press at a share of its depth (`GelModel.depth_scale`).
 Pressed = Callable[[Press, float], np.ndarray]
 
 SUBCELLS = 3  # along each side of a cell, over which a bench indenter's depth is averaged
-NEAR_RADII = 3.0  # pixels within so many contact radii belong to the gel, those beyond to the session
-
-
-@dataclass
-class PressPhotograph:
-    """One indentation."""
-
-    press: Press  # which indenter, where and how deep, as the recording states it
-    image: np.ndarray  # uint8 (H, W, 3)
-    rest: np.ndarray  # the image without contact of the same session, uint8 (H, W, 3)
-    clock: float = 0.0  # when in the session, from 0 to 1
-    # attributes of the press to the standard deviation with which they are stated; all others hold
-    sd: dict[str, float] = field(default_factory=dict)
-    # presses since the rest image that were over before; empty if the recording does not state them
-    earlier: tuple[Earlier, ...] = ()
-
-    def near(self, px_per_mm: float, radii: float = NEAR_RADII) -> np.ndarray:
-        """Pixels (H, W) within so many contact radii of the press."""
-        x, y = press_px(self.press, self.rest.shape, px_per_mm)
-        return disc(self.rest.shape, x, y, radii * self.press.contact_radius_mm * px_per_mm)
-
-    def far(self, px_per_mm: float) -> np.ndarray:
-        """Probe grid cells (80, 59) whose pixels all lie away from the contact."""
-        return to_grid(~self.near(px_per_mm)) > 0.99
-
-
-def to_grid(image: np.ndarray) -> np.ndarray:
-    """Mean of an image (H, W) or (H, W, C) over each cell of the probe grid, float32."""
-    return cv2.resize(image.astype(np.float32), (COLS, ROWS), interpolation=cv2.INTER_AREA)
 
 
 def press_depth(press: Press, gel: GelModel) -> np.ndarray:
@@ -74,8 +44,9 @@ def registered(press: Press, gel: GelModel) -> Press:
 
 def contact_light(gel: GelModel, press: Press, left_mm: np.ndarray | None) -> np.ndarray:
     """What a press changes on a face that earlier ones left uneven, (80, 59, 3) levels before the weight."""
-    imprint = gel.imprint(press_depth(registered(press, gel), gel))
-    u = gel.surface(pressed_on(imprint, left_mm, gel.cell_mm, gel.decay_mm), gel.cell_mm)
+    depth_mm = press_depth(registered(press, gel), gel)
+    u = pressed_on(gel.imprint(depth_mm), left_mm, gel.cell_mm, gel.decay_mm)
+    u = gel.surface(u, gel.cell_mm)
     return optics.light(u, gel.cell_mm, *gel.lighting).transpose(1, 2, 0)
 
 

@@ -7,12 +7,10 @@ imprint that is less deep by r, so that the face lies on the indenter as it does
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from pneutac_sim.gel.contact import ContactArea, contact_area
-from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.optics import Renderer
 from pneutac_sim.gel.probe import COLS, NO_TRIANGLES, ROWS, probe_grid
@@ -22,15 +20,6 @@ from pneutac_sim.twin import Twin
 Branches = Sequence[tuple[float, float]]
 
 LEAST_MM = 2e-4  # what is left of a press that is not drawn: a fiftieth of a grey level
-
-
-@dataclass(frozen=True)
-class Earlier:
-    """A press that was over before a photograph was taken."""
-
-    press: Press  # which indenter, where and how deep
-    held_s: float  # how long it was in the gel
-    since_s: float  # from its release to the photograph
 
 
 class Memory:

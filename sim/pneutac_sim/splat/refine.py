@@ -15,8 +15,8 @@ from pneutac_sim.effects.registry import in_order
 from pneutac_sim.gel.fit import Channel, GelFit, Problem
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.optics import upsample
-from pneutac_sim.gel.pair import press_px
-from pneutac_sim.gel.photograph import Pressed, PressPhotograph, drift_known, gains, session_light, to_grid
+from pneutac_sim.gel.pair import PressPhotograph, press_px, to_grid
+from pneutac_sim.gel.photograph import Pressed, drift_known, gains, session_light
 from pneutac_sim.gel.residual import ERROR_LEVELS, INDEPENDENT
 from pneutac_sim.splat.gel import SplatSensor
 

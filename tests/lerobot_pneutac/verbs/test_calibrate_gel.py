@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 from verbs import verb
 
-from lerobot_pneutac.verbs.fit_gel import render, scores_of, wanted
+from lerobot_pneutac.verbs.fit_gel import Drawn, wanted
 from pneutac_datasets.generate.gel import HEIGHT, WIDTH, write_gel_recording
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording
@@ -17,8 +17,8 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.gel.fit import SHADOW, fit_presses, standard_effects
 from pneutac_sim.gel.layout import Orientation
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.pair import ImageScores, score
-from pneutac_sim.gel.photograph import Predictor, PressPhotograph
+from pneutac_sim.gel.pair import ImageScores, PressPhotograph, score
+from pneutac_sim.gel.photograph import Predictor
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin
 
@@ -186,13 +186,14 @@ def test_real_sensors(name, role, rmse, contact_rmse, contact_dncc, make):
         pytest.skip("PNEUTAC_DATA is unset: there are no real photographs to calibrate to")
     folder = Path(os.environ["PNEUTAC_DATA"]) / "tactile" / name
     data = GelRecording.load(Recording.load(folder))
-    pair = data.calibration
+    pair = data.presses[0]
     fit = fit_presses(
         [PressPhotograph(pair.press, pair.image, pair.rest)], data.px_per_mm, thickness_mm=data.thickness_mm
     )
     assert fit.make == make and fit.orientation == Orientation()
     picks = [i for i, s in enumerate(data.samples) if s.role == role]
-    scores = [scores_of(data, images) for images in render(fit.gel, data).values()]
+    drawn = Drawn(fit.gel, data)
+    scores = drawn.scores, drawn.pasted_scores, drawn.rest_scores
     ours, pasted, rest = (ImageScores.mean([rows[i] for i in picks]) for rows in scores)
     assert ours.rmse < min(rmse, 0.8 * pasted.rmse, 0.7 * rest.rmse)
     assert ours.contact_rmse < min(contact_rmse, 0.75 * pasted.contact_rmse)
@@ -204,7 +205,7 @@ def test_five_presses_of_a_real_sensor_predict_better_than_one():
     if "PNEUTAC_DATA" not in os.environ:
         pytest.skip("PNEUTAC_DATA is unset: there are no real photographs to calibrate to")
     data = GelRecording.load(Recording.load(Path(os.environ["PNEUTAC_DATA"]) / "tactile" / "digit_fots"))
-    pairs = [s.photograph for s in data.samples[::4]][:5]
+    pairs = data.samples[::4][:5]
     others = [s for i, s in enumerate(data.samples) if i % 4]
     contact = []
     for n in (1, 5):

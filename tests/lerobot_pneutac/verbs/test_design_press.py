@@ -31,7 +31,7 @@ def recording(tmp_path_factory):
 def models(recording):
     """Two gels that differ by a fifth of their shadows' depth, fitted to the same presses otherwise."""
     data = GelRecording.load(recording)
-    photographs = [s.photograph for s in data.samples]
+    photographs = data.samples
     gel = fit_presses(photographs, data.px_per_mm, ("shadow",), data.thickness_mm).gel
     made = []
     for share, terms, probability in ((1.0, ("shadow",), 0.6), (0.8, (), 0.4)):

@@ -87,12 +87,12 @@ def test_it_is_no_mirror_of_the_twins_effects(finger):
 
 def test_the_gel_recording_loads_and_shows_its_presses(tmp_path):
     data = GelRecording.load(write_gel(tmp_path / "gel", seed=1))
-    assert data.calibration.press.depth_mm == 0.9
+    assert data.presses[0].press.depth_mm == 0.9
     assert sum(s.role == "heldout" for s in data.samples) >= 10
     assert data.warnings == []
     for s in data.samples[:4]:
         change = np.abs(s.image.astype(int) - s.rest).mean(2)
-        inside = s.photograph.near(data.px_per_mm, 1.0)
-        assert change[inside].mean() > 3 * change[~s.photograph.near(data.px_per_mm)].mean()
+        inside = s.near(data.px_per_mm, 1.0)
+        assert change[inside].mean() > 3 * change[~s.near(data.px_per_mm)].mean()
     rest = np.asarray(Image.open(tmp_path / "gel" / "rest.png"))
     assert (rest == new_gel().rest_image).all()

@@ -16,9 +16,9 @@ from PIL import Image
 
 from pneutac_benchmarks.robustness.images import bomb, damage_images, read_bombs, scans
 from pneutac_datasets.recording.checks import exchanged_axes, misplaced_tip, other_way_round, recording_faults
-from pneutac_datasets.recording.reading import FORMATS, read_image
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
+from pneutac_sim.files import FORMATS, read_image
 
 
 def bench(folder, change=lambda table: table, **meta):

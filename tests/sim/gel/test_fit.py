@@ -14,8 +14,8 @@ from pneutac_sim.gel.fit import fit_photographs, fit_presses, standard_effects
 from pneutac_sim.gel.identifiability import DEEPEST, identify
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.layout import DIGIT, Orientation
-from pneutac_sim.gel.pair import rmse
-from pneutac_sim.gel.photograph import Predictor, PressPhotograph
+from pneutac_sim.gel.pair import PressPhotograph, rmse
+from pneutac_sim.gel.photograph import Predictor
 
 BALL = Press("sphere", 3.0, 0.6, -1.0, 0.9)
 ELSEWHERE = [Press("sphere", 3.0, -2.5, 3.5, 0.6), Press("sphere", 3.0, 2.5, -4.0, 1.1)]

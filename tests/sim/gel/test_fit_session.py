@@ -9,8 +9,8 @@ from pneutac_sim.effects import get_effect
 from pneutac_sim.effects.sensor_effect import CHANNELS
 from pneutac_sim.gel.fit import fit_photographs
 from pneutac_sim.gel.indenter import Press
-from pneutac_sim.gel.pair import rmse
-from pneutac_sim.gel.photograph import Predictor, PressPhotograph
+from pneutac_sim.gel.pair import PressPhotograph, rmse
+from pneutac_sim.gel.photograph import Predictor
 
 DRIFT = {"gain_red": 1.04, "gain_green": 0.97, "gain_blue": 1.02}
 DRIFT |= {"drift_red": -0.08, "drift_green": 0.05, "drift_blue": 0.1}

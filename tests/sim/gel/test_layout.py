@@ -41,8 +41,8 @@ from pneutac_sim.gel.layout import (
 )
 from pneutac_sim.gel.model import GelModel, rest_image
 from pneutac_sim.gel.optics import gradient, light
-from pneutac_sim.gel.pair import rmse
-from pneutac_sim.gel.photograph import Predictor, PressPhotograph, Residues, press_depth, to_grid
+from pneutac_sim.gel.pair import Earlier, PressPhotograph, rmse, to_grid
+from pneutac_sim.gel.photograph import Predictor, Residues, press_depth
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.gel.residual import (
     FEATURES,
@@ -56,7 +56,7 @@ from pneutac_sim.gel.residual import (
     levels,
     trusted_share,
 )
-from pneutac_sim.gel.sensor import Earlier, Memory, TactileSensor, branches_of, pressed_on
+from pneutac_sim.gel.sensor import Memory, TactileSensor, branches_of, pressed_on
 from pneutac_sim.gel.surface import surface
 from pneutac_sim.mpm.indenter import centre_m, distances_m, half_edge_m
 from pneutac_sim.twin import Twin
@@ -309,7 +309,7 @@ def test_a_generated_recording_that_hides_creep_tells_its_holds_and_is_predicted
     recording = write_hidden_gel(tmp_path / "recording", ["gel_creep"], seed=1, images=4)
     data = GelRecording.load(recording)
     assert recording.samples["hold_s"].tolist() == [60.0, 2.0, 60.0, 2.0] and data.samples[1].earlier
-    gel, last = GelModel.builtin(), data.samples[1].photograph
+    gel, last = GelModel.builtin(), data.samples[1]
     gel.effects = json.loads((tmp_path / "truth" / "recording.json").read_text())
     errors = [
         rmse(Predictor(gel).image(last.press, last.rest, last.clock, earlier), last.image)

@@ -13,8 +13,8 @@ from pneutac_sim.gel.identifiability import library, save
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.layout import DIGIT, Layout, Orientation, SensorPrior, recognise_rest, stored_rest
 from pneutac_sim.gel.model import GelModel, rest_image
-from pneutac_sim.gel.pair import rmse
-from pneutac_sim.gel.photograph import Predictor, PressPhotograph
+from pneutac_sim.gel.pair import PressPhotograph, rmse
+from pneutac_sim.gel.photograph import Predictor
 from pneutac_sim.gel.residual import FEATURES, PLACE, ResidualField
 from pneutac_sim.twin import Twin
 

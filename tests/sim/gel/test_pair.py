@@ -7,8 +7,8 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.gel.fit import fit_presses
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.pair import check_pair
-from pneutac_sim.gel.photograph import Predictor, PressPhotograph
+from pneutac_sim.gel.pair import PressPhotograph, check_pair
+from pneutac_sim.gel.photograph import Predictor
 
 BALL = Press("sphere", 3.0, 0.6, -1.0, 0.9)
 NOTHING = Press("sphere", 3.0, 0, 0, 1e-6)

@@ -9,15 +9,8 @@ from scipy.special import k0, k1
 
 from pneutac_sim.gel.indenter import INDENTERS, Press
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.pair import disc, ncc, psnr, rmse, score
-from pneutac_sim.gel.photograph import (
-    Predictor,
-    PressPhotograph,
-    expected_drift,
-    press_depth,
-    registered,
-    session_light,
-)
+from pneutac_sim.gel.pair import PressPhotograph, disc, ncc, psnr, rmse, score
+from pneutac_sim.gel.photograph import Predictor, expected_drift, press_depth, registered, session_light
 from pneutac_sim.gel.surface import surface
 
 BALL = Press("sphere", 3.0, 0.6, -1.0, 0.9)

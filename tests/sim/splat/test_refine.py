@@ -8,7 +8,7 @@ import pytest
 from pneutac_sim.gel.fit import fit_presses
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.photograph import PressPhotograph
+from pneutac_sim.gel.pair import PressPhotograph
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.splat import refine
 from pneutac_sim.splat.gel import SplatSensor
