@@ -2,6 +2,7 @@
 
 import shlex
 import sys
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -42,12 +43,22 @@ def recording_folder(
     console = Console()
     if known is None or yes:
         show_understood(understood, console)
-    if known is None and not yes:
+    if known is None and not yes and not _confirmed_before(understood, folder):
         confirm(path)
     understood.write(folder)
     how = f", by {known}" if known else ""
     console.print(f"Stored in {folder}{how}.", highlight=False, soft_wrap=True, markup=False)
     return folder
+
+
+def _confirmed_before(understood: plain.Understood, folder: Path) -> bool:
+    """Whether a table next to this one was taken with the very same columns."""
+    columns = {c.name: str(c) for c in understood.columns}
+    for file in folder.parent.glob(f"*{plain.ENDING}/{plain.MAPPING}"):
+        with suppress(InputError):  # one that was edited and no longer reads
+            if plain.Given.load(file).columns == columns:
+                return True
+    return False
 
 
 def confirm(path: Path) -> None:

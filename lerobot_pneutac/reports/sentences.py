@@ -297,7 +297,7 @@ def warnings(s: State) -> list[str]:
     """What speaks against the headline, what it leaves open and what the recording lacks."""
     out = []
     if not s.poor:
-        out += [f"A check failed: {o}." for o in s.objections]
+        out += [f"A check failed: {o}{_size(s) if 'black box' in o else ''}." for o in s.objections]
         if s.kind is Kind.CAUSES and not s.at_noise and s.noise and not s.objections:
             out.append(f"The error that remains is {s.rest / s.noise:.2g} times the noise.")
         out += _as_well(s)
@@ -305,7 +305,7 @@ def warnings(s: State) -> list[str]:
             out.append(f"Without {cause} the test error is no higher: {without:.3g} {s.unit}.")
         if s.black_box and not any("black box" in o for o in s.objections):
             share = f"{100 * s.black_box:.0f} %"
-            out.append(f"A black box predicts {share} of the remaining error from the inputs.")
+            out.append(f"A black box predicts {share} of the remaining error from the inputs{_size(s)}.")
         if s.agreed is not None and s.agreed < AGREED:
             out.append(f"{100 * s.agreed:.0f} % of repeated searches found the first-listed cause.")
         if s.kind is Kind.NOTHING and s.at_noise and s.noise is not None:
@@ -324,6 +324,14 @@ def warnings(s: State) -> list[str]:
     if s.untested:
         out.append(f"Not tested: {'; '.join(s.untested)}.")
     return out
+
+
+def _size(s: State) -> str:
+    """From which error to which a black box gets, a clause; empty where the noise is not known."""
+    if not s.noise or not s.black_box or s.after <= s.noise:
+        return ""
+    least = (s.noise**2 + (1 - s.black_box) * (s.after**2 - s.noise**2)) ** 0.5
+    return f", from {s.after:.3g} to {least:.3g} {s.unit} (noise {s.noise:.3g})"
 
 
 def _as_well(s: State) -> list[str]:

@@ -3,6 +3,7 @@
 How a device ages: one twin against recordings of several dates, and when to calibrate it again.
 """
 
+import shlex
 from dataclasses import dataclass, field
 from datetime import date, timedelta
 from pathlib import Path
@@ -186,8 +187,12 @@ def _day(recording: Recording) -> date:
     try:
         return date.fromisoformat(value or "")
     except (TypeError, ValueError):
-        remedy = 'give the day of the measurement, such as "2026-03-01"'
         found = "missing" if value is None else repr(value)
+        if tables := recording.meta.get("source", {}).get("files"):  # a conversion would overwrite the field
+            table = shlex.quote(",".join(str(file.parent.parent / name) for name in tables))
+            again = f"pneutac convert {table} --mapping={file.parent}/mapping.yaml --date=2026-03-01"
+            raise InputError(f"{table}: the date is {found}; give it, as by `{again}`.") from None
+        remedy = 'give the day of the measurement, such as "2026-03-01"'
         raise InputError(f"{file}: field 'date' is {found}; {remedy}.") from None
 
 

@@ -19,13 +19,13 @@ from lerobot_pneutac.diagnosis.design import NO_HANDS, Choice, Limits, choices
 from lerobot_pneutac.diagnosis.experiment import predict, read
 from lerobot_pneutac.diagnosis.hands import GRAVITY, Hands, instructions, named, refuse_unused
 from lerobot_pneutac.diagnosis.programs import first_program
-from lerobot_pneutac.diagnosis.result import Candidate, family_in
+from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.diagnosis.thresholds import NOISE
 from lerobot_pneutac.reports.figures import curves, pressure_traces
 from lerobot_pneutac.reports.page import HELDOUT, MEASURED, MODEL, TRAIN, Report, rows_of, save_table
 from lerobot_pneutac.reports.sentences import called
 from lerobot_pneutac.study.pair import same_body, same_chambers, same_length
-from lerobot_pneutac.verbs.benches import Bench, check_bench, make_bench, save_choice
+from lerobot_pneutac.verbs.benches import Bench, StandinBench, check_bench, make_bench, save_choice
 from lerobot_pneutac.verbs.diagnose import Diagnosis, diagnose, load_candidates
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.recording import Recording, joined
@@ -126,37 +126,39 @@ class Learning(Result):
     def sentence(self) -> str:
         r = self.last
         minutes = f"{self.bench_s / 60:.1f} minutes on the bench in {len(self.rounds)} programs"
-        names = {e: called(e, self.twin) for e in r.selected}
         what = "nothing is missing" if self.confirmed else "nothing significant was found"
         if r.selected:
-            what = f"the {self.twin.device} behaves like {listed(names.values())}"
+            proven = ("not yet confirmed", "confirmed by a program of another kind that needed it")
+            found = (f"{called(e, self.twin)}, {proven[e in r.confirmed_by]}" for e in r.selected)
+            what = f"the {self.twin.device} behaves like {'; like '.join(found)}"
         text = f"After {minutes}: {what}."
         if r.predicted_error is not None:
             times = f"{r.predicted_error / r.noise:.2g} times the noise"
             text += f" The last program was predicted to {r.predicted_error:.3g} {r.unit} before it was used"
             text += f" ({times})."
-        if proven := [n for e, n in names.items() if e in r.confirmed_by]:
-            text += f" Confirmed, by a program of another kind that needed it: {', '.join(proven)}."
-        if r.unconfirmed:
-            text += f" Not confirmed: {', '.join(names[e] for e in r.unconfirmed)}."
         return f"{text} It ended because {self.ended}."
 
     def rows(self) -> list[dict]:
+        """Those of `_all_rows` that a terminal of 80 columns has room for."""
+        left_out = ("as given", "noise", "verdict")
+        return [{k: v for k, v in row.items() if k not in left_out} for row in self._all_rows()]
+
+    def _all_rows(self) -> list[dict]:
         def found(r: Round) -> str:
-            known = self.twin.effects
-            kinds = {e: family_in(self.twin, e) if e in known else family(e) for e in r.selected}
-            marked = (k.replace("_", " ") + "*" * (e in r.confirmed_by) for e, k in kinds.items())
+            marked = (called(e, self.twin) + "*" * (e in r.confirmed_by) for e in r.selected)
             return ", ".join(dict.fromkeys(marked)) or "-"
 
         columns = {"round": "number", "program": "program", "s": "{0.seconds:.0f}"}
         columns |= {"predicted": "{0.predicted_error:.3g}", "as given": "{0.bare_error:.3g}"}
-        columns |= {f"after, {self.last.unit}": "{0.error:.3g}", "noise": "{0.noise:.3g}"}
+        columns |= {"after": "{0.error:.3g}", "noise": "{0.noise:.3g}"}
         ends = {"right": "{0.likely_right:.0%}", "verdict": "verdict"}
         parts = zip(rows_of(self.rounds, columns), self.rounds, rows_of(self.rounds, ends), strict=True)
         return [row | {"found": found(r)} | end for row, r, end in parts]
 
     def remarks(self) -> list[str]:
+        unit, noise = self.last.unit, f"{self.last.noise:.3g}"
         return [
+            f"predicted, after: error in {unit} before and after a program was used (noise {noise})",
             "right: share of test devices with a similar finding whose first-listed physics was right",
             "* confirmed: a recording of another kind was predicted with it before it was used",
             f"twin: {self.folder / 'twin'}, a version for each round",
@@ -174,7 +176,7 @@ class Learning(Result):
             "Error on each program before it was used for anything, by the best model until then and by the "
             "twin as it was given, re-fitted, and the error of what was found after it, where no fit saw.",
         )
-        page.table(self.rows(), "* confirmed by a program of another kind that was predicted with it.")
+        page.table(self._all_rows(), "* confirmed by a program of another kind that was predicted with it.")
         page.figure(_programs(self), "What was commanded.", 120 + 90 * len(self.rounds))
         page.figure(_likely(self), "How likely each model was after each round, by its last effects.")
         page.heading("What was found, round by round")
@@ -342,8 +344,11 @@ def learn(
         raise InputError(f"{both}; give budget_min={math.ceil(first_s / 30)} or more.")
     length_mm = getattr(bench, "length_mm", None)
     if length_mm is not None and not same_length(length_mm, twin):
-        both = f"The device on the bench is {length_mm:g} mm long and the twin's {twin.length_mm:g} mm"
-        raise InputError(f"{both}; give a twin of that device.")
+        standin = isinstance(bench, StandinBench)
+        what = "The simulated finger that stands in for a real one" if standin else "The device on the bench"
+        remedy = f"give a twin of that device (`pneutac new --length_mm={length_mm:g}`)"
+        remedy += ", or your own bench (--bench=measure --measure=FILE)" * standin
+        raise InputError(f"{what} is {length_mm:g} mm long and the twin's {twin.length_mm:g} mm; {remedy}.")
     rounds = Rounds(out, twin, bench, seed, jobs, progress, hands)
     while True:
         left_s = budget_s - sum(r.seconds for r in rounds.done)
@@ -593,7 +598,7 @@ def command(cfg: LearnConfig, terminal: Terminal) -> None:
 
     def show_round(r: Round) -> None:
         predicted = "" if r.predicted_error is None else f", predicted to {r.predicted_error:.3g}"
-        error = f"{r.error:.3g} {r.unit} (noise {r.noise:.3g})"
+        error = f"{r.error:.3g} {r.unit}"
         found = listed(map(called, r.selected)) or "nothing"
         program = f"{r.program} ({r.seconds:.0f} s){predicted}"
         terminal.say(f"round {r.number}, {program}: {error} with {found}, {r.verdict}")

@@ -306,7 +306,7 @@ class Calibration(Result):
         return super().content() | where
 
     def _now(self) -> str:
-        return f"; the twin at {self.saved_to} is now version {self.version}" if self.saved_to else ""
+        return f"; stored as version {self.version} of {self.saved_to}" if self.saved_to else ""
 
 
 def measured_range(recording: Recording) -> tuple[float, float] | None:

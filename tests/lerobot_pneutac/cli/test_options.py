@@ -10,6 +10,7 @@ A lab's own table at the command line: shown once, confirmed, kept beside it, ch
 import io
 import json
 import re
+import shutil
 import subprocess
 import sys
 import time
@@ -450,3 +451,14 @@ def test_check_tells_what_is_open_in_a_table(folder, capsys):
     with pytest.raises(SystemExit):
         _dispatch(["check", "open.csv"])
     assert "'p' (0 to 2) has no unit" in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_table_with_the_columns_of_a_confirmed_one_is_not_asked_about(folder):
+    shutil.copy("lab.csv", "friday.csv")
+    other = pd.read_csv("lab.csv", sep=";", decimal=",").rename(columns={"Lauf": "Versuch"})
+    other.to_csv("other.csv", sep=";", decimal=",", index=False)
+    _dispatch(["new", "--twin=twin", "--recording=lab.csv", "--yes"])
+    _dispatch(["compare", "--twin=twin", "--recording=friday.csv"])
+    assert (folder / "friday.recording" / "recording.json").is_file()
+    with pytest.raises(SystemExit, match="Add --yes if this is right"):
+        _dispatch(["compare", "--twin=twin", "--recording=other.csv"])

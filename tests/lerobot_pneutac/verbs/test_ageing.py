@@ -69,5 +69,11 @@ def test_the_command_writes_it_and_a_missing_date_is_one_sentence(tmp_path, caps
     bench(tmp_path / "none", "")
     with pytest.raises(InputError, match="none/recording.json: field 'date' is missing; give the day"):
         verb("compare", *options[:2], f"--later=[{tmp_path / 'none'}]")
+    meta = json.loads((tmp_path / "none" / "recording.json").read_text())
+    meta["source"] = {"files": {"friday.csv": "0"}, "mapping": "0"}
+    (tmp_path / "none" / "recording.json").write_text(json.dumps(meta))
+    again = "friday.csv: the date is missing; give it, as by `pneutac convert .*friday.csv --mapping=.*date"
+    with pytest.raises(InputError, match=again):
+        verb("compare", *options[:2], f"--later=[{tmp_path / 'none'}]")
     with pytest.raises(InputError, match="two dates or more"):
         ageing(Twin.builtin(), [Recording.load(tmp_path / "1")])

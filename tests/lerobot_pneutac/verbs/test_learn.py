@@ -1,5 +1,6 @@
 """The loop of asking the bench: it ends with what is hidden, goes on after a kill, and believes late."""
 
+import io
 import json
 import shutil
 from dataclasses import replace
@@ -10,15 +11,17 @@ import pandas as pd
 import pytest
 from doc_blocks import blocks
 from pressure_rig import SimulatedTime, build, converse
+from rich.console import Console
 
 from lerobot_pneutac import design, learn
+from lerobot_pneutac.cli.terminal import show
 from lerobot_pneutac.diagnosis.design import Limits, choices
 from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.hands import Hands
 from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.verbs.benches import StandinBench, make_bench, save_program
 from lerobot_pneutac.verbs.diagnose import load_candidates, save_candidates
-from lerobot_pneutac.verbs.learn import Rounds, unlike_request
+from lerobot_pneutac.verbs.learn import Learning, Round, Rounds, unlike_request
 from lerobot_robot_pneutac.hardware.pneutac_serial import PneutacExchange
 from lerobot_robot_pneutac.hardware.serial_pressure import Command
 from lerobot_robot_pneutac.standin.world import new_rod
@@ -390,3 +393,20 @@ def test_what_hangs_there_is_seen_in_how_the_finger_moves(tmp_path, hung, asked,
 def test_hands_that_do_not_fit_are_refused(names, usual, sentence):
     with pytest.raises(InputError, match=sentence):
         Hands.of(names, usual, 20.0)
+
+
+def test_the_sentence_and_the_table_of_what_was_learnt_agree(tmp_path):
+    numbers = {"seconds": 60.0, "pause_s": None, "unit": "mm", "noise": 0.43, "predicted_error": 0.5}
+    numbers |= {"bare_error": 2.0, "without": {}, "error": 0.45, "verdict": "missing_effect", "sentence": ""}
+    found = {"selected": ["lag(p)", "p^2"], "probabilities": {}, "confirmed_by": {"lag(p)": 1}}
+    last = Round(number=1, program="holds at 4 levels", kind="holds", likely_right=0.8, **numbers, **found)
+    learnt = Learning(twin=Twin.builtin(), rounds=(last,), ended="the budget is used up", folder=tmp_path)
+    behaves = "creep (lag(p)), confirmed by a program of another kind that needed it; like a gain that "
+    assert behaves + "changes with pressure (p^2), not yet confirmed. The last" in learnt.sentence
+    assert "Not confirmed" not in learnt.sentence
+    printed = io.StringIO()
+    show(learnt, Console(width=80, file=printed), sentence=False)
+    lines = printed.getvalue().splitlines()
+    assert any("holds at 4" in x and "0.45" in x and "creep (lag(p))*" in x and "80%" in x for x in lines)
+    assert max(map(len, lines)) <= 80
+    assert sum("0.43" in line for line in lines) == 1  # the noise is said once
