@@ -97,6 +97,13 @@ def refuse_given(options, names: Iterable[str], why: str) -> None:
             raise InputError(f"{field.name} {why}; leave it out.")
 
 
+def as_number(value) -> float:
+    """A number of YAML, which takes 1e-5 for a text; raises TypeError or ValueError where it is none."""
+    if isinstance(value, bool):
+        raise TypeError(f"{value} is no number")
+    return float(value)
+
+
 def finite_array(what: str, value, shape: tuple[int, ...], dtype: type = np.float64) -> np.ndarray:
     """The value as a contiguous array of a shape, where -1 stands for any length.
 

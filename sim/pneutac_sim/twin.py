@@ -18,7 +18,7 @@ import numpy as np
 import yaml
 from safetensors.numpy import load_file, save
 
-from pneutac_sim.errors import InputError, from_hub, option, shown, unknown_names
+from pneutac_sim.errors import InputError, as_number, from_hub, option, shown, unknown_names
 from pneutac_sim.features import PAPER_LENGTH_MM, PAPER_RANGE_KPA
 from pneutac_sim.files import inside, locked, meant, read_yaml, refuse_pointer, whole, write_json, write_text
 from pneutac_sim.value import Value
@@ -387,7 +387,7 @@ def checked_range(pressures_kpa, name: str) -> tuple[float, float]:
     Raises InputError: it is not two finite numbers, the first below the second, with 0 (vented) among them.
     """
     try:
-        low, high = map(_number, pressures_kpa)
+        low, high = map(as_number, pressures_kpa)
         right = -math.inf < low <= 0 <= high < math.inf and low < high
     except (TypeError, ValueError):
         right = False
@@ -449,20 +449,13 @@ def _value(v, where: str) -> Value:
         raise InputError(f"{where}: {fault}")
     ends = v.get("ci95")
     try:
-        number, ci95 = _number(v["value"]), [] if ends is None else [_number(x) for x in ends]
+        middle, ci95 = as_number(v["value"]), [] if ends is None else [as_number(x) for x in ends]
     except (TypeError, ValueError) as e:
         raise InputError(f"field '{where}' is {shown(v)}; its numbers are malformed ({e}).") from e
     right = ends is None or isinstance(ends, list) and len(ends) in (0, 2) and ci95 == sorted(ci95)
-    if not (right and all(abs(x) < MOST_VALUE for x in (number, *ci95))):
+    if not (right and all(abs(x) < MOST_VALUE for x in (middle, *ci95))):
         raise InputError(f"field '{where}' is {shown(v)}; its numbers must be finite, ci95 low and high.")
-    return Value(number, (ci95[0], ci95[1]) if ci95 else None)
-
-
-def _number(x) -> float:
-    """A number of YAML, which takes 1e-5 for a text; raises TypeError or ValueError where it is none."""
-    if isinstance(x, bool):
-        raise TypeError(f"{x} is no number")
-    return float(x)
+    return Value(middle, (ci95[0], ci95[1]) if ci95 else None)
 
 
 def _effects(d, faults: list[str]) -> dict[str, dict[str, Value]]:
@@ -514,8 +507,8 @@ def _history(d, faults: list[str]) -> list[dict]:
 
 _READ: dict[str, Callable[[Any, list[str]], Any]] = {
     "device": lambda d, _: d,
-    "length_mm": lambda d, _: _number(d),
-    "spine_joint_positions_mm": lambda d, _: [_number(x) for x in d],
+    "length_mm": lambda d, _: as_number(d),
+    "spine_joint_positions_mm": lambda d, _: [as_number(x) for x in d],
     "parameters": lambda d, faults: _values(d, "parameters", faults),
     "effects": _effects,
     "pressure_range_kpa": lambda d, _: d,

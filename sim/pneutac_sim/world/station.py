@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from pneutac_sim.errors import InputError, shown, unknown_names
+from pneutac_sim.errors import InputError, as_number, shown, unknown_names
 from pneutac_sim.features import CONTROL_HZ, PAPER_LENGTH_MM, RATES_HZ
 from pneutac_sim.files import read_fields, read_yaml, whole
 from pneutac_sim.world.arms import ARMS, ArmFile, Chain, joints_of, make_arm, read_arm
@@ -143,7 +143,7 @@ def station_file(dataset: str | Path, given: Path | None = None) -> Path | None:
 def check_corner(value, name: str) -> tuple[float, float, float]:
     """Three numbers of metres; raises InputError where they are none."""
     try:
-        x, y, z = (float(v) for v in value)
+        x, y, z = map(as_number, value)
         right = all(math.isfinite(v) for v in (x, y, z))
     except (TypeError, ValueError):
         right = False

@@ -57,6 +57,7 @@ def test_a_longer_mount_keeps_the_gel_where_it_was_and_the_box_holds_world_and_p
         ("control_hz: 4", "control_hz is 4; give a whole number from 5 to 60 Hz"),
         ("control_hz: 15.0", "control_hz is 15.0; give a whole number"),
         ("home_m: [0.9, 0, 0.3]", "home_m is .* outside the workspace"),
+        ("workspace_high_m: [true, 0.2, 0.5]", "workspace_high_m is .* three finite numbers"),
         ("base_m: [0, 0]", "base_m is .* three finite numbers"),
         ("workspace_low_m: [0.7, -0.1, 0.2]", "each number of the first must be below"),
     ],
