@@ -140,7 +140,7 @@ def test_of_two_effects_the_one_that_adds_nothing_is_named(pair):
     recording = Recording.load(pair[1])
     twin = Twin("finger", recording.length_mm, recording.spine_joint_positions_mm)
     result = add(twin, recording, ["creep", "leak"])
-    assert not result.accepted and "leak changes nothing" in result.reason
+    assert not result.accepted and "loss of pressure during holds changes nothing" in result.reason
     worth = {c.name: c.error_without - c.error_with for c in result.contributions}
     assert worth["creep"] > 10 * abs(worth["leak"])
 
@@ -208,8 +208,8 @@ def test_every_verb_sees_the_fall_of_a_pneumatic_effect(tmp_path):
 @pytest.mark.parametrize(
     ("baseline", "says"),
     [
-        (1.418, "payload leaves the test error at 1.42 mm"),
-        (1.1, "payload lowers the test error from 1.42 to 1.1"),
+        (1.418, "the weight at the tip leaves the test error at 1.42 mm"),
+        (1.1, "the weight at the tip lowers the test error from 1.42 to 1.1"),
     ],
 )
 def test_known_causes_are_said_to_lower_only_what_they_lower(baseline, says):
@@ -221,4 +221,4 @@ def test_known_causes_are_said_to_lower_only_what_they_lower(baseline, says):
     assert len(named.rows()) == 3 and named.findings_shown
     found = Addition(effect="creep, payload", accepted=True, reason="", diagnosed=True, **given)
     assert not found.rows() and not found.findings_shown  # the diagnosis has shown both
-    assert "with known causes (payload)" in found.page().fragment()
+    assert "with known causes (the weight at the tip)" in found.page().fragment()
