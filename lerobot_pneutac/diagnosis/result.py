@@ -28,6 +28,7 @@ class FittedModel:
         return squared_distance(self.residual)
 
 
+CURVE_LIKE = ("base_tilt", "elongation")  # fitted causes that compensate for a missing curve of the pressure
 SET_UP = (PROFILE, "base_tilt")  # how the body is made and mounted: fitted, but no effect that is missing
 
 

@@ -18,7 +18,8 @@ import numpy as np
 
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.verbs.history import report
-from pneutac_sim.effects.registry import of_sensor
+from pneutac_sim.effects.laws import family, is_law
+from pneutac_sim.effects.registry import get_effect, of_body, of_sensor
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole, write_text
 from pneutac_sim.finger import stages
@@ -172,11 +173,11 @@ def python_file(twin: Twin) -> str:
     if twin.device == "gel":
         raise InputError("A gel has no pressure that bends it; export the twin of a finger or an arm.")
     model, source = Pipeline.of(twin), Source(compiled=False)
-    theta = model.theta(twin)
+    theta, of_air = model.theta(twin), _knows_air(twin)
     for part in (Link, Pose, Finger):
         source.add(part)
     chain = "\n".join(f"    {link}," for link in _links(model, source))
-    reads = _place(model, model.reads_pressure), _place(model, model.observes)
+    reads = _place(model, model.reads_pressure) if of_air else 0, _place(model, model.observes)
     body = [
         *source.lines(), "", "", source.functions, "", "",
         "CONSTANTS = {", *_constants(twin, model, theta), "}", "", "LINKS = (", chain, ")", "", "",
@@ -190,9 +191,31 @@ def python_file(twin: Twin) -> str:
         f"    print({_call(model)}.step({_pressure(twin):g}, 0.02))", "",
     ]  # fmt: skip
     text = "\n".join(body)
+    if not of_air:
+        text = text.replace(GAUGE, COMMAND).replace(LAST, LAST + FORMER)
     needed = [line for used, line in IMPORTS.items() if used in text]
     head = f'"""{_docstring(twin, model)}"""\n\nfrom __future__ import annotations\n'
     return "\n".join([head.replace("\\", "\\\\"), *needed, "", "import numpy as np", "", text])
+
+
+# A line of `Pose`, and what it is where the twin has no air between the command and the finger.
+GAUGE = "    pressure_kpa: np.ndarray  # (chambers,) as the gauge reads it\n"
+COMMAND = "    command_kpa: np.ndarray  # (chambers,) as commanded; that in the finger is not modelled\n"
+LAST = "with the errors that the twin knows of\n"  # end of `Pose`
+FORMER = '''
+    @property
+    def pressure_kpa(self):
+        """`command_kpa` by its name until version 0.1."""
+        warnings.warn("pressure_kpa is the command; read command_kpa.", FutureWarning, stacklevel=2)
+        return self.command_kpa
+'''
+
+
+def _knows_air(twin: Twin) -> bool:
+    """Whether a twin models the pressure in its chambers: its air, and no slow valve as part of the bend."""
+    laws = {n: {k: v.value for k, v in values.items()} for n, values in twin.effects.items() if is_law(n)}
+    slow = any(family(name, values) == "valve_lag" for name, values in laws.items())
+    return not slow and any(get_effect(name).of_air for name in of_body(twin.effects))
 
 
 def _links(model: Pipeline, source: Source) -> list[str]:
@@ -249,6 +272,7 @@ def _docstring(twin: Twin, model: Pipeline) -> str:
     needed = _needed(model)
     left = [*of_sensor(twin.effects), *(n for n in ("command_latency_s",) if n in twin.parameters)]
     low, high = twin.pressure_range_kpa
+    read = "pressure_kpa" if _knows_air(twin) else "command_kpa"
     tested = [
         f"- version {e['version']}, {e['change']}: {e['heldout']:.4g} {e.get('unit') or ''} off "
         f"on test blocks{', of ' + str(e['recording']) if e.get('recording') else ''}"
@@ -265,7 +289,7 @@ def _docstring(twin: Twin, model: Pipeline) -> str:
         "    from THIS_FILE import finger\n\n"
         f"    f = {_call(model)}\n"
         f"    pose = f.step({_pressure(twin):g}, 0.02)  # command in kPa, step in s\n"
-        "    pose.tip, pose.measured, pose.joints_rad, pose.pressure_kpa",
+        f"    pose.tip, pose.measured, pose.joints_rad, pose.{read}",
         *([f"Conditions that it needs: {', '.join(needed)}."] if needed else []),
         *([f"Not in this file: {', '.join(left)}."] if left else []),
     ]

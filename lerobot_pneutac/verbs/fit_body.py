@@ -10,7 +10,7 @@ stiffness alone; it is fitted along and not taken for either.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 
@@ -19,7 +19,7 @@ import numpy as np
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
 from lerobot_pneutac.diagnosis.parts import deal
-from lerobot_pneutac.diagnosis.result import Contribution
+from lerobot_pneutac.diagnosis.result import CURVE_LIKE, Contribution
 from lerobot_pneutac.reports.page import HELDOUT, MEASURED, MODEL, Report
 from lerobot_pneutac.study.base import not_identifiable, unidentified, with_unit
 from lerobot_pneutac.study.body_base import doubt, known_causes
@@ -45,6 +45,7 @@ TURNED = 0.1  # change of a component of gravity from which on the finger's own 
 WIDEST = 1.5  # upper over lower end of an interval, beyond which a number is not identified
 
 PARTICLES = 4000  # of the soft body, about
+CURVES = "gain_saturation", "stiffening"  # curves of the pressure: one limit, or a gain by powers of it
 
 
 @dataclass(frozen=True)
@@ -350,8 +351,12 @@ def _with_known_causes(
     if not names or test is None:
         return fits, plain, [], []
     progress("fitting known causes", 0, 1 + len(names))
+    doubts = _curve_instead(plain, names, fitted, test)
+    names = [c for c in names if c not in doubts]
+    if not names:
+        return fits, plain, [], list(doubts.values())
     now = fit(plain, bench, [*plain.effects, *names], train, seed=seed)
-    squared, lost, doubts = test.squared(now.twin), {}, {}
+    squared, lost = test.squared(now.twin), {}
     while names:
         without = {c: fitted(now.twin.without(c), [n for n in names if n != c]) for c in names}
         lost = {c: test.squared(f.twin) for c, f in without.items()}
@@ -372,6 +377,34 @@ def _with_known_causes(
     now_error, drop = float(np.sqrt(test.held.value(squared))), test.held.drop
     causes = [Contribution(c, True, error[c], now_error, drop(lost[c], squared)) for c in names]
     return [*fits[:-1], now], plain, sorted(causes, key=lambda c: -c.drop[0]), sentences
+
+
+def _curve_instead(plain: Twin, names: list[str], fitted: Callable, test: _HeldOutTest) -> dict[str, str]:
+    """Mount and stretch that a curve of the pressure makes needless, and why they are left out, a sentence.
+
+    They bend the path of the tip nearly as such a curve does. It is not stored: `diagnose` finds which it is.
+    """
+    doubted = [c for c in names if c in CURVE_LIKE]
+    if not doubted or set(CURVES) & set(plain.effects):
+        return {}
+    others = [c for c in names if c not in doubted]
+    curves = {c: fitted(plain, [*others, c]) for c in CURVES}
+    curve = min(curves, key=lambda c: test.squared(curves[c].twin).sum())
+    bare = test.squared(curves[curve].twin)
+    if not test.needs(test.squared(fitted(plain, others).twin if others else plain), bare):
+        return {}
+    both = fitted(curves[curve].twin, [*others, curve, *doubted])
+    if test.needs(bare, test.squared(both.twin)):
+        return {}
+    alone = test.squared(fitted(plain, names).twin)
+    if alone.sum() <= bare.sum():
+        return {}
+    why = (
+        "with a curve of the pressure it no longer lowers the test error, so it would stand in for the curve"
+    )
+    return {
+        c: f"{c.replace('_', ' ')} is left out: {why}, which `pneutac diagnose` looks for." for c in doubted
+    }
 
 
 def _doubt(

@@ -1,16 +1,19 @@
 """A twin with its history: as one page to send to somebody, its versions, and the way back to one of them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from lerobot_pneutac.cli.terminal import Terminal
+from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.names import called
+from lerobot_pneutac.diagnosis.result import CURVE_LIKE
 from lerobot_pneutac.reports.page import Report, span
 from lerobot_pneutac.verbs.result import Result, history_of
 from pneutac_datasets.recording.wording import joined
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
-from pneutac_sim.twin import Twin
+from pneutac_sim.twin import Twin, Value
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -51,11 +54,20 @@ class TwinReport(Result):
         return [{shown.get(k, k): v for k, v in e.items()} for e in self.history]
 
     def described(self) -> list[str]:
-        device = self.twin.device
-        return [
-            get_effect(name).describe({k: v.value for k, v in values.items()}, device)
-            for name, values in self.twin.effects.items()
-        ]
+        """A sentence on each effect, and one on what the recording left open of it."""
+        device, out = self.twin.device, []
+        for name, values in self.twin.effects.items():
+            text = get_effect(name).describe({k: v.value for k, v in values.items()}, device)
+            open_ = [p for p in values if _at_limit(name, p, values[p], self.twin.pressure_range_kpa)]
+            if open_:
+                text += (
+                    f" The recording does not determine {joined(open_)}, at the limit of the allowed range,"
+                    " so it may compensate for something that the twin lacks."
+                )
+            elif name in CURVE_LIKE:
+                text += " This is fitted, not measured: it may compensate for a curve that the twin lacks."
+            out.append(text)
+        return out
 
     def parameters(self) -> list[dict]:
         return [
@@ -87,6 +99,17 @@ class TwinReport(Result):
             page.heading("Its touch sensor without contact")
             page.image(twin.arrays["rest_image"], width=240)
         return page
+
+
+def _at_limit(effect: str, parameter: str, known: Value, range_kpa: Sequence[float]) -> bool:
+    """Whether a fitted parameter, or its 95 % interval, ends where the fit allowed no more."""
+    specs = {p.name: p for p in get_effect(effect).parameters}
+    if known.ci95 is None or parameter not in specs:
+        return False
+    _, lower, upper = specs[parameter].limits(max(map(abs, range_kpa)))
+    near = T.AT_BOUND * (upper - lower)
+    low, high = known.ci95
+    return known.value in (low, high) or low <= lower + near or high >= upper - near
 
 
 def report(twin: Twin) -> TwinReport:
