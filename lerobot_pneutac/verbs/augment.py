@@ -301,6 +301,7 @@ def augment(
     from pneutac_datasets.demonstrations.augment.episode import AugmentSetup
     from pneutac_datasets.demonstrations.augment.library import start_spread_m
     from pneutac_datasets.demonstrations.augment.run import (
+        NewDataset,
         augment_guided,
         augment_without_simulator,
         read_references,
@@ -324,9 +325,18 @@ def augment(
         note(other)
     for sentence in recorded.set_aside():
         note(sentence)
-    new = (config.output.root, config.output.repo_id, config.episodes)
+    out = NewDataset(
+        config.output.root,
+        config.output.repo_id,
+        config.episodes,
+        executor=config,
+        checks=config.check_mpm,
+        real_share=config.real_share or 0.0,
+        device=config.device,
+        worlds=config.worlds if config.device != "cpu" else 0,
+    )
     if config.method == "naive":
-        summary = augment_without_simulator(recorded, config.dataset.repo_id, *new, config.seed, progress)
+        summary = augment_without_simulator(recorded, config.dataset.repo_id, out, config.seed, progress)
     else:
         base_m = np.array(station.base_m)  # demonstrations have positions in the arm's frame
         further = further_features(meta)
@@ -340,9 +350,7 @@ def augment(
         more = {"attempts": config.attempts, "conditions": config.conditions, "station": file}
         more |= {"tactile_points": POINTS in further, "cameras": cameras, "videos": tuple(meta.video_keys)}
         setup = AugmentSetup(placed, task, config.twin, *how, **more)
-        together = (config.device, config.worlds) if config.device != "cpu" else ()
-        how = (config.check_mpm, config.real_share, *together)
-        summary = augment_guided(meta, setup, *new, config, progress, *how)
+        summary = augment_guided(meta, setup, out, progress)
         summary["start_range_m"] = start_range_m if config.method != "planner" else None
     if file:
         station.save(config.output.root / "meta")

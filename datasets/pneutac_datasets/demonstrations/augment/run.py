@@ -13,7 +13,7 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stderr
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import partial
 from io import StringIO
 from pathlib import Path
@@ -29,7 +29,7 @@ from lerobot_robot_pneutac.policy.configuration_pneutac_bc import ANSWER_DELAY
 from pneutac_datasets.demonstrations.augment.check import check
 from pneutac_datasets.demonstrations.augment.episode import AugmentSetup
 from pneutac_datasets.demonstrations.augment.library import lagged_answers
-from pneutac_datasets.demonstrations.augment.reference import Reference, onset_sigma_m
+from pneutac_datasets.demonstrations.augment.reference import Reference
 from pneutac_datasets.demonstrations.augment.scene import Scene
 from pneutac_datasets.demonstrations.augment.work import Work, generator, make_episode, make_scene
 from pneutac_datasets.demonstrations.card import write_card
@@ -62,6 +62,22 @@ WRITING = "writing the dataset"
 RECORDED = "recorded"  # method of the copies of recorded demonstrations
 
 
+@dataclass(frozen=True)
+class NewDataset:
+    """What an augmentation writes, and how it is made."""
+
+    root: Path  # its folder; `<root>.work` holds what is finished until all is
+    repo_id: str  # its name
+    episodes: int  # number of new demonstrations
+    executor: ExecutorOptions  # where they are made
+    checks: int = 0  # of them, that material points carry out once more, see `check.check`
+    # of the frames that are to be recorded ones: as many copies of the source are merged into it, so that a
+    # trainer that draws frames evenly mixes by it
+    real_share: float = 0.0
+    device: str = "cpu"  # of PyTorch, on which `worlds` are stepped together by the library
+    worlds: int = 0  # their number; 0 for a world in each process
+
+
 def read_references(
     recorded: Recorded, repo_id: str, sensor: TactileSensor | None = None
 ) -> tuple[LeRobotDatasetMetadata, list[Reference]]:
@@ -91,64 +107,43 @@ def read_references(
 
 
 def augment_guided(
-    meta: LeRobotDatasetMetadata,
-    setup: AugmentSetup,
-    out_root: str | Path,
-    out_repo_id: str,
-    episodes: int,
-    executor: ExecutorOptions,
-    progress: Progress = no_progress,
-    checks: int = 0,
-    real_share: float = 0.0,
-    device: str = "cpu",
-    worlds: int = 0,
+    meta: LeRobotDatasetMetadata, setup: AugmentSetup, out: NewDataset, progress: Progress = no_progress
 ) -> dict:
     """Writes a LeRobotDataset of new demonstrations that merges with its source.
 
     Args:
         meta: of the source, from `read_references`.
         setup: what every demonstration depends on.
-        out_root: folder of the new dataset; `<out_root>.work` holds what is finished until all is.
-        out_repo_id: its name.
-        episodes: number of new demonstrations.
-        executor: where the demonstrations are made.
+        out: the new dataset.
         progress: is called with the stage, and how many of how many are done.
-        checks: demonstrations that material points carry out once more, see `check.check`.
-        real_share: share of the frames that are to be recorded ones: as many copies of the source are merged
-            into the new dataset, so that a trainer that draws frames evenly mixes by it.
-        device: of PyTorch, on which `worlds` are stepped together by the library.
-        worlds: their number; 0 for a world in each process.
 
     Returns:
         `attempts`, `kept`, `rejected` (reason to count), `provenance` (a dict each), `seconds` by part,
         `scenes`, `wall_s`; with checks also `checks`, an `Agreement` each.
 
     Raises:
-        InputError: there are fewer than two demonstrations, one never touches, the output exists, an
-            unfinished run is another one, or a demonstration cannot be made.
+        InputError: the output exists, an unfinished run is another one, or a demonstration cannot be made.
     """
-    onset_sigma_m(setup.references)
-    checks = min(checks, episodes)
-    out_root, began = Path(out_root), time.monotonic()
-    work = Work(work_folder(out_root))
-    part = out_root.with_name(out_root.name + ".part")
-    if out_root.exists() and work.folder.exists():
-        return _tidy_up(work, out_root, meta, setup, episodes, began) | _checked(work, checks)
-    check_new(out_root, out_repo_id)
-    together = {"device": device} if worlds else {}
-    work.open(_run(meta, setup) | ({"real_share": real_share} if real_share else {}) | together)
-    scenes = _find_scenes(work, setup, executor, progress) if setup.method == "planner" else []
+    checks, episodes, began = min(out.checks, out.episodes), out.episodes, time.monotonic()
+    work = Work(work_folder(out.root))
+    part = out.root.with_name(out.root.name + ".part")
+    if out.root.exists() and work.folder.exists():
+        return _tidy_up(work, out.root, meta, setup, episodes, began) | _checked(work, checks)
+    check_new(out.root, out.repo_id)
+    together = {"device": out.device} if out.worlds else {}
+    work.open(_run(meta, setup) | ({"real_share": out.real_share} if out.real_share else {}) | together)
+    scenes = _find_scenes(work, setup, out.executor, progress) if setup.method == "planner" else []
     files, new = [work.episode_file(k) for k in range(episodes)], work.folder / "dataset"
     parts, ended, failed = {}, threading.Event(), threading.Event()
     with ThreadPoolExecutor(1) as writer:
         columns = meta, setup.references, work, episodes
-        writing = writer.submit(_write, *columns, new, out_repo_id, ended, failed, progress)
+        writing = writer.submit(_write, *columns, new, out.repo_id, ended, failed, progress)
         try:
-            if worlds:
-                parts = _make_together(setup, work, files, device, worlds, executor, progress)
+            if out.worlds:
+                parts = _make_together(setup, work, files, out, progress)
             else:
-                make = partial(make_episode, setup, work.folder, scenes)
-                run_pieces(make, files, work.folder / "logs", executor, progress, "making demonstrations")
+                make, logs = partial(make_episode, setup, work.folder, scenes), work.folder / "logs"
+                run_pieces(make, files, logs, out.executor, progress, "making demonstrations")
         except BaseException:
             failed.set()
             raise
@@ -158,7 +153,7 @@ def augment_guided(
         writing.result()
     written = time.monotonic()
     used = [r.source for r in setup.references]
-    copies = _merge(new, part, out_repo_id, meta, used, real_share)
+    copies = _merge(new, part, out.repo_id, meta, used, out.real_share)
     made = [work.load_spent(k) for k in range(episodes)]
     provenance = [line for line, _ in made] + copies
     seconds = {name: sum(s[name] for _, s in made) for name in made[0][1]}
@@ -166,7 +161,7 @@ def augment_guided(
     check(work, setup, checks, progress)
     agreements = _checked(work, checks)
     delay = lagged_answers(setup.references)[1] if setup.method == "library" else None
-    finish(part, out_root, provenance, delay)
+    finish(part, out.root, provenance, delay)
     shutil.rmtree(work.folder)
     return _summary(provenance, seconds, scenes, began) | agreements | {ANSWER_DELAY: delay or 0}
 
@@ -205,13 +200,7 @@ def _find_scenes(
 
 
 def _make_together(
-    setup: AugmentSetup,
-    work: Work,
-    files: list[Path],
-    device: str,
-    worlds: int,
-    executor: ExecutorOptions,
-    progress: Progress,
+    setup: AugmentSetup, work: Work, files: list[Path], out: NewDataset, progress: Progress
 ) -> dict[str, float]:
     """Makes what is missing in a batch of worlds; returns the seconds of this process by part.
 
@@ -222,11 +211,12 @@ def _make_together(
         return {}
     from pneutac_datasets.demonstrations.augment.lockstep import Lockstep
 
-    began, workers = time.monotonic(), min(executor.workers or len(os.sched_getaffinity(0)), len(missing))
+    began = time.monotonic()
+    workers = min(out.executor.workers or len(os.sched_getaffinity(0)), len(missing))
     with faults_named("Making demonstrations", work.folder), process_pool(workers) as pool:
         for _ in range(workers):
             pool.submit(_start, setup, work.folder)
-        lockstep = Lockstep(setup, work, device, worlds)
+        lockstep = Lockstep(setup, work, out.device, out.worlds)
         built = time.monotonic()
         lockstep.make(missing, pool, progress, len(files) - len(missing))
     return lockstep.seconds | {"building": built - began, "making": time.monotonic() - built}
@@ -312,27 +302,21 @@ def _repeated(root: Path, repo_id: str, times: int, folder: Path) -> Path:
 
 
 def augment_without_simulator(
-    recorded: Recorded,
-    repo_id: str,
-    out_root: str | Path,
-    out_repo_id: str,
-    episodes: int,
-    seed: int,
-    progress: Progress = no_progress,
+    recorded: Recorded, repo_id: str, out: NewDataset, seed: int, progress: Progress = no_progress
 ) -> dict:
     """The same by `naive.augment_naive`; the result has the keys of `augment_guided`."""
-    out_root, began = Path(out_root), time.monotonic()
-    if out_root.exists():
-        raise InputError(f"'{out_root}' exists; give a new folder for dataset '{out_repo_id}'.")
-    part = out_root.with_name(out_root.name + ".part")
+    began = time.monotonic()
+    if out.root.exists():
+        raise InputError(f"'{out.root}' exists; give a new folder for dataset '{out.repo_id}'.")
+    part = out.root.with_name(out.root.name + ".part")
     shutil.rmtree(part, ignore_errors=True)
-    augment_naive(recorded, repo_id, part, out_repo_id, episodes, seed, progress)
+    augment_naive(recorded, repo_id, part, out.repo_id, out.episodes, seed, progress)
     provenance = [
         {"episode": k, "seed": seed, "source_episode": recorded.used[k % len(recorded.used)]}
         | {"method": "naive"}
-        for k in range(episodes)
+        for k in range(out.episodes)
     ]
-    finish(part, out_root, provenance)
+    finish(part, out.root, provenance)
     return _summary(provenance, {}, [], began)
 
 
