@@ -60,18 +60,18 @@ def recorded(tmp_path_factory):
     return record_episodes(robot, teleop, "local/demos", root, 2, "flip the switch", False)
 
 
-def options(recorded, out, *more) -> list[str]:
+def plain(recorded, out, *more) -> list[str]:
     return [
         "--dataset.repo_id=local/demos",
         f"--dataset.root={recorded}",
         f"--output.repo_id=local/{out.name}",
         f"--output.root={out}",
-        "--fidelity=probe",
-        "--workers=1",
-        "--method=planner",
-        *QUICK,
         *more,
     ]
+
+
+def options(recorded, out, *more) -> list[str]:
+    return plain(recorded, out, "--fidelity=probe", "--workers=1", "--method=planner", *QUICK, *more)
 
 
 def table(root) -> tuple[np.ndarray, np.ndarray]:
@@ -117,7 +117,7 @@ def test_the_task_is_the_one_that_the_instruction_names(recorded, tmp_path, inst
 def test_an_output_that_exists_is_refused_before_anything_is_read(tmp_path, method):
     (tmp_path / "more").mkdir()
     with pytest.raises(InputError, match="more' exists; give a new folder"):
-        run_verb("augment", options(tmp_path / "not there", tmp_path / "more", f"--method={method}"))
+        run_verb("augment", plain(tmp_path / "not there", tmp_path / "more", f"--method={method}"))
 
 
 def test_output_has_the_sources_features_and_merges(recorded, made, tmp_path):
