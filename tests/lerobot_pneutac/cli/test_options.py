@@ -398,7 +398,7 @@ def test_one_command_goes_from_a_table_to_a_twin(folder, capsys, given, kept):
 
 
 def test_a_changed_table_is_converted_again_by_its_mapping(folder, capsys):
-    _dispatch(["convert", "lab.csv"])
+    _dispatch(["convert", "lab.csv", "--yes"])
     meta = json.loads((folder / "lab.recording" / "recording.json").read_text())
     (folder / "lab.recording" / "recording.json").write_text(
         json.dumps(meta | {"noise": {}, "notes": "mine"})

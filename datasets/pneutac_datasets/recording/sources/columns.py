@@ -179,11 +179,8 @@ def guesses(columns: Sequence[Column]) -> str:
     if not guessed:
         return ""
     units = joined(dict.fromkeys(str(c.unit) for c in guessed))
-    answer = ", ".join(f"{c.name}: {c.column} [UNIT]" for c in guessed)
-    return (
-        f"No unit is written for {joined(shown(c.name) for c in guessed)}; by the size of the numbers {units}"
-        f" was taken: confirm it, or give it by --columns='{answer}'."
-    )
+    names = joined(shown(c.name) for c in guessed)
+    return f"No unit is written for {names}; by the size of the numbers {units} was taken."
 
 
 # ---------------------------------------------------------------- names
