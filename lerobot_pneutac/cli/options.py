@@ -453,7 +453,9 @@ def _completed(options: dict[str, Option], argv: list[str], aliases: dict[str, s
 def _of_yaml(option: Option, text: str) -> str:
     """A value as draccus reads it; raises InputError where it is not of the option's kind."""
     if option.kind in (str, Path) and text != "null":
-        return json.dumps(text, ensure_ascii=False)  # else brackets, stars and colons would be YAML
+        plain = re.fullmatch(r"[\w./~+-]*", text) and yaml.safe_load(text) == text
+        # else brackets, stars, colons and numbers would be YAML; a plain one may be a choice of argparse
+        return text if plain else json.dumps(text, ensure_ascii=False)
     value, (always, sometimes) = text, _lists(option.kind)
     if sometimes and text[0] not in "[{" and ("," in text or always):
         quoted = always and typing.get_args(option.kind)[0] in (str, Path)

@@ -80,7 +80,7 @@ def test_it_says_which_motions_to_record(tmp_path):
 @pytest.mark.parametrize("option", ["diagnosis", "hands"])
 def test_what_motions_do_not_take_is_said(tmp_path, option):
     twin = Twin.builtin().save(tmp_path / "twin")
-    refused(f"^{option}: .* leave it out", "design", f"--{option}={tmp_path}", twin=twin, recording=DEMOS)
+    refused(f"^{option}:? .* leave it out", "design", f"--{option}={tmp_path}", twin=twin, recording=DEMOS)
 
 
 def test_a_body_of_several_chambers_is_refused():
