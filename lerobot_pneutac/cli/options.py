@@ -9,6 +9,7 @@ import functools
 import inspect
 import json
 import math
+import os
 import re
 import shlex
 import shutil
@@ -163,9 +164,9 @@ def _check_outputs(config, argv: list[str]) -> None:
 
 def check_folder(name: str, path: Path) -> None:
     """Raises InputError where an option that takes a folder is given what is, or looks like, a file."""
-    if path.is_file():
+    if os.path.isfile(path):  # unlike Path.is_file, False for a name that is too long
         raise InputError(f"--{name}={path} is a file; give a folder.")
-    if path.suffix.lower() in FILES.split() and not path.is_dir():
+    if path.suffix.lower() in FILES.split() and not os.path.isdir(path):
         raise InputError(
             f"--{name}={path} names a file; give a folder, in which files get names of their own."
         )
