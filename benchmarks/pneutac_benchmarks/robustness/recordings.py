@@ -61,8 +61,12 @@ def write_whole(folder: Path) -> list[Path]:
             table.to_csv(folder / name / "samples.csv", index=False)
         else:
             table.to_parquet(folder / name / "samples.parquet", index=False)
-    for name in ("gel/rest", "gel/press", "finger/front", "finger/mask"):
-        Image.fromarray(rng.integers(0, 256, (40, 32, 3)).astype(np.uint8)).save(folder / f"{name}.png")
+    pictures = {n: rng.integers(0, 256, (40, 32, 3)) for n in ("finger/front", "finger/mask")}
+    pictures["gel/rest"] = rng.integers(100, 120, (40, 32, 3))
+    pictures["gel/press"] = pictures["gel/rest"].copy()  # away from the contact the two show the same
+    pictures["gel/press"][15:25, 11:21] = rng.integers(40, 220, (10, 10, 3))
+    for name, image in pictures.items():
+        Image.fromarray(image.astype(np.uint8)).save(folder / f"{name}.png")
     return [folder / name for name, _, _ in whole]
 
 
