@@ -61,7 +61,7 @@ REFUSED = (
     (
         "learn",
         "--twin=short --out=o",
-        "bench is 110 mm long and the twin's 95 mm; give a twin of that device",
+        "is 110 mm long and the twin's 95 mm; give a twin of that device",
     ),
     ("ppo", "--out=o --task=door", "^task is 'door'"),
     ("ppo", "--out=o --device=tpu", "^device is 'tpu'"),
