@@ -97,7 +97,7 @@ def test_the_result_tells_errors_and_where_the_networks_are_from(trained):
 
 def test_shipped_networks_are_taken_for_the_finger_that_they_were_trained_for(tmp_path):
     Twin.builtin().save(tmp_path / "twin")
-    train(tmp_path / "twin")
+    verb("surrogate", twin=tmp_path / "twin")
     stored = Twin.load(tmp_path / "twin")
     assert set(stored.networks) == {"action", "perception"}
     assert not (tmp_path / "twin" / DATA).exists()
@@ -106,7 +106,7 @@ def test_shipped_networks_are_taken_for_the_finger_that_they_were_trained_for(tm
 
 def test_a_damaged_network_of_the_twin_is_refused(tmp_path):
     Twin.builtin().save(tmp_path / "twin")
-    train(tmp_path / "twin")
+    verb("surrogate", twin=tmp_path / "twin")
     for name in ("action", "perception"):
         file = tmp_path / "twin" / f"{name}.safetensors"
         whole = file.read_bytes()
