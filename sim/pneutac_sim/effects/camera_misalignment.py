@@ -6,8 +6,7 @@ at dR P + dt and read back at its right depth, which gives the perspective error
 
 import math
 
-from pneutac_sim.effects.body_effect import BodyEffect, kernel
-from pneutac_sim.effects.effect import Parameter
+from pneutac_sim.effects import BodyEffect, Parameter, kernel
 
 
 @kernel

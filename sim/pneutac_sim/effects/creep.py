@@ -10,8 +10,7 @@ import math
 
 import numpy as np
 
-from pneutac_sim.effects.body_effect import BodyEffect, kernel
-from pneutac_sim.effects.effect import Parameter
+from pneutac_sim.effects import BodyEffect, Parameter, kernel
 
 TIMES_S = (0.4, 1.3, 4.0, 13.0, 40.0, 130.0)
 _TAU = np.array(TIMES_S)

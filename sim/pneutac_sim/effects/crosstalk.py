@@ -4,8 +4,7 @@ The other pressures are the recording's further `*_kpa` columns, in their order:
 that hangs below, or a neighbouring finger on the same supply.
 """
 
-from pneutac_sim.effects.body_effect import BodyEffect, kernel
-from pneutac_sim.effects.effect import Parameter
+from pneutac_sim.effects import BodyEffect, Parameter, kernel
 
 OTHERS = ("other_1_kpa", "other_2_kpa", "other_3_kpa")
 

@@ -8,8 +8,7 @@ kept from trial to trial.
 
 import math
 
-from pneutac_sim.effects.body_effect import BodyEffect, kernel
-from pneutac_sim.effects.effect import Parameter
+from pneutac_sim.effects import BodyEffect, Parameter, kernel
 
 _IGNORED = 0.05  # back-and-forth below this share of the largest bend is noise, not a cycle
 

@@ -2,8 +2,7 @@
 
 import math
 
-from pneutac_sim.effects.body_effect import BodyEffect, kernel
-from pneutac_sim.effects.effect import Parameter
+from pneutac_sim.effects import BodyEffect, Parameter, kernel
 
 # Samples that are stored, a power of two: 1.5 s, the longest delay, at 1.3 kHz. Older ones are
 # forgotten, which shortens the delay.

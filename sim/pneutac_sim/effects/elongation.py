@@ -5,8 +5,7 @@ Negative where it draws in, as a muscle does, or where the marker sits on the in
 `bending_pressure_kpa` is the pressure that reaches the body, averaged over the chambers.
 """
 
-from pneutac_sim.effects.body_effect import BodyEffect, kernel
-from pneutac_sim.effects.effect import Parameter
+from pneutac_sim.effects import BodyEffect, Parameter, kernel
 
 
 @kernel

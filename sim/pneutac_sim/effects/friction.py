@@ -5,8 +5,7 @@ coulomb (Armstrong-Helouvry, Dupont and Canudas de Wit, Automatica 30, 1994). Fr
 pressure that it eats up. The joint stays where it was between trials.
 """
 
-from pneutac_sim.effects.body_effect import BodyEffect, kernel
-from pneutac_sim.effects.effect import Parameter
+from pneutac_sim.effects import BodyEffect, Parameter, kernel
 
 
 @kernel

@@ -10,8 +10,7 @@ with factors of five between them leave shares as the only parameters.
 import math
 from collections.abc import Sequence
 
-from pneutac_sim.effects.effect import Parameter
-from pneutac_sim.effects.sensor_effect import SensorEffect
+from pneutac_sim.effects import Parameter, SensorEffect
 
 TIMES_S = (4.0, 20.0, 100.0)
 

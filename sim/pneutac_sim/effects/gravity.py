@@ -4,8 +4,7 @@ The direction of gravity in the base frame comes with the recording, as a unit v
 stiffness can be seen, so the masses are right as far as `joint_stiffness_nm_per_rad` is.
 """
 
-from pneutac_sim.effects.body_effect import BodyEffect, kernel
-from pneutac_sim.effects.effect import Parameter
+from pneutac_sim.effects import BodyEffect, Parameter, kernel
 
 STANDARD_GRAVITY = 9.80665
 

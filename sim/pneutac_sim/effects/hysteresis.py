@@ -8,8 +8,7 @@ memory from trial to trial.
 
 import numpy as np
 
-from pneutac_sim.effects.body_effect import BodyEffect, kernel
-from pneutac_sim.effects.effect import Parameter
+from pneutac_sim.effects import BodyEffect, Parameter, kernel
 
 _SHARES = np.array([0.04, 0.12, 0.3, 0.6, 1.0])
 

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pneutac_sim.effects.sensor_effect import CHANNELS, Quiet, SensorEffect, each_channel
+from pneutac_sim.effects import SensorEffect, each_channel
+from pneutac_sim.effects.sensor_effect import CHANNELS, Quiet
 
 GAIN_SD = 0.01  # how far the brightness of one photograph may be off a steady drift
 PRIOR_GAIN, PRIOR_DRIFT = 0.03, 0.05

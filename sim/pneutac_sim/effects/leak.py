@@ -2,8 +2,7 @@
 
 import math
 
-from pneutac_sim.effects.body_effect import BodyEffect, kernel
-from pneutac_sim.effects.effect import Parameter
+from pneutac_sim.effects import BodyEffect, Parameter, kernel
 
 _STILL_KPA = 1e-6  # a command that changes by less is held; rounding changes it by far less
 

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numba import njit
 
-from pneutac_sim.effects.sensor_effect import SensorEffect, each_channel
+from pneutac_sim.effects import SensorEffect, each_channel
 
 LX, LY, PX, PY = 0, 1, 3, 4  # of a channel's row of coefficients, see `gel.optics`
 MAKE_SD_MM = 2.0  # how similar sensors of one model are

@@ -12,8 +12,7 @@ at p1 = p2, on which ordinary integrators stall, is gone in phi.
 
 import math
 
-from pneutac_sim.effects.body_effect import BodyEffect, kernel
-from pneutac_sim.effects.effect import Parameter
+from pneutac_sim.effects import BodyEffect, Parameter, kernel
 
 ATMOSPHERE_KPA = 101.325
 _PIECES = 4  # the command is followed along a straight line between samples, in this many steps

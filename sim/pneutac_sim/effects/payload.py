@@ -1,7 +1,6 @@
 """Payload: a known mass hung at the tip, as far as it acts there."""
 
-from pneutac_sim.effects.body_effect import BodyEffect, kernel
-from pneutac_sim.effects.effect import Parameter
+from pneutac_sim.effects import BodyEffect, Parameter, kernel
 from pneutac_sim.effects.gravity import STANDARD_GRAVITY
 
 

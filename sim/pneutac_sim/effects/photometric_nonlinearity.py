@@ -10,7 +10,8 @@ import math
 import numpy as np
 from numba import njit
 
-from pneutac_sim.effects.sensor_effect import CHANNELS, SensorEffect, each_channel
+from pneutac_sim.effects import SensorEffect, each_channel
+from pneutac_sim.effects.sensor_effect import CHANNELS
 
 DIRECT, ALONG, ACROSS, DEEP = 5, 9, 10, 11  # of a channel's row of coefficients, see `gel.optics`
 # Levels for a slope of one along the light, across it, and for a millimetre of depth, all squared.

@@ -6,8 +6,7 @@ The true place is s R(turn) x + shift, with x the stated one, all from the windo
 import math
 from dataclasses import replace
 
-from pneutac_sim.effects.effect import Parameter
-from pneutac_sim.effects.sensor_effect import SensorEffect
+from pneutac_sim.effects import Parameter, SensorEffect
 
 STEP_MM = 0.05  # by which presses are moved to see what the images do
 

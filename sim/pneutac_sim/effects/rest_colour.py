@@ -5,7 +5,7 @@ w = (rest / mean) ^ gamma, a power of the rest image over its mean, pixel by pix
 
 import numpy as np
 
-from pneutac_sim.effects.sensor_effect import SensorEffect, each_channel
+from pneutac_sim.effects import SensorEffect, each_channel
 
 MAKE_SD = 0.05  # how similar sensors of one model are
 

@@ -4,8 +4,7 @@ The true pressure is (p_read - o - d t) / s, with t the time since the recording
 identified apart from the gain and the rest pressure only where something else depends on the true pressure.
 """
 
-from pneutac_sim.effects.body_effect import BodyEffect, kernel
-from pneutac_sim.effects.effect import Parameter
+from pneutac_sim.effects import BodyEffect, Parameter, kernel
 
 
 @kernel

@@ -10,9 +10,8 @@ import math
 import numpy as np
 from numba import njit
 
-from pneutac_sim.effects.effect import Parameter
+from pneutac_sim.effects import Parameter, SensorEffect, each_channel
 from pneutac_sim.effects.near_light import LX, LY, PX, PY
-from pneutac_sim.effects.sensor_effect import SensorEffect, each_channel
 
 LEVEL, SLOPE, EDGE = 6, 7, 8  # of a channel's row of coefficients, see `gel.optics`
 

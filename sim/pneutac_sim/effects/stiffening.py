@@ -3,8 +3,7 @@
 Positive a means that each further kPa bends more (the walls soften, or folds open); negative, less.
 """
 
-from pneutac_sim.effects.body_effect import BodyEffect, kernel
-from pneutac_sim.effects.effect import Parameter
+from pneutac_sim.effects import BodyEffect, Parameter, kernel
 
 
 @kernel

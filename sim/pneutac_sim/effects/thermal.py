@@ -6,8 +6,7 @@ rubber changes within degrees: Agilus30 loses 15 % of its modulus a degree at 20
 
 import math
 
-from pneutac_sim.effects.body_effect import BodyEffect, kernel
-from pneutac_sim.effects.effect import Parameter
+from pneutac_sim.effects import BodyEffect, Parameter, kernel
 
 
 @kernel

@@ -5,8 +5,7 @@ The command is taken as a straight line between samples, for which the step is e
 
 import numpy as np
 
-from pneutac_sim.effects.body_effect import BodyEffect, kernel
-from pneutac_sim.effects.effect import Parameter
+from pneutac_sim.effects import BodyEffect, Parameter, kernel
 from pneutac_sim.effects.laws import fill_vent_lag
 
 

@@ -7,8 +7,7 @@ four pieces of the straight line between samples.
 
 import math
 
-from pneutac_sim.effects.body_effect import BodyEffect, kernel
-from pneutac_sim.effects.effect import Parameter
+from pneutac_sim.effects import BodyEffect, Parameter, kernel
 
 _PIECES = 4
 _SETTLED = 1e-12  # of the band: nearer to its goal a pressure has arrived
