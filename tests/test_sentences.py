@@ -71,6 +71,16 @@ measure --bench=standin --out=other --max_kpa=much
 measure --bench=standin --out=other --max_kpa=15,15 --program=steps
 measure --bench=standin --out=other --max_kpa=90,90,90 --program=steps
 measure --pressure.type=simulated --pressure.ports=/a,/b,/a
+measure --bench=standin --out=other --hz=1e12
+measure --bench=standin --out=other --repeat=1000000000
+measure --bench=standin --out=other --length_mm=110
+measure --bench=standin --out=other --pressure.type=simulated
+measure --chessboard=nowhere --intrinsics=lens.json
+measure --chessboard=bench --intrinsics=lens.json --corners=1,6
+measure --camera.type=laser
+measure --camera.type=opencv
+measure --pressure.type=simulated --pressure.options={}
+measure --pressure.type=simulated --pressure.chambers=-1
 learn --twin=finger --out=other --budget_min=-1
 render
 render --twin=nowhere
@@ -93,6 +103,11 @@ ppo --task=bottle
 ppo --steps=0
 ppo --steps=0 --out=a
 ppo --out=a --student.fidelity=exact
+ppo --out=a --student.root=b --student.episodes=0
+ppo --out=a --student.root=b --student.repo_id=a/b/c
+ppo --out=a --seed=10000000000
+ppo --out=a --steps=017
+calibrate --config_path=switch.yaml
 demo --trials=0
 demo --quick --minutes=nan
 surrogate --twin=finger --seconds=inf
@@ -238,6 +253,7 @@ def folder(tmp_path_factory):
     (path / "broken.yaml").write_text("twin: [a")
     (path / "list.yaml").write_text("- twin")
     (path / "typo.yaml").write_text("twim: finger")
+    (path / "switch.yaml").write_text("by: no")
     return path
 
 

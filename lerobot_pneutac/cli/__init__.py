@@ -11,6 +11,7 @@ import importlib.metadata
 import importlib.util
 import inspect
 import os
+import re
 import signal
 import sys
 from pathlib import Path
@@ -142,7 +143,7 @@ def run_verb(verb: str, argv: list[str]) -> None:
     from pneutac_sim.files import check_new
 
     if verb == "measure":  # its options need LeRobot, which takes ten seconds to import
-        for out in (a.partition("=")[2] for a in argv if a.startswith("--out=")):
+        for out in (a.partition("=")[2] for a in argv if re.match("--out=.", a)):
             check_new(Path(out), f"out={out}")
     command, terminal = _module(verb).command, Terminal(verb, argv)
     if "argv" in inspect.signature(command).parameters:

@@ -23,10 +23,11 @@ from pathlib import Path
 
 import yaml
 
-from pneutac_sim.errors import InputError, check_least, refuse_given, shown
-from pneutac_sim.files import check_writable, inside, read_json, read_yaml
+from pneutac_sim.errors import InputError, check_choice, refuse_given, shown
+from pneutac_sim.files import YamlLoader, check_writable, fits, inside, read_json, read_yaml
 
 COLUMN = 28  # where help texts begin
+MOST = 2**32 - 1  # of an option's number, and the largest seed that NumPy and PyTorch both take
 OUTPUTS = ("out", "output.root", "student.root")  # options that name a folder to be written
 # Endings that a file has and hardly a folder.
 FILES = ".csv .gif .htm .html .jpg .json .mat .md .mp4 .parquet .pdf .png .py .rrd .txt .xlsx .yaml .yml .zip"
@@ -41,6 +42,7 @@ class Option:
     default: object  # None where there is none
     text_of: type | str  # the class whose comments or docstring say what it means, or that text itself
     optional: bool = False  # whether its value may be None
+    choices: tuple[str, ...] = ()  # of its values, where it chooses a class
 
     @property
     def text(self) -> str:
@@ -113,23 +115,39 @@ def parse_options(config_class: type, argv: list[str], what: str | None = None):
         while cause.__cause__ is not None and not isinstance(cause, InputError):
             cause = cause.__cause__
         raise cause if isinstance(cause, InputError) else InputError(_in_words(str(e), options)) from e
-    if (seed := getattr(config, "seed", None)) is not None:
-        check_least(0, seed=seed)
-    _check_finite(config)
+    _check_numbers(config)
     _check_outputs(config, given)
     _convert_tables(config)
     return config
 
 
-def _check_finite(config, group: str = "") -> None:
-    """Raises InputError for a number that is NaN or infinite, which no option takes."""
+def _check_numbers(config, group: str = "") -> None:
+    """Raises InputError for a number that no option takes, and a dataset's name that the Hub does not.
+
+    That is what is not finite or above `MOST`, and a whole number below 0: a seed, a count, a port.
+    """
     for name in (field.name for field in dataclasses.fields(config)):
-        value = getattr(config, name)
+        value, option = getattr(config, name), f"--{group}{name}"
         if dataclasses.is_dataclass(value):
-            _check_finite(value, f"{group}{name}.")
-        for number in value if isinstance(value, list | tuple) else [value]:
-            if isinstance(number, float) and not math.isfinite(number):
-                raise InputError(f"--{group}{name} is {value}; give a finite number.")
+            _check_numbers(value, f"{group}{name}.")
+        for number in _numbers(value):
+            if not math.isfinite(number):
+                raise InputError(f"{option} is {value}; give a finite number.")
+            if abs(number) > MOST:
+                raise InputError(f"{option} is {value}; give at most {MOST}.")
+            if isinstance(number, int) and number < 0:
+                raise InputError(f"{option} is {value}; it must be 0 or more.")
+        if name == "repo_id" and not re.fullmatch(r"([\w.-]+/)?[\w.-]+", value):
+            raise InputError(f"{option} is '{value}'; give a name such as local/demos.")
+
+
+def _numbers(value: object) -> Iterator[int | float]:
+    """Those that an option's value is made of."""
+    if isinstance(value, dict | list | tuple):
+        for each in value.values() if isinstance(value, dict) else value:
+            yield from _numbers(each)
+    elif isinstance(value, int | float) and not isinstance(value, bool):
+        yield value
 
 
 def _check_outputs(config, argv: list[str]) -> None:
@@ -265,32 +283,13 @@ def _given(content: dict, options: dict[str, Option], group: str = "") -> Iterat
 
 def _check_value(option: Option, value: object, said: str) -> None:
     """Raises InputError, which begins with `said`, where a value of YAML is not of the option's kind."""
-    if not (value is None and option.optional or _fits(option.kind, value)):
+    if not (value is None and option.optional or fits(option.kind, value)):
         raise InputError(f"{said}; it must be {_wanted(option.name, option.kind)}.")
-
-
-def _fits(kind: type, value: object) -> bool:
-    """Whether a value of YAML is of this kind; of one that is not known here, draccus judges."""
-    origin, kinds = typing.get_origin(kind) or kind, typing.get_args(kind)
-    if origin in (types.UnionType, typing.Union):
-        return any(_fits(k, value) for k in kinds)
-    if origin in (list, tuple):
-        each = isinstance(value, list) and all(_fits(kinds[0], v) for v in value)
-        return each and (origin is list or Ellipsis in kinds or len(value) == len(kinds))
-    if origin is dict:
-        return isinstance(value, dict) and all(_fits(kinds[1], v) for v in value.values())
-    if origin in (int, float):
-        try:  # YAML takes 1e3 and nan for texts
-            number = float(value)
-            return not isinstance(value, bool) and (origin is float or int(value) == number)
-        except (TypeError, ValueError, OverflowError):
-            return False
-    kinds = {bool: bool, Path: str, str: str | int | float, types.NoneType: types.NoneType}
-    return isinstance(value, kinds.get(origin, object))
 
 
 def _in_words(text: str, options: dict[str, Option]) -> str:
     text = " ".join(text.split())
+    text = re.sub(r": Could not decode the value into any of the given types: (\w+): ", ": ", text, count=1)
     if missing := re.match(r"(?:`(\w+)`: )?Missing required field\(s\) (.+) for \w+", text):
         group = f"{missing[1]}." if missing[1] else ""
         names = re.findall(r"`(\w+)`", missing[2])
@@ -323,7 +322,8 @@ def list_options(config_class: type, group: str = "") -> Iterator[Option]:
     """The options of a dataclass, in its order; those of a nested one follow it as `group.name`."""
     if hasattr(config_class, "get_known_choices"):  # one class a type, as LeRobot's cameras
         choices = config_class.get_known_choices()
-        yield Option(f"{group}type", str, None, f"one of {', '.join(sorted(choices))}.")
+        names = tuple(sorted(choices))
+        yield Option(f"{group}type", str, None, f"one of {', '.join(names)}.", choices=names)
         found = (option for choice in choices.values() for option in _fields(choice, group))
         yield from {o.name: dataclasses.replace(o, default=None) for o in found}.values()
     else:
@@ -444,9 +444,12 @@ def _completed(options: dict[str, Option], argv: list[str], aliases: dict[str, s
             value = rest.pop(0) if stands else "true"
         if dataclasses.is_dataclass(kind) and not value.startswith("{"):
             inside = [f"--{o}" for o in options if o.startswith(f"{name}.")]
+            inside = inside[:1] if inside[0].endswith(".type") else inside  # what others there are follows it
             raise InputError(f"--{name}={value} names none of its options; give {' or '.join(inside)}.")
         if not value and kind is not str:
             raise InputError(f"--{name} has no value; write --{name}=VALUE.")
+        if choices := getattr(options.get(name), "choices", ()):
+            check_choice(name, value, choices)
         out.append(f"--{name}={_of_yaml(options[name], value) if name in options else value}")
     return out
 
@@ -463,7 +466,7 @@ def _of_yaml(option: Option, text: str) -> str:
         value = json.dumps([v.strip() for v in text.split(",")]) if quoted else f"[{text}]"
     if not dataclasses.is_dataclass(option.kind):
         try:
-            found = yaml.safe_load(value)
+            found = yaml.load(value, YamlLoader)
         except yaml.YAMLError:
             found = object()
         _check_value(option, found, f"--{option.name} is {shown(text)}")

@@ -15,7 +15,7 @@ from pneutac_datasets.recording.sources.readers import Track
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import read_image, read_json, refuse_pointer, write_json
 
-DICTIONARY = cv2.aruco.DICT_4X4_50
+DICTIONARY, MARKERS = cv2.aruco.DICT_4X4_50, 50
 CELLS = 6  # of a marker's side, its dark rim included
 MIN_VIEWS = 8
 MOST_MOVED = 0.05  # of its side: how far edges that are all seen move a marker's corner, at most

@@ -77,9 +77,6 @@ class RenderConfig:
             raise InputError(f"seconds is {self.seconds}; a pressure needs {2 / FPS:.2f} to {MOST_S:g} s.")
         if self.particles is not None:
             check_least(100, particles=self.particles)
-        for name, value in self.conditions.items():
-            if not np.isfinite(value):
-                raise InputError(f"conditions has {name}: {value}; give a finite number.")
 
 
 def filled(config: RenderConfig, twin: Twin) -> RenderConfig:

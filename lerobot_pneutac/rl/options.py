@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
-from pneutac_sim.errors import InputError, check_choice, check_least, refuse_given
+from pneutac_sim.errors import InputError, check_between, check_choice, check_least, refuse_given
 from pneutac_sim.features import CHAMBERS, FIDELITIES, task_names
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.checks import check_world
@@ -26,6 +26,11 @@ class StudentRef:
     # stored are the actions without it
     noise: float = 0.05
     video: bool = False  # tactile images as video, not PNG; datasets that are to be merged must agree
+
+    def __post_init__(self):
+        check_choice("fidelity", self.fidelity, FIDELITIES)
+        check_least(1, episodes=self.episodes)
+        check_between(0, 1, noise=self.noise)
 
 
 @dataclass
@@ -55,7 +60,6 @@ class PpoConfig:
 
     def __post_init__(self):
         check_choice("task", self.task, task_names())
-        check_choice("fidelity", self.student.fidelity, FIDELITIES)
         check_choice("device", self.device, ("cpu", "cuda"))
         twin = Twin.load(self.twin) if self.twin else Twin.builtin()
         if CHAMBERS.get(twin.device, 1) > 1:

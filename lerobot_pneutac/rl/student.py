@@ -13,7 +13,7 @@ from lerobot_pneutac.rl.env import EPISODE_S, actor_observation, to_action
 from lerobot_pneutac.rl.options import StudentRef
 from pneutac_datasets.demonstrations.episodes import Episode, save_episode
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
-from pneutac_sim.errors import InputError, check_least
+from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, IMAGE_NAME, state_names
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
@@ -41,9 +41,6 @@ def record_student(
     do off the path. Returns how many demonstrations of how many trials. Raises InputError where the actor is
     missing, damaged or another task's, the dataset's folder exists, or the actor succeeds too rarely.
     """
-    check_least(1, episodes=student.episodes)
-    if not 0 <= student.noise <= 1:
-        raise InputError(f"noise is {student.noise}; it must be from 0 to 1.")
     world = World(task, twin, "image", student.fidelity, conditions, station=station)
     _loaded(actor_dir, world)
     dataset = _new_dataset(student, world)

@@ -25,7 +25,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Pipeline
 from pneutac_sim.finger.online import COMPUTED
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.twin import PAPER_FINGER, Twin, Value
+from pneutac_sim.twin import PAPER_FINGER, Twin, Value, lost_twin
 from pneutac_sim.world.checks import check_networks, check_world, out_of_reach
 from pneutac_sim.world.station import Station, station_faults, station_file
 
@@ -71,6 +71,8 @@ def check_path(path: str | Path, twin: Twin | None = None, station: Station | No
         faults = recorded.faults(twin or Twin.builtin(), station)
         notes = recorded.rate_notes() if faults else recorded.notes(station) + recorded.set_aside()
         return Checked(path, "demonstrations", faults, notes)
+    if not any((path / mark).is_file() for mark in MARKS) and (lost := lost_twin(path)):
+        return Checked(path, "twin", [lost], [])
     inside = [d.name for d in sorted(path.iterdir()) if any((d / mark).is_file() for mark in MARKS)]
     if inside and not (path / "recording.json").is_file():
         raise InputError(f"'{path}' is a folder of folders; give one of them: {', '.join(inside)}.")

@@ -13,7 +13,7 @@ from lerobot_pneutac.reports.page import HELDOUT, MEASURED, MODEL, TRAIN, Report
 from lerobot_pneutac.study.pair import same_body
 from lerobot_pneutac.verbs.result import Result, drive_command
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, check_between
 from pneutac_sim.finger.control import BendController, bend_angle, bend_is_by, pressure_for
 from pneutac_sim.finger.online import refuse_unused
 from pneutac_sim.finger.quantities import root_mean
@@ -117,12 +117,8 @@ def control(
     Raises:
         InputError: the bend is out of reach or cannot be read, or the recording does not show a bend.
     """
-    if not 1 <= hz <= 1000:
-        raise InputError(f"hz={hz:g} must be 1 to 1000 control steps a second.")
-    for name, value in (conditions or {}).items():
-        if not np.isfinite(value):
-            raise InputError(f"conditions has {name}: {value}; give a finite number.")
-    refuse_unused(twin, conditions or ())
+    check_between(1, 1000, "control steps a second", hz=hz)
+    refuse_unused(twin, conditions or {})
     rested = BendController(twin, 1 / hz, conditions)
     start, reach, wanted = rested.predicted_rad, rested.reach_rad, bend
     if str(bend) in SHAPES:

@@ -19,7 +19,7 @@ from pneutac_datasets.recording.sources.columns import Column, parse_columns
 from pneutac_datasets.recording.sources.plain import Given, Understood
 from pneutac_datasets.recording.sources.readers import BaseFrame, Source, Track, read_rosbag
 from pneutac_datasets.recording.wording import listed
-from pneutac_sim.errors import InputError, refuse_given
+from pneutac_sim.errors import InputError, check_length, refuse_given
 
 # Options that only some sources have a use for; see `_refuse_ignored`.
 FILM = ("marker_mm", "intrinsics", "tip_rgb", "base_rgb", "dots_mm")
@@ -82,8 +82,8 @@ class ConvertConfig:
             raise InputError(f"source is '{path}', a folder that is no ROS 2 bag; give a table or a take.")
         if self.out is not None and Path(self.out).exists() and not plain.is_unfinished(Path(self.out)):
             raise InputError(f"out is '{self.out}', which exists; give a new folder.")
-        if self.length_mm is not None and not 1 <= self.length_mm <= 1000:
-            raise InputError(f"length_mm is {self.length_mm:g}; give 1 to 1000 mm.")
+        if self.length_mm is not None:
+            check_length(self.length_mm)
         if self.rate_hz is not None and not 0 < self.rate_hz < 1e6:
             raise InputError(f"rate_hz is {self.rate_hz:g}; give the rows a second.")
 

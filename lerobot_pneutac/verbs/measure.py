@@ -4,7 +4,7 @@ import shlex
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis.hands import instructions
 from lerobot_pneutac.diagnosis.law_programs import EVENLY, law_programs
 from lerobot_pneutac.diagnosis.programs import Limits, menu, sampled, sent_s, turning
-from lerobot_pneutac.measuring.camera import Intrinsics, MarkerTracker, calibrate_camera
+from lerobot_pneutac.measuring.camera import MARKERS, Intrinsics, MarkerTracker, calibrate_camera
 from lerobot_robot_pneutac import DigitConfig  # noqa: F401  registers the tactile cameras
 from lerobot_robot_pneutac.hardware.chambers import Chambers
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault
@@ -25,9 +25,11 @@ from pneutac_datasets.recording import axes
 from pneutac_datasets.recording.axes import per_chamber
 from pneutac_datasets.recording.mounts import CONDITIONS
 from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.units import MAX_PRESSURE_KPA
 from pneutac_datasets.recording.wording import plural
-from pneutac_sim.errors import InputError, check_choice, refuse_given
-from pneutac_sim.files import check_new, read_json, write_image
+from pneutac_sim.errors import InputError, check_between, check_choice, check_length, refuse_given
+from pneutac_sim.files import check_new, check_writable, read_json, write_image
+from pneutac_sim.finger.online import check_conditions
 
 TIP = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
 BUILTIN = ("steps", "ramps", "holds", "loops", "all")
@@ -184,6 +186,8 @@ def _proposed(path: Path, recording: Path | None, hz: float, chambers: int) -> P
 
 MIN_HZ = 2 / COMMAND_S
 OWN, STANDIN = BENCHES = ("own", "standin")
+OF_OWN = "camera digit intrinsics length_mm rest_s marker_mm base_id tip_id base_offset_mm notes".split()
+MOST_HZ, MOST_REPEATS, MOST_REST_S = 1000, 1000, 86_400
 
 
 @dataclass
@@ -224,8 +228,14 @@ class MeasureConfig:
 
     def __post_init__(self):
         check_choice("bench", self.bench, BENCHES)
-        if self.bench == OWN:
-            refuse_given(self, ("seed",), f"is of --bench={STANDIN}")
+        if self.chessboard is not None:
+            refuse_given(self, ("bench", "out", "program"), "is not of a --chessboard")
+            if not self.chessboard.is_dir():
+                raise InputError(f"There is no folder '{self.chessboard}'; give that of the photographs.")
+        of_other = ("seed",) if self.bench == OWN else OF_OWN
+        refuse_given(self, of_other, f"is of --bench={STANDIN if self.bench == OWN else OWN}")
+        if self.bench == STANDIN and replace(self.pressure, chambers=1) != PressureConfig():
+            raise InputError(f"pressure has options of --bench={OWN}; leave them out.")
         if self.chessboard is None:
             refuse_given(self, ("corners", "square_mm"), "is of a --chessboard, which is not given")
         if not self.program.endswith(".json"):
@@ -240,25 +250,29 @@ class MeasureConfig:
             if getattr(self, name) is None:
                 option = "camera.type" if name == "camera" else name
                 raise InputError(f"{option} is missing.")
-        for name in ("max_kpa", "length_mm", "hz", "repeat", "marker_mm", "square_mm"):
-            for value in np.atleast_1d(getattr(self, name)):
-                if value is not None and not 0 < value < np.inf:
-                    raise InputError(f"{name}={value} must be positive.")
-        for name, value in self.conditions.items():
+        if self.length_mm is not None:
+            check_length(self.length_mm)
+        for name in self.conditions:
             check_choice("conditions", name, tuple(CONDITIONS))
-            if not np.isfinite(value):
-                raise InputError(f"conditions: {name} is {value}; give a number.")
-        known = [self.conditions[f"gravity_{a}"] for a in "xyz" if f"gravity_{a}" in self.conditions]
-        if known and (len(known) < 3 or abs(np.linalg.norm(known) - 1) > 0.01):
-            raise InputError("conditions: give gravity_x, gravity_y and gravity_z together, of length 1.")
+        check_conditions(self.conditions)
+        for kpa in np.atleast_1d(self.max_kpa):
+            check_between(0.1, MAX_PRESSURE_KPA, "kPa", max_kpa=kpa)
         for kpa in np.atleast_1d(self.min_kpa):
-            if not -np.inf < kpa <= 0:
-                raise InputError(f"min_kpa={kpa} must be 0, or below it for vacuum.")
-        if self.hz < MIN_HZ:
-            why = f"pressure is held {COMMAND_S} s a sample"
-            raise InputError(f"hz={self.hz} must be {MIN_HZ:g} or more; {why}.")
-        if not 0 <= self.rest_s < np.inf:
-            raise InputError(f"rest_s={self.rest_s} must be 0 or more.")
+            check_between(-100, 0, "kPa, below 0 for vacuum", min_kpa=kpa)
+        check_between(MIN_HZ, MOST_HZ, f"samples a second; pressure is held {COMMAND_S} s", hz=self.hz)
+        check_between(1, MOST_REPEATS, repeat=self.repeat)
+        check_between(0, MOST_REST_S, "s", rest_s=self.rest_s)
+        check_between(1, 1000, "mm", marker_mm=self.marker_mm, square_mm=self.square_mm)
+        check_between(0, MARKERS - 1, base_id=self.base_id, tip_id=self.tip_id)
+        if self.base_id == self.tip_id:
+            raise InputError(f"base_id and tip_id are both {self.tip_id}; give each marker its own.")
+        if min(self.corners) < 2:
+            raise InputError(f"corners is {self.corners}; a chessboard has 2 or more along each side.")
+        if self.chessboard is not None:
+            folder = self.intrinsics.parent
+            check_writable(folder, f"{folder}, the folder of --intrinsics={self.intrinsics},")
+            if self.intrinsics.is_dir():
+                raise InputError(f"intrinsics={self.intrinsics} is a folder; give a file, such as lens.json.")
         if self.out is not None:
             check_new(self.out, f"out={self.out}")
         axes.device_with(self.chambers)

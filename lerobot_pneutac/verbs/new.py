@@ -17,7 +17,7 @@ from lerobot_pneutac.verbs.result import measured_range, range_sentence
 from pneutac_datasets.demonstrations.info import is_demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import an
-from pneutac_sim.errors import InputError, check_choice, refuse_given
+from pneutac_sim.errors import InputError, check_choice, check_length, refuse_given
 from pneutac_sim.files import whole
 from pneutac_sim.finger import Pipeline
 from pneutac_sim.gel.model import GelModel
@@ -153,8 +153,8 @@ class NewConfig(TableOptions):
         if (self.twin / "twin.yaml").exists():  # before a table is converted
             raise InputError(f"{self.twin} already holds a twin; choose another folder, or delete that one.")
         check_choice("device", self.device or DEVICES[0], DEVICES)
-        if self.length_mm is not None and not 1 <= self.length_mm <= 1000:
-            raise InputError(f"length_mm is {self.length_mm:g}; give 1 to 1000 mm.")
+        if self.length_mm is not None:
+            check_length(self.length_mm)
         if self.mesh is None:
             if self.mesh_unit != "mm" or self.mesh_axis is not None:
                 raise InputError("mesh_unit and mesh_axis are of a --mesh=FILE; omit them, or give it.")

@@ -85,6 +85,20 @@ def check_least(least: float, **values: float) -> None:
             raise InputError(f"{name} is {value}; it must be {least} or more.")
 
 
+def check_between(low: float, high: float, unit: str = "", **values) -> None:
+    """Raises InputError where one of these parameters is no number from `low` to `high`."""
+    for name, value in values.items():
+        number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+        if not (number and low <= value <= high):
+            given = f"{value:g}" if number else shown(value)
+            raise InputError(f"{name} is {given}; give {low:g} to {high:g}{f' {unit}' if unit else ''}.")
+
+
+def check_length(length_mm: float) -> None:
+    """Raises InputError where it is no length of a finger, arm or gel in mm, as where it is in metres."""
+    check_between(1, 1000, "mm", length_mm=length_mm)
+
+
 def refuse_given(options, names: Iterable[str], why: str) -> None:
     """Raises InputError where one of these fields of a dataclass has another value than its default.
 
@@ -98,10 +112,17 @@ def refuse_given(options, names: Iterable[str], why: str) -> None:
 
 
 def as_number(value) -> float:
-    """A number of YAML, which takes 1e-5 for a text; raises TypeError or ValueError where it is none."""
-    if isinstance(value, bool):
-        raise TypeError(f"{value} is no number")
+    """The value as a float; raises TypeError where it is no number, as true or a text."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        raise TypeError(f"{shown(value)} is no number")
     return float(value)
+
+
+def as_numbers(value) -> list[float]:
+    """The numbers of a list; raises TypeError where it is none, as a text or a mapping, or holds others."""
+    if not isinstance(value, list | tuple | np.ndarray):
+        raise TypeError(f"{shown(value)} is no list")
+    return [as_number(x) for x in value]
 
 
 def finite_array(what: str, value, shape: tuple[int, ...], dtype: type = np.float64) -> np.ndarray:

@@ -8,8 +8,8 @@ import ctypes
 import errno
 import functools
 import importlib.util
-import inspect
 import io
+import math
 import multiprocessing
 import os
 import shutil
@@ -20,6 +20,7 @@ import sys
 import tempfile
 import threading
 import time
+import typing
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -34,7 +35,10 @@ from pneutac_sim.files import read_fields
 from pneutac_sim.progress import Progress, no_progress
 
 EXECUTORS = ("local", "ray", "slurm")
-OURS = ("self", "pipeline", "tasks", "workers", "tasks_per_job", "logging_dir", "skip_completed", "depends")
+OURS = (
+    *("pipeline", "tasks", "workers", "tasks_per_job", "logging_dir", "skip_completed", "depends", "return"),
+    *("job_name", "job_id_retriever", "job_id_position", "depends_job_id"),
+)
 LOOK_S = 1.0  # between two looks at what is done; longer where a look takes long, as on a network's disk
 LOOKING_SHARE = 0.05
 RAY_ANSWERS_S = 3.0  # how long a Ray cluster may take to answer
@@ -89,8 +93,13 @@ class ExecutorOptions:
         from datatrove.executor import RayPipelineExecutor, SlurmPipelineExecutor
 
         engine = RayPipelineExecutor if self.executor == "ray" else SlurmPipelineExecutor
-        known = [name for name in inspect.signature(engine.__init__).parameters if name not in OURS]
-        return read_fields(file, known, ("partition", "time") if self.executor == "slurm" else (), "argument")
+        known = {n: kind for n, kind in typing.get_type_hints(engine.__init__).items() if n not in OURS}
+        needed = ("partition", "time") if self.executor == "slurm" else ()
+        given = read_fields(file, known, needed, "argument")
+        for name, value in given.items():
+            if isinstance(value, int | float) and not 0 <= value < math.inf:
+                raise InputError(f"{file}: argument '{name}' is {value}; it must be 0 or more.")
+        return given
 
 
 @dataclass(frozen=True)

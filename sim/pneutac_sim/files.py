@@ -6,9 +6,12 @@ import io
 import json
 import math
 import os
+import re
 import struct
 import sys
 import tempfile
+import types
+import typing
 import warnings
 import zlib
 from collections.abc import Iterable, Iterator
@@ -82,24 +85,25 @@ def read_yaml(file: Path):
     """Content of a YAML file; raises InputError, one line, where it is none or far too large."""
     text = _text(file, MOST_YAML_BYTES)
     try:
-        return yaml.load(text, _Loader)
+        return yaml.load(text, YamlLoader)
     except RecursionError as e:
         raise InputError(f"{file} is nested too deeply; correct it in a text editor.") from e
     except (yaml.YAMLError, ValueError) as e:
         mark = getattr(e, "problem_mark", None)
-        where, what = (f", line {mark.line + 1},", e.problem) if mark else ("", e)
+        where, what = (f", line {mark.line + 1},", e.problem) if mark else ("", getattr(e, "reason", e))
         raise InputError(f"{file}{where} is not valid YAML: {what}; correct it in a text editor.") from e
 
 
 def read_fields(file: Path, known: Iterable[str], required: Iterable[str] = (), kind: str = "field") -> dict:
     """The fields of a YAML file that a user writes, `name: value` in each line.
 
-    It may have `known` names and must have those that are `required`; `kind` is what a name is, in a
-    sentence.
+    It may have `known` names, each perhaps with a type, and must have those that are `required`; `kind` is
+    what a name is, in a sentence.
 
-    Raises InputError: one line: it is none, or empty, has another name, or lacks one.
+    Raises InputError: one line: it is none, or empty, lacks a name, or has another one or a value of another
+    type.
     """
-    content, known = read_yaml(file), list(known)
+    content, types_of = read_yaml(file), known if isinstance(known, dict) else {}
     if not isinstance(content, dict):
         what = "is empty" if content is None else f"is {shown(content)}"
         raise InputError(f"{file} {what}; write `name: value` lines, of {', '.join(known)}.")
@@ -108,14 +112,38 @@ def read_fields(file: Path, known: Iterable[str], required: Iterable[str] = (), 
     for name in required:
         if name not in content:
             raise InputError(f"{file}: {kind} '{name}' is missing.")
+    for name, value in content.items():
+        if name in types_of and not fits(types_of[name], value):
+            wanted = getattr(types_of[name], "__name__", types_of[name])
+            raise InputError(f"{file}: {kind} '{name}' is {shown(value)}; it must be of the type {wanted}.")
     return content
 
 
-class _Loader(yaml.SafeLoader):
-    """Safe YAML without aliases, with which a small file could stand for a huge one; dates are texts."""
+def fits(kind: type, value: object) -> bool:
+    """Whether a value of YAML is of a kind, such as `list[float]`; of one not known here anything is."""
+    origin, kinds = typing.get_origin(kind) or kind, typing.get_args(kind)
+    if origin in (types.UnionType, typing.Union):
+        return any(fits(k, value) for k in kinds)
+    if origin in (list, tuple):
+        each = isinstance(value, list) and all(fits(k, v) for v in value for k in kinds[:1])
+        return each and (origin is list or Ellipsis in kinds or len(value) == len(kinds))
+    if origin is dict:
+        return isinstance(value, dict) and all(fits(k, v) for v in value.values() for k in kinds[1:])
+    if origin in (int, float):
+        return isinstance(value, int if origin is int else int | float) and not isinstance(value, bool)
+    kinds = {bool: bool, Path: str, str: str | int | float, types.NoneType: types.NoneType}
+    switch = origin is str and isinstance(value, bool)  # YAML's `no` and `off`, of which a text is not made
+    return not switch and isinstance(value, kinds.get(origin, object))
+
+
+class YamlLoader(yaml.SafeLoader):
+    """Safe YAML without aliases, with which a small file could stand for a huge one; dates are texts.
+
+    Numbers are those of YAML 1.2: 1e3 is one, while 1:30 is no 90, and 020 no 16.
+    """
 
     yaml_implicit_resolvers = {
-        first: [(tag, pattern) for tag, pattern in found if not tag.endswith(":timestamp")]
+        first: [(tag, pattern) for tag, pattern in found if not re.search(":(timestamp|int|float)$", tag)]
         for first, found in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
 
@@ -165,7 +193,14 @@ def refuse_pointer(file: Path) -> None:
             )
 
 
-_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
+YamlLoader.add_constructor("tag:yaml.org,2002:int", YamlLoader.construct_yaml_int)
+_NUMBERS = {
+    "int": r"[-+]?(0|[1-9]\d*)$",
+    "float": r"[-+]?((\d+\.\d*|\.\d+)([eE][-+]?\d+)?|\d+[eE][-+]?\d+|\.(inf|Inf|INF))$|\.(nan|NaN|NAN)$",
+}
+for _kind, _pattern in _NUMBERS.items():
+    _first = list("-+.0123456789")
+    YamlLoader.add_implicit_resolver(f"tag:yaml.org,2002:{_kind}", re.compile(_pattern), _first)
 
 
 def inside(folder: Path, file: Path) -> bool:

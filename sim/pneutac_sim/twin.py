@@ -18,7 +18,7 @@ import numpy as np
 import yaml
 from safetensors.numpy import load_file, save
 
-from pneutac_sim.errors import InputError, as_number, from_hub, option, shown, unknown_names
+from pneutac_sim.errors import InputError, as_number, as_numbers, from_hub, option, shown, unknown_names
 from pneutac_sim.features import PAPER_LENGTH_MM, PAPER_RANGE_KPA
 from pneutac_sim.files import inside, locked, meant, read_yaml, refuse_pointer, whole, write_json, write_text
 from pneutac_sim.value import Value
@@ -87,7 +87,17 @@ def no_twin(folder: Path, **options) -> str:
     """The sentence for a folder without a twin: twins nearby with such a name, else how one is made."""
     command = " ".join(option(name, value) for name, value in {"twin": folder, **options}.items())
     make = f"make one with `pneutac new {command}`."
-    return f"There is no twin at '{folder}' (no twin.yaml); {meant(folder, 'twin.yaml') or make}"
+    none = f"There is no twin at '{folder}' (no twin.yaml); {meant(folder, 'twin.yaml') or make}"
+    return lost_twin(folder) or none
+
+
+def lost_twin(folder: Path) -> str:
+    """The sentence for a folder with other files of a twin than twin.yaml; empty where it has none."""
+    if versions := sorted(folder.glob("history/*/twin.yaml")):
+        return f"'{folder}' has lost its twin.yaml; copy the last one that is stored, {versions[-1]}, to it."
+    if any((folder / f"{name}.safetensors").is_file() for name in ("arrays", *NETWORKS)):
+        return f"'{folder}' holds files of a twin and no twin.yaml; restore it from where they came from."
+    return ""
 
 
 @dataclass
@@ -387,7 +397,7 @@ def checked_range(pressures_kpa, name: str) -> tuple[float, float]:
     Raises InputError: it is not two finite numbers, the first below the second, with 0 (vented) among them.
     """
     try:
-        low, high = map(as_number, pressures_kpa)
+        low, high = as_numbers(pressures_kpa)
         right = -math.inf < low <= 0 <= high < math.inf and low < high
     except (TypeError, ValueError):
         right = False
@@ -449,7 +459,7 @@ def _value(v, where: str) -> Value:
         raise InputError(f"{where}: {fault}")
     ends = v.get("ci95")
     try:
-        middle, ci95 = as_number(v["value"]), [] if ends is None else [as_number(x) for x in ends]
+        middle, ci95 = as_number(v["value"]), [] if ends is None else as_numbers(ends)
     except (TypeError, ValueError) as e:
         raise InputError(f"field '{where}' is {shown(v)}; its numbers are malformed ({e}).") from e
     right = ends is None or isinstance(ends, list) and len(ends) in (0, 2) and ci95 == sorted(ci95)
@@ -508,7 +518,7 @@ def _history(d, faults: list[str]) -> list[dict]:
 _READ: dict[str, Callable[[Any, list[str]], Any]] = {
     "device": lambda d, _: d,
     "length_mm": lambda d, _: as_number(d),
-    "spine_joint_positions_mm": lambda d, _: [as_number(x) for x in d],
+    "spine_joint_positions_mm": lambda d, _: as_numbers(d),
     "parameters": lambda d, faults: _values(d, "parameters", faults),
     "effects": _effects,
     "pressure_range_kpa": lambda d, _: d,

@@ -191,7 +191,7 @@ def test_a_failed_trial_has_its_reason(touched, failure, why):
         ("--real_share=1", "^real_share is 1"),
         ("--select=best", "it must be one of last, held_out"),
         ("--lr=0", "^lr is 0"),
-        ("--finetune_lr=nan", "^finetune_lr is nan"),
+        ("--finetune_lr=nan", "^--finetune_lr is .nan"),
         ("--fidelity=exact", "^fidelity is 'exact'"),
         ("--twin=nowhere", "no twin.yaml"),
     ],

@@ -131,6 +131,15 @@ def test_what_is_wrong_with_an_executor_is_one_sentence(tmp_path, cluster, monke
     cluster.write_text("partitions: cpu\n")
     said = "slurm.yaml: unknown argument 'partitions'; did you mean 'partition'"
     refused(said, executor="slurm", executor_config=cluster)
+    for line, said in (
+        ("cpus_per_task: many", "'cpus_per_task' is 'many'; it must be of the type int"),
+        ("cpus_per_task: -1", "'cpus_per_task' is -1; it must be 0 or more"),
+        ("sbatch_args: [a]", r"'sbatch_args' is \['a'\]; it must be of the type dict"),
+        ("qos: yes", "'qos' is True; it must be of the type str"),
+        ("job_name: mine", "unknown argument 'job_name'"),
+    ):
+        cluster.write_text(f"partition: cpu\ntime: 1:00:00\n{line}\n")
+        refused(f"slurm.yaml: (argument )?{said}", executor="slurm", executor_config=cluster)
     monkeypatch.setenv("PATH", str(tmp_path))
     refused("no sbatch here", executor="slurm", executor_config=cluster)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: name)

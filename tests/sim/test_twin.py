@@ -127,7 +127,7 @@ def test_missing_and_corrupted_files(tmp_path):
         (
             "value: 0.01114",
             "value: 0.01114\n    ci95: '12'",
-            "field 'parameters.gain_rad_per_kpa' .* low and high",
+            "field 'parameters.gain_rad_per_kpa' .*'12' is no list",
         ),
         (
             "value: 0.01114",

@@ -5,7 +5,7 @@ import inspect
 from importlib.metadata import entry_points
 
 from lerobot_robot_pneutac.hardware.parts import PressureController
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, unknown_names
 
 ENTRY_POINT_GROUP = "pneutac.pressure_controllers"
 
@@ -48,9 +48,15 @@ def make_pressure_controller(type: str, **options) -> PressureController:
         missing = [m for m in METHODS if not callable(getattr(cls, m, None))]
         if missing:
             raise InputError(f"The pressure controller '{type}' has no method {', '.join(missing)}.")
-    signature = inspect.signature(cls)
+    parameters = inspect.signature(cls).parameters
+    named = {n: p for n, p in parameters.items() if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)}
+    needed = [name for name, p in named.items() if p.default is p.empty]
+    faults = [f"option '{name}' is missing; give it." for name in needed if name not in options]
+    if not any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
+        faults = unknown_names(options, named, "option") + faults
     try:
-        signature.bind(**options)
-    except TypeError as e:
-        raise InputError(f"The pressure controller '{type}' takes {signature}: {e}.") from None
-    return cls(**options)
+        for fault in faults:
+            raise InputError(fault)
+        return cls(**options)
+    except InputError as e:
+        raise InputError(f"The pressure controller '{type}': {e}") from e

@@ -57,6 +57,8 @@ class PressureConfig:
                 f"ports is '{''.join(self.ports)}'; write a list in brackets, such as"
                 " '[/dev/ttyACM0,/dev/ttyACM1,/dev/ttyACM2]'."
             )
+        if "" in (self.port, *self.ports):
+            raise InputError("port is empty; give one such as /dev/ttyACM0 (`pneutac doctor` lists them).")
         for i, port in enumerate(self.ports):
             if port in self.ports[:i]:
                 raise InputError(

@@ -2,13 +2,13 @@
 
 import copy
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from pneutac_sim.effects.registry import get_effect, of_body
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, check_between
 from pneutac_sim.finger.pipeline import BENDING_PRESSURE, Pipeline
 from pneutac_sim.finger.stages import BodyLink, EffectLink
 from pneutac_sim.twin import Twin
@@ -23,8 +23,29 @@ def needed_conditions(twin: Twin) -> list[str]:
     return sorted({column for effect in effects for column in effect.columns} - {*COMPUTED})
 
 
-def refuse_unused(twin: Twin, given: Iterable[str]) -> None:
+# Conditions beyond which a number can only be of another unit or mistyped.
+LIMITS = {"temperature_c": (-50, 150, "°C"), "payload_g": (0, 10_000, "g")}
+LIMITS |= {f"gravity_{axis}": (-1, 1, "of its length 1") for axis in "xyz"}
+
+
+def check_conditions(given: Mapping[str, float | list[float]]) -> None:
+    """Raises InputError where a condition, or an end of its range, is no finite number within `LIMITS`."""
+    for name, value in given.items():
+        low, high = value if isinstance(value, list | tuple) and len(value) == 2 else (value, value)
+        numbers = all(type(v) in (int, float) and math.isfinite(v) for v in (low, high))
+        if not (numbers and low <= high):
+            raise InputError(f"conditions has {name}: {value}; give a finite number, or a range [low, high].")
+        for end in (low, high):
+            check_between(*LIMITS.get(name, (-math.inf, math.inf)), **{f"conditions has {name}, which": end})
+    gravity = [given[f"gravity_{axis}"] for axis in "xyz" if f"gravity_{axis}" in given]
+    fixed = not any(isinstance(g, list | tuple) for g in gravity)
+    if gravity and fixed and (len(gravity) < 3 or abs(math.hypot(*gravity) - 1) > 0.01):
+        raise InputError("conditions: give gravity_x, gravity_y and gravity_z together, of length 1.")
+
+
+def refuse_unused(twin: Twin, given: Mapping[str, float]) -> None:
     """Raises InputError for a condition that no effect of the twin asks for: a typing error would be lost."""
+    check_conditions(given)
     needed = needed_conditions(twin)
     for name in given:
         if name in needed or (name.endswith("_kpa") and {*OTHERS} & {*needed}):

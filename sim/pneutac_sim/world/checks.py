@@ -1,6 +1,5 @@
 """Checks, before any work begins, whether a world can be made of a twin; conditions of its episodes."""
 
-import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -8,7 +7,7 @@ import numpy as np
 from pneutac_sim.effects import body_effects
 from pneutac_sim.errors import InputError, unknown_names
 from pneutac_sim.features import CHAMBERS, task_names
-from pneutac_sim.finger.online import COMPUTED, PressurePipeline, needed_conditions
+from pneutac_sim.finger.online import COMPUTED, PressurePipeline, check_conditions, needed_conditions
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.station import MISSING_M, Station
 from pneutac_sim.world.tasks import make_task
@@ -26,11 +25,7 @@ def conditions_for(twin: Twin, given: Conditions | None) -> Conditions:
     effect of the twin needs is not given.
     """
     given = given or {}
-    for name, value in given.items():
-        low, high = value if isinstance(value, list | tuple) and len(value) == 2 else (value, value)
-        numbers = all(type(v) in (int, float) and math.isfinite(v) for v in (low, high))
-        if not (numbers and low <= high):
-            raise InputError(f"conditions has {name}: {value}; give a finite number, or a range [low, high].")
+    check_conditions(given)
     known = {*USUAL, *needed_conditions(twin), *(c for e in body_effects().values() for c in e.columns)}
     for fault in unknown_names(given, sorted(known - {*COMPUTED}), "condition"):
         raise InputError(f"conditions: {fault}")

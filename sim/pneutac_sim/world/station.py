@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from pneutac_sim.errors import InputError, as_number, shown, unknown_names
+from pneutac_sim.errors import InputError, as_numbers, check_between, shown, unknown_names
 from pneutac_sim.features import CONTROL_HZ, PAPER_LENGTH_MM, RATES_HZ
 from pneutac_sim.files import read_fields, read_yaml, whole
 from pneutac_sim.world.arms import ARMS, ArmFile, Chain, joints_of, make_arm, read_arm
@@ -58,10 +58,7 @@ class Station:
                 " each number of the first must be below that of the second."
             )
         for name, low, high, unit in (("mount_mm", 1, 200, "mm"), ("latency_s", 0, MOST_LATE_S, "s")):
-            value = getattr(self, name)
-            right = isinstance(value, int | float) and not isinstance(value, bool)
-            if not (right and low <= value <= high):
-                raise InputError(f"{name} is {shown(value)}; give {low} to {high} {unit}.")
+            check_between(low, high, unit, **{name: getattr(self, name)})
         low, high = RATES_HZ
         whole = isinstance(self.control_hz, int) and not isinstance(self.control_hz, bool)
         if not (whole and low <= self.control_hz <= high):
@@ -143,7 +140,7 @@ def station_file(dataset: str | Path, given: Path | None = None) -> Path | None:
 def check_corner(value, name: str) -> tuple[float, float, float]:
     """Three numbers of metres; raises InputError where they are none."""
     try:
-        x, y, z = map(as_number, value)
+        x, y, z = as_numbers(value)
         right = all(math.isfinite(v) for v in (x, y, z))
     except (TypeError, ValueError):
         right = False

@@ -25,6 +25,16 @@ def test_good_demonstrations_pass_and_recorded_ones_too(tmp_path):
     assert check_path(GOLDEN / "demos").faults == []
 
 
+@pytest.mark.parametrize("left", ["history/001/twin.yaml", "arrays.safetensors", "action.safetensors"])
+def test_a_twin_without_its_file_is_no_recording(tmp_path, left):
+    (file := tmp_path / "twin" / left).parent.mkdir(parents=True)
+    file.touch()
+    found = check_path(tmp_path / "twin")
+    assert found.kind == "twin" and "twin.yaml" in found.faults[0]
+    with pytest.raises(InputError, match="twin.yaml; (copy|restore)"):
+        Twin.load(tmp_path / "twin")
+
+
 def test_all_faults_of_demonstrations_are_told_at_once(tmp_path):
     names = ["joint_1.pose" if n == "joint_1.pos" else n for n in STATE_NAMES]
     spoilt = write_demonstrations(tmp_path / "a", names=names, fps=30)

@@ -60,8 +60,8 @@ def test_built_in_types_are_made_with_their_options():
     "type, options, said",
     [
         ("festo", {}, "no pressure controller 'festo'; there are pneutac_serial, text_serial, simulated"),
-        ("pneutac_serial", {}, "missing a required argument: 'port'"),
-        ("simulated", {"port": "/dev/x"}, "unexpected keyword argument 'port'"),
+        ("pneutac_serial", {}, "'pneutac_serial': option 'port' is missing"),
+        ("simulated", {"port": "/dev/x"}, "unknown option 'port'"),
         ("text_serial", {"port": "/dev/x", "max_kpa": math.nan}, "max_kpa is nan"),
         ("text_serial", {"port": "/dev/x", "max_kpa": "much"}, "max_kpa is 'much'"),
         ("pneutac_serial", {"port": "/dev/x", "reconnect_s": -1}, "reconnect_s is -1"),

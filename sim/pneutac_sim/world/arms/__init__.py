@@ -18,7 +18,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from pneutac_sim.errors import InputError, shown, unknown_names
+from pneutac_sim.errors import InputError, as_numbers, shown, unknown_names
 from pneutac_sim.features import PANDA_JOINTS, joint_names
 from pneutac_sim.files import refuse_pointer
 from pneutac_sim.world import panda
@@ -317,7 +317,7 @@ class ArmFile:
             if not isinstance(getattr(self, name), str):
                 raise InputError(f"arm.{name} is {shown(getattr(self, name))}; give a text.")
         try:
-            angles = tuple(float(q) for q in self.home_rad)
+            angles = tuple(as_numbers(self.home_rad))
         except (TypeError, ValueError):
             angles = (math.nan,)
         if not all(map(math.isfinite, angles)):
