@@ -45,79 +45,63 @@ _sphere, _capsule, _ellipsoid, _cylinder, _box = (
 )
 
 
+@wp.struct
+class _Scene:
+    """Objects that the gel of every world may feel, and the gel's site."""
+
+    kinds: wp.array(dtype=int)
+    sizes: wp.array(dtype=wp.vec3)
+    geoms: wp.array(dtype=int)
+    positions: wp.array2d(dtype=wp.vec3)
+    rotations: wp.array2d(dtype=wp.mat33)
+    gel_positions: wp.array2d(dtype=wp.vec3)
+    gel_rotations: wp.array2d(dtype=wp.mat33)
+    gel: int
+
+
 @wp.func
-def _depth(
-    kinds: wp.array(dtype=int),
-    sizes: wp.array(dtype=wp.vec3),
-    geoms: wp.array(dtype=int),
-    positions: wp.array2d(dtype=wp.vec3),
-    rotations: wp.array2d(dtype=wp.mat33),
-    world: int,
-    at: wp.vec3,
-    along: wp.vec3,
-    reach: float,
-) -> float:
-    """Largest depth in m of the shapes below the point `at` (m), against `along`; 0 where none."""
-    deepest = float(0.0)
-    for k in range(kinds.shape[0]):
-        size, R = sizes[k], wp.transpose(rotations[world, geoms[k]])
-        o, d = R @ (at - positions[world, geoms[k]]), R @ along
+def _depth_mm(scene: _Scene, world: int, x: float, y: float, ahead: float, reach: float) -> float:
+    """How deep in mm the shapes lie below a place (x, y) m of the face; from `ahead` m before it."""
+    R_gel, deepest = scene.gel_rotations[world, scene.gel], float(0.0)
+    at = scene.gel_positions[world, scene.gel] + R_gel @ wp.vec3(x, y, ahead)
+    along = R_gel @ wp.vec3(0.0, 0.0, 1.0)
+    for k in range(scene.kinds.shape[0]):
+        size, kind, geom = scene.sizes[k], scene.kinds[k], scene.geoms[k]
+        R = wp.transpose(scene.rotations[world, geom])
+        o, d = R @ (at - scene.positions[world, geom]), R @ along
         for i in range(3):  # no slab divides by zero
             if wp.abs(d[i]) < 1e-6:
                 d[i] = 1e-6
         lo, hi = float(1.0), float(0.0)
-        if kinds[k] == wp.static(BOX):
+        if kind == wp.static(BOX):
             lo, hi = _box(size, o[0], o[1], o[2], d[0], d[1], d[2])
-        elif kinds[k] == wp.static(CAPSULE):
+        elif kind == wp.static(CAPSULE):
             lo, hi = _capsule(size, o[0], o[1], o[2], d[0], d[1], d[2])
-        elif kinds[k] == wp.static(ELLIPSOID):
+        elif kind == wp.static(ELLIPSOID):
             lo, hi = _ellipsoid(size, o[0], o[1], o[2], d[0], d[1], d[2])
-        elif kinds[k] == wp.static(CYLINDER):
+        elif kind == wp.static(CYLINDER):
             lo, hi = _cylinder(size, o[0], o[1], o[2], d[0], d[1], d[2])
         else:
             lo, hi = _sphere(size, o[0], o[1], o[2], d[0], d[1], d[2])
         if lo <= hi and hi > -reach:
             deepest = wp.max(deepest, wp.min(-lo, reach))
-    return deepest
+    return 1e3 * (deepest - ahead)
 
 
 @wp.kernel
 def _grids(
-    kinds: wp.array(dtype=int),
-    sizes: wp.array(dtype=wp.vec3),
-    geoms: wp.array(dtype=int),
-    positions: wp.array2d(dtype=wp.vec3),
-    rotations: wp.array2d(dtype=wp.mat33),
-    gel_positions: wp.array2d(dtype=wp.vec3),
-    gel_rotations: wp.array2d(dtype=wp.mat33),
-    gel: int,
-    cell_x: float,
-    cell_y: float,
-    ahead: float,
-    reach: float,
-    out: wp.array3d(dtype=float),
+    scene: _Scene, cell_x: float, cell_y: float, ahead: float, reach: float, out: wp.array3d(dtype=float)
 ):
     """Into `out` (worlds, rows, columns) mm below the face; from `ahead` m before it and less that."""
     world, i, j = wp.tid()
-    R = gel_rotations[world, gel]
     x = (float(j) + 0.5 - 0.5 * float(out.shape[2])) * cell_x
     y = (float(i) + 0.5 - 0.5 * float(out.shape[1])) * cell_y
-    at = gel_positions[world, gel] + R @ wp.vec3(x, y, ahead)
-    along = R @ wp.vec3(0.0, 0.0, 1.0)
-    deepest = _depth(kinds, sizes, geoms, positions, rotations, world, at, along, reach)
-    out[world, i, j] = 1e3 * (deepest - ahead)
+    out[world, i, j] = _depth_mm(scene, world, x, y, ahead, reach)
 
 
 @wp.kernel
 def _cells(
-    kinds: wp.array(dtype=int),
-    sizes: wp.array(dtype=wp.vec3),
-    geoms: wp.array(dtype=int),
-    positions: wp.array2d(dtype=wp.vec3),
-    rotations: wp.array2d(dtype=wp.mat33),
-    gel_positions: wp.array2d(dtype=wp.vec3),
-    gel_rotations: wp.array2d(dtype=wp.mat33),
-    gel: int,
+    scene: _Scene,
     worlds: wp.array(dtype=wp.int64),
     boxes: wp.array2d(dtype=float),
     ahead: float,
@@ -130,18 +114,14 @@ def _cells(
     if k >= rows * cols:
         out[b, k, s] = wp.static(NOWHERE_MM)
         return
-    wide, high = boxes[b, 4] * boxes[b, 5], boxes[b, 4]  # of a cell, mm
-    world, fine = int(worlds[b]), float(wp.static(spring.FINE))
+    wide, high, fine = boxes[b, 4] * boxes[b, 5], boxes[b, 4], float(wp.static(spring.FINE))  # mm
     i, j = k / cols, k % cols
     u = float(j) + (float(s % wp.static(spring.FINE)) + 0.5) / fine - 0.5 * float(cols)
     v = float(i) + (float(s / wp.static(spring.FINE)) + 0.5) / fine - 0.5 * float(rows)
     u, v = boxes[b, 2] + wide * u, boxes[b, 3] + high * v
     c, n = boxes[b, 0], boxes[b, 1]
-    R = gel_rotations[world, gel]
-    at = gel_positions[world, gel] + R @ wp.vec3(1e-3 * (c * u - n * v), 1e-3 * (n * u + c * v), ahead)
-    along = R @ wp.vec3(0.0, 0.0, 1.0)
-    deepest = _depth(kinds, sizes, geoms, positions, rotations, world, at, along, reach)
-    out[b, k, s] = 1e3 * (deepest - ahead)
+    x, y = 1e-3 * (c * u - n * v), 1e-3 * (n * u + c * v)
+    out[b, k, s] = _depth_mm(scene, int(worlds[b]), x, y, ahead, reach)
 
 
 @wp.kernel
@@ -282,11 +262,12 @@ class ContactBatch:
                 "Many worlds at once feel boxes, capsules, cylinders, ellipsoids and spheres; this task has a"
                 " mesh. Use the single world, `World`."
             )
-        wide = wp.array(np.asarray(kinds), dtype=int, device=device)
-        sizes = wp.array(np.asarray(sizes, np.float32), dtype=wp.vec3, device=device)
-        geoms = wp.array(np.asarray(geoms), dtype=int, device=device)
-        places = data.geom_xpos, data.geom_xmat, data.site_xpos, data.site_xmat
-        self._scene = [wide, sizes, geoms, *places, gel]
+        self._scene = scene = _Scene()
+        scene.kinds = wp.array(np.asarray(kinds), dtype=int, device=device)
+        scene.sizes = wp.array(np.asarray(sizes, np.float32), dtype=wp.vec3, device=device)
+        scene.geoms = wp.array(np.asarray(geoms), dtype=int, device=device)
+        scene.positions, scene.rotations, scene.gel = data.geom_xpos, data.geom_xmat, gel
+        scene.gel_positions, scene.gel_rotations = data.site_xpos, data.site_xmat
         self._device, self._torch, n = device, wp.device_to_torch(device), data.nworld
         self._window, self._reach = window_mm, 1e-3 * thickness_mm
         self._law, self._gel_window = law, law.window_mm
@@ -312,7 +293,7 @@ class ContactBatch:
 
     def _launch(self, out: wp.array, window_mm, ahead: float, reach: float) -> None:
         cell = [1e-3 * window_mm[0] / out.shape[2], 1e-3 * window_mm[1] / out.shape[1]]
-        wp.launch(_grids, out.shape, [*self._scene, *cell, ahead, reach, out], device=self._device)
+        wp.launch(_grids, out.shape, [self._scene, *cell, ahead, reach, out], device=self._device)
 
     def look(self) -> torch.Tensor:
         """Probe grids (N, 80, 59) in mm of the present kinematics; the next call overwrites them."""
@@ -332,9 +313,8 @@ class ContactBatch:
         self._launch(self._first, self._gel_window, *self._ahead)
         self._deepest.copy_(wp.to_torch(self._first).amax((1, 2)))
         self._near_face.copy_(self._deepest > -spring.REACH_MM)
-        for tensor, value in zip(
-            self.spring, (self._free.k1, self._free.k3, self._free.depth_m), strict=True
-        ):
+        free = self._free.k1, self._free.k3, self._free.depth_m
+        for tensor, value in zip(self.spring, free, strict=True):
             tensor.fill_(value)
 
     def _solve(self, count: int) -> None:
@@ -346,7 +326,7 @@ class ContactBatch:
         boxes = torch.where(near[:, None], boxes, self._no_cells)
         box, C = (x.new_empty((count, SLOTS, n)) for n in (spring.FINE**2, SLOTS))
         boxes_wp, worlds_wp, box_wp, C_wp = map(wp.from_torch, (boxes, worlds, box, C))
-        fine = [*self._scene, worlds_wp, boxes_wp, *self._ahead, box_wp]
+        fine = [self._scene, worlds_wp, boxes_wp, *self._ahead, box_wp]
         wp.launch(_cells, box.shape, fine, device=self._device)
         wp.launch(_compliances, C.shape, [self._near, self._hidden, boxes_wp, C_wp], device=self._device)
         deepest = box.amax((1, 2))
@@ -418,9 +398,8 @@ def _place(touched: torch.Tensor, window_mm) -> torch.Tensor:
     size = torch.maximum(size, torch.maximum(long / aspect, short) / spring.MOST)
 
     def edges(size):
-        return torch.ceil(short / size - 1e-4).clamp(min=1), torch.ceil(long / (aspect * size) - 1e-4).clamp(
-            min=1
-        )
+        cells = short / size, long / (aspect * size)
+        return [torch.ceil(n - 1e-4).clamp(min=1) for n in cells]
 
     for _ in range(GROWTHS):
         high, wide = edges(size)

@@ -234,19 +234,10 @@ class _SoftBody:
     """
 
     def __init__(self, network: ActionNetwork, device):
-        wide, self._n, self._drive = (
-            0.05 * (network.high - network.low),
-            network.joints,
-            network.drive.tolist(),
-        )
-        names = ("slope", "mean", "scale", "torque_mean", "torque_scale")
-        arrays = [
-            *(getattr(network, k) for k in names),
-            network.low - wide,
-            network.high + wide,
-            *network.layers,
-        ]
-        self._numbers = [torch.tensor(a, dtype=torch.float32, device=device) for a in arrays]
+        self._n, self._drive = network.joints, network.drive.tolist()
+        layers, scales = network._numbers
+        arrays = (torch.tensor(a, dtype=torch.float32, device=device) for a in (*scales, *layers))
+        self._numbers = list(arrays)
         self._near = NEAR_RAD * torch.eye(self._n, device=device)
 
     def _torque(self, q: torch.Tensor, p: torch.Tensor) -> torch.Tensor:
@@ -404,10 +395,8 @@ class BatchedWorld:
         f, touch, gel = g._follower, g.touch, g.sensor.model
         self._spine, self._pad = g._spine, g.model.joint("pad")
         s, self._play = g._springs, Playback(self.torch_device)
-        self._pairs, at = (
-            tuple(self._sent(p, torch.long) for p in s._pairs),
-            (s._joints, s._dofs[:, 0], s._tendons),
-        )
+        at = s._joints, s._dofs[:, 0], s._tendons
+        self._pairs = tuple(self._sent(p, torch.long) for p in s._pairs)
         self._joints, self._dofs, self._tendons = (self._sent(i, torch.long) for i in at)
         pairs = np.stack([f._A.real, f._A.imag], -1).astype(np.float32)
         self._chain = [wp.array(pairs, dtype=wp.vec2), wp.array(f._inertia.astype(np.float32), dtype=float)]
@@ -430,9 +419,8 @@ class BatchedWorld:
             channels = tuple(len(weights[f"down{level}.0.bias"]) for level in (1, 2, 3))
             self._network = UNet(channels).to(self.torch_device).requires_grad_(False)
             self._network.load_state_dict(weights)
-            self._at_rest = self._network(
-                torch.zeros((1, 1, *touch.depth_mm.shape), device=self.torch_device)
-            )[:, 0]
+            nothing = torch.zeros((1, 1, *touch.depth_mm.shape), device=self.torch_device)
+            self._at_rest = self._network(nothing)[:, 0]
         self._spring = self._contact.spring
         rules, names = RULES[g.task.name], [g.model.geom(i).name for i in range(g.model.ngeom)]
         bits = (g.model.geom_contype == 1).astype(np.int32)
@@ -443,9 +431,7 @@ class BatchedWorld:
         self.rules = rules(self)
         self._late = torch.zeros(N, dtype=torch.long, device=self.torch_device)
         self._target = self._zeros(3)
-        self._drive, self._rest_rad, self._gain, self._more = (
-            self._zeros(*s) for s in ((n,), (n,), (1,), (1,))
-        )
+        self._drive, self._rest_rad, self._gain, self._more = map(self._zeros, (n, n, 1, 1))
         self._pipeline = PressurePipeline(g.twin, one.conditions)
         self._pipelines = ManyPipelines(self._pipeline, N)
         self._queue = self._zeros(1, 3 + self.chambers)
@@ -551,9 +537,8 @@ class BatchedWorld:
             g.variation = variation
             g._rng = np.random.default_rng(seed)
             g._start()
-            rows.append(
-                [g.data.qpos.copy(), g.data.ctrl.copy(), *(getattr(g.model, f).copy() for f in FIELDS)]
-            )
+            fields = (getattr(g.model, f).copy() for f in FIELDS)
+            rows.append([g.data.qpos.copy(), g.data.ctrl.copy(), *fields])
             targets.append(g.target_m)
             tasks.append(getattr(g.task, "_mu", None))
             late.append(len(g._queue))
@@ -568,12 +553,9 @@ class BatchedWorld:
         self._more.copy_(self._sent([v.more_rad for v in variations])[:, None])
         self._drive.copy_(self._bent(self._rest_rad))
         qpos[:, self._qpos_of_spine] = self._drive
-        for tensor, value in (
-            (self.qpos, qpos),
-            (self._ctrl, ctrl),
-            (self._target, self._sent(np.stack(targets))),
-        ):
-            tensor.copy_(value)
+        self.qpos.copy_(qpos)
+        self._ctrl.copy_(ctrl)
+        self._target.copy_(self._sent(np.stack(targets)))
         for tensor in (self.qvel, self._warmstart, self._rate, *self.rules.state.values(), self.pressure_kpa):
             tensor.zero_()
         if "mu" in self.rules.state:
@@ -615,8 +597,7 @@ class BatchedWorld:
         """
         with self._on_device():
             actions = torch.as_tensor(actions, dtype=torch.float32, device=self.torch_device)
-            if actions.shape != (self.worlds, 3 + self.chambers):
-                shape = (self.worlds, 3 + self.chambers)
+            if actions.shape != (shape := (self.worlds, 3 + self.chambers)):
                 raise InputError(f"The actions have shape {tuple(actions.shape)}; it must be {shape}.")
             if not bool(torch.isfinite(actions).all()):
                 raise InputError("The actions are not all finite; every entry must be a number.")
@@ -761,12 +742,8 @@ class BatchedWorld:
     def images(self) -> torch.Tensor:
         """Tactile images, uint8 (N, H, W, 3), of the last step."""
         with self._on_device():
-            return torch.cat(
-                [
-                    self.tactile.draw(u, self.tactile.model.thickness_mm)
-                    for u in self.displacement_mm.split(TOUCHED)
-                ]
-            )
+            parts, deepest = self.displacement_mm.split(TOUCHED), self.tactile.model.thickness_mm
+            return torch.cat([self.tactile.draw(u, deepest) for u in parts])
 
     @property
     def centre_mm(self) -> torch.Tensor:
