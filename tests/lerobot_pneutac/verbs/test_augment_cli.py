@@ -21,7 +21,8 @@ from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from lerobot_robot_pneutac.teleoperators.base_teleop import PneutacScriptedConfig
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
-from pneutac_datasets.demonstrations.augment import check, run, scene
+from pneutac_datasets.demonstrations.augment import run, scene
+from pneutac_datasets.demonstrations.augment import work as augment_work
 from pneutac_datasets.demonstrations.augment.episode import Attempt, AugmentSetup
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
 from pneutac_datasets.demonstrations.augment.work import Work
@@ -86,7 +87,8 @@ def made(recorded, tmp_path_factory):
     folder = tmp_path_factory.mktemp("made")
     checks = ["--check_mpm=1", f"--out={folder / 'report'}"]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(check, "checking_world", lambda setup, real=check.checking_world: real(setup, "probe"))
+        real = augment_work.checking_world
+        patch.setattr(augment_work, "checking_world", lambda setup: real(setup, "probe"))
         run_verb("augment", options(recorded, folder / "more", "--episodes=2", "--seed=5", *checks))
     return folder
 
@@ -301,12 +303,12 @@ def test_what_differs_is_measured_and_what_was_checked_is_not_checked_again(tmp_
     start = seed, world.variation
     attempt = Attempt(states, np.array(actions), images, None, 0.0, 0.0, start)
     steps, other = [], World("switch", touch="image", fidelity="surrogate")
-    found = check.agreement(other, 4, attempt, lambda: steps.append(0))
+    found = augment_work.agreement(other, 4, attempt, lambda: steps.append(0))
     assert len(steps) == len(actions)
     assert found.episode == 4 and found.area_peak == pytest.approx(states[:, 17].max())
     assert 0 < found.area_rmse < 0.3 and 0 < found.image_rmse_levels < 60
     away = replace(attempt, start=(seed, replace(world.variation, shift_m=(0.0, 0.0, -5.0))))
-    missed = check.agreement(world, 0, away)
+    missed = augment_work.agreement(world, 0, away)
     assert not missed.success and missed.touched[0] > 0 and missed.touched[1] == 0
     work, told = Work(tmp_path), []
     work.save_episode(0, attempt, {"cost": 0.0, "area_rmse": 0.0}, {})
@@ -314,5 +316,5 @@ def test_what_differs_is_measured_and_what_was_checked_is_not_checked_again(tmp_
     loaded = work.load_episode(0)[0]
     assert loaded.start == attempt.start
     work.check_file(0).write_text("{}")
-    check.check(work, setup, 1, lambda *a: told.append(a))
+    augment_work.check(work, setup, 1, lambda *a: told.append(a))
     assert not told and work.check_file(0).read_text() == "{}"

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pneutac_datasets.demonstrations.augment.course import EARLY, LATE_RELEASE, LATE_TOUCH, Course
+from pneutac_datasets.demonstrations.augment.planner import EARLY, LATE_RELEASE, LATE_TOUCH, Course
 from pneutac_datasets.demonstrations.augment.reference import Reference, reaction_hz
 
 FIRST, END, LENGTH = 40, 70, 90

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 from lerobot.utils.constants import OBS_IMAGES
 
-from pneutac_datasets.demonstrations.augment.course import Course
 from pneutac_datasets.demonstrations.augment.library import Followers, Library, lagged_answers, regular
-from pneutac_datasets.demonstrations.augment.planner import CemPlanner, PlannerConfig
+from pneutac_datasets.demonstrations.augment.planner import CemPlanner, Course, PlannerConfig
 from pneutac_datasets.demonstrations.augment.reference import (
     EXTRA_STEPS,
     Reference,

@@ -26,12 +26,11 @@ from lerobot.utils.constants import ACTION, OBS_STATE
 
 from lerobot_robot_pneutac.lerobot_inside import load_info, write_info
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import ANSWER_DELAY
-from pneutac_datasets.demonstrations.augment.check import check
 from pneutac_datasets.demonstrations.augment.episode import AugmentSetup
 from pneutac_datasets.demonstrations.augment.library import lagged_answers
 from pneutac_datasets.demonstrations.augment.reference import Reference
 from pneutac_datasets.demonstrations.augment.scene import Scene
-from pneutac_datasets.demonstrations.augment.work import Work, generator, make_episode, make_scene
+from pneutac_datasets.demonstrations.augment.work import Work, check, generator, make_episode, make_scene
 from pneutac_datasets.demonstrations.card import write_card
 from pneutac_datasets.demonstrations.episodes import (
     TACTILE,
