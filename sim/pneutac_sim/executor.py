@@ -110,8 +110,7 @@ class Pieces:
     numbers: tuple[int, ...]  # of the pieces that are missing
     per_task: int  # how many of them a task makes
     home: Path  # folder from which relative paths lead
-    # whether a task starts a process of its own; the engine's may have been forked from any other
-    alone: bool
+    alone: bool  # whether a task starts a process of its own, which computes on one thread
 
     def __call__(self, data, rank: int, world_size: int) -> None:
         numbers = self.numbers[rank * self.per_task : (rank + 1) * self.per_task]
@@ -243,10 +242,19 @@ def _find_ray() -> None:
 
 
 def _ray(pipeline: list, tasks: int, logs: Path, options: ExecutorOptions) -> None:
+    import datatrove.executor.ray as engines
     import ray
+
+    class Worker(engines.RankWorker):
+        """Runs a task in Ray's process; datatrove's forks it, with its threads, and waits for a lost one."""
+
+        def run_for_rank(self, engine, ranks, node_ips, node_idx) -> None:
+            for rank in ranks:
+                _run_task(engine, rank)
 
     given = options.executor_arguments()
     with ExitStack() as stack:
+        engines.RankWorker = Worker
         if not ray.is_initialized():
             try:
                 ray.init(log_to_driver=False, logging_level="ERROR")
