@@ -101,6 +101,7 @@ def test_a_lost_process_of_a_job_of_slurm_is_one_sentence_too(tmp_path, cluster)
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(300, method="thread")  # ends the process: no signal ends a wait in Ray itself
 def test_ray_makes_equal_pieces_and_reports_what_was_wrong(tmp_path, monkeypatch):
     pytest.importorskip("ray")
     monkeypatch.setenv("PYTHONPATH", str(HELPERS))
