@@ -68,7 +68,7 @@ NOT_SHOWN = 0.1  # the same of air that the measured pressure does not show: of 
 
 # ---------------------------------------------------------------- parameters
 
-AT_BOUND = 1e-3  # of a parameter's range: nearer to a bound it is at it (body, body_space, gel_model)
+AT_BOUND = 1e-3  # of a parameter's range: nearer to a bound it is at it (body, body_space, gel)
 SPANS = 0.8  # of the allowed range: an interval that covers more is uninformative (base)
 TIMES = 10.0  # an interval from zero to more than so many times the value is uninformative (base)
 FAR = 0.3  # of a range: a fit without a fold stays so near to the whole one, where it is linear (body_model)
@@ -109,7 +109,7 @@ CHANGE_AWAY, CHANGE_LESS = 0.06, 0.9  # so far away (of the rows) moments must e
 NEEDED = 10  # photographs for a verdict, the calibration pair's among them (gel)
 APART = 24  # photographs from which a third is put aside for the report (gel)
 FOLDS = 5  # of the cross-validation over photographs (gel)
-PROMISE = 0.01  # of the error on the fitted photographs: least fall for which a set is judged (gel_model)
+PROMISE = 0.01  # of the error on the fitted photographs: least fall for which a set is judged (gel)
 
 # ---------------------------------------------------------------- demonstrations
 
@@ -117,8 +117,8 @@ DEMONSTRATIONS = 5  # from which on anything can be claimed (demonstrations)
 HELD_OUT = 0.3  # of the episodes (demonstrations)
 WORTH_OF_LAST = 0.3  # of what the twin left of the demonstrations it was last fitted to (demonstrations)
 WORTH_OF_LEFT = 0.1  # of what is left, where it was fitted to none (demonstrations)
-STRENGTH_DIFFERS = 0.2  # log of imprint strength: one finger's differ by as much (demonstration_data)
-STRENGTH_ERRORS = 2.0  # standard errors, likewise (demonstration_data)
+STRENGTH_DIFFERS = 0.2  # log of imprint strength: one finger's differ by as much (demonstration_fit)
+STRENGTH_ERRORS = 2.0  # standard errors, likewise (demonstration_fit)
 BENCH_WEIGHT = 0.003  # of a mm^2 of free bend, to one of touch: decides what is open (demonstration_fit)
 TELLS = 3.0  # standard deviations by which a motion shows a change (demonstration_motions)
 

@@ -18,20 +18,20 @@ from lerobot_pneutac.diagnosis.result import FittedModel, Outcome, Rival, Tested
 from lerobot_pneutac.diagnosis.search import Found, Scored, Search, Structure, chosen_in, rivals
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.study.base import EffectStudy, with_unit
-from lerobot_pneutac.study.demonstration_data import (
-    COMPLIANCE,
-    STIFFNESS,
-    Strength,
-    command_signals,
-    episode_data,
-)
 from lerobot_pneutac.study.demonstration_fit import (
     AIR,
+    COMPLIANCE,
     LATE,
+    MAD,
+    STIFFNESS,
     TOUCH,
     DemonstrationModel,
     DemonstrationSpace,
+    EpisodeData,
     Fitter,
+    Strength,
+    command_signals,
+    episode_data,
     latency_s,
 )
 from pneutac_datasets.demonstrations.replay.imprint import Dragging, brightness, rest_image
@@ -67,9 +67,6 @@ def stopped(name: str) -> bool:
     return not name.partition(".")[2].startswith(("weight", "delay", "vent_growth", "fill", "band"))
 
 
-MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
-
-
 def frame_noise(fitter: Fitter, remainder: float | None) -> NoiseFloor:
     """What differs from frame to frame; or what the twin left before, where that is known and more.
 
@@ -96,7 +93,7 @@ def frame_noise(fitter: Fitter, remainder: float | None) -> NoiseFloor:
 
 
 class DemonstrationStudy(EffectStudy):
-    """Episodes of one task.
+    """Episodes of one task, which are replayed in the twin's world once an error is asked for.
 
     Args:
         twin: of the finger.
@@ -106,8 +103,6 @@ class DemonstrationStudy(EffectStudy):
         progress: called with how many episodes are replayed.
 
     Attributes:
-        fitter: fits models to the episodes that are learnt from, as replayed in the twin's world.
-        owner: (N,) which episode each frame is of.
         remainder: the most, by its 95 % interval, that the twin left of the demonstrations that it was last
             fitted to; None where it was to none.
         known: how strong the imprints were that the twin was last fitted to; None where they were none of
@@ -115,7 +110,6 @@ class DemonstrationStudy(EffectStudy):
         strengths: how strong they are here, by the identity of a model's twin.
         charged: touch is charged with how much stronger or fainter they are.
         by_level: creep was named by that too.
-        bare_air, bare_touch: the twin as it is, on `fitter`.
     """
 
     unit = UNIT
@@ -140,19 +134,46 @@ class DemonstrationStudy(EffectStudy):
         self.strengths: dict[int, Strength] = {}
         self.charged = self.by_level = False
         self.light = self.known and self.known.light
-        episodes = episode_data(twin, recording, progress, self.light)
-        self.owner = np.repeat(np.arange(len(episodes)), list(map(len, episodes)))
-        order = np.random.default_rng([seed, 5]).permutation(len(episodes))
-        away = order[: min(max(1, round(T.HELD_OUT * len(order))), len(order) - 1)]
-        test = np.isin(self.owner, away)
-        self.parts = Parts(~test, ~test, test, self.owner, np.zeros(len(episodes), int))
-        self.fitter = Fitter(twin, episodes, self.parts.train)
-        self.bare_air, self.bare_touch = self.fitter.base(AIR), self.fitter.base(TOUCH)
         self.remainder = self._last.get("heldout_ci95", [None, None])[1]
-        self.noise = frame_noise(self.fitter, self.remainder)
+        self._progress = progress
         self.findings = [*recording.warnings]
         if dragging := Dragging.of(recording.episodes):
             self.findings.append(dragging.sentence(Dragging.known(twin.history, recording.task)))
+
+    @cached_property
+    def episodes(self) -> list[EpisodeData]:
+        """Each as replayed in the twin's world, which takes seconds."""
+        return episode_data(self.twin, self.recording, self._progress, self.light)
+
+    @cached_property
+    def owner(self) -> np.ndarray:
+        """(N,) which episode each frame is of."""
+        return np.repeat(np.arange(len(self.episodes)), list(map(len, self.episodes)))
+
+    @cached_property
+    def parts(self) -> Parts:  # pyright: ignore[reportIncompatibleVariableOverride]
+        count = len(self.episodes)
+        order = np.random.default_rng([self.seed, 5]).permutation(count)
+        away = order[: min(max(1, round(T.HELD_OUT * count)), count - 1)]
+        test = np.isin(self.owner, away)
+        return Parts(~test, ~test, test, self.owner, np.zeros(count, int))
+
+    @cached_property
+    def fitter(self) -> Fitter:
+        """Fits models to the episodes that are learnt from."""
+        return Fitter(self.twin, self.episodes, self.parts.train)
+
+    @cached_property
+    def bare_air(self) -> DemonstrationModel:
+        return self.fitter.base(AIR)
+
+    @cached_property
+    def bare_touch(self) -> DemonstrationModel:
+        return self.fitter.base(TOUCH)
+
+    @cached_property
+    def noise(self) -> NoiseFloor:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return frame_noise(self.fitter, self.remainder)
 
     def world_of(self, twin: Twin) -> Fitter:
         """Fits models to the episodes that are learnt from, as replayed in the world of a twin."""
@@ -242,7 +263,7 @@ class DemonstrationStudy(EffectStudy):
         return {"imprint": strength.stored(self.recording.task, own if self.light is None else self.light)}
 
     def signals(self) -> np.ndarray:
-        return command_signals(self.fitter.episodes)
+        return command_signals(self.episodes)
 
     def removed(self, worst: float, left: float, floor: float) -> float:
         return 1 - max(left - floor**2, 0.0) / (worst - floor**2) if worst > floor**2 else 1.0
@@ -422,10 +443,10 @@ class DemonstrationStudy(EffectStudy):
         return super().experiment(model, effect)
 
     def amount_recorded(self) -> tuple[float, str, str]:
-        return float(len(self.fitter.episodes)), "demonstration", "of the same task"
+        return float(len(self.episodes)), "demonstration", "of the same task"
 
     def too_little(self) -> str:
-        n = len(self.fitter.episodes)
+        n = len(self.episodes)
         return (
             "" if n >= T.DEMONSTRATIONS else f"{n} demonstrations are too few to find what is missing. {MORE}"
         )

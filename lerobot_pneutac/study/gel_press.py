@@ -9,8 +9,7 @@ import numpy as np
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.design import nats_between
 from lerobot_pneutac.diagnosis.result import Candidate
-from lerobot_pneutac.diagnosis.search import Found, Scored
-from lerobot_pneutac.study.gel_model import seen_by
+from lerobot_pneutac.study.gel import seen_by
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_sim.effects.gel_creep import EFFECT, share_left
 from pneutac_sim.effects.registry import get_effect
@@ -30,14 +29,6 @@ class PressChoice:
     press: Press  # which indenter, where and how deep
     rivals: float  # nats about which candidate is true
     images: tuple[np.ndarray, ...]  # what each candidate predicts, uint8 (H, W, 3)
-
-
-def weighed(found: Found) -> list[Scored]:
-    """The final model, others that were fitted well, and last the twin as it is, re-fitted."""
-    rest = [s for round_ in reversed(found.rivals) for s in sorted(round_, key=lambda s: s.value)]
-    others = {s.model.effects: s for s in [found.final, *found.without.values(), *found.path, *rest]}
-    others.pop(found.base.model.effects, None)
-    return [*list(others.values())[: 1 + T.MOST_OTHERS], found.base]
 
 
 def press_choices(data: GelRecording, models: Sequence[Candidate]) -> list[PressChoice]:

@@ -18,7 +18,7 @@ from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.thresholds import TELLS
 from lerobot_pneutac.reports.figures import curves
 from lerobot_pneutac.reports.page import Report, rows_of
-from lerobot_pneutac.study.demonstration_data import COMPLIANCE, STIFFNESS, TYPICAL, Strength
+from lerobot_pneutac.study.demonstration_fit import COMPLIANCE, STIFFNESS, TYPICAL, Strength
 from lerobot_pneutac.study.demonstrations import UNIT
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations

@@ -5,13 +5,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lerobot_pneutac.reports.page import Report, difference, side_by_side
-from lerobot_pneutac.study.gel import UNHELD
-from lerobot_pneutac.study.gel_model import at_bound, late_effects, predict, seen_by
+from lerobot_pneutac.study.gel import UNHELD, at_bound, late_effects, predict, seen_by
 from lerobot_pneutac.study.gel_modulus import Modulus, Pasted, keep_modulus, modulus_sentence
 from lerobot_pneutac.verbs.result import Calibration, Comparison, rms_of
 from pneutac_datasets.recording.gel import GelRecording, GelSample
@@ -27,9 +25,6 @@ from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import ImageScores, PressPhotograph, disc, rest_changed, score
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
-
-if TYPE_CHECKING:
-    pass  # which starts a compiler
 
 EFFECTS, STANDARD = "effects", "standard"  # in the history of a twin whose effects nobody chose
 OURS, BASELINE, REST = "this model", "difference pasted", "rest image"

@@ -119,7 +119,7 @@ def measure_across(source: TactileSet, target: TactileSet) -> tuple[dict, None]:
 
     The two DIGITs' constants of the make are those found on the source alone.
     """
-    from lerobot_pneutac.study.gel_model import seen_by
+    from lerobot_pneutac.study.gel import seen_by
     from pneutac_sim.gel.photograph import Predictor
 
     data, pair = target.data, target.data.presses[0]

@@ -7,17 +7,21 @@ import pytest
 
 from lerobot_pneutac.diagnosis.search import Found, Scored, Structure
 from lerobot_pneutac.study import demonstrations
-from lerobot_pneutac.study.demonstration_data import (
+from lerobot_pneutac.study.demonstration_fit import (
+    AIR,
     COMPLIANCE,
+    LATE,
     MORE_RAD,
     STIFFNESS,
+    TOUCH,
     TYPICAL,
     EpisodeData,
+    Fitter,
+    FreeBend,
     imprint_per_rad,
     inputs_of,
     stiffness_n_per_rad,
 )
-from lerobot_pneutac.study.demonstration_fit import AIR, LATE, TOUCH, Fitter, FreeBend
 from lerobot_pneutac.study.demonstrations import UNIT, DemonstrationStudy, demonstration_outcome, pressing_as
 from pneutac_datasets.demonstrations.replay.replaying import Place
 from pneutac_sim.effects.registry import get_effect

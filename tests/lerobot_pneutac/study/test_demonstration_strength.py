@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lerobot_pneutac.diagnosis.thresholds import STRENGTH_DIFFERS
-from lerobot_pneutac.study.demonstration_data import STIFFNESS, TYPICAL, Strength
+from lerobot_pneutac.study.demonstration_fit import STIFFNESS, TYPICAL, Strength
 from pneutac_sim.twin import Twin
 
 GAINS = np.array([0.7, 0.8, 0.75, 0.85, 0.0, 0.78, 0.74])  # an episode without an imprint decides nothing

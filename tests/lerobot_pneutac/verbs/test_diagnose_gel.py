@@ -8,9 +8,8 @@ from verbs import refused, verb
 
 from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.diagnosis.thresholds import APART, FOLDS, NEEDED
-from lerobot_pneutac.study import gel_model
-from lerobot_pneutac.study.gel import GelStudy, deal_photographs, photograph_folds
-from lerobot_pneutac.study.gel_model import predict
+from lerobot_pneutac.study import gel as gel_study
+from lerobot_pneutac.study.gel import GelStudy, deal_photographs, photograph_folds, predict
 from pneutac_datasets.generate.gel import SIZES, write_gel_recording, write_hidden_gel
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.gel.fit import GelFit
@@ -139,7 +138,7 @@ def test_no_photograph_is_judged_by_a_fit_that_saw_it(tmp_path, monkeypatch):
         trained[id(out)] = out, {id(p) for p in photographs}
         return GelFit(out, 0.0, 1)
 
-    monkeypatch.setattr(gel_model, "fit_photographs", fit)
+    monkeypatch.setattr(gel_study, "fit_photographs", fit)
     for r in (recording, many(recording)):
         study = GelStudy(twin, r)
         model = study.refit([], None, Steps())
