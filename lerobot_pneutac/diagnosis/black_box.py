@@ -15,17 +15,10 @@ MOST_ROWS = 4000
 def share_left(
     residual: np.ndarray, features: np.ndarray, learn: np.ndarray, test: np.ndarray, floor: float
 ) -> float:
-    """Share of the avoidable squared error left on test rows that a black box removes.
+    """Share of the avoidable squared error on test rows that a black box removes, 0 where nothing was left.
 
-    Args:
-        residual: (n, k) of the model.
-        features: (n, f) causal signals, any scale.
-        learn: (n,) rows that may be learnt from.
-        test: (n,) rows to judge on.
-        floor: noise, root mean square length of the residual's rows.
-
-    Returns:
-        Between 0 (nothing, or nothing was left) and 1.
+    `residual` (n, k) is the model's, `features` (n, f) are causal signals of any scale, `learn` and `test`
+    (n,) masks, and `floor` the noise, root mean square length of the residual's rows.
     """
     left = float((residual[test] ** 2).sum(axis=1).mean()) - floor**2
     if left <= T.BLACK_BOX_EXCESS * floor**2:

@@ -30,13 +30,9 @@ class PairedTest:
 
 
 class BlockBootstrap:
-    """Draws of mean square errors of one part of the recording.
+    """Draws of mean square errors of the samples `mask` (n,) of a recording.
 
-    Args:
-        mask: (n,) samples of the part.
-        unit: (n,) resampling unit of each sample.
-        stratum: (units,) condition of each unit.
-        seed: decides the draws.
+    `unit` (n,) is the resampling unit of each sample, `stratum` (units,) the condition of each unit.
     """
 
     def __init__(self, mask: np.ndarray, unit: np.ndarray, stratum: np.ndarray, seed: int):
@@ -80,7 +76,7 @@ class BlockBootstrap:
         return self.value(before) - self.value(after), float(lo), float(hi)
 
     def paired(self, before: np.ndarray, after: np.ndarray, trials: "BlockBootstrap") -> PairedTest:
-        """The paired test of squared errors (n,), with its power.
+        """The paired test of squared errors (n,) without and with something, with its power.
 
         The mean square error falls significantly if its lower bound is positive, or if it falls and
         `significant_drop` confirms that across units and, where these are enough, across whole trials:
@@ -88,11 +84,6 @@ class BlockBootstrap:
 
         The power is that of a normal mean whose standard error is that of the lower bound and shrinks with
         the root of the number of units: Cohen, Statistical Power Analysis (1988), section 2.
-
-        Args:
-            before: of the model without.
-            after: of the model with.
-            trials: draws of whole trials.
         """
         value, low, high = self.drop(before, after)
         across = [self, *([trials] if trials.units > T.FEW_UNITS else [])]
@@ -110,12 +101,8 @@ class BlockBootstrap:
            sixty: its mean then says little of whether a model is better.
         2. The sum of squares falls in 99 % of the draws from the units in which a model errs clearly more
            than the noise, if these are more than `FEW_UNITS`. In all others the noise decides which model
-           errs less, and where they are many, their shares hide what the few show.
-
-        Args:
-            before: of the model without.
-            after: of the model with.
-            noise_mse: mean square of the noise; 0 leaves the first way alone.
+           errs less, and where they are many, their shares hide what the few show. Without the mean square
+           of the noise the first way stands alone.
         """
         b, a = self.sums(before), self.sums(after)
         if np.quantile(self._weight @ ((b - a) / np.maximum(b + a, 1e-300)), T.SIGNIFICANCE) > 0:
@@ -132,13 +119,8 @@ class BlockBootstrap:
     ) -> tuple[float, tuple[float, float]]:
         """Share of the avoidable error that went, 1 - (MSE - floor^2) / (MSE_0 - floor^2), and its 95 % CI.
 
-        Args:
-            before: (n,) squared errors of the model to start from.
-            after: (n,) squared errors of the model with the effect.
-            floor: noise floor in the unit of the errors.
-
-        Returns:
-            Share, at most 1 (0 where nothing was avoidable), and its interval.
+        By squared errors (n,) without and with an effect, and the noise floor in their root's unit. The share
+        is at most 1, and 0 where nothing was avoidable.
         """
         excess = self.value(before) - floor**2
         if excess <= T.AVOIDABLE * floor**2 or self.units < 2:

@@ -36,13 +36,8 @@ def separations(
 ) -> list[Separation]:
     """All experiments of the menu and of the first twin's laws, the one that separates two twins most first.
 
-    Args:
-        recording: what has been measured so far.
-        a: one fitted twin.
-        b: its rival.
-        floor: noise floor in the unit of the headline error.
-        effects: those in which they differ; where one is of the pneumatics and pressure was not measured,
-            measuring it is on the menu.
+    `floor` is the noise in the unit of the headline error. Where one of the `effects` in which they differ is
+    of the pneumatics and pressure was not measured, measuring it is on the menu.
     """
     found = []
     pneumatic = {get_effect(e).stage == "pneumatics" for e in effects}

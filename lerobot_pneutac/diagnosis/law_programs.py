@@ -29,15 +29,9 @@ Knots = list[tuple[float, float]]  # seconds since the one before, kPa
 
 
 def law_program(recording: Recording, name: str, constants: Mapping[str, float]) -> Program | None:
-    """What to command to see a law, and what to look at.
+    """What to command to see a law, perhaps its second instance, of these constants, and what to look at.
 
-    Args:
-        recording: gives the range of pressures and the conditions.
-        name: of a law, perhaps its second instance.
-        constants: its parameters, by name.
-
-    Returns:
-        None for what is no law of the drive, lies beyond the supply, or needs moves below `LEAST_MOVE`.
+    None for what is no law of the drive, lies beyond the supply, or needs moves below `LEAST_MOVE`.
     """
     row = TABLE.get(name.partition(" #")[0])
     if row is None:

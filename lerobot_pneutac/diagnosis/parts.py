@@ -36,12 +36,7 @@ class Parts:
 
 
 def deal(recording: Recording, seed: int) -> Parts:
-    """Splits by whole blocks of time, stratified by condition.
-
-    Args:
-        recording: cleaned.
-        seed: decides which block goes where.
-    """
+    """Splits by whole blocks of time, stratified by condition; the seed decides which goes where."""
     block = recording.blocks()
     if len(np.unique(block)) < T.FEW_BLOCKS:
         train, test = recording.split(seed=seed)

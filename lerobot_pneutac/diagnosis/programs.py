@@ -198,11 +198,8 @@ def _condition_programs(recording: Recording, loop: np.ndarray) -> list[tuple[st
 def table(recording: Recording, t: np.ndarray, p: np.ndarray, change: dict) -> pd.DataFrame:
     """All columns of the recording: conditions and markers at their usual value, the command as given.
 
-    Args:
-        recording: gives the columns.
-        t: (n,) s.
-        p: (n, chambers) commanded, kPa; (n,) is the first chamber's, while others stay at their median.
-        change: columns that are otherwise, and their values.
+    `t` (n,) s, and `p` (n, chambers) commanded, kPa; (n,) is the first chamber's, while others stay at their
+    median. `change` has columns that are otherwise, and their values.
     """
     table = pd.DataFrame({"trial": np.zeros(len(t), int), "time_s": t})
     if recording.has("time_sent_s"):
@@ -228,11 +225,8 @@ def sent_s(t: np.ndarray, p: np.ndarray) -> np.ndarray:
     """When the command of each sample is sent, (n,) s: at the sample, but a step up to a sample before it.
 
     Each step keeps another lead, so that together they are seen at all ages: samples that come at one age
-    alone identify a delay only to the time between two of them (equivalent-time sampling).
-
-    Args:
-        t: (n,) s of the samples.
-        p: (n, chambers) commanded, or (n,) of one chamber.
+    alone identify a delay only to the time between two of them (equivalent-time sampling). `t` (n,) s is of
+    the samples, `p` (n, chambers) commanded, or (n,) of one chamber.
     """
     p = np.reshape(p, (len(t), -1))
     at = steps(p, np.arange(len(t)) == 0)

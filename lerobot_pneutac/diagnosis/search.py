@@ -344,16 +344,10 @@ def deal_folds(unit: np.ndarray, folds: int, seed: int) -> np.ndarray:
 
 
 def chosen_in(found: Found, unit: np.ndarray, floor: float, kind: Callable[[str], str]) -> dict[str, float]:
-    """Share of the votes in which each term of the final model, or another of its kind, came.
+    """Share of the votes in which each term of the final model, or another of its `kind`, came.
 
-    Each vote leaves out a quarter of the blocks and deals the others again into five folds; at each
-    acceptance it chooses among the models that were fitted well there.
-
-    Args:
-        found: by a search.
-        unit: (N,) block of each row.
-        floor: noise.
-        kind: of a term.
+    Each vote leaves out a quarter of the blocks `unit` (N,) and deals the others again into five folds; at
+    each acceptance it chooses among the models that were fitted well there.
     """
     count: Counter[str] = Counter()
     index = np.unique(unit, return_inverse=True)[1]
@@ -363,7 +357,8 @@ def chosen_in(found: Found, unit: np.ndarray, floor: float, kind: Callable[[str]
         fold = np.where(keep[index], deal_folds(unit, 5, seed), -1)
         terms = set(found.final.model.structure.effects)
         for taken, rivals in zip(found.path[1:], found.rivals, strict=True):
-            winner = _winner([taken, *rivals], fold, floor)
+            value = {id(s): float(s.model.cv_squared(fold)[fold >= 0].mean()) for s in (taken, *rivals)}
+            winner = chosen([taken, *rivals], lambda s, value=value: value[id(s)], floor**2)
             if winner is not taken:
                 kinds = {kind(e) for e in winner.model.structure.effects}
                 terms = {t for t in terms if kind(t) in kinds}
@@ -381,7 +376,7 @@ def rivals(
     as_good: Callable[[Scored, Scored, Scored], bool] | None = None,
     most: int = T.MOST_RIVALS,
 ) -> list[Rival]:
-    """Models as good where a term was accepted, with one of another kind in its place; the first few.
+    """Models as good where a term was accepted, with one of another kind in its place; the first `most`.
 
     Args:
         found: by a search.
@@ -416,9 +411,3 @@ def contenders(
     share = bootstrap.shares([s.cv_squared for s in scored])
     terms = [tuple(e for e in s.model.structure.effects if e not in known) for s in scored]
     return [Candidate(twin_of(s), e, float(p)) for s, e, p in zip(scored, terms, share, strict=True)]
-
-
-def _winner(scored: Sequence, fold: np.ndarray, floor: float):
-    rows = fold >= 0
-    value = {id(s): float(s.model.cv_squared(fold)[rows].mean()) for s in scored}
-    return chosen(scored, lambda s: value[id(s)], floor**2)

@@ -4,11 +4,7 @@ from collections.abc import Callable
 
 
 class Steps:
-    """Calls `progress(text, done, total)` as work is done.
-
-    Args:
-        progress: the callback; None for nobody.
-    """
+    """Calls `progress(text, done, total)` as work is done."""
 
     def __init__(self, progress: Callable[[str, int, int], None] | None = None):
         self._progress = progress

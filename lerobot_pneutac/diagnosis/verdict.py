@@ -139,10 +139,7 @@ class Evidence:
 def too_few(samples: int, units: int, few_samples: int = T.FEW_SAMPLES) -> bool:
     """Whether a recording is too short for any claim, by both `diagnose` and `add`.
 
-    Args:
-        samples: to fit.
-        units: held-out pieces of time, or photographs.
-        few_samples: below which nothing can be claimed; a photograph is worth many rows.
+    It has so many samples to fit and so many held-out pieces of time, or photographs, each worth many rows.
     """
     return samples < few_samples or units < T.FEW_UNITS
 

@@ -195,13 +195,14 @@ def over_time(study: EffectStudy, o: Outcome, worst: list[dict]) -> go.Figure:
     """Error before and after, and the command below, over the runs laid end to end."""
     t, shift = F.session_clock(study.recording)
     step = max(1, len(t) // MOST_POINTS)
-    figure = F.stacked((f"error ({study.unit})", "kPa"), (1.0, 0.4), 0.04)
-    for name, r, colour in (("before", o.before, C.BEFORE), ("after", o.after, C.AFTER)):
-        y, line = np.sqrt(r.squared)[::step].round(4), {"width": 1, "color": colour}
-        figure.add_scatter(x=t[::step].round(3), y=y, name=name, line=line, row=1, col=1)
     p = study.recording.samples[list(study.recording.pressure_columns)].to_numpy(float).mean(1)
-    line = {"width": 1, "color": C.COMMAND}
-    figure.add_scatter(x=t[::step].round(3), y=p[::step].round(3), name="command", line=line, row=2, col=1)
+    shown = (
+        (1, "before", np.sqrt(o.before.squared)[::step].round(4), C.BEFORE),
+        (1, "after", np.sqrt(o.after.squared)[::step].round(4), C.AFTER),
+        (2, "command", p[::step].round(3), C.COMMAND),
+    )
+    lines = ((row, name, t[::step].round(3), y, {"width": 1, "color": c}) for row, name, y, c in shown)
+    figure = F.stacked((f"error ({study.unit})", "kPa"), (1.0, 0.4), 0.04, lines)
     F.shade(figure, worst, shift)
     figure.update_yaxes(rangemode="tozero", row=1, col=1)
     return F.name_runs(figure, study.recording, row=2)

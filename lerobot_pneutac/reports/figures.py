@@ -49,13 +49,20 @@ def curves(lines: Iterable[tuple], x_title: str, y_title: str, **each) -> go.Fig
     return figure.update_layout(xaxis_title=x_title, yaxis_title=y_title)
 
 
-def stacked(titles: Sequence[str], heights: Sequence[float], spacing: float = 0.06) -> go.Figure:
-    """Panels over one time, one below the other, with titles of their y axes and heights."""
+def stacked(
+    titles: Sequence[str], heights: Sequence[float], spacing: float = 0.06, lines: Iterable[tuple] = ()
+) -> go.Figure:
+    """Panels over one time, one below the other, with titles of their y axes and heights.
+
+    Lines are each the number of a panel, a name, x, y and a whole style.
+    """
     figure = make_subplots(
         len(titles), 1, shared_xaxes=True, row_heights=list(heights), vertical_spacing=spacing
     )
     for row, title in enumerate(titles, 1):
         figure.update_yaxes(title_text=title, row=row, col=1)
+    for row, name, x, y, style in lines:
+        figure.add_scatter(x=x, y=y, name=name, line=style, row=row, col=1)
     return figure.update_xaxes(title_text="time, s", row=len(titles), col=1)
 
 

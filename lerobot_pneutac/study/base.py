@@ -45,11 +45,7 @@ def with_unit(value: Value, unit: str) -> dict:
 def not_identifiable(value: float, ci95: Sequence[float] | None, spec: Parameter, range_kpa: float) -> bool:
     """Whether an interval is uninformative: it covers the allowed range, or leaves size or sign open.
 
-    Args:
-        value: fitted.
-        ci95: its interval; None where it was not fitted.
-        spec: of the parameter.
-        range_kpa: largest pressure of the device.
+    It is None where the value was not fitted; `range_kpa` is the largest pressure of the device.
     """
     if ci95 is None:
         return False
@@ -66,16 +62,20 @@ def unidentified(experiment: str) -> str:
     return f"not identifiable from this recording: {experiment[:1].lower()}{experiment[1:].rstrip('.')}"
 
 
-class Study:
-    """A recording of one device, and what it is good for.
+class EffectStudy(ABC):
+    """A recording of one device in which effects can be found: of markers and angles, or of a gel's images.
 
-    A sample is a row of a body's recording, or a photograph.
+    A sample is a row of a body's recording, a photograph, or a frame of demonstrations.
     """
 
+    twin: Twin  # as it was given
     recording: Recording  # checked
     seed: int = 0  # decides the parts and every bootstrap
     unit: str  # of the error
-    noise: NoiseFloor | None = None  # error that the measurement's own noise makes; None if it is unknown
+    noise: NoiseFloor  # error that the measurement's own noise makes
+    more_data: str  # what to record where there is too little
+    repeat: str  # what to record where nothing explains the error
+    nothing_left: str  # what to say where nothing needs to be recorded
     parts: Parts  # train fits parameters, validation decides what stays, test is used by reports only
     twin_effects: Sequence[str] = ()  # effects that the twin has
     candidates: Sequence[str] = ()  # effects to try
@@ -98,16 +98,6 @@ class Study:
         """Resamples the test part."""
         return BlockBootstrap(self.parts.test, self.parts.unit, self.parts.stratum, self.seed + 1)
 
-
-class EffectStudy(Study, ABC):
-    """A study in which effects can be found: of markers and angles, or of a gel's images."""
-
-    twin: Twin  # as it was given
-    noise: NoiseFloor  # as in every study, but always known
-    more_data: str  # what to record where there is too little
-    repeat: str  # what to record where nothing explains the error
-    nothing_left: str  # what to say where nothing needs to be recorded
-
     @property
     def across_trials(self) -> BlockBootstrap:
         """Resamples whole trials of the test part; its units where there are none."""
@@ -125,13 +115,7 @@ class EffectStudy(Study, ABC):
         return f"{plural(int(math.ceil(more / digits) * digits), f'more {noun}')} {what}"
 
     def refit(self, effects: Sequence[str], start: FittedModel | None, steps: Steps) -> FittedModel:
-        """All parameters of the twin and of these effects, fitted to the training part.
-
-        Args:
-            effects: all that shall be on.
-            start: a model to begin from; the twin where None.
-            steps: counts the fit.
-        """
+        """All parameters of twin and effects, fitted to the training part; begins at `start` or the twin."""
         raise NotImplementedError
 
     def residual(self, twin: Twin) -> np.ndarray:
@@ -287,12 +271,7 @@ class EffectStudy(Study, ABC):
         }
 
     def prepare(self, selected: Sequence[str], breaks: Sequence[dict]) -> None:
-        """Takes over what a written diagnosis found, where its errors depend on it.
-
-        Args:
-            selected: effects that it found.
-            breaks: corrections of the recording, see `data_breaks.without_break`.
-        """
+        """Takes over effects and data breaks of a written diagnosis, where its errors depend on them."""
         return
 
     def noted(self, model: FittedModel) -> dict:

@@ -4,6 +4,7 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
@@ -30,6 +31,7 @@ from lerobot_pneutac.study.body_space import BodySpace
 from pneutac_sim.effects.laws import family, is_law, starts
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.finger.data import BodyData
+from pneutac_sim.twin import Twin
 
 FLOWS = ("valve_lag", "valve_slew", "orifice_flow")  # equations of how a valve limits the flow
 OF_TRIALS = (
@@ -51,21 +53,17 @@ class BodyStudy(BodyBase):
         began = time.perf_counter()
         with ThreadPoolExecutor(jobs) as pool:
             steps.expect("fitting the twin as it is", 1)
-            search, done = self._searched(pool.map, lambda text: steps.expect(text, 0))
+            while True:  # again where the recording turned out not to be of one device, seen by one marker
+                search = BodySearch(self, pool.map, lambda text: steps.expect(text, 0))
+                done = search.find()
+                if done is not None:
+                    break
             before = search.as_it_is()
             if done.model.model.structure.trials:
                 self.findings = [*self.findings, OF_TRIALS]
             self._report_left_out(search, done.model.model)
             steps.done()
-            return body_outcome(self, search, before, done, began)
-
-    def _searched(self, run, report) -> tuple[BodySearch, Searched]:
-        """A search, restarted where the recording turned out not to be of one device, seen by one marker."""
-        while True:
-            search = BodySearch(self, run, report)
-            done = search.find()
-            if done is not None:
-                return search, done
+            return _Judgement(self, search, before, done).outcome(began)
 
     def _report_left_out(self, search: BodySearch, model: BodyModel) -> None:
         """Adds a finding for each cause that a search left out although the error falls by it."""
@@ -155,99 +153,267 @@ class BodyStudy(BodyBase):
         return sorted(out, key=lambda c: -c.drop[0])
 
 
-def body_outcome(
-    study: "BodyStudy", search: BodySearch, start: Scored, done: Searched, began: float
-) -> Outcome:
-    """The result of a search, tested on test blocks; `began` by `time.perf_counter`."""
-    before = study.fitted(start.model)
-    after = _after(study, done, done.model.model)
-    helps = search.bootstrap.significant_drop(start.cv_squared, done.model.cv_squared, study.noise.floor**2)
-    helps = helps and study.test.value(after.squared) < study.test.value(before.squared)
-    not_yet, near_miss = "" if helps else _not_yet(study, search, start, done, before, after), []
-    if not helps:
-        near_miss = done.terms if not_yet else []
-        after, done.terms = before, []
-    runs, left = _run_terms(study, done.model.model) if helps else None, after.squared
-    if runs is not None:
-        left = (study.residual_with_runs(done.model.model) ** 2).sum(axis=1)
-        runs["error"] = float(np.sqrt(study.test.value(left)))
-    evidence = _evidence(study, before, after, done, left)
-    evidence.near_miss = near_miss
-    if done.terms and evidence.at_noise:
-        helps, after, near_miss, done.terms, runs = False, before, done.terms, [], None
-        evidence = _evidence(study, before, after, done, after.squared)
-        evidence.near_miss = near_miss if evidence.before is None else []
-    known = _known(study, start, done) if helps else []
-    ladder = [("as it is", before)]
-    if helps:
-        ladder += _ladder(study, done, after)
-    worth = _contributions(study, search, done, after, known) if helps else []
-    others = rivals(done.found, study.noise.floor, done.terms, family, lambda s: study.fitted(s.model))
-    others = [r for r in others if family_in(r.fit.twin, r.rival) != family_in(r.winner.twin, r.effect)]
-    return study.outcome(
-        began,
-        before,
-        after,
-        evidence,
-        ladder=ladder,
-        tested=_tested(study, search, done, before),
-        rivals=others,
-        known=known,
-        baseline=_baseline(study, search, start, done, known) if helps else None,
-        contributions=worth,
-        run_terms=runs,
-        chosen_in=done.chosen_in,
-        base_model=_base(done) if helps else {},
-        contenders=_contenders(study, search, start, done if helps else None),
-        mechanisms=_mechanisms(study, evidence, after, worth, done),
-        not_yet=not_yet,
-    )
+class _Judgement:
+    """What a search of a body is worth, judged on test blocks, which nothing was fitted or chosen on.
 
+    `start` is the twin as it is, re-fitted; `before` and `after` are that and the final model on all samples.
+    """
 
-def _not_yet(
-    study: "BodyStudy",
-    search: BodySearch,
-    start: Scored,
-    done: Searched,
-    before: FittedModel,
-    after: FittedModel,
-) -> str:
-    """What to record where the error falls, but not significantly; empty where it hardly falls."""
-    fall = search.bootstrap.paired(start.cv_squared, done.model.cv_squared, search.bootstrap)
-    tested = study.test.value(before.squared) - study.test.value(after.squared)
-    if not done.terms or min(fall.value / start.value, tested / start.value) < T.WORTH_OF_CAUSE:
-        return ""
-    return (
-        f"Record about {study.more_to_show(fall)}: they show a fall of the mean square error such as this "
-        f"one, {fall.value:.3g} {study.unit}^2 [{fall.low:.3g} to {fall.high:.3g}], with a power of "
-        f"{100 * T.POWER:.0f} %."
-    )
+    def __init__(self, study: BodyStudy, search: BodySearch, start: Scored, done: Searched):
+        self.study, self.search, self.start, self.done = study, search, start, done
+        self.before, self.final = study.fitted(start.model), done.model.model
+        self.after = self.with_air(self.final)
 
+    def outcome(self, began: float) -> Outcome:
+        """The result of the search; `began` by `time.perf_counter`."""
+        study, search, start, done = self.study, self.search, self.start, self.done
+        floor, helps = study.noise.floor, self.helps()
+        not_yet, near_miss = "" if helps else self.not_yet(), []
+        if not helps:
+            near_miss = done.terms if not_yet else []
+            self.after, done.terms = self.before, []
+        runs, left = self.run_terms() if helps else None, self.after.squared
+        if runs is not None:
+            left = (study.residual_with_runs(self.final) ** 2).sum(axis=1)
+            runs["error"] = float(np.sqrt(study.test.value(left)))
+        evidence = self.evidence(left)
+        evidence.near_miss = near_miss
+        if done.terms and evidence.at_noise:
+            helps, self.after, near_miss, done.terms, runs = False, self.before, done.terms, [], None
+            evidence = self.evidence(self.after.squared)
+            evidence.near_miss = near_miss if evidence.before is None else []
+        self.known = self.known_causes() if helps else []
+        worth = self.contributions() if helps else []
+        others = rivals(done.found, floor, done.terms, family, lambda s: study.fitted(s.model))
+        others = [r for r in others if family_in(r.fit.twin, r.rival) != family_in(r.winner.twin, r.effect)]
+        return study.outcome(
+            began,
+            self.before,
+            self.after,
+            evidence,
+            ladder=[("as it is", self.before), *(self.ladder() if helps else [])],
+            tested=self.tested(),
+            rivals=others,
+            known=self.known,
+            baseline=self.baseline() if self.known else None,
+            contributions=worth,
+            run_terms=runs,
+            chosen_in=done.chosen_in,
+            base_model=self.base() if helps else {},
+            contenders=self.contenders()
+            if helps
+            else contenders(
+                [start], search.bootstrap, study.twin_effects, lambda s: study.fitted(s.model).twin
+            ),
+            mechanisms=self.mechanisms(evidence, worth),
+            not_yet=not_yet,
+        )
 
-def _mechanisms(
-    study: "BodyStudy",
-    evidence: Evidence,
-    after: FittedModel,
-    worth: Sequence[Contribution],
-    done: Searched,
-) -> list[Mechanism]:
-    """What each cause may be, the largest first; none where the noise was not measured."""
-    if evidence.poor or not evidence.noise_known:
-        return []
-    causes: dict[str, list[Contribution]] = {}  # contributions come with the largest first
-    for c in worth:
-        if c.name in evidence.selected and c.name not in SET_UP:
-            causes.setdefault(family_in(after.twin, c.name), []).append(c)
-    out = []
-    for i, (cause, terms) in enumerate(causes.items()):
-        missed = 0.0 if i == 0 else 1 - done.chosen_in.get(terms[0].name, 1.0)
-        drop = terms[0].drop[0] / study.noise.floor**2
-        usual = {family(c.name) for c in terms}
-        elsewhere = max(evidence.elsewhere, default=0.0) <= T.CLOSE
-        in_air = all(get_effect(c.name).of_air for c in terms)
-        gauge = shown_by_gauge(study, done, cause, causes) if in_air else None
-        out.append(mechanism(cause, drop, evidence.removed, missed, causes, usual, elsewhere, gauge))
-    return out
+    def helps(self) -> bool:
+        """Whether the error falls significantly where it was searched, and on test blocks too."""
+        cv_squared = self.start.cv_squared, self.done.model.cv_squared
+        significant = self.search.bootstrap.significant_drop(*cv_squared, self.study.noise.floor**2)
+        value = self.study.test.value
+        return significant and value(self.after.squared) < value(self.before.squared)
+
+    def with_air(self, model: BodyModel) -> FittedModel:
+        """A model of the body, with the air that was found where the measured pressure drove it."""
+        study, done = self.study, self.done
+        if not done.driven:
+            return study.fitted(model)
+        assert done.air is not None
+        return self.of_twin(study.with_air(model, done.air.final.model), len(model.free))
+
+    def of_twin(self, twin: Twin, count: int = 0) -> FittedModel:
+        residual = self.study.residual(twin)
+        return FittedModel(effects=tuple(twin.effects), residual=residual, count=count, twin=twin)
+
+    def not_yet(self) -> str:
+        """What to record where the error falls, but not significantly; empty where it hardly falls."""
+        study, bootstrap, start = self.study, self.search.bootstrap, self.start
+        fall = bootstrap.paired(start.cv_squared, self.done.model.cv_squared, bootstrap)
+        tested = study.test.value(self.before.squared) - study.test.value(self.after.squared)
+        if not self.done.terms or min(fall.value / start.value, tested / start.value) < T.WORTH_OF_CAUSE:
+            return ""
+        return (
+            f"Record about {study.more_to_show(fall)}: they show a fall of the mean square error such as "
+            f"this one, {fall.value:.3g} {study.unit}^2 [{fall.low:.3g} to {fall.high:.3g}], with a power of "
+            f"{100 * T.POWER:.0f} %."
+        )
+
+    def mechanisms(self, evidence: Evidence, worth: Sequence[Contribution]) -> list[Mechanism]:
+        """What each cause may be, the largest first; none where the noise was not measured."""
+        if evidence.poor or not evidence.noise_known:
+            return []
+        causes: dict[str, list[Contribution]] = {}  # contributions come with the largest first
+        for c in worth:
+            if c.name in evidence.selected and c.name not in SET_UP:
+                causes.setdefault(family_in(self.after.twin, c.name), []).append(c)
+        out = []
+        for i, (cause, terms) in enumerate(causes.items()):
+            missed = 0.0 if i == 0 else 1 - self.done.chosen_in.get(terms[0].name, 1.0)
+            drop = terms[0].drop[0] / self.study.noise.floor**2
+            usual = {family(c.name) for c in terms}
+            elsewhere = max(evidence.elsewhere, default=0.0) <= T.CLOSE
+            in_air = all(get_effect(c.name).of_air for c in terms)
+            gauge = shown_by_gauge(self.study, self.done, cause, causes) if in_air else None
+            out.append(mechanism(cause, drop, evidence.removed, missed, causes, usual, elsewhere, gauge))
+        return out
+
+    def known_causes(self) -> list[str]:
+        """Known causes among what the final model needed and the twin lacks."""
+        causes = base_effects(self.study)
+        own_profile = self.final.structure.own_profile and not self.start.model.structure.own_profile
+        return [*(t for t in self.done.terms if t in causes), *([PROFILE] if own_profile else [])]
+
+    def baseline(self) -> FittedModel:
+        """The twin with the known causes alone, re-fitted from the command."""
+        start, known = self.start.model, self.known
+        structure = replace(start.structure, own_profile=start.structure.own_profile or PROFILE in known)
+        structure = structure.plus(*(k for k in known if k != PROFILE))
+        values = start.values | {k: v for k, v in self.final.values.items() if _of(k) in known}
+        fitter = BodyFitter(self.study.recording, self.study.twin, self.search.rows)
+        fits = [fitter.fit(structure, v, 12) for v in (values, values | fitter.rough(structure))]
+        return self.study.fitted(min(map(self.search.score, fits), key=lambda s: s.value).model)
+
+    def contributions(self) -> list[Contribution]:
+        """What each term adds to all others; of the air too where the gauge drove the body."""
+        done = self.done
+        models = {t: self.with_air(s.model) for t, s in done.without.items() if t in done.terms}
+        if PROFILE in self.known and (plain := self.search.plain(done.space, self.final)) is not None:
+            models[PROFILE] = self.with_air(plain.model)
+        for term, air in done.air.without.items() if done.driven and done.air is not None else ():
+            if term in done.terms and term not in models:
+                models[term] = self.of_twin(self.study.with_air(self.final, air.model))
+        return self.study.contributions(self.after, models, self.known)
+
+    def run_terms(self) -> dict[str, float] | None:
+        """Root mean squares over runs of what they have of their own; None where runs do not differ."""
+        study, model = self.study, self.final
+        if not model.structure.trials:
+            return None
+        data = BodyFitter(study.recording, study.twin, np.zeros(1, int)).data(model.structure.input_model)
+        d, p = len(data.columns), data.inputs.pressure_range_kpa
+        offset, gain, zero, clock = model.structure.trials
+        travel = float(np.ptp(data.measured * data.scale, axis=0).max())
+        rms = np.sqrt((model.of_trials**2).mean(axis=0))
+        return {
+            "offset": offset * travel * float(np.linalg.norm(rms[: data.counted])),
+            "gain": gain * float(rms[d]),
+            "pressure_kpa": zero * p * float(rms[d + 1]),
+            "clock_s": clock * float(rms[d + 2]),
+        }
+
+    def ladder(self) -> list[tuple[str, FittedModel]]:
+        out, had = [], set(self.study.twin_effects)
+        for i, s in enumerate(self.done.found.path):
+            effects = s.model.structure.effects
+            new = [e for e in effects if e not in had and (i > 0 or e not in self.done.space.base)]
+            label = " + ".join(["how it bends" if i == 0 else "", *new]).strip()
+            out.append((label, self.study.fitted(s.model)))
+            had |= set(effects)
+        return [*out[:-1], ("all that was found", self.after)]
+
+    def contenders(self) -> list[Candidate]:
+        """The final model, others of other physics, and the twin as it is, re-fitted.
+
+        Others are up to `MOST_OTHERS` that the search weighed where it accepted its last terms, and the final
+        model re-fitted without each of its terms.
+        """
+        study, start, done = self.study, self.start, self.done
+        known = {*done.space.base, *study.twin_effects}
+        weighed = (sorted(each, key=lambda s: s.value) for each in reversed(done.found.rivals))
+        others = [*reversed(done.found.path), *chain.from_iterable(weighed)]
+        scored = _differing([done.model], others, known)[: 1 + T.MOST_OTHERS]
+        scored = _differing(scored, done.without.values(), known)
+        return contenders(
+            [*scored, start],
+            self.search.bootstrap,
+            known,
+            lambda s: (study.fitted(s.model) if s is start else self.with_air(s.model)).twin,
+        )
+
+    def base(self) -> dict:
+        """How the device bends before any effect."""
+        model, done = self.final, self.done
+        parts = [e for e in model.structure.effects if e in done.space.base and e not in done.terms]
+        values = {k: v for k, v in model.values.items() if "." not in k}
+        values |= {k: v for k, v in model.values.items() if _of(k) in parts}
+        switch = model.structure.input_model.switch
+        return {
+            "joints": model.structure.joints,
+            "profile": "its own" if model.structure.own_profile else "the paper's",
+            "trials_begin": model.structure.input_model.start,
+            "switch_share": None if switch is None else float(np.nanmedian(np.array(switch, dtype=float))),
+            "driven_by": "measured pressure" if done.driven else "command",
+            "parameters": values,
+        }
+
+    def tested(self) -> list[Tested]:
+        """What each effect does alone: those found, then the best of the others, from the first round."""
+        study, done, first = self.study, self.done, {}
+        ground = done.found.base.model
+        for s in [*done.found.path[1:2], *(done.found.rivals[0] if done.found.rivals else [])]:
+            new = [e for e in s.model.structure.effects if e not in ground.structure.effects]
+            if len(new) == 1:
+                first.setdefault(new[0], study.fitted(s.model))
+        bare, out = study.fitted(ground), []
+        how = "pose, driven by the measured pressure" if done.driven else "pose, driven by the command"
+        for name in (*done.terms, *(e for e in first if e not in done.terms)):
+            model = first.get(name)
+            if model is None and name in done.importance and name in done.space.candidates:
+                structure = ground.structure.plus(name.partition(" #")[0])
+                trials = [done.space.trial(structure, ground.values, name, s) for s in starts(name)]
+                fits = self.search.engine(done.space).fits(trials, 8)
+                model = study.fitted(fits[0].model) if fits else None
+            if model is not None:
+                out.append(study.alone(name, model, bare, how, model.effects[-1]))
+        return out
+
+    def evidence(self, left: np.ndarray) -> Evidence:
+        """What the verdict rests on; `left` (n,) are squared errors without what runs have of their own."""
+        study, done, test = self.study, self.done, self.study.test
+        data = BodyData.of(study.recording, study.twin, source="command")
+        seen = data.measured[:, : data.counted]
+        constant = ((seen - seen[~study.parts.test].mean(axis=0)) ** 2).sum(axis=1)
+        worst = min(test.value(self.before.squared), test.value(constant))
+        if self.final.structure.trials:  # what zeros of trials take away, no law did
+            own = study.residual_with_runs(done.found.base.model)
+            worst = min(worst, test.value((own**2).sum(axis=1)))
+        return study.evidence(
+            self.before,
+            self.after,
+            done.terms,
+            done.chosen_in,
+            worst=worst,
+            left=left,
+            cancelling=_cancelling(study, self.after, done.terms),
+            forward=done.forward,
+            later=done.later,
+            program=done.program,
+            unseen=done.unseen or self.unseen(),
+            where=study.where(self.after),
+        )
+
+    def unseen(self) -> str:
+        """What the recording does not show of an effect found, a clause; empty where it shows all.
+
+        How stiff a finger is to its side, its bending in its plane does not show. How warm a device that
+        follows the temperature minutes late begins a run, depends on how long it rested before.
+        """
+        recording, model = self.study.recording, self.after
+        samples, late = recording.samples, model.twin.effects.get(LATE_TEMPERATURE)
+        stated = set(recording.meta.get("trials", {}))
+        if late and late["time_s"].value > LATE_S and not set(samples["trial"].astype(str)) <= stated:
+            return "how long it rested before each run, which sets how warm it begins, is not recorded"
+        sideways = samples.get("gravity_y")
+        if recording.device != "finger" or "gravity" not in model.effects or sideways is None:
+            return ""
+        if not recording.has("tip_y_mm") or sideways.abs().max() > T.GRAVITY_CHANGE:
+            return ""
+        return (
+            "the base was never turned to its side, so that how far its weight bends it that way is not known"
+        )
 
 
 def shown_by_gauge(study: "BodyStudy", done: Searched, cause: str, found: Iterable[str]) -> bool | None:
@@ -266,109 +432,6 @@ def shown_by_gauge(study: "BodyStudy", done: Searched, cause: str, found: Iterab
     return True if kind(cause) in seen <= set(map(kind, found)) else None
 
 
-def _known(study: "BodyStudy", start: Scored, done: Searched) -> list[str]:
-    """Known causes among what the final model needed and the twin lacks."""
-    causes = base_effects(study)
-    own_profile = done.model.model.structure.own_profile and not start.model.structure.own_profile
-    return [*(t for t in done.terms if t in causes), *([PROFILE] if own_profile else [])]
-
-
-def _baseline(
-    study: "BodyStudy", search: BodySearch, start: Scored, done: Searched, known: Sequence[str]
-) -> FittedModel | None:
-    """The twin with the known causes alone, re-fitted from the command; None where there are none."""
-    if not known:
-        return None
-    structure = replace(
-        start.model.structure, own_profile=start.model.structure.own_profile or PROFILE in known
-    )
-    structure = structure.plus(*(k for k in known if k != PROFILE))
-    values = start.model.values | {
-        k: v for k, v in done.model.model.values.items() if k.rpartition(".")[0] in known
-    }
-    fitter = BodyFitter(study.recording, study.twin, search.rows)
-    fits = [fitter.fit(structure, v, 12) for v in (values, values | fitter.rough(structure))]
-    return study.fitted(min(map(search.score, fits), key=lambda s: s.value).model)
-
-
-def _contributions(
-    study: "BodyStudy", search: BodySearch, done: Searched, after: FittedModel, known: Sequence[str]
-) -> list[Contribution]:
-    """What each term adds to all others; of the air too where the gauge drove the body."""
-    models = {t: _after(study, done, s.model) for t, s in done.without.items() if t in done.terms}
-    if PROFILE in known and (plain := search.plain(done.space, done.model.model)) is not None:
-        models[PROFILE] = _after(study, done, plain.model)
-    if done.driven and done.air is not None:
-        for term, air in done.air.without.items():
-            if term in done.terms and term not in models:
-                twin = study.with_air(done.model.model, air.model)
-                models[term] = FittedModel(
-                    effects=tuple(twin.effects), residual=study.residual(twin), count=0, twin=twin
-                )
-    return study.contributions(after, models, known)
-
-
-def _run_terms(study: "BodyStudy", model: BodyModel) -> dict[str, float] | None:
-    """Root mean squares over runs of what single runs have of their own; None where runs do not differ."""
-    if not model.structure.trials:
-        return None
-    data = BodyFitter(study.recording, study.twin, np.zeros(1, int)).data(model.structure.input_model)
-    d, p = len(data.columns), data.inputs.pressure_range_kpa
-    offset, gain, zero, clock = model.structure.trials
-    travel = float(np.ptp(data.measured * data.scale, axis=0).max())
-    rms = np.sqrt((model.of_trials**2).mean(axis=0))
-    return {
-        "offset": offset * travel * float(np.linalg.norm(rms[: data.counted])),
-        "gain": gain * float(rms[d]),
-        "pressure_kpa": zero * p * float(rms[d + 1]),
-        "clock_s": clock * float(rms[d + 2]),
-    }
-
-
-def _after(study: "BodyStudy", done: Searched, model: BodyModel) -> FittedModel:
-    """A model of the body, with the air that was found where the measured pressure drove it."""
-    if not done.driven:
-        return study.fitted(model)
-    assert done.air is not None
-    twin = study.with_air(model, done.air.final.model)
-    return FittedModel(
-        effects=tuple(twin.effects), residual=study.residual(twin), count=len(model.free), twin=twin
-    )
-
-
-def _ladder(study: "BodyStudy", done: Searched, after: FittedModel) -> list[tuple[str, FittedModel]]:
-    out, had = [], set(study.twin_effects)
-    for i, s in enumerate(done.found.path):
-        new = [e for e in s.model.structure.effects if e not in had and (i > 0 or e not in done.space.base)]
-        out.append(
-            (" + ".join(["how it bends", *new] if i == 0 else ["", *new]).strip(), study.fitted(s.model))
-        )
-        had |= set(s.model.structure.effects)
-    return [*out[:-1], ("all that was found", after)]
-
-
-def _contenders(
-    study: "BodyStudy", search: BodySearch, start: Scored, done: Searched | None
-) -> list[Candidate]:
-    """The final model, others of other physics, and the twin as it is, re-fitted.
-
-    Others are up to `MOST_OTHERS` that the search weighed where it accepted its last terms, and the final
-    model re-fitted without each of its terms.
-    """
-    if done is None:
-        return contenders([start], search.bootstrap, study.twin_effects, lambda s: study.fitted(s.model).twin)
-    known = {*done.space.base, *study.twin_effects}
-    others = [s for weighed in reversed(done.found.rivals) for s in sorted(weighed, key=lambda s: s.value)]
-    scored = _differing([done.model], [*reversed(done.found.path), *others], known)[: 1 + T.MOST_OTHERS]
-    scored = _differing(scored, done.without.values(), known)
-    return contenders(
-        [*scored, start],
-        search.bootstrap,
-        known,
-        lambda s: (study.fitted(s.model) if s is start else _after(study, done, s.model)).twin,
-    )
-
-
 def _differing(first: list[Scored], more: Iterable[Scored], known: set[str]) -> list[Scored]:
     """The first, then of the others one of each kind of physics that none before it has."""
     out, kinds = list(first), {frozenset(), *(_kinds(s, known) for s in first)}
@@ -381,95 +444,6 @@ def _differing(first: list[Scored], more: Iterable[Scored], known: set[str]) -> 
 
 def _kinds(scored: Scored, known: set[str]) -> frozenset[str]:
     return frozenset(family(e) for e in scored.model.structure.effects if e not in known)
-
-
-def _base(done: Searched) -> dict:
-    model = done.model.model
-    values = {k: v for k, v in model.values.items() if "." not in k}
-    parts = [e for e in model.structure.effects if e in done.space.base and e not in done.terms]
-    values |= {k: v for k, v in model.values.items() if k.rpartition(".")[0] in parts}
-    switch = model.structure.input_model.switch
-    return {
-        "joints": model.structure.joints,
-        "profile": "its own" if model.structure.own_profile else "the paper's",
-        "trials_begin": model.structure.input_model.start,
-        "switch_share": None if switch is None else float(np.nanmedian(np.array(switch, dtype=float))),
-        "driven_by": "measured pressure" if done.driven else "command",
-        "parameters": values,
-    }
-
-
-def _tested(study: "BodyStudy", search: BodySearch, done: Searched, before: FittedModel) -> list[Tested]:
-    """What each effect does alone: those found, then the best of the others, from the first round."""
-    first: dict[str, FittedModel] = {}
-    base = set(done.found.base.model.structure.effects)
-    rounds = [*done.found.path[1:2], *(done.found.rivals[0] if done.found.rivals else [])]
-    for s in rounds:
-        new = [e for e in s.model.structure.effects if e not in base]
-        if len(new) == 1:
-            first.setdefault(new[0], study.fitted(s.model))
-    ground = study.fitted(done.found.base.model)
-    out = []
-    how = "pose, driven by the measured pressure" if done.driven else "pose, driven by the command"
-    for name in (*done.terms, *(e for e in first if e not in done.terms)):
-        model = first.get(name)
-        if model is None and name in done.importance and name in done.space.candidates:
-            structure = done.found.base.model.structure.plus(name.partition(" #")[0])
-            fits = search.engine(done.space).fits(
-                [done.space.trial(structure, done.found.base.model.values, name, s) for s in starts(name)], 8
-            )
-            model = study.fitted(fits[0].model) if fits else None
-        if model is None:
-            continue
-        out.append(study.alone(name, model, ground, how, model.effects[-1]))
-    return out
-
-
-def _evidence(
-    study: "BodyStudy", before: FittedModel, after: FittedModel, done: Searched, left: np.ndarray
-) -> Evidence:
-    """What the verdict rests on: errors of test blocks, which nothing was fitted or chosen on.
-
-    `left` (n,) are the squared errors of the final model, without what single runs have of their own.
-    """
-    test, data = study.test, BodyData.of(study.recording, study.twin, source="command")
-    seen = data.measured[:, : data.counted]
-    constant = ((seen - seen[~study.parts.test].mean(axis=0)) ** 2).sum(axis=1)
-    worst = min(test.value(before.squared), test.value(constant))
-    if done.model.model.structure.trials:  # what zeros of trials take away, no law did
-        worst = min(worst, test.value((study.residual_with_runs(done.found.base.model) ** 2).sum(axis=1)))
-    return study.evidence(
-        before,
-        after,
-        done.terms,
-        done.chosen_in,
-        worst=worst,
-        left=left,
-        cancelling=_cancelling(study, after, done.terms),
-        forward=done.forward,
-        later=done.later,
-        program=done.program,
-        unseen=done.unseen or _unseen(study, after),
-        where=study.where(after),
-    )
-
-
-def _unseen(study: "BodyStudy", model: FittedModel) -> str:
-    """What the recording does not show of an effect found, a clause; empty where it shows all.
-
-    How stiff a finger is to its side, its bending in its plane does not show. How warm a device that follows
-    the temperature minutes late begins a run, depends on how long it rested before.
-    """
-    samples, late = study.recording.samples, model.twin.effects.get(LATE_TEMPERATURE)
-    stated = set(study.recording.meta.get("trials", {}))
-    if late and late["time_s"].value > LATE_S and not set(samples["trial"].astype(str)) <= stated:
-        return "how long it rested before each run, which sets how warm it begins, is not recorded"
-    sideways = study.recording.samples.get("gravity_y")
-    if study.recording.device != "finger" or "gravity" not in model.effects or sideways is None:
-        return ""
-    if not study.recording.has("tip_y_mm") or sideways.abs().max() > T.GRAVITY_CHANGE:
-        return ""
-    return "the base was never turned to its side, so that how far its weight bends it that way is not known"
 
 
 def _cancelling(study: "BodyStudy", model: FittedModel, terms: Sequence[str]) -> list[str]:

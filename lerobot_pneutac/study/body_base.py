@@ -137,13 +137,7 @@ REPEAT = "Repeat one test after an hour. Differences between the two come from t
 
 
 class BodyBase(EffectStudy):
-    """Markers, angles or curvatures of a finger or an arm.
-
-    Args:
-        twin: of the recording's device.
-        recording: of a finger or an arm.
-        seed: decides the parts and every bootstrap.
-        adding: the effects that are to be tried; empty where all are.
+    """Markers, angles or curvatures of a finger or an arm; arguments are those of `study_of`.
 
     Attributes:
         measured: columns of measured pressure, empty where it has no information.
@@ -551,14 +545,8 @@ def size_by_run(
     """How far a cause moves each run (K,) as its model claims, and as the measurement shows.
 
     Of few runs (`thresholds.FEW_RUNS`) each quarter counts as one. The commonest condition counts as none.
-    The cause is measured there too: by what it would do under the condition farthest from it.
-
-    Args:
-        recording: that the model is fitted to.
-        columns: of the condition.
-        predict: as in `doubt`.
-        residual: likewise.
-        rows: likewise.
+    The cause is measured there too: by what it would do under the condition farthest from it. `columns` are
+    those of the condition, the others as in `doubt`.
     """
     samples, condition = recording.samples, recording.samples[list(columns)].to_numpy(float)
     span = max(np.ptp(condition, axis=0).max(), 1e-12)

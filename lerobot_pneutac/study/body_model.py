@@ -54,10 +54,7 @@ def rate(u: np.ndarray, dt_s: np.ndarray) -> np.ndarray:
 class TrialProblem:
     """A problem in which each trial has offsets of its outputs, a gain and a zero of its drive.
 
-    Args:
-        problem: without them.
-        trial: (N,) of each row.
-        trials: how many there are, also those of which there is no row.
+    `trial` (N,) is of each row; `trials` counts also those of which there is no row.
     """
 
     def __init__(self, problem: Problem, trial: np.ndarray, trials: int, widths: tuple[float, ...]):
@@ -206,10 +203,7 @@ class BodyModel:
         """(N,) squared errors, each by a fit without its own fold, one Gauss-Newton step from the whole one.
 
         Errors are counted as `judged` says. The step stays within bounds and within `thresholds.FAR`, where
-        a linear model says something.
-
-        Args:
-            fold: (N,) number of each row's fold; rows of a negative one stay out and count 0.
+        a linear model says something. Rows of a negative fold (N,) stay out and count 0.
         """
         d, of_trials = self.residual.shape[1], np.arange(len(self.v), self.jacobian.shape[1])
         out = np.zeros(len(fold))
@@ -250,13 +244,7 @@ def _least_within(H: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarra
 
 
 class BodyFitter:
-    """Fits structures to a recording.
-
-    Args:
-        recording: of a finger or an arm.
-        twin: gives where fits start.
-        rows: (N,) samples that are fitted.
-    """
+    """Fits structures to the samples `rows` (N,) of a recording, beginning at a twin."""
 
     def __init__(self, recording, twin: Twin, rows: np.ndarray):
         self.recording, self.twin, self.rows = recording, twin, rows
@@ -340,13 +328,9 @@ class BodyFitter:
     def fit(
         self, structure: BodyStructure, values: dict[str, float], steps: int = 8, every: int = 1
     ) -> BodyModel:
-        """Fits all parameters of a structure.
+        """Fits all parameters of a structure from `values`, by name, to one row in `every`.
 
-        Args:
-            structure: structure.
-            values: where to start, by name.
-            steps: most Gauss-Newton steps; 0 takes the values as they are.
-            every: uses one row in so many.
+        It makes at most so many Gauss-Newton `steps`; 0 takes the values as they are.
         """
         data, pipeline = self.data(structure.input_model), self.pipeline(structure)
         p = data.inputs.pressure_range_kpa

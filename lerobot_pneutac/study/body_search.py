@@ -52,15 +52,9 @@ class Searched:
 
 
 class BodySearch:
-    """One search of a study.
+    """One search of a study; `run` is like `map`, and `report` is called with a line of progress.
 
-    Args:
-        study: of a finger or an arm.
-        run: like `map`, perhaps in parallel.
-        report: called with a line of progress.
-
-    Attributes:
-        left_out: causes that lowered the error and yet were left out, and why, see `body_base.doubt`.
+    `left_out` has causes that lowered the error and yet were left out, and why, see `body_base.doubt`.
     """
 
     def __init__(self, study: BodyBase, run: Callable, report: Callable[[str], None]):
@@ -337,12 +331,9 @@ class BodySearch:
         return chosen
 
     def doubts(self, space: BodySpace, fitted: Scored, without: Mapping[str, Scored]) -> dict[str, str]:
-        """Causes of a model that may stand in for something else, and why.
+        """Causes of a fitted model that may stand in for something else, and why.
 
-        Args:
-            space: of the model.
-            fitted: the model.
-            without: the model re-fitted without each term that is judged.
+        `without` has the model re-fitted without each term that is judged.
         """
         model, fitter, out = fitted.model, space.fitter, {}
         data = fitter.data(model.structure.input_model)

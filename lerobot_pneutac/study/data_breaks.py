@@ -136,9 +136,7 @@ def _sudden(near: np.ndarray, at: int) -> bool:
 def find_change(model: BodyModel, least: float) -> int | None:
     """The row from which on a device is another one, None where there is none.
 
-    Args:
-        model: of a search, whose rows are in the order of time.
-        least: fall of the mean square error that would say so.
+    The mean square error of the model, whose rows are in the order of time, must fall by `least` there.
     """
     n = len(model.residual)
     moments = np.arange(int(T.CHANGE_ENDS * n), n - int(T.CHANGE_ENDS * n), STEP)
@@ -177,15 +175,8 @@ def slip_break(
 ) -> Break | None:
     """A slip of the marker, if taking it back lowers the error significantly and leaves no change for good.
 
-    The less a model leaves, the less can be mistaken for a slip.
-
-    Args:
-        study: of the recording.
-        rows: (m,) samples of the search.
-        bootstrap: resamples them.
-        score: of a model.
-        found: a model of the search.
-        residual: (n, k) of it, all samples.
+    The less a model leaves, the less can be mistaken for a slip. `rows` (m,) are the samples of the search
+    that `found` the model, `residual` (n, k) is of all.
     """
     recording, model = study.recording, found.model
     columns, _ = headline(recording)

@@ -69,14 +69,8 @@ def episode_data(
 ) -> list[EpisodeData]:
     """Replays every episode of the demonstrations in the twin's world.
 
-    Args:
-        twin: of the finger.
-        given: the episodes.
-        progress: called with how many are replayed.
-        light: brightness (3,) of the gel at rest, levels, in which imprints are measured; None for their own.
-
-    Raises:
-        InputError: an episode's objects cannot be placed.
+    Imprints are measured in the brightness `light` (3,) of the gel at rest, levels; in their own where None.
+    Raises InputError where an episode's objects cannot be placed.
     """
     world, out = World(given.task, twin, "probe", "probe", station=given.station), []
     for i, e in enumerate(given.episodes):
@@ -260,12 +254,7 @@ HELD, HELD_S, FREE_S = 0.8, 60.0, 25.0
 
 
 class FreeBend:
-    """The bend of a finger that touches nothing.
-
-    Args:
-        twin: as it is.
-        range_kpa: largest pressure of the program.
-    """
+    """The bend of a finger that touches nothing, in a program up to `range_kpa`."""
 
     def __init__(self, twin: Twin, range_kpa: float):
         levels = [np.full(round(STAIR_S * HZ), s) for s in STAIRS]
@@ -280,12 +269,7 @@ class FreeBend:
         return pipeline.run(self.inputs, theta).markers[:, 3]
 
     def difference(self, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
-        """(n,) by how much a model bends otherwise, rad.
-
-        Args:
-            pipeline: of the model; its input does not matter.
-            theta: (P,) its parameters.
-        """
+        """(n,) by how much a model of parameters `theta` (P,) bends otherwise, rad, whatever its input is."""
         effects = [e.name for e in pipeline.effects]
         free = Pipeline(pipeline.geometry, effects, True, set(self.inputs.columns))
         return self._bend(free, theta) - self._known
@@ -386,10 +370,8 @@ BEGIN = 4  # frames
 class Fitter:
     """Fits models of one twin to episodes.
 
-    Args:
-        twin: as it is; what a structure does not free stays as it has it.
-        episodes: all of them.
-        rows: (N,) mask of the frames that are fitted, over all episodes in a row.
+    What a structure does not free stays as the twin has it; `rows` (N,) masks the frames that are fitted,
+    over all episodes in a row.
     """
 
     def __init__(self, twin: Twin, episodes: list[EpisodeData], rows: np.ndarray):
@@ -614,14 +596,7 @@ def _inside(spec: Parameter, value: float, range_kpa: float) -> float:
 
 
 class DemonstrationSpace(Space):
-    """What a search may try on demonstrations.
-
-    Args:
-        fitter: fits models.
-        base: the twin as it is.
-        candidates: effects.
-        columns: of the residual that count: those of the air, or touch.
-    """
+    """What a search may try on the `columns` of the residual that count: those of the air, or touch."""
 
     def __init__(self, fitter: Fitter, base: DemonstrationModel, candidates: Sequence[str], columns: slice):
         self.fitter, self.base, self.candidates, self.columns = fitter, base, candidates, columns
@@ -659,10 +634,7 @@ class DemonstrationSpace(Space):
     ) -> Scored:
         """Without terms that hardly count, which must not ride on others; the weightiest first.
 
-        Args:
-            model: what a search found.
-            score: of a model.
-            least: rise of the mean square error by which a term counts where so much is left with it.
+        `least` gives the rise of the mean square error by which a term counts where so much is left with it.
         """
         while terms := model.model.structure.effects:
             without = {e: score(self.without(model.model, e)) for e in terms}

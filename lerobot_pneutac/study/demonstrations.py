@@ -68,15 +68,10 @@ def stopped(name: str) -> bool:
 
 
 def frame_noise(fitter: Fitter, remainder: float | None) -> NoiseFloor:
-    """What differs from frame to frame; or what the twin left before, where that is known and more.
+    """What differs from frame to frame; or the `remainder`, mm, where that is known and more.
 
     Of each signal by the median size of its third differences over the root of 20, their gain on white noise:
     motion has little of them.
-
-    Args:
-        fitter: with the episodes.
-        remainder: the most that the twin left of the demonstrations that it was last fitted to, mm; None
-            where it was to none.
     """
     columns: dict[str, list[np.ndarray]] = {"flange": [], "pressure.pos": [], "imprint": []}
     for e in fitter.episodes:
@@ -95,12 +90,7 @@ def frame_noise(fitter: Fitter, remainder: float | None) -> NoiseFloor:
 class DemonstrationStudy(EffectStudy):
     """Episodes of one task, which are replayed in the twin's world once an error is asked for.
 
-    Args:
-        twin: of the finger.
-        recording: the episodes.
-        seed: decides which are held out, and every bootstrap.
-        adding: the effects that are to be tried; empty where all are.
-        progress: called with how many episodes are replayed.
+    Arguments are those of `study_of`; `progress` is called with how many episodes are replayed.
 
     Attributes:
         remainder: the most, by its 95 % interval, that the twin left of the demonstrations that it was last
@@ -458,15 +448,9 @@ class DemonstrationStudy(EffectStudy):
 def demonstration_outcome(
     study: "DemonstrationStudy", air: Found, touch: Found, fitter: Fitter, tested: list[Tested], began: float
 ) -> Outcome:
-    """The result of a search, tested on held-out episodes.
+    """The result of a search, tested on held-out episodes; `began` by `time.perf_counter`.
 
-    Args:
-        study: of the episodes.
-        air: what arm and gauge showed.
-        touch: what touch showed, of a body behind that air.
-        fitter: of the replays with that air.
-        tested: candidates alone.
-        began: by `time.perf_counter`.
+    `fitter` is of the replays with the air that was found, behind which the body was searched by touch.
     """
     before = study.bare
     models, base = [air.final.model, touch.final.model], touch.base.model

@@ -53,10 +53,7 @@ def for_twin(gel: GelModel, twin: Twin) -> GelModel:
 def predict(gel: GelModel, data: GelRecording, pressed: Pressed | None = None) -> list[np.ndarray]:
     """Predicted image of every sample; the calibration pairs show how the light drifts.
 
-    Args:
-        gel: of this recording.
-        data: its images.
-        pressed: gives the surfaces, see `Predictor`.
+    `pressed` gives the surfaces, see `Predictor`.
     """
     predictor = Predictor(gel, data.presses, pressed)
     return [predictor.image(s.press, s.rest, s.clock, s.earlier) for s in data.samples]
@@ -114,14 +111,8 @@ class FittedGel(FittedModel):
 class GelSpace(Space):
     """Everything that a search asks of photographs.
 
-    Args:
-        data: the photographs.
-        gel: gives size, scale and thickness.
-        twin: that the recording is judged with.
-        train: (n,) mask of photographs that are fitted.
-        fold: (n,) fold of photographs that are fitted and judged, -1 for all others.
-        own: effects that every model has.
-        candidates: effects that may be added.
+    `gel` gives size, scale and thickness; of the photographs, `train` (n,) masks those that are fitted, and
+    `fold` (n,) is that of those which are judged too, -1 for all others. Every model has the effects `own`.
     """
 
     def __init__(
@@ -293,9 +284,7 @@ def error_pictures(
 ) -> list[tuple[np.ndarray, str]]:
     """Maps of some models side by side, uint8 (H, W, 3), with what they show.
 
-    Args:
-        samples: n photographs.
-        differences: of each model, n of predicted - photographed, int16 (H, W, 3).
+    `differences` are, of each model and photograph, predicted - photographed, int16 (H, W, 3).
     """
     planes = np.concatenate([np.clip(GAIN * plane(each), 0, 255) for each in differences], 1)
     contacts = [np.clip(128 + GAIN * contact(samples, each), 0, 255) for each in differences]
@@ -334,19 +323,9 @@ def contact(samples: list[GelSample], differences: list[np.ndarray]) -> np.ndarr
 
 
 class GelStudy(EffectStudy):
-    """A gel and its optics.
+    """A gel and its optics; arguments are those of `study_of`.
 
-    Args:
-        twin: of a gel, or of a finger with one.
-        recording: of a gel.
-        seed: decides folds, the photographs of the report, and the bootstrap.
-
-    Attributes:
-        data: the photographs.
-        space: fits sets of effects to them.
-
-    Raises:
-        InputError: there is no good calibration pair, or no photograph to test on.
+    Raises InputError where there is no good calibration pair, or no photograph to test on.
     """
 
     unit = "levels"
@@ -402,7 +381,8 @@ class GelStudy(EffectStudy):
         steps.expect("what each effect of the twin is good for", len(self.twin_effects))
         taken = {e: space.without(base, e) for e in self.twin_effects}
         votes = chosen_in(found, self.parts.unit, self.noise.floor, str)
-        added = [e for e in _in_order_found(found) if e not in self.twin_effects]
+        came = dict.fromkeys(e for step in found.path for e in step.model.effects)
+        added = [e for e in came if e in final.effects and e not in self.twin_effects]
         selected = sorted(added, key=lambda e: -found.without[e].value)
         excess = self.bootstrap.value(base.squared) - self.noise.floor**2
         falls = {e: self.bootstrap.drop(base.squared, fit.squared)[0] for e, fit in alone.items()}
@@ -555,11 +535,6 @@ class GelStudy(EffectStudy):
         shown = np.flatnonzero(self.parts.test)
         each = [self.space.differences(m.gels) for m in models]
         return error_pictures([self.data.samples[i] for i in shown], [[d[i] for i in shown] for d in each])
-
-
-def _in_order_found(found: Found) -> list[str]:
-    came = [e for step in found.path for e in step.model.effects]
-    return [e for e in dict.fromkeys(came) if e in found.final.model.effects]
 
 
 def weighed(found: Found) -> list[Scored]:

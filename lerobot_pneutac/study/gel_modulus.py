@@ -37,15 +37,8 @@ class Modulus:
 def keep_modulus(twin: Twin, data: GelRecording) -> Modulus | None:
     """Fits the modulus to the rows of role `calibration` that have `force_n`, and writes it into the twin.
 
-    Args:
-        twin: with the gel; changed.
-        data: its recording.
-
-    Returns:
-        The modulus; None, with the twin as it was, if no row has a force.
-
-    Raises:
-        InputError: the forces are not those of a rubber.
+    Returns the modulus; None, with the twin as it was, if no row has a force. Raises InputError where the
+    forces are not those of a rubber.
     """
     forced = [s for s in data.samples if s.force_n is not None]
     if not any(s.role == "calibration" for s in forced):

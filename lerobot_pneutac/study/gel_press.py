@@ -36,10 +36,6 @@ def press_choices(data: GelRecording, models: Sequence[Candidate]) -> list[Press
 
     What a model leaves over is smooth over a contact, so that a photograph counts as `INDEPENDENT` pixels
     with errors of `ERROR_LEVELS`; two models' images differ as in the mean over the contact.
-
-    Args:
-        data: the photographs so far.
-        models: candidates.
     """
     predictors = [Predictor(seen_by(GelModel.from_twin(m.twin), data), data.presses) for m in models]
     probability = np.array([m.probability for m in models])
@@ -111,12 +107,7 @@ class HeldChoice:
 
 
 def held_choice(data: GelRecording, models: Sequence[Candidate]) -> HeldChoice:
-    """The two presses, of the recording's deepest and its shallowest.
-
-    Args:
-        data: the photographs so far.
-        models: candidates, the likeliest first.
-    """
+    """The two presses, of the recording's deepest and shallowest; models come with the likeliest first."""
     gels = [GelModel.from_twin(m.twin) for m in models]
     creeping = [bool(branches_of(gel)) for gel in gels]
     gel = seen_by(gels[creeping.index(True) if any(creeping) else 0], data)

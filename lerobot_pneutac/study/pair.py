@@ -26,12 +26,9 @@ UNITS = (("psi", 6.895), ("bar", 100.0), ("mbar", 0.1), ("Pa", 0.001))  # kPa in
 
 
 def pressure_unit_doubts(twin: Twin) -> list[str]:
-    """One sentence where a fitted gain suits another unit of pressure better, else none.
+    """One sentence where the gain of a calibrated twin suits another unit of pressure better, else none.
 
     The bend per pressure, as kappa w E / p, has no unit and hardly depends on the size of a finger.
-
-    Args:
-        twin: a calibrated finger's or arm's.
     """
     modulus = parameter(twin, "youngs_modulus_mpa")
     joints = len(twin.spine_joint_positions_mm)
@@ -163,17 +160,12 @@ def same_body[R: Recording | Demonstrations](twin: Twin, recording: R, verb: str
             f"{twin.length_mm:g}; make the twin with "
             f"`pneutac new --twin=DIR {option('recording', recording.folder)}`."
         )
-    return with_unit_note(twin, recording)
+    return replace(recording, warnings=recording.warnings + unlike_the_twin(twin, recording))
 
 
 def same_length(length_mm: float, twin: Twin) -> bool:
     """Whether a length measured from base to tip marker is the twin's, within 2 %."""
     return abs(length_mm - twin.length_mm) <= 0.02 * twin.length_mm
-
-
-def with_unit_note(twin: Twin, recording: Recording) -> Recording:
-    """The recording with a warning where its pressures can hardly be in kPa."""
-    return replace(recording, warnings=recording.warnings + unlike_the_twin(twin, recording))
 
 
 def fit_parts(
@@ -229,14 +221,7 @@ def enough_to_compare(recording: Recording, checked: Recording) -> None:
 
 
 def enough_rows(twin: Twin, recording: Recording, effects: list[str], train: np.ndarray) -> None:
-    """Raises InputError where the training samples are too few to fit a twin with these effects at all.
-
-    Args:
-        twin: where the fit would start.
-        recording: as it would be fitted.
-        effects: switched on.
-        train: (n,) mask of training samples.
-    """
+    """Raises InputError where training samples (n,) are too few to fit a twin with these effects at all."""
     bench = BodyData.of(recording, twin, source="command")
     pipeline = Pipeline.of(twin, bench.inputs, effects)
     count = sum(

@@ -7,7 +7,6 @@ import numpy as np
 
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.parts import Parts
-from lerobot_pneutac.study.base import Study
 from pneutac_datasets.recording.photographs import (
     background_of,
     column_of,
@@ -22,7 +21,7 @@ from pneutac_sim.splat.camera import Camera
 
 
 @dataclass(frozen=True, eq=False)
-class PhotoStudy(Study):
+class PhotoStudy:
     """Photographs of a body at rest under T pressures; they fit the base model and show no effect."""
 
     recording: Recording  # of a finger or an arm

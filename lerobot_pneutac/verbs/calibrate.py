@@ -103,13 +103,11 @@ def calibrate(
 
         return calibrate_demonstrations(twin, recording, seed)
     if recording.device == "gel":
-        from lerobot_pneutac.verbs.fit_gel import calibrate_gel, calibrate_through_points
+        from lerobot_pneutac.verbs.fit_gel import calibrate_gel
 
         if isinstance(effects, str):
             effects = [e.strip() for e in effects.split(",") if e != "none"]
-        if through == "mpm":
-            return calibrate_through_points(twin, recording, effects, image_size, progress)
-        return calibrate_gel(twin, recording, effects, image_size)
+        return calibrate_gel(twin, recording, effects, image_size, through == "mpm", progress)
     recording = same_body(twin, recording, "calibrate")
     if method == "images":
         from lerobot_pneutac.verbs.fit_photographs import calibrate_photographs

@@ -75,15 +75,15 @@ class Control(Result):
 
     def page(self) -> Report:
         page = super().page()
-        figure = stacked(("bend, rad", "pressure, kPa"), (0.7, 0.3))
-        target = ("asked for", self.target_rad, MEASURED)
-        for name, y, colour in (target, ("by the twin", self.predicted_rad, MODEL)):
-            figure.add_scatter(x=self.time_s, y=y, name=name, line={"color": colour}, row=1, col=1)
+        lines = (
+            (1, "asked for", self.time_s, self.target_rad, {"color": MEASURED}),
+            (1, "by the twin", self.time_s, self.predicted_rad, {"color": MODEL}),
+            (2, "command", self.time_s, self.pressure_kpa, {"shape": "hv", "color": HELDOUT}),
+        )
+        figure = stacked(("bend, rad", "pressure, kPa"), (0.7, 0.3), lines=lines)
         if self.measured_rad is not None:
             dots = {"mode": "markers", "marker": {"size": 4, "color": TRAIN}}
             figure.add_scatter(x=self.measured_s, y=self.measured_rad, name="measured", **dots, row=1, col=1)
-        held = {"shape": "hv", "color": HELDOUT}
-        figure.add_scatter(x=self.time_s, y=self.pressure_kpa, name="command", line=held, row=2, col=1)
         page.figure(figure, "Above the bend, below the pressure that was commanded for it.", 520)
         return page
 

@@ -121,15 +121,14 @@ def _figure(name: str):
     from lerobot_pneutac.reports.figures import stacked  # plotly
 
     t, command, without, with_it = tips(name)
-    figure = stacked(("tip, mm", "kPa"), (0.75, 0.25))
-    for label, y, colour, row in (
-        ("deflection without", without[:, 2], BEFORE, 1),
-        ("deflection with it", with_it[:, 2], AFTER, 1),
-        ("difference", np.linalg.norm(with_it - without, axis=1), MEASURED, 1),
-        ("command", command, COMMAND, 2),
-    ):
-        figure.add_scatter(x=t, y=np.round(y, 4), name=label, line={"color": colour}, row=row, col=1)
-    return figure
+    difference = np.linalg.norm(with_it - without, axis=1)
+    lines = (
+        (1, "deflection without", t, without[:, 2].round(4), {"color": BEFORE}),
+        (1, "deflection with it", t, with_it[:, 2].round(4), {"color": AFTER}),
+        (1, "difference", t, difference.round(4), {"color": MEASURED}),
+        (2, "command", t, command.round(4), {"color": COMMAND}),
+    )
+    return stacked(("tip, mm", "kPa"), (0.75, 0.25), lines=lines)
 
 
 PROJECT = """

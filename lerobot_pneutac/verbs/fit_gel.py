@@ -283,54 +283,72 @@ def calibrate_gel(
     recording: Recording,
     effects: Sequence[str] | None = None,
     image_size: Sequence[int] | None = None,
-) -> GelCalibration:
-    """Fits light and optics to all images of role `calibration`; see `calibrate`."""
-    names = wanted(effects, twin)
-    known = late_effects(_sensor_effects(twin))
-    data = _photographs(twin, recording, names, known)
-    start = time.monotonic()
-    fit = fit_presses(data.presses, data.px_per_mm, names, data.thickness_mm, library(), known=known)
-    return _calibrated(twin, recording, Drawn(fit.gel, data), fit, names, image_size, start)
-
-
-def calibrate_through_points(
-    twin: Twin,
-    recording: Recording,
-    effects: Sequence[str] | None = None,
-    image_size: Sequence[int] | None = None,
+    through_points: bool = False,
     progress: Progress = no_progress,
 ) -> GelCalibration:
-    """The same with the surfaces that material points have, its light refined through the splat renderer."""
-    from pneutac_sim.mpm.devices import PressedGel
-    from pneutac_sim.mpm.solid import parameter
-    from pneutac_sim.splat.refine import refine_fit  # numba takes a second to start
+    """Fits light and optics to all images of role `calibration`; see `calibrate`.
 
+    Through points the surfaces are those that material points have, and the light is refined through the
+    splat renderer.
+    """
     names = wanted(effects, twin)
     moving = [name for name in names or () if get_effect(name).press is not None]
-    if moving:
+    if through_points and moving:
         but = f"the effect '{moving[0]}' moves the presses; choose other effects, or omit through"
         raise InputError(f"through=mpm presses where the recording says, but {but}.")
-    known = late_effects(_sensor_effects(twin))
+    known = late_effects(
+        {n: {k: v.value for k, v in twin.effects[n].items()} for n in of_sensor(twin.effects)}
+    )
     data = _photographs(twin, recording, names, known)
     start = time.monotonic()
-    progress("material points under the presses of the calibration", 0, 1)
-    points = PressedGel(GelModel(data.rest, np.zeros((3, 2)), np.zeros(3), data.px_per_mm), twin)
+    points = _points_under(data, twin, progress) if through_points else None
     args = data.presses, data.px_per_mm, names, data.thickness_mm, library()
-    fit = fit_presses(*args, points.between, known)
-    progress("the light refined through the splat renderer", 0, 1)
-    refine_fit(fit, data.presses, points.between)
-    found = _calibrated(twin, recording, Drawn(fit.gel, data), fit, names, image_size, start)
+    fit = fit_presses(*args, *([points.between] if points else []), known=known)
+    if points:
+        from pneutac_sim.splat.refine import refine_fit  # numba takes a second to start
+
+        progress("the light refined through the splat renderer", 0, 1)
+        refine_fit(fit, data.presses, points.between)
+    new = twin.copy()
+    gel = fit.gel if image_size is None else fit.gel.resized(*image_size[::-1])
+    seconds, drawn = time.monotonic() - start, Drawn(fit.gel, data)
+    gel.into_twin(new)
+    modulus = keep_modulus(new, data)
+    found = GelCalibration(
+        twin=new,
+        parameters=_parameters(gel) | (modulus.parameter() if modulus else {}),
+        error=errors_of(drawn.scores, data),
+        unit="levels",
+        evaluations=fit.evaluations,
+        seconds=seconds,
+        recording=str(recording.folder),
+        change="calibrated gel" + " through material points" * through_points,
+        seed=None,
+        findings=tuple(data.warnings),
+        gel=gel,
+        fit=fit,
+        drawn=drawn,
+        notes=recording.meta.get("notes", ""),
+        standard=names is None,
+        modulus=modulus,
+    )
+    if not points:
+        return found
+    from pneutac_sim.mpm.solid import parameter
+
     progress(f"material points under all {len(data.samples)} presses", 0, 1)
     by_points = Drawn(fit.gel, data, predict(fit.gel, data, points.surface))
     name = "gel_poissons_ratio"
     assumed = "" if name in twin.parameters else ", assumed"
-    material = f"Poisson's ratio {parameter(twin, name):g}{assumed}"
-    change = "calibrated gel through material points"
-    return replace(found, by_points=by_points, material=material, change=change)
+    return replace(found, by_points=by_points, material=f"Poisson's ratio {parameter(twin, name):g}{assumed}")
 
 
-def _sensor_effects(twin: Twin) -> dict[str, dict[str, float]]:
-    return {n: {k: v.value for k, v in twin.effects[n].items()} for n in of_sensor(twin.effects)}
+def _points_under(data: GelRecording, twin: Twin, progress: Progress):
+    """The gel of material points under the presses of the calibration."""
+    from pneutac_sim.mpm.devices import PressedGel
+
+    progress("material points under the presses of the calibration", 0, 1)
+    return PressedGel(GelModel(data.rest, np.zeros((3, 2)), np.zeros(3), data.px_per_mm), twin)
 
 
 def _photographs(
@@ -345,41 +363,6 @@ def _photographs(
         remedy = "give role 'calibration' to a press that came after another"
         raise InputError(f"effects={','.join(names or ())}: '{unseen[0]}' {UNHELD}, and {remedy}.")
     return data
-
-
-def _calibrated(
-    twin: Twin,
-    recording: Recording,
-    drawn: Drawn,
-    fit: GelFit,
-    names: Sequence[str] | None,
-    image_size: Sequence[int] | None,
-    start: float,
-) -> GelCalibration:
-    """The result of a fit of effects `names` that began at `start`, of the monotonic clock."""
-    data, new = drawn.data, twin.copy()
-    gel = fit.gel if image_size is None else fit.gel.resized(*image_size[::-1])
-    seconds = time.monotonic() - start
-    gel.into_twin(new)
-    modulus = keep_modulus(new, data)
-    return GelCalibration(
-        twin=new,
-        parameters=_parameters(gel) | (modulus.parameter() if modulus else {}),
-        error=errors_of(drawn.scores, data),
-        unit="levels",
-        evaluations=fit.evaluations,
-        seconds=seconds,
-        recording=str(recording.folder),
-        change="calibrated gel",
-        seed=None,
-        findings=tuple(data.warnings),
-        gel=gel,
-        fit=fit,
-        drawn=drawn,
-        notes=recording.meta.get("notes", ""),
-        standard=names is None,
-        modulus=modulus,
-    )
 
 
 def scores_of(data: GelRecording, predicted: list[np.ndarray]) -> list[ImageScores]:
