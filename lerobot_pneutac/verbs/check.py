@@ -15,7 +15,7 @@ from lerobot_pneutac.study import study_of
 from lerobot_pneutac.study.pair import enough_to_compare, fit_parts
 from lerobot_pneutac.verbs.new import new_twin
 from pneutac_datasets.demonstrations.faults import Recorded
-from pneutac_datasets.demonstrations.info import is_demonstrations
+from pneutac_datasets.demonstrations.info import info_file, is_demonstrations
 from pneutac_datasets.recording.checks import check, recording_faults
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.sources import plain
@@ -73,6 +73,8 @@ def check_path(path: str | Path, twin: Twin | None = None, station: Station | No
         return Checked(path, "demonstrations", faults, notes)
     if not any((path / mark).is_file() for mark in MARKS) and (lost := lost_twin(path)):
         return Checked(path, "twin", [lost], [])
+    if (path / "meta").is_dir():
+        info_file(path)
     inside = [d.name for d in sorted(path.iterdir()) if any((d / mark).is_file() for mark in MARKS)]
     if inside and not (path / "recording.json").is_file():
         raise InputError(f"'{path}' is a folder of folders; give one of them: {', '.join(inside)}.")

@@ -4,6 +4,7 @@ LeRobot's times do not show a loop that falls behind, and its recorder does not 
 """
 
 import json
+import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pneutac_sim.errors import InputError, shown
+from pneutac_sim.errors import InputError, as_number, shown
 from pneutac_sim.files import read_json
 
 PACE_FILE = "achieved_rate.json"  # in a dataset's `meta`; LeRobot drops what it does not know from info.json
@@ -80,6 +81,11 @@ class Pace:
     # whether the robot stood still between two frames and moved on by one period with each
     simulated: bool = False
 
+    def __post_init__(self):
+        for value in (self.achieved_hz, self.late_frames, self.longest_s):
+            if not 0 <= as_number(value) < math.inf:
+                raise ValueError(f"{value} is no rate, count or time")
+
     @classmethod
     def of(cls, times_s: Sequence[float], fps: float) -> "Pace":
         """Of two or more frames that were taken at these times, at a rate of `fps`."""
@@ -118,7 +124,7 @@ def read_outcomes(meta: Path) -> dict[int, str]:
 def _of_episodes[T](file: Path, value: Callable[[Any], T], remedy: str) -> dict[int, T]:
     try:
         content = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
-        return {int(k): value(v) for k, v in content.items()}
+        return {int(k): value(v) for k, v in content.items() if int(k) >= 0}
     except (ValueError, TypeError, AttributeError) as e:
         raise InputError(f"{file} is damaged ({e}); {remedy}") from e
 

@@ -100,7 +100,8 @@ class Recorded(Files):
         info, file, station = self.info, self.file, station or Station()
         chambers = CHAMBERS.get(twin.device, 1)
         found = feature_faults(info["features"], file, GelModel.from_twin(twin).rest_image.shape, chambers)
-        if not measured and info.get("fps") != station.control_hz:
+        known = not any("'fps' is" in sentence for sentence in self.damage)
+        if not measured and known and info.get("fps") != station.control_hz:
             found.append(
                 f"{file}: {info.get('fps')} fps, but the station's control rate is {station.control_hz} Hz;"
                 " give the station.yaml that they were recorded in by --station=, or record with"

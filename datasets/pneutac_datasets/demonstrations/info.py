@@ -4,6 +4,7 @@ LeRobot looks for what is missing on the Hub, and ends in errors of its own. `Fi
 LeRobot opens, and says what is wrong in sentences.
 """
 
+import codecs
 import contextlib
 import re
 from collections.abc import Iterator, Sequence
@@ -65,7 +66,7 @@ def read_film(file: Path) -> Film:
                     times.append(float(packet.pts * stream.time_base))
     except (av.FFmpegError, IndexError, OSError) as e:
         if not times:
-            raise InputError(f"{file} cannot be opened as a video.") from e
+            raise InputError(f"{file} cannot be opened as a video; restore it.") from e
     return Film(np.sort(times), stated)
 
 
@@ -123,6 +124,7 @@ STATE, ACTION = "observation.state", "action"
 OWN = ("timestamp", "frame_index", "episode_index", "index", "task_index")  # LeRobot's, in every dataset
 COUNTS = ("total_episodes", "total_frames", "total_tasks")
 STATISTICS = ("min", "max", "mean", "std")
+ROUNDED = 1e-3  # of a mean in float32
 PLACE = ("chunk_index", "file_index", "from_timestamp")  # of an episode in a camera's videos
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 
@@ -192,8 +194,8 @@ class Files:
             if found := self._of_info():
                 return found  # what the files are to hold is not known
             tasks, self._episodes = self._read_tasks(), self._read_episodes()
-            self._check_statistics()
             self.rows = self._read_rows()
+            self._check_statistics()
             self._match(tasks)
         except InputError as e:
             return [str(e)]
@@ -211,14 +213,23 @@ class Files:
         for name in (n for n in OWN if n not in info["features"]):
             what = f"feature '{name}' is missing, which every LeRobotDataset has"
             found.append(f"{self.file}: {what}; restore it.")
+        chunk = info.get("chunks_size", 1)
+        if isinstance(chunk, bool) or not isinstance(chunk, int) or chunk < 1:
+            found.append(f"{self.file}: 'chunks_size' is {shown(chunk)}; LeRobot writes 1000.")
+        if self.file.read_bytes().startswith(codecs.BOM_UTF8):
+            found.append(f"{self.file} begins with a byte order mark; save it as UTF-8 without one.")
         for key, feature in info["features"].items():
             shape = feature.get("shape")
             sizes = isinstance(shape, list) and all(isinstance(n, int) and n > 0 for n in shape) and shape
             if not isinstance(feature.get("dtype"), str) or not sizes:
                 what = f"feature '{key}' lacks 'dtype' or 'shape', or they are damaged"
                 found.append(f"{self.file}: {what}; restore it.")
+            elif key in (STATE, ACTION) and feature["dtype"] != "float32":
+                found.append(f"{self.file}: 'dtype' of '{key}' is '{feature['dtype']}'; it must be float32.")
+            elif not isinstance(feature.get("info", {}), dict | None):
+                found.append(f"{self.file}: 'info' of '{key}' is {shown(feature['info'])}; take it out.")
         path = info.get("video_path")
-        if self._of_kind("video") and not (isinstance(path, str) and "{video_key}" in path):
+        if not found and self._of_kind("video") and path != VIDEO_PATH:
             found.append(f"{self.file}: 'video_path' is {shown(path)}; it must be \"{VIDEO_PATH}\".")
         return found
 
@@ -278,6 +289,12 @@ class Files:
                 if not right:
                     what = f"'{key}' lacks '{name}' of {size[0]} numbers"
                     raise InputError(f"{file}: {what}; run {self._repair}.")
+            low, high, mean, std = (np.asarray(mine[name], float) for name in STATISTICS)
+            if not np.isfinite(self.rows[key]).all():
+                continue  # theirs are not either, and of these episodes there is a sentence
+            if not ((low <= mean + ROUNDED) & (mean <= high + ROUNDED) & (0 <= std) & (std < np.inf)).all():
+                what = f"'{key}' has a mean outside its 'min' and 'max', or a number that is not finite"
+                raise InputError(f"{file}: {what}; delete it and run {self._repair}.")
 
     def _read_rows(self) -> dict[str, np.ndarray]:
         wanted = {key: f for key, f in self.info["features"].items() if f["dtype"] != "video"}
@@ -369,7 +386,7 @@ class Files:
         self, films: dict[Path, Film | InputError], file: Path, key: str, number: int, begin_s: float
     ) -> None:
         """Raises InputError where an episode's frames are not all in a video, or cannot be decoded."""
-        drop = f"run {self._repair} --drop, which leaves"
+        drop = f"run {self._repair[:-1]} --drop`, which leaves"
         if not file.is_file():
             raise InputError(f"{file} is missing; put it back, or {drop} its episodes out.")
         times_s = begin_s + self.rows["timestamp"][self.rows["episode_index"] == number]

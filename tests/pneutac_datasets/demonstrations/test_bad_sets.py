@@ -1,5 +1,6 @@
 """LeRobotDatasets with damage, of other versions or with wrong numbers: `check` says what verbs refuse."""
 
+import codecs
 import json
 import re
 import shutil
@@ -129,6 +130,23 @@ def narrow(root):
     pq.write_table(table.set_column(table.schema.names.index(ACTION), ACTION, vectors), root / DATA)
 
 
+def marked(root):
+    file = root / "meta/info.json"
+    file.write_bytes(codecs.BOM_UTF8 + file.read_bytes())
+
+
+def statistic(name, value):
+    """Changes a statistic of the action."""
+
+    def damage(root):
+        file = root / "meta/stats.json"
+        stats = json.loads(file.read_text())
+        stats[ACTION][name] = [value] * len(stats[ACTION][name])
+        file.write_text(json.dumps(stats))
+
+    return damage
+
+
 SHORT = "breaks off: it holds"
 FROM = f"videos/{TACTILE}/from_timestamp"
 BAD = {
@@ -147,6 +165,12 @@ BAD = {
     "fps 0": (info(fps=0), "'fps' is 0"),
     "fps 30": (info(fps=30), "30 fps, but the station's|timestamp"),
     "no video path": (info(video_path=None), "'video_path' is None"),
+    "a video path with another field": (info(video_path="{video_key}/{x}.mp4"), "'video_path' is"),
+    "a video path that leads out": (info(video_path="../{video_key}.mp4"), "'video_path' is"),
+    "whole numbers": (feature(STATE, dtype="int64"), "'dtype' of 'observation.state' is 'int64'"),
+    "a chunk of 0": (info(chunks_size=0), "'chunks_size' is 0"),
+    "what is known of a video is a text": (feature(TACTILE, info="h264"), "'info' of .* is 'h264'"),
+    "a byte order mark": (marked, "info.json begins with a byte order mark"),
     "5 episodes": (info(total_episodes=5), "2 episodes and info.json counts 5"),
     "99 frames": (info(total_frames=99), "110 rows and info.json counts 99"),
     "no count of tasks": (info(total_tasks=0), "1 tasks and info.json counts 0"),
@@ -170,6 +194,9 @@ BAD = {
     "no stats": (without("meta/stats.json"), "stats.json is missing; run `pneutac repair"),
     "stats cut": (half("meta/stats.json"), "is not valid JSON"),
     "stats of nothing": (text("meta/stats.json", "{}"), "'observation.state' lacks 'min'"),
+    "a mean of nan": (statistic("mean", float("nan")), "'action' has a mean outside"),
+    "a mean beyond": (statistic("mean", 1e9), "'action' has a mean outside"),
+    "a negative deviation": (statistic("std", -1.0), "'action' has a mean outside"),
     "no data": (without("data"), "data holds no .parquet file"),
     "data cut": (half(DATA), "is cut short or damaged, and no Parquet file; restore it"),
     "data pointer": (pointer(DATA), "is a Git LFS pointer"),
