@@ -113,6 +113,12 @@ demo --quick --minutes=nan
 surrogate --twin=finger --seconds=inf
 benchmark
 benchmark speed --twins=x
+benchmark policy --twin=arm
+benchmark surrogate --twin=gel
+benchmark rates --hz=0
+benchmark worlds --device=cpu --worlds=[]
+benchmark demonstrations --task=bottle
+surrogate --twin=finger --fresh --particles=1
 benchmark juggling
 benchmark body --hidden=-1
 benchmark augment --tasks=[bottle]

@@ -25,9 +25,9 @@ from pneutac_datasets.demonstrations.replay.reading import Demonstrations, check
 from pneutac_datasets.generate.standin import write_finger, write_gel
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.laws import family
-from pneutac_sim.errors import check_least
+from pneutac_sim.errors import check_between, check_choice, check_least
 from pneutac_sim.executor import ExecutorOptions, run_pieces
-from pneutac_sim.features import CONTROL_HZ, TRIAL_S
+from pneutac_sim.features import CONTROL_HZ, TRIAL_S, task_names
 from pneutac_sim.files import write_json, write_text
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.expert import ScriptedExpert
@@ -84,7 +84,8 @@ class BenchmarkDemonstrationsConfig(ExecutorOptions):
 
     def __post_init__(self):
         check_least(5, demonstrations=self.demonstrations)
-        check_least(1, cases=self.cases)
+        check_between(1, len(CASES), cases=self.cases)
+        check_choice("task", self.task, task_names())
         self.check_executor()
 
 

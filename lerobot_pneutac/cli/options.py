@@ -24,6 +24,7 @@ from pathlib import Path
 import yaml
 
 from pneutac_sim.errors import InputError, check_choice, refuse_given, shown
+from pneutac_sim.executor import check_device
 from pneutac_sim.files import YamlLoader, check_writable, fits, inside, read_json, read_yaml
 
 COLUMN = 28  # where help texts begin
@@ -137,6 +138,8 @@ def _check_numbers(config, group: str = "") -> None:
                 raise InputError(f"{option} is {value}; give at most {MOST}.")
             if isinstance(number, int) and number < 0:
                 raise InputError(f"{option} is {value}; it must be 0 or more.")
+        if name == "device" and isinstance(value, str) and getattr(config, "executor", "local") == "local":
+            check_device(value)
         if name == "repo_id" and not re.fullmatch(r"([\w.-]+/)?[\w.-]+", value):
             raise InputError(f"{option} is '{value}'; give a name such as local/demos.")
 
@@ -167,6 +170,8 @@ def _check_outputs(config, argv: list[str]) -> None:
         check_folder(name, path)
         check_writable(path, f"--{name}={path}")
         for source, folder in paths:
+            if name == "out" and source in OUTPUTS[1:] and inside(folder, path):
+                raise InputError(f"--out={path} is or lies in --{source}={folder}; give another folder.")
             if source not in outputs and folder.is_dir() and inside(folder, path):
                 raise InputError(
                     f"--{name}={path} lies in --{source}={folder}, which is read; give another folder."

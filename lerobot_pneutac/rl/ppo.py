@@ -28,6 +28,7 @@ from torch import nn
 from lerobot_pneutac.rl.actor import Actor, layers, try_actor
 from lerobot_pneutac.rl.env import WEIGHTS, PpoEnv
 from pneutac_sim.errors import InputError, check_least
+from pneutac_sim.executor import check_device
 from pneutac_sim.features import CONTROL_HZ, PANDA_JOINTS
 from pneutac_sim.files import whole, write_json
 from pneutac_sim.progress import Progress, no_progress
@@ -146,8 +147,7 @@ class Compute:
     def check(self, steps: int) -> None:
         """Raises InputError where a number is too small, or the device is missing."""
         check_least(1, steps=steps, envs=self.envs, tries=self.tries)
-        if self.device.startswith("cuda") and not torch.cuda.is_available():
-            raise InputError(f"device is '{self.device}', but PyTorch finds no GPU; use 'cpu'.")
+        check_device(self.device)
 
 
 class Asymmetric(nn.Module):

@@ -15,8 +15,8 @@ from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
 from pneutac_datasets.demonstrations.augment.reference import Reference, onset_sigma_m
 from pneutac_datasets.demonstrations.faults import TACTILE, Recorded
 from pneutac_datasets.recording.wording import plural
-from pneutac_sim.errors import InputError, check_choice, check_least, refuse_given
-from pneutac_sim.executor import ExecutorOptions
+from pneutac_sim.errors import InputError, check_between, check_choice, check_least, refuse_given
+from pneutac_sim.executor import ExecutorOptions, check_device
 from pneutac_sim.features import FIDELITIES, VELOCITY_NAMES, Places, task_names
 from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.progress import Progress, no_progress
@@ -117,7 +117,7 @@ class AugmentConfig(ExecutorOptions):
         check_choice("device", self.device, ("cpu", "cuda"))
         if self.device != "cpu":
             self._check_device()
-        check_least(0, check_mpm=self.check_mpm)
+        check_between(0, self.episodes, check_mpm=self.check_mpm)
         if self.check_mpm and self.method == "naive":
             raise InputError("check_mpm carries demonstrations out; naive ones have no scene; leave it out.")
         if self.check_mpm and self.fidelity == "mpm":
@@ -136,10 +136,7 @@ class AugmentConfig(ExecutorOptions):
         for name, only in (("method", "library"), ("executor", "local")):
             if (value := getattr(self, name)) != only:
                 raise InputError(f"device=cuda is of {name}={only}, not of {value}; leave one out.")
-        import torch
-
-        if not torch.cuda.is_available():
-            raise InputError("device is 'cuda', but PyTorch finds no CUDA device here; leave it out.")
+        check_device(self.device)
         import pneutac_sim.world.batch  # noqa: F401  refuses where MuJoCo Warp is not installed
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.wording import an
-from pneutac_sim.errors import InputError, check_choice, check_least, refuse_given
+from pneutac_sim.errors import InputError, check_between, check_choice, refuse_given
 from pneutac_sim.executor import ExecutorOptions
 from pneutac_sim.files import whole, write_text
 from pneutac_sim.progress import Progress, no_progress
@@ -76,7 +76,8 @@ class SurrogateConfig(ExecutorOptions):
         check_choice("device", self.device, ("auto", "cpu", "cuda"))
         if not 0.02 <= self.seconds <= 600:
             raise InputError(f"seconds is {self.seconds}; it must lie in [0.02, 600].")
-        check_least(1, particles=self.particles)
+        check_between(100, 1_000_000, particles=self.particles)
+        check_between(1, 100_000, trajectories=self.trajectories, contacts=self.contacts)
         few = "are too few to train on"
         if self.trajectories < FEWEST:
             raise InputError(f"trajectories={self.trajectories} {few}; give {FEWEST} or more.")

@@ -318,6 +318,15 @@ def _quiet():
 # ------------------------------------------------------------------ processes of this machine
 
 
+def check_device(device: str) -> None:
+    """Raises InputError where CUDA is asked for and PyTorch finds no such device here."""
+    if device.startswith("cuda"):
+        import torch
+
+        if not torch.cuda.is_available():
+            raise InputError(f"device is '{device}', but PyTorch finds no CUDA device here; give cpu.")
+
+
 def one_thread(function: Callable) -> Callable:
     """The function with its matrix products on one thread.
 

@@ -26,7 +26,9 @@ from pneutac_benchmarks.policy.plan import (
 from pneutac_sim.errors import InputError, check_choice, check_least, unknown_names
 from pneutac_sim.executor import ExecutorOptions
 from pneutac_sim.features import FIDELITIES, TASK_NAMES, task_names
+from pneutac_sim.twin import Twin
 from pneutac_sim.world.base import MOST_WIDE
+from pneutac_sim.world.checks import check_world
 
 _FAST = {
     "tasks": ("switch",),
@@ -161,8 +163,7 @@ class BenchmarkPolicyConfig(ExecutorOptions):
             path = getattr(self, name)
             if path is None:
                 continue
-            if not (Path(path) / "twin.yaml").is_file():
-                raise InputError(f"{name} is '{path}', which holds no twin.yaml; give a twin's folder.")
+            check_world(Twin.load(path), self.fidelity, {})
             setattr(self, name, Path(path).absolute())
 
     def _check_device(self) -> None:

@@ -13,7 +13,8 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pneutac_sim.errors import InputError, check_least
+from pneutac_sim.errors import InputError, check_between, check_least
+from pneutac_sim.features import RATES_HZ
 
 COMMANDS = ("record", "record_streaming", "replay", "rollout", "remote")
 START_S = 180  # in which a command has begun, imports included
@@ -52,6 +53,8 @@ class BenchmarkRatesConfig:
 
     def __post_init__(self):
         check_least(1, runs=self.runs, seconds=self.seconds - 1)
+        for hz in self.hz or (0,):
+            check_between(*RATES_HZ, "Hz", hz=hz)
         if unknown := [c for c in self.commands if c not in COMMANDS]:
             raise InputError(f"commands has {', '.join(unknown)}; there are {', '.join(COMMANDS)}.")
         if "remote" in self.commands and importlib.util.find_spec("grpc") is None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pneutac_sim.errors import InputError, check_least
+from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.features import TASK_NAMES
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.expert import ScriptedExpert
@@ -41,6 +41,9 @@ class BenchmarkWorldsConfig:
 
     def __post_init__(self):
         check_least(1, steps=self.steps, **{f"worlds[{i}]": n for i, n in enumerate(self.worlds)})
+        check_choice("device", self.device, ("cpu", "cuda"))
+        if not self.worlds:
+            raise InputError("worlds is empty; give numbers of worlds, such as 64,1024.")
         unknown = [t for t in self.tasks if t not in TASK_NAMES]
         if unknown:
             raise InputError(f"tasks names {', '.join(unknown)}; there are {', '.join(TASK_NAMES)}.")

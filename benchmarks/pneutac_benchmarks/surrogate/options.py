@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pneutac_sim.errors import check_choice, check_least
+from pneutac_sim.twin import Twin
+from pneutac_sim.world.checks import check_world
 
 FRESH_SEED = 1000  # far from those that people train with
 
@@ -49,3 +51,6 @@ class BenchmarkSurrogateConfig:
             self.trajectories, self.seconds, self.contacts, self.steps = 1, 0.06, 2, 40
         check_least(1, trajectories=self.trajectories, contacts=self.contacts, environments=self.environments)
         check_least(20, steps=self.steps)
+        check_least(100, particles=self.particles)
+        if self.twin is not None:
+            check_world(Twin.load(self.twin), "surrogate", {})

@@ -16,6 +16,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from pneutac_sim.errors import InputError, check_choice
+from pneutac_sim.executor import check_device
 from pneutac_sim.gel.indenter import INDENTERS
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.sensor import TactileSensor
@@ -111,8 +112,7 @@ def train_gel(
     Raises InputError: no contacts, damaged ones, or too few; no such device.
     """
     check_choice("device", device, ("auto", "cpu", "cuda"))
-    if device == "cuda" and not torch.cuda.is_available():
-        raise InputError("device is 'cuda', but PyTorch finds none; use cpu.")
+    check_device(device)
     if device == "auto":
         device = "cuda" if torch.cuda.is_available() else "cpu"
     train, check, _ = split(read_contacts(folder), heldout)

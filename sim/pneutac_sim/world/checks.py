@@ -49,7 +49,7 @@ def check_bends(twin: Twin, fidelity: str) -> None:
     """
     if twin.device not in CHAMBERS:
         raise InputError(
-            f"The world needs the twin of a finger or an arm; this twin's device is '{twin.device}'."
+            f"The world needs the twin of a finger or an arm, and this is of '{twin.device}'; give another."
         )
     if CHAMBERS[twin.device] > 1 and fidelity != "probe":
         raise InputError(
@@ -76,8 +76,8 @@ def check_world(twin: Twin, fidelity: str, conditions: Conditions) -> None:
 
     Raises InputError where a condition of an effect is missing or no number, or as `check_networks`.
     """
-    conditions_for(twin, conditions)
     check_networks(twin, fidelity)
+    conditions_for(twin, conditions)
 
 
 def out_of_reach(station: Station, length_mm: float) -> dict[str, float]:

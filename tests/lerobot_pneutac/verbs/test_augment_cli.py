@@ -237,7 +237,7 @@ def test_bad_input_is_named(recorded, made, tmp_path):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("torch.cuda.is_available", lambda: False)
-        with pytest.raises(InputError, match="finds no CUDA device here; leave it out"):
+        with pytest.raises(InputError, match="finds no CUDA device here; give cpu"):
             AugmentConfig(DatasetRef("a", recorded), DatasetRef("b", tmp_path / "o"), device="cuda")
     refused(f"--output.root={made / 'more'}", match="exists; give a new folder")
     features = LeRobotDatasetMetadata("local/demos", recorded).features
