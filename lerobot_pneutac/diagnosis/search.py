@@ -411,3 +411,24 @@ def contenders(
     share = bootstrap.shares([s.cv_squared for s in scored])
     terms = [tuple(e for e in s.model.structure.effects if e not in known) for s in scored]
     return [Candidate(twin_of(s), e, float(p)) for s, e, p in zip(scored, terms, share, strict=True)]
+
+
+class Steps:
+    """Calls `progress(text, done, total)` as work is done."""
+
+    def __init__(self, progress: Callable[[str, int, int], None] | None = None):
+        self._progress = progress
+        self._text, self._done, self._total = "", 0, 0
+
+    def expect(self, text: str, count: int) -> None:
+        """So many more steps, of this kind."""
+        self._text, self._total = text, self._total + count
+        self._report()
+
+    def done(self) -> None:
+        self._done += 1
+        self._report()
+
+    def _report(self) -> None:
+        if self._progress is not None:
+            self._progress(self._text, self._done, self._total)

@@ -101,6 +101,10 @@ def _add_line(figure: go.Figure, i: int, t, values, parts: list[np.ndarray], nam
     figure.add_scatter(x=x, y=y, name=name, mode="lines", line=line, **place)
 
 
+def _both(c) -> tuple:
+    return (c.measured, C.MEASURED, "measured"), (c.model, C.MODEL, "model")
+
+
 def over_time(c) -> go.Figure:
     titles = [*map(_title, c.columns[: c.counted]), "kPa"]
     figure = stacked(titles, [1.0] * c.counted + [0.6], 0.03)
@@ -109,10 +113,7 @@ def over_time(c) -> go.Figure:
     for i in range(c.counted if c.band is not None else 0):
         _add_band(figure, c, i, t, c.model[:, i])
     for i in range(c.counted):
-        for values, colour, label in (
-            (c.measured, C.MEASURED, "measured"),
-            (c.model, C.MODEL, "model"),
-        ):
+        for values, colour, label in _both(c):
             _add_line(figure, i, t, values[:, i], trials, label, color=colour, width=1.2)
     command = c.recording.samples[c.recording.pressure_columns].to_numpy(float)
     for k, name in enumerate(c.recording.pressure_columns):
@@ -139,10 +140,7 @@ def loops(c) -> go.Figure:
     for trial, rows in list(c.recording.trials().items())[:12]:
         index = np.arange(rows.start, rows.stop)
         index = index[:: max(1, len(index) // 1200)]
-        for values, colour, label in (
-            (c.measured, C.MEASURED, "measured"),
-            (c.model, C.MODEL, "model"),
-        ):
+        for values, colour, label in _both(c):
             figure.add_scatter(
                 x=p[index].round(3), y=values[index, i].round(4), name=label, legendgroup=label,
                 showlegend=rows.start == 0, mode="lines", line={"color": colour, "width": 1}, opacity=0.7,

@@ -24,7 +24,7 @@ from lerobot_pneutac.diagnosis.result import (
     Tested,
     Untested,
 )
-from lerobot_pneutac.diagnosis.steps import Steps
+from lerobot_pneutac.diagnosis.search import Steps
 from lerobot_pneutac.diagnosis.verdict import Evidence, decide
 from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_datasets.recording.recording import Recording

@@ -21,8 +21,7 @@ from lerobot_pneutac.diagnosis.result import (
     Tested,
     family_in,
 )
-from lerobot_pneutac.diagnosis.search import Found, Scored, contenders, rivals
-from lerobot_pneutac.diagnosis.steps import Steps
+from lerobot_pneutac.diagnosis.search import Found, Scored, Steps, contenders, rivals
 from lerobot_pneutac.diagnosis.verdict import Evidence, Mechanism, mechanism
 from lerobot_pneutac.study.body_base import BodyBase, base_effects
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel

@@ -15,8 +15,7 @@ from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
 from lerobot_pneutac.diagnosis.parts import Parts
 from lerobot_pneutac.diagnosis.result import FittedModel, Outcome, Rival, Tested
-from lerobot_pneutac.diagnosis.search import Found, Scored, Search, Structure, chosen_in, rivals
-from lerobot_pneutac.diagnosis.steps import Steps
+from lerobot_pneutac.diagnosis.search import Found, Scored, Search, Steps, Structure, chosen_in, rivals
 from lerobot_pneutac.study.base import EffectStudy, with_unit
 from lerobot_pneutac.study.demonstration_fit import (
     AIR,

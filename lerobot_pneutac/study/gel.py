@@ -20,13 +20,13 @@ from lerobot_pneutac.diagnosis.search import (
     Search,
     Space,
     Start,
+    Steps,
     Structure,
     chosen_in,
     contenders,
     deal_folds,
     rivals,
 )
-from lerobot_pneutac.diagnosis.steps import Steps
 from lerobot_pneutac.diagnosis.verdict import too_few
 from lerobot_pneutac.study.base import EffectStudy
 from pneutac_datasets.recording.gel import GelRecording, GelSample

@@ -14,7 +14,7 @@ from lerobot_pneutac.cli.options import PairOptions, keywords
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.result import PROFILE, Candidate, Outcome
-from lerobot_pneutac.diagnosis.steps import Steps
+from lerobot_pneutac.diagnosis.search import Steps
 from lerobot_pneutac.diagnosis.verdict import Explained
 from lerobot_pneutac.reports import sentences
 from lerobot_pneutac.reports.page import Report

@@ -96,7 +96,7 @@ def diagnosed(twin, recording, seed: int, wanted: Callable[[str], bool] | None =
         wanted: which effects and laws may be tried, as candidates or as a line or part of the base; all where
             None.
     """
-    from lerobot_pneutac.diagnosis.steps import Steps
+    from lerobot_pneutac.diagnosis.search import Steps
     from lerobot_pneutac.study import study_of
     from lerobot_pneutac.verbs.diagnose import Diagnosis
     from pneutac_sim.effects.registry import body_effects

@@ -17,7 +17,7 @@ from rich.console import Console
 
 from lerobot_pneutac.diagnosis.design import choices
 from lerobot_pneutac.diagnosis.programs import Limits
-from lerobot_pneutac.diagnosis.steps import Steps
+from lerobot_pneutac.diagnosis.search import Steps
 from lerobot_pneutac.reports.page import write_result
 from lerobot_pneutac.study import study_of
 from pneutac_benchmarks.tables import markdown, terminal

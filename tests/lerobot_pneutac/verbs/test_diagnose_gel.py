@@ -6,7 +6,7 @@ import pytest
 from generated import once
 from verbs import refused, verb
 
-from lerobot_pneutac.diagnosis.steps import Steps
+from lerobot_pneutac.diagnosis.search import Steps
 from lerobot_pneutac.diagnosis.thresholds import APART, FOLDS, NEEDED
 from lerobot_pneutac.study import gel as gel_study
 from lerobot_pneutac.study.gel import GelStudy, deal_photographs, photograph_folds, predict
