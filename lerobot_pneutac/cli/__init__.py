@@ -10,6 +10,7 @@ import importlib
 import importlib.metadata
 import importlib.util
 import inspect
+import multiprocessing
 import os
 import re
 import signal
@@ -73,11 +74,21 @@ def _interrupt(signum: int, frame) -> None:
     raise KeyboardInterrupt
 
 
+def _terminate(signum: int, frame) -> None:
+    """Ends as Ctrl-C does, so that a chamber is vented and a cluster's jobs are cancelled; a fork at once."""
+    if multiprocessing.parent_process() is None:
+        _interrupt(signum, frame)
+    os._exit(128 + signum)
+
+
 def main() -> None:
     try:
         if hasattr(signal, "setitimer"):
             signal.signal(signal.SIGINT, _interrupt)
             signal.signal(signal.SIGALRM, _interrupt)
+            for signum in (signal.SIGTERM, signal.SIGHUP):
+                if signal.getsignal(signum) == signal.SIG_DFL:  # else nohup, or who started this, decided
+                    signal.signal(signum, _terminate)
         try:
             _dispatch(sys.argv[1:])
         finally:

@@ -272,7 +272,8 @@ def check_writable(folder: Path, what: str) -> None:
         kind = "a link that leads nowhere" if folder.is_symlink() and not folder.exists() else "a file"
         raise InputError(f"{what} is {kind}; give a folder.") from e
     except OSError as e:
-        raise InputError(f"{what} cannot be written ({e.strerror}); choose another folder.") from e
+        remedy = "free some" if e.errno in (errno.ENOSPC, errno.EDQUOT) else "choose another folder"
+        raise InputError(f"{what} cannot be written ({e.strerror}); {remedy}.") from e
     finally:
         _remove_empty(made)
 

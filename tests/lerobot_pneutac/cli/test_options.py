@@ -305,7 +305,7 @@ import os, signal, sys, threading, time
 from lerobot_pneutac import cli
 def verb(argv):
     try:
-        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), getattr(signal, sys.argv[1]))
         time.sleep(60)
     except KeyboardInterrupt:
         pass  # as Taichi's import does
@@ -313,13 +313,14 @@ def verb(argv):
     with lock:  # as where the interrupt comes between a wait's release and its taking the lock back
         lock.release()
         time.sleep(60)
-cli._dispatch, sys.argv = verb, ["pneutac", "render"]
+cli._dispatch, sys.argv[0] = verb, "pneutac"
 cli.main()
 """
 
 
-def test_an_interrupt_that_a_library_swallows_comes_again():
-    done = subprocess.run([sys.executable, "-c", SWALLOWED], capture_output=True, text=True, timeout=30)
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_an_interrupt_that_a_library_swallows_comes_again(name):
+    done = subprocess.run([sys.executable, "-c", SWALLOWED, name], capture_output=True, text=True, timeout=30)
     assert (done.returncode, done.stderr) == (130, "pneutac: interrupted.\n")
 
 
