@@ -44,11 +44,6 @@ SIGNALS = {
 kernel = njit(cache=True, error_model="numpy", nogil=True)
 
 
-def remembers_nothing(channels: int) -> int:
-    """The state's size of an effect without memory."""
-    return 0
-
-
 @dataclass(frozen=True, kw_only=True)
 class BodyEffect(Effect):
     """One mechanism of a finger or an arm."""
@@ -61,7 +56,7 @@ class BodyEffect(Effect):
     # `other_1_kpa` to `other_3_kpa` where the recording has further `*_kpa` columns
     columns: tuple[str, ...] = ()
     signal: str = ""  # what it acts on; empty for the stage's first signal
-    state_size: Callable[[int], int] = remembers_nothing  # number of channels to number of state values
+    state_size: Callable[[int], int] = lambda channels: 0  # number of channels to number of state values
     # of the pneumatics: an error of the pressure gauge. It lies between the measured pressure and the true
     # one, so it acts where the measured pressure is the input too
     of_gauge: bool = False

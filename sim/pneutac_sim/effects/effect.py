@@ -52,11 +52,6 @@ class Parameter:
         return self.default * scale, self.lower * scale, self.upper * scale
 
 
-def nothing_more(values: dict[str, float]) -> dict[str, float]:
-    """Nothing to add to an effect's parameters in its summary."""
-    return {}
-
-
 _WORDS = {
     r"\to": "->", r"\le": "<=", r"\cdot": "*", r"\quad": " ", r"\,": " ", r"\;": " ", r"\left": "",
     r"\right": "", r"\mathrel": "", r"\pm": "+-", r"\int": "integral ", r"\Delta ": "d", r"\varphi": "phi",
@@ -99,7 +94,7 @@ class Effect:
     equation: str = ""
     cause: str = ""  # the summary as a noun phrase, for a list of causes; the name where it is empty
     # parameter values to further values that `summary` and `cause` show
-    derive: Callable[[dict[str, float]], dict[str, float]] = nothing_more
+    derive: Callable[[dict[str, float]], dict[str, float]] = lambda values: {}
 
     def __post_init__(self):
         if self.stage not in self.stages:

@@ -275,12 +275,8 @@ class ManyPipelines:
                 self.pressure_kpa = x
             if link.remembers:
                 side_by_side = np.ascontiguousarray(x.reshape(1, -1))
-                x = link(side_by_side, dt, one._theta, _none, self._states[i]).reshape(-1, 1)
+                state, no_conditions = self._states[i], lambda names: np.empty((1, 0))
+                x = link(side_by_side, dt, one._theta, no_conditions, state).reshape(-1, 1)
             else:
                 x = one._run_rows([(i, link)], x, math.inf)
         return x
-
-
-def _none(names: tuple[str, ...]) -> np.ndarray:
-    """Conditions of effects that have none."""
-    return np.empty((1, 0))

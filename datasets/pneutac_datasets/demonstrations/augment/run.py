@@ -69,7 +69,7 @@ class NewDataset:
     repo_id: str  # its name
     episodes: int  # number of new demonstrations
     executor: ExecutorOptions  # where they are made
-    checks: int = 0  # of them, that material points carry out once more, see `check.check`
+    checks: int = 0  # of them, that material points carry out once more, see `work.check`
     # of the frames that are to be recorded ones: as many copies of the source are merged into it, so that a
     # trainer that draws frames evenly mixes by it
     real_share: float = 0.0
