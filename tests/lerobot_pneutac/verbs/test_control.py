@@ -59,7 +59,7 @@ def test_a_bend_that_cannot_be_followed_is_refused(twin, tmp_path, table, senten
 def test_other_bad_input_is_refused_in_a_sentence(twin, tmp_path):
     with pytest.raises(InputError, match="bend=square is neither a CSV file nor one of steps, sine, loops"):
         control(twin, "square")
-    with pytest.raises(InputError, match="hz=0 must be"):
+    with pytest.raises(InputError, match="hz is 0; give 1 to 1000"):
         control(twin, hz=0)
     with pytest.raises(InputError, match="'gel'; bend is commanded of a finger"):
         control(Twin(device="gel"))
