@@ -76,6 +76,10 @@ class Space(ABC):
         """An accepted model, with how it was recorded."""
         return model
 
+    def bare_starts(self, model: Any) -> Sequence[Start]:
+        """The model without those parts of its base that may stand in for a term."""
+        return []
+
     def again(self, model: Any) -> Start:
         """The model's structure, started where it is."""
         return (model.structure, model.values)
@@ -209,8 +213,10 @@ class Search:
         first = min((s for s in done if s.value <= near), key=lambda s: s.model.cost)
         least = set(first.model.structure.effects)  # with more, and no better, all would be tried twice
         done = [s for s in done if s.value > near or not least < set(s.model.structure.effects)]
-        return [first, *(s for s in done if s is not first)][: T.BEAM - 1] + (
-            [chosen] if chosen is not first and chosen not in done[: T.BEAM - 1] else []
+        return (
+            [first, *(s for s in done if s is not first)][: T.BEAM - 1]
+            + ([chosen] if chosen is not first and chosen not in done[: T.BEAM - 1] else [])
+            + self.fits(self.space.bare_starts(first.model), 12)[:1]
         )
 
     def _actuation_again(self, best: Scored, found: Found) -> Scored:

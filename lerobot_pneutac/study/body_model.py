@@ -272,7 +272,8 @@ class BodyFitter:
         """The rows just after the command's steps, read so but for the instants."""
         key = replace(input_model, switch=None)
         if key not in self._steps:
-            self._steps[key] = StepRows(self.recording, lambda s: self.data(replace(input_model, switch=s)))
+            read = lambda s: self.data(replace(input_model, switch=tuple(s) if np.ndim(s) else s))  # noqa: E731
+            self._steps[key] = StepRows(self.recording, read)
         return self._steps[key]
 
     def judged(self, model: BodyModel) -> tuple[np.ndarray, np.ndarray]:

@@ -9,6 +9,7 @@ from scipy.ndimage import gaussian_filter1d
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
 from lerobot_pneutac.diagnosis.parts import conditions, out_of_time
+from lerobot_pneutac.diagnosis.result import CURVE_LIKE
 from lerobot_pneutac.diagnosis.search import Found, Scored, Search, Start, chosen_in, deal_folds
 from lerobot_pneutac.study.body_base import COMES_WITH, BodyBase, base_effects, doubt
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, BodyStructure, InputModel
@@ -207,6 +208,8 @@ class BodySearch:
         finished = self.without_idle(space, self._refined(space, plain, found), own)
         finished, unseen = self._late_temperature(space, finished)
         finished = self.engine(space).pruned(finished, found, T.WORTH_NAMING)
+        for term in (t for t in CURVE_LIKE if t in own and t not in finished.model.structure.effects):
+            self.left_out.setdefault(term, self._replaced(term))
         return Searched(space, found, finished, unseen=unseen)
 
     def _late_temperature(self, space: BodySpace, model: Scored) -> tuple[Scored, str]:
@@ -259,11 +262,14 @@ class BodySearch:
                     continue
                 model = bare
                 if replaced:
-                    self.left_out[term] = (
-                        f"{term.replace('_', ' ')} of the twin explains nothing in this recording once what "
-                        "was found is added, and is left out then."
-                    )
+                    self.left_out[term] = self._replaced(term)
         return model
+
+    def _replaced(self, term: str) -> str:
+        return (
+            f"{term.replace('_', ' ')} of the twin explains nothing in this recording once what was found is "
+            "added, and is left out then."
+        )
 
     def _refined(self, space: BodySpace, model: Scored, found: Found) -> Scored:
         """The model with its air fitted to the moments after steps, or another actuation if it is worth it.

@@ -6,6 +6,7 @@ from itertools import combinations
 import numpy as np
 
 from lerobot_pneutac.diagnosis import thresholds as T
+from lerobot_pneutac.diagnosis.result import CURVE_LIKE
 from lerobot_pneutac.diagnosis.search import Space, Start
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, BodyStructure, InputModel
 from pneutac_sim.effects.laws import is_law, starts
@@ -65,6 +66,13 @@ class BodySpace(Space):
             if self.input_model.target == "pose":
                 out.append((structure, self.fitter.rough(structure)))
         return out
+
+    def bare_starts(self, model: BodyModel) -> list[Start]:
+        """Without mount and stretch, which bend a curve of the pressure nearly as its own term does."""
+        structure = model.structure.without(*CURVE_LIKE)
+        if structure == model.structure or self.trials:
+            return []
+        return [(structure, model.values)]
 
     def with_actuations(self, model: BodyModel, starts: bool) -> list[Start]:
         of_actuations, out = {e for actuation in self.actuations for e in actuation}, []
@@ -154,7 +162,7 @@ class BodySpace(Space):
             moved[:, c] += eps
             bent.append((self._values(pipe, pipe.run(thin.inputs, theta, run, moved), data) - base) / eps)
         atoms, columns, groups = [], [], []
-        for name in self.candidates:
+        for name in (*self.candidates, *(e for e in CURVE_LIKE if e in self.base)):
             effect = get_effect(name)
             if name in structure.effects and not is_law(name):
                 continue

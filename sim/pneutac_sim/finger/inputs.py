@@ -45,6 +45,18 @@ def switches(samples, time: np.ndarray, pressure: np.ndarray, first: np.ndarray,
     return at, share, pressure[at - 1], pressure[at]
 
 
+def held(pressure: np.ndarray, first: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """The command (n, chambers) at the samples of a ramp whose commands are held, each until the next one.
+
+    A staircase that steps at a `share` (n,) of the time between two samples, is on average the straight line
+    from sample to sample so much later as that is beyond one half, or earlier; NaN leaves a row as it is.
+    """
+    step = np.diff(pressure, axis=0, prepend=pressure[:1])
+    step[first | np.isin(np.arange(len(first)), steps(pressure, first))] = 0.0
+    late = np.nan_to_num(share - 0.5)[:, None]
+    return pressure - np.maximum(late, 0) * step - np.minimum(late, 0) * np.r_[step[1:], 0.0 * step[:1]]
+
+
 def _sent(sent, time, pressure, first, steps):
     """Switches, from when the log says each command was sent.
 
@@ -139,9 +151,9 @@ class Inputs:
                 seconds: it goes on from the trial before after so long at zero pressure.
             trials: what is known of how single trials begin, see `recording.json`; goes before `start`.
             switch: where in the time between two samples a step of the command happens, 0 to 1, one for all
-                or (n,), NaN for a row before which there is none. None: the command goes straight from
-                sample to sample. Column `time_sent_s` goes before it, and every command, those of a ramp too,
-                is held until the next.
+                or (n,), NaN for a row before which there is none; in a ramp, where its commands are sent, see
+                `held`, and NaN where it goes straight from sample to sample, as everywhere for None. Column
+                `time_sent_s` goes before it, and every command, those of a ramp too, is held until the next.
 
         Raises InputError: a column is missing or time does not rise within a trial.
         """
@@ -174,6 +186,8 @@ class Inputs:
             pressure_range_kpa=float(max([*largest, np.abs(pressure).max(), 1e-3])),
         )
         if not use_measured:
+            if np.ndim(switch) and "time_sent_s" not in samples:
+                inputs = replace(inputs, pressure_kpa=held(pressure, first, np.asarray(switch, dtype=float)))
             inputs = inputs._with_switches(*switches(samples, time, pressure, first, switch))
         vented = start == "vented" or (start == "auto" and _starts_vented(pressure, first, samples, device))
         default = start if not isinstance(start, str) else math.inf if vented else math.nan

@@ -6,6 +6,9 @@ That also fits their noise, so models are not compared by these errors as they s
 1. What a fitted number takes out of the noise is added back: of variance s^2, each row of the step gets its
    leverage on the instant times `COST` s^2 (the correction of Mallows' C_p).
 2. One instant serves all steps unless instants of their own are better by rule 1.
+
+A computer that holds each command until the next does so in ramps too: these are read as held, each command
+sent where steps typically are, if the whole recording fits better so (`inputs.held`).
 """
 
 from collections.abc import Callable
@@ -40,12 +43,13 @@ class StepRows:
 
     Attributes:
         at: rows before which the command steps.
+        read: as given.
         rows: (steps, 6) rows from there on.
         own: (steps, 6) whether a row belongs to the step: the same trial, before the next step.
     """
 
-    def __init__(self, recording, read: Callable[[float], BodyData]):
-        self.at = step_rows(recording)
+    def __init__(self, recording, read: Callable[..., BodyData]):
+        self.at, self.read = step_rows(recording), read
         trial = np.asarray(recording.samples["trial"])
         wanted = self.at[:, None] + np.arange(_AFTER)
         self.rows = np.minimum(wanted, len(trial) - 1)
@@ -175,12 +179,12 @@ def _least(E: np.ndarray) -> np.ndarray:
 
 
 def instants(
-    recording, read: Callable[[float], BodyData], pipeline: Pipeline, theta: np.ndarray
+    recording, read: Callable[..., BodyData], pipeline: Pipeline, theta: np.ndarray
 ) -> np.ndarray | None:
     """The share of the time between two samples at which each step happened, as a model sees it.
 
-    (n,), NaN where there is no step; None where there are none, or `time_sent_s` gives them. `read` takes a
-    share of all steps to the recording read so.
+    (n,), NaN where there is no step and ramps go straight; None where there is no step, or `time_sent_s` has
+    the times. `read` takes a share of all steps, or (n,) of each row, to the recording read so.
     """
     if "time_sent_s" in recording.samples or not len(step_rows(recording)):
         return None
@@ -191,4 +195,11 @@ def by_row(recording, step: StepRows, pipeline: Pipeline, theta: np.ndarray) -> 
     """`instants` where the rows after steps have been read already."""
     out = np.full(len(recording.samples["trial"]), np.nan)
     out[step.at] = np.round(_least(step.errors(pipeline, theta)), 3)
-    return out
+    ramps = np.where(np.isnan(out), np.median(out[step.at]), out)
+
+    def error(share: np.ndarray) -> float:
+        data = step.read(share)
+        run = pipeline.run(data.inputs, theta, until=pipeline.until(data.columns))
+        return float((((pipeline.outputs(run, data.columns) - data.measured) * data.scale) ** 2).sum())
+
+    return ramps if error(ramps) < error(out) else out

@@ -4,11 +4,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lerobot_pneutac import calibrate
+from lerobot_pneutac import calibrate, diagnose
 from lerobot_pneutac.verbs.new import new_twin
 from pneutac_datasets.recording.recording import Recording
 
-LENGTH_MM, TOP_KPA = 100.0, 60.0
+LENGTH_MM, TOP_KPA, LAG_S = 100.0, 60.0, 0.15
 
 
 def recording(curve, hz: float, lag_s: float = 0.0, seed: int = 0) -> Recording:
@@ -52,3 +52,13 @@ def test_a_proportional_bend_has_no_curve():
     given = recording(lambda p: p, 10.0)
     result = calibrate(new_twin(recording=given), given)
     assert not result.twin.effects and not any("left out" in f for f in result.findings)
+
+
+@pytest.mark.slow
+def test_a_slow_valve_before_a_saturating_bend_is_found_with_its_constants():
+    given = recording(saturating, 20.0, LAG_S)
+    found = diagnose(calibrate(new_twin(recording=given), given).twin, given)
+    effects = found.twin.effects
+    assert set(effects) == {"valve_lag", "gain_saturation"}
+    assert [v.value for v in effects["valve_lag"].values()] == pytest.approx([LAG_S, LAG_S], rel=0.05)
+    assert effects["gain_saturation"]["saturation_pressure_kpa"].value == pytest.approx(50, rel=0.05)
