@@ -313,6 +313,7 @@ def verb(argv):
     with lock:  # as where the interrupt comes between a wait's release and its taking the lock back
         lock.release()
         time.sleep(60)
+signal.signal(getattr(signal, sys.argv[1]), signal.SIG_DFL)  # what started the tests may ignore it
 cli._dispatch, sys.argv[0] = verb, "pneutac"
 cli.main()
 """
