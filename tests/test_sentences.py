@@ -77,7 +77,6 @@ measure --bench=standin --out=other --length_mm=110
 measure --bench=standin --out=other --pressure.type=simulated
 measure --chessboard=nowhere --intrinsics=lens.json
 measure --chessboard=bench --intrinsics=lens.json --corners=1,6
-measure --camera.type=laser
 measure --camera.type=opencv
 measure --pressure.type=simulated --pressure.options={}
 measure --pressure.type=simulated --pressure.chambers=-1

@@ -54,6 +54,9 @@ class LinearSpace:
     def with_actuations(self, model, starts=True):
         return []
 
+    def bare_starts(self, model):
+        return []
+
     def fit(self, trial, steps=0, every=1):
         X = np.stack([np.ones(N), *(self.columns[e] for e in trial)], 1)
         return Linear(trial, X, self.y, 1 + sum(self.costs.get(e, 1) for e in trial))
@@ -159,8 +162,8 @@ class Table:
     A row's name may begin with "!", what settles to it, or "-", what is left of a model without a term.
     """
 
-    def __init__(self, rows, bases=("",), lines=(), kept=""):
-        self.rows, self.kept, self.begins, self.lines = rows, kept, bases, lines
+    def __init__(self, rows, bases=("",), lines=(), kept="", bare=()):
+        self.rows, self.kept, self.begins, self.lines, self.bare = rows, kept, bases, lines, bare
         self.asked, self.fitted = [], []
 
     def fit(self, trial, steps=0, every=None):
@@ -170,6 +173,9 @@ class Table:
 
     def bases(self):
         return [tuple(b) for b in self.begins]
+
+    def bare_starts(self, model):
+        return [tuple(b) for b in self.bare]
 
     def with_actuations(self, model, starts=True):
         rest = [e for e in model.effects if e not in "".join(self.lines)]
@@ -391,6 +397,13 @@ def test_of_lines_within_two_hundredths_the_simplest_is_taken(value, first):
 def test_it_begins_with_the_best_two_and_the_bare_base(rows, beam):
     table, _ = find(rows, lines=sorted(set(rows) - {""}))
     assert ["".join(effects) for effects, _, _ in table.asked] == beam
+
+
+def test_it_begins_also_without_what_of_the_base_may_stand_for_a_term():
+    rows = {"S": 2.0, "": 4.25, "K": 0.3, "KS": 0.3}
+    table, found = find(rows, bases=("S",), bare=("",))
+    assert ["".join(effects) for effects, _, _ in table.asked][:2] == ["S", ""]
+    assert found.final.model.effects == ("K",)
 
 
 def test_of_each_line_the_best_two_are_settled_and_the_best_is_kept():
