@@ -295,7 +295,7 @@ def check_new(folder: Path, what: str) -> None:
 def _space(file: Path) -> Iterator[None]:
     try:
         yield
-    except BrokenPipeError:
+    except (BrokenPipeError, Timeout):
         raise
     except OSError as e:
         if e.errno in (errno.ENOSPC, errno.EDQUOT):
@@ -304,20 +304,22 @@ def _space(file: Path) -> Iterator[None]:
 
 
 @contextmanager
-def locked(folder: Path) -> Iterator[None]:
+def locked(folder: Path, wait_s: float = LOCK_S) -> Iterator[None]:
     """One process at a time writes into a folder; others wait.
 
-    Raises InputError where another process has written for `LOCK_S` seconds.
+    Raises InputError where another process still writes after `wait_s` seconds.
     """
     with _space(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(folder / ".lock", timeout=LOCK_S)
+        lock = FileLock(folder / ".lock", timeout=wait_s)
     try:
         with _space(folder), lock:
             yield
     except Timeout as e:
         raise InputError(
-            f"Another process has been writing into '{folder}' for {LOCK_S:.0f} s; wait for it and repeat."
+            f"Another process has been writing into '{folder}' for {wait_s:.0f} s; wait for it and repeat."
+            if wait_s
+            else f"Another command is writing into '{folder}'; wait for it and repeat."
         ) from e
 
 

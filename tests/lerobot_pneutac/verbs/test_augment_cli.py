@@ -30,6 +30,7 @@ from pneutac_datasets.demonstrations.episodes import POINTS, TACTILE
 from pneutac_datasets.demonstrations.record import record_episodes
 from pneutac_datasets.demonstrations.save import create_dataset
 from pneutac_sim.errors import InputError
+from pneutac_sim.files import locked
 from pneutac_sim.world.base import Variation
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.world import World
@@ -240,6 +241,8 @@ def test_bad_input_is_named(recorded, made, tmp_path):
         with pytest.raises(InputError, match="finds no CUDA device here; give cpu"):
             AugmentConfig(DatasetRef("a", recorded), DatasetRef("b", tmp_path / "o"), device="cuda")
     refused(f"--output.root={made / 'more'}", match="exists; give a new folder")
+    with locked(tmp_path / "o.work"):
+        refused(match="Another command is writing into '.*o.work'; wait for it and repeat")
     features = LeRobotDatasetMetadata("local/demos", recorded).features
     ours = {k: features[k] for k in (OBS_STATE, ACTION, TACTILE)}
     for name, fps, chosen, match in (

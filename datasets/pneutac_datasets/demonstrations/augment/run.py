@@ -49,7 +49,7 @@ from pneutac_datasets.demonstrations.save import EncodedVideos, create_dataset, 
 from pneutac_sim.errors import InputError
 from pneutac_sim.executor import ExecutorOptions, faults_named, process_pool, run_pieces
 from pneutac_sim.features import Places
-from pneutac_sim.files import write_text
+from pneutac_sim.files import locked, write_text
 from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.progress import Progress, no_progress
@@ -131,6 +131,20 @@ def augment_guided(
     check_new(out.root, out.repo_id)
     together = {"device": out.device} if out.worlds else {}
     work.open(_run(meta, setup) | ({"real_share": out.real_share} if out.real_share else {}) | together)
+    with locked(work.folder, wait_s=0.0):
+        return _make_and_write(meta, setup, out, work, part, progress, began)
+
+
+def _make_and_write(
+    meta: LeRobotDatasetMetadata,
+    setup: AugmentSetup,
+    out: NewDataset,
+    work: Work,
+    part: Path,
+    progress: Progress,
+    began: float,
+) -> dict:
+    checks, episodes = min(out.checks, out.episodes), out.episodes
     scenes = _find_scenes(work, setup, out.executor, progress) if setup.method == "planner" else []
     files, new = [work.episode_file(k) for k in range(episodes)], work.folder / "dataset"
     parts, ended, failed = {}, threading.Event(), threading.Event()
