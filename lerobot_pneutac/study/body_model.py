@@ -272,7 +272,11 @@ class BodyFitter:
         """The rows just after the command's steps, read so but for the instants."""
         key = replace(input_model, switch=None)
         if key not in self._steps:
-            read = lambda s: self.data(replace(input_model, switch=tuple(s) if np.ndim(s) else s))  # noqa: E731
+
+            def read(share) -> BodyData:  # a tuple, since what is read is cached by it
+                switch = tuple(share) if np.ndim(share) else share
+                return self.data(replace(input_model, switch=switch))
+
             self._steps[key] = StepRows(self.recording, read)
         return self._steps[key]
 
