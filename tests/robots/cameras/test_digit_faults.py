@@ -9,6 +9,9 @@ from pneutac_sim.features import IMAGE_SHAPE
 
 LATE_S = 0.6  # a busy computer's delay on top of a stated time
 
+# They wait as long as a sensor may.
+pytestmark = pytest.mark.realtime
+
 
 def seconds_to_fault(camera, limit_s=5.0) -> tuple[float, float, str]:
     """By the clock, and of them those in which this process ran; what the fault says."""
