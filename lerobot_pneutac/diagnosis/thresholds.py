@@ -64,6 +64,8 @@ FEW_SAMPLES = 60  # to fit, below which nothing is claimed (verdict)
 CERTAIN = 0.8  # calibrated probability above which a mechanism is called certain (verdict)
 NAMED = 0.5  # the same above which it is named: below, another mechanism is likelier than it (verdict)
 AT_MOST_ELSEWHERE = 0.75  # the same where later rows or programs are far from the noise: of 62, 47 were right
+WEAK_GAIN = 0.25  # of the mean bend per kPa: with less a device hardly bends (names)
+WEAK_RANGE = 0.08  # of the range of pressure: least stretch of which that is said (names)
 NOT_SHOWN = 0.1  # the same of air that the measured pressure does not show: of 10, none was right (verdict)
 
 # ---------------------------------------------------------------- parameters

@@ -13,7 +13,7 @@ from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.black_box import share_left
 from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap, PairedTest
 from lerobot_pneutac.diagnosis.experiment import Separation
-from lerobot_pneutac.diagnosis.names import called
+from lerobot_pneutac.diagnosis.names import called, hardly_bends
 from lerobot_pneutac.diagnosis.parts import Parts
 from lerobot_pneutac.diagnosis.result import (
     Contribution,
@@ -299,6 +299,8 @@ class EffectStudy(ABC):
         """What is missing, by the one name of it, with the fitted numbers."""
         values = {k: p["value"] for k, p in self.parameters(model, effect).items()}
         _, comma, numbers = get_effect(effect).as_cause(values, self.recording.device).partition(", ")
+        if weak := hardly_bends(model.twin, effect):
+            return f"{called(effect, model.twin)}: {weak}"
         return called(effect, model.twin) + comma + numbers
 
     def size(self, model: FittedModel, effect: str) -> str:

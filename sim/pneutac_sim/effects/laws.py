@@ -1001,10 +1001,10 @@ def _response(name: str, values: tuple[tuple[str, float], ...], range_kpa: float
     )
 
 
-def curvature(name: str, values: Mapping[str, float], range_kpa: float = 0.0) -> float:
-    """Second difference of a static curve over half the range, of the range; 0 of an effect that is none.
+def curve(name: str, values: Mapping[str, float], range_kpa: float = 0.0) -> np.ndarray:
+    """What an effect adds on slow strokes from 0 to the range, (101,), in ranges, the mean of both ways.
 
-    Positive where each further kPa bends more.
+    0 of an effect that is not of the pressure.
 
     Args:
         name: of an effect.
@@ -1012,10 +1012,20 @@ def curvature(name: str, values: Mapping[str, float], range_kpa: float = 0.0) ->
         range_kpa: largest pressure, where the constants do not give it.
     """
     range_kpa = values.get("scale_kpa", range_kpa)
-    if not range_kpa or _kind(name, values) not in _CURVES:
+    if not range_kpa or (name.partition(" #")[0] not in TABLE and name not in _NAMED | _STATIC):
+        return np.zeros(101)
+    return _response(name, tuple(values.items()), range_kpa).curve
+
+
+def curvature(name: str, values: Mapping[str, float], range_kpa: float = 0.0) -> float:
+    """Second difference of a static curve over half the range, of the range; 0 of an effect that is none.
+
+    Positive where each further kPa bends more; arguments as of `curve`.
+    """
+    if _kind(name, values) not in _CURVES:
         return 0.0
-    curve = _response(name, tuple(values.items()), range_kpa).curve
-    return float(curve[100] - 2 * curve[50] + curve[0])
+    shape = curve(name, values, range_kpa)
+    return float(shape[100] - 2 * shape[50] + shape[0])
 
 
 def family(name: str, values: Mapping[str, float] | None = None) -> str:
