@@ -1,5 +1,6 @@
 """Deals a recording into training, validation and test, and into the units that the bootstrap resamples."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,10 +55,10 @@ def deal(recording: Recording, seed: int) -> Parts:
     return Parts(train, validation, test, unit, stratum[first])
 
 
-def conditions(recording: Recording) -> np.ndarray:
-    """Number (n,) of each sample's physical condition: direction of gravity, load, level of temperature."""
+def conditions(recording: Recording, levels: Sequence[str] = LEVELS) -> np.ndarray:
+    """Number (n,) of each sample's condition: direction of gravity, levels of load and temperature."""
     samples, key = recording.samples, [np.zeros(len(recording), int)]
-    for name in ("gravity_x", "gravity_y", "gravity_z", *LEVELS):
+    for name in ("gravity_x", "gravity_y", "gravity_z", *levels):
         if name in samples:
             v = samples[name].to_numpy(float)
             span = np.ptp(v) if name in LEVELS else 2.0

@@ -280,17 +280,17 @@ class Search:
         return None
 
     def _improves_out_of_time(self, now: Scored, after: Scored) -> bool:
-        """Whether a model errs less than the one it replaces in the last stretch of `AHEAD`, and in all.
+        """Whether a model errs less than the one it replaces in all of `AHEAD`, and hardly more in the last.
 
         Blocks dealt at random lie between others that were fitted: there any slow course does well, one of
-        time or one of a long memory.
+        time or one of a long memory. A wrong model may be right by chance in the last stretch alone.
         """
         n, drops = len(self.fold), []
         for begin, end in pairwise((np.array(T.AHEAD) * n).astype(int)):
             fold = out_of_time(self.condition, begin)
             if (fold[:end] == 0).any():
                 drops.append(float((now.model.cv_squared(fold) - after.model.cv_squared(fold))[:end].sum()))
-        return not drops or min(drops[-1], sum(drops)) > 0
+        return not drops or sum(drops) > max(0.0, -drops[-1] / T.LOST_LAST)
 
     def is_worth(self, now: Scored, after: Scored) -> bool:
         """Whether a step between models is significant, large enough and improves out of time."""

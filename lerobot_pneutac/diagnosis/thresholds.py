@@ -29,6 +29,7 @@ WORTH_NAMING = (
 )
 ACTUATION_AGAIN = 0.5  # of the excess at the last choice of the actuation: below, it is chosen again (search)
 EQUAL = 0.01  # of the excess: models that differ by less are equal, the simpler wins (search)
+LOST_LAST = 0.05  # of the fall ahead of time: most that the last of these stretches may lose (search)
 AHEAD = (0.4, 0.6, 0.8, 1.0)  # of the rows: stretches to be predicted from all before them (search)
 
 # ---------------------------------------------------------------- significance and stability

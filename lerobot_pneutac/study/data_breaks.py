@@ -22,6 +22,7 @@ import numpy as np
 
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
+from lerobot_pneutac.diagnosis.parts import conditions
 from lerobot_pneutac.diagnosis.search import Scored
 from lerobot_pneutac.study.base import EffectStudy
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel
@@ -239,20 +240,26 @@ def change_break(study: EffectStudy, rows: np.ndarray, found: Scored) -> Break |
     at = _change(study, found)
     if at is None:
         return None
-    model, left = found.model, 0.0
+    # What differs between two loads may be what a load does: a change is told within one.
+    load = conditions(study.recording, ("payload_g",))[rows]
+    both = np.isin(load, np.intersect1d(load[:at], load[at:]))
+    if not both.any():
+        return None
+    model, sides = found.model, []
     for side in (rows[:at], rows[at:]):
         part = BodyFitter(study.recording, study.twin, side).fit(model.structure, model.values, 8)
-        left += (part.residual[:, : part.counted] ** 2).sum() / len(rows)
-    if found.value - left < T.ONCE * (found.value - study.noise.floor**2):
+        sides.append((part.residual[:, : part.counted] ** 2).sum(axis=1))
+    before, left = (float(x[both].mean()) for x in (found.cv_squared, np.concatenate(sides)))
+    if before - left < T.ONCE * (before - study.noise.floor**2):
         return None
     row, every = int(rows[at]), np.arange(len(study.recording))
-    before, after = every <= rows[at - 1], every >= row
-    which, longer = ("before", before) if before.sum() > after.sum() else ("after", after)
+    first, last = every <= rows[at - 1], every >= row
+    which, longer = ("before", first) if first.sum() > last.sum() else ("after", last)
     first, last = np.flatnonzero(longer)[[0, -1]]
     return Break(
         {"first_row": int(first), "last_row": int(last)},
         f"Something changed permanently in {where(study.recording, row)}: the error of one model is "
-        f"{found.value**0.5:.3g} {study.unit}, that of models fitted before and after it {left**0.5:.3g}. "
+        f"{before**0.5:.3g} {study.unit}, that of models fitted before and after it {left**0.5:.3g}. "
         f"Only the {longer.sum()} rows {which} it are used.",
     )
 

@@ -433,9 +433,12 @@ def run_drive(x, dt, theta, conditions, state, *, input, memory, late, gain, min
 
 
 def run_seen(x, dt, theta, conditions, state, *, out, feature, counted):
-    """Output `out` gains theta[0] times a feature; conditions = length_mm and the feature's column."""
+    """Output `out` gains theta[0] times a feature; conditions = length_mm and the feature's columns.
+
+    `counted` has zero and unit of each column; the feature gets their product.
+    """
     length = conditions[:, 0] if out < 3 else 1.0
-    c = (conditions[:, 1] - counted[0]) / counted[1] if counted else None
+    c = np.prod([(conditions[:, k] - zero) / unit for k, (zero, unit) in enumerate(counted, 1)], axis=0)
     x[:, out] += theta[0] * length * feature(x, length, c)
 
 
@@ -547,7 +550,10 @@ EXPERIMENTS = {
 # ---------------------------------------------------------------- the catalogue
 
 # Condition column to its zero and unit.
-COUNTED = {"temperature_c": (REFERENCE_C, 10.0), "session_time_s": (0.0, 1.0), "gravity_y": (0.0, 1.0)}
+COUNTED = {
+    "temperature_c": (REFERENCE_C, 10.0), "session_time_s": (0.0, 1.0), "gravity_y": (0.0, 1.0),
+    "payload_g": (0.0, 10.0),
+}  # fmt: skip
 
 
 # Constant to its symbol in the equations; a `width_kpa` is r, as every other one that is not named here.
@@ -640,8 +646,8 @@ class Law:
 
 # Feature in a law's name to its LaTeX; those of the tip are in lengths L, so that the weight has no unit.
 _FEATURES = {
-    "z^2": "z^2/L", "x z": r"x\,z/L", "dT": r"L\,\Delta T", "g_y": r"L\,g_y", "bend^2": r"\mathrm{bend}^2",
-    "dT of bend": r"\Delta T",
+    "z^2": "z^2/L", "x z": r"x\,z/L", "dT": r"L\,\Delta T", "g_y": r"L\,g_y", "m g_y": r"L\,m\,g_y",
+    "bend^2": r"\mathrm{bend}^2", "dT of bend": r"\Delta T",
 }  # fmt: skip
 
 
@@ -650,8 +656,8 @@ class SeenLaw:
     """One law of what is seen: an output gains a feature."""
 
     out: int  # index of the output, tip x, y, z or bend
-    feature: Callable  # of the markers (n, 5), the length in mm and the counted condition
-    column: str = ""  # condition that it needs
+    feature: Callable  # of the markers (n, 5), the length in mm and the product of the counted conditions
+    columns: tuple[str, ...] = ()  # conditions that it needs
     family: str = "tracker"  # the library's name for such physics
     cause: str = "an error of the measured tip"  # in a list of causes
 
@@ -660,15 +666,14 @@ class SeenLaw:
         structure, of_tip = name.partition(" #")[0], self.out < 3
         output, _, feature = structure.partition(" += ")
         feature = _FEATURES[feature if of_tip or feature != "dT" else "dT of bend"]
-        columns = (self.column,) if self.column else ()
-        counted = COUNTED[self.column] if self.column else ()
+        counted = tuple(COUNTED[c] for c in self.columns)
         return BodyEffect(
             name=name,
             stage="material" if of_tip else "observation",
             signal="markers",
             run=partial(run_seen, out=self.out, feature=self.feature, counted=counted),
             parameters=(Parameter("weight", "", 0.01, -1.0, 1.0),),
-            columns=("length_mm", *columns),
+            columns=("length_mm", *self.columns),
             equation=rf"{output} \to {output} + w\,{feature}",
             cause=self.cause,
             summary=f"The {'tip' if of_tip else 'bend'} of your {{device}} is off: "
@@ -817,10 +822,13 @@ SEEN = {
         for i, a in enumerate("xyz")
         for f, feature in (("z^2", z_squared), ("x z", x_z))
     },
-    **{f"tip_{a} += dT": SeenLaw(i, counted_condition, "temperature_c") for i, a in enumerate("xyz")},
-    "tip_y += g_y": SeenLaw(1, counted_condition, "gravity_y", "gravity", "a sag to the side"),
+    **{f"tip_{a} += dT": SeenLaw(i, counted_condition, ("temperature_c",)) for i, a in enumerate("xyz")},
+    "tip_y += g_y": SeenLaw(1, counted_condition, ("gravity_y",), "gravity", "a sag to the side"),
+    "tip_y += m g_y": SeenLaw(
+        1, counted_condition, ("gravity_y", "payload_g"), "payload", "a sag to the side under the load"
+    ),
     "bend += bend^2": SeenLaw(3, bend_squared, cause=_OF_BEND),
-    "bend += dT": SeenLaw(3, counted_condition, "temperature_c", cause=_OF_BEND),
+    "bend += dT": SeenLaw(3, counted_condition, ("temperature_c",), cause=_OF_BEND),
 }
 TRACKER = "tracker_lag"
 # fmt: off
@@ -869,6 +877,7 @@ PLAIN = {
        for a in "xyz"
        for f, g in (("z^2", "z squared"), ("x z", "x times z"), ("dT", "temperature"))},
     "tip_y += g_y": "a sag to the side",
+    "tip_y += m g_y": "a sag to the side under the load",
     "bend += bend^2": "an error of the measured bend by its square",
     "bend += dT": "an error of the measured bend by temperature",
     TRACKER: "a lag of the tracker",

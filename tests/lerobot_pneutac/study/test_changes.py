@@ -3,9 +3,12 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from lerobot_pneutac.study.data_breaks import find_change
+from lerobot_pneutac.study import data_breaks
+from lerobot_pneutac.study.data_breaks import change_break, find_change
+from pneutac_datasets.recording.recording import Recording
 
 N, NOISE = 1500, 0.4
 
@@ -46,3 +49,29 @@ def test_what_changes_all_the_while_or_for_a_while_has_no_moment():
 def test_nothing_is_found_in_noise():
     m = model(np.zeros(N))
     assert find_change(m, 0.05 * NOISE**2) is None
+
+
+@pytest.mark.parametrize(("sideways", "told"), [((0, 1), False), ((0, 1, 0), True), ((0, 0), True)])
+def test_what_begins_with_another_load_is_no_change_of_the_device(monkeypatch, tmp_path, sideways, told):
+    g, n = np.repeat(sideways, 60).astype(float), 60 * len(sideways)
+    columns = {"time_s": 0.1 * np.arange(n), "trial": 0.0, "gravity_y": g, "gravity_z": 1 - g}
+    columns |= {"pressure_cmd_kpa": 0.0, "tip_x_mm": 0.0}
+    study = SimpleNamespace(
+        recording=Recording(tmp_path, {}, pd.DataFrame(columns), "finger"),
+        twin=None,
+        noise=SimpleNamespace(floor=0.1),
+        unit="mm",
+    )
+    monkeypatch.setattr(data_breaks, "_change", lambda study, found: 60)
+
+    class Fitter:
+        def __init__(self, recording, twin, rows):
+            self.rows = rows
+
+        def fit(self, *args):
+            return SimpleNamespace(residual=np.full((len(self.rows), 1), 0.1), counted=1)
+
+    monkeypatch.setattr(data_breaks, "BodyFitter", Fitter)
+    found = SimpleNamespace(model=SimpleNamespace(structure=None, values={}), cv_squared=np.ones(n))
+    found.value = 1.0
+    assert (change_break(study, np.arange(n), found) is not None) == told

@@ -317,6 +317,7 @@ def test_what_is_seen_gains_its_feature():
         ("tip_z += x z", 2, x * z / 120.0, ()),
         ("tip_x += dT", 0, 120.0 * (warm - REFERENCE_C) / 10, (warm,)),
         ("tip_y += g_y", 1, 120.0 * sideways, (sideways,)),
+        ("tip_y += m g_y", 1, 120.0 * sideways * warm / 10, (sideways, warm)),
         ("bend += bend^2", 3, bend**2, ()),
         ("bend += dT", 3, (warm - REFERENCE_C) / 10, (warm,)),
     ):
@@ -339,6 +340,7 @@ def case(name, n=400):
     effect = law(name)
     x = np.stack([polyline(n, k) for k in range(3 if effect.stage == "drive" else 5)], axis=1)
     columns = {"temperature_c": np.linspace(15, 35, n), "gravity_y": np.linspace(-1, 1, n)}
+    columns["payload_g"] = np.linspace(0, 50, n)
     columns["session_time_s"] = np.linspace(0, 20, n)
     columns["length_mm"] = np.full(n, 100.0)
     conditions = np.stack([columns[c] for c in effect.columns] or [np.zeros(n)], axis=1)
