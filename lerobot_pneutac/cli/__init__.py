@@ -57,7 +57,8 @@ PLUGIN = "lerobot_robot_pneutac"
 INSTALL = "in a clone: pip install . ./packages/lerobot_camera_digit ./robots"
 PACKAGES = "av datasets datatrove lerobot pyarrow quadrants rerun serial taichi torch"
 PLUGIN_PACKAGES = {PLUGIN, *PACKAGES.split()}
-PLUGIN_VERBS = ("measure", "surrogate", "augment", "ppo", "repair")
+PLUGIN_VERBS = ("measure", "surrogate", "render", "augment", "ppo", "repair")
+RESUMED = ("demo", "learn", "surrogate", "augment", "ppo")  # commands that go on where one was interrupted
 
 
 AGAIN_S = 1.0  # after which Ctrl-C is raised again where a library has swallowed it
@@ -102,7 +103,9 @@ def main() -> None:
         # an interrupt inside a lock, as of a wait, ends in "release unlocked lock"
         if isinstance(e, RuntimeError) and not isinstance(e.__context__, KeyboardInterrupt):
             raise
-        print(f"{sys.argv[0]}: interrupted.", file=sys.stderr)
+        resumed = sys.argv[0].rpartition(" ")[2] in RESUMED
+        goes_on = "; the same command goes on from what is finished" * resumed
+        print(f"{sys.argv[0]}: interrupted{goes_on}.", file=sys.stderr)
         sys.exit(130)
 
 

@@ -176,7 +176,8 @@ def _check_outputs(config, argv: list[str]) -> None:
                 raise InputError(
                     f"--{name}={path} lies in --{source}={folder}, which is read; give another folder."
                 )
-        if name == "out" and (found := _holds(path, config, argv)):
+        replaced = getattr(config, "replace", False)
+        if name == "out" and not replaced and (found := _holds(path, config, argv)):
             raise InputError(f"--out={path} holds {found}; give another folder.")
         mark = getattr(config, "resumed_by", "") if name == "out" else ""
         if mark and path.is_dir() and any(path.iterdir()) and not (path / mark).exists():
@@ -198,16 +199,21 @@ def check_folder(name: str, path: Path) -> None:
 HELD = {"recording.json": "a recording", "twin.yaml": "a twin", "meta/info.json": "a dataset"}
 
 
+def holds(out: Path) -> tuple[str, str]:
+    """What a folder has that no report may be mixed with, else empty; and the command of a report there."""
+    found = next((what for file, what in HELD.items() if (out / file).is_file()), "")
+    result = out / "result.json"
+    return found, "" if found or not result.is_file() else str(read_json(result).get("command", ""))
+
+
 def _holds(out: Path, config, argv: list[str]) -> str:
     """What a report in folder `out` would be mixed with or overwrite; empty for nothing, or for its like.
 
     That is what this very command wrote, or an earlier run that it goes on with.
     """
-    for file, what in HELD.items():
-        if (out / file).is_file():
-            return what
-    result = out / "result.json"
-    command = str(read_json(result).get("command", "")) if result.is_file() else ""
+    found, command = holds(out)
+    if found:
+        return found
     verb = " ".join(command.split()[:2])
     same = f"`{verb}`" in (type(config).__doc__ or "")
     if not verb or same and (hasattr(config, "resumed_by") or command == f"{verb} {shlex.join(argv)}"):

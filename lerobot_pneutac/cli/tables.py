@@ -45,7 +45,7 @@ def recording_folder(
         show_understood(understood, console)
     if known is None and not yes and not _confirmed_before(understood, folder):
         confirm(path)
-    understood.write(folder)
+    understood.write(folder, replaces=mapping is None)
     how = f", by {known}" if known else ""
     console.print(f"Stored in {folder}{how}.", highlight=False, soft_wrap=True, markup=False)
     return folder

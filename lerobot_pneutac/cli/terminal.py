@@ -30,7 +30,7 @@ class Terminal:
 
     def __init__(self, verb: str, argv: list[str]):
         self.console = Console()
-        self._line = f"pneutac {verb} {shlex.join(argv)}"
+        self.line = f"pneutac {verb} {shlex.join(argv)}"
 
     def say(self, text: str, markup: bool = False, **style) -> None:
         """Prints one line, which a reader may copy: not wrapped, nothing in it coloured."""
@@ -53,7 +53,7 @@ class Terminal:
         paths = []
 
         def write(result) -> None:
-            paths.extend([] if out is None else [result.report(out, self._line)])
+            paths.extend([] if out is None else [result.report(out, self.line)])
 
         if store is None:
             write(result)
@@ -62,7 +62,7 @@ class Terminal:
         self.show(result, sentence)
         for path in paths:
             self.say(f"report: {path}")
-        self.next_step(result.next_step(out, self._line))
+        self.next_step(result.next_step(out, self.line))
         return result
 
     def next_step(self, text: str) -> None:

@@ -30,6 +30,14 @@ class Separation:
     predictions: tuple[np.ndarray, np.ndarray]  # (n, k) headline columns (or pressure) of each model
     columns: list[str]  # their names
 
+    def apart(self, unit: str, noise: float | None) -> str:
+        """How far the models lie apart there, a sentence; `unit` and `noise` are of the headline error."""
+        most = float(np.linalg.norm(self.predictions[0] - self.predictions[1], axis=1).max())
+        if self.columns == ["pressure_kpa"]:
+            return f"There the two predict pressures up to {most:.2g} kPa apart."
+        times = f", {most / noise:.2g} times the noise" if noise else ""
+        return f"There the two predict up to {most:.2g} {unit} apart{times}."
+
 
 def separations(
     recording: Recording, a: Twin, b: Twin, floor: float, effects: tuple[str, ...] = ()
@@ -44,7 +52,7 @@ def separations(
     logged = any(c.replace("cmd_", "") in recording.samples for c in recording.pressure_columns)
     constants = {e: {k: v.value for k, v in a.effects[e].items()} for e in effects if e in a.effects}
     for program in [*menu(recording), *law_programs(recording, constants)]:
-        pair = _predict(recording, program, a, b)
+        pair = predictions(recording, program, a, b)
         if pair is None:
             continue
         (ya, pa), (yb, pb), columns = pair
@@ -62,7 +70,8 @@ def separations(
     return sorted(found, key=lambda s: -s.score)
 
 
-def _predict(recording: Recording, program: Program, a: Twin, b: Twin):
+def predictions(recording: Recording, program: Program, a: Twin, b: Twin):
+    """What two twins predict of a program, as `predict`, and the columns; None where one cannot follow it."""
     planned = Recording(recording.folder, recording.meta, program.samples, recording.device)
     out = []
     for twin in (a, b):

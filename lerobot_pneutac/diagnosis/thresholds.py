@@ -132,6 +132,13 @@ LITTLE_GAIN_CONSTANTS = 1.0  # nats about constants, likewise (design)
 INDEPENDENT_S = 1.0  # a model's error hardly changes within: counts as one measurement (design)
 OVERHEAD_S = 15.0  # that any program costs besides its own time (design)
 HAND_S = 60.0  # that a manual change costs in addition (design)
+ENOUGH_MIN = 10.0  # minutes at a usual rate, in which most effects show (pair)
+ENOUGH_HOLDS, OF_RANGE = 5, 0.8  # pressures, over such a share of the range, show a straight line (fit_body)
+HOLD_S = 2.0  # for which a command stands where it is held: most fingers rest then (fit_body)
+LEVELS = 20  # of the range: held pressures that differ by less are one (fit_body)
+QUICK_HZ = 50.0  # at which the measured pressure shows a dead time and a resonance (base)
+LONG_HOLD_S = 120.0  # which shows creep and a leak (base)
+TEMPERATURES_C = 5.0  # between two room temperatures that show an effect of warmth (base)
 HOLD_ENOUGH = 0.8  # of the most that any hold leaves: the shortest such hold is proposed (gel_press)
 
 # ---------------------------------------------------------------- recordings

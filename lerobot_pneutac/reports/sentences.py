@@ -8,11 +8,13 @@ from enum import StrEnum
 from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.names import called, family_in
 from lerobot_pneutac.diagnosis.result import SET_UP, Outcome
-from lerobot_pneutac.diagnosis.thresholds import AS_IS_NOISE
+from lerobot_pneutac.diagnosis.thresholds import AS_IS_NOISE, CLOSE, NOISE
 from lerobot_pneutac.diagnosis.verdict import NONE, Explained, Mechanism
 from lerobot_pneutac.study.base import EffectStudy
+from pneutac_datasets.recording.noise import LEAST_REPEATED
 from pneutac_datasets.recording.wording import joined
 
+TWICE = f"Record one program twice, for {LEAST_REPEATED} rows or more, to measure it."
 LEAST_SHOWN = 0.05  # probability of a mechanism that is shown
 UNTESTED = "cannot be tested, "  # what the reasons of untested effects begin with
 AGREED = 0.7  # share of repeated searches below which it is not called confirmed
@@ -200,7 +202,13 @@ def explanation(s: State) -> str:
     match s.explained:
         case Explained.FULLY:
             recorded = f", as far as was recorded ({s.recorded})" if s.recorded else ""
-            return f"Explained: fully{recorded}{', ' * bool(s.where)}{s.where}. The error is {times}."
+            counts = f"up to {NOISE:g} times counts as noise"
+            if s.rest > NOISE * s.noise:
+                each = [s.rest / s.noise, *(x for x in (s.later, s.program) if x is not None)]
+                mean = (sum(x * x for x in each) / len(each)) ** 0.5
+                counts = f"with later rows and other programs {mean:.2f} times, and {counts}"
+            where = f"{recorded}{', ' * bool(s.where)}{s.where}"
+            return f"Explained: fully{where}. The error is {times}; {counts}."
         case Explained.MOSTLY if s.at_noise and s.unseen:
             return f"Explained: mostly. The error is {times}, but {s.unseen}."
         case Explained.MOSTLY if s.at_noise:
@@ -212,7 +220,8 @@ def explanation(s: State) -> str:
             but = f"{where[worst] or 0.0:.2f} times the noise in {worst}"
             return f"Explained: mostly. The error is {times}, but {but}."
         case Explained.UNDETERMINED if s.at_noise:
-            return f"Explained: undetermined, since the error is known too roughly ({times})."
+            more = f"above {CLOSE:g} times it would be more than noise"
+            return f"Explained: undetermined, since the error is known too roughly: {times}, and {more}."
         case Explained.UNDETERMINED if not s.noise_measured:
             return f"Explained: undetermined, since the error is {times}."
         case _:
@@ -317,7 +326,7 @@ def warnings(s: State) -> list[str]:
         if s.noise is None:
             out.append(f"The noise {s.noise_how}.")
         elif not s.noise_measured:
-            out.append(f"The noise is an estimate: {s.noise_how}. Record one program twice to measure it.")
+            out.append(f"The noise is an estimate: {s.noise_how}. {TWICE}")
         if s.optimistic:
             out.append("The recording is too short for a test part of its own; the errors are optimistic.")
     out += s.notes
@@ -394,7 +403,8 @@ def next_experiment(study: EffectStudy, outcome: Outcome) -> tuple[str, Separati
         best = study.separation(rival)
         if best:
             pair = called(rival.effect, rival.winner.twin), called(rival.rival, rival.fit.twin)
-            return f"To separate {pair[0]} from {pair[1]}: {best.advice}", best
+            apart = best.apart(study.unit, study.noise.value)
+            return f"To separate {pair[0]} from {pair[1]}: {best.advice} {apart}", best
     if outcome.verdict == "unknown_effect" and not outcome.evidence.is_noise:
         return study.repeat, None
     hints = outcome.selected or outcome.evidence.near_miss

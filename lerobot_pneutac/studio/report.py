@@ -17,7 +17,7 @@ from lerobot_pneutac.verbs.history import report
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CHAMBERS
-from pneutac_sim.files import check_writable
+from pneutac_sim.files import check_new_file, check_writable
 from pneutac_sim.finger import Pipeline
 from pneutac_sim.twin import Twin
 
@@ -38,6 +38,7 @@ class ReportConfig:
             raise InputError(f"rrd={self.rrd} must end in .rrd.")
         if self.rrd is not None:
             check_writable(self.rrd.parent, f"{self.rrd.parent}, the folder of --rrd={self.rrd},")
+            check_new_file(self.rrd, f"rrd={self.rrd}")
         if self.recording is not None and self.rrd is None:
             raise InputError(
                 f"recording={self.recording} goes with --rrd=FILE; `pneutac compare` reports on it."

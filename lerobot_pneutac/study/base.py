@@ -26,6 +26,7 @@ from lerobot_pneutac.diagnosis.result import (
 )
 from lerobot_pneutac.diagnosis.search import Steps
 from lerobot_pneutac.diagnosis.verdict import Evidence, decide
+from pneutac_datasets.recording.axes import motion
 from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import plural
@@ -60,6 +61,40 @@ def not_identifiable(value: float, ci95: Sequence[float] | None, spec: Parameter
 def unidentified(experiment: str) -> str:
     """The note of a parameter that a recording does not show."""
     return f"not identifiable from this recording: {experiment[:1].lower()}{experiment[1:].rstrip('.')}"
+
+
+def experiment_of(effect: str, recording: Recording) -> str:
+    """What to record to distinguish an effect from its alternatives, beyond what a recording has."""
+    if has := _recorded_already(effect, recording):
+        return f"This recording has {has} already: another day, by other programs, decides."
+    return get_effect(effect).experiment
+
+
+QUICK = ("air_resonance", "dead_time")  # effects that the measured pressure shows at `QUICK_HZ`
+GAUGED = ("valve_lag", "valve_slew", "orifice_flow")  # those that it shows at any rate
+
+
+def _recorded_already(effect: str, recording: Recording) -> str:
+    """What a recording has of an effect's own experiment; empty where something of it is missing."""
+    s, gravity = recording.samples, [f"gravity_{a}" for a in "xyz"]
+    if effect == "gravity" and all(map(recording.has, gravity)):
+        ways = np.unique(np.round(s[gravity].to_numpy(float), 1), axis=0)
+        return "opposite directions of gravity" if (ways @ ways.T).min() < -0.5 else ""
+    if effect == "payload" and recording.has("payload_g"):
+        masses = np.unique(np.round(recording.column("payload_g")))
+        return f"{masses[masses > 0].size} masses at the tip" if (masses > 0).sum() > 1 else ""
+    if effect == "thermal" and recording.has("temperature_c"):
+        low, high = recording.column("temperature_c").min(), recording.column("temperature_c").max()
+        return f"temperatures from {low:.0f} to {high:.0f} °C" if high - low >= T.TEMPERATURES_C else ""
+    if effect not in (*QUICK, *GAUGED, "creep", "leak"):
+        return ""
+    if not all(recording.has(c.replace("cmd_", "")) for c in recording.pressure_columns):
+        return ""
+    if effect in ("creep", "leak"):
+        held_s = float(motion(recording)[1].max())
+        return f"a hold of {held_s:.0f} s with the measured pressure" if held_s >= T.LONG_HOLD_S else ""
+    hz = 1 / float(np.median(np.diff(recording.column("time_s"))))
+    return f"the measured pressure at {hz:.0f} Hz" if effect in GAUGED or hz >= T.QUICK_HZ else ""
 
 
 class EffectStudy(ABC):
@@ -144,7 +179,7 @@ class EffectStudy(ABC):
         largest = float(self.recording.samples[list(self.recording.pressure_columns)].to_numpy(float).max())
         for k, p in found.items():
             if k in specs and not_identifiable(p["value"], p["ci95"], specs[k], max(largest, 1e-9)):
-                p["note"] = unidentified(get_effect(effect).experiment)
+                p["note"] = unidentified(experiment_of(effect, self.recording))
         return found
 
     @abstractmethod
@@ -317,8 +352,8 @@ class EffectStudy(ABC):
         return ""
 
     def experiment(self, model: FittedModel, effect: str) -> str:
-        """What to record to distinguish an effect from its alternatives."""
-        return get_effect(effect).experiment
+        """What to record to distinguish an effect from its alternatives, and what that decides."""
+        return experiment_of(effect, self.recording)
 
     def idle(self, model: FittedModel, effect: str) -> bool:
         """Whether an effect's constants ended where it does nothing to this device."""

@@ -9,7 +9,13 @@ from scipy.stats import linregress, ttest_1samp
 
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
-from lerobot_pneutac.diagnosis.experiment import Separation, predict, read, separations
+from lerobot_pneutac.diagnosis.experiment import (
+    Separation,
+    predict,
+    predictions,
+    read,
+    separations,
+)
 from lerobot_pneutac.diagnosis.law_programs import law_program
 from lerobot_pneutac.diagnosis.names import PROFILE, called
 from lerobot_pneutac.diagnosis.parts import deal
@@ -18,7 +24,7 @@ from lerobot_pneutac.diagnosis.verdict import too_few
 from lerobot_pneutac.study.base import EffectStudy
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel
 from lerobot_pneutac.study.data_breaks import Break, without_break
-from lerobot_pneutac.study.pair import LONGER, device_moves, enough_rows
+from lerobot_pneutac.study.pair import device_moves, enough_rows, longer, recorded_min
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.mounts import align_mounts
 from pneutac_datasets.recording.noise import headline, noise_floor
@@ -130,10 +136,18 @@ def features(study: "BodyBase") -> np.ndarray:
     return np.concatenate(columns, axis=1)
 
 
+def beyond_gain(seen: np.ndarray, plain: np.ndarray) -> np.ndarray:
+    """How far predictions (n, k) lie from others, (n,), whose gain and offset are fitted to them."""
+    ground = np.concatenate([plain, np.ones((len(plain), 1))], axis=1)
+    return np.linalg.norm(seen - ground @ np.linalg.lstsq(ground, seen, rcond=None)[0], axis=1)
+
+
+OUTPUT = {"mm": "tip", "rad": "bend", "1/m": "curvature"}  # by the unit of its error
 RESTED_S = 1e4  # a pause at zero pressure after which everything has rested
 # Families that air and body may both cause.
 LATE = ("creep", "relaxation", "overshoot", "valve_lag", "ringing", "leak")
 REPEAT = "Repeat one test after an hour. Differences between the two come from the setup, not the device."
+MOVES = "Record ten minutes in which the commanded pressure moves: steps, slow and fast ramps and long holds."
 
 
 class BodyBase(EffectStudy):
@@ -150,8 +164,6 @@ class BodyBase(EffectStudy):
     Raises:
         InputError: the recording has too few rows to fit the twin at all, or is of another device.
     """
-
-    more_data, repeat = LONGER, REPEAT
 
     def __init__(self, twin: Twin, recording: Recording, seed: int = 0, adding: Sequence[str] = ()):
         self.twin, self.seed, self._given = twin, seed, recording
@@ -190,8 +202,7 @@ class BodyBase(EffectStudy):
         return BlockBootstrap(self.parts.test, trial, np.zeros(trial.max() + 1, int), self.seed + 2)
 
     def amount_recorded(self) -> tuple[float, str, str]:
-        time_s = self.recording.samples.groupby("trial")["time_s"]
-        return float((time_s.max() - time_s.min()).sum()) / 60, "minute", "of the same programs"
+        return recorded_min(self.recording), "minute", "of the same programs"
 
     @property
     def air_noise(self) -> float:
@@ -316,6 +327,22 @@ class BodyBase(EffectStudy):
     # ---------------------------------------------------------------- sentences
 
     @property
+    def more_data(self) -> str:
+        return longer(self.recording) if self._moves else MOVES
+
+    @property
+    def repeat(self) -> str:
+        """What separates setup and device, by what equal runs of the recording show already."""
+        session, noise = self.noise.session, self.noise.value
+        if session is None or noise is None:
+            return REPEAT
+        if session > T.NOISE * noise:
+            differ = f"Equal runs of this recording differ by {session:.3g} {self.unit} (noise {noise:.3g})"
+            return f"{differ}: log what changes between them, such as the mount, temperature or rest before."
+        agree = f"Equal runs of this recording agree within {session:.3g} {self.unit}"
+        return f"{agree}, so it is the device and not the setup: add an effect of your own that describes it."
+
+    @property
     def nothing_left(self) -> str:
         """The range is all that could grow, unless the supply ends there."""
         more = self._supply or "; go to higher pressure to find where the twin ends"
@@ -356,10 +383,8 @@ class BodyBase(EffectStudy):
         """What the effect does to the prediction that another gain and offset could not."""
         data = read(self.recording, model.twin)
         seen, plain = (predict(t, data)[0] for t in (model.twin, model.twin.without(effect)))
-        ground = np.concatenate([plain, np.ones((len(plain), 1))], axis=1)
-        left = seen - ground @ np.linalg.lstsq(ground, seen, rcond=None)[0]
-        what = {"mm": "tip", "rad": "bend", "1/m": "curvature"}[self.unit]
-        moved = np.linalg.norm(left, axis=1)
+        what = OUTPUT[self.unit]
+        moved = beyond_gain(seen, plain)
         if moved.max() < 1e-6:  # such as a turned base, which an offset does as well
             return ""
         typically = f"{np.sqrt((moved**2).mean()):.2g} {self.unit}"
@@ -379,8 +404,28 @@ class BodyBase(EffectStudy):
         """By the law's own program where it is one and was found."""
         constants = {k: v.value for k, v in model.twin.effects.get(effect, {}).items()}
         program = law_program(self.recording, effect, constants) if constants else None
-        advice = program.advice if program else super().experiment(model, effect)
-        return f"{advice} Go no higher{self._supply}." if self._supply else advice
+        if program is None:
+            advice = super().experiment(model, effect)
+            return f"{advice} Go no higher{self._supply}." if self._supply else advice
+        supply = f" Go no higher{self._supply}." if self._supply else ""
+        without, data = model.twin.without(effect), read(self.recording, model.twin)
+        pair = predictions(self.recording, program, model.twin, without)
+        if pair is None:
+            return program.advice + supply
+        here, there = (
+            float(np.sqrt((beyond_gain(seen, plain) ** 2).mean()))
+            for seen, plain in (
+                (predict(t, data)[0] for t in (model.twin, without)),
+                (p[0] for p in pair[:2]),
+            )
+        )
+        if there <= here:
+            shows = f"This recording shows {here:.2g} {self.unit} of it, as much as its own program would"
+            return f"{shows}: another day, by other programs, decides."
+        times = f" ({there / self.noise.value:.2g} times the noise)" if self.noise.value else ""
+        moves = f"There it moves the {OUTPUT[self.unit]} by {there:.2g} {self.unit} typically{times}"
+        rest = f"in this recording by {here:.2g} {self.unit}, as no other gain or offset could"
+        return f"{program.advice}{supply} {moves}, {rest}."
 
     def at_bound(self, model: FittedModel, effects: Sequence[str]) -> list[str]:
         return list(model.at_bound)

@@ -47,7 +47,7 @@ OF_AIR = ("dead_time", "valve_lag", "valve_slew", "leak")
 CREEP = "creep"
 OF_BODY = (CREEP, "power_law_memory(p)", "hysteresis", "stiffening", "friction")
 UNSEEN = ("another friction of the gel", "another stiffness of the finger", "another weight of the object")
-MORE = "Record ten demonstrations or more that press and hold, at two pressures."
+ENOUGH = 10  # demonstrations, from which on most effects show
 
 
 def of_air(effect: str) -> bool:
@@ -102,7 +102,6 @@ class DemonstrationStudy(EffectStudy):
     """
 
     unit = UNIT
-    more_data = repeat = MORE
     nothing_left = "Nothing needs to be recorded."
     recording: Demonstrations  # pyright: ignore[reportIncompatibleVariableOverride]
 
@@ -436,9 +435,18 @@ class DemonstrationStudy(EffectStudy):
 
     def too_little(self) -> str:
         n = len(self.episodes)
-        return (
-            "" if n >= T.DEMONSTRATIONS else f"{n} demonstrations are too few to find what is missing. {MORE}"
-        )
+        few = f"{n} demonstrations are too few to find what is missing. {self.more_data}"
+        return "" if n >= T.DEMONSTRATIONS else few
+
+    @property
+    def more_data(self) -> str:
+        n = len(self.episodes)
+        more = f"{ENOUGH} demonstrations or more" if n < ENOUGH else f"more than these {n} demonstrations"
+        return f"Record {more} that press and hold, at two pressures."
+
+    @property
+    def repeat(self) -> str:
+        return self.more_data
 
     def how_tested(self, outcome: Outcome) -> str:
         return "Each candidate is fitted to arm, gauge and touch together and judged on whole episodes."

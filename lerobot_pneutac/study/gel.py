@@ -333,9 +333,18 @@ class GelStudy(EffectStudy):
         f"Press one ball at {T.NEEDED} places all over the window, to several depths; note where and how "
         "deep."
     )
-    repeat = (
-        "Press other shapes, such as an edge or a small cylinder: so far the light is known for these alone."
-    )
+
+    @property
+    def repeat(self) -> str:
+        """Other shapes than were pressed."""
+        pressed = set(self.recording.samples.get("indenter", ()))
+        shapes = {"edge": "an edge", "cylinder": "a small cylinder", "cube": "a cube", "cone": "a cone"}
+        other = [words for name, words in (shapes | {"sphere": "a ball"}).items() if name not in pressed]
+        if not other:
+            return "All shapes of indenters were pressed: press them at other places and to other depths."
+        shapes = " or ".join(other[:2])
+        return f"Press other shapes, such as {shapes}: so far the light is known for these alone."
+
     nothing_left = repeat
 
     def __init__(self, twin: Twin, recording: Recording, seed: int = 0):

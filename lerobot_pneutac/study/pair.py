@@ -80,7 +80,20 @@ def _asked(times: float) -> str:
     return f"are the pressures in {unit}? Then multiply the pressure columns by {kpa:g}"
 
 
-LONGER = "Record ten minutes with steps, slow and fast ramps and long holds, in several trials."
+def recorded_min(recording: Recording) -> float:
+    """Minutes of a recording, without the pauses between its trials."""
+    time_s = recording.samples.groupby("trial")["time_s"]
+    return float((time_s.max() - time_s.min()).sum()) / 60
+
+
+def longer(recording: Recording) -> str:
+    """What to record where a recording has too few rows."""
+    minutes = recorded_min(recording)
+    if minutes >= T.ENOUGH_MIN:
+        rate = len(recording) / (60 * minutes)
+        return f"Record faster: {minutes:.0f} minutes are enough, at 10 rows a second and not at {rate:.2g}."
+    has = f" (this recording has {minutes:.2g})"
+    return f"Record ten minutes{has} with steps, slow and fast ramps and long holds, in several trials."
 
 
 def load_pair(
@@ -232,8 +245,9 @@ def enough_rows(twin: Twin, recording: Recording, effects: list[str], train: np.
         least = math.ceil((count + 1) / len(bench.columns) / max(train.mean(), 0.5))
         samples = recording.meta.get("samples")  # none of a table that is not converted yet
         where = recording.folder / samples if samples else "The table"
+        more = longer(recording)
         raise InputError(
             f"{where} has {plural(len(recording), 'row')}, and"
             f" fitting the {count} parameters takes at least {least} (hundreds to distinguish effects);"
-            f" {LONGER[0].lower()}{LONGER[1:]}"
+            f" {more[0].lower()}{more[1:]}"
         )

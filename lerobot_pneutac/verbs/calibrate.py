@@ -17,6 +17,7 @@ from lerobot_pneutac.study.pair import no_demonstrations, same_body
 from lerobot_pneutac.verbs.result import Calibration, measured_range
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations, is_dataset, load_demonstrations
 from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.sources.plain import refuse_other_axes
 from pneutac_datasets.recording.wording import an
 from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.executor import one_thread
@@ -118,6 +119,7 @@ def calibrate(
     else:
         from lerobot_pneutac.verbs.fit_body import calibrate_body
 
+        refuse_other_axes(recording)
         result = calibrate_body(twin, recording, seed, progress)
     fitted = result.twin.copy()  # which knows over which pressures it was fitted
     fitted.pressure_range_kpa = measured_range(recording) or fitted.pressure_range_kpa

@@ -19,7 +19,7 @@ from pneutac_datasets.demonstrations.info import info_file, is_demonstrations
 from pneutac_datasets.recording.checks import check, recording_faults
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.sources import plain
-from pneutac_datasets.recording.sources.plain import Understood
+from pneutac_datasets.recording.sources.plain import Understood, refuse_other_axes
 from pneutac_sim.effects.registry import get_effect, of_body, of_sensor
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Pipeline
@@ -98,7 +98,8 @@ def _unfit(recording: Recording) -> list[str]:
         if len(recording) < SHORT:
             study_of(twin, recording)
 
-    return _refused((study,), (enough_to_compare, recording, check(recording)[0]))
+    looks = (refuse_other_axes, recording), (enough_to_compare, recording, check(recording)[0])
+    return _refused((study,), *looks)
 
 
 def _refused(*calls: tuple) -> list[str]:

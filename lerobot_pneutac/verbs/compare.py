@@ -190,7 +190,9 @@ def _day(recording: Recording) -> date:
         found = "missing" if value is None else repr(value)
         if tables := recording.meta.get("source", {}).get("files"):  # a conversion would overwrite the field
             table = shlex.quote(",".join(str(file.parent.parent / name) for name in tables))
-            again = f"pneutac convert {table} --mapping={file.parent}/mapping.yaml --date=2026-03-01"
+            again = (
+                f"pneutac convert {table} --mapping={file.parent}/mapping.yaml --date=2026-03-01 --replace"
+            )
             raise InputError(f"{table}: the date is {found}; give it, as by `{again}`.") from None
         remedy = 'give the day of the measurement, such as "2026-03-01"'
         raise InputError(f"{file}: field 'date' is {found}; {remedy}.") from None

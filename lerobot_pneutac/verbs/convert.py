@@ -42,6 +42,7 @@ class ConvertConfig:
     # folder of the new bench recording, new or empty; that of tables is `NAME.recording` next to them
     # if omitted
     out: Path | None = None
+    replace: bool = False  # replaces an earlier conversion of tables, made with other options
     # of the straight finger, base to tip marker; of a table left out, where the tip rests
     length_mm: float | None = None
     log: Path | None = None  # table of the pressures, where markers or a film have none
@@ -80,8 +81,9 @@ class ConvertConfig:
         path = Path(self.source)
         if path.is_dir() and not any(path.glob("*.mcap")) and not any(path.glob("*.db3")):
             raise InputError(f"source is '{path}', a folder that is no ROS 2 bag; give a table or a take.")
-        if self.out is not None and Path(self.out).exists() and not plain.is_unfinished(Path(self.out)):
-            raise InputError(f"out is '{self.out}', which exists; give a new folder.")
+        out = None if self.out is None else Path(self.out)
+        if out is not None and out.exists() and not (plain.is_unfinished(out) or plain.is_ours(out)):
+            raise InputError(f"out is '{out}', which exists; give a new folder.")
         if self.length_mm is not None:
             check_length(self.length_mm)
         if self.rate_hz is not None and not 0 < self.rate_hz < 1e6:
@@ -113,9 +115,12 @@ def convert(config: ConvertConfig, show: Callable[[Understood], None] = lambda u
     _refuse_ignored(config, film, not (film or read))
     if not (film or config.tip or read):
         return _convert_tables(config, show)
+    refuse_given(config, ("replace",), "is of a conversion of tables, and the source is none")
     missing = [n for n in ("out", "length_mm") if getattr(config, n) is None]
     if missing:
         raise InputError(f"{missing[0]} is missing; markers and films need it.")
+    if plain.is_ours(config.out) and not plain.is_unfinished(config.out):
+        raise InputError(f"out is '{config.out}', which exists; give a new folder.")
     if not (film or read):
         raise InputError(f"{config.source} has no markers; leave out --tip, and name columns by --columns.")
     source = read(config.source) if read else Source(config.source)
@@ -169,7 +174,7 @@ def _convert_tables(config: ConvertConfig, show: Callable[[Understood], None]) -
     given = replace(given, columns=given.columns | columns, **options)
     understood = plain.Understood(files, given, time=config.time)
     show(understood)
-    return understood.write(folder)
+    return understood.write(folder, config.replace)
 
 
 def _columns(config: ConvertConfig) -> dict[str, str]:
@@ -230,7 +235,7 @@ def command(config: ConvertConfig, terminal: Terminal) -> None:
     def show(understood: Understood) -> None:
         tables.append(understood)
         show_understood(understood, terminal.console)
-        if understood.guessed and not config.yes:
+        if understood.guessed and not (config.yes or understood.faults):
             confirm(config.source)
 
     recording = convert(config, show)

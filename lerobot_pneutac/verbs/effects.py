@@ -22,7 +22,7 @@ from pneutac_sim.effects.effect import Effect, Parameter, plain_equation
 from pneutac_sim.effects.laws import FAMILIES, family, is_law, law, law_names, terms_of
 from pneutac_sim.effects.registry import BUILTIN, all_effects, get_effect, of_sensor
 from pneutac_sim.errors import InputError, refuse_given
-from pneutac_sim.files import write_text
+from pneutac_sim.files import check_new_file, write_text
 from pneutac_sim.twin import Twin, Value
 
 TIP = ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
@@ -244,7 +244,8 @@ def command(argv: list[str], terminal: Terminal) -> None:
         terminal.finish(show_effect(names[0]), cfg.out)
     else:
         text, out = effect_source(names[0]), cfg.out or Path(f"{file_name(names[0])}.py")
-        if out.suffix != ".py" or out.exists():
+        if out.suffix != ".py":
             raise InputError(f"--out={out} must name a new file that ends in .py.")
+        check_new_file(out, f"--out={out}")
         write_text(out, text)
         terminal.say(f"effect: {out}; its first lines explain how a package offers it")

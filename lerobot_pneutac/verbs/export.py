@@ -21,7 +21,7 @@ from lerobot_pneutac.verbs.history import report
 from pneutac_sim.effects.laws import family, is_law
 from pneutac_sim.effects.registry import get_effect, of_body, of_sensor
 from pneutac_sim.errors import InputError
-from pneutac_sim.files import whole, write_text
+from pneutac_sim.files import check_new_file, whole, write_text
 from pneutac_sim.finger import stages
 from pneutac_sim.finger.equilibrium import solve
 from pneutac_sim.finger.online import COMPUTED
@@ -149,8 +149,7 @@ def _rename(text: str, name: str, renamed: dict[str, str], decorated: bool) -> s
 def command(cfg: ExportConfig, terminal: Terminal) -> None:
     if cfg.out.suffix not in (".py", ".xml"):
         raise InputError(f"--out={cfg.out} must name a file that ends in .py or in .xml.")
-    if cfg.out.exists():
-        raise InputError(f"--out={cfg.out} is there already; give a new name, or delete it.")
+    check_new_file(cfg.out, f"--out={cfg.out}")
     twin = Twin.load(cfg.twin)
     if cfg.out.suffix == ".py":
         write_text(cfg.out, python_file(twin))

@@ -10,7 +10,7 @@ stiffness alone; it is fitted along and not taken for either.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 
@@ -21,15 +21,15 @@ from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
 from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.diagnosis.result import CURVE_LIKE, Contribution
 from lerobot_pneutac.reports.page import HELDOUT, MEASURED, MODEL, Report
-from lerobot_pneutac.study.base import not_identifiable, unidentified, with_unit
+from lerobot_pneutac.study.base import experiment_of, not_identifiable, unidentified, with_unit
 from lerobot_pneutac.study.body_base import doubt, known_causes
 from lerobot_pneutac.study.pair import fit_parts, pressure_unit_doubts
 from lerobot_pneutac.verbs.result import Calibration, measured_range, range_sentence
+from pneutac_datasets.recording import axes
 from pneutac_datasets.recording.mounts import align_mounts
 from pneutac_datasets.recording.recording import Recording
-from pneutac_datasets.recording.wording import joined
+from pneutac_datasets.recording.wording import joined, plural
 from pneutac_sim.effects.gravity import STANDARD_GRAVITY
-from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import BodyData, Pipeline, PipelineFit, fit, simulate
 from pneutac_sim.finger.equilibrium import SoftBody
@@ -67,7 +67,7 @@ def fit_compliance(twin: Twin, recording: Recording, train: np.ndarray, seed: in
         return _held(twin, "An arm's modulus and stiffness are not fitted to loaded poses; they stay fixed.")
     force = known_forces(recording)
     if force is None or np.ptp(force[train], axis=0)[[0, 2]].max() < LEAST_FORCE_N:
-        return _held(twin, f"{NO_LOAD}, so {_NEITHER}; {advice(twin)}.")
+        return _held(twin, f"{NO_LOAD}, so {_NEITHER}; {advice(twin, recording)}.")
     samples, start = recording.samples.assign(**dict(zip(FORCES, force.T, strict=True))), twin.copy()
     start.pressure_range_kpa = measured_range(recording) or twin.pressure_range_kpa
     start.effects.pop("payload", None)  # its weight is a force now
@@ -86,7 +86,7 @@ def fit_compliance(twin: Twin, recording: Recording, train: np.ndarray, seed: in
     except (InputError, MpmDiverged) as e:
         return _held(twin, f"No soft body can be put round this spine ({e}), so {_NEITHER}.")
     data = BodyData.of(replace(recording, samples=samples), start)
-    return _found(twin, fit(start, data, effects, train, seed=seed, body=body), body)
+    return _found(twin, recording, fit(start, data, effects, train, seed=seed, body=body), body)
 
 
 def known_forces(recording: Recording) -> np.ndarray | None:
@@ -102,11 +102,16 @@ def known_forces(recording: Recording) -> np.ndarray | None:
     return force if measured or hung else None
 
 
-def advice(twin: Twin) -> str:
-    """What to hang on the finger: what moves its tip by a tenth of its length, as far as is known."""
+def advice(twin: Twin, recording: Recording) -> str:
+    """What to hang on the finger: what moves its tip by a tenth of its length, as far as is known.
+
+    It is twice as much as hung there, at least.
+    """
     levers = 1e-3 * (twin.length_mm - np.asarray(twin.spine_joint_positions_mm))
     K = twin.parameters.get(WHOLE, Value(PAPER_FINGER[WHOLE])).value
-    grams = float(f"{1e3 * 0.1e-3 * twin.length_mm * K / (levers @ levers) / STANDARD_GRAVITY:.1g}")
+    hung = float(recording.column("payload_g").max()) if recording.has("payload_g") else 0.0
+    moves = 1e3 * 0.1e-3 * twin.length_mm * K / (levers @ levers) / STANDARD_GRAVITY
+    grams = float(f"{max(moves, 2 * hung):.1g}")
     hang = f"hang about {grams:g} g on the tip in some trials, with the base level and with it upright"
     push = "or push with a force gauge and write force_x_n, force_y_n, force_z_n"
     return f"{hang}, and write payload_g and gravity_x, gravity_y, gravity_z, {push}"
@@ -120,13 +125,15 @@ def _held(twin: Twin, remark: str) -> Compliance:
     return Compliance(twin, {}, remark, 0)
 
 
-def _found(twin: Twin, found: PipelineFit, body: SoftBody) -> Compliance:
+def _found(twin: Twin, recording: Recording, found: PipelineFit, body: SoftBody) -> Compliance:
     if WHOLE not in found.ci95 or WHOLE in found.at_bound:
-        return _held(twin, f"The loads bend the finger too little, so {_NEITHER}; {advice(twin)}.")
+        return _held(twin, f"The loads bend the finger too little, so {_NEITHER}; {advice(twin, recording)}.")
     new, whole = twin.copy(), found.twin.parameters[WHOLE]
     if whole.ci95[1] > WIDEST * whole.ci95[0]:
         shown = "anywhere from {:.2g} to {:.2g} N m/rad a joint".format(*whole.ci95)
-        return _held(twin, f"The loads leave the stiffness {shown}, so {_NEITHER}; {advice(twin)}.")
+        return _held(
+            twin, f"The loads leave the stiffness {shown}, so {_NEITHER}; {advice(twin, recording)}."
+        )
     new.parameters[WHOLE] = whole
     rows = {WHOLE: with_unit(whole, "N m/rad") | {"note": ""}}
     remark = "Joint stiffness: {:.2g} to {:.2g} N m/rad.".format(*whole.ci95)
@@ -142,7 +149,10 @@ def _found(twin: Twin, found: PipelineFit, body: SoftBody) -> Compliance:
     value = twin.parameters.get(MODULUS, Value(PAPER_FINGER[MODULUS])).value
     range_mpa = f"{max(low, 0.0):.2g} to {high:.2g} MPa"
     rows[MODULUS] = with_unit(Value(value), "MPa") | {"note": f"fixed: not identifiable ({range_mpa})"}
-    remedy = "record the angles of the joints too (q_1_rad ...)"
+    angles = any(c.startswith("q_") for c in recording.observations)
+    remedy = "a tensile test of its material shows it" + ", as joint angles (q_1_rad ...) would" * (
+        not angles
+    )
     remark += f" Young's modulus cannot be identified from these data ({range_mpa}); {remedy}."
     if value * alone >= whole.value:
         new.parameters[MODULUS] = Value(0.5 * (low + min(high, 0.9 * whole.value / alone)))
@@ -158,31 +168,48 @@ MEANING = {
     "gain_beta": "whether its ends bend more than its middle",
     "rest_pressure_kpa": "the pressure that would make the bend it has at rest",
 }
-HOLDS = "record holds at five pressures or more over the whole range"
 WEIGHT = "record a known weight at the tip (payload_g), with the base level and upright"
-SHOWN_BY = {
-    "gain_rad_per_kpa": HOLDS,
-    "rest_pressure_kpa": HOLDS,
-    "joint_stiffness_nm_per_rad": WEIGHT,
-    "youngs_modulus_mpa": WEIGHT,
-}
 
 
-def unknown_parameter(name: str, row: dict, columns: Sequence[str]) -> str:
-    """Why a recording of these columns does not identify a parameter, and what to record, in two sentences.
+def shown_by(name: str, twin: Twin, recording: Recording) -> str:
+    """What would show a parameter that a recording does not identify, beyond what it has, a clause."""
+    if name in (WHOLE, MODULUS):
+        return WEIGHT
+    if name in ("gain_rad_per_kpa", "rest_pressure_kpa"):
+        held, span = held_kpa(recording), np.ptp(recording.commands, axis=0).max()
+        if len(held) < T.ENOUGH_HOLDS or np.ptp(held, axis=0).max() < T.OF_RANGE * span:
+            ends = f", from {held.min():.3g} to {held.max():.3g} kPa" if len(held) else ""
+            has = f"this recording has {plural(len(held), 'such pressure')}{ends}"
+            return f"record holds at {T.ENOUGH_HOLDS} pressures or more over the whole range ({has})"
+        has = f"holds at {len(held)} pressures are there already"
+        if "base_tilt" in twin.effects:
+            return f"{has}, but a tilted base makes up for it: mark two points on the base and measure them"
+        return f"{has}, and the twin predicts them without it"
+    if any(c.startswith("q_") for c in recording.observations):
+        return "record larger bends: their shape shows little at the pressures of this recording"
+    angle = " and the tip's angle (bend_angle_rad)" * (not recording.has("bend_angle_rad"))
+    return f"larger bends{angle} show it to a marker at the tip, which the twin predicts without it"
+
+
+def held_kpa(recording: Recording) -> np.ndarray:
+    """Commanded pressures (k, chambers), kPa, that were held for `thresholds.HOLD_S`, each once."""
+    commands = recording.commands
+    step = max(float(np.ptp(commands, axis=0).max()), T.STANDS_KPA) / T.LEVELS
+    return step * np.unique(np.round(commands[axes.motion(recording)[1] >= T.HOLD_S] / step), axis=0)
+
+
+def unknown_parameter(name: str, row: dict) -> str:
+    """Why a recording does not identify a parameter, and what would, in two sentences.
 
     Args:
         name: of the parameter.
         row: its `ci95`, `unit` and `note`, which begins with `unidentified`.
-        columns: of the pose that were fitted.
     """
     meaning = f" ({MEANING[name]})" if name in MEANING else ""
     why = "Other parameters can make up for any change of it in this recording"
     if row["ci95"]:
         values = "Any value from {:.3g} to {:.3g}".format(*row["ci95"])
         why = f"{values}{' ' * bool(row['unit'])}{row['unit']} fits this recording about as well"
-    if name in ("gain_alpha", "gain_beta") and not any(c.startswith("q_") for c in columns):
-        why += ", as it has no joint angles"
     remedy = str(row["note"]).partition(": ")[2]
     return f"Not identifiable: {name}{meaning}. {why}; {remedy}."
 
@@ -225,7 +252,7 @@ class BodyCalibration(Calibration):
         noted = {k: str(p["note"]) for k, p in self.parameters.items()}
         limit = [k for k, note in noted.items() if note == LIMIT]
         unknown = [
-            unknown_parameter(name, self.parameters[name], self.bench.columns[: self.bench.counted])
+            unknown_parameter(name, self.parameters[name])
             for name, note in noted.items()
             if note.startswith("not identifiable")
         ]
@@ -292,7 +319,7 @@ def calibrate_body(
 
     return BodyCalibration(
         twin=after,
-        parameters=parameters(after, fits, bench) | loads.parameters,
+        parameters=parameters(after, fits, bench, recording) | loads.parameters,
         error={"train": error(after, train), "heldout": error(after, heldout)},
         unit=bench.unit,
         evaluations=loads.evaluations + sum(f.evaluations for f in fits),
@@ -444,13 +471,10 @@ def _fit_stages(
     return fits
 
 
-def parameters(twin: Twin, fits: list[PipelineFit], bench: BodyData) -> dict[str, dict]:
+def parameters(twin: Twin, fits: list[PipelineFit], bench: BodyData, recording: Recording) -> dict[str, dict]:
     """Value, 95 % interval where it was fitted, unit, and what to know about each parameter."""
     model = Pipeline.of(twin)
     theta = model.theta(twin, bench.inputs.pressure_range_kpa)
-    bends = "record larger bends: their shape shows little at the pressures of this recording"
-    angles = any(c.startswith("q_") for c in bench.columns[: bench.counted])
-    else_by = bends if angles else "record the angles of the joints (q_1_rad ...)"
     out = {}
     for name, spec, value in zip(model.names, model.specs, theta, strict=True):
         row = {"value": float(value), "ci95": None, "unit": spec.unit, "note": "held"}
@@ -462,7 +486,7 @@ def parameters(twin: Twin, fits: list[PipelineFit], bench: BodyData) -> dict[str
             known = row["value"], row["ci95"], spec, bench.inputs.pressure_range_kpa
             if name in f.not_identified or not_identifiable(*known):
                 effect, dot, _ = name.partition(".")
-                by = get_effect(effect).experiment if dot else SHOWN_BY.get(name, else_by)
+                by = experiment_of(effect, recording) if dot else shown_by(name, twin, recording)
                 row["note"] = unidentified(by)
         out[name] = row
     return out

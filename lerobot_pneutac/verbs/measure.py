@@ -28,7 +28,7 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.units import MAX_PRESSURE_KPA
 from pneutac_datasets.recording.wording import plural
 from pneutac_sim.errors import InputError, check_between, check_choice, check_length, refuse_given
-from pneutac_sim.files import check_new, check_writable, read_json, write_image
+from pneutac_sim.files import check_new, check_new_file, check_writable, read_json, write_image
 from pneutac_sim.finger.online import check_conditions
 
 TIP = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
@@ -273,6 +273,7 @@ class MeasureConfig:
             check_writable(folder, f"{folder}, the folder of --intrinsics={self.intrinsics},")
             if self.intrinsics.is_dir():
                 raise InputError(f"intrinsics={self.intrinsics} is a folder; give a file, such as lens.json.")
+            check_new_file(self.intrinsics, f"intrinsics={self.intrinsics}")
         if self.out is not None:
             check_new(self.out, f"out={self.out}")
         axes.device_with(self.chambers)

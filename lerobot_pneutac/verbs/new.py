@@ -16,6 +16,7 @@ from lerobot_pneutac.study.pair import fit_parts
 from lerobot_pneutac.verbs.result import measured_range, range_sentence
 from pneutac_datasets.demonstrations.info import is_demonstrations
 from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.sources.plain import refuse_other_axes
 from pneutac_datasets.recording.wording import an
 from pneutac_sim.errors import InputError, check_choice, check_length, refuse_given
 from pneutac_sim.files import whole
@@ -172,6 +173,8 @@ def command(config: NewConfig, terminal: Terminal) -> None:
     if recording is not None and config.device not in (None, recording.device):
         of = f"{config.recording} is of {an(recording.device)}"
         raise InputError(f"--device is '{config.device}', but {of}; omit one.")
+    if recording is not None:
+        refuse_other_axes(recording)
     converted = recording is not None and recording.meta.get("source")
     if converted and not (recording.length_mm or config.length_mm):
         raise InputError(f"Give --length_mm: {config.recording} does not state the length of the device.")

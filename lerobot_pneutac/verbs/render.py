@@ -57,8 +57,12 @@ def draw_film(
     out: Path,
     progress: Progress = no_progress,
     written: Callable[[RenderedFilm], object] = lambda r: None,
+    command: str = "",
 ) -> RenderedFilm:
-    """Draws frames; if interrupted, what is finished is written, and `written` called with it."""
+    """Draws frames; if interrupted, what is finished is written, and `written` called with it.
+
+    `command`, which does it again, is stored in `result.json`.
+    """
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     pictures: list[np.ndarray] = []
@@ -76,12 +80,12 @@ def draw_film(
         file = "film.mp4" if pictures else None
         complete, seconds = len(pictures) == film.count, time.perf_counter() - start
         result = RenderedFilm(film.device, complete, len(pictures), seconds, file, stills)
-        _write(film, pictures, result, out)
+        _write(film, pictures, result, out, command)
         written(result)
     return result
 
 
-def _write(film: "Film", pictures: list[np.ndarray], result: RenderedFilm, out: Path) -> None:
+def _write(film: "Film", pictures: list[np.ndarray], result: RenderedFilm, out: Path, command: str) -> None:
     if pictures:
         from lerobot.utils.io_utils import write_video
 
@@ -94,7 +98,7 @@ def _write(film: "Film", pictures: list[np.ndarray], result: RenderedFilm, out: 
         for row in result.stills:
             report.image(np.asarray(Image.open(out / row["picture"])), row["picture"])
         report.write(out)
-    write_result(out, result.to_dict())
+    write_result(out, result.to_dict() | ({"command": command} if command else {}))
 
 
 # What helps where no equilibrium is found.
@@ -112,7 +116,7 @@ def command(config: RenderConfig, terminal: Terminal) -> None:
     results: list[RenderedFilm] = []
     try:
         with terminal.progress() as progress:
-            draw_film(film, config.out, progress, results.append)
+            draw_film(film, config.out, progress, results.append, terminal.line)
     except MpmDiverged as e:
         remedy = GEL_REMEDY if twin.device == "gel" else BODY_REMEDY
         raise InputError(f"{e.finding}; {remedy}.") from e

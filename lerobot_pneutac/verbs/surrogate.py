@@ -221,7 +221,9 @@ def command(config: SurrogateConfig, terminal: Terminal) -> None:
         refuse_given(config, size, "has no use where such networks are shipped (--fresh trains all the same)")
     if minutes := config.minutes(twin):
         about = f"about {max(1, round(minutes))} min on two cores of their own"
-        terminal.say(f"Full simulations and training: {about}.")
+        stored = f"Finished simulations are stored in {config.twin / DATA}"
+        again = "after an interruption the same command goes on from them, and trains the networks anew"
+        terminal.say(f"Full simulations and training: {about}. {stored}: {again}.")
     with terminal.progress() as progress:
         trained = train_networks(config, twin, progress)
     terminal.finish(trained, config.out)

@@ -115,6 +115,25 @@ _OF_USERS = (InputError, DecodingError, DeviceNotConnectedError, DeviceAlreadyCo
 _OF_HUB = ("huggingface_hub", "httpx", "urllib")  # packages whose errors those are
 
 
+NO_FFMPEG = (
+    "torchcodec finds no FFmpeg, so videos are read through PyAV, which is installed: nothing is lost. With"
+    " FFmpeg's libraries installed (apt install ffmpeg) they are read faster."
+)
+
+
+class OneLine(logging.Filter):
+    """Says once, and in one line, what LeRobot logs with the linker's hundred where FFmpeg is missing."""
+
+    shown = False
+
+    @override
+    def filter(self, record: logging.LogRecord) -> bool:
+        if "'torchcodec' is installed but cannot be loaded" not in record.getMessage():
+            return True
+        record.msg, record.args, again, self.shown = NO_FFMPEG, (), self.shown, True
+        return not again
+
+
 def prepare() -> None:
     """Has a command of LeRobot's refuse bad folders at once, and end in one sentence where its user erred.
 
@@ -122,6 +141,7 @@ def prepare() -> None:
 
     Raises SystemExit: a dataset that is to be read is none, or a folder that is to be written cannot be.
     """
+    logging.getLogger("lerobot.utils.import_utils").addFilter(OneLine())
     if not paced():
         return
     shown = sys.excepthook

@@ -291,6 +291,12 @@ def check_new(folder: Path, what: str) -> None:
         raise InputError(f"{what} is not empty; give a new folder.")
 
 
+def check_new_file(file: Path, what: str) -> None:
+    """Raises InputError, which says `what`, where a file is there already."""
+    if file.exists():
+        raise InputError(f"{what} is there already; give a new name, or delete it.")
+
+
 @contextmanager
 def _space(file: Path) -> Iterator[None]:
     try:

@@ -19,6 +19,7 @@ from lerobot.teleoperators import TeleoperatorConfig
 from pressure_rig import build
 
 import lerobot_robot_pneutac  # noqa: F401
+from lerobot_pneutac.cli import PLUGIN_VERBS, VERBS
 from lerobot_pneutac.diagnosis import thresholds
 from pneutac_sim.effects import all_effects
 from pneutac_sim.effects.laws import law_names
@@ -33,6 +34,14 @@ GENERATED = {
     "changes.md",
     "contributing.md",
 }
+
+
+def test_the_page_of_installation_has_every_verb_where_it_runs():
+    page = (ROOT / "docs" / "install.md").read_text()
+    bench, plugin = re.findall(r"^\| `\w+` (?:alone|too) \| (.*?)(?:; also .*)? \|$", page, re.MULTILINE)
+    verbs = [[words.split()[0] for words in re.findall(r"`(.*?)`", row)] for row in (bench, plugin)]
+    assert sorted(verbs[1]) == sorted(PLUGIN_VERBS)
+    assert sorted(verbs[0]) == sorted(set(VERBS) - set(PLUGIN_VERBS))
 
 
 @pytest.mark.parametrize("name", [*all_effects(), *law_names()])

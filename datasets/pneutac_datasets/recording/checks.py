@@ -365,6 +365,40 @@ def other_way_round(recording: Recording) -> Iterator[Finding]:
             yield Finding("other_way_round", text, (name,))
 
 
+STRAIGHT = 0.97  # cosine between the resting tip and an axis, from which on the finger lies along it
+MOVES = 0.05  # of the length, from which on pressure moves a coordinate
+NEAR_BASE = 0.15  # of the tip's distance from the origin: where it moves less, the origin is not the base
+RIGHT_AXES = ("x", "z")
+
+
+def base_axes(recording: Recording) -> tuple[str, str]:
+    """Axes of a finger's tip along the straight finger and where pressure bends it, such as `y` or `-z`.
+
+    `RIGHT_AXES` where they are right, or too little is measured to say otherwise.
+    """
+    names = {c[4]: c for c in TIP if recording.has(c)}
+    if recording.device != "finger" or len(names) < 2 or not recording.pressure_columns:
+        return RIGHT_AXES
+    p, tip = _drive(recording), recording.samples[list(names.values())].to_numpy(float)
+    driven, moved = np.abs(p).max(1), {a: _moved_by(recording, p, c) for a, c in names.items()}
+    rest = np.median(tip[driven <= np.quantile(driven, 0.1)], axis=0)
+    i, far = int(np.abs(rest).argmax()), float(np.linalg.norm(rest))
+    across = max(way for a, way in moved.items() if a != list(names)[i])
+    stated = None if recording.meta.get("length_proposed") else recording.length_mm
+    from_base = 1 / OTHER_LENGTH < far / stated < OTHER_LENGTH if stated else across > NEAR_BASE * far
+    along, length = "x", stated or far
+    if from_base and abs(rest[i]) > STRAIGHT * far:
+        along = f"{'-' * bool(rest[i] < 0)}{list(names)[i]}"
+    moved.pop(along[-1], None)
+    towards = max(moved, key=moved.__getitem__)
+    if along[-1] != "z" and (moved[towards] < MOVES * length or moved.get("z", 0.0) > 0.2 * moved[towards]):
+        towards = "z"
+    if moved.get(towards, 0.0) >= MOVES * length and p.max() >= -p.min():  # of vacuum its maker chooses
+        rises = float(np.corrcoef(p[:, 0], recording.column(names[towards]).astype(float))[0, 1])
+        towards = f"-{towards}" if rises < (-0.7 if towards == "z" else 0.0) else towards
+    return along, towards
+
+
 def _moved_by(recording: Recording, p: np.ndarray, name: str) -> float:
     """Range of a column that a static map of the pressure explains, the median over trials."""
     y, ranges = recording.column(name).astype(float)[:, None], []

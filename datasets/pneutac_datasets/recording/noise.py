@@ -67,7 +67,7 @@ LEAST_DOF = 40  # degrees of freedom of an estimate
 LEAST_ROWS = 120  # in fewer an estimate by contrasts is not within 20 %
 LEAST_REPEATED = 240  # rows of pairs; fewer give no noise within 20 %
 MOST_ROWS, PIECE_ROWS = 20_000, 2_000  # of a longer recording so many are used, in pieces
-RECORD_MORE = "record two minutes or more, run one program twice, or declare 'noise' in recording.json"
+LONG_S = 120.0  # of a recording whose neighbouring rows mostly show its noise
 MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 
 
@@ -145,7 +145,7 @@ def noise_floor(recording: Recording) -> NoiseFloor:
     by = {c: sigma for c, sigma in by.items() if c not in exact}
     value = _norm(by, columns) if columns and all(c in by for c in columns) else None
     if value is None:
-        how = f"cannot be determined from this recording; {RECORD_MORE}"
+        how = f"cannot be determined from this recording; {_more(recording)}"
         if exact:
             how = (
                 f"cannot be determined: column '{exact[0]}' repeats to the last digit, as computed numbers "
@@ -153,6 +153,15 @@ def noise_floor(recording: Recording) -> NoiseFloor:
             )
     known = value is not None and (bool(pairs) or all(c in declared for c in columns))
     return NoiseFloor(value, session, unit, how, by, known)
+
+
+def _more(recording: Recording) -> str:
+    """What would show the noise and is not there yet, a clause."""
+    time_s = recording.samples.groupby("trial")["time_s"]
+    longer = "" if (time_s.max() - time_s.min()).sum() >= LONG_S else "record two minutes or more, "
+    rows = sum(len(first) for first, *_ in repeats(recording))
+    twice = f" for {LEAST_REPEATED} rows or more (not {rows})" if rows else ""
+    return f"{longer}run one program twice{twice}, or declare 'noise' in recording.json"
 
 
 def noise_text(value: float | None) -> str:

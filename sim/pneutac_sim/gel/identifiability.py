@@ -20,6 +20,7 @@ import numpy as np
 
 from pneutac_sim.effects.sensor_effect import CHANNELS
 from pneutac_sim.errors import InputError
+from pneutac_sim.files import check_new_file
 from pneutac_sim.gel.fit import Channel
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.layout import DIGIT, MAKE_SD, MAKE_SD_MM, MAKE_SD_RAD, Layout, SensorPrior, stored_rest
@@ -118,12 +119,14 @@ def library() -> tuple[Layout, ...]:
 
 
 def check_name(name: str) -> None:
-    """Raises InputError where a prior cannot be called so."""
+    """Raises InputError where a prior cannot be called so, or is already."""
     if not re.fullmatch(NAME, name) or name.lower() == DIGIT.name.lower():
         raise InputError(
             f"save_prior is '{name[:60]}'; give up to 40 letters, digits, spaces, dots, - and _, other than "
             f"{DIGIT.name}."
         )
+    file = own_folder() / f"{name}.yaml"
+    check_new_file(file, f"save_prior={name}: {file}")
 
 
 def save(
@@ -132,10 +135,10 @@ def save(
     """Keeps a calibrated sensor's lights as a prior for others of its make; returns its file.
 
     Each number is stored with the deviation that its calibration left, and never less than that between
-    sensors of one make. The prior field is learnt from the leftovers of each press; an earlier prior is
-    replaced.
+    sensors of one make. The prior field is learnt from the leftovers of each press.
 
-    Raises InputError where the name will not do, or the fit knows no near lights or no rest colour.
+    Raises InputError where the name will not do or is taken, or the fit knows no near lights or no rest
+    colour.
     """
     check_name(name)
     if not set(PRIOR_EFFECTS) <= set(gel.effects):

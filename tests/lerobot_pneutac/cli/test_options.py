@@ -10,6 +10,7 @@ A lab's own table at the command line: shown once, confirmed, kept beside it, ch
 import io
 import json
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -22,14 +23,17 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from lerobot_pneutac.cli import VERBS, _dispatch, options_class
+from lerobot_pneutac.cli import VERBS, _dispatch, main, options_class
 from lerobot_pneutac.cli import terminal as module
 from lerobot_pneutac.cli.benchmark import TABLES
 from lerobot_pneutac.cli.options import list_options, name_option, parse_options
 from lerobot_pneutac.cli.terminal import progress_bar, show
+from lerobot_pneutac.verbs.calibrate import calibrate
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.sources.plain import refuse_other_axes
 from pneutac_sim.errors import InputError
+from pneutac_sim.twin import Twin
 
 
 @dataclass
@@ -325,6 +329,22 @@ def test_an_interrupt_that_a_library_swallows_comes_again(name):
     assert (done.returncode, done.stderr) == (130, "pneutac: interrupted.\n")
 
 
+def test_an_interrupted_command_says_whether_it_goes_on(monkeypatch, capsys):
+    def interrupted(argv):
+        sys.argv[0] = f"pneutac {argv[0]}"
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("lerobot_pneutac.cli._dispatch", interrupted)
+    for verb in ("surrogate", "diagnose"):
+        monkeypatch.setattr(sys, "argv", ["pneutac", verb])
+        with pytest.raises(SystemExit):
+            main()
+    assert capsys.readouterr().err.splitlines() == [
+        "pneutac surrogate: interrupted; the same command goes on from what is finished.",
+        "pneutac diagnose: interrupted.",
+    ]
+
+
 COLUMNS = {
     "trial": "Lauf",
     "program": "Programm",
@@ -418,6 +438,72 @@ def test_a_changed_table_is_converted_again_by_its_mapping(folder, capsys):
     (folder / "theirs.csv").write_text("\n".join(lines) + "\n")
     with pytest.raises(SystemExit, match="theirs.recording exists and is no earlier conversion"):
         _dispatch(["new", "--twin=t2", "--recording=theirs.csv", "--yes"])
+
+
+AXES = {  # of a table: columns of the right one, and what turns it
+    "y": ({"tip_x_mm": "x", "tip_z_mm": "y"}, 1, "--base_z=y"),
+    "-y": ({"tip_x_mm": "x", "tip_z_mm": "y"}, -1, "--base_z=-y"),
+    "-z": ({"tip_x_mm": "x", "tip_y_mm": "y", "tip_z_mm": "z"}, -1, "--base_z=-z"),
+    "z along": ({"tip_x_mm": "z", "tip_z_mm": "x"}, 1, "--base_x=z --base_z=x"),
+    "y along": ({"tip_x_mm": "y", "tip_z_mm": "z"}, 1, "--base_x=y"),
+}
+
+
+@pytest.mark.parametrize(("names", "sign", "turn"), AXES.values(), ids=AXES)
+@pytest.mark.parametrize("units", ["m", "mm"])
+def test_a_tip_in_other_axes_is_refused_with_the_command_that_turns_it(
+    folder, capsys, names, sign, turn, units
+):
+    right = bench()
+    table = right[["time_s", "trial", "pressure_cmd_kpa"]].rename(columns={"pressure_cmd_kpa": "p [kPa]"})
+    for column, name in names.items():
+        values = right[column] * (sign if column == "tip_z_mm" else 1)
+        table[name + " [mm]" * (units == "mm")] = values / (1000 if units == "m" else 1)
+    table.to_csv("turned.csv", index=False)
+    new = ["new", "--twin=twin", "--recording=turned.csv", "--yes"]
+    with pytest.raises(SystemExit, match="where .* must point; `pneutac convert turned.csv") as refused:
+        _dispatch(new)
+    assert not (folder / "twin").exists() and not (folder / "turned.recording").exists()
+    command = re.search("`pneutac (.*?)`", str(refused.value))[1]
+    assert turn in command
+    _dispatch(shlex.split(command))
+    _dispatch(new)
+    tip = Recording.load("turned.recording").samples[["tip_x_mm", "tip_z_mm"]].to_numpy()
+    np.testing.assert_allclose(tip, right[["tip_x_mm", "tip_z_mm"]], atol=1e-9)
+
+
+def test_a_recording_in_other_axes_is_refused_until_the_command_has_turned_it(folder):
+    right = bench()
+    flat = right.drop(columns=["tip_y_mm"]).rename(columns={"tip_z_mm": "tip_y_mm"})
+    Recording(folder, {"device": "finger", "length_mm": 73.0}, flat, "finger").write(folder / "flat")
+    twin = Twin("finger", 73.0, [20.0, 50.0])
+    for refuses in (
+        lambda: _dispatch(["new", "--twin=twin", "--recording=flat"]),
+        lambda: _dispatch(["check", "flat"]),
+        lambda: calibrate(twin, Recording.load("flat")),
+    ):
+        with pytest.raises((SystemExit, InputError)) as refused:
+            refuses()
+    command = re.search("`pneutac (.*?)`", str(refused.value))[1]
+    assert command == "convert flat/samples.csv --base_z=y --length_mm=73.0 --out=flat_turned"
+    _dispatch(shlex.split(command))
+    refuse_other_axes(Recording.load("flat_turned"))
+    assert Recording.load("flat_turned").length_mm == 73.0
+
+
+def test_an_earlier_conversion_is_replaced_only_where_that_is_said(folder):
+    _dispatch(["convert", "lab.csv", "--yes"])
+    _dispatch(["convert", "lab.csv", "--yes"])  # the same again
+    stored = (folder / "lab.recording" / "samples.csv").read_bytes()
+    other = ["convert", "lab.csv", "--yes", "--columns=p_soll [bar]: pressure_cmd_kpa [psi]"]
+    with pytest.raises(SystemExit, match="lab.recording holds a conversion of other tables or with other"):
+        _dispatch(other)
+    for line in (other, ["convert", "runs/lauf_1.csv", "--yes"]):
+        with pytest.raises(SystemExit, match="--out=lab.recording holds a recording; give another folder"):
+            _dispatch([*line, "--out=lab.recording"])
+    assert (folder / "lab.recording" / "samples.csv").read_bytes() == stored
+    _dispatch([*other, "--replace", "--out=lab.recording"])
+    assert (folder / "lab.recording" / "samples.csv").read_bytes() != stored
 
 
 @pytest.mark.parametrize(

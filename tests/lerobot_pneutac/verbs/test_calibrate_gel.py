@@ -125,6 +125,8 @@ def test_lights_are_kept_and_recognised_by_the_next_calibration(generated, tmp_p
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert result["make"] == "lab sensor" and result["make_by"] == "rest image"
     assert result["make_likeness"] > 0.99
+    with pytest.raises(InputError, match="lab sensor.yaml is there already; give a new name"):
+        run(tmp_path / "two", generated, few, "--save_prior=lab sensor")
     (tmp_path / "priors" / "lab sensor.yaml").write_text("format: pneutac-prior-1\nname: 3\n")
     with pytest.raises(InputError, match="lab sensor.yaml: field .proportions. is missing"):
         run(tmp_path / "three", generated)

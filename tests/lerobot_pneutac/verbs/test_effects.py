@@ -110,7 +110,7 @@ def test_export_writes_a_new_file_once(tmp_path):
     out = tmp_path / "mine.py"
     verb("effects", "export", "lag(p^2)", out=out)
     assert "EFFECT = BodyEffect(" in out.read_text()
-    refused("must name a new file", "effects", "export", "lag(p^2)", out=out)
+    refused("is there already; give a new name", "effects", "export", "lag(p^2)", out=out)
 
 
 WRONG = (

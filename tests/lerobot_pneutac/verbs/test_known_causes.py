@@ -11,6 +11,7 @@ from lerobot_pneutac.study.body_base import doubt, size_by_run
 from lerobot_pneutac.verbs import fit_body
 from lerobot_pneutac.verbs.fit_body import Compliance
 from pneutac_datasets.generate.finger import generate
+from pneutac_sim.effects.registry import get_effect
 from pneutac_truths import generate as simulate
 from pneutac_truths.programs import plan as drawn
 
@@ -98,7 +99,7 @@ def test_a_weight_named_by_the_user_must_stand_out_from_equal_trials(tmp_path):
 def test_a_weight_of_the_twin_that_creep_explains_goes_with_it(tmp_path):
     recording = last_loaded(tmp_path / "bench", ["creep"], 3)
     twin = twin_of(recording)
-    twin.effects["payload"] = fit_body.get_effect("payload").start(50.0)
+    twin.effects["payload"] = get_effect("payload").start(50.0)
     added = add(twin, recording, "creep")
     assert added.accepted and list(added.twin.effects) == ["creep"]
     assert any("payload of the twin explains nothing" in f for f in added.findings)

@@ -235,6 +235,25 @@ def test_a_report_overwrites_that_of_the_same_command_alone(lab, monkeypatch, ca
         run_verb("compare", [*compare, "--seed=3"])
 
 
+@pytest.mark.parametrize(
+    ("verb", "line"),
+    [
+        ("export", "--twin=long --out=is_there.py"),
+        ("effects", "export creep --out=is_there.py"),
+        ("report", "long --rrd=is_there.rrd"),
+        ("measure", "--chessboard=bench --intrinsics=is_there.json"),
+    ],
+)
+def test_no_file_is_replaced(lab, monkeypatch, verb, line):
+    monkeypatch.chdir(lab)
+    new_twin("finger", length_mm=118.5).save(lab / "long")
+    file = Path(line.rpartition("=")[2])
+    file.write_text("mine")
+    with pytest.raises(InputError, match=rf"{file.name} is there already; give a new name, or delete it"):
+        run_verb(verb, shlex.split(line))
+    assert file.read_text() == "mine"
+
+
 def test_new_says_where_a_recording_gives_the_geometry_alone(lab, monkeypatch, capsys):
     monkeypatch.chdir(lab)
     rows = "\n".join(f"0,{0.1 * k:.1f},{k},{0.1 * k:.1f}" for k in range(2))

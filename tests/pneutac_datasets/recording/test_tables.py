@@ -316,7 +316,7 @@ def test_the_trackers_frame_is_turned_into_the_bases(tmp_path):
     assert found.length_mm == LENGTH
     flipped = TRUTH.assign(tip_z_mm=-TRUTH.tip_z_mm)
     flipped.to_csv(tmp_path / "lab.csv", index=False)
-    assert any("convert with --base_z=-z" in n for n in understood(tmp_path / "lab.csv").notes)
+    assert "lab.csv --base_z=-z` turns it" in understood(tmp_path / "lab.csv").faults[0]
 
 
 def test_a_place_that_is_counted_from_the_tip_and_a_bend_along_y_are_noticed(tmp_path):
@@ -326,7 +326,7 @@ def test_a_place_that_is_counted_from_the_tip_and_a_bend_along_y_are_noticed(tmp
     same(understood(tmp_path / "lab.csv", base_mm=(-LENGTH, 0.0, 0.0)).recording, TRUTH)
     flat = TRUTH.drop(columns="tip_y_mm").rename(columns={"tip_z_mm": "tip_y_mm"})
     flat.to_csv(tmp_path / "lab.csv", index=False)
-    assert any("convert with --base_z=y" in n for n in understood(tmp_path / "lab.csv").notes)
+    assert "lab.csv --base_z=y` turns it" in understood(tmp_path / "lab.csv").faults[0]
     same(understood(tmp_path / "lab.csv", base_z="y").recording, ["tip_x_mm", "tip_z_mm"])
 
 

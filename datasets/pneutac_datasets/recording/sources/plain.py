@@ -8,13 +8,14 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from shlex import quote
+from shlex import join, quote
 
 import numpy as np
 import pandas as pd
 import yaml
 
 from pneutac_datasets.recording import reading, rules
+from pneutac_datasets.recording.checks import RIGHT_AXES, base_axes
 from pneutac_datasets.recording.recording import Recording, count_left_out
 from pneutac_datasets.recording.sources import readers
 from pneutac_datasets.recording.sources.columns import (
@@ -25,11 +26,11 @@ from pneutac_datasets.recording.sources.columns import (
     read_name,
     understand,
 )
-from pneutac_datasets.recording.sources.readers import axes_of
+from pneutac_datasets.recording.sources.readers import AXES, axes_of
 from pneutac_datasets.recording.text_table import TextTable, read_text
 from pneutac_datasets.recording.wording import SourceFile, listed, plural
 from pneutac_sim.errors import InputError, shown
-from pneutac_sim.files import read_fields, write_text
+from pneutac_sim.files import read_fields, read_yaml, write_text
 
 ENDING = ".recording"  # of the folder next to the files
 MAPPING = "mapping.yaml"  # there, what the columns are
@@ -76,6 +77,24 @@ class Given:
         except (TypeError, ValueError) as e:
             raise InputError(f"{file} is no mapping: {e}.") from e
         return cls(parse_columns(given.pop("columns", {})), (x, y, z), **given)
+
+    def options(self) -> list[str]:
+        """As options of `pneutac convert`."""
+        quoted = {n: f'"{n}"' if set(n) & set(",:") else n for n in self.columns}
+        columns = ", ".join(f"{quoted[n]}: {column}" for n, column in self.columns.items())
+        base = ",".join(f"{v:g}" for v in self.base_mm)
+        given = {"columns": columns, "base": base * any(self.base_mm), "base_x": self.base_x}
+        given |= {"base_z": self.base_z, "length_mm": self.length_mm, "rate_hz": self.rate_hz}
+        given |= {"date": self.date}
+        usual = {k: f.default for k, f in self.__dataclass_fields__.items()}
+        shown = {k: f"{v:g}" if isinstance(v, float) else v for k, v in given.items() if v}
+        return [f"--{k}={v}" for k, v in shown.items() if v != usual.get(k)]
+
+    def turned(self, x: str, z: str) -> "Given":
+        """With other axes of the base, `x` and `z`, which are named in the frame of these."""
+        old = axes_of(self.base_x, self.base_z)
+        x, z = (next(a for a, v in AXES.items() if np.allclose(v, old @ AXES[way])) for way in (x, z))
+        return replace(self, base_x=x, base_z=z)
 
     def text(self, columns: Sequence[Column]) -> str:
         """The content of `mapping.yaml` once the columns are known."""
@@ -217,7 +236,7 @@ class Understood:
         self.recording = Recording(files[0].parent, meta, table, device)
         self.faults = [] if log else self._faults()
         if not log and not self.faults:
-            self.notes += self._axes_notes()
+            self.faults += self._axes_faults()
         meta["conversion"] = {"notes": self.notes, "rows_left_out": left_out}
 
     def _one_frame(self) -> pd.DataFrame:
@@ -397,12 +416,12 @@ class Understood:
             for i in np.flatnonzero(measured):
                 table[names[i]] = values[:, i]
 
-    def _axes_notes(self) -> list[str]:
+    def _axes_faults(self) -> list[str]:
         """Whether the resting tip lies along x and positive pressure bends towards z.
 
-        Raises InputError: the tip does not rest along x, so base or axes must be others.
+        Raises InputError: the place of the base, or its axes, are unknown.
         """
-        table, source, given = self.recording.samples, self._source, self.given
+        table, source = self.recording.samples, self._source
         rest, tips = _at_rest(table), [t for t in TIPS if t in table]
         if rest is None or not np.linalg.norm(rest) > 0 or len(tips) < 2:
             return []
@@ -413,33 +432,19 @@ class Understood:
                 f" place is counted from the tip; give that of the base, as `pneutac convert {source}"
                 " --base=-LENGTH,0,0`."
             )
-        share = rest / far
-        if share[0] < ALONG:
-            i = int(np.abs(share).argmax())
-            axis = f"{'-' if share[i] < 0 else ''}{'xyz'[i]}"
-            known = abs(share[i]) > 0.9 and given.base_x == "x"
-            hint = f"--base_x={axis}" if known else "--base_x=AXIS --base_z=AXIS"
+        axes = base_axes(self.recording)
+        if axes == RIGHT_AXES and rest[0] < ALONG * far:
             place = ", ".join(f"{v:.4g}" for v in rest)
             raise InputError(
                 f"{source}: at rest the tip is at ({place}) mm, not along x from the base; give the base's"
                 f" position in the table's frame and its axes, as `pneutac convert {source} --base=X,Y,Z"
-                f" {hint}`."
+                " --base_x=AXIS --base_z=AXIS`."
             )
-        command = self.recording.pressure_columns
-        if self.recording.device != "finger" or not command or not np.ptp(table[command[0]]) > 0:
+        if axes == RIGHT_AXES:
             return []
-        kpa = table[command[0]].to_numpy(float)
-        kpa = kpa - kpa.mean()
-        y, z = (table[t].to_numpy(float) if t in table else np.zeros(len(kpa)) for t in TIPS[1:])
-        if np.ptp(y) > 3 * np.ptp(z) and given.base_z == "z":
-            way = "y" if kpa @ y > 0 else "-y"
-        elif kpa @ z < -0.2 * len(kpa) * kpa.std() * z.std(ddof=1):
-            way = given.base_z[1:] if given.base_z.startswith("-") else f"-{given.base_z}"
-        else:
-            return []
-        return [
-            f"Pressure bends the finger along {way}, but z must point that way: convert with --base_z={way}."
-        ]
+        turned, files = self.given.turned(*axes), ",".join(map(str, self.files))
+        command = ["pneutac", "convert", files, *turned.options(), *["--yes"] * bool(self.guessed)]
+        return [_turn_by(source, (turned.base_x, turned.base_z), command, axes[0] != "x")]
 
     def _date(self, frame: pd.DataFrame) -> str:
         """Day of the measurement, if the clock is unambiguous."""
@@ -483,15 +488,23 @@ class Understood:
         self.recording.samples = samples.drop(index=repeated).reset_index(drop=True)
         return list(dict.fromkeys(faults))
 
-    def write(self, folder: Path) -> Recording:
+    def write(self, folder: Path, replaces: bool = False) -> Recording:
         """Writes the recording with its `mapping.yaml` and reads it back with all checks.
 
         What somebody added to an earlier `recording.json` there (noise, starts of trials, notes) stays.
-        Raises InputError where the rules refuse it, or the folder cannot be written.
+        Raises InputError where the rules refuse it, the folder cannot be written, or it holds a conversion
+        with other options, unless this one `replaces` it.
         """
         if self.faults:
             raise InputError(self.faults[0])
         earlier = reading.read_meta(folder) if (folder / "recording.json").is_file() else {}
+        if is_ours(folder) and not (replaces or is_unfinished(folder)):
+            same = read_yaml(folder / MAPPING) == yaml.safe_load(self.given.text(self.columns))
+            if not same or set(earlier.get("source", {}).get("files", {})) != {f.name for f in self.files}:
+                raise InputError(
+                    f"{folder} holds a conversion of other tables or with other options; repeat `pneutac"
+                    " convert` with --replace to replace it, or with --out=DIR to write another."
+                )
         earlier = {k: v for k, v in earlier.items() if k not in REWRITTEN}
         try:
             write_text(folder / MAPPING, self.given.text(self.columns))
@@ -505,10 +518,46 @@ class Understood:
         return Recording.load(folder)
 
 
+def _turn_by(source: str, axes: tuple[str, str], command: Sequence[str], other_x: bool) -> str:
+    """That a tip is given in other axes than the base's, and the command that turns it, a sentence."""
+    x, z = axes
+    if not other_x:
+        return (
+            f"{source}: pressure bends the finger along {z}, where z must point; `{join(command)}` turns it."
+        )
+    lies = f"the straight finger lies along {x} and pressure bends it along {z}, where x and z must point"
+    elsewhere = "if the base is not at the origin, give its place too, --base=X,Y,Z"
+    return f"{source}: {lies}; `{join(command)}` turns it ({elsewhere})."
+
+
+def refuse_other_axes(recording: Recording) -> None:
+    """Raises InputError, with what turns it, where a finger's tip is in other axes than its base's."""
+    axes = base_axes(recording)
+    if axes == RIGHT_AXES:
+        return
+    folder = Path(recording.folder)
+    table = folder / recording.meta.get("samples", "samples.csv")
+    if not table.is_file():
+        raise InputError(
+            f"{folder}: the straight finger lies along {axes[0]} and pressure bends it along {axes[1]}, where"
+            " x and z must point; turn the columns of the tip."
+        )
+    files = [folder.parent / name for name in recording.meta.get("source", {}).get("files", ())]
+    if files and is_ours(folder) and all(f.is_file() for f in files) and folder_of(files) == folder:
+        turned = Given.load(folder / MAPPING).turned(*axes)
+        command = ["pneutac", "convert", ",".join(map(str, files)), f"--mapping={folder / MAPPING}"]
+        more, ways = ["--replace"], (turned.base_x, turned.base_z)
+    else:
+        command, more, ways = ["pneutac", "convert", str(table)], [f"--out={folder}_turned"], axes
+    named = {"base_x": ways[0], "base_z": ways[1], "length_mm": recording.meta.get("length_mm")}
+    command += [f"--{k}={v}" for k, v in named.items() if v and v != Given.__dataclass_fields__[k].default]
+    raise InputError(_turn_by(str(folder), axes, [*command, *more], axes[0] != "x"))
+
+
 def _at_rest(table: pd.DataFrame) -> np.ndarray | None:
     """Where the tip is (3,), mm, at the least pressures; None where it was not measured."""
     commands = rules.pressure_commands(table)
-    if "tip_x_mm" not in table or not commands:
+    if not commands or "tip_x_mm" not in table and sum(t in table for t in TIPS) < 2:
         return None
     try:
         driven = table[commands].abs().max(axis=1).to_numpy(float)
