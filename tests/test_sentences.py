@@ -1,131 +1,21 @@
-"""What bad input is told, word for word: `tests/snapshots/sentences.txt` holds a sentence for each case.
-
-`PNEUTAC_SNAPSHOTS=write pytest tests/test_sentences.py` rewrites the file; read what changed before a commit.
-"""
+"""What bad input is told, word for word: `tests/snapshots/sentences.txt` holds a sentence for each case."""
 
 import json
-import os
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from snapshots import Sentences
 
 from lerobot_pneutac.cli import _dispatch
 from lerobot_pneutac.verbs.new import new_twin
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
 
-FILE = Path(__file__).parent / "snapshots" / "sentences.txt"
-WRITE = os.environ.get("PNEUTAC_SNAPSHOTS") == "write"
-
-# Run in a folder with twins `finger`, `arm` and `gel`, and a recording `bench` of the finger.
-COMMANDS = """
-calibrat
-calibrate
-calibrate --recording=bench
-calibrate --twin=nowhere --recording=bench
-calibrate --twin=fingr --recording=bench
-calibrate --twin=finger --recording=nowhere
-calibrate --twin=finger --recording=bnch
-calibrate --twin=arm --recording=bench
-calibrate --twin=gel --recording=bench
-calibrate --twin=finger --recording=bench --by=smell
-calibrate --twin=finger --recording=bench --particles=3
-calibrate --config_path=nowhere.yaml
-calibrate --config_path=broken.yaml
-calibrate --config_path=list.yaml
-calibrate --config_path=typo.yaml
-calibrate --twin=finger --recording=bench --out=typo.yaml
-calibrate --twin=finger --recording=bench --twins=x
-calibrate --twin=finger --recording=bench --seed=many
-diagnose --twin=finger --recording=bench --seed=-1
-compare
-compare --twin=finger --recording=bench --fidelity=exact
-compare --twin=finger --recording=bench --samples=50
-compare --twin=finger --recording=bench --fidelity=mpm --samples=1
-compare --twin=arm --recording=bench
-diagnose
-diagnose --twin=gel --recording=bench
-diagnose --twin=finger --recording=bench --jobs=some
-add
-add --twin=finger --recording=bench
-add --twin=finger --recording=bench --effect=crep
-add --twin=finger --recording=bench --effect=magnetism
-add --twin=finger --recording=bench --effect=shadow
-add --twin=arm --recording=bench --effect=creep
-new
-new --twin=other --device=hand
-new --twin=other --length_mm=-1
-new --twin=other --length_mm=0
-new --twin=other --mesh=nowhere.stl
-new --twin=other --mesh=nowhere.stl --mesh_unit=inch
-new --twin=other --recording=nowhere
-measure
-measure --program=dance
-measure --bench=lab
-measure --bench=standin
-measure --bench=standin --out=other --max_kpa=much
-measure --bench=standin --out=other --max_kpa=15,15 --program=steps
-measure --bench=standin --out=other --max_kpa=90,90,90 --program=steps
-measure --pressure.type=simulated --pressure.ports=/a,/b,/a
-measure --bench=standin --out=other --hz=1e12
-measure --bench=standin --out=other --repeat=1000000000
-measure --bench=standin --out=other --length_mm=110
-measure --bench=standin --out=other --pressure.type=simulated
-measure --chessboard=nowhere --intrinsics=lens.json
-measure --chessboard=bench --intrinsics=lens.json --corners=1,6
-measure --camera.type=opencv
-measure --pressure.type=simulated --pressure.options={}
-measure --pressure.type=simulated --pressure.chambers=-1
-learn --twin=finger --out=other --budget_min=-1
-render
-render --twin=nowhere
-render --twin=finger --seconds=0
-render --twin=finger --view.distance_lengths=0
-render --twin=finger --pressure_kpa=[] --size_mm=3
-surrogate --twin=nowhere
-surrogate --twin=arm
-augment
-augment --task=bottle
-repair --dataset=nowhere
-augment --dataset.repo_id=local/x --dataset.root=nowhere --output.repo_id=local/y --output.root=bench
-augment --dataset.repo_id=local/x --dataset.root=nowhere --output.repo_id=local/y --output.root=o
-augment --method=magic
-augment --planner.samples=1
-augment --dataset.repo_id=a --dataset.root=x --output.repo_id=b --output.root=y --start_range=0.02
-calibrate --twin=finger --image_size=320
-benchmark policy --seeds=1.5
-ppo --task=bottle
-ppo --steps=0
-ppo --steps=0 --out=a
-ppo --out=a --student.fidelity=exact
-ppo --out=a --student.root=b --student.episodes=0
-ppo --out=a --student.root=b --student.repo_id=a/b/c
-ppo --out=a --seed=10000000000
-ppo --out=a --steps=017
-calibrate --config_path=switch.yaml
-demo --trials=0
-demo --quick --minutes=nan
-surrogate --twin=finger --seconds=inf
-benchmark
-benchmark speed --twins=x
-benchmark policy --twin=arm
-benchmark surrogate --twin=gel
-benchmark rates --hz=0
-benchmark worlds --device=cpu --worlds=[]
-benchmark demonstrations --task=bottle
-surrogate --twin=finger --fresh --particles=1
-benchmark juggling
-benchmark body --hidden=-1
-benchmark augment --tasks=[bottle]
-benchmark augment --start_width=0.5
-benchmark policy --conditions=real,pp
-benchmark policy --tasks=switch,switch
-doctor --port
-""".strip().splitlines()
+# Commands run in a folder with twins `finger`, `arm` and `gel`, and a recording `bench` of the finger.
+SENTENCES = Sentences("sentences")
 
 
 def field(**changes):
@@ -262,54 +152,28 @@ def folder(tmp_path_factory):
     return path
 
 
-@pytest.fixture(scope="module")
-def sentences():
-    """Case to sentence; rewritten at the end where that is asked for."""
-    found = {}
-    if FILE.exists() and not WRITE:
-        for part in FILE.read_text().strip().split("\n\n"):
-            case, _, sentence = part.partition("\n")
-            found[case] = sentence
-    yield found
-    if WRITE:
-        FILE.write_text("\n\n".join(f"{case}\n{sentence}" for case, sentence in found.items()) + "\n")
-
-
-def refused(call) -> str:
-    with pytest.raises((InputError, SystemExit)) as error:
-        call()
-    return "\n".join(line for line in str(error.value).splitlines() if line.strip())
-
-
-def check(sentences, case, sentence):
-    assert "/tmp" not in sentence and "Traceback" not in sentence
-    if WRITE:
-        sentences[case] = sentence
-    assert sentences.get(case) == sentence
-
-
-@pytest.mark.parametrize("line", COMMANDS)
-def test_a_command(line, sentences, folder, monkeypatch):
+@pytest.mark.parametrize("line", SENTENCES.commands)
+def test_a_command(line, folder, monkeypatch):
     monkeypatch.chdir(folder)
-    check(sentences, f"pneutac {line}", refused(lambda: _dispatch(line.split())))
+    SENTENCES.check(f"pneutac {line}", lambda: _dispatch(line.split()))
 
 
 @pytest.mark.parametrize("fault", RECORDINGS)
-def test_a_recording(fault, sentences, folder, monkeypatch):
+def test_a_recording(fault, folder, monkeypatch):
     monkeypatch.chdir(folder)
     shutil.rmtree("bad", ignore_errors=True)
     shutil.copytree("bench", "bad")
     RECORDINGS[fault](Path("bad"))
-    check(sentences, f"recording: {fault}", refused(lambda: Recording.load("bad")))
+    SENTENCES.check(f"recording: {fault}", lambda: Recording.load("bad"))
 
 
 @pytest.mark.parametrize("fault", TWINS)
-def test_a_twin(fault, sentences, folder, monkeypatch):
+def test_a_twin(fault, folder, monkeypatch):
     monkeypatch.chdir(folder)
     shutil.rmtree("spoilt", ignore_errors=True)
     shutil.copytree("finger", "spoilt")
     TWINS[fault](Path("spoilt"))
-    check(sentences, f"twin: {fault}", refused(lambda: Twin.load("spoilt")))
+    SENTENCES.check(f"twin: {fault}", lambda: Twin.load("spoilt"))
 
 
 def test_the_unspoilt_are_taken(folder):

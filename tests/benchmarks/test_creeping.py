@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lerobot_pneutac import Recording, Twin, diagnose
+from lerobot_pneutac import Recording
 from lerobot_pneutac.study.gel import noise
 from pneutac_benchmarks.tactile.creeping import Memory, write_creeping
 from pneutac_datasets.recording.gel import GelRecording
@@ -40,13 +40,6 @@ def test_a_stretched_exponential_is_met_where_it_is_and_not_found_where_it_is_no
     assert (seen[1] < seen[0]).sum() >= 3 and seen[1].mean() < 0.97 * seen[0].mean()
     seen, left = errors(write_creeping(tmp_path / "does_not", 0.0, seed=1, presses=12))
     assert left < 0.01 and seen[1].mean() == pytest.approx(seen[0].mean(), rel=0.01)
-
-
-@pytest.mark.nightly
-def test_creep_is_named(tmp_path):
-    recording = Recording.load(write_creeping(tmp_path / "creeps", 0.25, seed=1))
-    twin = Twin("gel", 16.0)
-    assert "gel_creep" in diagnose(twin, recording).selected
 
 
 @pytest.mark.slow

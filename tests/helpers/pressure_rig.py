@@ -136,7 +136,7 @@ class SimulatedTime:
 
     def close(self):
         self._process.stdin.close()
-        self.exit_code = self._process.wait(timeout=5)
+        self.exit_code = self._process.wait(timeout=120)
         self._process.stdout.close()
 
 

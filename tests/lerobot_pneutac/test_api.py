@@ -5,7 +5,6 @@ import json
 import subprocess
 import sys
 
-import gymnasium
 import numpy as np
 import pytest
 from generated import once
@@ -16,7 +15,7 @@ from pneutac_datasets.generate.finger import generate
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory):
+def bench(tmp_path_factory, no_soft_body):
     """A short recording with hidden creep and a twin calibrated to it."""
     folder = tmp_path_factory.mktemp("api") / "bench"
     once(generate, ["creep"], folder, 5002, minutes=3.0, hz=10)
@@ -39,17 +38,21 @@ def test_importing_is_light_and_registers_the_worlds():
         _ = lerobot_pneutac.fly
 
 
-@pytest.mark.slow
-def test_results_are_data_and_leave_what_was_given_as_it_was(bench, tmp_path):
+@pytest.fixture(scope="module")
+def crept(bench):
+    """Creep added to the twin, and what was heard meanwhile."""
     calibrated, recording = bench
-    twin, samples = copy.deepcopy(calibrated.twin), recording.samples.copy()
-    heard = []
-    results = [
-        compare(calibrated.twin, recording),
-        add(calibrated.twin, recording, "creep", progress=lambda *step: heard.append(step)),
-    ]
+    twin, samples, heard = copy.deepcopy(calibrated.twin), recording.samples.copy(), []
+    added = add(calibrated.twin, recording, "creep", progress=lambda *step: heard.append(step))
     assert calibrated.twin == twin and recording.samples.equals(samples)
-    assert heard[-1] == ("fitting with and without creep", 2, 2)
+    return added, heard
+
+
+@pytest.mark.slow
+def test_results_are_data_and_leave_what_was_given_as_it_was(bench, crept, tmp_path):
+    calibrated, recording = bench
+    results = [compare(calibrated.twin, recording), crept[0]]
+    assert crept[1][-1] == ("fitting with and without creep", 2, 2)
     for i, result in enumerate(results):
         page = result.report(tmp_path / str(i))
         written = json.loads((page.parent / "result.json").read_text())
@@ -69,11 +72,9 @@ def test_results_are_data_and_leave_what_was_given_as_it_was(bench, tmp_path):
     ("effect", "own", "reason"),
     [("creep", ["creep"], "has the effect 'creep' already"), ("leak", [], "changes nothing")],
 )
-def test_a_refusal_is_a_result(effect, own, reason, bench):
+def test_a_refusal_is_a_result(effect, own, reason, bench, crept):
     calibrated, recording = bench
-    twin = calibrated.twin.copy()
-    if own:
-        twin = add(twin, recording, "creep").twin
+    twin = crept[0].twin if own else calibrated.twin.copy()
     result = add(twin, recording, effect)
     assert not result.accepted and reason in result.reason and result.twin is twin
     assert result.to_dict()["accepted"] is False and reason in result.sentence
@@ -82,7 +83,7 @@ def test_a_refusal_is_a_result(effect, own, reason, bench):
 
 
 @pytest.mark.slow
-def test_blocks_that_report_did_not_choose(bench):
+def test_blocks_that_report_did_not_choose(bench, crept):
     """Whether an effect is kept is decided on other blocks than those whose error is told."""
     from lerobot_pneutac.study import study_of
     from lerobot_pneutac.verbs.compare_body import train_mask
@@ -90,17 +91,8 @@ def test_blocks_that_report_did_not_choose(bench):
     calibrated, recording = bench
     parts = study_of(calibrated.twin, recording, adding=["creep"]).parts
     assert (np.stack([parts.train, parts.validation, parts.test]).sum(0) == 1).all()
-    added = add(calibrated.twin, recording, "creep").twin
+    added = crept[0].twin.copy()
     added.history.append(
         {"version": 1, "change": "added creep", "recording": str(recording.folder), "seed": 0}
     )
     assert (train_mask(added, recording) == ~parts.test).all(), "compare holds these out"
-
-
-@pytest.mark.slow
-def test_a_corrected_twin_goes_into_the_world(bench):
-    calibrated, _ = bench
-    env = gymnasium.make("pneutac_sim/switch", twin=calibrated.twin, touch="none", fidelity="probe")
-    observation, _ = env.reset(seed=0)
-    assert observation["agent_pos"].shape == (20,)
-    env.close()

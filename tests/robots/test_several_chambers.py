@@ -8,12 +8,10 @@ import torch
 from arms import arm_twin
 from draccus.utils import DecodingError
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
-from lerobot.envs.factory import make_env
-from lerobot.envs.utils import env_to_policy_features, preprocess_observation
 from lerobot.utils.feature_utils import dataset_to_policy_features
 
 from lerobot_pneutac.rl.options import PpoConfig
-from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment
+from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef
 from lerobot_robot_pneutac.env import PneutacEnvConfig
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PneutacBCConfig
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
@@ -147,17 +145,6 @@ def test_demonstrations_of_another_body_are_reported(demonstrations, folder):
     assert not Recorded(demonstrations).faults(Twin.load(folder))
 
 
-def test_the_environment_gives_what_its_config_promises(folder):
-    config = PneutacEnvConfig(task="button", twin=folder, fidelity="probe", episode_length=2)
-    env = make_env(config, n_envs=1)["pneutac"][0]
-    observation, _ = env.reset(seed=[1])
-    found = {k: tuple(v.shape[1:]) for k, v in preprocess_observation(observation).items()}
-    promised = {k: f.shape for k, f in env_to_policy_features(config).items()}
-    assert promised.pop("action") == env.single_action_space.shape == (6,)
-    assert found == promised and found["observation.state"] == (22,)
-    env.close()
-
-
 def test_a_hand_leads_the_chambers_by_their_shares(folder, robot):
     class Hand(VelocityTeleop):
         name, config_class = "hand", VelocityTeleopConfig
@@ -208,20 +195,3 @@ def test_what_does_not_work_is_refused_before_any_work(folder):
         InputError, match="Fidelity 'mpm' is for fingers of one chamber; this twin's arm has 3"
     ):
         AugmentConfig(**given, twin=folder, fidelity="probe", check_mpm=1)
-
-
-@pytest.mark.nightly
-@pytest.mark.timeout(1200)
-def test_demonstrations_are_augmented(folder, tmp_path):
-    """Flips of the switch, planned anew and kept only where the switch is flipped."""
-    robot = PneutacSim(PneutacSimConfig(id="arm", task="switch", twin=folder, fidelity="probe"))
-    text = "Flip the toggle switch."
-    teleop = PneutacScripted(PneutacScriptedConfig(id="expert"))
-    record_episodes(robot, teleop, "local/arm", tmp_path / "data", 3, text, False)
-    given = DatasetRef("local/arm", tmp_path / "data"), DatasetRef("local/new", tmp_path / "new")
-    made = augment(AugmentConfig(*given, twin=folder, fidelity="probe", workers=1, episodes=2))
-    assert made.summary["kept"] == 2 and made.share >= 0.3
-    new = LeRobotDataset("local/new", root=tmp_path / "new")
-    assert new.num_episodes == 2 and new.features["action"]["names"] == ACTIONS
-    actions = np.stack(new.hf_dataset.with_format("numpy")["action"])
-    assert actions[:, 3:].min() >= 0.0 and actions[:, 3:].max() <= 50.0

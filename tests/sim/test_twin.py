@@ -86,36 +86,14 @@ def test_versions_keep_the_earlier_twin(tmp_path):
     assert "creep" in Twin.load(tmp_path / "history" / "001").effects
 
 
-def test_missing_and_corrupted_files(tmp_path):
-    with pytest.raises(InputError, match="pneutac new"):
-        Twin.load(tmp_path / "nowhere")
-    twin = Twin.builtin()
-    twin.arrays["rest_image"] = np.zeros((2, 2, 3), np.uint8)
-    twin.save(tmp_path)
-    next(tmp_path.glob("arrays-*.safetensors")).write_bytes(b"not a tensor file")
-    with pytest.raises(InputError, match="arrays-.*.safetensors is corrupted"):
-        Twin.load(tmp_path)
-    (tmp_path / "twin.yaml").write_text("a: [")
-    with pytest.raises(InputError, match="twin.yaml, line 1, is not valid YAML"):
-        Twin.load(tmp_path)
-
-
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
         ("value: 0.01114", "value: .nan", ".*gain_rad_per_kpa"),
         ("effects: {}", "effects: none", "field 'effects' is 'none'"),
-        ("effects: {}", "effects:\n  shadow: 3", "field 'effects.shadow' is 3"),
-        ("effects: {}", "", "field 'effects' is missing"),
         ("gain_alpha", "gain_omega", "body: unknown parameter 'gain_omega'; did you mean 'gain_alpha'\\?"),
-        ("  gain_beta:", "  bend_5:", "body: unknown parameter 'bend_5'"),
         ("value: 0.0313", "value: 0.0313\n    ci59: [0, 1]", "parameters.gain_alpha: unknown field 'ci59'"),
         ("length_mm:", "lenght_mm:", "unknown field 'lenght_mm'; did you mean 'length_mm'\\?"),
-        (
-            "gel: {}",
-            "gel:\n  thicknes_mm: 2.5",
-            "gel: unknown field 'thicknes_mm'; did you mean 'thickness_mm'",
-        ),
         ("effects: {}", "effects:\n  crep: {}", "There is no effect 'crep'; did you mean 'creep'\\?"),
         (
             "effects: {}",
@@ -124,27 +102,8 @@ def test_missing_and_corrupted_files(tmp_path):
         ),
         ("effects: {}", "effects:\n  dead_time: {}", "effects.dead_time: delay_s is missing; add what is"),
         ("value: 0.01114", "value: true", "field 'parameters.gain_rad_per_kpa' .*True is no number"),
-        (
-            "value: 0.01114",
-            "value: 0.01114\n    ci95: '12'",
-            "field 'parameters.gain_rad_per_kpa' .*'12' is no list",
-        ),
-        (
-            "value: 0.01114",
-            "value: 0.01114\n    ci95: [0, 1, 2]",
-            "field 'parameters.gain_rad_per_kpa' .* low and",
-        ),
-        ("- 13.75", "- true", "field 'spine_joint_positions_mm' is malformed .True is no number"),
-        ("length_mm: 110.0", "length_mm: true", "field 'length_mm' is malformed .True is no number"),
         ("history: []", "history: {}", "field 'history' is {}; it must hold an entry for each version"),
-        ("history: []", "history: [first]", "field 'history, entry 0' is 'first'"),
         ("history: []", "history: [{change: new}]", "history, entry 0: field 'version' is missing"),
-        ("history: []", "history: [{version: 1, change: a}]", "history, entry 0: field 'version' is 1"),
-        (
-            "history: []",
-            "history: [{version: 0, change: a, heldot: 1}]",
-            "history, entry 0: unknown field 'heldot'; did you mean 'heldout'\\?",
-        ),
         (
             "history: []",
             "history: [{version: 0, change: a, train: .nan}]",
@@ -253,11 +212,6 @@ def test_nothing_takes_a_files_place_before_the_disk_holds_it(tmp_path, monkeypa
 
 def test_of_two_processes_that_save_none_loses_a_version(tmp_path):
     assert save_at_once(tmp_path, number=24).broken == ()
-
-
-@pytest.mark.nightly
-def test_of_two_processes_that_save_ten_thousand_versions_none_is_lost(tmp_path):
-    assert save_at_once(tmp_path, number=10_000).broken == ()
 
 
 def test_a_full_disk_is_one_sentence_and_leaves_nothing_behind(tmp_path, monkeypatch):

@@ -245,47 +245,6 @@ def test_nothing_is_tried_where_next_to_nothing_is_left(start, asked):
     assert bool(table.asked) == asked
 
 
-def test_the_beam_goes_on_from_the_others_too():
-    rows = {"": 4.25, "A": 2.0, "B": 2.2, "C": 2.4, "D": 2.6}
-    table, found = find(rows)
-    assert [e for e, _, _ in table.asked] == [(), ("A",), ("B",), ("C",)] and table.asked[1:] == [
-        (("A",), thresholds.COARSE, 4),
-        (("B",), 4, 2),
-        (("C",), 4, 2),
-    ]
-    assert {s.model.effects for s in found.rivals[0]} == {("B",), ("C",), ("D",)}
-
-
-def test_additions_are_fitted_roughly_first_and_then_well():
-    table, _ = find({"": 4.25, "A": 1.0, "L": 4.0}, lines=("L",))
-    by = {trial: [(s, e) for t, s, e in table.fitted if t == trial] for trial in ((), ("A",), ("L",))}
-    assert by[()][0] == (12, 1) and by[("L",)] == [(2, 4)] and by[("A",)][:2] == [(5, 2), (8, 1)]
-
-
-def test_only_so_many_different_ones_are_fitted_well():
-    rows = {"": 4.25} | {c: 4.2 + 0.001 * i for i, c in enumerate("ABCDEFGH")}
-    table, found = find(rows)
-    well = [trial for trial, steps, _ in table.fitted if steps == 8]
-    assert well == [(c,) for c in "ABCDEF"] and len(well) == thresholds.FINE and found.rivals == []
-    rows = {"": 4.25, "A": 2.0, "B": 2.001, "AB": 1.999}
-    table, found = find(rows)  # in the second round AB comes from A and from B
-    assert [len(r) for r in found.rivals] == [2]
-    assert [t for t, steps, _ in table.fitted if steps == 8].count(("B", "A")) == 0
-
-
-def test_progress_is_told():
-    told = []
-    find({"": 4.25, "A": 1.0}, told.append)
-    assert told == ["trying the base: error 2.06", "tried A: error 1", "found A: error 1"]
-
-
-def test_no_more_acceptances_than_allowed():
-    """One or two terms each."""
-    rows = {"ABCDEFGHIJKLMNOP"[:k]: 20.0 - k for k in range(17)}
-    _, found = find(rows)
-    assert len(found.path) == thresholds.MOST_TERMS + 1 and len(found.rivals) == thresholds.MOST_TERMS
-
-
 def test_among_alike_the_simplest_is_accepted():
     """Alike within 0.01 of a excess of 4."""
     rows = {"": 4.25, "A": {"value": 1.0, "cost": 6}, "B": {"value": 1.03, "cost": 2}}
@@ -297,24 +256,6 @@ def test_among_alike_the_simplest_is_accepted():
         "B": {"value": 0.305, "cost": 2},
     }  # of a excess of a quarter
     assert find(small)[1].final.model.effects == ("A",)
-
-
-def test_of_those_that_are_not_sure_the_next_is_asked_but_not_all():
-    """Three of the alike, two of the others."""
-    unsure, sure = ({"value": 3.84, "patchy": patchy, "cost": 2} for patchy in (True, False))
-    alike = {"": 4.25} | dict.fromkeys("ABC", unsure)
-    assert find(alike | {"C": sure})[1].final.model.effects == ("C",)
-    assert find(alike | {"D": sure | {"cost": 3}})[1].final.model.effects == ()
-    others = {"": 4.25, "A": unsure, "B": unsure | {"value": 3.9}}
-    assert find(others | {"C": sure | {"value": 3.95}})[1].final.model.effects == ("C",)
-    last = {"C": unsure | {"value": 3.92}, "D": sure | {"value": 3.95}}
-    assert find(others | last)[1].final.model.effects == ()
-
-
-def test_what_settles_worse_is_taken_as_it_was_fitted():
-    rows = {"": 4.25, "A": 1.0}
-    assert find(rows | {"!A": 0.5})[1].path[-1].value == 0.5
-    assert find(rows | {"!A": 1.5})[1].path[-1].value == 1.0
 
 
 @pytest.mark.parametrize(
@@ -383,66 +324,6 @@ def test_of_lines_within_two_hundredths_the_simplest_is_taken(value, first):
     rows = {"": 4.25, "L": {"value": 2.0, "cost": 5}, "M": {"value": value, "cost": 2}}
     _, found = find(rows, lines=("L", "M"))
     assert found.base.model.effects == (first,)
-
-
-@pytest.mark.parametrize(
-    ("rows", "beam"),
-    [
-        ({"": 4.25, "L": 2.0, "M": 2.5, "N": 3.0}, ["L", "M", ""]),
-        ({"": 2.5, "L": 2.0, "M": 3.0}, ["L", ""]),
-        ({"": 2.03, "L": {"value": 2.0, "cost": 5}, "M": {"value": 2.01, "cost": 4}}, [""]),
-        ({"": 2.03, "L": {"value": 2.0, "cost": 5}, "M": 2.5}, ["", "M"]),
-    ],
-)
-def test_it_begins_with_the_best_two_and_the_bare_base(rows, beam):
-    table, _ = find(rows, lines=sorted(set(rows) - {""}))
-    assert ["".join(effects) for effects, _, _ in table.asked] == beam
-
-
-def test_it_begins_also_without_what_of_the_base_may_stand_for_a_term():
-    rows = {"S": 2.0, "": 4.25, "K": 0.3, "KS": 0.3}
-    table, found = find(rows, bases=("S",), bare=("",))
-    assert ["".join(effects) for effects, _, _ in table.asked][:2] == ["S", ""]
-    assert found.final.model.effects == ("K",)
-
-
-def test_of_each_line_the_best_two_are_settled_and_the_best_is_kept():
-    """A line of which there are several, such as one with other nodes."""
-
-    class Lines(Table):
-        settled = ()
-
-        def with_actuations(self, model, starts=True):
-            return [(2.0,), (2.2,), (2.1,)]
-
-        def fit(self, trial, steps=0, every=None):
-            return Written(("L",), trial[0]) if trial else Written((), 4.25)
-
-        def grow(self, model, most, pairs):
-            self.asked.append((model.effects, most, pairs))
-            return []
-
-        def refine_actuation(self, model):
-            self.settled += (float(model.cv_squared(0)[0]),)
-            return model
-
-    space = Lines({})
-    Search(space, JUDGE, FOLD, FLOOR).find()
-    assert space.settled == (2.0, 2.1) and [e for e, _, _ in space.asked] == [("L",), ()]
-
-
-def test_the_line_is_chosen_anew_once_most_of_what_it_was_chosen_by_is_told():
-    """Beside A, line M is better than L and K, which were better alone."""
-    rows = {"": 9.0, "L": 8.0, "K": 8.1, "M": 8.5, "AL": 2.0, "AK": 2.5, "AM": 1.0, "A": 9.0}
-
-    def path(**other):
-        return find(rows | other, lines=["", "K", "L", "M"])[1].path
-
-    _, found = find(rows, lines=["", "K", "L", "M"])
-    assert ["".join(sorted(s.model.effects)) for s in found.path] == ["L", "AL", "AM"]
-    assert found.rivals[-1] == [found.path[1]] and set(found.final.model.effects) == {"A", "M"}
-    assert len(path(AL=5.0, AK=6.0)) == 2, "most of it is still there"
-    assert len(path(AL=1.05**2 * FLOOR**2, AM=FLOOR**2)) == 2, "it is noise"
 
 
 def test_what_does_not_fit_or_is_not_finite_is_left_out():

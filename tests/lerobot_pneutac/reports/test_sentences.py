@@ -4,8 +4,6 @@ Reports open offline and carry no NaN; the command line says what is not there y
 """
 
 import re
-import subprocess
-import sys
 from itertools import product
 from types import SimpleNamespace
 
@@ -309,17 +307,3 @@ def test_result_refuses_nan(tmp_path):
     assert write_result(tmp_path, {"x": np.float32(1.5), "y": np.arange(2)}).read_text().count("1.5") == 1
     with pytest.raises(ValueError, match="JSON"):
         write_result(tmp_path, {"x": float("nan")})
-
-
-def test_unknown_verb_lists_the_verbs():
-    run = subprocess.run(
-        [
-            sys.executable,
-            "-c",
-            "import sys; sys.argv=['pneutac','fly']; from lerobot_pneutac.cli.__main__ import main; main()",
-        ],
-        capture_output=True,
-        text=True,
-    )
-    assert run.returncode == 1 and "no command 'fly'" in run.stderr and "calibrate" in run.stderr
-    assert "Traceback" not in run.stderr

@@ -104,10 +104,8 @@ def test_a_reloaded_actor_acts_the_same(trained, tmp_path):
     ("options", "match"),
     [
         ({"steps": 0}, "steps is 0"),
-        ({"compute": Compute(envs=0)}, "envs is 0"),
         ({"task": "door"}, "no task 'door'"),
         ({"seed": 2}, "another seed"),
-        ({"task": "egg"}, "another task"),
         ({"twin": replace(Twin.builtin(), device="arm")}, "one chamber, and this twin is of an 'arm'"),
     ],
 )

@@ -17,8 +17,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.gel.fit import SHADOW, fit_presses, standard_effects
 from pneutac_sim.gel.layout import Orientation
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.pair import ImageScores, PressPhotograph, score
-from pneutac_sim.gel.photograph import Predictor
+from pneutac_sim.gel.pair import ImageScores, PressPhotograph
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin
 
@@ -137,6 +136,7 @@ def test_lights_are_kept_and_recognised_by_the_next_calibration(generated, tmp_p
 
 def test_larger_images_keep_their_size_and_are_made_smaller_where_asked(recording, tmp_path):
     """Photographs at twice the resolution give the same light."""
+    Recording.load(recording).keep(np.arange(7) < 2).write(recording)
     run(tmp_path / "small", recording, "--effects=rest_colour")
     for file in recording.rglob("*.png"):
         Image.open(file).resize((2 * WIDTH, 2 * HEIGHT), Image.Resampling.BILINEAR).save(file)
@@ -200,22 +200,3 @@ def test_real_sensors(name, role, rmse, contact_rmse, contact_dncc, make):
     assert ours.rmse < min(rmse, 0.8 * pasted.rmse, 0.7 * rest.rmse)
     assert ours.contact_rmse < min(contact_rmse, 0.75 * pasted.contact_rmse)
     assert ours.contact_dncc > max(contact_dncc, pasted.contact_dncc)
-
-
-@pytest.mark.nightly  # every day: the errors of `test_real_sensors`
-def test_five_presses_of_a_real_sensor_predict_better_than_one():
-    if "PNEUTAC_DATA" not in os.environ:
-        pytest.skip("PNEUTAC_DATA is unset: there are no real photographs to calibrate to")
-    data = GelRecording.load(Recording.load(Path(os.environ["PNEUTAC_DATA"]) / "tactile" / "digit_fots"))
-    pairs = data.samples[::4][:5]
-    others = [s for i, s in enumerate(data.samples) if i % 4]
-    contact = []
-    for n in (1, 5):
-        predictor = Predictor(fit_presses(pairs[:n], data.px_per_mm, None, data.thickness_mm).gel, pairs[:n])
-        images = [predictor.image(s.press, s.rest, s.clock) for s in others]
-        scores = [
-            score(image, s.image, s.rest, s.x_px, s.y_px, s.radius_px)
-            for image, s in zip(images, others, strict=True)
-        ]
-        contact.append(ImageScores.mean(scores).contact_rmse)
-    assert contact[1] < 0.97 * contact[0]

@@ -30,7 +30,7 @@ CONTRACT += ["temperature_c", "payload_g"]
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory):
+def bench(tmp_path_factory, no_soft_body):
     """A recording without and one with creep of the same finger, and a twin fitted to the first."""
     root = tmp_path_factory.mktemp("bench")
     for name in ("none", "creep"):

@@ -1,15 +1,12 @@
 """`pneutac diagnose` end to end on generated recordings: what it writes, finds and repeats."""
 
-import json
-
 import numpy as np
 import pytest
 from generated import twin_of
-from verbs import refused, verb
+from verbs import refused
 
 from lerobot_pneutac import add
 from lerobot_pneutac.verbs.diagnose import diagnose
-from lerobot_pneutac.verbs.new import new_twin
 from pneutac_sim.effects.laws import family
 from pneutac_sim.finger import simulate
 from pneutac_sim.twin import Twin, Value
@@ -84,18 +81,6 @@ def test_headline_and_verdict_rest_on_test_blocks_alone(creep):
         squared = (model.residual**2).sum(1)
         assert error["heldout"] == pytest.approx(np.sqrt(squared[parts.test].mean()))
     assert evidence.after == pytest.approx(creep.after["heldout"] / floor)
-
-
-def test_the_verb_writes_result_and_report_and_leaves_the_twin(bench, tmp_path, capsys):
-    recording = bench("none")
-    twin = new_twin("finger", recording).save(tmp_path / "twin")
-    before = (twin / "twin.yaml").read_text()
-    verb("diagnose", twin=twin, recording=recording.folder, out=tmp_path / "out", jobs=1)
-    assert (twin / "twin.yaml").read_text() == before
-    result = json.loads((tmp_path / "out" / "result.json").read_text())
-    assert result["verdict"] == "adequate" and result["selected"] == []
-    assert "Nothing is missing" in (tmp_path / "out" / "report.html").read_text()
-    assert "Nothing is missing" in " ".join(capsys.readouterr().out.split())
 
 
 def test_nothing_missing_is_adequate_again_and_again_whatever_the_threads(bench):

@@ -73,6 +73,7 @@ def test_a_diagnosis_and_a_comparison_predict_the_same_images(tmp_path):
     np.testing.assert_array_equal(predicted, predict(gel, study.data))
 
 
+@pytest.mark.nightly  # every day: a search on five photographs, below
 def test_nothing_is_found_where_nothing_is_hidden(tmp_path, capsys):
     recording = once(write_hidden_gel, tmp_path / "recording", [], seed=4, images=NEEDED)
     twin = linear_twin(tmp_path / "twin", recording)
@@ -96,14 +97,6 @@ def test_to_what_cannot_be_diagnosed_nothing_is_added(tmp_path):
     twin = linear_twin(tmp_path / "twin", recording)
     refused(f"it has {NEEDED - 1} images", "add", twin=twin, recording=recording.folder, effect="shadow")
     assert Twin.load(twin).effects == {}
-
-
-@pytest.mark.nightly
-def test_ten_images_are_enough_and_it_is_said_that_none_were_kept_for_the_report(tmp_path):
-    recording = once(write_hidden_gel, tmp_path / "recording", ["shadow"], images=NEEDED)
-    found = run("diagnose", tmp_path / "d", linear_twin(tmp_path / "twin", recording), recording)
-    assert found["verdict"] == "missing_effect" and found["selected"] == ["shadow"]
-    assert any("optimistic" in w for w in found["warnings"])
 
 
 def many(recording):
@@ -146,21 +139,6 @@ def test_no_photograph_is_judged_by_a_fit_that_saw_it(tmp_path, monkeypatch):
         assert seen == [True] + [False] * (len(r) - 1)
         assert min(len(photographs) for _, photographs in trained.values()) >= 0.7 * study.parts.train.sum()
         trained.clear()
-
-
-@pytest.mark.nightly
-def test_the_report_scores_photographs_that_chose_nothing(tmp_path):
-    """A validation photograph spoilt after the search leaves all reported errors as they were."""
-    recording = once(write_hidden_gel, tmp_path / "recording", ["shadow"], seed=3, images=APART)
-    twin = Twin.load(linear_twin(tmp_path / "twin", recording))
-    study = GelStudy(twin, recording)
-    with_shadow = study.refit(["shadow"], None, Steps())
-    spoilt = replace(
-        with_shadow, residual=np.where(study.parts.validation[:, None], 99.0, with_shadow.residual)
-    )
-    assert study.errors(spoilt)["heldout"] == study.errors(with_shadow)["heldout"]
-    assert study.reduction(with_shadow, spoilt)[0] == 0.0
-    assert not study.significant(with_shadow, spoilt), "what chooses does look at it"
 
 
 @pytest.mark.parametrize(

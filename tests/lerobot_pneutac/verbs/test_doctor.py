@@ -27,7 +27,7 @@ def test_a_package_that_cannot_be_imported_is_a_row_and_not_an_end():
     program = (
         "import sys; sys.modules['mujoco'] = None; import lerobot_pneutac.cli as c; c.run_verb('doctor', [])"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300)
     said = " ".join(done.stdout.split())
     assert done.returncode == 1
     assert "import of mujoco halted" in said and "HF_HOME" in said  # the checks after it are there too

@@ -69,14 +69,6 @@ def test_every_law_can_be_exported(name, load):
     assert (own.parameters, own.columns, own.of_markers) == (law.parameters, law.columns, law.of_markers)
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("name", law_names())
-def test_every_exported_law_does_what_the_law_does(name, load):
-    law, own = get_effect(name), load(name)
-    x, dt, conditions = bench(law)
-    np.testing.assert_allclose(own.apply(x, dt, {}, conditions), law.apply(x, dt, {}, conditions), rtol=1e-12)
-
-
 def test_an_exported_law_holds_what_it_runs_alone():
     text = effect_source("lag(p)")
     assert 'lag_p = "lag_p:EFFECT"' in text and "pneutac.effects" in text and "TIMES_S" not in text

@@ -9,19 +9,13 @@ import pytest
 from lerobot_pneutac import Recording, Twin, add
 from lerobot_pneutac.study.body_base import doubt, size_by_run
 from lerobot_pneutac.verbs import fit_body
-from lerobot_pneutac.verbs.fit_body import Compliance
 from pneutac_datasets.generate.finger import generate
 from pneutac_sim.effects.registry import get_effect
 from pneutac_truths import generate as simulate
 from pneutac_truths.programs import plan as drawn
 
+pytestmark = pytest.mark.usefixtures("no_soft_body")
 HZ = 10
-
-
-@pytest.fixture(autouse=True)
-def no_soft_body(monkeypatch):
-    """The fit of joint stiffness to loads is another matter, and takes a minute."""
-    monkeypatch.setattr(fit_body, "fit_compliance", lambda twin, *_: Compliance(twin, {}, "", 0))
 
 
 def last_loaded(folder, effect, seed):

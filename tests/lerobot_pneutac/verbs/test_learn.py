@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from doc_blocks import blocks
-from pressure_rig import SimulatedTime, build, converse
 from rich.console import Console
 
 from lerobot_pneutac import design, learn
@@ -19,12 +18,9 @@ from lerobot_pneutac.diagnosis.design import Limits, choices
 from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.hands import Hands
 from lerobot_pneutac.diagnosis.result import Candidate
-from lerobot_pneutac.verbs.benches import StandinBench, make_bench, save_program
+from lerobot_pneutac.verbs.benches import make_bench, save_program
 from lerobot_pneutac.verbs.diagnose import load_candidates, save_candidates
 from lerobot_pneutac.verbs.learn import Learning, Round, Rounds, unlike_request
-from lerobot_robot_pneutac.hardware.pneutac_serial import PneutacExchange
-from lerobot_robot_pneutac.hardware.serial_pressure import Command
-from lerobot_robot_pneutac.standin.world import new_rod
 from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_datasets.recording.recording import Recording, joined
 from pneutac_sim.effects.laws import family
@@ -84,6 +80,8 @@ def test_it_ends_by_itself_with_what_is_hidden_and_a_program_that_needed_it(lear
 @pytest.mark.slow
 def test_interrupted_it_goes_on_and_ends_alike(learnt, tmp_path):
     last = learnt.last.number
+    shutil.copytree(learnt.folder, tmp_path / "out")
+    shutil.rmtree(tmp_path / "out" / f"round_{last}")
     with pytest.raises(KeyboardInterrupt):
         learn(Twin.builtin(), Mirror(fails_at=last), tmp_path / "out", **OPTIONS)
     assert not (tmp_path / "out" / f"round_{last}" / "round.json").exists()
@@ -129,33 +127,6 @@ def test_the_report_begins_with_what_was_predicted_and_design_goes_on_from_a_rou
     chosen.report(tmp_path / "design")
     program = pd.read_csv(tmp_path / "design" / "program.csv")
     assert program["pressure_cmd_kpa"].max() <= 15.0 and (tmp_path / "design" / "report.html").exists()
-
-
-@pytest.mark.slow
-@pytest.mark.nightly
-def test_what_was_measured_outlives_a_kill_in_the_search_after_it(learnt, tmp_path, monkeypatch):
-    out, last = shutil.copytree(learnt.folder, tmp_path / "out"), learnt.last.number
-    shutil.rmtree(out / f"round_{last}")
-
-    def killed(*args, **options):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as m:
-        m.setattr("lerobot_pneutac.verbs.learn.diagnose", killed)
-        with pytest.raises(KeyboardInterrupt):
-            learn(Twin.builtin(), Mirror(), out, **OPTIONS)
-    again = learn(Twin.builtin(), Mirror(fails_at=last), out, **OPTIONS)  # it is not driven once more
-    assert again.to_dict()["rounds"] == learnt.to_dict()["rounds"]
-
-
-@pytest.mark.slow
-@pytest.mark.nightly
-def test_killed_after_a_version_was_saved_it_saves_none_twice(learnt, tmp_path):
-    out = shutil.copytree(learnt.folder, tmp_path / "out")
-    (out / f"round_{learnt.last.number}" / "round.json").unlink()
-    again = learn(Twin.builtin(), Mirror(), out, **OPTIONS)
-    assert again.to_dict()["rounds"] == learnt.to_dict()["rounds"]
-    assert Twin.load(out / "twin").history == Twin.load(learnt.folder / "twin").history
 
 
 @pytest.mark.slow
@@ -234,59 +205,6 @@ def test_the_options_of_a_bench_come_from_a_file_as_the_page_shows_it(tmp_path):
     (tmp_path / "bench.yaml").write_text(shown.replace("max_kpa", "maximum_kpa"))
     with pytest.raises(InputError, match="maximum_kpa"):
         make_bench(tmp_path / "bench.yaml", tmp_path / "out", 0)
-
-
-@pytest.mark.nightly
-@pytest.mark.timeout(1800)  # a search after each of up to a dozen programs
-def test_on_the_stand_in_what_was_found_foresees_the_next_program(tmp_path):
-    learnt = learn(Twin(length_mm=110.0), StandinBench(3), tmp_path / "out", budget_s=720.0)
-    last = learnt.last
-    found = {family(e) for e in last.selected} | set(last.selected)
-    assert "creep" in found and found & {"valve_lag", "valve_slew", "orifice_flow"}
-    assert last.predicted_error < 1.5 * last.noise and last.bare_error > 2 * last.predicted_error
-
-
-class FirmwareBench:
-    """The stand-in's rod on the chamber of the controller's own firmware, on one simulated clock."""
-
-    range_kpa, hz, pause_s = (0.0, 15.0), 20.0, None
-
-    def __init__(self, program):
-        self._program = program
-
-    def follow(self, program, out, number):
-        rig, exchange = SimulatedTime(self._program), PneutacExchange(15.0)
-        try:
-            converse(rig, exchange, 1000)  # the session opens
-            rows = self._rows(rig, exchange, pd.read_csv(program), np.random.default_rng(number))
-        finally:
-            rig.close()
-        meta = {"device": "finger", "length_mm": 110.0, "noise": {"tip_x_mm": 0.2, "tip_z_mm": 0.2}}
-        meta["trials"] = {"0": {"start": "rested"}}
-        Recording(out, meta, pd.DataFrame(rows), "finger").write(out)
-        return Recording.load(out)
-
-    def _rows(self, rig, exchange, table, noise):
-        rows, rod, start_ms, sent = [], new_rod(), rig.now_ms, Command(None, 0)
-        for t, command_kpa in zip(table["time_s"], table["pressure_cmd_kpa"], strict=True):
-            converse(rig, exchange, start_ms + round(1000 * t) - rig.now_ms, sent)
-            assert exchange.fault is None
-            sent = Command(command_kpa, sent.number + 1)
-            kpa, now_s = exchange.measured_kpa, (rig.now_ms - start_ms) / 1000
-            rod.step(kpa, now_s - (rows[-1]["time_s"] if rows else 0.0))
-            x, _, z = rod.tip_mm() + 0.2 * noise.standard_normal(3)
-            row = {"trial": 0, "time_s": now_s, "program": "p", "pressure_cmd_kpa": command_kpa}
-            rows.append(row | {"pressure_kpa": kpa, "tip_x_mm": x, "tip_z_mm": z})
-        return rows
-
-
-@pytest.mark.nightly
-def test_the_loop_runs_on_the_pressure_controllers_own_firmware(tmp_path):
-    bench = FirmwareBench(build())
-    learnt = learn(Twin(length_mm=110.0), bench, tmp_path / "out", budget_s=30.0, program_s=6.0)
-    last = learnt.last
-    assert len(learnt.rounds) >= 2 and last.predicted_error < 0.5 * last.bare_error
-    assert 0 < last.error < 0.2 * last.bare_error  # programs of 6 s at 20 Hz; the noise is not reached
 
 
 UPRIGHT = {"gravity_x": 1.0, "gravity_y": 0.0, "gravity_z": 0.0}

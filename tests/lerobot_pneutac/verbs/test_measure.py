@@ -473,9 +473,7 @@ def test_a_pressure_far_above_the_program_ends_the_run(bench, monkeypatch):
 @pytest.mark.parametrize(
     ("option", "said"),
     [
-        ("--pressure.type=", "--pressure.type is missing"),
         ("--hz=2", "hz is 2; give 8 to 1000"),
-        ("--length_mm=-1", "length_mm is -1; give 1 to 1000 mm"),
         ("--program=dance", "neither a file nor one of"),
         ("--intrinsics=/nowhere.json", "no camera calibration"),
     ],

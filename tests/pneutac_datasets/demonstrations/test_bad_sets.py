@@ -150,34 +150,21 @@ def statistic(name, value):
 SHORT = "breaks off: it holds"
 FROM = f"videos/{TACTILE}/from_timestamp"
 BAD = {
-    "v2.0": (info(codebase_version="v2.0"), "'v2.0'.*to v2.1.*convert_dataset_v20_to_v21"),
     "v2.1": (info(codebase_version="v2.1"), "convert_dataset_v21_to_v30 --repo-id=local/demos"),
     "v4.0": (info(codebase_version="v4.0"), "recorded with a newer LeRobot"),
-    "no version": (info(codebase_version=None), "codebase_version is None"),
     "info is a pointer": (pointer("meta/info.json"), "info.json is a Git LFS pointer"),
     "info is cut": (half("meta/info.json"), "is not valid JSON"),
-    "info is a list": (text("meta/info.json", "[]"), "must hold a JSON object"),
     "features are a list": (info(features=[]), "'features' must be an object"),
-    "a feature is a text": (info(features={STATE: "x", ACTION: "y"}), "'features' must be an object"),
     "no dtype": (feature(ACTION, dtype=None), "'action' lacks 'dtype' or 'shape'"),
-    "shape is a number": (feature(STATE, shape=20), "lacks 'dtype' or 'shape'"),
     "no fps": (info(fps=None), "'fps' is None"),
-    "fps 0": (info(fps=0), "'fps' is 0"),
     "fps 30": (info(fps=30), "30 fps, but the station's|timestamp"),
-    "no video path": (info(video_path=None), "'video_path' is None"),
-    "a video path with another field": (info(video_path="{video_key}/{x}.mp4"), "'video_path' is"),
     "a video path that leads out": (info(video_path="../{video_key}.mp4"), "'video_path' is"),
     "whole numbers": (feature(STATE, dtype="int64"), "'dtype' of 'observation.state' is 'int64'"),
-    "a chunk of 0": (info(chunks_size=0), "'chunks_size' is 0"),
-    "what is known of a video is a text": (feature(TACTILE, info="h264"), "'info' of .* is 'h264'"),
     "a byte order mark": (marked, "info.json begins with a byte order mark"),
     "5 episodes": (info(total_episodes=5), "2 episodes and info.json counts 5"),
     "99 frames": (info(total_frames=99), "110 rows and info.json counts 99"),
-    "no count of tasks": (info(total_tasks=0), "1 tasks and info.json counts 0"),
     "count is a text": (info(total_episodes="two"), "must be a whole number"),
     "names null": (feature(STATE, names=None), "'observation.state' has the names None; write one list"),
-    "names of motors": (feature(STATE, names={"motors": list(STATE_NAMES)}), "has the names {'motors'"),
-    "action's names null": (feature(ACTION, names=None), "'action' has the names None"),
     "channels first": (feature(TACTILE, shape=[3, 320, 240]), r"channels first; write \[320, 240, 3\]"),
     "other image size": (feature(TACTILE, shape=[480, 640, 3]), "those of the twin's sensor"),
     "shape of 19": (feature(STATE, shape=[19]), "20 names and the shape .19.; it must be .20."),
@@ -195,29 +182,19 @@ BAD = {
     "stats cut": (half("meta/stats.json"), "is not valid JSON"),
     "stats of nothing": (text("meta/stats.json", "{}"), "'observation.state' lacks 'min'"),
     "a mean of nan": (statistic("mean", float("nan")), "'action' has a mean outside"),
-    "a mean beyond": (statistic("mean", 1e9), "'action' has a mean outside"),
-    "a negative deviation": (statistic("std", -1.0), "'action' has a mean outside"),
     "no data": (without("data"), "data holds no .parquet file"),
-    "data cut": (half(DATA), "is cut short or damaged, and no Parquet file; restore it"),
     "data pointer": (pointer(DATA), "is a Git LFS pointer"),
-    "data empty": (text(DATA, ""), "is empty; restore it"),
     "80 of 110 rows": (rows(lambda t: t.iloc[:80]), "rows of episode 1 and meta/episodes counts"),
     "a row in the midst is missing": (rows(lambda t: t.drop(index=20)), "rows of episode 0"),
     "rows shuffled": (rows(lambda t: t.sample(frac=1, random_state=0)), "out of order"),
     "no action": (rows(lambda t: t.drop(columns=ACTION)), "lacks the column 'action'"),
-    "a column more": (rows(lambda t: t.assign(extra=0)), "has a column 'extra'"),
     "timestamps": (column("timestamp", lambda x: x + 0.002, DATA), "has timestamp 0.0020 s"),
-    "task numbers": (column("task_index", lambda x: x + 1, DATA), "has the task number 1"),
     "vectors of 3": (narrow, "does not hold .4. numbers"),
     "no videos": (without("videos"), "mp4 is missing"),
     "video cut": (half(VIDEO), SHORT),
     "video pointer": (pointer(VIDEO), "mp4 is a Git LFS pointer"),
-    "video is a text": (text(VIDEO, "404"), "cannot be opened as a video"),
     "joints in degrees": (numbers(STATE, times(57.3, range(14))), "as degrees do; record radians"),
-    "velocities in mm/s": (numbers(ACTION, times(1000, range(3))), "do not fit: in 0.5 s the flange moves"),
     "velocities reversed": (numbers(ACTION, times(-1, [0])), "'dx.vel' .* moves against the command"),
-    "no velocities": (numbers(ACTION, times(0, range(3))), "the command asks for 0 mm"),
-    "axes swapped": (numbers(ACTION, lambda a: a[:, [2, 1, 0, 3]]), "do not fit"),
     "places in mm": (numbers(STATE, times(1000, range(EE.start, EE.stop))), "do not fit"),
 }  # fmt: skip
 
@@ -250,14 +227,14 @@ def test_check_says_what_the_verbs_refuse(tmp_path, bad):
     assert not any("cannot be read by LeRobot" in sentence for sentence in refused)
 
 
-REPAIRED = "5 episodes,99 frames,no episodes,episodes cut,no stats,stats cut,from_timestamp".split(",")
+REPAIRED = "5 episodes,episodes cut,no stats,from_timestamp".split(",")
 
 
 @pytest.mark.parametrize("bad", REPAIRED)
 def test_repair_mends_what_check_sends_to_it(tmp_path, bad):
     root = copied(tmp_path)
     BAD[bad][0](root)
-    assert "pneutac repair --dataset=" in " ".join(check_path(root).faults) or bad == "stats cut"
+    assert "pneutac repair --dataset=" in " ".join(check_path(root).faults)
     assert repair_dataset(root).frames == 110
     assert check_path(root).faults == []
 

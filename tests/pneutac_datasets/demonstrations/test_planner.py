@@ -7,7 +7,7 @@ import pytest
 from pneutac_datasets.demonstrations.augment import episode as augment_episode
 from pneutac_datasets.demonstrations.augment import scene as augment_scene
 from pneutac_datasets.demonstrations.augment.episode import AugmentSetup, Generator, Variant
-from pneutac_datasets.demonstrations.augment.planner import CemPlanner, PlannerConfig, demonstration_cost
+from pneutac_datasets.demonstrations.augment.planner import PlannerConfig, demonstration_cost
 from pneutac_datasets.demonstrations.augment.reference import Reference, onset_sigma_m
 from pneutac_datasets.demonstrations.augment.scene import command_latency
 from pneutac_datasets.demonstrations.episodes import Episode
@@ -226,85 +226,6 @@ def test_what_is_laid_out_around_a_hand_is_what_a_reset_lays_out():
         n = int(np.flatnonzero(area)[0]) + 5 if area.any() else len(area)
         np.testing.assert_allclose(again[:n], flange[:n], atol=1e-4)
         np.testing.assert_allclose(felt[:n], area[:n], atol=0.02)
-
-
-@pytest.mark.nightly
-def test_planning_brings_touch_and_path_back_to_the_demonstrated_ones():
-    """From the middle of each contact, with a warm start that leaves both, where both count.
-
-    An area of a tenth is off by a hundredth or two, which at the default weight is little beside the path.
-    """
-    world, config = World("switch", touch="area", fidelity="probe"), PlannerConfig(area_weight=5.0)
-    gantry = Gantry(world)
-    touch_alone = replace(config, position_weight=0.0, smoothness_weight=0.0)
-    left, left_of_touch = [], []
-    for r in demonstrations("switch", 5):
-        middle = r.onset + 3
-        world.variation = Variation(start_m=tuple(r.flange_m[0]))
-        world.reset(r.source)
-        for action in r.action[:middle]:
-            world.step(action)
-        if not world.touch.area:  # replayed blindly from the measured start, it may miss
-            continue
-        gantry.mirror(world)
-        ahead = slice(middle + 1, middle + 1 + config.horizon)
-        goals = r.area[ahead], r.flange_m[ahead], r.action[middle - 1]
-
-        def costs(actions, c, area_goal, goal, previous):
-            position, area = gantry.rollout(actions)
-            return demonstration_cost(area, area_goal, position, goal, actions, previous, c)
-
-        def plan(c, warm, area_goal, goal, previous):
-            planner = CemPlanner(gantry, c, np.random.default_rng(0))
-            return planner.plan(warm, previous, area_goal, goal), planner.cost
-
-        warm = r.action[middle : middle + config.horizon] + [0.024, 0.0, 0.008, 1.6]
-        found, cost = plan(config, warm, *goals)
-        assert cost == pytest.approx(costs(found, config, *goals))
-        left.append(cost / costs(warm, config, *goals))
-        left_of_touch.append(costs(found, touch_alone, *goals) / costs(warm, touch_alone, *goals))
-        assert plan(replace(config, samples=20, iterations=4), warm, *goals)[1] < cost
-    assert len(left) >= 4
-    for ratios in (left, left_of_touch):
-        assert max(ratios) < 0.9
-        assert np.mean(ratios) < 0.6
-
-
-@pytest.mark.nightly
-def test_who_plans_and_touches_does_the_task_and_who_replays_blindly_may_not(monkeypatch):
-    """Without the scattered start, which alone decides whether some variants touch at all."""
-    generator, scenes = of_the_switch(4)
-    monkeypatch.setattr(augment_episode, "START_M", 0.0)
-    planned, blind, apart = [], [], []
-    for source in range(4):
-        demonstrated = generator.setup.references[source].area
-        for shift in ((0.006, 0.0, 0.0), (-0.005, 0.004, 0.0)):
-            variant = Variant(source, shift, 1.1, 0.3, 0.96)
-            for plan, trials in ((True, planned), (False, blind)):
-                trial = generator.carry_out(variant, scenes[source], np.random.default_rng(source), plan=plan)
-                if trial.area_rmse < 1:  # it touched
-                    trials.append(trial)
-                    if plan:
-                        apart.append(trial.area_rmse / np.sqrt(np.mean(demonstrated[demonstrated > 0] ** 2)))
-    assert len(planned) >= 5
-    assert all(t.reason is None for t in planned)
-    assert any(t.reason for t in blind)
-    # The touch lasts a little longer or shorter than the demonstrated one, frame by frame.
-    assert np.median(apart) < 0.55
-
-
-@pytest.mark.nightly
-def test_an_object_that_stands_where_the_hand_starts_gives_no_demonstration():
-    """A carton in the finger opens at once; kept, it would be a demonstration of a frame."""
-    setup = AugmentSetup(demonstrations("egg", 2), "egg", None, "probe", PlannerConfig(), 1, candidates=24)
-    generator = Generator(setup, touch="area")
-    scene = generator.scene(0)
-    assert scene.works
-    for ahead, words in ((0.0, None), (-0.06, augment_episode.IN_THE_WAY)):
-        variant = Variant(0, (ahead, 0.0, 0.0), 1.0, 0.0, 1.0)
-        trial = generator.carry_out(variant, scene, np.random.default_rng(0))
-        assert trial.reason == words
-        assert (len(trial.action) > 10) == (words is None)
 
 
 @pytest.mark.parametrize(("steps", "short"), [(augment_episode.SHORTEST - 1, True), (30, False)])

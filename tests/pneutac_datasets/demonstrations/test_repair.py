@@ -132,11 +132,8 @@ def _pointer(file):
 DAMAGE = {
     "none": (lambda video: shutil.rmtree(video.parents[2]), "is missing"),
     "pointer": (_pointer, "is a Git LFS pointer and not the file itself; run `git lfs pull`"),
-    "annex": (lambda video: video.write_text("/annex/objects/MD5E-s1--0.mp4\n"), "git annex get"),
     "half": (_cut_in_half, "of the 5 frames of episode|cannot be opened"),
     "overwritten": (_overwritten, "cannot be decoded"),
-    "text": (lambda video: video.write_text("404 not found"), "cannot be opened as a video"),
-    "empty": (lambda video: video.write_bytes(b""), "cannot be opened as a video"),
 }
 
 
@@ -170,7 +167,7 @@ def test_episodes_without_video_are_dropped_when_asked_and_their_numbers_stored(
     assert numbers == [[[e] * 4] * 5 for e in (0.0, 1.0)]
 
 
-@pytest.mark.parametrize("gone", [0, 1, 2])
+@pytest.mark.parametrize("gone", [1, 2])
 def test_an_episode_in_the_middle_is_dropped_and_the_others_are_numbered_anew(tmp_path, gone):
     root = write(tmp_path / "three", 3, 1e-6)
     assert len(list(root.rglob("*.mp4"))) == 3

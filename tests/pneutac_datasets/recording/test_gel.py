@@ -128,7 +128,6 @@ BAD = [
     ({"indenter": "thumb"}, "row 1: indenter is 'thumb'"),
     ({"x_mm": [0, np.nan, 0]}, "row 2: the contact's place is empty"),
     ({"depth_mm": [0.5, 0.5, np.nan]}, "row 3: depth_mm is empty"),
-    ({"depth_mm": [0.5, -0.5, 0.5]}, "row 2: depth_mm of the sphere is -0.5"),
     ({"depth_mm": 800.0}, "row 1: depth_mm is 800 but the gel is 2.5 mm thick"),
     (
         {"x_mm": 7.0},
@@ -139,14 +138,10 @@ BAD = [
     ({"indenter": "cube", "indenter_radius_mm": np.nan}, "give the cube's size"),
     ({"indenter": "outline"}, "row 1: outline_mm is empty"),
     ({"indenter": "outline", "outline_mm": "-2 -2; 2 2; 2 -2; -2 2"}, "row 1: outline_mm crosses itself"),
-    ({"indenter": "mesh"}, "row 1: indenter_file is empty"),
     ({"indenter": "mesh", "indenter_file": "tip.stl"}, "There is no mesh"),
-    ({"indenter": "mesh", "indenter_file": "../tip.stl"}, "outside the recording's folder"),
     ({"rest_image": "../secret.png"}, "outside"),
     (BEFORE | {"hold_s": [20.0, "", 2.0]}, "row 2: hold_s is nan; give the seconds that the indenter was in"),
-    (BEFORE | {"hold_s": [20.0, -1.0, 2.0]}, "row 2: hold_s is -1; give the seconds"),
     (BEFORE | {"hold_s": [20.0, 10.0, 2.0]}, "row 2: with time_s 25 and hold_s 10 it was pressed before the"),
-    (BEFORE | {"hold_s": [20.0, "long", 2.0]}, "hold_s"),
 ]
 BAD_FIELDS = [
     ({"px_per_mm": None}, "px_per_mm"),

@@ -82,7 +82,7 @@ def test_a_creeping_finger_is_left_as_measured(creeping, seen):
         assert sentences == [] and same is r
 
 
-@pytest.mark.parametrize("effect", ["cyclic_softening", "hysteresis", "sensor_offset"])
+@pytest.mark.parametrize("effect", ["cyclic_softening", "sensor_offset"])
 def test_other_memories_and_drift_are_left_as_measured(tmp_path_factory, effect):
     r = finger(tmp_path_factory, effect, 2.0)
     assert align_mounts(r, r.length_mm)[1] == [] and align_mounts(cut(r), r.length_mm)[1] == []

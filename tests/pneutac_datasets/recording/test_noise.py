@@ -57,7 +57,7 @@ def test_stated_noise_is_used_where_nothing_repeats():
     assert noise_floor(r).value == pytest.approx(0.5) and "stated" in noise_floor(r).how
 
 
-@pytest.mark.parametrize(("hz", "hold_s"), [(10, 1.5), (10, 0.5), (20, 1.2), (5, 2.0), (4, 0.5), (100, 0.5)])
+@pytest.mark.parametrize(("hz", "hold_s"), [(10, 1.5), (5, 2.0), (4, 0.5), (100, 0.5)])
 def test_the_noise_of_a_log_of_short_holds_is_within_a_tenth(hz, hold_s):
     floor = noise_floor(stepped(hz, hold_s))
     assert floor.value == pytest.approx(0.01, rel=0.1) and not floor.known
@@ -123,14 +123,14 @@ def test_long_recordings_are_sampled_in_pieces():
 # ---------------------------------------------------------------- nothing is found where nothing is
 
 
-@pytest.mark.parametrize("hz", [4, 5, 6, 7, 10, 20])
+@pytest.mark.parametrize("hz", [4, 7, 20])
 def test_a_step_of_a_slow_log_is_no_shift_of_the_marker(hz):
     said = check(r := stepped(hz, 2.0, rows=300, noise=0.002))[1]
     assert len(said) == 1 and "no measured pressure" in said[0] and len(check(r)[0]) == len(r)
 
 
-@pytest.mark.parametrize("hz", [5, 10, 20])
-@pytest.mark.parametrize("rows", [1, 2, 3])
+@pytest.mark.parametrize("hz", [5, 20])
+@pytest.mark.parametrize("rows", [1, 3])
 def test_a_commanded_pulse_is_no_jump_of_the_tracker(hz, rows):
     rng, p = np.random.default_rng(0), np.zeros(600)
     for i in range(30, 600, 60):

@@ -48,6 +48,7 @@ def rigs(stack, program, folder, **faulty):
     return PressureConfig(type="pneutac_serial", ports=tuple(ports), options={"reconnect_s": 10.0})
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_three_firmwares_follow_three_set_points_and_are_vented_together(program, tmp_path):
     with ExitStack() as stack:
@@ -62,6 +63,7 @@ def test_three_firmwares_follow_three_set_points_and_are_vented_together(program
         assert until(lambda: empty(chambers), 5.0)  # nobody commands any more
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_a_burst_in_one_chamber_vents_the_others(program, tmp_path):
     with terminal(program, tmp_path / "b", "--burst", "--fault-at-s", 2):
@@ -86,6 +88,7 @@ def test_a_burst_in_one_chamber_vents_the_others(program, tmp_path):
         assert not first._connected and not third._connected
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_a_controller_with_another_limit_is_reported_before_anything_fills(program, tmp_path):
     with ExitStack() as stack:

@@ -116,6 +116,7 @@ def test_it_moves_with_a_velocity_rests_by_itself_and_keeps_its_orientation(arm,
     undisturbed(moves)
 
 
+@pytest.mark.realtime
 def test_a_computer_that_stalls_is_not_taken_for_a_silent_arm(arm):
     arm.connect()
     for _ in range(3):
@@ -123,6 +124,7 @@ def test_a_computer_that_stalls_is_not_taken_for_a_silent_arm(arm):
         arm.state()
 
 
+@pytest.mark.realtime
 def test_a_stop_ends_a_motion(arm):
     arm.connect()
     arm.move(np.array([0.0, 0.05, 0.0]))
@@ -133,6 +135,7 @@ def test_a_stop_ends_a_motion(arm):
     np.testing.assert_allclose(arm.state().flange_m, before, atol=1e-4)
 
 
+@pytest.mark.realtime
 def test_a_joint_that_stays_behind_and_a_lost_bus_are_faults(arm, follower):
     arm.connect()
     follower.stuck = True

@@ -176,6 +176,7 @@ def test_every_motion_ends_at_rest_by_itself_and_holds_the_orientation(franky, a
     assert np.linalg.norm(small @ tilted - held) < np.linalg.norm(tilted - held)
 
 
+@pytest.mark.realtime
 def test_the_flange_follows(franky, arm):
     start = arm.state().flange_m
     for _ in range(6):

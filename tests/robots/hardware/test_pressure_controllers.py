@@ -39,6 +39,7 @@ def example(tmp_path, monkeypatch):
         sys.modules.pop(name, None)
 
 
+@pytest.mark.realtime
 def test_the_guides_example_is_found_and_passes_the_guides_own_test(example):
     assert pressure_controller_types()[3:] == ["my_regulator"]
     example.test_regulator()
@@ -84,6 +85,7 @@ def test_what_other_packages_offer_is_checked(tmp_path, monkeypatch):
         make_pressure_controller("simulated")
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_the_check_tells_what_a_controller_fails(monkeypatch):
     monkeypatch.setattr("lerobot_robot_pneutac.hardware.pressure_check.REACH_S", 0.6)
@@ -103,6 +105,7 @@ def test_the_check_tells_what_a_controller_fails(monkeypatch):
         check_pressure_controller(Leaks(), 5.0)
 
 
+@pytest.mark.realtime
 def test_the_simulated_controller_passes_the_check():
     check_pressure_controller(SimulatedPressure(), 5.0)
 

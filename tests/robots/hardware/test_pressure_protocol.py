@@ -7,7 +7,6 @@ import pytest
 from pressure_rig import SimulatedTime, converse
 
 from lerobot_robot_pneutac.hardware import pneutac_serial as wire
-from lerobot_robot_pneutac.hardware.parts import COMMAND_S
 from lerobot_robot_pneutac.hardware.pneutac_serial import Flag, Frame, FrameReader, PneutacExchange
 from lerobot_robot_pneutac.hardware.serial_pressure import STALE_S, Command
 
@@ -118,7 +117,7 @@ class BadLine:
         return data[:at] + self.rng.randbytes(1) + data[at + 1 :]
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_over_a_bad_line_each_command_is_applied_once_and_no_other(rig, seed):
     exchange, lines = PneutacExchange(), (BadLine(seed, 0.1), BadLine(seed + 100, 0.1))
     converse(rig, exchange, 200)
@@ -204,9 +203,3 @@ def test_versions_that_differ_are_named():
     exchange.transmit(0.0, NOTHING)
     exchange.receive(wire.encode(Frame(wire.Type.HELLO_REPLY, 0, 0, bytes([3] + 16 * [0]))), 0.01)
     assert "version 3" in exchange.fault and "version 2" in exchange.fault
-
-
-def test_a_command_lives_longer_than_a_period_of_the_control_loop():
-    from pneutac_sim.features import CONTROL_HZ
-
-    assert COMMAND_S > 3 / CONTROL_HZ

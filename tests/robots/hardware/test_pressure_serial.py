@@ -20,11 +20,13 @@ from lerobot_robot_pneutac.hardware.pressure_check import check_pressure_control
 from pneutac_sim.errors import InputError
 
 
+@pytest.mark.realtime
 def test_the_driver_passes_the_check_of_every_controller(program, tmp_path):
     with terminal(program, tmp_path / "rig"):
         check_pressure_controller(PneutacSerial(str(tmp_path / "rig")), 5.0)
 
 
+@pytest.mark.realtime
 def test_limits_of_host_and_controller_are_kept(program, tmp_path):
     link = tmp_path / "rig"
     with terminal(program, link, "--max-kpa", 10):
@@ -39,6 +41,7 @@ def test_limits_of_host_and_controller_are_kept(program, tmp_path):
             PneutacSerial(str(link), max_kpa=15).connect()
 
 
+@pytest.mark.realtime
 def test_a_host_that_falls_silent_leaves_the_chamber_vented(program, tmp_path):
     """The exact bound is tested in simulated time; this is the whole chain, with time for a busy computer."""
     link = tmp_path / "rig"
@@ -52,6 +55,7 @@ def test_a_host_that_falls_silent_leaves_the_chamber_vented(program, tmp_path):
         assert until(lambda: controller.pressure() < 0.5, 2.0)
 
 
+@pytest.mark.realtime
 def test_a_caller_that_hangs_keeps_no_pressure(program, tmp_path):
     with terminal(program, tmp_path / "rig"), connected(PneutacSerial(str(tmp_path / "rig"))) as controller:
         assert reaches(controller, 10)
@@ -73,6 +77,7 @@ def test_a_computer_that_stalls_is_not_taken_for_a_silent_controller(program, tm
             undisturbed(goes_on, own_s=0.3)
 
 
+@pytest.mark.realtime
 def test_replugging_reconnects_and_waits_for_a_new_set_point(program, tmp_path):
     link = tmp_path / "rig"
     with terminal(program, link):
@@ -89,6 +94,7 @@ def test_replugging_reconnects_and_waits_for_a_new_set_point(program, tmp_path):
         controller.disconnect()
 
 
+@pytest.mark.realtime
 def test_an_unplugged_controller_is_one_clear_fault_after_the_stated_time(program, tmp_path):
     link = tmp_path / "rig"
     with terminal(program, link):
@@ -104,6 +110,7 @@ def test_an_unplugged_controller_is_one_clear_fault_after_the_stated_time(progra
     controller.disconnect()
 
 
+@pytest.mark.realtime
 def test_a_controller_that_freezes_is_noticed_and_taken_up_again(program, tmp_path):
     link = tmp_path / "rig"
     controller = PneutacSerial(str(link), reconnect_s=10)
@@ -115,6 +122,7 @@ def test_a_controller_that_freezes_is_noticed_and_taken_up_again(program, tmp_pa
         assert reaches(controller, 6)
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize(
     "option, said", [("--burst", "burst finger"), ("--freeze-sensor", "sensor is stuck")]
 )
@@ -132,6 +140,7 @@ def test_a_broken_rig_is_a_fault_that_says_what_to_look_for(program, tmp_path, o
         assert said in fault
 
 
+@pytest.mark.realtime
 def test_a_port_that_another_program_has_is_reported(program, tmp_path):
     link = tmp_path / "rig"
     with terminal(program, link), connected(PneutacSerial(str(link))):
@@ -139,6 +148,7 @@ def test_a_port_that_another_program_has_is_reported(program, tmp_path):
             PneutacSerial(str(link)).connect()
 
 
+@pytest.mark.realtime
 def test_wrong_ports_are_reported_at_once(tmp_path):
     start_s = awake_s()
     with pytest.raises(HardwareFault, match="nowhere cannot be used"):

@@ -50,6 +50,7 @@ def text_rig():
     rig.close()
 
 
+@pytest.mark.realtime
 def test_a_text_rig_is_vented_on_leaving_and_its_silence_noticed(text_rig):
     with connected(TextSerial(text_rig.port, max_kpa=15, reconnect_s=1.0)) as controller:
         assert reaches(controller, 5)
@@ -62,6 +63,7 @@ def test_a_text_rig_is_vented_on_leaving_and_its_silence_noticed(text_rig):
     assert text_rig.kpa == 0
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_a_rig_that_answers_slowly_is_vented_on_leaving_whenever_that_is(text_rig):
     text_rig.takes_s = 0.08

@@ -72,10 +72,7 @@ def write_dataset(root, levels, fps=15, state_names=STATE_NAMES, shape=IMAGE_SHA
     ("options", "said"),
     [
         ({"previous_action_dropout": 1.5}, "previous_action_dropout is 1.5"),
-        ({"pressure_noise_kpa": -1.0}, "pressure_noise_kpa is -1.0"),
-        ({"pixel_noise_levels": -1.0}, "pixel_noise_levels is -1.0"),
         ({"optimizer_lr": 0.0}, "optimizer_lr is 0.0"),
-        ({"control_hz": 0}, "control_hz is 0"),
         ({"networks": 0}, "networks is 0"),
         ({"normalization_mapping": {"STATE": NormalizationMode.MEAN_STD}}, "must be IDENTITY"),
     ],
@@ -378,18 +375,10 @@ def changed(**fields):
     [
         ("model.safetensors", Path.unlink, "model.safetensors is missing; copy the whole folder again"),
         ("model.safetensors", cut, "model.safetensors is damaged .*not fully covered"),
-        ("model.safetensors", lambda f: f.write_bytes(b""), "model.safetensors is damaged"),
         ("config.json", cut, "config.json is not valid JSON"),
         ("config.json", changed(type="pneutac_bd"), "config.json: field 'type': .*did you mean 'pneutac_bc'"),
-        ("config.json", changed(type=None), "config.json: field 'type': unknown policy 'None'"),
         ("config.json", changed(newer=1), "config.json: The fields `newer` are not valid for .*train again"),
         ("config.json", changed(networks=0), "config.json: .*networks is 0; it must be 1 or more"),
-        ("config.json", changed(input_features=3), "config.json: `input_features`"),
-        (
-            "policy_preprocessor.json",
-            lambda f: f.write_text("{"),
-            "policy_preprocessor.json is not valid JSON",
-        ),
     ],
 )
 def test_a_damaged_checkpoint_is_one_sentence_before_the_work(tmp_path, monkeypatch, name, damage, said):
@@ -411,11 +400,3 @@ def test_weights_that_are_no_numbers_are_named(tmp_path):
     policy.save_pretrained(tmp_path)
     with pytest.raises(InputError, match=r"model.safetensors': mlp.2.bias contains NaN or infinity"):
         PneutacBCPolicy.from_pretrained(tmp_path)
-
-
-def test_config_survives_saving_and_loading(tmp_path):
-    config = make_config(
-        use_tactile=False, pressure_noise_kpa=0.2, previous_action_dropout=0.7, optimizer_lr=1e-4
-    )
-    config.save_pretrained(tmp_path)
-    assert PreTrainedConfig.from_pretrained(tmp_path) == config

@@ -76,6 +76,7 @@ def test_without_the_option_a_bend_is_refused_in_a_sentence(twin):
     robot.disconnect()
 
 
+@pytest.mark.realtime
 def test_the_real_robot_turns_a_bend_into_pressure_and_refuses_nan(twin, tmp_path):
     parts = {"arm": SimulatedArmConfig(), "pressure": PressureConfig(type="simulated")}
     parts |= {"digit": DigitGeneratedConfig(), "twin": twin, "calibration_dir": tmp_path}

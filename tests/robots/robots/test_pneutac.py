@@ -90,6 +90,7 @@ def test_features_equal_the_simulated_robots(tmp_path):
     assert list(real.action_features.items()) == list(simulated.action_features.items())
 
 
+@pytest.mark.realtime
 def test_three_chambers_are_three_actions_and_readings_and_are_vented_together(tmp_path, make_robot):
     twin = arm_twin().save(tmp_path / "twin")
     robot = make_robot(pressure=PressureConfig(type="simulated", chambers=3), twin=twin, limits=LOW)
@@ -217,6 +218,7 @@ def test_the_flange_follows_velocities_and_holds_its_orientation(robot):
     np.testing.assert_allclose(turned, matrix, atol=5e-3)
 
 
+@pytest.mark.realtime
 def test_a_pose_is_approached_as_lerobot_rollout_asks(robot):
     goal = position(robot) + [0.02, 0.01, -0.02]
     pose = dict(zip((*EE, "pressure.pos"), [*goal, -0.1], strict=True)) | {"joint_1.pos": 0.0}
@@ -295,6 +297,7 @@ def inflate(robot, kpa=2.0):
     assert until(inflated)
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("error", [TimeoutError("frame is 0.7 s old"), HardwareFault("It was unplugged.")])
 def test_a_frozen_or_lost_camera_halts_everything(robot, monkeypatch, error):
     inflate(robot)
@@ -320,6 +323,7 @@ def test_a_picture_that_is_half_a_second_old_is_a_lost_camera(robot, monkeypatch
     assert asked == [500]
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("name", ["tactile", "front"])
 @pytest.mark.slow
 def test_any_camera_that_gives_the_same_picture_for_a_second_halts_everything(make_robot, monkeypatch, name):
@@ -344,6 +348,7 @@ def test_any_camera_that_gives_the_same_picture_for_a_second_halts_everything(ma
     assert at_rest(robot) and vented(robot)
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize(
     ("action", "said"),
     [({"shoulder.pos": 1.0}, "dx.vel"), (act() | {"dy.vel": "fast"}, "'dy.vel' is 'fast'")],
@@ -355,6 +360,7 @@ def test_what_is_no_action_halts_and_is_named(robot, action, said):
     assert at_rest(robot) and vented(robot)
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("bad", [np.nan, -np.inf, 10**400])
 def test_an_action_that_is_no_number_empties_the_chamber_within_350_ms(robot, bad):
     for _ in range(4):
@@ -394,6 +400,7 @@ def test_an_arm_that_hangs_is_a_fault_and_does_not_keep_the_robot_from_disconnec
     hang.set()
 
 
+@pytest.mark.realtime
 def test_ctrl_c_while_a_picture_is_awaited_halts_before_lerobot_saves(robot, monkeypatch):
     inflate(robot)
 
@@ -431,6 +438,7 @@ def test_a_touch_during_the_rest_image_is_refused(tmp_path):
         robot.connect()
 
 
+@pytest.mark.realtime
 def test_disconnect_ends_all_threads_also_where_a_part_fails(robot, monkeypatch):
     monkeypatch.setattr(robot._arm, "disconnect", lambda: 1 / 0)
     robot.disconnect()
@@ -438,6 +446,7 @@ def test_disconnect_ends_all_threads_also_where_a_part_fails(robot, monkeypatch)
     assert not robot.cameras["tactile"].is_connected
 
 
+@pytest.mark.realtime
 @pytest.mark.slow
 def test_set_points_are_those_of_the_twin_with_vacuum_too(make_robot, tmp_path):
     twin = Twin.builtin()

@@ -2,8 +2,6 @@
 
 import logging
 import re
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -212,35 +210,6 @@ def test_each_episode_says_how_it_went(make_robot, caplog):
     assert re.fullmatch(rf"Episode 1: touch in [1-9]\d* of {frames} frames, the task done\.", second)
 
 
-FIRST_TOUCH = """
-import numpy as np
-from numba.core.dispatcher import Dispatcher
-from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
-from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
-from pneutac_sim.features import ACTION_NAMES
-from pneutac_sim.world.expert import ScriptedExpert
-
-late = []
-compile = Dispatcher.compile
-for standin in (True, False):
-    robot = PneutacSim(PneutacSimConfig(id="sim", task="button", standin=standin, seed=1))
-    robot.connect()
-    Dispatcher.compile = lambda self, sig: late.append(self.py_func.__name__) or compile(self, sig)
-    expert = ScriptedExpert(robot.world, np.random.default_rng(0))
-    while robot.world.touch.pixels < 50:
-        robot.send_action(dict(zip(ACTION_NAMES, expert.action().tolist())))
-    Dispatcher.compile = compile
-    robot.disconnect()
-print(late)
-"""
-
-
-@pytest.mark.nightly
-def test_nothing_is_compiled_at_the_first_touch_while_an_episode_is_recorded():
-    done = subprocess.run([sys.executable, "-c", FIRST_TOUCH], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
-
-
 @pytest.mark.parametrize(("touch", "standin"), [(Touch, False), (GelTouch, True)])
 def test_a_touch_is_drawn_while_connecting(touch, standin, monkeypatch, make_robot):
     drawn, prepare = [], touch.prepare
@@ -275,10 +244,9 @@ def test_a_start_that_failed_is_not_begun_again_and_leaves_its_place_open():
     assert starts.next() == 8  # all were given
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_the_robot_begins_in_every_lane(seed):
+def test_the_robot_begins_in_every_lane():
     """Random starts of five episodes leave one of the three lanes out in four of ten cases."""
-    robot = PneutacSim(PneutacSimConfig(id="spread", task="switch", seed=seed, standin=True, spread=40))
+    robot = PneutacSim(PneutacSimConfig(id="spread", task="switch", standin=True, spread=40))
     robot.connect()
     begun = []
     for _ in range(5):

@@ -33,20 +33,6 @@ def test_creep_step_response_is_the_prony_series():
     np.testing.assert_allclose(y[1:], expected[1:], atol=2e-4)
 
 
-def test_creep_forgets_nothing_and_superposes():
-    rng = np.random.default_rng(0)
-    a, b = rng.normal(size=(2, 300))
-    a[0] = b[0] = 0
-    both = apply("creep", a + 2 * b, CREEP)
-    np.testing.assert_allclose(both, apply("creep", a, CREEP) + 2 * apply("creep", b, CREEP), atol=1e-12)
-
-
-def test_creep_reaches_the_same_bend_in_the_end_and_starts_there_after_a_long_rest():
-    x = np.r_[0.0, np.full(400, 3.0)]
-    assert apply("creep", x, CREEP, dt=10.0)[-1] == pytest.approx(3.0, rel=1e-9)
-    np.testing.assert_allclose(apply("creep", np.full(100, 3.0), CREEP), 3.0, rtol=1e-12)
-
-
 @pytest.mark.parametrize("tau", [0.5, 1.0, 3.0, 5.0, 17.0, 60.0, 130.0])
 def test_the_grid_of_times_reproduces_any_time_constant(tau):
     t = np.geomspace(0.05, 600, 200)
@@ -87,13 +73,6 @@ def test_noise_is_not_counted_as_cycles():
     assert abs(y[-200:].mean() / x[-200:].mean() - 1) < 0.05
 
 
-def test_temperature_changes_the_bend_by_a_factor_per_degree():
-    T = np.array([18.0, 23.0, 24.0, 33.0])
-    values = {"softening_1_per_k": 0.1, "curvature_1_per_k2": -0.002, "reference_temperature_c": 23.0}
-    y = apply("thermal", np.full(4, 0.5), values, 1.0, T)
-    np.testing.assert_allclose(y, 0.5 * np.exp(0.1 * (T - 23) - 0.002 * (T - 23) ** 2))
-
-
 def test_gravity_and_payload_add_weight_along_gravity():
     down = np.array([[0.0, 0, -1], [1.0, 0, 0]])
     loads = get_effect("gravity").apply(
@@ -104,12 +83,6 @@ def test_gravity_and_payload_add_weight_along_gravity():
     hung = get_effect("payload").apply(loads, np.ones(2), {"share": 1.0}, np.c_[[50.0, 0.0], down])
     np.testing.assert_allclose(hung[0] - loads[0], [0, 0, -0.05 * 9.80665, 0, 0, 0])
     np.testing.assert_array_equal(hung[1], loads[1])
-
-
-def test_elongation_moves_the_tip_away_from_the_base():
-    x = np.array([[100.0, 0.0, 20.0, 0.4, 0.0]])
-    y = apply("elongation", x, {"strain_1_per_kpa": 0.01}, 1.0, np.array([5.0]))
-    np.testing.assert_allclose(y, [[105.0, 0.0, 21.0, 0.4, 0.0]])
 
 
 TIPS = np.array([[110.0, 0, 0, 0, 0], [90.0, 5, 40, 0.8, 0.1], [60.0, -5, 80, 1.5, -0.1]])

@@ -20,18 +20,6 @@ def area(x, y):
     return float(np.sum(0.5 * (y[1:] + y[:-1]) * np.diff(x)))
 
 
-def test_saturation_has_unit_slope_at_zero_and_a_ceiling():
-    y = apply("gain_saturation", np.array([-1e9, -1e-6, 1e-6, 1e9]), {"saturation_pressure_kpa": 7.0})
-    np.testing.assert_allclose(y, [-7, -1e-6, 1e-6, 7], rtol=1e-9)
-
-
-def test_stiffening_is_odd_and_polynomial():
-    p = np.linspace(-10, 10, 41)
-    y = apply("stiffening", p, {"linear_1_per_kpa": 0.05, "quadratic_1_per_kpa2": 0.002})
-    np.testing.assert_allclose(y, p * (1 + 0.05 * np.abs(p) + 0.002 * p**2))
-    np.testing.assert_allclose(y, -y[::-1])
-
-
 def test_hysteresis_bend_lags_the_pressure():
     x = path(0, 10, 0)
     y = apply("hysteresis", x, WEIGHTS)

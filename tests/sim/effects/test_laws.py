@@ -5,14 +5,12 @@ import math
 import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
-from scipy.signal import lfilter, lsim
+from scipy.signal import lsim
 
 from lerobot_pneutac.diagnosis.result import family_in
 from pneutac_sim.effects import get_effect, in_order
 from pneutac_sim.effects.laws import (
-    REFERENCE_C,
     TABLE,
-    TIMES_S,
     curvature,
     family,
     is_law,
@@ -77,64 +75,7 @@ def test_a_lag_follows_straight_lines_as_the_solved_equation_does(tau):
     np.testing.assert_allclose(act("lag(p)", p, time_s=tau), exact.y[0], atol=2e-5)
 
 
-def test_a_lag_of_the_square_and_a_gain_are_what_their_equations_say():
-    t, p, dt = stepped(to=6.0)
-    m = 36.0 / P * (1 - np.exp(-t / 2.0))
-    np.testing.assert_allclose(act("lag(p^2)", p, dt, time_s=2.0)[1:], (p + m)[1:], atol=1e-7)
-    y = act("p lag(p)", p, dt, time_s=2.0)
-    np.testing.assert_allclose(y[1:], (p + p * 6.0 / P * (1 - np.exp(-t / 2.0)))[1:], atol=1e-7)
-    y = act("p lag(p^2)", p, dt, time_s=2.0)
-    np.testing.assert_allclose(y[1:], (p + p / P * m)[1:], atol=1e-7)
-
-
-def test_filling_and_venting_have_a_time_each():
-    t, p, dt = stepped(seconds=6.0)
-    y = act("fill_vent(p)", np.r_[p, np.zeros(80)], np.r_[dt, 1e-9, np.full(79, DT)],
-            fill_time_s=0.4, vent_time_s=1.1)  # fmt: skip
-    np.testing.assert_allclose(y[1 : len(t)], P * (1 - np.exp(-t[1:] / 0.4)), atol=1e-7)
-    np.testing.assert_allclose(y[len(t) :], y[len(t) - 1] * np.exp(-DT * np.arange(80) / 1.1), atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("name", "constant", "tau"),
-    [
-        ("lag(p; time moves with p)", {"times_at_full_pressure": 0.25}, 4.0 * 0.25**0.6),
-        ("lag(p; time moves with dT)", {"times_per_10_k": 0.5}, 4.0 * 0.5**1.5),
-    ],
-)
-def test_a_lags_time_moves_with_pressure_or_warmth(name, constant, tau):
-    t, p, dt = stepped(to=6.0)
-    warm = np.full(len(p), REFERENCE_C + 15.0) if law(name).columns else None
-    y = act(name, p, dt, warm, time_s=4.0, **constant)
-    np.testing.assert_allclose(y[1:], 6.0 * (1 - np.exp(-t[1:] / tau)), atol=1e-7)
-
-
-def test_warmth_is_counted_from_23_degrees_in_tens():
-    t, p, dt = stepped()
-    warm = np.linspace(REFERENCE_C, REFERENCE_C + 20.0, len(p))
-    np.testing.assert_allclose(act("p dT", p, dt, warm), p * (1 + (warm - REFERENCE_C) / 10))
-    y = act("lag(p) dT", p, dt, warm, time_s=1.0)
-    np.testing.assert_allclose(y[1:], (p - P * np.exp(-t) * (warm - REFERENCE_C) / 10)[1:], atol=1e-7)
-
-
-def test_a_body_warms_with_the_room_and_with_its_own_time():
-    p = np.full(200, 6.0)
-    warm = np.r_[REFERENCE_C, np.full(199, REFERENCE_C + 20.0)]
-    dt = np.r_[math.inf, 1e-9, np.full(198, DT)]
-    y = act("p lag(dT)", p, dt, warm, time_s=3.0)
-    np.testing.assert_allclose(y[1:], 6.0 * (1 + 2 * (1 - np.exp(-DT * np.arange(199) / 3.0))), atol=1e-7)
-    t = DT * np.arange(200)
-    np.testing.assert_allclose(act("p exp(-t)", p, conditions=t, time_s=4.0), 6.0 * (1 + np.exp(-t / 4.0)))
-
-
 # ---------------------------------------------------------------- power-law memory
-
-
-def test_power_law_memory_is_the_weighted_sum_of_its_lags():
-    t, p, dt = stepped(seconds=60.0)
-    weights = TIMES_S**0.3 / (TIMES_S**0.3).sum()
-    expected = P * (1 - np.exp(-t[:, None] / TIMES_S) @ weights)
-    np.testing.assert_allclose(act("power_law_memory(p)", p, dt, exponent=0.3)[1:], expected[1:], atol=1e-7)
 
 
 @pytest.mark.parametrize("exponent", [-0.6, -0.9])
@@ -182,24 +123,6 @@ def test_a_plays_loop_has_its_area_at_any_pace():
     assert area(cycle, y[len(cycle) :]) == pytest.approx(-2.5 * (8 - 2.5), rel=1e-3)
 
 
-def test_a_dead_band_lets_only_larger_moves_through():
-    p = np.r_[2.0, 2.3, 2.4, 2.6, 2.9, 3.2, 2.7, 2.5]
-    np.testing.assert_array_equal(
-        act("dead_band(p)", p, width_kpa=0.5), [2.0, 2.0, 2.0, 2.6, 2.6, 3.2, 3.2, 2.5]
-    )
-    fresh = act("dead_band(p)", np.r_[2.0, 2.3, 2.3], np.r_[0.1, math.inf, 0.1], width_kpa=0.5)
-    np.testing.assert_array_equal(fresh, [2.0, 2.3, 2.3])
-
-
-def test_what_acts_on_a_play_acts_on_the_play():
-    x = path(0, 8, 2, 6, 0)
-    play = act("play(p)", x, width_kpa=1.0)
-    np.testing.assert_allclose(act("play(p)^3", x, width_kpa=1.0), play**3 / P**2, atol=1e-12)
-    np.testing.assert_allclose(act("p play(p)", x, width_kpa=1.0), x + x * (play - x) / P)
-    flipped = act("flip(p)", x, width_kpa=1.0, centre_kpa=4.0, slope_kpa=0.5)
-    np.testing.assert_allclose(flipped, x + P * np.tanh((play - 4.0) / 0.5))
-
-
 def test_a_bouc_wen_loop_saturates_at_its_width_both_ways():
     x, width = path(0, 8, 0), 0.7
     z = act("loop(p)", x, width_kpa=width) - x
@@ -215,115 +138,13 @@ def test_a_bouc_wen_loop_saturates_at_its_width_both_ways():
 # ---------------------------------------------------------------- history
 
 
-def test_a_fading_maximum_decays_until_the_pressure_meets_it():
-    p = np.r_[0.0, 8.0, np.full(300, 1.0)]
-    t = DT * np.arange(1, 301)
-    expected = np.maximum(8.0 * np.exp(-t / 3.0), 1.0)
-    np.testing.assert_allclose(act("p fading_max(p)", p, time_s=3.0)[2:], 1 + (expected - 1) / P)
-
-
-def test_softening_saturates_well_below_the_recent_largest_pressure():
-    p = np.r_[0.0, 8.0, np.full(100, 1.0)]
-    known = np.maximum(8.0 * np.exp(-DT * np.arange(1, 101) / 3.0), 1.0)
-    y = act("p tanh(fading_max(p))", p, time_s=3.0, width_kpa=2.0)
-    np.testing.assert_allclose(y[2:], 1 + np.tanh((known - 1) / 2.0))
-    assert y[1] == 8.0
-
-
-def test_the_share_of_the_largest_pressure_lasts():
-    p = np.r_[0.0, 8.0, 4.0, 8.0, 2.0]
-    np.testing.assert_allclose(act("p below_max(p)", p, exponent=2.0), p + p * np.r_[1, 0, 0.5, 0, 0.75] ** 2)
-
-
-def test_damage_grows_with_the_time_under_pressure_and_stays():
-    p = np.r_[np.full(101, 5.0), np.zeros(100), 5.0]
-    y = act("p damage(p)", p, time_s=2.0, exponent=3.0)
-    np.testing.assert_allclose(y[:101], 5 * (2 - np.exp(-DT * np.arange(101) * 0.5**3 / 2.0)))
-    assert y[-1] > y[100]
-
-
-def test_a_path_counts_every_move():
-    p = path(0, 6, 2, 9)
-    n = np.cumsum(np.abs(np.diff(p, prepend=0.0)))
-    np.testing.assert_allclose(act("p path(p)", p, path_kpa=5.0), p * (1 + n / (n + 5.0)), rtol=1e-12)
-
-
-def test_what_is_held_leaks_and_is_refilled_by_a_move():
-    p = np.r_[0.0, np.full(101, 8.0), np.full(51, 3.0)]
-    y = act("held(p)", p, rate_1_per_s=0.2)
-    np.testing.assert_allclose(y[1:102], 8.0 * np.exp(-0.2 * DT * np.arange(101)))
-    np.testing.assert_allclose(y[102:], 3.0 * np.exp(-0.2 * DT * np.arange(51)))
-
-
 # ---------------------------------------------------------------- rates
-
-
-def test_rates_are_those_of_the_line_since_the_sample_before():
-    p = path(0, 8, 3)
-    rate = np.r_[0.0, np.diff(p) / DT]
-    smoothed = lfilter([1 - math.exp(-DT / 0.4)], [1, -math.exp(-DT / 0.4)], rate)
-    y = act("tanh(dp/dt)", p, rate_kpa_per_s=0.3, time_s=0.4)
-    np.testing.assert_allclose(y, p + P * np.tanh(smoothed / 0.3), atol=1e-7)
-    y = act("p tanh(|dp/dt|)", p, rate_kpa_per_s=0.3, time_s=1e-6)
-    np.testing.assert_allclose(y, p * (1 + np.tanh(np.abs(rate) / 0.3)))
-    a = math.exp(-DT / 2.0)
-    held = lfilter([1 - a], [1, -a], np.abs(rate))  # the rate is constant from sample to sample
-    np.testing.assert_allclose(act("p lag(|dp/dt|)", p, time_s=2.0), p * (1 + held / P), atol=1e-10)
-    work = lfilter([1 - a], [1, -a], p * np.abs(rate) / P)
-    np.testing.assert_allclose(act("p lag(p |dp/dt|)", p, time_s=2.0), p * (1 + work / P), atol=1e-10)
-    y = act("p root lag(|dp/dt|)", p, time_s=2.0)
-    np.testing.assert_allclose(y, p * (1 + np.sqrt(held / P)), atol=1e-10)
 
 
 # ---------------------------------------------------------------- statics
 
 
-@pytest.mark.parametrize(
-    ("name", "constants", "expected"),
-    [
-        ("power(p)", {"exponent": 1.6}, lambda p: np.sign(p) * P * np.abs(p / P) ** 1.6),
-        ("tanh(p)", {"slope": 2.0}, lambda p: P * np.tanh(2 * p / P) / 2),
-        ("hinge(p)", {"threshold_kpa": 4.0}, lambda p: p + np.maximum(p - 4.0, 0)),
-        ("step(p)", {"centre_kpa": 4.0, "slope_kpa": 2.0}, lambda p: p + P * np.tanh((p - 4.0) / 2.0)),
-        ("p^2", {}, lambda p: p + p * np.abs(p) / P),
-        ("p^3", {}, lambda p: p**3 / P**2),
-        ("round(p)", {"step_kpa": 0.7}, lambda p: 0.7 * np.round(p / 0.7)),
-    ],
-)
-def test_statics_are_their_formulas(name, constants, expected):
-    p = np.linspace(-P, P, 81)
-    np.testing.assert_allclose(act(name, p, **constants), expected(p), atol=1e-12)
-
-
 # ---------------------------------------------------------------- what is seen
-
-
-def test_what_is_seen_gains_its_feature():
-    rng = np.random.default_rng(0)
-    markers = rng.normal(size=(50, 5)) * [100, 30, 60, 1, 1]
-    length = np.full(50, 120.0)
-
-    def seen(name, *more):
-        conditions = np.stack([length, *more], axis=1)
-        out = law(name).apply(markers, np.ones(50), {"weight": 0.2}, conditions)
-        changed = np.flatnonzero(np.abs(out - markers).max(axis=0))
-        assert len(changed) == 1
-        return int(changed[0]), (out - markers)[:, changed[0]]
-
-    x, _, z, bend, _ = markers.T
-    warm, sideways = rng.uniform(10, 40, 50), rng.uniform(-1, 1, 50)
-    for name, out, gain, more in (
-        ("tip_y += z^2", 1, z**2 / 120.0, ()),
-        ("tip_z += x z", 2, x * z / 120.0, ()),
-        ("tip_x += dT", 0, 120.0 * (warm - REFERENCE_C) / 10, (warm,)),
-        ("tip_y += g_y", 1, 120.0 * sideways, (sideways,)),
-        ("tip_y += m g_y", 1, 120.0 * sideways * warm / 10, (sideways, warm)),
-        ("bend += bend^2", 3, bend**2, ()),
-        ("bend += dT", 3, (warm - REFERENCE_C) / 10, (warm,)),
-    ):
-        at, difference = seen(name, *more)
-        assert at == out
-        np.testing.assert_allclose(difference, 0.2 * gain, atol=1e-12)
 
 
 def test_a_tracker_lags_in_all_it_sees():

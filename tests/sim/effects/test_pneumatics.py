@@ -87,14 +87,6 @@ def test_leak_decays_while_the_command_holds_and_refills_when_it_moves():
     assert y[210] == 6.0
 
 
-def test_sensor_error_is_undone_exactly():
-    p = np.linspace(0, 15, 50)
-    t = np.linspace(0, 600, 50)
-    reading = 1.05 * p + 0.3 + 1e-3 * t
-    values = {"scale": 1.05, "offset_kpa": 0.3, "drift_kpa_per_s": 1e-3}
-    np.testing.assert_allclose(apply("sensor_offset", reading, values, conditions=t), p, atol=1e-12)
-
-
 # ---------------------------------------------------------------- slew
 
 SLEW = {"fill_rate_kpa_per_s": 4.0, "vent_rate_kpa_per_s": 2.0, "band_kpa": 0.5, "vent_growth": 0.0}

@@ -101,14 +101,6 @@ def test_broken_parameters_of_an_effect_are_named(effect, values, says):
     assert "\n" not in str(e.value)
 
 
-def test_a_fingers_pipeline_refuses_an_unknown_parameter_of_its_gel_too():
-    twin = crept()
-    lit().into_twin(twin)
-    twin.effects["shadow"]["length_mm"] = Value(1.0)
-    with pytest.raises(InputError, match="shadow.*length_mm"):
-        Pipeline.of(twin).theta(twin)
-
-
 def malformed(**fields):
     p = Parameter("stretch", "", 1.1, 0.5, 1.5, neutral=1.0)
     SensorEffect(

@@ -315,11 +315,6 @@ def test_curvature_counts_before_joint_angles():
     assert quantities.observations(columns, "finger") == ["q_1_rad", "q_2_rad"], "of an arm alone"
 
 
-def test_rms_is_of_the_euclidean_distance():
-    assert quantities.rms(np.array([[3.0, 4.0], [0.0, 0.0]])) == pytest.approx(5 / np.sqrt(2))
-    assert np.isnan(quantities.rms(np.zeros((0, 2))))
-
-
 JOINTS = np.array([13.75, 41.25, 68.75, 96.25])
 
 

@@ -106,16 +106,6 @@ def test_online_a_condition_that_is_no_number_is_refused(with_effects):
         PressurePipeline(with_effects(Twin.builtin(), {"thermal": {}}), {"temperature_c": np.nan})
 
 
-def test_online_heat_softens_by_the_exponential_of_the_warming(with_effects):
-    twin = with_effects(Twin.builtin(), {"thermal": {"softening_1_per_k": 0.2}})
-    plain, thermal = PressurePipeline(Twin.builtin()), PressurePipeline(twin, {"temperature_c": 23.0})
-    np.testing.assert_array_equal(plain.step(9.0, 0.1), thermal.step(9.0, 0.1))
-    thermal.set_conditions({"temperature_c": 25.0})
-    warm = thermal.step(9.0, 0.1)
-    rest = plain.step(0.0, 0.1)  # the curl at rest is no strain
-    np.testing.assert_allclose(warm - rest, (plain.step(9.0, 0.1) - rest) * np.exp(0.4))
-
-
 def test_online_a_session_goes_on_over_trials_as_in_a_recording(with_effects):
     """Session time and cycles go on from trial to trial, creep is wiped out by the rest between them."""
     effects = {"cyclic_softening": {}, "creep": {}, "p exp(-t)": {}}

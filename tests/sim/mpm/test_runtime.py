@@ -108,7 +108,7 @@ def test_a_forked_process_is_told_and_a_spawned_one_works(tmp_path):
                 out = context.Queue()
                 p = context.Process(target=work, args=(out,))
                 p.start()
-                print("SAYS", method, out.get(timeout=60))
+                print("SAYS", method, out.get(timeout=300))
                 p.join(20)
                 if p.is_alive():
                     p.kill()
@@ -116,7 +116,7 @@ def test_a_forked_process_is_told_and_a_spawned_one_works(tmp_path):
             os._exit(0)
         """)
     )
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=300)
     says = [line for line in done.stdout.splitlines() if line.startswith("SAYS")]
     assert len(says) == 2, done.stdout + done.stderr
     assert "forked after the MPM runtime had been started" in says[0] and "spawn" in says[0]
@@ -174,6 +174,6 @@ def test_materials_must_be_as_many_as_bodies():
 def test_nothing_happens_at_import(tmp_path):
     """Importing the solver starts no runtime and prints nothing."""
     code = "import pneutac_sim.mpm.solve, pneutac_sim.mpm.runtime as r; assert r._started is None"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     assert done.stdout == ""

@@ -63,13 +63,9 @@ def test_twin_keeps_looks(photographed, looks, tmp_path):
     ("change", "message"),
     [
         (lambda a: a | {"mask": np.zeros((480, 640), bool)}, "mask covers 0.0%"),
-        (lambda a: a | {"mask": np.ones((480, 640), bool)}, "mask covers 100.0%"),
         (lambda a: a | {"mask": a["mask"][::-1, ::-1].copy()}, "particles lie inside the mask"),
         (lambda a: a | {"mask": a["mask"][::2]}, "mask is bool of shape"),
-        (lambda a: a | {"mask": a["mask"].astype(float)}, "mask is float64"),
-        (lambda a: a | {"image": a["image"][:, ::2]}, "photograph is uint8 of shape"),
         (lambda a: a | {"image": a["image"] / np.nan}, "photograph is float64"),
-        (lambda a: a | {"positions": a["positions"] * np.nan}, "not all finite"),
         (lambda a: a | {"camera": turned(a["camera"])}, "does not see the body"),
     ],
 )

@@ -12,7 +12,7 @@ import pytest
 from pneutac_sim.errors import InputError
 from pneutac_sim.executor import ExecutorOptions
 from pneutac_sim.mpm.body import Body, Material, Spine
-from pneutac_sim.surrogate.action import FEWEST, evaluate_action, split, train_action
+from pneutac_sim.surrogate.action import FEWEST, split, train_action
 from pneutac_sim.surrogate.collect import Plan, collect_action, joint_targets, read_motions
 from pneutac_sim.surrogate.finger import SurrogateFinger, network_of
 from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
@@ -191,16 +191,6 @@ def test_an_interrupted_collection_goes_on(collection):
     file.write_bytes(kept)
 
 
-@pytest.mark.nightly  # the verb trains in `test_surrogate.py`; the shipped network is tested every day
-def test_training_beats_no_network_on_other_motions(collection):
-    twin = Twin.builtin()
-    network = train_action(twin, collection, epochs=150)
-    e = evaluate_action(twin, network, collection)
-    assert e.torque_nm < 0.3 * e.bare_torque_nm
-    assert e.position_deg < 0.5 * e.bare_position_deg
-    assert e.velocity_deg_s < 1.1 * e.bare_velocity_deg_s
-
-
 JOINTS = (0.01, 0.035, 0.06, 0.08)
 SPACING = 0.004
 
@@ -301,23 +291,3 @@ def test_what_it_cannot_be_made_of():
         Skeleton.of(body(), spine(axes=2))
     with pytest.raises(InputError, match="no particle beyond spine joint 4"):
         Skeleton.of(body(), Spine((0.01, 0.03, 0.05, 0.0995), 0.1, 0.0, 0.0, 0.006))
-
-
-@pytest.mark.nightly
-@pytest.mark.slow
-def test_the_network_resists_as_the_full_body_does(tmp_path):
-    from pneutac_sim.world.mpm_gel import MpmFinger
-
-    twin = Twin.builtin()
-    collect_action(twin, tmp_path, Plan(12, 0.5, particles=1000), "cpu")
-    network = train_action(twin, tmp_path)
-    full = MpmFinger(twin, particles=1000, device="cpu")
-    error, size = [], []
-    for pressure, bend in ((2.0, 0.05), (6.0, -0.08), (11.0, -0.12), (5.0, 0.1)):
-        free = joint_targets(twin, np.array(pressure))
-        q = free + bend * np.array([1.0, 0.75, 0.5, 0.25])
-        wanted, got = full.torque(free, q)[0], network.resistance(free, q)
-        assert got[2]
-        error.append(got[0] - wanted)
-        size.append(wanted)
-    assert np.linalg.norm(error) < 0.15 * np.linalg.norm(size)

@@ -60,17 +60,10 @@ FROM_ZERO = ("area_weight", "position_weight", "smoothness_weight", "jitter_m_s"
     ("given", "said"),
     [
         ({"horizon": 1, "replan": 1}, "horizon is 1; it must be 2 or more"),
-        ({"samples": 2, "elites": 2}, "samples is 2; it must be 3 or more"),
-        ({"elites": 1}, "elites is 1; it must be 2 or more"),
         ({"iterations": 0}, "iterations is 0; it must be 1 or more"),
-        ({"replan": 0}, "replan is 0; it must be 1 or more"),
         ({"elites": 11, "samples": 10}, r"elites is 11; it must be at most samples \(10\)"),
         ({"replan": 11, "horizon": 10}, r"replan is 11; it must be at most horizon \(10\)"),
-        *(
-            ({o: x}, f"{o} is {x}; it must be a number from 0 on")
-            for o in FROM_ZERO
-            for x in (-0.1, np.nan, np.inf)
-        ),
+        *(({o: x}, f"{o} is {x}; it must be a number from 0 on") for o in FROM_ZERO for x in (-0.1, np.nan)),
     ],
 )
 def test_a_number_out_of_its_range_is_named(given, said):
