@@ -137,8 +137,10 @@ def test_a_law_computes_what_is_printed(name):
 def test_a_law_of_what_is_seen_computes_what_is_printed(name):
     effect, rng = law(name), np.random.default_rng(0)
     markers, condition = rng.uniform(1, 60, (20, 5)), rng.uniform(-1, 1, 20)
-    c = 23 + 10 * condition if "temperature_c" in effect.columns else condition
-    found = effect.apply(markers, np.ones(20), {"weight": 0.3}, np.c_[np.full(20, LENGTH), c])
+    columns = {"length_mm": np.full(20, LENGTH), "temperature_c": 23 + 10 * condition}
+    columns |= {"gravity_y": condition, "payload_g": 10 * markers[:, 2]}
+    conditions = np.stack([columns[c] for c in effect.columns], axis=1)
+    found = effect.apply(markers, np.ones(20), {"weight": 0.3}, conditions)
     output, _, term = plain_equation(effect.equation).partition(" -> ")
     names = dict(zip(("tip_x", "tip_y", "tip_z", "bend"), markers.T, strict=False))
     names |= {
@@ -147,6 +149,7 @@ def test_a_law_of_what_is_seen_computes_what_is_printed(name):
         "L": LENGTH,
         "dT": condition,
         "g_y": condition,
+        "m": markers[:, 2],
         "w": 0.3,
     }
     text = re.sub(r"(?<=\w)\s+(?=\w)", " * ", term.replace("^", "**"))
