@@ -18,7 +18,7 @@ from lerobot_pneutac.diagnosis.experiment import (
 )
 from lerobot_pneutac.diagnosis.law_programs import law_program
 from lerobot_pneutac.diagnosis.names import PROFILE, called
-from lerobot_pneutac.diagnosis.parts import deal
+from lerobot_pneutac.diagnosis.parts import conditions, deal
 from lerobot_pneutac.diagnosis.result import FittedModel, Outcome, Rival, Untested
 from lerobot_pneutac.diagnosis.verdict import too_few
 from lerobot_pneutac.study.base import EffectStudy
@@ -371,7 +371,16 @@ class BodyBase(EffectStudy):
                 low, high = f"{values.min():.3g}", f"{values.max():.3g}"
                 span = low if low == high else f"{low} to {high}"
                 out.append(f"{name.partition('_')[0]} of {span} {unit}")
-        return listed(out)
+                if name == "payload_g" and not self._heaviest_everywhere():
+                    out[-1] += " (not in every direction)"
+        return ", ".join(out)
+
+    def _heaviest_everywhere(self) -> bool:
+        """Whether the heaviest payload was recorded in every direction of gravity in which anything was."""
+        way = conditions(self.recording, ())
+        payload_g = self.recording.column("payload_g").astype(float)
+        heaviest = payload_g > payload_g.max() - T.LEAST_CHANGE["payload_g"]
+        return len(np.unique(way[heaviest])) == len(np.unique(way))
 
     def confusable_with(self, effects: Sequence[str]) -> str:
         """The finding that lags of air and of body cannot be distinguished, where such a lag was found."""

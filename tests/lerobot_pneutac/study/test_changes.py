@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from lerobot_pneutac.study import data_breaks
+from lerobot_pneutac.study.body_base import BodyBase
 from lerobot_pneutac.study.data_breaks import change_break, find_change
 from pneutac_datasets.recording.recording import Recording
 
@@ -75,3 +76,13 @@ def test_what_begins_with_another_load_is_no_change_of_the_device(monkeypatch, t
     found = SimpleNamespace(model=SimpleNamespace(structure=None, values={}), cv_squared=np.ones(n))
     found.value = 1.0
     assert (change_break(study, np.arange(n), found) is not None) == told
+
+
+@pytest.mark.parametrize(("heavy_on_its_side", "told"), [(0.0, True), (50.0, False)])
+def test_the_answer_holds_for_loads_in_the_directions_in_which_they_hung(tmp_path, heavy_on_its_side, told):
+    columns = {"pressure_cmd_kpa": [0.0, 9.0] * 2, "gravity_x": 0.0, "gravity_y": [0.0, 0.0, 1.0, 1.0]}
+    columns |= {"gravity_z": [1.0, 1.0, 0.0, 0.0], "payload_g": [0.0, 50.0, 0.0, heavy_on_its_side]}
+    study = SimpleNamespace(recording=Recording(tmp_path, {}, pd.DataFrame(columns), "finger"))
+    study._heaviest_everywhere = lambda: BodyBase._heaviest_everywhere(study)
+    recorded = BodyBase.recorded.fget(study)
+    assert "payload of 0 to 50 g" in recorded and ("not in every direction" in recorded) == told
