@@ -15,6 +15,7 @@ import os
 import re
 import signal
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 # verb -> what it does
@@ -154,7 +155,7 @@ def run_verb(verb: str, argv: list[str]) -> None:
     """Runs a command with its arguments; raises InputError where they are bad."""
     from lerobot_pneutac.cli.options import parse_options
     from lerobot_pneutac.cli.terminal import Terminal
-    from pneutac_sim.files import check_new
+    from pneutac_sim.files import check_new, locked
 
     if verb == "measure":  # its options need LeRobot, which takes ten seconds to import
         for out in (a.partition("=")[2] for a in argv if re.match("--out=.", a)):
@@ -163,7 +164,10 @@ def run_verb(verb: str, argv: list[str]) -> None:
     if "argv" in inspect.signature(command).parameters:
         command(argv, terminal)
     else:
-        command(parse_options(options_class(verb), argv, f"{VERBS[verb]}."), terminal)
+        options = parse_options(options_class(verb), argv, f"{VERBS[verb]}.")
+        alone = hasattr(options, "resumed_by")  # goes on with what lies in its folder
+        with locked(options.out, wait_s=0.0) if alone else nullcontext():
+            command(options, terminal)
 
 
 def options_class(command: str) -> type | None:

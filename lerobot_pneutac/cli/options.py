@@ -25,7 +25,7 @@ import yaml
 
 from pneutac_sim.errors import InputError, check_choice, refuse_given, shown
 from pneutac_sim.executor import check_device
-from pneutac_sim.files import YamlLoader, check_writable, fits, inside, read_json, read_yaml
+from pneutac_sim.files import LOCK, YamlLoader, check_writable, fits, inside, read_json, read_yaml
 
 COLUMN = 28  # where help texts begin
 MOST = 2**32 - 1  # of an option's number, and the largest seed that NumPy and PyTorch both take
@@ -180,7 +180,8 @@ def _check_outputs(config, argv: list[str]) -> None:
         if name == "out" and not replaced and (found := _holds(path, config, argv)):
             raise InputError(f"--out={path} holds {found}; give another folder.")
         mark = getattr(config, "resumed_by", "") if name == "out" else ""
-        if mark and path.is_dir() and any(path.iterdir()) and not (path / mark).exists():
+        there = {p.name for p in path.iterdir()} - {LOCK} if path.is_dir() else ()
+        if mark and there and mark not in there:
             raise InputError(
                 f"--{name}={path} is not empty and holds no earlier run of this; give a new folder."
             )

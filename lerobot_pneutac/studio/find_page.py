@@ -215,7 +215,7 @@ class FindPage(Background):
         found = found or f"the report of `{command.partition(' --')[0]}`" * bool(command)
         if found:
             raise InputError(f"folder={out} holds {found}; give another folder.")
-        self._studio.say(f"Wrote {diagnosis.save(out).report(out)}.")
+        self._studio.say(f"Wrote {diagnosis.report(out)}.")
 
     # ---------------------------------------------------------------- what is shown
 

@@ -17,7 +17,7 @@ from lerobot_pneutac.verbs.history import report
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CHAMBERS
-from pneutac_sim.files import check_new_file, check_writable
+from pneutac_sim.files import check_new_file, check_writable, whole
 from pneutac_sim.finger import Pipeline
 from pneutac_sim.twin import Twin
 
@@ -49,10 +49,11 @@ def command(cfg: ReportConfig, terminal: Terminal) -> None:
     twin, recording = Twin.load(cfg.twin), None
     if cfg.recording is not None:
         twin, recording = load_bench_pair(cfg.twin, cfg.recording, "report on")
+    if cfg.rrd is not None:
+        with whole(cfg.rrd) as part:
+            frames = write_rrd(part, twin, recording)
     terminal.finish(report(twin), cfg.out)
     if cfg.rrd is not None:
-        cfg.rrd.parent.mkdir(parents=True, exist_ok=True)
-        frames = write_rrd(cfg.rrd, twin, recording)
         terminal.say(f"{cfg.rrd}: {frames} frames; `rerun {quote(str(cfg.rrd))}` shows them")
 
 

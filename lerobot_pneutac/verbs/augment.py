@@ -1,6 +1,7 @@
 """`pneutac augment`: makes many demonstrations out of a few, carried out on the twin."""
 
 import shlex
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -35,6 +36,7 @@ SCENE = ("twin", "fidelity", "conditions", "station", "planner", "attempts", "de
 MOST_START_M, MOST_REAL = 0.1, 0.9
 MOST_ELSEWHERE = 0.05  # share of the pixels that differ from the twin's image at rest; more is noted
 FEW_ATTEMPTS, FEW_WORKED = 20, 0.15  # with demonstrations of the same finger 17 % or more do the task
+PLACES = 2  # where a demonstration lies until all are made: the work folder and the dataset
 REAL_SHARE = 0.25  # of the frames, with which ten and a hundred new ones were trained best
 
 
@@ -278,6 +280,18 @@ def other_sensor(meta: "LeRobotDatasetMetadata", sensor: "TactileSensor") -> str
     return f"{meta.root}: {pixels} {why}; {remedy}."
 
 
+def _check_room(recorded: Recorded, config: AugmentConfig) -> None:
+    """Raises InputError where the disk has no room for the new demonstrations, as large as the recorded."""
+    size = sum(file.stat().st_size for file in recorded.folder.rglob("*") if file.is_file())
+    needed = PLACES * size / len(recorded.episodes) * config.episodes
+    folder = next(p for p in config.output.root.absolute().parents if p.exists())
+    if needed > (free := shutil.disk_usage(folder).free):
+        raise InputError(
+            f"episodes is {config.episodes}, which take about {needed / 1e9:.3g} GB, and {folder} has"
+            f" {free / 1e9:.3g} GB free; give at most {int(config.episodes * free / needed)}."
+        )
+
+
 def augment(
     config: AugmentConfig, progress: Progress = no_progress, note: Callable[[str], None] = lambda _: None
 ) -> Augmentation:
@@ -322,6 +336,7 @@ def augment(
         note(other)
     for sentence in recorded.set_aside():
         note(sentence)
+    _check_room(recorded, config)
     out = NewDataset(
         config.output.root,
         config.output.repo_id,

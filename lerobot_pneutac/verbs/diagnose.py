@@ -28,10 +28,11 @@ from pneutac_datasets.recording.noise import noise_text
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError, option
 from pneutac_sim.executor import one_thread
-from pneutac_sim.files import read_json, write_json
+from pneutac_sim.files import fits, read_json, together, write_json
 from pneutac_sim.twin import Twin
 
-FILE = "contenders.json"  # the models between which a diagnosis could not yet choose
+# the models between which a diagnosis could not yet choose
+FILE, CONTENDERS = "contenders.json", "contenders"
 BEFORE, BASELINE, FOUND = "before", "baseline", "found"  # folders of twins in that of the report
 SHOWN = 3  # warnings on the console; the report has all
 
@@ -206,20 +207,33 @@ class Diagnosis(Result):
             **study.details(o),
         }
 
-    def save(self, folder: str | Path) -> "Diagnosis":
-        """Writes twins into folders of `folder`; returns the result that knows where.
+    written = (BEFORE, BASELINE, FOUND, CONTENDERS, FILE)
 
-        Those before and after are for `add --from`, those of all candidates for `design`. Of a gel the
-        candidates alone are written.
+    def write_more(self, folder: Path) -> None:
+        """Writes twins: those before and after for `add --from`, those of all candidates for `design`.
+
+        Of a gel the candidates alone are written.
         """
-        o, folder = self.outcome, Path(folder)
+        o = self.outcome
         save_candidates(folder, o.contenders)
-        if self.study.recording.device == "gel":
-            return self
-        for name, model in ((BEFORE, o.before), (BASELINE, o.baseline), (FOUND, o.after)):
-            if model is not None:
-                self.study.twin_of(model).save(folder / name)
-        return replace(self, saved_to=folder)
+        if self.study.recording.device != "gel":
+            for name, model in ((BEFORE, o.before), (BASELINE, o.baseline), (FOUND, o.after)):
+                if model is not None:
+                    self.study.twin_of(model).save(folder / name)
+
+    def stored_in(self, folder: str | Path) -> "Diagnosis":
+        """The result that knows in which folder its twins are; of a gel itself."""
+        return self if self.study.recording.device == "gel" else replace(self, saved_to=Path(folder))
+
+    def save(self, folder: str | Path) -> "Diagnosis":
+        """Writes the twins into folders of `folder`; returns the result that knows where."""
+        with together(Path(folder), self.written) as part:
+            self.write_more(part)
+        return self.stored_in(folder)
+
+    def report(self, out: str | Path, command: str = "") -> Path:
+        """As of every result, with the twins that `save` writes."""
+        return super(Diagnosis, self.stored_in(out)).report(out, command)
 
     def page(self) -> Report:
         from lerobot_pneutac.reports.diagnosis import diagnosis_page
@@ -245,7 +259,8 @@ def read_found(
         make = f"make one with `pneutac diagnose {option('out', folder)}`"
         raise InputError(f"There is no diagnosis at '{folder}'; {make}.")
     result = read_json(file)
-    if "verdict" not in result or not (folder / FOUND).is_dir():
+    kinds = {"verdict": str, "selected": list[str], "seed": int}
+    if not all(fits(k, result.get(n)) for n, k in kinds.items()) or not (folder / FOUND).is_dir():
         raise InputError(f"{file} is not the result of a body's diagnosis; give the folder that it wrote.")
     if (rows := result.get("rows")) != len(recording):
         both = f"{file} is of a recording of {rows} rows and {recording.folder} has {len(recording)}"
@@ -266,7 +281,7 @@ def described(candidates: Sequence[Candidate]) -> list[dict]:
 def save_candidates(folder: str | Path, candidates: Sequence[Candidate]) -> None:
     """Writes their twins, and last what they are."""
     for i, c in enumerate(candidates):
-        c.twin.save(Path(folder) / "contenders" / str(i))
+        c.twin.save(Path(folder) / CONTENDERS / str(i))
     write_json(Path(folder) / FILE, described(candidates))
 
 
@@ -278,10 +293,11 @@ def load_candidates(folder: str | Path | Diagnosis) -> list[Candidate]:
     if not file.is_file():
         raise InputError(f"There is no {file}; give the folder that `pneutac diagnose --out=` wrote.")
     stored = read_json(file, list)
-    if not all(isinstance(c, dict) and {"terms", "probability"} <= set(c) for c in stored):
+    kinds = {"terms": list[str], "probability": float}
+    if not all(isinstance(c, dict) and all(fits(k, c.get(n)) for n, k in kinds.items()) for c in stored):
         raise InputError(f"{file} is damaged; give the folder that `pneutac diagnose` wrote.")
     return [
-        Candidate(Twin.load(Path(folder) / "contenders" / str(i)), tuple(c["terms"]), c["probability"])
+        Candidate(Twin.load(Path(folder) / CONTENDERS / str(i)), tuple(c["terms"]), c["probability"])
         for i, c in enumerate(stored)
     ]
 
@@ -336,4 +352,4 @@ def command(cfg: DiagnoseConfig, terminal: Terminal) -> None:
     twin, recording = load_pair(cfg.twin, cfg.recording, "diagnose", cfg.task, cfg.station)
     with terminal.progress() as progress:
         result = diagnose(twin, recording, **keywords(cfg, diagnose), progress=progress)
-    terminal.finish(result if cfg.out is None else result.save(cfg.out), cfg.out)
+    terminal.finish(result if cfg.out is None else result.stored_in(cfg.out), cfg.out)

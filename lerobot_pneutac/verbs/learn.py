@@ -369,9 +369,10 @@ class Rounds:
         given = out / "given"
         if not (given / "twin.yaml").is_file():
             twin.copy().save(given)
-            replace(twin.copy(), folder=None).save(out / "twin")
         elif _body(Twin.load(given)) != _body(twin):
             raise InputError(f"{out} holds rounds of another twin; give another --out.")
+        if not (out / "twin" / "twin.yaml").is_file():
+            replace(twin.copy(), folder=None).save(out / "twin")
         self.done: list[Round] = []
         while (file := self._folder(len(self.done)) / "round.json").is_file():
             self.done.append(Round(**read_json(file)))

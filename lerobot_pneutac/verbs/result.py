@@ -17,7 +17,7 @@ from lerobot_pneutac.reports.page import Report, plain, save_table, span, write_
 from pneutac_datasets.recording.pressures import usable
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
-from pneutac_sim.files import write_image
+from pneutac_sim.files import together, write_image
 from pneutac_sim.finger.quantities import root_mean
 from pneutac_sim.twin import Twin
 
@@ -110,25 +110,35 @@ class Result:
         """Tables next to the report, file name to rows or columns."""
         return {}
 
+    written: ClassVar[tuple[str, ...]] = ()  # names of what `write_more` may write
+
+    def write_more(self, folder: Path) -> None:
+        """Writes what else belongs to the report."""
+
     def report(self, out: str | Path, command: str = "") -> Path:
         """Writes `result.json`, `report.html` and pictures into folder `out`; returns the page's path.
+
+        They appear together: a stop leaves the report that was there before.
 
         Args:
             out: folder, made where there is none.
             command: that does it again, stored, and shown at the end of the page.
         """
-        write_result(out, self.to_dict() | ({"command": command} if command else {}))
-        for name, picture in self.pictures().items():
-            write_image(Path(out) / name, picture)
-        for name, table in self.tables().items():
-            save_table(Path(out) / name, table)
-        page = self.page()
-        page.about = about(*self.subject())
-        page.next_step(self.next_step(Path(out), command))
-        if command:
-            page.heading("Do it again")
-            page.code(command)
-        return page.write(Path(out) / "report.html")
+        with together(Path(out), self.written) as folder:
+            self.write_more(folder)
+            write_result(folder, self.to_dict() | ({"command": command} if command else {}))
+            for name, picture in self.pictures().items():
+                write_image(folder / name, picture)
+            for name, table in self.tables().items():
+                save_table(folder / name, table)
+            page = self.page()
+            page.about = about(*self.subject())
+            page.next_step(self.next_step(Path(out), command))
+            if command:
+                page.heading("Do it again")
+                page.code(command)
+            page.write(folder)
+        return Path(out) / "report.html"
 
     def __repr__(self) -> str:
         """Kind and sentence; the numbers are in `to_dict`."""

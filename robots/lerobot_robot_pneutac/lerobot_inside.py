@@ -188,6 +188,8 @@ def _check_folders(options: dict[str, str]) -> None:
         raise InputError(fault)
     if options.get("resume") == "true" and (file := Path(options.get("config_path", ""))).is_file():
         check_policy(file.parent)
+    if _records(options) and not options.get("dataset.single_task", "given").strip():
+        raise InputError("--dataset.single_task is blank; give the instruction, such as 'flip the switch'.")
     if not (root := options.get("dataset.root")):
         return
     if _records(options):
@@ -239,7 +241,7 @@ def _fault_of_policy(options: dict[str, str]) -> str | None:
         return None
     if (Path(path) / "config.json").is_file():
         try:
-            check_policy(Path(path))
+            _refuse_rate(check_policy(Path(path)), options)
         except InputError as e:
             return f"--policy.path: {e}"
         return None
@@ -249,8 +251,23 @@ def _fault_of_policy(options: dict[str, str]) -> str | None:
     )
 
 
-def check_policy(folder: Path) -> None:
-    """Raises InputError where a file of a policy is missing or damaged; LeRobot notices after its work."""
+def _refuse_rate(policy: PreTrainedConfig, options: dict[str, str]) -> None:
+    """Raises InputError where a policy that knows its rate is given to a robot of another one."""
+    from pneutac_sim.world.station import Station  # MuJoCo
+
+    for group in ("env", "robot"):
+        if options.get(f"{group}.type") in ("pneutac", "pneutac_sim", "pneutac_standin"):
+            file = options.get(f"{group}.station")
+            hz = Station.load(file).control_hz if file else Station.control_hz
+            if (own := getattr(policy, "control_hz", None) or hz) != hz:
+                raise InputError(
+                    f"the policy was trained at {own} Hz and the robot is controlled at {hz} Hz; give"
+                    f" --{group}.station=FILE, the station.yaml of its demonstrations, or train it again."
+                )
+
+
+def check_policy(folder: Path) -> PreTrainedConfig:
+    """A policy's options; InputError where one of its files is missing or damaged, before LeRobot's work."""
     config, weights = folder / "config.json", folder / "model.safetensors"
     again = "copy the whole folder again that lerobot-train wrote"
     kind = read_json(config).get("type")
@@ -259,7 +276,7 @@ def check_policy(folder: Path) -> None:
     for file in folder.glob("policy_*processor.json"):
         read_json(file)
     try:
-        PreTrainedConfig.from_pretrained(folder, cli_overrides=get_cli_overrides("policy") or [])
+        options = PreTrainedConfig.from_pretrained(folder, cli_overrides=get_cli_overrides("policy") or [])
     except Exception as error:  # what an option's own type raises, too
         cause: BaseException = error
         while cause.__cause__ is not None and not isinstance(cause, _OF_USERS):
@@ -267,7 +284,7 @@ def check_policy(folder: Path) -> None:
         reason = " ".join(str(cause).split()).rstrip(".")
         raise InputError(f"{config}: {reason}; {again}, or train again with this version.") from error
     if (folder / "adapter_config.json").is_file():
-        return  # its weights are another policy's and an adapter
+        return options  # its weights are another policy's and an adapter
     if not weights.is_file():
         raise InputError(f"{weights} is missing; {again}.")
     refuse_pointer(weights)
@@ -276,6 +293,7 @@ def check_policy(folder: Path) -> None:
             pass
     except (SafetensorError, OSError) as e:
         raise InputError(f"{weights} is damaged ({e}); {again}.") from e
+    return options
 
 
 def _fault_of_dataset(options: dict[str, str], reason: str) -> str:

@@ -9,6 +9,8 @@ import shlex
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import MISSING, fields
+from importlib.metadata import EntryPoint
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +27,16 @@ class InputError(ValueError):
 
     def __init__(self, message: str):
         super().__init__(printable(message))
+
+
+def load_entry_point(point: EntryPoint) -> Any:
+    """What a package offers; raises InputError where it does not load, whatever its module raises."""
+    try:
+        return point.load()
+    except (Exception, SystemExit) as e:
+        where = f"Entry point '{point.name}' of {point.group} ({point.value})"
+        why = str(e).rstrip(".") or type(e).__name__
+        raise InputError(f"{where} does not load: {why}; correct its package, or uninstall it.") from e
 
 
 @contextmanager

@@ -7,6 +7,7 @@ import json
 import math
 import os
 import re
+import shutil
 import struct
 import sys
 import tempfile
@@ -27,6 +28,7 @@ from pneutac_sim.errors import CONTROL, InputError, shown, unknown_names
 
 MOST_YAML_BYTES, MOST_JSON_BYTES = 2**20, 2**22
 MOST_WHOLE = 10**19
+LOCK = ".lock"  # file that stays in a folder into which one process at a time may write
 LOCK_S = 60.0  # how long another process's writing is waited for
 # How the small text files begin that stand for files which Git has not fetched, and the command that does.
 POINTERS = {b"version https://git-lfs": "git lfs pull", b"/annex/objects/": "git annex get ."}
@@ -220,7 +222,7 @@ def inside(folder: Path, file: Path) -> bool:
 
 @contextmanager
 def whole(file: Path) -> Iterator[Path]:
-    """Gives a path to write to, which takes the place of `file` at the end.
+    """Gives a path to write a file or a new folder to, which takes the place of `file` at the end.
 
     A stop, at any moment, or a power cut leaves the old file or the new one, whole.
 
@@ -237,7 +239,7 @@ def whole(file: Path) -> Iterator[Path]:
             flush(file.parent)
         except BaseException:
             with suppress(OSError):
-                part.unlink(missing_ok=True)
+                shutil.rmtree(part) if part.is_dir() else part.unlink(missing_ok=True)
             _remove_empty(made)
             raise
 
@@ -311,15 +313,15 @@ def _space(file: Path) -> Iterator[None]:
 
 @contextmanager
 def locked(folder: Path, wait_s: float = LOCK_S) -> Iterator[None]:
-    """One process at a time writes into a folder; others wait.
+    """One process at a time writes into a folder; others wait. It may be nested.
 
     Raises InputError where another process still writes after `wait_s` seconds.
     """
     with _space(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(folder / ".lock", timeout=wait_s)
+        lock = FileLock(folder.absolute() / LOCK, is_singleton=True)  # one in a process counts how often
     try:
-        with _space(folder), lock:
+        with _space(folder), lock.acquire(wait_s):
             yield
     except Timeout as e:
         raise InputError(
@@ -327,6 +329,45 @@ def locked(folder: Path, wait_s: float = LOCK_S) -> Iterator[None]:
             if wait_s
             else f"Another command is writing into '{folder}'; wait for it and repeat."
         ) from e
+
+
+@contextmanager
+def together(folder: Path, names: Iterable[str] = ()) -> Iterator[Path]:
+    """Gives an empty folder, whose files and folders take their places in `folder` together at the end.
+
+    A stop leaves all that was there before, or all that is new. Of `names` those go that are not written
+    anew, so that nothing of an earlier run lies next to what it does not belong to.
+
+    Raises InputError where it cannot be written, or no space is left.
+    """
+    made = [p for p in (folder, *folder.parents) if not p.exists()]
+    with _space(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        part = Path(tempfile.mkdtemp(prefix=".unfinished-", dir=folder))
+    try:
+        yield part
+        fresh = [p.name for p in part.iterdir()]
+        (old := part / ".old").mkdir()
+
+        def settle() -> None:
+            for name in {*names, *fresh}:
+                new, there = part / name, folder / name
+                if name in fresh and not new.exists():
+                    continue  # it is in its place
+                if there.is_dir() or (name not in fresh and there.exists()):
+                    there.rename(old / name)
+                if name in fresh:
+                    new.replace(there)
+
+        with locked(folder):
+            try:
+                settle()
+            except KeyboardInterrupt:
+                settle()
+                raise
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+        _remove_empty(made)
 
 
 def write_text(file: Path, text: str) -> None:

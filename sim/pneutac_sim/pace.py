@@ -3,7 +3,6 @@
 LeRobot's times do not show a loop that falls behind, and its recorder does not ask whether the task was done.
 """
 
-import json
 import math
 import re
 from collections.abc import Callable, Sequence
@@ -123,7 +122,7 @@ def read_outcomes(meta: Path) -> dict[int, str]:
 
 def _of_episodes[T](file: Path, value: Callable[[Any], T], remedy: str) -> dict[int, T]:
     try:
-        content = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+        content = read_json(file) if file.exists() else {}
         return {int(k): value(v) for k, v in content.items() if int(k) >= 0}
     except (ValueError, TypeError, AttributeError) as e:
         raise InputError(f"{file} is damaged ({e}); {remedy}") from e

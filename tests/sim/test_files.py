@@ -5,12 +5,13 @@ The bounded least squares against closed forms.
 
 import errno
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.files import whole, write_image, write_json, write_text
+from pneutac_sim.files import LOCK, locked, together, whole, write_image, write_json, write_text
 from pneutac_sim.least_squares import minimise
 
 
@@ -29,6 +30,74 @@ def test_what_was_there_stays_where_the_writing_stops(tmp_path):
         part.write_text("ne")
         raise KeyboardInterrupt
     assert file.read_text() == "old"
+
+
+def held(folder):
+    return {str(p.relative_to(folder)): p.read_text() for p in folder.rglob("*") if p.suffix}
+
+
+def earlier(folder):
+    (folder / "twin").mkdir(parents=True)
+    for name in ("page.txt", "gone.txt", "mine.txt", "twin/a.txt", "twin/b.txt"):
+        (folder / name).write_text("old")
+    return held(folder)
+
+
+def write_anew(part):
+    (part / "twin").mkdir()
+    (part / "page.txt").write_text("new")
+    (part / "twin" / "a.txt").write_text("new")
+
+
+NEW = {"page.txt": "new", "twin/a.txt": "new", "mine.txt": "old"}
+
+
+def test_what_belongs_together_takes_its_place_together(tmp_path):
+    before = earlier(tmp_path / "out")
+    with together(tmp_path / "out", ["gone.txt", "twin"]) as part:
+        write_anew(part)
+        assert before.items() <= held(tmp_path / "out").items()
+    assert held(tmp_path / "out") == NEW
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"page.txt", "twin", "mine.txt", LOCK}
+
+
+def test_a_stop_while_it_is_written_leaves_what_was_there(tmp_path):
+    before = earlier(tmp_path / "out")
+    for folder in ("out", "new"):
+        with pytest.raises(KeyboardInterrupt), together(tmp_path / folder, ["gone.txt"]) as part:
+            write_anew(part)
+            raise KeyboardInterrupt
+    assert held(tmp_path / "out") == before and not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("stop", range(4))
+def test_a_stop_while_it_takes_its_place_leaves_what_is_new(tmp_path, monkeypatch, stop):
+    """The old files and folders that go, and the new ones that come, are moved one by one."""
+    earlier(tmp_path / "out")
+    moves = {name: getattr(Path, name) for name in ("rename", "replace")}
+    left = [stop]
+
+    def stopped(name):
+        def move(path, target):
+            left[0] -= 1
+            if left[0] == -1:
+                raise KeyboardInterrupt
+            return moves[name](path, target)
+
+        return move
+
+    with monkeypatch.context() as m, pytest.raises(KeyboardInterrupt):
+        for name in moves:
+            m.setattr(Path, name, stopped(name))
+        with together(tmp_path / "out", ["gone.txt"]) as part:
+            write_anew(part)
+    assert held(tmp_path / "out") == NEW and left[0] == stop - 5  # one of the four moves is made twice
+
+
+def test_who_writes_into_a_folder_may_lock_it_again(tmp_path):
+    with locked(tmp_path, wait_s=0.0), together(tmp_path) as part:
+        write_anew(part)
+    assert held(tmp_path) == {"page.txt": "new", "twin/a.txt": "new"}
 
 
 @pytest.mark.parametrize(

@@ -278,8 +278,12 @@ class Files:
         if not file.is_file():
             raise InputError(f"{file} is missing; run {self._repair}.")
         stats = read_json(file)
-        for key in (k for k in (STATE, ACTION) if k in self.info["features"]):
-            mine, size = stats.get(key), self.info["features"][key]["shape"]
+        features = self.info["features"]
+        sizes = {k: features[k]["shape"] for k in (STATE, ACTION) if k in features}
+        for key in self._of_kind("video") + self._of_kind("image"):  # without them lerobot-train fails
+            sizes[key] = [min(features[key]["shape"]), 1, 1]  # of its channels
+        for key, size in sizes.items():
+            mine = stats.get(key)
             for name in STATISTICS:
                 values = mine.get(name) if isinstance(mine, dict) else None
                 try:
@@ -290,7 +294,7 @@ class Files:
                     what = f"'{key}' lacks '{name}' of {size[0]} numbers"
                     raise InputError(f"{file}: {what}; run {self._repair}.")
             low, high, mean, std = (np.asarray(mine[name], float) for name in STATISTICS)
-            if not np.isfinite(self.rows[key]).all():
+            if not np.isfinite(self.rows.get(key, 0.0)).all():
                 continue  # theirs are not either, and of these episodes there is a sentence
             if not ((low <= mean + ROUNDED) & (mean <= high + ROUNDED) & (0 <= std) & (std < np.inf)).all():
                 what = f"'{key}' has a mean outside its 'min' and 'max', or a number that is not finite"

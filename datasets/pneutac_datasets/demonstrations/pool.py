@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
-from lerobot.utils.constants import ACTION
+from lerobot.utils.constants import ACTION, OBS_STATE
 
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import ANSWER_DELAY, POOLED_FROM, PREVIOUS_ACTION
 from lerobot_robot_pneutac.policy.tactile_encoder import grid, pool
@@ -24,11 +24,13 @@ from pneutac_datasets.demonstrations.episodes import (
     Episode,
     demonstration_features,
     load_episode,
+    readable,
     save_episode,
 )
-from pneutac_datasets.demonstrations.info import Files
+from pneutac_datasets.demonstrations.info import Files, check_new
 from pneutac_datasets.demonstrations.save import create_dataset, written
 from pneutac_sim.errors import InputError
+from pneutac_sim.files import inside, whole
 
 
 def pool_demonstrations(sources: list[Path], out: str | Path, repo_id: str) -> Path:
@@ -37,11 +39,14 @@ def pool_demonstrations(sources: list[Path], out: str | Path, repo_id: str) -> P
     Raises:
         InputError: a source is no dataset of this robot, frame rates or sizes differ, or `out` exists.
     """
+    check_new(Path(out), repo_id)
     for root in sources:
         Files(root).refuse_damaged()
+        if inside(root, Path(out)):
+            raise InputError(f"out={out} lies in '{root}', which is read; give another folder.")
     metas = [LeRobotDatasetMetadata(f"local/{Path(root).name}", root) for root in sources]
     features = demonstration_features(metas[0])
-    whole = tuple(features[TACTILE]["shape"])
+    size = tuple(features[TACTILE]["shape"])
     for meta in metas[1:]:
         demonstration_features(meta)
         if meta.fps != metas[0].fps:
@@ -49,30 +54,39 @@ def pool_demonstrations(sources: list[Path], out: str | Path, repo_id: str) -> P
                 f"'{meta.root}' has {meta.fps} frames per second and '{metas[0].root}' has {metas[0].fps}; "
                 "give datasets of equal rate."
             )
-        if tuple(meta.features[TACTILE]["shape"]) != whole:
-            raise InputError(
-                f"'{meta.root}' has images of {tuple(meta.features[TACTILE]['shape'])} and '{metas[0].root}'"
-                f" of {whole}; give datasets of one sensor."
-            )
-    small = (*grid(*whole[:2]), whole[2])
-    if small[0] >= whole[0]:
-        raise InputError(f"'{metas[0].root}' has images of {whole} already; train on it as it is.")
-    info = {**(features[TACTILE].get("info") or {}), POOLED_FROM: list(whole[:2])}
+        for key in (TACTILE, OBS_STATE, ACTION):
+            here, first = (tuple(m.features[key]["shape"]) for m in (meta, metas[0]))
+            if here != first:
+                raise InputError(
+                    f"'{meta.root}' has '{key}' of the shape {here} and '{metas[0].root}' of {first};"
+                    " give datasets of one sensor, arm and finger."
+                )
+    small = (*grid(*size[:2]), size[2])
+    if small[0] >= size[0]:
+        raise InputError(f"'{metas[0].root}' has images of {size} already; train on it as it is.")
+    info = {**(features[TACTILE].get("info") or {}), POOLED_FROM: list(size[:2])}
     features[TACTILE] = {**features[TACTILE], "dtype": "image", "shape": small, "info": info}
     infos = [m.features[ACTION].get("info") or {} for m in metas]
     if delays := [info[ANSWER_DELAY] for info in infos if ANSWER_DELAY in info]:
         features[ACTION]["info"] = {ANSWER_DELAY: max(delays)}
     features[PREVIOUS_ACTION] = dict(features[ACTION])
-    new = create_dataset(repo_id, out, metas[0].fps, features, metas[0].robot_type, False, 1)
-    with written(new):
-        for meta in metas:
-            source = LeRobotDataset(meta.repo_id, root=meta.root)
-            for index in range(meta.total_episodes):
-                e = load_episode(source, index)
-                e.images = np.concatenate([_means(image) for image in e.images])
-                e.state, e.action = (x.astype(np.float32) for x in (e.state, e.action))
-                save_episode(new, e, {PREVIOUS_ACTION: previous_actions(e)})
+    with whole(Path(out)) as part:
+        new = create_dataset(repo_id, part, metas[0].fps, features, metas[0].robot_type, False, 1)
+        with written(new):
+            _copy(metas, new)
     return Path(out)
+
+
+def _copy(metas: list[LeRobotDatasetMetadata], new: LeRobotDataset) -> None:
+    for meta in metas:
+        with readable(meta.root):
+            source = LeRobotDataset(meta.repo_id, root=meta.root)
+        for index in range(meta.total_episodes):
+            with readable(meta.root):
+                e = load_episode(source, index)
+            e.images = np.concatenate([_means(image) for image in e.images])
+            e.state, e.action = (x.astype(np.float32) for x in (e.state, e.action))
+            save_episode(new, e, {PREVIOUS_ACTION: previous_actions(e)})
 
 
 def _means(image: np.ndarray) -> np.ndarray:
@@ -97,7 +111,7 @@ def main(argv: list[str] | None = None) -> None:
     options = parser.parse_args(argv)
     try:
         pool_demonstrations(options.sources, options.out, f"local/{options.out.name}")
-    except InputError as e:
+    except (InputError, OSError) as e:
         sys.exit(str(e))
 
 

@@ -5,7 +5,7 @@ import inspect
 from importlib.metadata import entry_points
 
 from lerobot_robot_pneutac.hardware.parts import PressureController
-from pneutac_sim.errors import InputError, unknown_names
+from pneutac_sim.errors import InputError, load_entry_point, unknown_names
 
 ENTRY_POINT_GROUP = "pneutac.pressure_controllers"
 
@@ -44,7 +44,7 @@ def make_pressure_controller(type: str, **options) -> PressureController:
         cls = getattr(importlib.import_module(module), name)
     else:
         (point,) = entry_points(group=ENTRY_POINT_GROUP, name=type)
-        cls = point.load()
+        cls = load_entry_point(point)
         missing = [m for m in METHODS if not callable(getattr(cls, m, None))]
         if missing:
             raise InputError(f"The pressure controller '{type}' has no method {', '.join(missing)}.")

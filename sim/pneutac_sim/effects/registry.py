@@ -23,7 +23,7 @@ from pneutac_sim.effects.body_effect import BodyEffect
 from pneutac_sim.effects.effect import STAGES, Effect
 from pneutac_sim.effects.laws import is_law, law, law_names
 from pneutac_sim.effects.sensor_effect import SensorEffect
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, load_entry_point
 
 ENTRY_POINT_GROUP = "pneutac.effects"
 
@@ -43,10 +43,7 @@ def all_effects() -> dict[str, Effect]:
     """
     found = [importlib.import_module(f"pneutac_sim.effects.{name}").EFFECT for name in BUILTIN]
     for point in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda p: p.name):
-        try:
-            effect = point.load()
-        except Exception as e:
-            raise InputError(f"Entry point '{point.name}' of {ENTRY_POINT_GROUP} does not load: {e}.") from e
+        effect = load_entry_point(point)
         if not isinstance(effect, BodyEffect | SensorEffect):
             raise InputError(
                 f"Entry point '{point.name}' of {ENTRY_POINT_GROUP} must be a BodyEffect or a SensorEffect."

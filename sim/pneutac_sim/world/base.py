@@ -98,7 +98,16 @@ class BaseWorld(ABC):
         self.workspace_m = self.station.box_m(length_mm)
         self._lift_m = self.workspace_m[0] - self.station.workspace_low_m
         carried = self.arm.body, self.arm.servos, self.station.control_hz
-        self.model = self._compiled(scene.build(self.task, self._finger_mjcf(), *carried))
+        xml = scene.build(self.task, self._finger_mjcf(), *carried)
+        try:
+            self.model = self._compiled(xml)
+        except InputError:
+            raise
+        except ValueError as e:  # of MuJoCo
+            raise InputError(
+                f"MuJoCo does not take what the task '{task}' brings ({' '.join(str(e).split())}); correct"
+                " its mjcf, assets and actuators."
+            ) from e
         self.data = mujoco.MjData(self.model)
         self._ik, self._base_m = self.arm.solver(), self.arm.base_m
         self._arm = slice(0, self.arm.joints)  # its joints and servos come first in the model

@@ -134,7 +134,7 @@ def station_file(dataset: str | Path, given: Path | None = None) -> Path | None:
     None where there is neither: it was the paper's.
     """
     left = Path(dataset) / "meta" / FILE
-    return given or (left if left.is_file() else None)
+    return given or (left if left.exists() or left.is_symlink() else None)
 
 
 def check_corner(value, name: str) -> tuple[float, float, float]:

@@ -54,8 +54,9 @@ def test_looking_writes_nothing_and_going_back_loses_nothing(folder):
         session.keep()
 
 
-def test_a_misspelt_twin_is_told_before_there_is_an_address(tmp_path, capsys):
+def test_a_misspelt_folder_is_told_before_there_is_an_address(folder, tmp_path, capsys):
     refused("no twin at", "studio", twin=tmp_path / "nothing", port=0)
+    refused("no bench recording at", "studio", twin=folder, recording=tmp_path / "nothing", port=0)
     assert capsys.readouterr().out == ""
 
 

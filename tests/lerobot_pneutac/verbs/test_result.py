@@ -41,6 +41,26 @@ def test_what_has_no_place_in_json_is_refused():
         Found().to_dict()
 
 
+def test_a_report_that_is_stopped_leaves_the_earlier_one(tmp_path):
+    class Found(Result):
+        heading, written = "first", ("twin",)
+
+        def write_more(self, folder):
+            (folder / "twin").mkdir()
+
+    class Stopped(Result):
+        def page(self):
+            raise KeyboardInterrupt
+
+    page = Found().report(tmp_path / "out")
+    before = {p: p.read_bytes() for p in (page, page.with_name("result.json"))}
+    for out in ("out", "new"):
+        with pytest.raises(KeyboardInterrupt):
+            Stopped().report(tmp_path / out)
+    assert {p: p.read_bytes() for p in before} == before
+    assert (tmp_path / "out" / "twin").is_dir() and not (tmp_path / "new").exists()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("verb", "version", "after"),

@@ -6,6 +6,7 @@ import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import httpx
 import numpy as np
@@ -137,11 +138,14 @@ def marked(root):
 
 def statistic(name, value):
     """Changes a statistic of the action."""
+    return statistics(lambda s: s[ACTION].update({name: [value] * len(s[ACTION][name])}))
 
+
+def statistics(change):
     def damage(root):
         file = root / "meta/stats.json"
         stats = json.loads(file.read_text())
-        stats[ACTION][name] = [value] * len(stats[ACTION][name])
+        change(stats)
         file.write_text(json.dumps(stats))
 
     return damage
@@ -181,6 +185,7 @@ BAD = {
     "no stats": (without("meta/stats.json"), "stats.json is missing; run `pneutac repair"),
     "stats cut": (half("meta/stats.json"), "is not valid JSON"),
     "stats of nothing": (text("meta/stats.json", "{}"), "'observation.state' lacks 'min'"),
+    "stats without images": (statistics(lambda s: s.pop(TACTILE)), "images.tactile' lacks 'min'"),
     "a mean of nan": (statistic("mean", float("nan")), "'action' has a mean outside"),
     "no data": (without("data"), "data holds no .parquet file"),
     "data pointer": (pointer(DATA), "is a Git LFS pointer"),
@@ -227,7 +232,7 @@ def test_check_says_what_the_verbs_refuse(tmp_path, bad):
     assert not any("cannot be read by LeRobot" in sentence for sentence in refused)
 
 
-REPAIRED = "5 episodes,episodes cut,no stats,from_timestamp".split(",")
+REPAIRED = "5 episodes,episodes cut,no stats,stats without images,from_timestamp".split(",")
 
 
 @pytest.mark.parametrize("bad", REPAIRED)
@@ -376,6 +381,21 @@ def test_too_few_that_did_not_fail_are_one_error(tmp_path, areas, outcomes, said
 def test_damaged_outcomes_are_one_error(tmp_path):
     root = some_failed(tmp_path / "demos", (0.1, 0.1), [1])
     with pytest.raises(InputError, match="outcomes.json is damaged"):
+        check_path(root)
+    (root / "meta" / OUTCOME_FILE).unlink()
+    (root / "meta" / OUTCOME_FILE).mkdir()
+    with pytest.raises(InputError, match="outcomes.json is damaged .*cannot be read"):
+        check_path(root)
+
+
+def test_a_folder_for_a_station_and_a_disk_too_small_are_refused(tmp_path, monkeypatch):
+    root, output = copied(tmp_path), DatasetRef("local/new", tmp_path / "new")
+    how = {"method": "naive", "episodes": 10**8}
+    monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=9e9))
+    with pytest.raises(InputError, match="which take about .* GB, and .* has 9 GB free; give at most"):
+        augment(AugmentConfig(DatasetRef("local/demos", root), output, **how))
+    (root / "meta" / "station.yaml").mkdir()
+    with pytest.raises(InputError, match="There is no file '.*station.yaml'"):
         check_path(root)
 
 

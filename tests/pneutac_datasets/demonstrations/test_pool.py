@@ -129,14 +129,28 @@ def test_a_policy_on_the_twin_has_the_twins_own_image_at_rest(tmp_path):
     assert shown["twin"] < 0.5 and shown["standin"] > 3.0, shown  # levels
 
 
+def test_a_stop_leaves_nothing_half_written(tmp_path, monkeypatch):
+    sources = [write_episodes(tmp_path / "a", [[(1, 1, 90)] * 2])]
+
+    def stop(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pneutac_datasets.demonstrations.pool.previous_actions", stop)
+    with pytest.raises(KeyboardInterrupt):
+        pool_demonstrations(sources, tmp_path / "small", "local/small")
+    assert [p.name for p in tmp_path.iterdir()] == ["a"]
+
+
 def test_bad_input_is_named(pooled, tmp_path):
     sources, _ = pooled
+    with pytest.raises(InputError, match="which is read; give another folder"):
+        pool_demonstrations(sources, sources[0] / "small", "local/small")
     with pytest.raises(InputError, match="holds no LeRobotDataset"):
         pool_demonstrations([tmp_path / "none"], tmp_path / "x", "local/x")
     with pytest.raises(InputError, match="frames per second"):
         pool_demonstrations([sources[0], write(tmp_path / "slow", 3, fps=10)], tmp_path / "y", "local/y")
     smaller = write(tmp_path / "smaller", 3, shape=(90, 70, 3))
-    with pytest.raises(InputError, match="give datasets of one sensor"):
+    with pytest.raises(InputError, match="give datasets of one sensor, arm"):
         pool_demonstrations([sources[0], smaller], tmp_path / "z", "local/z")
     small = write(tmp_path / "small", 3, shape=(80, 60, 3))
     with pytest.raises(InputError, match="already"):

@@ -391,6 +391,28 @@ def test_a_damaged_checkpoint_is_one_sentence_before_the_work(tmp_path, monkeypa
         prepare()
 
 
+@pytest.mark.parametrize(
+    ("argv", "said"),
+    [
+        (["lerobot-eval", "--env.type=pneutac"], "at 30 Hz and the robot is controlled at 15 Hz; give --env"),
+        (["lerobot-rollout", "--robot.type=pneutac_sim"], "controlled at 15 Hz; give --robot.station=FILE"),
+        (["lerobot-record", "--dataset.single_task= "], "--dataset.single_task is blank; give the instruc"),
+    ],
+)
+def test_what_lerobot_does_not_compare_is_refused_before_the_work(tmp_path, monkeypatch, argv, said):
+    make_ready_policy().save_pretrained(tmp_path / "p")
+    changed(control_hz=30)(tmp_path / "p" / "config.json")
+    (tmp_path / "station.yaml").write_text("format: pneutac-station/1\ncontrol_hz: 30\n")
+    monkeypatch.setattr(sys, "excepthook", sys.excepthook)
+    monkeypatch.setattr(sys, "argv", [*argv, f"--policy.path={tmp_path / 'p'}"])
+    with pytest.raises(SystemExit, match=said):
+        prepare()
+    fitting = f"--env.station={tmp_path / 'station.yaml'}"
+    monkeypatch.setattr(sys, "argv", ["lerobot-eval", *argv[1:], f"--policy.path={tmp_path / 'p'}", fitting])
+    if "--env.type=pneutac" in argv:
+        prepare()
+
+
 def test_weights_that_are_no_numbers_are_named(tmp_path):
     policy = make_ready_policy()
     policy.encoder.rest_image.fill_(torch.nan)  # of a policy without data

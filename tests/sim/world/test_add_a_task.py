@@ -119,6 +119,23 @@ def test_the_verbs_take_it_and_reinforcement_learning_sees_how_far_it_has_come(d
     assert env.view.seen().progress == pytest.approx(0.75)
 
 
+TASK = """
+from pneutac_sim.world.tasks.base import Task
+class Bell(Task):
+    name, description, home_m = 'bell', 'Ring.', (0.4, 0, 0.3)
+    def mjcf(self): return ''
+    def reset(self, model, data, rng): pass
+    def update(self, model, data, dt): pass
+    def success(self): return False
+"""
+
+
+def test_objects_that_mujoco_does_not_take_are_one_sentence(install):
+    install(TASK.replace("''", "'<body'"), {"bell": "bell_task:Bell"}, "bell_task")
+    with pytest.raises(InputError, match="MuJoCo does not take what the task 'bell' brings"):
+        World("bell", touch="none")
+
+
 @pytest.mark.parametrize(
     ("code", "says"),
     [
@@ -128,6 +145,12 @@ def test_the_verbs_take_it_and_reinforcement_learning_sees_how_far_it_has_come(d
             "from pneutac_sim.world.tasks.base import Task\nclass Bell(Task): name = 'gong'",
             "lacks description, home_m",
         ),
+        ("raise SystemExit('bye')", "does not load: bye; correct its package, or uninstall it"),
+        (TASK.replace("(0.4, 0, 0.3)", "(0.4, 0)"), "home_m must be finite numbers of shape"),
+        (TASK.replace("'Ring.'", "' '"), "has the description ' '"),
+        (TASK.replace("''", "None"), "gives None from mjcf"),
+        (TASK.replace("update", "go_on"), "has no method update"),
+        (TASK.replace("return ''", "1 / 0"), "fails .ZeroDivisionError"),
     ],
 )
 def test_what_is_no_task_is_one_sentence(install, code, says):

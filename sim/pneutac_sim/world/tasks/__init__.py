@@ -2,9 +2,9 @@
 
 from importlib.metadata import entry_points
 
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, finite_array, load_entry_point, shown
 from pneutac_sim.features import TASK_GROUP, task_names
-from pneutac_sim.world.tasks.base import Task
+from pneutac_sim.world.tasks.base import Goal, Task
 from pneutac_sim.world.tasks.card import CardTask
 from pneutac_sim.world.tasks.egg import EggTask
 from pneutac_sim.world.tasks.switch import SwitchTask
@@ -26,14 +26,32 @@ def make_task(name: str) -> Task:
     where = f"Entry point '{name}' of {TASK_GROUP} ({found[0].value})"
     if len(found) > 1:
         raise InputError(f"{where}: another package offers a task of that name too; rename one of them.")
-    try:
-        kind = found[0].load()
-    except Exception as e:  # whatever a module of others raises
-        raise InputError(f"{where} does not load: {e}.") from e
+    kind = load_entry_point(found[0])
     if not (isinstance(kind, type) and issubclass(kind, Task)):
         raise InputError(f"{where} must be a class that extends pneutac_sim.world.tasks.base.Task.")
     missing = [a for a in ("name", "description", "home_m") if not hasattr(kind, a)]
     if missing or kind.name != name:
-        fault = f"lacks {', '.join(missing)}" if missing else f"has the name '{kind.name}'"
+        fault = f"lacks {', '.join(missing)}" if missing else f"has the name {shown(kind.name)}"
         raise InputError(f"{where} {fault}; give the class name = '{name}', description and home_m.")
-    return kind()
+    if missing := [m for m in ("mjcf", "reset", "update", "success") if getattr(kind, m) is getattr(Task, m)]:
+        raise InputError(f"{where} has no method {', '.join(missing)}; every task needs it.")
+    try:
+        task = kind()
+        _check(task)
+    except Exception as e:  # whatever a class of others raises
+        why = str(e).rstrip(".") if isinstance(e, InputError) else f"fails ({type(e).__name__}: {e})"
+        raise InputError(f"{where} {why}; correct its class.") from e
+    return task
+
+
+def _check(task: Task) -> None:
+    """Raises InputError where a task of another package has values that no world can be built of."""
+    if not (isinstance(task.description, str) and task.description.strip()):
+        raise InputError(f"has the description {shown(task.description)}, not the instruction in words")
+    finite_array("home_m", task.home_m, (3,))
+    finite_array("starts_m", task.starts_m, (-1,))
+    if not isinstance(task.goal, Goal | None):
+        raise InputError(f"has the goal {shown(task.goal)}, neither a Goal nor None")
+    for name in ("mjcf", "assets", "actuators"):
+        if not isinstance(text := getattr(task, name)(), str):
+            raise InputError(f"gives {shown(text)} from {name}(), not a text of MJCF")
