@@ -107,6 +107,8 @@ TWINS = {
     "no device": replaced("twin.yaml", "device: finger", "gadget: finger"),
     "a negative length": replaced("twin.yaml", "length_mm: 110.0", "length_mm: -110.0"),
     "a length in words": replaced("twin.yaml", "length_mm: 110.0", "length_mm: long"),
+    "a joint before the base": replaced("twin.yaml", "mm:\n- 13.75", "mm:\n- -13.75"),
+    "a gel's light that is no number": replaced("twin.yaml", "gel: {}", "gel: {light: [.nan]}"),
     "effects as a list": replaced("twin.yaml", "effects: {}", "effects: [creep]"),
     "an effect without a value": replaced("twin.yaml", "effects: {}", "effects: {creep: {weight_4s: 0.1}}"),
     "no gain": replaced("twin.yaml", "gain_rad_per_kpa:", "curl_rad:"),

@@ -68,7 +68,9 @@ PARAMETERS = {
     "arm": (*_DRIVE, *_CHAMBERS, *_SOLID, *_MATERIAL, *_CLOCK),
     "gel": (*_DRIVE, "rest_pressure_kpa", *_SOLID, *_MATERIAL),
 }
-GEL = ("light", "depth_light", "px_per_mm", "thickness_mm", "decay_mm", "depth_scale", "threshold_levels")
+# Numbers of a gel, and the shape of each.
+GEL = {"light": (3, 2), "depth_light": (3,), "px_per_mm": (), "thickness_mm": (), "decay_mm": ()}
+GEL |= {"depth_scale": (), "threshold_levels": ()}
 
 # Fields of an entry of the history; all but the first two may be missing.
 _NUMBER = (int, float)
@@ -140,7 +142,7 @@ class Twin:
             n = {"finger": 4, "arm": 6, "gel": 0}[self.device]
             self.spine_joint_positions_mm = [self.length_mm * (i + 0.5) / n for i in range(n)]
         joints = [0.0, *self.spine_joint_positions_mm, self.length_mm]
-        if not all(a < b or n == a == 0 for n, (a, b) in enumerate(pairwise(joints))):
+        if not all(a < b or n == a == b == 0 for n, (a, b) in enumerate(pairwise(joints))):
             raise InputError(
                 f"Twin spine_joint_positions_mm is {shown(joints[1:-1])}; it must be rising numbers between 0"
                 f" and length_mm, {self.length_mm:g}."
@@ -493,6 +495,15 @@ def _effects(d, faults: list[str]) -> dict[str, dict[str, Value]]:
 
 def _gel(d, faults: list[str]) -> dict:
     faults += [f"gel: {fault}" for fault in unknown_names(_mapping(d, "gel"), GEL)]
+    for name, shape in ((n, s) for n, s in GEL.items() if n in d):
+        try:
+            numbers = np.array(d[name])
+            right = numbers.shape == shape and numbers.dtype.kind in "fi" and np.isfinite(numbers).all()
+        except ValueError:  # lists of different lengths
+            right = False
+        if not right:
+            wanted = f"finite numbers of shape {shape}" if shape else "a finite number"
+            faults.append(f"field 'gel.{name}' is {shown(d[name])}; it must be {wanted}.")
     return d
 
 

@@ -37,7 +37,7 @@ def test_round_trip_keeps_every_field(tmp_path):
     twin.parameters["gain_rad_per_kpa"] = Value(0.0123, (0.012, 0.0126))
     twin.effects["valve_lag"] = {"fill_time_s": Value(0.1, (0.08, 0.12)), "vent_time_s": Value(2.0)}
     twin.pressure_range_kpa = (-20.0, 60.0)
-    twin.gel = {"px_per_mm": 20.0, "light": [[1.0, 2.0], [3.0, 4.0]]}
+    twin.gel = {"px_per_mm": 20.0, "light": [[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]}
     twin.arrays["rest_image"] = np.random.default_rng(0).integers(0, 255, (4, 3, 3), dtype=np.uint8)
     back = Twin.load(twin.save(tmp_path / "twin"))
     assert back.parameters == twin.parameters and back.effects == twin.effects and back.gel == twin.gel

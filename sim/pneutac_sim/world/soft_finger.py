@@ -153,6 +153,7 @@ def body(twin: Twin, mount_m: float, axes: int) -> str:
     shape = f'type="cylinder" fromto="0 0 0 0 0 {mount_m}" size=".026"'
     mount = f'<geom class="skin" {shape} material="arm_dark"/>'
     base = f'<geom class="skin" type="box" pos="{s[0] / 2} 0 0" size="{s[0] / 2} {thick} {thick}"/>'
+    base *= bool(s[0])  # none where the first joint is at the base
     return (
         f'{mount}<body name="finger" pos="0 0 {mount_m}" xyaxes="0 0 1 {-c} {-c} 0">'
         f"{_inertial(links, 0, 0.0)}{base}{xml}</body>"

@@ -1,9 +1,11 @@
 """The tasks by name: the library's own, and those that other packages bring by an entry point."""
 
+import math
 from importlib.metadata import entry_points
 
 from pneutac_sim.errors import InputError, finite_array, load_entry_point, shown
 from pneutac_sim.features import TASK_GROUP, task_names
+from pneutac_sim.world.station import check_corner
 from pneutac_sim.world.tasks.base import Goal, Task
 from pneutac_sim.world.tasks.card import CardTask
 from pneutac_sim.world.tasks.egg import EggTask
@@ -48,8 +50,8 @@ def _check(task: Task) -> None:
     """Raises InputError where a task of another package has values that no world can be built of."""
     if not (isinstance(task.description, str) and task.description.strip()):
         raise InputError(f"has the description {shown(task.description)}, not the instruction in words")
-    finite_array("home_m", task.home_m, (3,))
-    finite_array("starts_m", task.starts_m, (-1,))
+    check_corner(task.home_m, "home_m")
+    finite_array("starts_m", [*task.starts_m] or [math.nan], (-1,))
     if not isinstance(task.goal, Goal | None):
         raise InputError(f"has the goal {shown(task.goal)}, neither a Goal nor None")
     for name in ("mjcf", "assets", "actuators"):
