@@ -17,7 +17,7 @@ import sys
 import textwrap
 import types
 import typing
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -176,9 +176,8 @@ def _check_outputs(config, argv: list[str]) -> None:
                 raise InputError(
                     f"--{name}={path} lies in --{source}={folder}, which is read; give another folder."
                 )
-        replaced = getattr(config, "replace", False)
-        if name == "out" and not replaced and (found := _holds(path, config, argv)):
-            raise InputError(f"--out={path} holds {found}; give another folder.")
+        if name == "out" and not getattr(config, "replace", False):
+            check_report(path, config, argv)
         mark = getattr(config, "resumed_by", "") if name == "out" else ""
         there = {p.name for p in path.iterdir()} - {LOCK} if path.is_dir() else ()
         if mark and there and mark not in there:
@@ -200,26 +199,21 @@ def check_folder(name: str, path: Path) -> None:
 HELD = {"recording.json": "a recording", "twin.yaml": "a twin", "meta/info.json": "a dataset"}
 
 
-def holds(out: Path) -> tuple[str, str]:
-    """What a folder has that no report may be mixed with, else empty; and the command of a report there."""
+def check_report(out: Path, config=None, argv: Sequence[str] = (), name: str = "--out") -> None:
+    """Raises InputError where a report in folder `out` would be mixed with or replace what is there.
+
+    What this very command wrote, `argv` of a class of options, is replaced; an earlier run goes on.
+    """
     found = next((what for file, what in HELD.items() if (out / file).is_file()), "")
     result = out / "result.json"
-    return found, "" if found or not result.is_file() else str(read_json(result).get("command", ""))
-
-
-def _holds(out: Path, config, argv: list[str]) -> str:
-    """What a report in folder `out` would be mixed with or overwrite; empty for nothing, or for its like.
-
-    That is what this very command wrote, or an earlier run that it goes on with.
-    """
-    found, command = holds(out)
-    if found:
-        return found
+    command = str(read_json(result).get("command", "")) if not found and result.is_file() else ""
     verb = " ".join(command.split()[:2])
     same = f"`{verb}`" in (type(config).__doc__ or "")
-    if not verb or same and (hasattr(config, "resumed_by") or command == f"{verb} {shlex.join(argv)}"):
-        return ""
-    return f"the report of {'another ' if same else ''}`{verb}`"
+    again = same and (hasattr(config, "resumed_by") or command == f"{verb} {shlex.join(argv)}")
+    if verb and not again:
+        found = f"the report of {'another ' if same else ''}`{verb}`"
+    if found:
+        raise InputError(f"{name}={out} holds {found}; give another folder.")
 
 
 def _paths(config, group: str = "") -> Iterator[tuple[str, Path]]:

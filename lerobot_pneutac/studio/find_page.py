@@ -4,7 +4,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from lerobot_pneutac.cli.options import holds
+from lerobot_pneutac.cli.options import check_report
 from lerobot_pneutac.reports.diagnosis import ladder, reductions, rival_rows
 from lerobot_pneutac.reports.sentences import alternatives, meaning
 from lerobot_pneutac.studio.plots import Background, show_text, table
@@ -211,10 +211,7 @@ class FindPage(Background):
             raise InputError("Diagnose first; there is nothing to write yet.")
         if out.is_file():
             raise InputError(f"folder={out} is a file; give a folder.")
-        found, command = holds(out)
-        found = found or f"the report of `{command.partition(' --')[0]}`" * bool(command)
-        if found:
-            raise InputError(f"folder={out} holds {found}; give another folder.")
+        check_report(out, name="folder")
         self._studio.say(f"Wrote {diagnosis.report(out)}.")
 
     # ---------------------------------------------------------------- what is shown

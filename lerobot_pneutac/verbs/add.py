@@ -162,7 +162,7 @@ class Addition(Result):
         if self.accepted and self.objections:
             out.append(f"[yellow]warnings of the diagnosis:[/] {'; '.join(self.objections)}")
         if self.saved_to:
-            out.append(f"wrote version {self.twin.history[-1]['version']} of {self.saved_to}")
+            out.append(f"Stored as version {self.twin.history[-1]['version']} of {self.saved_to}.")
         if self.accepted:
             out.append("Whether it holds is shown by another day's recording, to which nothing was fitted.")
         bench = [h["recording"] for h in self.twin.history if h["change"] == "calibrated"]

@@ -224,7 +224,7 @@ def command(argv: list[str], terminal: Terminal) -> None:
         n = len(found.faults)
         verdict = f"[red]{n} problem{'s' * (n > 1)}[/]" if n else "[green]good[/]"
         terminal.say(f"{escape(str(found.path))} ({found.kind}): {verdict}", markup=True)
-        for mark, sentences in (("[red]fault:[/]", found.faults), ("[yellow]note:[/]", found.notes)):
+        for mark, sentences in (("[red]problem:[/]", found.faults), ("[yellow]note:[/]", found.notes)):
             for sentence in sentences:
                 terminal.say(f"  {mark} {escape(sentence)}", markup=True)
     if faulty:

@@ -223,7 +223,8 @@ class BodyComparison(Comparison):
     def inside_band(self) -> str:
         """The coverage, which must not be None, in words."""
         share = f"{100 * self.coverage:.0f} % of the {'' if self.train is None else 'test '}values"
-        return f"{share}; about 95 % is expected, less means that the twin's intervals are too narrow"
+        less = "with less something is missing from it, or its intervals are too narrow"
+        return f"{share}; about 95 % is expected if the twin is right, {less}"
 
     @property
     def by(self) -> dict[str, list[dict]]:
@@ -243,7 +244,7 @@ class BodyComparison(Comparison):
         else:
             rows += [("test error", number(self.heldout)), ("training error", number(self.train))]
         value, how = self.noise.value, self.noise.how
-        rows.append(("noise floor", how if value is None else f"{number(value)} ({how})"))
+        rows.append(("noise floor", how if value is None else f"{number(value)}, {how}"))
         if self.coverage is not None:
             rows.append(("inside the 95 % band", self.inside_band))
         if self.pressure_error:
@@ -252,7 +253,8 @@ class BodyComparison(Comparison):
             rows.append((f"pressure error{part}", "-" if e is None else f"{e:.3g} kPa"))
         for p in self.worst[:3]:
             where = f"trial {p['trial']}, {p['from_s']:.1f} to {p['to_s']:.1f} s"
-            rows.append(("worst passage", f"{number(p['error'])} in {where} {p.get('program', '')}"))
+            program = f" ({p['program']})" if p.get("program") else ""
+            rows.append(("worst passage", f"{number(p['error'])} in {where}{program}"))
         if self.out_of_range is not None:
             rows.append(("out of the network's range", f"{100 * self.out_of_range:.2g}% of samples"))
         for v in self.history:

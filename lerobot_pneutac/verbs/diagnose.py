@@ -162,7 +162,7 @@ class Diagnosis(Result):
         return self.do_next
 
     def rows(self) -> list[dict]:
-        o, rows = self.outcome, [("before", self.before)]
+        o, rows = self.outcome, [("before, re-fitted", self.before)]
         if o.baseline is not None and o.known:
             rows.append(("with known causes", self.study.errors(o.baseline)))
         if self.selected or o.known:

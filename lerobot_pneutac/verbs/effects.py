@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from rich.table import Table
 
-from lerobot_pneutac.cli.options import check_folder, parse_options
+from lerobot_pneutac.cli.options import check_folder, check_report, parse_options
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.reports.page import AFTER, BEFORE, COMMAND, MEASURED, Report
 from lerobot_pneutac.verbs.export import Source
@@ -202,7 +202,8 @@ def units(effect: Effect) -> list[dict[str, str]]:
         share = {0: "", 1: " P"}.get(p.range_power, f" P^{p.range_power}")
         start, low, high = (f"{x:.4g}{share}" for x in (p.default, p.lower, p.upper))
         row = {"parameter": p.name, "unit": p.unit or "(a ratio)", "start of a fit": start}
-        row |= {"bounds": f"{low} to {high}", "does nothing at": f"{p.neutral:.4g}"}
+        inside = bool(p.range_power) or p.lower <= p.neutral <= p.upper
+        row |= {"bounds": f"{low} to {high}", "does nothing at": f"{p.neutral:.4g}" * inside}
         rows.append(row | {"": "held" if p.fixed else ""})
     return rows
 
@@ -241,6 +242,7 @@ def command(argv: list[str], terminal: Terminal) -> None:
     elif action == "show":
         if cfg.out is not None:
             check_folder("out", cfg.out)
+            check_report(cfg.out, cfg, argv)
         terminal.finish(show_effect(names[0]), cfg.out)
     else:
         text, out = effect_source(names[0]), cfg.out or Path(f"{file_name(names[0])}.py")

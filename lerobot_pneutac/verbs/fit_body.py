@@ -10,7 +10,7 @@ stiffness alone; it is fitted along and not taken for either.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 
@@ -175,7 +175,9 @@ def shown_by(name: str, twin: Twin, recording: Recording) -> str:
     """What would show a parameter that a recording does not identify, beyond what it has, a clause."""
     if name in (WHOLE, MODULUS):
         return WEIGHT
-    if name in ("gain_rad_per_kpa", "rest_pressure_kpa"):
+    angle, tip = recording.has("bend_angle_rad"), any(c.startswith("tip_") for c in recording.observations)
+    joints = any(c.startswith("q_") for c in recording.observations)
+    if name == "rest_pressure_kpa" or name == "gain_rad_per_kpa" and (angle or joints):
         held, span = held_kpa(recording), np.ptp(recording.commands, axis=0).max()
         if len(held) < T.ENOUGH_HOLDS or np.ptp(held, axis=0).max() < T.OF_RANGE * span:
             ends = f", from {held.min():.3g} to {held.max():.3g} kPa" if len(held) else ""
@@ -184,11 +186,13 @@ def shown_by(name: str, twin: Twin, recording: Recording) -> str:
         has = f"holds at {len(held)} pressures are there already"
         if "base_tilt" in twin.effects:
             return f"{has}, but a tilted base makes up for it: mark two points on the base and measure them"
-        return f"{has}, and the twin predicts them without it"
-    if any(c.startswith("q_") for c in recording.observations):
+        return f"{has}, and the twin predicts them as well without it"
+    if joints:
         return "record larger bends: their shape shows little at the pressures of this recording"
-    angle = " and the tip's angle (bend_angle_rad)" * (not recording.has("bend_angle_rad"))
-    return f"larger bends{angle} show it to a marker at the tip, which the twin predicts without it"
+    if not tip:
+        return "a marker at the tip shows it (tip_x_mm, tip_z_mm); the bend is predicted as well without it"
+    by = "larger bends show it" if angle else "the tip's angle (bend_angle_rad) or larger bends show it"
+    return f"{by}; the tip is predicted as well without it"
 
 
 def held_kpa(recording: Recording) -> np.ndarray:
@@ -198,20 +202,20 @@ def held_kpa(recording: Recording) -> np.ndarray:
     return step * np.unique(np.round(commands[axes.motion(recording)[1] >= T.HOLD_S] / step), axis=0)
 
 
-def unknown_parameter(name: str, row: dict) -> str:
-    """Why a recording does not identify a parameter, and what would, in two sentences.
-
-    Args:
-        name: of the parameter.
-        row: its `ci95`, `unit` and `note`, which begins with `unidentified`.
-    """
-    meaning = f" ({MEANING[name]})" if name in MEANING else ""
-    why = "Other parameters can make up for any change of it in this recording"
-    if row["ci95"]:
-        values = "Any value from {:.3g} to {:.3g}".format(*row["ci95"])
-        why = f"{values}{' ' * bool(row['unit'])}{row['unit']} fits this recording about as well"
-    remedy = str(row["note"]).partition(": ")[2]
-    return f"Not identifiable: {name}{meaning}. {why}; {remedy}."
+def unknown_parameters(rows: Mapping[str, dict]) -> str:
+    """Parameters whose `note` begins with `unidentified`, and what shows them, once for all of one remedy."""
+    by: dict[str, list[str]] = {}
+    for name, row in rows.items():
+        note = str(row["note"])
+        if note.startswith("not identifiable"):
+            values = "{:.3g} to {:.3g} {}".format(*row["ci95"], row["unit"]).strip() if row["ci95"] else ""
+            fit = f"{values} fit about as well" if values else ""
+            of = "; ".join(filter(None, (MEANING.get(name, ""), fit)))
+            by.setdefault(note.partition(": ")[2], []).append(f"{name} ({of})" if of else name)
+    return " ".join(
+        f"Not identifiable: {joined(names)}. {remedy[:1].upper()}{remedy[1:]}."
+        for remedy, names in by.items()
+    )
 
 
 LIMIT = "at the limit of its allowed range: the model is probably missing something"
@@ -251,16 +255,11 @@ class BodyCalibration(Calibration):
         """Known causes, then the one thing that a reader should know most; the report has all."""
         noted = {k: str(p["note"]) for k, p in self.parameters.items()}
         limit = [k for k, note in noted.items() if note == LIMIT]
-        unknown = [
-            unknown_parameter(name, self.parameters[name])
-            for name, note in noted.items()
-            if note.startswith("not identifiable")
-        ]
         notes = []
         if limit:
             notes.append(f"At the limit of its allowed range: {joined(limit)}. Something may be missing.")
-        if unknown:
-            notes.append(" ".join(unknown))
+        if unknown := unknown_parameters(self.parameters):
+            notes.append(unknown)
         if NO_LOAD in self.compliance:
             notes.append(self.compliance)
         return [*self._causes(), *notes[:1]]

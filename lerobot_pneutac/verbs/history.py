@@ -47,7 +47,7 @@ class TwinReport(Result):
             return f"{text}; it was never tested on data that it had not seen."
         last = tested[-1]
         error = f"{last['heldout']:.3g} {last.get('unit') or ''}".strip()
-        return f"{text}; where it was not fitted it was {error} off when last tested."
+        return f"{text}; its test error was {error} when it was last fitted."
 
     def rows(self) -> list[dict]:
         shown = {"train": "training error", "heldout": "test error"}
@@ -150,4 +150,4 @@ def command(cfg: HistoryConfig, terminal: Terminal) -> None:
     terminal.show(report(twin))
     if cfg.restore is not None:
         number = twin.history[-1]["version"]
-        terminal.say(f"wrote version {number} of {cfg.twin}, equal to version {cfg.restore}")
+        terminal.say(f"Stored version {number} of {cfg.twin}, equal to version {cfg.restore}.")

@@ -332,8 +332,8 @@ def measured_range(recording: Recording) -> tuple[float, float] | None:
 
 
 def range_sentence(pressure_range_kpa: tuple[float, float]) -> str:
-    measured = "The twin was measured from {:g} to {:g} kPa".format(*pressure_range_kpa)
-    return f"{measured}; robots and environments drive it no farther unless `pressure_range_kpa` is given."
+    goes = "The recording goes from {:g} to {:g} kPa".format(*pressure_range_kpa)
+    return f"{goes}; robots and environments drive the twin no farther unless `pressure_range_kpa` is given."
 
 
 def _outwards(value: float) -> float:

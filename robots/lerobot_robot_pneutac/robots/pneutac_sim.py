@@ -114,7 +114,10 @@ class PneutacSim(BaseRobot):
         """Builds the world and starts the first episode."""
         self.recording = None
         self._hooks.connect()
-        logger.info("Building the world; on a new machine this takes a minute, once.")
+        logger.info(
+            "Building the world; on a new machine this compiles for minutes, once. If it is stopped, what is"
+            " compiled by then stays."
+        )
         self.world = _world(self.config)
         self.world.widen_starts(self.config.start_width)
         self.world.touch.prepare()

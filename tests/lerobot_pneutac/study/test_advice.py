@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lerobot_pneutac.study.base import experiment_of
+from lerobot_pneutac.study.base import experiment_of, unidentified
 from lerobot_pneutac.study.pair import longer
-from lerobot_pneutac.verbs.fit_body import advice, held_kpa, shown_by
+from lerobot_pneutac.verbs.fit_body import advice, held_kpa, shown_by, unknown_parameters
 from pneutac_datasets.recording.noise import noise_floor
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
@@ -37,14 +37,18 @@ def test_holds_are_asked_for_only_where_there_are_few(levels):
     assert ("two points on the base" in shown_by("rest_pressure_kpa", tilted, r)) == (levels == 9)
     low = recording(9, top=8.0)
     low.samples.loc[len(low) - 1, "pressure_cmd_kpa"] = 40.0
-    assert "over the whole range (this recording has 5 such" in shown_by("gain_rad_per_kpa", TWIN, low)
+    assert "over the whole range (this recording has 5 such" in shown_by("rest_pressure_kpa", TWIN, low)
 
 
 def test_a_profile_is_shown_by_what_a_marker_at_the_tip_can_show():
-    said = shown_by("gain_alpha", TWIN, recording())
-    assert "larger bends and the tip's angle" in said and "marker at the tip" in said and "q_1" not in said
+    for name in ("gain_alpha", "gain_rad_per_kpa"):  # which make up for each other at small bends
+        said = shown_by(name, TWIN, recording())
+        assert said.startswith("the tip's angle (bend_angle_rad) or larger bends show it; the tip is")
     assert "angle" not in shown_by("gain_alpha", TWIN, recording(bend_angle_rad=[0.1, 0.2]))
     assert shown_by("gain_alpha", TWIN, recording(q_1_rad=[0.1])).startswith("record larger bends")
+    rows = {n: {"ci95": (-1.5, 1.5), "unit": "", "note": unidentified(said)} for n in ("gain_alpha", "b")}
+    told = unknown_parameters(rows)
+    assert "near the base; -1.5 to 1.5 fit about as well) and b (-1.5" in told and told.count("larger") == 1
 
 
 GAUGE = {"pressure_kpa": np.linspace(0, 40, 97)}

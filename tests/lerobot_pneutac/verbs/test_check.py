@@ -120,7 +120,7 @@ def test_the_command_tells_each_folder_and_ends_with_one_where_there_is_a_fault(
     with pytest.raises(SystemExit) as stopped:
         verb("check", str(tmp_path / "bench"), str(write_demonstrations(tmp_path / "d", (20.0, 9.0))))
     assert stopped.value.code == 1
-    assert "fault: Episode 0 commands pressures beyond" in " ".join(capsys.readouterr().out.split())
+    assert "problem: Episode 0 commands pressures beyond" in " ".join(capsys.readouterr().out.split())
     refused("is 'bench' meant", "check", str(tmp_path / "bensh"))
     (tmp_path / "notes.md").touch()
     with pytest.raises(

@@ -65,6 +65,12 @@ def test_a_report_overwrites_that_of_the_same_command_alone(lab, monkeypatch, ca
         run_verb("report", ["long", "--out=compared"])
     with pytest.raises(InputError, match="^--out=compared holds the report of another `pneutac compare`;"):
         run_verb("compare", [*compare, "--seed=3"])
+    with pytest.raises(InputError, match="^--out=compared holds the report of `pneutac compare`"):
+        run_verb("effects", ["show", "creep", "--out=compared"])
+    for _ in range(2):
+        run_verb("effects", ["show", "creep", "--out=shown"])
+    with pytest.raises(InputError, match="^--out=shown holds the report of another `pneutac effects`"):
+        run_verb("effects", ["show", "leak", "--out=shown"])
 
 
 @pytest.mark.parametrize(
