@@ -88,7 +88,7 @@ def test_record_train_eval_rollout_replay_merge(run):
 
     run(
         f"lerobot-eval --policy.path={policy} --policy.device=cpu --env.type=pneutac --env.task=switch"
-        " --env.episode_length=20 --eval.n_episodes=2 --eval.batch_size=2 --eval.use_async_envs=true"
+        " --env.episode_length=20 --eval.n_episodes=2 --eval.batch_size=2 --eval.use_async_envs=false"
         f" --output_dir={work / 'eval'}"
     )
     overall = json.loads((work / "eval/eval_info.json").read_text())["overall"]
@@ -146,6 +146,7 @@ def test_other_policies_train_and_evaluate_by_the_pages_commands(run, policy):
     outputs = run.work / policy
     shutil.copytree(ROOT / "tests/golden/recordings/demos", outputs / "switch/demos")
     trial = {"eval.n_episodes": 1, "env.episode_length": 10, "policy.device": "cpu"}
+    trial["eval.use_async_envs"] = "true"
     small = {
         "steps": 2,
         "batch_size": 2,

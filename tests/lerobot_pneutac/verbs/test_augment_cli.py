@@ -5,6 +5,8 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partialmethod
 
@@ -29,6 +31,7 @@ from pneutac_datasets.demonstrations.augment.work import Work
 from pneutac_datasets.demonstrations.episodes import POINTS, TACTILE
 from pneutac_datasets.demonstrations.record import record_episodes
 from pneutac_datasets.demonstrations.save import create_dataset
+from pneutac_sim import executor
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import locked
 from pneutac_sim.world.base import Variation
@@ -82,12 +85,21 @@ def table(root) -> tuple[np.ndarray, np.ndarray]:
     return np.stack(rows[OBS_STATE][:]), np.stack(rows[ACTION][:])
 
 
+@contextmanager
+def threads(workers):
+    """In place of a pool of processes, which would not know of few scenes."""
+    with ThreadPoolExecutor(workers) as pool:
+        yield pool
+
+
 @pytest.fixture(scope="module")
 def made(recorded, tmp_path_factory):
     """Two demonstrations, one of which is checked, by formulas in place of material points."""
     folder = tmp_path_factory.mktemp("made")
     checks = ["--check_mpm=1", f"--out={folder / 'report'}"]
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(executor, "process_pool", threads)
+        patch.setattr(run, "process_pool", threads)
         real = augment_work.checking_world
         patch.setattr(augment_work, "checking_world", lambda setup: real(setup, "probe"))
         run_verb("augment", options(recorded, folder / "more", "--episodes=2", "--seed=5", *checks))
@@ -204,8 +216,9 @@ run_verb("augment", sys.argv[1:])
 
 
 @pytest.mark.nightly
-def test_killed_and_resumed_on_ray_equals_uninterrupted(recorded, made, tmp_path):
-    out = tmp_path / "again"
+def test_killed_and_resumed_on_ray_equals_uninterrupted(recorded, tmp_path):
+    made, out = tmp_path / "made", tmp_path / "again"
+    run_verb("augment", options(recorded, made / "more", "--episodes=2", "--seed=5"))
     work = tmp_path / "again.work"
     process = subprocess.Popen(command(recorded, out), env=os.environ, stdout=subprocess.DEVNULL)
     deadline = time.monotonic() + 600  # on a busy machine
@@ -228,7 +241,7 @@ def test_killed_and_resumed_on_ray_equals_uninterrupted(recorded, made, tmp_path
             np.testing.assert_allclose(two.meta.stats[key][name], values, rtol=1e-6, atol=1e-6)
     name = "meta/provenance.jsonl"
     assert (out / name).read_text() == (made / "more" / name).read_text()
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["again"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["again", "made"]
 
 
 def test_bad_input_is_named(recorded, made, tmp_path):

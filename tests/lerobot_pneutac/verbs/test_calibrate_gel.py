@@ -177,7 +177,6 @@ def test_all_rows_of_role_calibration_count(generated, twin, tmp_path, capsys):
 @pytest.mark.parametrize(
     "name, role, rmse, contact_rmse, contact_dncc, make",
     [
-        ("digit_nagoya", "heldout", 6.2, 8.5, 0.90, "DIGIT"),
         ("digit_fots", "heldout", 8.5, 14.0, 0.92, "DIGIT"),
         ("gelsight_thu", "known_depth", 4.4, 9.5, 0.96, ""),
     ],
