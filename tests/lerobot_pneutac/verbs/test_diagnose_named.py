@@ -5,9 +5,7 @@
 `pneutac diagnose` on poor recordings: what it says it cannot tell, and what to record next.
 """
 
-import os
 import re
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -51,33 +49,6 @@ def test_a_disturbance_is_unknown_and_no_headline(bench):
     d = diagnose(twin_of(recording), recording, jobs=1)
     assert d.verdict == "unknown_effect" and not d.selected
     assert "no known effect" in d.sentence
-
-
-def real(name):
-    root = os.environ.get("PNEUTAC_DATA")
-    if not root or not (Path(root) / "soft" / name).is_dir():
-        pytest.skip("PNEUTAC_DATA is unset: no real recordings here")
-    return Recording.load(Path(root) / "soft" / name)
-
-
-@pytest.mark.nightly
-def test_real_segment_bends_by_more_than_a_gain():
-    """Its bend is no straight line in pressure: a static form says so, or a memory of one."""
-    recording = real("sopra_segment")
-    d = diagnose(twin_of(recording), recording, jobs=1)
-    bowed = {"stiffening", "gain_saturation"} & set(families(d)) or [n for n in d.selected if "p^" in n]
-    assert bowed and d.after["heldout"] < 0.5 * d.before["heldout"]
-
-
-@pytest.fixture(scope="module")
-def fabric_segment():
-    recording = real("asu_segment")
-    return diagnose(Twin("finger", recording.length_mm), recording)
-
-
-@pytest.mark.nightly
-def test_real_segment_error_is_halved(fabric_segment):
-    assert fabric_segment.after["heldout"] < 0.5 * fabric_segment.before["heldout"]
 
 
 def found(truth, folder, seed=12):

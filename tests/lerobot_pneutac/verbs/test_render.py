@@ -10,7 +10,6 @@ import av
 import numpy as np
 import pandas as pd
 import pytest
-import trimesh
 from PIL import Image
 from verbs import refused, verb
 
@@ -110,22 +109,6 @@ def test_a_press_is_refused_just_where_the_indenter_leaves_the_window(indenter):
         deepest_press(given(**at | {name: edge - 0.1}), gel)
         with pytest.raises(InputError, match=f"^{name} is .*{indenter} misses"):
             deepest_press(given(**at | {name: edge + 0.1}), gel)
-
-
-def test_an_outline_and_a_mesh_are_pressed_and_nothing_else_is_asked_of_them(tmp_path):
-    given, gel = (
-        partial(RenderConfig, "twin", size_mm=4.0, depth_mm=1.0, x_mm=0.5, y_mm=0.0),
-        GelModel.builtin(),
-    )
-    trimesh.creation.box((4, 4, 30)).export(tmp_path / "bar.stl")
-    square = deepest_press(given(indenter="outline", outline_mm="-2 -2; 2 -2; 2 2; -2 2"), gel)
-    bar = deepest_press(given(indenter="mesh", indenter_file=tmp_path / "bar.stl"), gel)
-    cube = deepest_press(given(indenter="cube"), gel)
-    for press in (square, bar):
-        np.testing.assert_allclose(press.depths(), cube.depths(), atol=1e-6)
-    for wrong in ({"indenter": "outline"}, {"indenter": "cube", "outline_mm": "0 2; 2 -1; -2 -1"}):
-        with pytest.raises(InputError, match="outline_mm come together"):
-            deepest_press(given(**wrong), gel)
 
 
 def below_surface(press) -> np.ndarray:

@@ -238,19 +238,6 @@ def test_poor_data_loads_with_a_warning(tmp_path, change, message):
     assert all((np.diff(r.column("time_s")[s]) > 0).all() for s in r.trials().values())
 
 
-def test_numbers_that_lerobot_keeps_as_vectors_of_one_entry_are_read(tmp_path):
-    t = table(80)
-    names = {"trial": "episode_index", "time_s": "timestamp", "pressure_cmd_kpa": "pressure_cmd_kpa"}
-    raw = pd.DataFrame({new: t[old] for old, new in names.items()})
-    raw["tip_z_mm"] = [np.array([v]) for v in t["tip_z_mm"]]
-    (tmp_path / "meta").mkdir()
-    (tmp_path / "data").mkdir()
-    features = {c: {"dtype": "float32", "shape": [1], "names": None} for c in raw}
-    (tmp_path / "meta" / "info.json").write_text(json.dumps({"features": features}))
-    raw.to_parquet(tmp_path / "data" / "file-000.parquet")
-    np.testing.assert_allclose(Recording.load(tmp_path).column("tip_z_mm"), t["tip_z_mm"])
-
-
 def test_starts_and_times_sent_survive_a_round_trip_and_the_loss_of_trials(tmp_path):
     started = {
         "0": {"start": "rested"},
