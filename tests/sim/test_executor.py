@@ -91,7 +91,7 @@ def test_a_fault_is_one_sentence_and_the_same_call_goes_on(tmp_path, fault, sent
     assert made.items() <= {f: f.stat().st_mtime_ns for f in tmp_path.glob("*.txt")}.items()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly  # every day: on this machine, above
 def test_a_lost_process_of_a_job_of_slurm_is_one_sentence_too(tmp_path, cluster):
     (tmp_path / "kill_1").touch()
     options = ExecutorOptions(executor="slurm", tasks_per_job=2, executor_config=cluster)
