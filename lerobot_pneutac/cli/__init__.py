@@ -165,8 +165,7 @@ def run_verb(verb: str, argv: list[str]) -> None:
         command(argv, terminal)
     else:
         options = parse_options(options_class(verb), argv, f"{VERBS[verb]}.")
-        alone = hasattr(options, "resumed_by")  # goes on with what lies in its folder
-        with locked(options.out, wait_s=0.0) if alone else nullcontext():
+        with locked(options.out, wait_s=0.0) if hasattr(options, "resumed_by") else nullcontext():
             command(options, terminal)
 
 

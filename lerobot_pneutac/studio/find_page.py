@@ -212,7 +212,7 @@ class FindPage(Background):
         if out.is_file():
             raise InputError(f"folder={out} is a file; give a folder.")
         check_report(out, name="folder")
-        self._studio.say(f"Wrote {diagnosis.report(out)}.")
+        self._studio.say(f"Wrote {diagnosis.stored_in(out).report(out)}.")
 
     # ---------------------------------------------------------------- what is shown
 

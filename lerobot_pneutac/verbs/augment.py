@@ -280,18 +280,6 @@ def other_sensor(meta: "LeRobotDatasetMetadata", sensor: "TactileSensor") -> str
     return f"{meta.root}: {pixels} {why}; {remedy}."
 
 
-def _check_room(recorded: Recorded, config: AugmentConfig) -> None:
-    """Raises InputError where the disk has no room for the new demonstrations, as large as the recorded."""
-    size = sum(file.stat().st_size for file in recorded.folder.rglob("*") if file.is_file())
-    needed = PLACES * size / len(recorded.episodes) * config.episodes
-    folder = next(p for p in config.output.root.absolute().parents if p.exists())
-    if needed > (free := shutil.disk_usage(folder).free):
-        raise InputError(
-            f"episodes is {config.episodes}, which take about {needed / 1e9:.3g} GB, and {folder} has"
-            f" {free / 1e9:.3g} GB free; give at most {int(config.episodes * free / needed)}."
-        )
-
-
 def augment(
     config: AugmentConfig, progress: Progress = no_progress, note: Callable[[str], None] = lambda _: None
 ) -> Augmentation:
@@ -336,7 +324,14 @@ def augment(
         note(other)
     for sentence in recorded.set_aside():
         note(sentence)
-    _check_room(recorded, config)
+    size = sum(file.stat().st_size for file in recorded.folder.rglob("*") if file.is_file())
+    needed = PLACES * size / len(recorded.episodes) * config.episodes
+    folder = next(p for p in config.output.root.absolute().parents if p.exists())
+    if needed > (free := shutil.disk_usage(folder).free):
+        raise InputError(
+            f"episodes is {config.episodes}, which take about {needed / 1e9:.3g} GB, and {folder} has"
+            f" {free / 1e9:.3g} GB free; give at most {int(config.episodes * free / needed)}."
+        )
     out = NewDataset(
         config.output.root,
         config.output.repo_id,

@@ -231,10 +231,6 @@ class Diagnosis(Result):
             self.write_more(part)
         return self.stored_in(folder)
 
-    def report(self, out: str | Path, command: str = "") -> Path:
-        """As of every result, with the twins that `save` writes."""
-        return super(Diagnosis, self.stored_in(out)).report(out, command)
-
     def page(self) -> Report:
         from lerobot_pneutac.reports.diagnosis import diagnosis_page
 

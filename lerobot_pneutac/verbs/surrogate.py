@@ -6,8 +6,6 @@ Trajectories and contacts are collected one by one into the twin's folder, so th
 import shlex
 import shutil
 import time
-from collections.abc import Sequence
-from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -20,7 +18,7 @@ from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.wording import an
 from pneutac_sim.errors import InputError, check_between, check_choice, refuse_given
 from pneutac_sim.executor import ExecutorOptions
-from pneutac_sim.files import locked, whole, write_text
+from pneutac_sim.files import whole, write_text
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.surrogate.finger import builtin, fits
 from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
@@ -123,15 +121,7 @@ def train_networks(config: SurrogateConfig, twin: Twin, progress: Progress = no_
         of = f"{folder} is the twin of {an(twin.device)}, but the networks are of a finger and the gel on it"
         raise InputError(f"{of}; give a finger's twin.")
     config.check()
-    missing = config.to_train(twin)
-    with locked(folder / DATA, wait_s=0.0) if missing else nullcontext():
-        return _trained(config, twin, missing, progress)
-
-
-def _trained(
-    config: SurrogateConfig, twin: Twin, missing: Sequence[str], progress: Progress
-) -> TrainedNetworks:
-    networks, folder = {}, Path(config.twin)
+    networks, missing = {}, config.to_train(twin)
     for name in NETWORKS:
         file, start = folder / f"{name}.safetensors", time.perf_counter()
         if name not in missing:

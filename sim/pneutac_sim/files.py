@@ -336,9 +336,7 @@ def together(folder: Path, names: Iterable[str] = ()) -> Iterator[Path]:
     """Gives an empty folder, whose files and folders take their places in `folder` together at the end.
 
     A stop leaves all that was there before, or all that is new. Of `names` those go that are not written
-    anew, so that nothing of an earlier run lies next to what it does not belong to.
-
-    Raises InputError where it cannot be written, or no space is left.
+    anew, so that nothing of an earlier run lies next to what it does not belong to. Raises as `whole`.
     """
     made = [p for p in (folder, *folder.parents) if not p.exists()]
     with _space(folder):

@@ -496,12 +496,9 @@ def _effects(d, faults: list[str]) -> dict[str, dict[str, Value]]:
 def _gel(d, faults: list[str]) -> dict:
     faults += [f"gel: {fault}" for fault in unknown_names(_mapping(d, "gel"), GEL)]
     for name, shape in ((n, s) for n, s in GEL.items() if n in d):
-        try:
-            numbers = np.array(d[name])
-            right = numbers.shape == shape and numbers.dtype.kind in "fi" and np.isfinite(numbers).all()
-        except ValueError:  # lists of different lengths
-            right = False
-        if not right:
+        numbers = np.array(d[name], object)
+        right = numbers.shape == shape
+        if not (right and all(type(x) in _NUMBER and math.isfinite(x) for x in numbers.flat)):
             wanted = f"finite numbers of shape {shape}" if shape else "a finite number"
             faults.append(f"field 'gel.{name}' is {shown(d[name])}; it must be {wanted}.")
     return d

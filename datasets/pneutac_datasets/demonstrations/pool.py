@@ -30,7 +30,7 @@ from pneutac_datasets.demonstrations.episodes import (
 from pneutac_datasets.demonstrations.info import Files, check_new
 from pneutac_datasets.demonstrations.save import create_dataset, written
 from pneutac_sim.errors import InputError
-from pneutac_sim.files import inside, whole
+from pneutac_sim.files import whole
 
 
 def pool_demonstrations(sources: list[Path], out: str | Path, repo_id: str) -> Path:
@@ -42,8 +42,6 @@ def pool_demonstrations(sources: list[Path], out: str | Path, repo_id: str) -> P
     check_new(Path(out), repo_id)
     for root in sources:
         Files(root).refuse_damaged()
-        if inside(root, Path(out)):
-            raise InputError(f"out={out} lies in '{root}', which is read; give another folder.")
     metas = [LeRobotDatasetMetadata(f"local/{Path(root).name}", root) for root in sources]
     features = demonstration_features(metas[0])
     size = tuple(features[TACTILE]["shape"])
@@ -73,20 +71,16 @@ def pool_demonstrations(sources: list[Path], out: str | Path, repo_id: str) -> P
     with whole(Path(out)) as part:
         new = create_dataset(repo_id, part, metas[0].fps, features, metas[0].robot_type, False, 1)
         with written(new):
-            _copy(metas, new)
+            for meta in metas:
+                with readable(meta.root):
+                    source = LeRobotDataset(meta.repo_id, root=meta.root)
+                for index in range(meta.total_episodes):
+                    with readable(meta.root):
+                        e = load_episode(source, index)
+                    e.images = np.concatenate([_means(image) for image in e.images])
+                    e.state, e.action = (x.astype(np.float32) for x in (e.state, e.action))
+                    save_episode(new, e, {PREVIOUS_ACTION: previous_actions(e)})
     return Path(out)
-
-
-def _copy(metas: list[LeRobotDatasetMetadata], new: LeRobotDataset) -> None:
-    for meta in metas:
-        with readable(meta.root):
-            source = LeRobotDataset(meta.repo_id, root=meta.root)
-        for index in range(meta.total_episodes):
-            with readable(meta.root):
-                e = load_episode(source, index)
-            e.images = np.concatenate([_means(image) for image in e.images])
-            e.state, e.action = (x.astype(np.float32) for x in (e.state, e.action))
-            save_episode(new, e, {PREVIOUS_ACTION: previous_actions(e)})
 
 
 def _means(image: np.ndarray) -> np.ndarray:

@@ -311,8 +311,9 @@ class PneutacBCPolicy(PreTrainedPolicy):
             sizes = [file.get_slice(k).get_shape()[0] for k in SCALES if k in file.keys()]
             inputs = file.get_slice(FIRST).get_shape()[1] if FIRST in file.keys() else None
         if other:
+            which = ", ".join(other[:3]) + ", ..." * (len(other) > 3)
             raise InputError(
-                f"'{model_file}' does not hold the weights of this policy (differs in {', '.join(other)});"
+                f"'{model_file}' does not hold the weights of this policy (differs in {which});"
                 " its use_tactile or networks were others, or another version trained it: train again."
             )
         now = [len(model.state_dict()[k]) for k in SCALES]

@@ -6,7 +6,7 @@ from importlib.metadata import entry_points
 from pneutac_sim.errors import InputError, finite_array, load_entry_point, shown
 from pneutac_sim.features import TASK_GROUP, task_names
 from pneutac_sim.world.station import check_corner
-from pneutac_sim.world.tasks.base import Goal, Task
+from pneutac_sim.world.tasks.base import Task
 from pneutac_sim.world.tasks.card import CardTask
 from pneutac_sim.world.tasks.egg import EggTask
 from pneutac_sim.world.tasks.switch import SwitchTask
@@ -52,8 +52,6 @@ def _check(task: Task) -> None:
         raise InputError(f"has the description {shown(task.description)}, not the instruction in words")
     check_corner(task.home_m, "home_m")
     finite_array("starts_m", [*task.starts_m] or [math.nan], (-1,))
-    if not isinstance(task.goal, Goal | None):
-        raise InputError(f"has the goal {shown(task.goal)}, neither a Goal nor None")
     for name in ("mjcf", "assets", "actuators"):
         if not isinstance(text := getattr(task, name)(), str):
             raise InputError(f"gives {shown(text)} from {name}(), not a text of MJCF")
