@@ -92,8 +92,9 @@ def longer(recording: Recording) -> str:
     if minutes >= T.ENOUGH_MIN:
         rate = len(recording) / (60 * minutes)
         return f"Record faster: {minutes:.0f} minutes are enough, at 10 rows a second and not at {rate:.2g}."
-    has = f" (this recording has {minutes:.2g})"
-    return f"Record ten minutes{has} with steps, slow and fast ramps and long holds, in several trials."
+    has = f"{minutes:.2g} minutes" if minutes >= 1 else f"{60 * minutes:.2g} s"
+    what = "steps, slow and fast ramps and long holds, in several trials"
+    return f"Record ten minutes with {what} (this recording has {has})."
 
 
 def load_pair(
