@@ -36,7 +36,6 @@ SCENE = ("twin", "fidelity", "conditions", "station", "planner", "attempts", "de
 MOST_START_M, MOST_REAL = 0.1, 0.9
 MOST_ELSEWHERE = 0.05  # share of the pixels that differ from the twin's image at rest; more is noted
 FEW_ATTEMPTS, FEW_WORKED = 20, 0.15  # with demonstrations of the same finger 17 % or more do the task
-PLACES = 2  # where a demonstration lies until all are made: the work folder and the dataset
 REAL_SHARE = 0.25  # of the frames, with which ten and a hundred new ones were trained best
 
 
@@ -325,7 +324,7 @@ def augment(
     for sentence in recorded.set_aside():
         note(sentence)
     size = sum(file.stat().st_size for file in recorded.folder.rglob("*") if file.is_file())
-    needed = PLACES * size / len(recorded.episodes) * config.episodes
+    needed = 2 * size / len(recorded.episodes) * config.episodes  # in the work folder and the dataset
     folder = next(p for p in config.output.root.absolute().parents if p.exists())
     if needed > (free := shutil.disk_usage(folder).free):
         raise InputError(

@@ -68,9 +68,8 @@ PARAMETERS = {
     "arm": (*_DRIVE, *_CHAMBERS, *_SOLID, *_MATERIAL, *_CLOCK),
     "gel": (*_DRIVE, "rest_pressure_kpa", *_SOLID, *_MATERIAL),
 }
-# Numbers of a gel, and the shape of each.
 GEL = {"light": (3, 2), "depth_light": (3,), "px_per_mm": (), "thickness_mm": (), "decay_mm": ()}
-GEL |= {"depth_scale": (), "threshold_levels": ()}
+GEL |= {"depth_scale": (), "threshold_levels": ()}  # the shape of each
 
 # Fields of an entry of the history; all but the first two may be missing.
 _NUMBER = (int, float)

@@ -47,7 +47,6 @@ def make_task(name: str) -> Task:
 
 
 def _check(task: Task) -> None:
-    """Raises InputError where a task of another package has values that no world can be built of."""
     if not (isinstance(task.description, str) and task.description.strip()):
         raise InputError(f"has the description {shown(task.description)}, not the instruction in words")
     check_corner(task.home_m, "home_m")
