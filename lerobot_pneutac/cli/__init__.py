@@ -13,9 +13,11 @@ import inspect
 import multiprocessing
 import os
 import re
+import shutil
 import signal
 import sys
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 # verb -> what it does
@@ -155,7 +157,7 @@ def run_verb(verb: str, argv: list[str]) -> None:
     """Runs a command with its arguments; raises InputError where they are bad."""
     from lerobot_pneutac.cli.options import parse_options
     from lerobot_pneutac.cli.terminal import Terminal
-    from pneutac_sim.files import check_new, locked
+    from pneutac_sim.files import check_new
 
     if verb == "measure":  # its options need LeRobot, which takes ten seconds to import
         for out in (a.partition("=")[2] for a in argv if re.match("--out=.", a)):
@@ -165,8 +167,24 @@ def run_verb(verb: str, argv: list[str]) -> None:
         command(argv, terminal)
     else:
         options = parse_options(options_class(verb), argv, f"{VERBS[verb]}.")
-        with locked(options.out, wait_s=0.0) if hasattr(options, "resumed_by") else nullcontext():
+        with _alone(options.out) if hasattr(options, "resumed_by") else nullcontext():
             command(options, terminal)
+
+
+@contextmanager
+def _alone(out: Path) -> Iterator[None]:
+    """One process at a time; where the command is refused before it writes, no folder is left."""
+    from pneutac_sim.errors import InputError
+    from pneutac_sim.files import LOCK, locked
+
+    new = not out.exists()
+    try:
+        with locked(out, wait_s=0.0):
+            yield
+    except InputError:
+        if new and {p.name for p in out.iterdir()} <= {LOCK}:
+            shutil.rmtree(out)
+        raise
 
 
 def options_class(command: str) -> type | None:

@@ -135,6 +135,7 @@ def twin_of(recording: Path, folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_slider_bends_the_finger_for_all_who_look(browser, tmp_path):
     twin = Twin.builtin().save(tmp_path / "finger")

@@ -13,6 +13,7 @@ from functools import partialmethod
 import numpy as np
 import pandas as pd
 import pytest
+from filelock import FileLock
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata, merge_datasets
 from lerobot.utils.constants import ACTION, OBS_STATE
 
@@ -33,7 +34,7 @@ from pneutac_datasets.demonstrations.record import record_episodes
 from pneutac_datasets.demonstrations.save import create_dataset
 from pneutac_sim import executor
 from pneutac_sim.errors import InputError
-from pneutac_sim.files import locked
+from pneutac_sim.files import LOCK
 from pneutac_sim.world.base import Variation
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.world import World
@@ -254,7 +255,8 @@ def test_bad_input_is_named(recorded, made, tmp_path):
         with pytest.raises(InputError, match="finds no CUDA device here; give cpu"):
             AugmentConfig(DatasetRef("a", recorded), DatasetRef("b", tmp_path / "o"), device="cuda")
     refused(f"--output.root={made / 'more'}", match="exists; give a new folder")
-    with locked(tmp_path / "o.work"):
+    (tmp_path / "o.work").mkdir()
+    with FileLock(tmp_path / "o.work" / LOCK):  # as another process holds it
         refused(match="Another command is writing into '.*o.work'; wait for it and repeat")
     features = LeRobotDatasetMetadata("local/demos", recorded).features
     ours = {k: features[k] for k in (OBS_STATE, ACTION, TACTILE)}

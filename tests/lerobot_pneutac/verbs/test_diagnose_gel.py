@@ -84,6 +84,7 @@ def test_nothing_is_found_where_nothing_is_hidden(tmp_path, capsys):
     assert "Nothing is missing" in capsys.readouterr().out
 
 
+@pytest.mark.nightly
 def test_too_few_images_are_no_verdict_and_the_sentence_says_how_many_it_takes(tmp_path, capsys):
     recording = once(write_hidden_gel, tmp_path / "recording", ["shadow"], images=5)
     found = run("diagnose", tmp_path / "d", linear_twin(tmp_path / "twin", recording), recording)

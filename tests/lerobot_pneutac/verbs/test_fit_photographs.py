@@ -108,6 +108,7 @@ def calibrated(drawn, tmp_path_factory):
     return folder, calibrate(config(folder, drawn, out=folder / "out"), folder, Console(quiet=True))
 
 
+@pytest.mark.nightly
 def test_a_finger_is_calibrated_and_told(calibrated):
     folder, result = calibrated
     out = folder / "out"

@@ -68,9 +68,9 @@ def test_a_report_overwrites_that_of_the_same_command_alone(lab, monkeypatch, ca
     with pytest.raises(InputError, match="^--out=compared holds the report of `pneutac compare`"):
         run_verb("effects", ["show", "creep", "--out=compared"])
     for _ in range(2):
-        run_verb("effects", ["show", "creep", "--out=shown"])
-    with pytest.raises(InputError, match="^--out=shown holds the report of another `pneutac effects`"):
-        run_verb("effects", ["show", "leak", "--out=shown"])
+        run_verb("effects", ["show", "creep", "--out=effect"])
+    with pytest.raises(InputError, match="^--out=effect holds the report of another `pneutac effects`"):
+        run_verb("effects", ["show", "leak", "--out=effect"])
 
 
 @pytest.mark.parametrize(

@@ -118,7 +118,7 @@ def test_the_page_tells_history_effects_and_numbers_and_needs_nothing_else(folde
     before = (folder / "twin.yaml").read_bytes()
     verb("report", str(folder), out=tmp_path / "out")
     page = (tmp_path / "out" / "report.html").read_text()
-    assert "0.61 mm off" in page and "added creep" in page and "gain_rad_per_kpa" in page
+    assert "its test error was 0.61 mm" in page and "added creep" in page and "gain_rad_per_kpa" in page
     assert 'src="http' not in page and (folder / "twin.yaml").read_bytes() == before
     found = report(Twin.load(folder)).to_dict()
     assert [e["heldout"] for e in found["history"]] == [2.2, 0.61] and found["effects"] == ["creep"]

@@ -156,6 +156,7 @@ def test_heldout_indenters_are_never_trained_on(tmp_path, quick):
     assert len(train) + len(check) + len(unseen) == 40 and not {map(id, train)} & {map(id, check)}
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_another_gels_network_to_begin_with_is_kept_where_nothing_is_better(tmp_path, quick, builtin):
     gel_collect.collect_gel(Twin.builtin(), tmp_path, 12)
