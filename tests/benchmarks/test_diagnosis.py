@@ -100,6 +100,7 @@ def test_truths_are_what_applies_to_each_device():
         truths.cases(BenchmarkDiagnosisConfig(effects=("cooking",)))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("truth", "out"), [("leak", COUNTS["leak"])])
 def test_lines_and_parts_of_the_base_are_taken_out_too(truth, out, tmp_path, monkeypatch):
     """What a search would try, without running it: nothing that counts as the truth's own physics."""

@@ -47,6 +47,7 @@ def robot(twin):
     robot.disconnect()
 
 
+@pytest.mark.nightly
 def test_the_finger_bends_as_commanded_in_spite_of_lag_and_creep(robot):
     assert list(robot.action_features) == list(BEND_NAMES)
     low, high = robot._bend._control.reach_rad

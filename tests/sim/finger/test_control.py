@@ -135,6 +135,7 @@ def test_another_finger_follows_three_times_better_once_its_effects_are_found(fo
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_a_measured_bend_corrects_it_and_a_push_is_told_within_a_tenth_of_a_second(found):
     hz, rng = 50, np.random.default_rng(0)
     control, bench, errors, alarms = BendController(found, 1 / hz), Bench(hz), [], 0
