@@ -182,7 +182,7 @@ def _alone(out: Path) -> Iterator[None]:
         with locked(out, wait_s=0.0):
             yield
     except InputError:
-        if new and {p.name for p in out.iterdir()} <= {LOCK}:
+        if new and out.is_dir() and {p.name for p in out.iterdir()} <= {LOCK}:
             shutil.rmtree(out)
         raise
 

@@ -240,7 +240,7 @@ def change_break(study: EffectStudy, rows: np.ndarray, found: Scored) -> Break |
     at = _change(study, found)
     if at is None:
         return None
-    # What differs between two loads may be what a load does: a change is told within one.
+    # What differs between two loads may be what a load does: a change of the device shows within one.
     load = conditions(study.recording, ("payload_g",))[rows]
     both = np.isin(load, np.intersect1d(load[:at], load[at:]))
     if not both.any():

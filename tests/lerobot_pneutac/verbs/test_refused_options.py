@@ -10,7 +10,7 @@ import pytest
 from generated import once
 from snapshots import Sentences
 
-from lerobot_pneutac.cli import run_verb
+from lerobot_pneutac.cli import _alone, run_verb
 from lerobot_pneutac.verbs.new import new_twin
 from pneutac_datasets.generate.gel import write_gel_recording
 from pneutac_sim.errors import InputError
@@ -98,3 +98,9 @@ def test_new_says_where_a_recording_gives_the_geometry_alone(lab, monkeypatch, c
     Path("two.csv").write_text(f"trial,time_s,pressure_cmd_kpa,bend_angle_rad\n{rows}\n")
     run_verb("new", shlex.split("--twin=two --recording=two.csv --length_mm=90 --yes"))
     assert "nothing can be fitted to it: two.recording/samples.csv has 2 rows" in capsys.readouterr().out
+
+
+def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="o cannot be written"), _alone(tmp_path / "file" / "o"):
+        pass
