@@ -5,140 +5,24 @@ import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.reports.page import SERIES, Report
 from lerobot_pneutac.verbs.result import Result
-from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
-from pneutac_datasets.demonstrations.augment.reference import Reference, onset_sigma_m
-from pneutac_datasets.demonstrations.faults import TACTILE, Recorded
+from pneutac_datasets.demonstrations.augment.options import AugmentConfig, DatasetRef  # noqa: F401
+from pneutac_datasets.demonstrations.augment.reference import Reference, onset_sigma_m, read_references
+from pneutac_datasets.demonstrations.faults import Recorded
 from pneutac_datasets.recording.wording import plural
-from pneutac_sim.errors import InputError, check_between, check_choice, check_least, refuse_given
-from pneutac_sim.executor import ExecutorOptions, check_device
-from pneutac_sim.features import FIDELITIES, VELOCITY_NAMES, Places, task_names
+from pneutac_sim.errors import InputError
+from pneutac_sim.features import VELOCITY_NAMES, Places
 from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.base import MOST_WIDE
-from pneutac_sim.world.checks import check_bends, check_world
 from pneutac_sim.world.station import Station, station_file
 
-if TYPE_CHECKING:
-    from lerobot.datasets import LeRobotDatasetMetadata
-
-    from pneutac_sim.gel.sensor import TactileSensor
-
-METHODS = ("library", "expert", "planner", "naive")
-SCENE = ("twin", "fidelity", "conditions", "station", "planner", "attempts", "device")  # not of naive ones
-MOST_START_M, MOST_REAL = 0.1, 0.9
-MOST_ELSEWHERE = 0.05  # share of the pixels that differ from the twin's image at rest; more is noted
 FEW_ATTEMPTS, FEW_WORKED = 20, 0.15  # with demonstrations of the same finger 17 % or more do the task
-REAL_SHARE = 0.25  # of the frames, with which ten and a hundred new ones were trained best
-
-
-@dataclass
-class DatasetRef:
-    """A LeRobotDataset."""
-
-    repo_id: str  # name of the dataset
-    root: Path  # folder of the dataset
-
-
-@dataclass
-class AugmentConfig(ExecutorOptions):
-    """Options of `pneutac augment`."""
-
-    dataset: DatasetRef  # recorded demonstrations
-    output: DatasetRef  # new demonstrations, whose folder must not exist
-    # the task in front of the robot, such as `switch`; if omitted, the one that the demonstrations'
-    # instruction names
-    task: str = ""
-    # `library` (a controller made of the demonstrations, which starts near recorded starts and finds the
-    # object by touch), `expert` (the scripted controller that the task brings), `planner` (each is planned,
-    # guided by one demonstration's touch; `tactile` is its former name), or `naive` (varied without a
-    # simulator; looks at dataset, output, episodes and seed alone)
-    method: str = "library"
-    episodes: int = 100  # number of new demonstrations
-    seed: int = 0  # seed of every random choice
-    twin: Path | None = None  # folder of the finger's twin; if omitted, the built-in one
-    # way in which finger and gel deform where the plans are carried out: `surrogate`, by networks, `mpm`, by
-    # material points, or `probe`, by formulas; plans are made with the same, those for material points with
-    # formulas
-    fidelity: str = "surrogate"
-    # values that the twin's effects ask for, such as {temperature_c: 28}; every demonstration draws from a
-    # range [low, high]
-    conditions: dict[str, float | list[float]] = field(default_factory=dict)
-    # file `station.yaml` of arm, workspace, mount and control rate in which they were recorded; if omitted,
-    # the one that their robot left in them, or the paper's
-    station: Path | None = None
-    planner: PlannerConfig = field(default_factory=PlannerConfig)  # its horizon, samples and weights
-    # half widths in m along x, y and z of the starts of `library` and `expert` around recorded starts; if
-    # omitted, the standard deviation of the recorded starts, 0.004 at least
-    start_range: tuple[float, float, float] | None = None
-    # how much wider than the task's own the objects stand, 0 to 2, as --robot.start_width of the recording
-    start_width: float = 0.0
-    # share of the frames that are to be recorded ones; as many copies of the demonstrations are added, so
-    # that `lerobot-train` mixes them. If omitted, 0.25 with `library` and `expert` and 0 with the others
-    real_share: float | None = None
-    attempts: int = 30  # number of variants tried for one demonstration before giving up
-    # number of the new demonstrations that are carried out once more by material points; how far they agree
-    # goes into the report. Each takes minutes
-    check_mpm: int = 0
-    device: str = "cpu"  # `cpu`, a world a process, or `cuda`, many worlds on a GPU, of `library` alone
-    worlds: int = 1024  # that are stepped together on a GPU
-    out: Path | None = None  # folder for `report.html` and `result.json`
-
-    def __post_init__(self):
-        if self.task:
-            check_choice("task", self.task, task_names())
-        self.method = "planner" if self.method == "tactile" else self.method
-        check_choice("method", self.method, METHODS)
-        anywhere = self.method in ("library", "expert")
-        for name in ("start_range", "start_width"):
-            if getattr(self, name) and not anywhere:
-                raise InputError(f"{name} is of library and expert, not of {self.method}; leave it out.")
-        if self.device == "cpu":
-            refuse_given(self, ("worlds",), "is of --device=cuda")
-        if not all(0 <= x <= MOST_START_M for x in self.start_range or ()):
-            raise InputError(f"start_range must be three numbers of 0 to {MOST_START_M} m.")
-        if not 0 <= self.start_width <= MOST_WIDE:
-            raise InputError(f"start_width is {self.start_width:g}; it must be from 0 to {MOST_WIDE:g}.")
-        if anywhere and self.planner != PlannerConfig():
-            raise InputError(f"planner has options that {self.method} does not use; give method=planner.")
-        if self.real_share is None:
-            self.real_share = REAL_SHARE if anywhere else 0.0
-        if not 0 <= self.real_share <= MOST_REAL or (self.real_share and self.method == "naive"):
-            raise InputError(f"real_share must be 0 to {MOST_REAL:g}, and 0 with naive.")
-        check_choice("fidelity", self.fidelity, FIDELITIES)
-        self.check_executor()
-        check_least(1, episodes=self.episodes, attempts=self.attempts, worlds=self.worlds)
-        check_choice("device", self.device, ("cpu", "cuda"))
-        if self.device != "cpu":
-            self._check_device()
-        check_between(0, self.episodes, check_mpm=self.check_mpm)
-        if self.check_mpm and self.method == "naive":
-            raise InputError("check_mpm carries demonstrations out; naive ones have no scene; leave it out.")
-        if self.check_mpm and self.fidelity == "mpm":
-            raise InputError("check_mpm compares with what fidelity=mpm is already; leave it out.")
-        if self.method == "naive":
-            refuse_given(self, SCENE, "is of a simulated scene, which method=naive does without")
-        twin = Twin.load(self.twin) if self.twin else Twin.builtin()
-        if self.method != "naive":
-            check_world(twin, self.fidelity, self.conditions)
-            if self.check_mpm:
-                check_bends(twin, "mpm")
-        if self.station is not None:
-            Station.load(self.station).make_arm()
-
-    def _check_device(self) -> None:
-        for name, only in (("method", "library"), ("executor", "local")):
-            if (value := getattr(self, name)) != only:
-                raise InputError(f"device=cuda is of {name}={only}, not of {value}; leave one out.")
-        check_device(self.device)
-        import pneutac_sim.world.batch  # noqa: F401  refuses where MuJoCo Warp is not installed
 
 
 @dataclass(frozen=True)
@@ -252,33 +136,6 @@ class Augmentation(Result):
         return report
 
 
-def other_sensor(meta: "LeRobotDatasetMetadata", sensor: "TactileSensor") -> str:
-    """A sentence where the twin's gel does not look at rest like that of the demonstrations; else empty.
-
-    A policy has one image at rest: what differs from it looks like a touch. Raises InputError where they are
-    of another kind of sensor, or turned.
-    """
-    import torch
-
-    from lerobot_robot_pneutac.policy.tactile_encoder import SAME_SENSOR, likeness, rest_image_of
-    from pneutac_sim.gel.contact import contact_area, quieted
-
-    rest = rest_image_of(meta)
-    like = likeness(rest, torch.from_numpy(sensor.rest_image.copy()).permute(2, 0, 1) / 255)
-    image = (255 * rest).round().byte().permute(1, 2, 0).contiguous().numpy()
-    if like is not None and like < SAME_SENSOR:
-        how = f"correlation {like:.2f} with its image at rest, {SAME_SENSOR:g} needed"
-        what = f"the first images of '{TACTILE}' are not of the twin's kind of sensor, or turned ({how})"
-        raise InputError(f"{meta.root}: {what}; give --twin of the sensor that recorded them.")
-    share = contact_area(quieted(image), quieted(sensor.rest_image), sensor.model.threshold_levels).area
-    if share <= MOST_ELSEWHERE:
-        return ""
-    pixels = f"before a touch {100 * share:.0f} % of the pixels of '{TACTILE}' differ from the twin's image"
-    why = "at rest, so that a policy trained on both takes one of the two for touched"
-    remedy = "calibrate the twin's gel (pneutac calibrate), or give --twin of that sensor"
-    return f"{meta.root}: {pixels} {why}; {remedy}."
-
-
 def augment(
     config: AugmentConfig, progress: Progress = no_progress, note: Callable[[str], None] = lambda _: None
 ) -> Augmentation:
@@ -291,25 +148,20 @@ def augment(
         InputError: a dataset cannot be read or exists, names no task, is of another task or sensor, fewer
             than two demonstrations have not failed, or too few variants succeed.
     """
-    from pneutac_datasets.demonstrations.info import check_new
+    from pneutac_datasets.demonstrations.info import check_new, task_to_do
 
     check_new(config.output.root, config.output.repo_id)  # before imports that take seconds
     recorded = Recorded(config.dataset.root)
     progress("reading the demonstrations", 0, 1)
+    from lerobot_robot_pneutac.policy.tactile_encoder import other_sensor
     from pneutac_datasets.demonstrations.augment.episode import AugmentSetup
-    from pneutac_datasets.demonstrations.augment.library import start_spread_m
-    from pneutac_datasets.demonstrations.augment.run import (
-        NewDataset,
-        augment_guided,
-        augment_without_simulator,
-        read_references,
-    )
-    from pneutac_datasets.demonstrations.episodes import POINTS, further_features
-    from pneutac_datasets.demonstrations.replay.reading import task_to_do
+    from pneutac_datasets.demonstrations.augment.run import augment_guided
+    from pneutac_datasets.demonstrations.episodes import further_features
+    from pneutac_datasets.demonstrations.naive import augment_naive
     from pneutac_sim.gel.sensor import TactileSensor
 
     sensor, file = None, station_file(config.dataset.root, config.station)
-    station = Station.load(file) if file else Station()
+    station = Station.load(file) if file else None
     if config.method != "naive":
         twin = Twin.load(config.twin) if config.twin else Twin.builtin()
         if faults := recorded.faults(twin, station):
@@ -331,35 +183,18 @@ def augment(
             f"episodes is {config.episodes}, which take about {needed / 1e9:.3g} GB, and {folder} has"
             f" {free / 1e9:.3g} GB free; give at most {int(config.episodes * free / needed)}."
         )
-    out = NewDataset(
-        config.output.root,
-        config.output.repo_id,
-        config.episodes,
-        executor=config,
-        checks=config.check_mpm,
-        real_share=config.real_share or 0.0,
-        device=config.device,
-        worlds=config.worlds if config.device != "cpu" else 0,
-    )
     if config.method == "naive":
-        summary = augment_without_simulator(recorded, config.dataset.repo_id, out, config.seed, progress)
+        summary = augment_naive(recorded, config, station, progress)
     else:
-        base_m = np.array(station.base_m)  # demonstrations have positions in the arm's frame
         further = further_features(meta)
         if further and config.device != "cpu":
             raise InputError(f"device=cuda does not make {', '.join(further)} of {meta.root}; leave it out.")
         task = task_to_do(config.task, [r.task for r in references], config.dataset.root)
+        base_m = np.array((station or Station()).base_m)  # demonstrations have positions in the arm's frame
         placed = [replace(r, flange_m=r.flange_m + base_m) for r in references]
-        start_range_m = config.start_range or start_spread_m(placed)
-        cameras = {k.split(".")[-1]: tuple(f["shape"][:2]) for k, f in further.items() if k != POINTS}
-        how = (config.fidelity, config.planner, config.seed, config.method, start_range_m, config.start_width)
-        more = {"attempts": config.attempts, "conditions": config.conditions, "station": file}
-        more |= {"tactile_points": POINTS in further, "cameras": cameras, "videos": tuple(meta.video_keys)}
-        setup = AugmentSetup(placed, task, config.twin, *how, **more)
-        summary = augment_guided(meta, setup, out, progress)
-        summary["start_range_m"] = start_range_m if config.method != "planner" else None
-    if file:
-        station.save(config.output.root / "meta")
+        setup = AugmentSetup(config, placed, task, station, further, tuple(meta.video_keys))
+        summary = augment_guided(meta, setup, progress)
+        summary["start_range_m"] = setup.start_range_m if config.method != "planner" else None
     return Augmentation(config, summary, references, recorded.failed, recorded.set_aside())
 
 

@@ -5,6 +5,7 @@ import shutil
 import numpy as np
 import pytest
 import torch
+from augmenting import config_of
 from draccus.utils import DecodingError
 from lerobot.datasets import LeRobotDataset
 from lerobot.envs import make_env, preprocess_observation
@@ -90,7 +91,7 @@ def test_six_joints_are_recorded_learnt_and_rolled_out(station, demos, tmp_path)
 
 @pytest.mark.slow
 def test_its_demonstrations_are_augmented(station, demos, tmp_path):
-    augment_naive(Recorded(demos.root), "local/six", tmp_path / "naive", "local/naive", 1, seed=0)
+    augment_naive(Recorded(demos.root), config_of(demos.root, tmp_path / "naive", method="naive", episodes=1))
     varied = LeRobotDataset("local/naive", tmp_path / "naive")
     assert varied.meta.features[OBS_STATE]["names"] == list(state_names(6))
     source = DatasetRef(repo_id="local/six", root=demos.root)

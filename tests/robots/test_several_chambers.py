@@ -21,7 +21,7 @@ from lerobot_robot_pneutac.teleoperators.base_teleop import PneutacScriptedConfi
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
 from lerobot_robot_pneutac.teleoperators.velocity_teleop import VelocityTeleop
 from pneutac_datasets.demonstrations.augment.planner import CemPlanner, PlannerConfig
-from pneutac_datasets.demonstrations.augment.run import read_references
+from pneutac_datasets.demonstrations.augment.reference import read_references
 from pneutac_datasets.demonstrations.faults import Recorded
 from pneutac_datasets.demonstrations.record import record_episodes
 from pneutac_sim.errors import InputError

@@ -15,7 +15,6 @@ from lerobot_robot_pneutac.policy.modeling_pneutac_bc import Scaling
 from lerobot_robot_pneutac.policy.tactile_encoder import MAX_EPISODES, pool
 from pneutac_datasets.demonstrations.augment.reference import Reference
 from pneutac_datasets.demonstrations.episodes import Episode
-from pneutac_datasets.demonstrations.replay.imprint import imprint_centres_mm
 from pneutac_sim.features import CONTROL_HZ, Places
 from pneutac_sim.files import whole
 from pneutac_sim.gel.contact import without_specks
@@ -51,7 +50,7 @@ class Frames:
         centres = [
             np.full((len(e), 2), np.nan)
             if sensor is None
-            else imprint_centres_mm(e.images, without_specks(e.state[:, e.places.area].astype(float)), sensor)
+            else sensor.imprint_centres_mm(e.images, without_specks(e.state[:, e.places.area].astype(float)))
             for e in episodes
         ]
         rows, columns, channels = episodes[0].images.shape[1:]

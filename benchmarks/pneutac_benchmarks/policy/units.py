@@ -14,8 +14,8 @@ import torch
 from pneutac_benchmarks.policy.frames import Frames
 from pneutac_benchmarks.policy.plan import RESULT
 from pneutac_datasets.demonstrations.augment.episode import AugmentSetup, Generator
-from pneutac_datasets.demonstrations.augment.library import lagged_answers, start_spread_m
-from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
+from pneutac_datasets.demonstrations.augment.library import lagged_answers
+from pneutac_datasets.demonstrations.augment.options import AugmentConfig, DatasetRef
 from pneutac_datasets.demonstrations.augment.scene import Scene
 from pneutac_datasets.demonstrations.episodes import Episode
 from pneutac_sim.errors import InputError
@@ -113,19 +113,16 @@ def augment(folder: Path, options: dict, needs: list[Path]) -> dict:
 
 def _generator(options: dict, recording: Path) -> Generator:
     references = Frames.load(recording / FRAMES_FILE).references(np.array(Station().base_m))
-    setup = AugmentSetup(
-        references,
-        options["task"],
-        _path(options["twin"]),
-        options["fidelity"],
-        PlannerConfig(),
-        options["seed"],
-        options["method"],
-        start_spread_m(references),
-        options["start_width"] if options["method"] != "planner" else 0.0,
+    guided = {} if options["method"] == "planner" else {"start_width": options["start_width"]}
+    config = AugmentConfig(
+        dataset=DatasetRef("", recording),
+        output=DatasetRef("", recording),
+        twin=_path(options["twin"]),
         attempts=ATTEMPTS,
+        **{name: options[name] for name in ("fidelity", "seed", "method")},
+        **guided,
     )
-    return Generator(setup)
+    return Generator(AugmentSetup(config, references, options["task"]))
 
 
 def naive(folder: Path, options: dict, needs: list[Path]) -> dict:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pneutac_sim.errors import InputError, shown
+from pneutac_sim.features import TASK_NAMES, task_names
 from pneutac_sim.files import read_image, read_json, refuse_pointer
 from pneutac_sim.pace import info_file, read_info, refuse_version
 
@@ -161,6 +162,50 @@ def check_new(out_root: Path, repo_id: str) -> None:
     """Raises InputError where a new dataset's folder exists, and no run is left to be tidied up there."""
     if out_root.exists() and not work_folder(out_root).exists():
         raise InputError(f"'{out_root}' exists; give a new folder for dataset '{repo_id}'.")
+
+
+def task_to_do(given: str, instructions: list[str], folder: Path) -> str:
+    """The task that demonstrations are of: the given one, or the one that their instructions name.
+
+    Raises:
+        InputError: the instructions name none, several, or another one of the library's than was given.
+    """
+    found = {text: [n for n in task_names() if n in _words(text)] for text in instructions}
+    if not given:
+        tasks = {text: task_of(text, folder) for text in found}
+        if len(set(tasks.values())) > 1:
+            several = " and ".join(f"'{task}' ('{text}')" for text, task in tasks.items())
+            raise InputError(f"{folder} holds demonstrations of {several}; give a dataset of one task.")
+        return next(iter(tasks.values()))
+    for text, named in found.items():
+        if len(named) == 1 and named[0] != given and {given, *named} <= set(TASK_NAMES):
+            raise InputError(
+                f"{folder}: the instruction '{text}' names the task '{named[0]}', not --task={given};"
+                f" give demonstrations of '{given}', or --task={named[0]}."
+            )
+    return given
+
+
+def _words(instruction: str) -> set[str]:
+    return set(re.findall(r"\w+", instruction.lower()))
+
+
+def task_of(instruction: str, folder: Path) -> str:
+    """The task whose own instruction this is, or the only one that it names.
+
+    Raises:
+        InputError: it is none's.
+    """
+    from pneutac_sim.world.tasks import make_task
+
+    own = [n for n in task_names() if make_task(n).description == instruction]
+    named = own or [n for n in task_names() if n in _words(instruction)]
+    if len(named) == 1:
+        return named[0]
+    raise InputError(
+        f"{folder}: the instruction '{instruction}' names no task; say with task= which of "
+        f"{', '.join(task_names())} stood in front of the robot."
+    )
 
 
 class Files:

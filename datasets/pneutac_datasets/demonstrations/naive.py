@@ -6,14 +6,17 @@ scales the velocities, a displaced approach moves joints and commands too, and c
 contact area. Nothing knows whether the altered demonstration would have done the task.
 """
 
+import shutil
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 
+from pneutac_datasets.demonstrations.augment.options import AugmentConfig
+from pneutac_datasets.demonstrations.augment.run import finish, part_of, summary_of
 from pneutac_datasets.demonstrations.episodes import (
     TACTILE,
     Episode,
@@ -27,6 +30,7 @@ from pneutac_datasets.demonstrations.save import create_dataset, written
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import PANDA_JOINTS, PAPER_RANGE_KPA, PRESSURES, action_limits, state_limits
 from pneutac_sim.progress import Progress, no_progress
+from pneutac_sim.world.station import Station
 
 # How far each variation goes; small against the differences between phases of a demonstration.
 SPEED = (0.85, 1.2)  # local speed of time
@@ -39,26 +43,26 @@ BRIGHTNESS = 2.0  # standard deviation of each channel's offset, levels of 255
 
 def augment_naive(
     recorded: Recorded,
-    repo_id: str,
-    out_root: str | Path,
-    out_repo_id: str,
-    episodes: int,
-    seed: int,
+    config: AugmentConfig,
+    station: Station | None = None,
     progress: Progress = no_progress,
-) -> Path:
-    """Writes a LeRobotDataset of varied demonstrations that merges with its source; returns `out_root`.
+) -> dict:
+    """Writes a LeRobotDataset of varied demonstrations that merges with its source.
 
     The recorded ones that have not failed take turns, and the seed decides every variation. `progress` is
-    called with a text, and how many of how many are made.
+    called with a text, and how many of how many are made. The result has the keys of `run.augment_guided`.
 
     Raises:
-        InputError: the source has other features, or `out_root` exists.
+        InputError: the source has other features, or the new folder exists.
     """
+    new, seed, episodes, began = config.output, config.seed, config.episodes, time.monotonic()
+    if new.root.exists():
+        raise InputError(f"'{new.root}' exists; give a new folder for dataset '{new.repo_id}'.")
     recorded.refuse_damaged()
     with readable(recorded.folder):
-        meta = LeRobotDatasetMetadata(repo_id, recorded.folder)
+        meta = LeRobotDatasetMetadata(config.dataset.repo_id, recorded.folder)
         features = demonstration_features(meta)
-        source = LeRobotDataset(repo_id, recorded.folder, video_backend="pyav", return_uint8=True)
+        source = LeRobotDataset(meta.repo_id, recorded.folder, video_backend="pyav", return_uint8=True)
     used = recorded.used
     if faults := recorded.motion_faults() or ([] if used else recorded.too_few()):
         raise InputError(faults[0])
@@ -71,12 +75,18 @@ def augment_naive(
     states, actions = map(np.concatenate, zip(*recorded.episodes.values(), strict=True))
     longest = int(np.ceil(max(meta.episodes["length"]) / SPEED[0])) + 1
     use_videos = features[TACTILE]["dtype"] == "video"
-    out = create_dataset(out_repo_id, out_root, meta.fps, features, meta.robot_type, use_videos, longest)
+    shutil.rmtree(part := part_of(new.root), ignore_errors=True)
+    out = create_dataset(new.repo_id, part, meta.fps, features, meta.robot_type, use_videos, longest)
     with written(out):
-        for k, new in enumerate(varied(load, len(used), states, actions, episodes, seed)):
+        for k, made in enumerate(varied(load, len(used), states, actions, episodes, seed)):
             progress("varying demonstrations", k, episodes)
-            save_episode(out, new)
-    return Path(out_root)
+            save_episode(out, made)
+    provenance = [
+        {"episode": k, "seed": seed, "source_episode": used[k % len(used)], "method": "naive"}
+        for k in range(episodes)
+    ]
+    finish(new.root, provenance, station)
+    return summary_of(provenance, {}, [], began)
 
 
 def varied(

@@ -3,15 +3,20 @@
 The background of the tactile image, taken from the demonstrations themselves.
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import torch
-from lerobot.datasets import LeRobotDataset
+from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import POOLED_SHAPE, TACTILE, whole_shape
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_SHAPE
+
+if TYPE_CHECKING:
+    from pneutac_sim.gel.sensor import TactileSensor
 
 EMBEDDING = 64
 DIFFERENCE_SCALE = 32 / 255  # a firm touch changes the image by some 32 of 255 levels
@@ -109,6 +114,7 @@ MAX_EPISODES = 16
 SAME_SENSOR = 0.78
 _CELL = 10  # px; finer structure than this differs between gels of one make
 _FLAT = 1 / 255  # an image that varies by less shows nothing to compare
+MOST_ELSEWHERE = 0.05  # share of the pixels that differ from the twin's image at rest; more is noted
 
 
 def rest_image_of(*metas) -> torch.Tensor:
@@ -159,6 +165,30 @@ def likeness(a: Tensor, b: Tensor) -> float | None:
     if min(a.std(), b.std()) < _FLAT:
         return None
     return float((a * b).sum() / (a.square().sum() * b.square().sum()).sqrt())
+
+
+def other_sensor(meta: LeRobotDatasetMetadata, sensor: "TactileSensor") -> str:
+    """A sentence where the twin's gel does not look at rest like that of the demonstrations; else empty.
+
+    A policy has one image at rest: what differs from it looks like a touch. Raises InputError where they are
+    of another kind of sensor, or turned.
+    """
+    from pneutac_sim.gel.contact import contact_area, quieted  # Numba, which robots do not need
+
+    rest = rest_image_of(meta)
+    like = likeness(rest, torch.from_numpy(sensor.rest_image.copy()).permute(2, 0, 1) / 255)
+    image = (255 * rest).round().byte().permute(1, 2, 0).contiguous().numpy()
+    if like is not None and like < SAME_SENSOR:
+        how = f"correlation {like:.2f} with its image at rest, {SAME_SENSOR:g} needed"
+        what = f"the first images of '{TACTILE}' are not of the twin's kind of sensor, or turned ({how})"
+        raise InputError(f"{meta.root}: {what}; give --twin of the sensor that recorded them.")
+    share = contact_area(quieted(image), quieted(sensor.rest_image), sensor.model.threshold_levels).area
+    if share <= MOST_ELSEWHERE:
+        return ""
+    pixels = f"before a touch {100 * share:.0f} % of the pixels of '{TACTILE}' differ from the twin's image"
+    why = "at rest, so that a policy trained on both takes one of the two for touched"
+    remedy = "calibrate the twin's gel (pneutac calibrate), or give --twin of that sensor"
+    return f"{meta.root}: {pixels} {why}; {remedy}."
 
 
 def check_same_sensor(known: Tensor, found: Tensor, repo_id: str) -> None:

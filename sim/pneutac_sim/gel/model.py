@@ -11,8 +11,7 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from pneutac_sim.effects.effect import SENSOR_STAGES
-from pneutac_sim.effects.registry import get_effect, in_order, of_sensor
+from pneutac_sim.effects.registry import get_effect, in_order, of_body, of_sensor
 from pneutac_sim.effects.sensor_effect import SensorEffect
 from pneutac_sim.errors import InputError, finite_array, option, unknown_names
 from pneutac_sim.features import IMAGE_SHAPE
@@ -190,11 +189,8 @@ class GelModel:
             return cls.builtin()
         if "rest_image" not in twin.arrays:
             raise InputError("The twin's gel has no array 'rest_image'; calibrate the gel again.")
-        for name in twin.effects:
-            if twin.device == "gel" and get_effect(name).stage not in SENSOR_STAGES:
-                raise InputError(
-                    f"The twin is of a gel, on which its effect '{name}' does not act; take it out."
-                )
+        for name in of_body(twin.effects) if twin.device == "gel" else ():
+            raise InputError(f"The twin is of a gel, on which its effect '{name}' does not act; take it out.")
         for fault in unknown_names(twin.gel, GEL):
             raise InputError(f"The twin's gel: {fault}")
         missing = [name for name in GEL if name not in twin.gel]

@@ -19,6 +19,7 @@ from pneutac_sim.twin import Twin
 
 Branches = Sequence[tuple[float, float]]
 
+REST_FRAMES, LEAST_PIXELS = 8, 50  # of an imprint's middle: frames at rest, smallest imprint
 LEAST_MM = 2e-4  # what is left of a press that is not drawn: a fiftieth of a grey level
 
 
@@ -138,6 +139,20 @@ class TactileSensor:
     def contact(self, image: np.ndarray) -> ContactArea:
         """Contact area of a tactile image of this sensor."""
         return contact_area(image, self.rest_image, self.model.threshold_levels)
+
+    def imprint_centres_mm(self, images: np.ndarray, area: np.ndarray) -> np.ndarray:
+        """Middle of the imprint in each image (T, 2), mm across and along the finger; NaN without touch.
+
+        Images uint8 (T, H, W, 3) before the first touch, where `area` (T,) is 0, show the gel at rest.
+        """
+        untouched = np.flatnonzero(np.cumsum(area) == 0)[:REST_FRAMES]
+        rest = images[untouched if len(untouched) else [0]].mean(0)
+        centres, limit = np.full((len(images), 2), np.nan), 3 * self.model.threshold_levels
+        for t in np.flatnonzero(area > 0):
+            pressed = np.abs(images[t] - rest).sum(2) > limit
+            if pressed.sum() >= LEAST_PIXELS:
+                centres[t] = centre_mm(pressed, self.model.window_mm)
+        return centres
 
     def contact_from_depth(self, depth_mm: np.ndarray, left_mm: np.ndarray | None = None) -> ContactArea:
         """Exactly `contact(image(...))` without keeping the image, where no other `draw` is set."""

@@ -13,6 +13,7 @@ from functools import partialmethod
 import numpy as np
 import pandas as pd
 import pytest
+from augmenting import setup_of
 from filelock import FileLock
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata, merge_datasets
 from lerobot.utils.constants import ACTION, OBS_STATE
@@ -25,10 +26,8 @@ from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from lerobot_robot_pneutac.teleoperators.base_teleop import PneutacScriptedConfig
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
 from pneutac_datasets.demonstrations.augment import run, scene
-from pneutac_datasets.demonstrations.augment import work as augment_work
 from pneutac_datasets.demonstrations.augment.episode import Attempt, AugmentSetup
-from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
-from pneutac_datasets.demonstrations.augment.work import Work
+from pneutac_datasets.demonstrations.augment.run import Work
 from pneutac_datasets.demonstrations.episodes import POINTS, TACTILE
 from pneutac_datasets.demonstrations.record import record_episodes
 from pneutac_datasets.demonstrations.save import create_dataset
@@ -101,8 +100,7 @@ def made(recorded, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(executor, "process_pool", threads)
         patch.setattr(run, "process_pool", threads)
-        real = augment_work.checking_world
-        patch.setattr(augment_work, "checking_world", lambda setup: real(setup, "probe"))
+        patch.setattr(run, "CHECKED_BY", "probe")
         run_verb("augment", options(recorded, folder / "more", "--episodes=2", "--seed=5", *checks))
     return folder
 
@@ -321,18 +319,18 @@ def test_what_differs_is_measured_and_what_was_checked_is_not_checked_again(tmp_
     start = seed, world.variation
     attempt = Attempt(states, np.array(actions), images, None, 0.0, 0.0, start)
     steps, other = [], World("switch", touch="image", fidelity="surrogate")
-    found = augment_work.agreement(other, 4, attempt, lambda: steps.append(0))
+    found = run.agreement(other, 4, attempt, lambda: steps.append(0))
     assert len(steps) == len(actions)
     assert found.episode == 4 and found.area_peak == pytest.approx(states[:, 17].max())
     assert 0 < found.area_rmse < 0.3 and 0 < found.image_rmse_levels < 60
     away = replace(attempt, start=(seed, replace(world.variation, shift_m=(0.0, 0.0, -5.0))))
-    missed = augment_work.agreement(world, 0, away)
+    missed = run.agreement(world, 0, away)
     assert not missed.success and missed.touched[0] > 0 and missed.touched[1] == 0
     work, told = Work(tmp_path), []
     work.save_episode(0, attempt, {"cost": 0.0, "area_rmse": 0.0}, {})
-    setup = AugmentSetup([], "switch", None, "probe", PlannerConfig(), 0)
+    setup = setup_of([])
     loaded = work.load_episode(0)[0]
     assert loaded.start == attempt.start
     work.check_file(0).write_text("{}")
-    augment_work.check(work, setup, 1, lambda *a: told.append(a))
+    run.check(work, setup, 1, lambda *a: told.append(a))
     assert not told and work.check_file(0).read_text() == "{}"

@@ -14,19 +14,21 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from augmenting import config_of
 from demonstration_sets import write_demonstrations
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 
-from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment, other_sensor
+from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment
 from lerobot_pneutac.verbs.check import check_path
+from lerobot_robot_pneutac.policy.tactile_encoder import other_sensor
 from lerobot_robot_pneutac.standin.world import new_gel
 from pneutac_datasets.demonstrations.augment import run
-from pneutac_datasets.demonstrations.augment.run import read_references
+from pneutac_datasets.demonstrations.augment.reference import read_references
 from pneutac_datasets.demonstrations.faults import TACTILE, Recorded
-from pneutac_datasets.demonstrations.info import ACTION, STATE
+from pneutac_datasets.demonstrations.info import ACTION, STATE, task_to_do
 from pneutac_datasets.demonstrations.naive import augment_naive
 from pneutac_datasets.demonstrations.repair.dataset import repair_dataset
-from pneutac_datasets.demonstrations.replay.reading import load_demonstrations, task_to_do
+from pneutac_datasets.demonstrations.replay.reading import load_demonstrations
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import STATE_NAMES
 from pneutac_sim.gel.sensor import TactileSensor
@@ -222,7 +224,7 @@ def test_check_says_what_the_verbs_refuse(tmp_path, bad):
     for read in (
         lambda: load_demonstrations(root, task="switch"),
         lambda: read_references(Recorded(root), "local/demos"),
-        lambda: augment_naive(Recorded(root), "local/demos", tmp_path / "new", "local/new", 1, 0),
+        lambda: augment_naive(Recorded(root), config_of(root, tmp_path / "new", method="naive", episodes=1)),
     ):
         try:
             read()

@@ -1,16 +1,19 @@
 """Demonstrations of many worlds together are those of the single world until contacts part them."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 pytest.importorskip("mujoco_warp", reason="the extra `warp` is not installed")
 torch = pytest.importorskip("torch")
 
-from pneutac_datasets.demonstrations.augment.episode import AugmentSetup, Generator  # noqa: E402
+from augmenting import setup_of  # noqa: E402
+
+from pneutac_datasets.demonstrations.augment.episode import Generator  # noqa: E402
 from pneutac_datasets.demonstrations.augment.lockstep import Lockstep  # noqa: E402
-from pneutac_datasets.demonstrations.augment.planner import PlannerConfig  # noqa: E402
 from pneutac_datasets.demonstrations.augment.reference import Reference  # noqa: E402
-from pneutac_datasets.demonstrations.augment.work import Work  # noqa: E402
+from pneutac_datasets.demonstrations.augment.run import Work, save_sensed  # noqa: E402
 from pneutac_sim.executor import process_pool  # noqa: E402
 from pneutac_sim.features import AREA, EE  # noqa: E402
 from pneutac_sim.progress import no_progress  # noqa: E402
@@ -35,12 +38,11 @@ def shown(seed: int) -> Reference:
 
 
 def test_they_agree_until_the_touch(tmp_path):
-    setup = AugmentSetup(
-        [shown(0), shown(3)], "switch", None, "probe", PlannerConfig(), 1, "library", (0.004, 0.004, 0.004)
-    )
+    setup = setup_of([shown(0), shown(3)], method="library", start_range=(0.004, 0.004, 0.004))
+    setup.config.device, setup.config.worlds = DEVICE, 2
     work = Work(tmp_path)
     with process_pool(1) as pool:
-        Lockstep(setup, work, DEVICE, 2).make([0], pool, no_progress)
+        Lockstep(setup).make([0], pool, partial(save_sensed, setup, work.folder), no_progress)
     one, line = Generator(setup).episode(0, [])
     many, provenance, _ = work.load_episode(0)
     assert provenance.keys() == line.keys() and provenance["attempt"] == line["attempt"]

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from augmenting import config_of
 from demonstration_sets import write_demonstrations, write_episodes
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata, merge_datasets
 from lerobot.utils.constants import OBS_STATE
@@ -61,6 +62,11 @@ def source(tmp_path_factory):
     )
 
 
+def naive_of(source, out, episodes=1, seed=1):
+    augment_naive(Recorded(source), config_of(source, out, method="naive", episodes=episodes, seed=seed))
+    return out
+
+
 def read(root, name, key):
     dataset = LeRobotDataset(f"local/{name}", root, video_backend="pyav")
     return np.array(dataset.hf_dataset.with_format("numpy")[key])
@@ -68,7 +74,7 @@ def read(root, name, key):
 
 @pytest.mark.slow
 def test_features_stay_and_datasets_merge(source, tmp_path):
-    out = augment_naive(Recorded(source), "local/source", tmp_path / "more", "local/more", 3, seed=1)
+    out = naive_of(source, tmp_path / "more", 3)
     old = LeRobotDatasetMetadata("local/source", source)
     new = LeRobotDatasetMetadata("local/more", out)
     assert (new.features, new.fps, new.robot_type) == (old.features, old.fps, old.robot_type)
@@ -87,7 +93,7 @@ def test_features_stay_and_datasets_merge(source, tmp_path):
 def test_same_seed_same_dataset_other_seed_another(source, tmp_path):
     states = []
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
-        augment_naive(Recorded(source), "local/source", tmp_path / name, f"local/{name}", 1, seed)
+        naive_of(source, tmp_path / name, 1, seed)
         states.append(read(tmp_path / name, name, OBS_STATE))
     np.testing.assert_array_equal(states[0], states[1])
     assert states[0].shape != states[2].shape or np.abs(states[0] - states[2]).max() > 1e-4
@@ -125,18 +131,18 @@ def test_appearance_changes_contact_and_brightness_but_not_the_order(source):
 
 def test_bad_input_is_named(source, tmp_path):
     with pytest.raises(InputError, match="holds no LeRobotDataset"):
-        augment_naive(Recorded(tmp_path / "none"), "local/none", tmp_path / "o", "local/o", 1, 0)
+        naive_of(tmp_path / "none", tmp_path / "o")
     with pytest.raises(InputError, match="exists; give a new folder"):
-        augment_naive(Recorded(source), "local/source", tmp_path, "local/o", 1, 0)
+        naive_of(source, tmp_path)
     untouched = write_demonstrations(tmp_path / "untouched", area=0.0)
     with pytest.raises(
         InputError, match="has no demonstrations besides episodes 0, 1 .never touches anything"
     ):
-        augment_naive(Recorded(untouched), "local/untouched", tmp_path / "o", "local/o", 1, 0)
+        naive_of(untouched, tmp_path / "o")
     features = {OBS_STATE: {"dtype": "float32", "shape": (20,), "names": list(STATE_NAMES)}}
     bare = create_dataset("local/bare", tmp_path / "bare", FPS, features, "pneutac", False, 2)
     bare.add_frame({OBS_STATE: np.zeros(20, np.float32), "task": "x"})
     bare.save_episode()
     bare.finalize()
     with pytest.raises(InputError, match="feature .action. is missing"):
-        augment_naive(Recorded(tmp_path / "bare"), "local/bare", tmp_path / "o", "local/o", 1, 0)
+        naive_of(tmp_path / "bare", tmp_path / "o")

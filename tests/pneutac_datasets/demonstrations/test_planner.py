@@ -3,10 +3,11 @@ from functools import cache
 
 import numpy as np
 import pytest
+from augmenting import setup_of
 
 from pneutac_datasets.demonstrations.augment import episode as augment_episode
 from pneutac_datasets.demonstrations.augment import scene as augment_scene
-from pneutac_datasets.demonstrations.augment.episode import AugmentSetup, Generator, Variant
+from pneutac_datasets.demonstrations.augment.episode import Generator, Variant
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig, demonstration_cost
 from pneutac_datasets.demonstrations.augment.reference import Reference, onset_sigma_m
 from pneutac_datasets.demonstrations.augment.scene import command_latency
@@ -63,7 +64,7 @@ def demonstrations(task: str, count: int, late: int = 0) -> list[Reference]:
 def of_the_switch(count):
     """Generator with so many demonstrations of the switch, acted late by a control step, and their scenes."""
     recorded = demonstrations("switch", count, late=1)
-    setup = AugmentSetup(recorded, "switch", None, "probe", PlannerConfig(), 1, candidates=4 * count)
+    setup = setup_of(recorded, candidates=4 * count)
     generator = Generator(setup, touch="area")
     return generator, [generator.scene(i) for i in range(count)]
 
@@ -262,7 +263,7 @@ def test_a_demonstration_keeps_its_turn(switch, monkeypatch):
 def test_variants_draw_their_conditions_and_the_world_has_them(switch):
     recorded, scenes = switch[0].setup.references, switch[1]
     hot = {"temperature_c": [20.0, 30.0], "payload_g": 5.0}
-    setup = AugmentSetup(recorded, "switch", None, "probe", PlannerConfig(), 1, conditions=hot)
+    setup = setup_of(recorded, conditions=hot)
     generator = Generator(setup, touch="area")
     drawn = [Variant.draw(0, np.zeros(3), 0, np.random.default_rng(k), hot) for k in range(3)]
     assert len({v.conditions["temperature_c"] for v in drawn}) == 3
@@ -273,7 +274,7 @@ def test_variants_draw_their_conditions_and_the_world_has_them(switch):
 def test_an_episode_is_a_function_of_seed_and_index(switch):
     generator, scenes = switch
     quick = PlannerConfig(horizon=6, samples=4, elites=2, iterations=1)
-    generator.setup = replace(generator.setup, planner=quick)
+    generator.setup = setup_of(generator.setup.references, planner=quick)
     generator.world.step([0.05, 0, 0, 9.0])  # whatever was done before
     first, line = generator.episode(1, scenes)
     variant = Variant(1, (0.006, 0.0, 0.0), 1.1, 0.3, 0.96)
@@ -291,8 +292,8 @@ def test_an_episode_is_a_function_of_seed_and_index(switch):
 @pytest.mark.parametrize("method", ["library", "expert"])
 def test_the_task_is_done_from_starts_and_objects_that_nobody_showed(method):
     recorded = demonstrations("switch", 3)
-    options = {"method": method, "start_range_m": (0.01, 0.01, 0.004), "attempts": 8}
-    generator = Generator(AugmentSetup(recorded, "switch", None, "probe", PlannerConfig(), 1, **options))
+    options = {"method": method, "start_range": (0.01, 0.01, 0.004), "attempts": 8}
+    generator = Generator(setup_of(recorded, **options))
     made = [generator.episode(k, []) for k in range(2)]
     for attempt, provenance in made:
         assert attempt.reason is None and provenance["method"] == method
@@ -306,7 +307,7 @@ def test_the_task_is_done_from_starts_and_objects_that_nobody_showed(method):
 
 
 def test_what_leads_the_expert_astray_is_carried_out_and_not_stored():
-    setup = AugmentSetup(demonstrations("switch", 2), "switch", None, "probe", PlannerConfig(), 1, "expert")
+    setup = setup_of(demonstrations("switch", 2), method="expert", start_range=(0.004, 0.004, 0.004))
     made, _ = Generator(setup, touch="area").episode(0, [])
     astray = made.carried_out - made.action
     free, kpa = made.area == 0, 15.0 * augment_episode.NOISE_SHARE

@@ -108,9 +108,8 @@ def test_labels_in_touch_are_those_of_the_answer():
 
 
 def test_a_dataset_names_its_delay_and_the_loss_counts_from_moved_labels(dataset, tmp_path):
-    copy = tmp_path / "copy"
-    shutil.copytree(dataset, copy)
-    finish(copy, tmp_path / "late", [], answer_delay=2)
+    shutil.copytree(dataset, tmp_path / "late.part")
+    finish(tmp_path / "late", [], answer_delay=2)
     meta = LeRobotDatasetMetadata("local/demos", tmp_path / "late")
     assert meta.features[ACTION]["info"][ANSWER_DELAY] == 2
     policy = make_policy(PneutacBCConfig(device="cpu"), meta).eval()

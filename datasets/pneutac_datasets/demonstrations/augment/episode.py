@@ -3,13 +3,21 @@
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from lerobot.utils.constants import OBS_IMAGES
 
-from pneutac_datasets.demonstrations.augment.library import Followers, Library, lagged_answers, regular
-from pneutac_datasets.demonstrations.augment.planner import CemPlanner, Course, PlannerConfig
+from pneutac_datasets.demonstrations.augment.library import (
+    Followers,
+    Library,
+    lagged_answers,
+    regular,
+    start_spread_m,
+)
+from pneutac_datasets.demonstrations.augment.options import AugmentConfig
+from pneutac_datasets.demonstrations.augment.planner import CemPlanner, Course
 from pneutac_datasets.demonstrations.augment.reference import (
     EXTRA_STEPS,
     Reference,
@@ -116,30 +124,33 @@ LONGEST, LONGER = 300, 1.5
 
 @dataclass(frozen=True)
 class AugmentSetup:
-    """Everything that a demonstration depends on, besides its index."""
+    """Everything that a demonstration depends on, besides its index: options, and what was recorded."""
 
-    references: list[Reference]  # the recorded demonstrations
+    config: AugmentConfig
+    references: list[Reference]  # the recorded demonstrations, in the station's frame
     task: str  # of the world
-    twin: Path | None  # folder, or None for the built-in one
-    fidelity: str  # of the world in which the plans are carried out
-    planner: PlannerConfig  # its options
-    seed: int  # decides everything
-    # `library` (a controller made of the demonstrations, see `library`), `expert` (the task's scripted
-    # controller) or `planner` (each plan is guided by one demonstration)
-    method: str = "planner"
-    # half widths (3,) by which starts lie about the recorded ones; not of the planner
-    start_range_m: tuple[float, float, float] = (START_M, START_M, START_M)
-    # how much wider than the task's own random starts the objects stand; not of the planner
-    start_width: float = 0.0
-    attempts: int = 30  # variants tried for one demonstration
-    candidates: int = 48  # scenes drawn to find where the object stood
-    # of the world, see `World`; every demonstration draws from a range
-    conditions: Conditions = field(default_factory=dict)
-    station: Path | None = None  # file of the station, or None for the paper's
-    tactile_points: bool = False  # whether demonstrations have touch as data too
-    # their scene cameras to height and width of the pictures
-    cameras: dict[str, tuple[int, int]] = field(default_factory=dict)
+    station: Station | None = None  # None for the paper's
+    further: dict[str, dict] = field(default_factory=dict)  # features that demonstrations have besides touch
     videos: tuple[str, ...] = ()  # features that are stored as videos
+    candidates: int = 48  # scenes drawn to find where the object stood
+
+    @cached_property
+    def start_range_m(self) -> tuple[float, float, float]:
+        """Half widths by which starts lie about the recorded ones; not of the planner."""
+        return self.config.start_range or start_spread_m(self.references)
+
+    @property
+    def cameras(self) -> dict[str, tuple[int, int]]:
+        """Names of the scene cameras to height and width of their pictures."""
+        return {k.split(".")[-1]: tuple(f["shape"][:2]) for k, f in self.further.items() if k != POINTS}
+
+    def world(self, touch: str = "image", fidelity: str | None = None) -> World:
+        """The world in which demonstrations are carried out, in another fidelity if one is given."""
+        c = self.config
+        twin = Twin.load(c.twin) if c.twin else None
+        world = World(self.task, twin, touch, fidelity or c.fidelity, c.conditions, station=self.station)
+        world.widen_starts(c.start_width)
+        return world
 
     @property
     def limits(self) -> tuple[int, int, int]:
@@ -148,10 +159,6 @@ class AugmentSetup:
         until, after, longest = np.ceil(LONGER * recorded.max(0)).astype(int).tolist()
         longest = min(self.references[0].frames(LONGEST), longest)
         return min(until, longest), after, longest
-
-    @property
-    def where(self) -> Station:
-        return Station.load(self.station) if self.station else Station()
 
 
 @dataclass
@@ -176,6 +183,20 @@ class Attempt:
         return self.state[:, Places.of(self.action.shape[1] - len(VELOCITY_NAMES)).area]
 
 
+CONTACT = slice(6, 8)  # contact area and log(1 + pixels) in a state of `BatchedWorld`
+
+
+class Sensed(NamedTuple):
+    """An attempt of T frames in a batch of worlds, which have neither the arm's joints nor images."""
+
+    start: tuple[int, Variation]  # seed and variation
+    states: np.ndarray  # (T, 8 + C) as `BatchedWorld.state`
+    actions: np.ndarray  # (T, 3 + C) float32
+    displacement_mm: dict[
+        int, np.ndarray
+    ]  # (80, 59) of the gel's face, of the frames in which it was touched
+
+
 @dataclass
 class Generator:
     """Makes demonstrations; holds one world and its gantry."""
@@ -185,26 +206,22 @@ class Generator:
     seconds: dict = field(default_factory=lambda: {"execution": 0.0})
 
     def __post_init__(self):
-        s = self.setup
-        twin = Twin.load(s.twin) if s.twin else None
-        self.world = World(s.task, twin, self.touch, s.fidelity, s.conditions, station=s.where)
-        self.world.widen_starts(s.start_width)
+        s, method = self.setup, self.setup.config.method
+        self.world = s.world(self.touch)
         self._scene = SceneCameras(self.world, s.cameras)
         self.gantry = Gantry(self.world)
         self.late_commands = command_latency(self.world, s.references)
-        self.bend_gain_sd = bend_gain_sd(twin)
-        if s.method == "library":
+        self.bend_gain_sd = bend_gain_sd(self.world.twin)
+        if method == "library":
             width_kpa, answers = float(np.ptp(self.world.pressure_range_kpa)), lagged_answers(s.references)[0]
             self.library = Library.of([regular(r) for r in s.references], answers, width_kpa)
-        if s.method == "planner":
+        if method == "planner":
             self.sigma_m, self.reaction_hz = onset_sigma_m(s.references), reaction_hz(s.references)
 
     def scene(self, source: int) -> Scene:
         """Where the object stood in a reference."""
-        s = self.setup
-        return find_scene(
-            self.world, self.gantry, s.references[source], s.seed, s.candidates, self.late_commands
-        )
+        s, late = self.setup, self.late_commands
+        return find_scene(self.world, self.gantry, s.references[source], s.config.seed, s.candidates, late)
 
     def episode(self, index: int, scenes: list[Scene]) -> tuple[Attempt, dict]:
         """The demonstration number `index`: variants are tried until one does the task.
@@ -218,9 +235,9 @@ class Generator:
             InputError: none of `attempts` variants did the task.
         """
         rejected = []
-        for number in range(self.setup.attempts):
+        for number in range(self.setup.config.attempts):
             variant, where, rng = self.variant(index, number)
-            if self.setup.method == "planner":
+            if self.setup.config.method == "planner":
                 scene = scenes[variant.source]
                 attempt = self.carry_out(variant, scene, rng)
                 scores = {"cost": attempt.cost, "area_rmse": attempt.area_rmse, "scene": asdict(scene)}
@@ -233,23 +250,24 @@ class Generator:
 
     def variant(self, index: int, number: int) -> tuple[Variant, dict, np.random.Generator]:
         """What an attempt at a demonstration varies, its provenance, and what decides all the rest."""
-        s, rng = self.setup, np.random.default_rng([self.setup.seed, index, number])
+        s, rng = self.setup, np.random.default_rng([self.setup.config.seed, index, number])
         source = (index + number // TRIES) % len(s.references)
-        sigma_m = self.sigma_m if s.method == "planner" else np.zeros(3)
-        variant = Variant.draw(source, sigma_m, self.late_commands, rng, s.conditions, self.bend_gain_sd)
+        sigma_m = self.sigma_m if s.config.method == "planner" else np.zeros(3)
+        drawn = rng, s.config.conditions, self.bend_gain_sd
+        variant = Variant.draw(source, sigma_m, self.late_commands, *drawn)
         return variant, {"source_episode": s.references[source].source, **asdict(variant)}, rng
 
     def provenance(self, index: int, number: int, made: dict, frames: int, rejected: list[dict]) -> dict:
         """Of an accepted demonstration."""
-        key = {"episode": index, "seed": self.setup.seed, "method": self.setup.method, "attempt": number}
+        c = self.setup.config
+        key = {"episode": index, "seed": c.seed, "method": c.method, "attempt": number}
         return {**key, **made, "frames": frames, "rejected": rejected}
 
     def none_worked(self, index: int, rejected: list[dict]) -> InputError:
         reasons = ", ".join(sorted({r["reason"] for r in rejected}))
-        return InputError(
-            f"Demonstration {index}: none of {self.setup.attempts} variants did the task '{self.setup.task}'"
-            f" ({reasons}); are the recorded demonstrations of this task and this finger?"
-        )
+        tried = f"none of {self.setup.config.attempts} variants did the task '{self.setup.task}'"
+        remedy = "are the recorded demonstrations of this task and this finger?"
+        return InputError(f"Demonstration {index}: {tried} ({reasons}); {remedy}")
 
     def carry_out(
         self, variant: Variant, scene: Scene, rng: np.random.Generator, plan: bool = True
@@ -278,8 +296,8 @@ class Generator:
         """
         seed, self.world.variation = self.start(variant, rng)
         self._path: list[tuple[int, int, int]] = []
-        ways = self._follow(rng) if self.setup.method == "library" else self._expert(rng)
-        noise = rng if self.setup.method == "expert" else None
+        ways = self._follow(rng) if self.setup.config.method == "library" else self._expert(rng)
+        noise = rng if self.setup.config.method == "expert" else None
         attempt = self._carried_out(ways, seed, noise=noise)
         return attempt, pieces(self._path)
 
@@ -378,12 +396,12 @@ class Generator:
 
     def _further(self) -> dict[str, np.ndarray]:
         """Further features of this frame, by their names in the dataset."""
-        points = {POINTS: tactile_points(self.world).ravel()} if self.setup.tactile_points else {}
+        points = {POINTS: tactile_points(self.world).ravel()} if POINTS in self.setup.further else {}
         return points | {f"{OBS_IMAGES}.{name}": p for name, p in self._scene.pictures().items()}
 
     def _plan(self, r: Reference, variant: Variant, rng: np.random.Generator):
         """Yields the next action (3 + C,) for what is, until it is over."""
-        config = self.setup.planner.at(r.control_hz)
+        config = self.setup.config.planner.at(r.control_hz)
         planner = CemPlanner(self.gantry, config, rng, r.control_hz)
         r = r.prolonged(r.frames(EXTRA_STEPS))
         demonstrated, course = self._warm(r, variant), Course(r, variant.shift_m[1], self.reaction_hz)

@@ -7,25 +7,25 @@ known whether they are needed, and the first one that does the task is accepted.
 
 import time
 from collections import defaultdict, deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 import torch
 
 from pneutac_datasets.demonstrations.augment.episode import (
+    CONTACT,
     IN_THE_WAY,
     SHORTEST,
     AugmentSetup,
     Generator,
+    Sensed,
     pieces,
     rejection,
 )
 from pneutac_datasets.demonstrations.augment.library import Followers
-from pneutac_datasets.demonstrations.augment.work import CONTACT, Sensed, Work, save_sensed
 from pneutac_sim.features import PRESSURES
 from pneutac_sim.progress import Progress
 from pneutac_sim.world.base import Variation
@@ -51,10 +51,7 @@ class Lockstep:
     """Makes demonstrations of a setup whose method is `library`.
 
     Args:
-        setup: of the run; conditions are numbers.
-        work: takes the demonstrations.
-        device: of PyTorch, see `BatchedWorld`.
-        worlds: that are stepped together.
+        setup: of the run, which names device and number of worlds; conditions are numbers.
 
     Attributes:
         seconds: spent by this process in `world` and `controllers`.
@@ -64,13 +61,14 @@ class Lockstep:
         InputError: as `BatchedWorld`.
     """
 
-    def __init__(self, setup: AugmentSetup, work: Work, device: str, worlds: int):
-        self._setup, self._work, self._generator = setup, work, Generator(setup, "area")
-        single = self._generator.world
+    def __init__(self, setup: AugmentSetup):
+        self._setup, self._generator = setup, Generator(setup, "area")
+        c, single = setup.config, self._generator.world
+        worlds = c.worlds
         self._world = BatchedWorld(
-            setup.task, worlds, single.twin, device, setup.fidelity, setup.conditions, station=setup.where
+            setup.task, worlds, single.twin, c.device, c.fidelity, c.conditions, station=setup.station
         )
-        self._world.single.widen_starts(setup.start_width)
+        self._world.single.widen_starts(c.start_width)
         self._world.reset(variations=[Variation(late_commands=self._generator.late_commands)] * worlds)
         (self._until, self._after, self._longest), self._limits = setup.limits, single.action_limits
         self._shortest = setup.references[0].frames(SHORTEST)
@@ -85,12 +83,20 @@ class Lockstep:
         self._ready: deque[tuple[int, Run]] = deque()
         self.seconds, self.steps = {"world": 0.0, "controllers": 0.0}, 0
 
-    def make(self, missing: list[int], pool: ProcessPoolExecutor, progress: Progress, done: int = 0) -> None:
+    def make(
+        self,
+        missing: list[int],
+        pool: ProcessPoolExecutor,
+        save: Callable[[int, Sensed, dict], object],
+        progress: Progress,
+        done: int = 0,
+    ) -> None:
         """Makes and saves demonstrations.
 
         Args:
             missing: their numbers.
-            pool: its processes draw the images of accepted ones and save them.
+            pool: its processes save accepted ones.
+            save: of a number, an accepted attempt and its provenance; draws its images and saves it.
             progress: is called with how many are made.
             done: of them before these.
 
@@ -98,8 +104,8 @@ class Lockstep:
             InputError: none of the attempts at one of them did the task.
         """
         self._open, self._ended = set(missing), defaultdict(dict)
-        self._jobs = ((k, n) for n in range(self._setup.attempts) for k in missing if k in self._open)
-        saved, shown, save = [], -1, partial(save_sensed, self._setup, self._work.folder)
+        self._jobs = ((k, n) for n in range(self._setup.config.attempts) for k in missing if k in self._open)
+        saved, shown = [], -1
         while self._open:
             with self._timed("world"):
                 self._fill()
@@ -226,7 +232,7 @@ class Lockstep:
             return None
         runs = self._ended[index]
         runs[ended.number] = ended
-        for number in range(self._setup.attempts):
+        for number in range(self._setup.config.attempts):
             run = runs.get(number)
             if run is None:
                 return None

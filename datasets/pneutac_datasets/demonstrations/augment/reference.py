@@ -1,11 +1,18 @@
 """Demonstrations as references for the planner: what was done and felt, and how their contacts scatter."""
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pneutac_datasets.demonstrations.faults import Recorded
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import CONTROL_HZ, PRESSURES
+from pneutac_sim.features import CONTROL_HZ, PRESSURES, Places
+from pneutac_sim.gel.contact import without_specks
+from pneutac_sim.gel.sensor import TactileSensor
+
+if TYPE_CHECKING:
+    from lerobot.datasets import LeRobotDatasetMetadata
 
 # Frames are of the paper's rate; at another they are as many as last as long, see `frames_at`.
 EXTRA_STEPS = 15  # frames by which a demonstration goes on where the task is about to be done
@@ -142,3 +149,35 @@ def onset_sigma_m(references: list[Reference]) -> np.ndarray:
             f"The spread of the contacts needs two demonstrations or more; the dataset has {len(references)}."
         )
     return np.std([r.flange_m[r.onset] for r in references], axis=0, ddof=1)
+
+
+def read_references(
+    recorded: Recorded, repo_id: str, sensor: TactileSensor | None = None
+) -> tuple["LeRobotDatasetMetadata", list[Reference]]:
+    """The recorded demonstrations that have not failed, without their images.
+
+    With the twin's `sensor` the images are read, for the middles of the imprints.
+
+    Raises:
+        InputError: it is damaged, its features are not those of the robot, or an episode is not finite.
+    """
+    from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata  # seconds, which --help need not wait
+
+    from pneutac_datasets.demonstrations.episodes import demonstration_features, load_episode, readable
+
+    recorded.refuse_damaged()
+    with readable(recorded.folder):
+        meta = LeRobotDatasetMetadata(repo_id, recorded.folder)
+        demonstration_features(meta)
+        dataset = LeRobotDataset(repo_id, recorded.folder, video_backend="pyav")
+    references, places = [], Places.of(recorded.chambers)
+    for i in recorded.used:
+        (state, action), task = recorded.episodes[i], meta.episodes[i]["tasks"][0]
+        area = without_specks(state[:, places.area])
+        r = Reference(i, state[:, places.ee], area, action, task, control_hz=meta.fps)
+        if sensor is not None:
+            with readable(recorded.folder):
+                images = load_episode(dataset, i).images
+            r.centre_mm = sensor.imprint_centres_mm(images, r.area)
+        references.append(r)
+    return meta, references

@@ -3,6 +3,13 @@
 `augment_guided` carries each new demonstration out in the world: by a controller made of the recorded ones,
 by the task's expert, or planned and guided by the recorded touch. `naive.augment_naive` varies the recordings
 without a simulator.
+
+Each finished piece is one file of a work folder, which appears whole or not at all. What is there need not be
+made again, so a run that was killed goes on where it stopped, with any number of workers, and pieces made
+twice are equal.
+
+Demonstrations may be carried out once more by material points: the same start, object and actions, while
+finger and gel deform otherwise. The last action goes on for a second where the task takes longer.
 """
 
 import hashlib
@@ -11,6 +18,7 @@ import os
 import shutil
 import threading
 import time
+from collections.abc import Collection
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stderr
 from dataclasses import asdict, dataclass
@@ -26,94 +34,284 @@ from lerobot.utils.constants import ACTION, OBS_STATE
 
 from lerobot_robot_pneutac.lerobot_inside import load_info, write_info
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import ANSWER_DELAY
-from pneutac_datasets.demonstrations.augment.episode import AugmentSetup
+from pneutac_datasets.demonstrations.augment.episode import CONTACT, Attempt, AugmentSetup, Generator, Sensed
 from pneutac_datasets.demonstrations.augment.library import lagged_answers
-from pneutac_datasets.demonstrations.augment.reference import Reference
+from pneutac_datasets.demonstrations.augment.reference import EXTRA_STEPS, frames_at
 from pneutac_datasets.demonstrations.augment.scene import Scene
-from pneutac_datasets.demonstrations.augment.work import Work, check, generator, make_episode, make_scene
 from pneutac_datasets.demonstrations.card import write_card
 from pneutac_datasets.demonstrations.episodes import (
+    POINTS,
     TACTILE,
     Episode,
     demonstration_features,
     further_features,
-    load_episode,
-    readable,
     save_episode,
 )
-from pneutac_datasets.demonstrations.faults import Recorded
 from pneutac_datasets.demonstrations.info import check_new, work_folder
-from pneutac_datasets.demonstrations.naive import augment_naive
-from pneutac_datasets.demonstrations.replay.imprint import imprint_centres_mm
-from pneutac_datasets.demonstrations.save import EncodedVideos, create_dataset, quiet_encoders, written
+from pneutac_datasets.demonstrations.save import (
+    EncodedVideos,
+    Film,
+    create_dataset,
+    decode,
+    encode,
+    quiet_encoders,
+    written,
+)
 from pneutac_sim.errors import InputError
-from pneutac_sim.executor import ExecutorOptions, faults_named, process_pool, run_pieces
-from pneutac_sim.features import Places
-from pneutac_sim.files import locked, write_text
-from pneutac_sim.gel.contact import without_specks
-from pneutac_sim.gel.sensor import TactileSensor
+from pneutac_sim.executor import faults_named, process_pool, run_pieces
+from pneutac_sim.features import CONTROL_HZ
+from pneutac_sim.files import locked, whole, write_json, write_text
 from pneutac_sim.progress import Progress, no_progress
+from pneutac_sim.world.base import START_SOLVES, Variation, solved_joints
+from pneutac_sim.world.station import Station
+from pneutac_sim.world.world import World
 
 PROVENANCE = "provenance.jsonl"  # in the dataset's folder `meta`
 VIDEOS_MB = 1  # a new video file begins there, since LeRobot copies the last one with every episode
 LOOK_S = 0.2  # between two looks whether the next demonstration is there
 WRITING = "writing the dataset"
 RECORDED = "recorded"  # method of the copies of recorded demonstrations
+FEATURE = "feature "  # before the names of a dataset's features
+
+
+class Work:
+    """The folder, next to the output."""
+
+    def __init__(self, folder: Path):
+        self.folder = Path(folder)
+
+    def open(self, run: dict) -> None:
+        """Begins a run or goes on with the same one; raises InputError where the folder holds another."""
+        file, run = self.folder / "run.json", json.loads(json.dumps(run))
+        if not file.exists():
+            write_json(file, run)
+        elif (old := json.loads(file.read_text())) != run:
+            changed = ", ".join(k for k in sorted(run.keys() | old.keys()) if run.get(k) != old.get(k))
+            raise InputError(
+                f"'{self.folder}' holds an unfinished augmentation with another {changed}; delete that"
+                " folder, or repeat the command that began it."
+            )
+
+    def scene_file(self, source: int) -> Path:
+        return self.folder / f"scene_{source:06d}.json"
+
+    def check_file(self, index: int) -> Path:
+        """File of the agreement of one demonstration with material points."""
+        return self.folder / f"check_{index:06d}.json"
+
+    def episode_file(self, index: int) -> Path:
+        return self.folder / f"episode_{index:06d}.npz"
+
+    def load_scene(self, source: int) -> Scene:
+        d = json.loads(self.scene_file(source).read_text())
+        return Scene(**d | {"shift_m": tuple(d["shift_m"])})
+
+    def load_spent(self, index: int) -> tuple[dict, dict]:
+        """Reads a demonstration's provenance, and the seconds that it took, alone."""
+        with np.load(self.episode_file(index)) as d:
+            return json.loads(str(d["provenance"])), json.loads(str(d["seconds"]))
+
+    def load_episode(self, index: int) -> tuple[Attempt, dict, dict]:
+        """Reads a demonstration, its provenance, and the seconds that it took."""
+        columns, films = self.load_columns(index)
+        columns |= {key: decode(film) for key, film in films.items()}
+        state, action, images = (columns.pop(key) for key in (OBS_STATE, ACTION, TACTILE))
+        provenance, seconds = self.load_spent(index)
+        scores = provenance.get("cost", 0.0), provenance.get("area_rmse", 1.0)
+        with np.load(self.episode_file(index)) as d:
+            start = start_from_json(str(d["start"]))
+            carried_out = d["carried_out"] if "carried_out" in d.files else None
+        return Attempt(state, action, images, None, *scores, start, columns, carried_out), provenance, seconds
+
+    def load_columns(self, index: int) -> tuple[dict[str, np.ndarray], dict[str, Film]]:
+        """Reads a demonstration's features (T, ...), and those that are videos."""
+        with np.load(self.episode_file(index)) as d:
+            found = {key.removeprefix(FEATURE): d[key] for key in d.files if key.startswith(FEATURE)}
+            statistics = json.loads(str(d["statistics"]))
+        films = {
+            key: Film(found.pop(key).tobytes(), {name: np.array(x) for name, x in each.items()})
+            for key, each in statistics.items()
+        }
+        summed = {k: np.cumsum(x, 0, dtype=np.uint8) for k, x in found.items() if x.dtype == np.uint8}
+        return found | summed, films
+
+    def save_episode(
+        self,
+        index: int,
+        attempt: Attempt,
+        provenance: dict,
+        seconds: dict,
+        videos: Collection[str] = (),
+        fps: int = CONTROL_HZ,
+    ) -> None:
+        """Writes a demonstration; features in `videos` encoded, other images as changes between frames."""
+        columns = {OBS_STATE: attempt.state, ACTION: attempt.action, TACTILE: attempt.images} | attempt.more
+        began = time.process_time()
+        films = encode({key: columns.pop(key) for key in videos}, fps)
+        seconds = seconds | {"encoding": time.process_time() - began}
+        columns |= {
+            key: np.diff(x, axis=0, prepend=np.zeros_like(x[:1]))
+            for key, x in columns.items()
+            if x.dtype == np.uint8
+        }
+        columns |= {key: np.frombuffer(film.data, np.uint8) for key, film in films.items()}
+        statistics = {k: {name: x.tolist() for name, x in f.statistics.items()} for k, f in films.items()}
+        texts = {"start": start_to_json(attempt.start), "provenance": json.dumps(provenance)}
+        texts |= {"seconds": json.dumps(seconds), "statistics": json.dumps(statistics)}
+        arrays = {name: np.array(text) for name, text in texts.items()}
+        if attempt.carried_out is not None:
+            arrays["carried_out"] = attempt.carried_out
+        arrays |= {f"{FEATURE}{key}": values for key, values in columns.items()}
+        with whole(self.episode_file(index)) as part, part.open("wb") as f:
+            np.savez_compressed(f, **arrays)
+
+
+def start_to_json(start: tuple[int, Variation]) -> str:
+    """The seed and variation with which a demonstration begins, as text."""
+    return json.dumps({"seed": start[0], **asdict(start[1])})
+
+
+def start_from_json(text: str) -> tuple[int, Variation]:
+    """Seed and variation from the text of `start_to_json`."""
+    values = json.loads(text)
+    seed = values.pop("seed")
+    return seed, Variation(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
+
+
+# ------------------------------------------------------------------ in a worker process
+
+_made: tuple[Path, Generator] | None = None  # a process' generator, and for which run
+
+
+def make_scene(setup: AugmentSetup, folder: Path, source: int) -> None:
+    """Finds and saves the scene of one reference."""
+    write_json(Work(folder).scene_file(source), asdict(generator(setup, folder).scene(source)))
+
+
+def make_episode(setup: AugmentSetup, folder: Path, scenes: list[Scene], index: int) -> None:
+    """Makes and saves the demonstration of an index."""
+    makes = generator(setup, folder)
+    before, began = _spent(makes), time.process_time()
+    attempt, provenance = makes.episode(index, scenes)
+    seconds = {k: v - before[k] for k, v in _spent(makes).items()} | {"core": time.process_time() - began}
+    video = setup.videos, setup.references[0].control_hz
+    Work(folder).save_episode(index, attempt, provenance, seconds, *video)
+
+
+def save_sensed(setup: AugmentSetup, folder: Path, index: int, sensed: Sensed, provenance: dict) -> None:
+    """Adds joints and images to an accepted attempt, and saves it as the demonstration of an index."""
+    began, world = time.process_time(), generator(setup, folder).world
+    solver, states = world.arm.solver(), sensed.states
+    flange_m = states[:, :3] - world.arm.base_m
+    for _ in range(START_SOLVES):
+        solver.solve(flange_m[0])
+    shown = np.maximum(np.arange(len(states)) - sensed.start[1].late_touch, 0)
+    rows = []
+    for at, state, contact in zip(flange_m, states, states[shown, CONTACT], strict=True):
+        joints = solved_joints(solver, at, state[3:6], world.dt_s)
+        rows.append(np.concatenate([*joints, at, contact, state[8:]]))
+    drawn = {t: world.sensor.draw(u) for t, u in sensed.displacement_mm.items()}
+    images = np.stack([drawn.get(t, world.sensor.rest_image) for t in shown.tolist()])
+    attempt = Attempt(np.array(rows, np.float32), sensed.actions, images, None, 0.0, 1.0, sensed.start)
+    seconds = {"core": time.process_time() - began}
+    video = setup.videos, setup.references[0].control_hz
+    Work(folder).save_episode(index, attempt, provenance, seconds, *video)
+
+
+def generator(setup: AugmentSetup, folder: Path) -> Generator:
+    """That of a run, made once in each process."""
+    global _made
+    if _made is None or _made[0] != folder:
+        _made = folder, Generator(setup)
+    return _made[1]
+
+
+def _spent(g: Generator) -> dict:
+    return {**g.gantry.seconds, **g.seconds, "planner_steps": g.gantry.steps}
+
+
+CHECKED_BY = "mpm"  # the fidelity in which demonstrations are carried out once more
+STEP_S = 0.6  # of a control step by material points on one core, until it has been measured
 
 
 @dataclass(frozen=True)
-class NewDataset:
-    """What an augmentation writes, and how it is made."""
+class Agreement:
+    """One demonstration by two fidelities."""
 
-    root: Path  # its folder; `<root>.work` holds what is finished until all is
-    repo_id: str  # its name
-    episodes: int  # number of new demonstrations
-    executor: ExecutorOptions  # where they are made
-    checks: int = 0  # of them, that material points carry out once more, see `work.check`
-    # of the frames that are to be recorded ones: as many copies of the source are merged into it, so that a
-    # trainer that draws frames evenly mixes by it
-    real_share: float = 0.0
-    device: str = "cpu"  # of PyTorch, on which `worlds` are stepped together by the library
-    worlds: int = 0  # their number; 0 for a world in each process
+    episode: int  # its number
+    success: bool  # whether the task is done there too
+    touched: tuple[int, int]  # steps with touch as planned, and as checked
+    # root mean square difference of the contact areas, shares of the image, from the first touch of either on
+    area_rmse: float
+    area_peak: float  # largest contact area as planned, to compare it with
+    image_rmse_levels: float  # the same of the tactile images in steps in which either touches, of 255
+    seconds: float  # that the check took
 
 
-def read_references(
-    recorded: Recorded, repo_id: str, sensor: TactileSensor | None = None
-) -> tuple[LeRobotDatasetMetadata, list[Reference]]:
-    """The recorded demonstrations that have not failed, without their images.
+def check(work: Work, setup: AugmentSetup, number: int, progress: Progress) -> None:
+    """Writes the agreements of the first `number` demonstrations into their work folder; what is there stays.
 
-    With the twin's `sensor` the images are read, for the middles of the imprints.
-
-    Raises:
-        InputError: it is damaged, its features are not those of the robot, or an episode is not finite.
+    `progress` is called with the minutes that are left, and how many steps of how many are done.
     """
-    recorded.refuse_damaged()
-    with readable(recorded.folder):
-        meta = LeRobotDatasetMetadata(repo_id, recorded.folder)
-        demonstration_features(meta)
-        dataset = LeRobotDataset(repo_id, recorded.folder, video_backend="pyav")
-    references, places = [], Places.of(recorded.chambers)
-    for i in recorded.used:
-        (state, action), task = recorded.episodes[i], meta.episodes[i]["tasks"][0]
-        area = without_specks(state[:, places.area])
-        r = Reference(i, state[:, places.ee], area, action, task, control_hz=meta.fps)
-        if sensor is not None:
-            with readable(recorded.folder):
-                images = load_episode(dataset, i).images
-            r.centre_mm = imprint_centres_mm(images, r.area, sensor)
-        references.append(r)
-    return meta, references
+    missing = [k for k in range(number) if not work.check_file(k).exists()]
+    attempts = {k: work.load_episode(k)[0] for k in missing}
+    total, done, began, world = sum(len(a.action) for a in attempts.values()), 0, time.monotonic(), None
+
+    def step() -> None:
+        nonlocal done
+        each = (time.monotonic() - began) / done if done else STEP_S
+        minutes = each * (total - done) / 60
+        progress(f"checking with material points, about {minutes:.0f} minutes left", done, total)
+        done += 1
+
+    for k, attempt in attempts.items():
+        if world is None:
+            world = setup.world(fidelity=CHECKED_BY)
+            began = time.monotonic()
+        write_json(work.check_file(k), asdict(agreement(world, k, attempt, step)))
+
+
+def agreement(world: World, episode: int, attempt: Attempt, step=lambda: None) -> Agreement:
+    """Carries out a demonstration in another world; calls `step` before each of its actions."""
+    began = time.monotonic()
+    seed, variation = attempt.start
+    world.variation = variation
+    world.reset(seed)
+    areas, errors, planned = [], [], attempt.area
+    carried_out = attempt.action if attempt.carried_out is None else attempt.carried_out
+    for t, action in enumerate(carried_out):
+        step()
+        areas.append(world.touch.area)
+        if areas[t] > 0 or planned[t] > 0:
+            errors.append(np.mean((world.touch.image.astype(float) - attempt.images[t]) ** 2))
+        world.step(action)
+    for _ in range(frames_at(world.station.control_hz, EXTRA_STEPS)):
+        if world.success or world.failure:
+            break
+        world.step(attempt.action[-1])
+    error, felt = np.array(areas) - planned, np.flatnonzero((np.array(areas) > 0) | (planned > 0))
+    return Agreement(
+        episode,
+        bool(world.success and not world.failure),
+        (int(np.sum(planned > 0)), int(np.sum(np.array(areas) > 0))),
+        float(np.sqrt(np.mean(error[felt[0] :] ** 2))) if len(felt) else 0.0,
+        float(planned.max()),
+        float(np.sqrt(np.mean(errors))) if errors else 0.0,
+        time.monotonic() - began,
+    )
+
+
+# ------------------------------------------------------------------ the whole run
 
 
 def augment_guided(
-    meta: LeRobotDatasetMetadata, setup: AugmentSetup, out: NewDataset, progress: Progress = no_progress
+    meta: LeRobotDatasetMetadata, setup: AugmentSetup, progress: Progress = no_progress
 ) -> dict:
     """Writes a LeRobotDataset of new demonstrations that merges with its source.
 
     Args:
         meta: of the source, from `read_references`.
         setup: what every demonstration depends on.
-        out: the new dataset.
         progress: is called with the stage, and how many of how many are done.
 
     Returns:
@@ -123,40 +321,31 @@ def augment_guided(
     Raises:
         InputError: the output exists, an unfinished run is another one, or a demonstration cannot be made.
     """
-    checks, episodes, began = min(out.checks, out.episodes), out.episodes, time.monotonic()
+    c, out, began = setup.config, setup.config.output, time.monotonic()
     work = Work(work_folder(out.root))
-    part = out.root.with_name(out.root.name + ".part")
     if out.root.exists() and work.folder.exists():
-        return _tidy_up(work, out.root, meta, setup, episodes, began) | _checked(work, checks)
+        return _tidy_up(work, meta, setup, began) | _checked(work, c.check_mpm)
     check_new(out.root, out.repo_id)
-    together = {"device": out.device} if out.worlds else {}
-    work.open(_run(meta, setup) | ({"real_share": out.real_share} if out.real_share else {}) | together)
+    work.open(_run(meta, setup))
     with locked(work.folder, wait_s=0.0):
-        return _make_and_write(meta, setup, out, work, part, progress, began)
+        return _make_and_write(meta, setup, work, progress, began)
 
 
 def _make_and_write(
-    meta: LeRobotDatasetMetadata,
-    setup: AugmentSetup,
-    out: NewDataset,
-    work: Work,
-    part: Path,
-    progress: Progress,
-    began: float,
+    meta: LeRobotDatasetMetadata, setup: AugmentSetup, work: Work, progress: Progress, began: float
 ) -> dict:
-    checks, episodes = min(out.checks, out.episodes), out.episodes
-    scenes = _find_scenes(work, setup, out.executor, progress) if setup.method == "planner" else []
-    files, new = [work.episode_file(k) for k in range(episodes)], work.folder / "dataset"
+    c, out = setup.config, setup.config.output
+    scenes = _find_scenes(work, setup, progress) if c.method == "planner" else []
+    files, new = [work.episode_file(k) for k in range(c.episodes)], work.folder / "dataset"
     parts, ended, failed = {}, threading.Event(), threading.Event()
     with ThreadPoolExecutor(1) as writer:
-        columns = meta, setup.references, work, episodes
-        writing = writer.submit(_write, *columns, new, out.repo_id, ended, failed, progress)
+        writing = writer.submit(_write, meta, setup, work, new, ended, failed, progress)
         try:
-            if out.worlds:
-                parts = _make_together(setup, work, files, out, progress)
+            if c.device != "cpu":
+                parts = _make_together(setup, work, files, progress)
             else:
                 make, logs = partial(make_episode, setup, work.folder, scenes), work.folder / "logs"
-                run_pieces(make, files, logs, out.executor, progress, "making demonstrations")
+                run_pieces(make, files, logs, c, progress, "making demonstrations")
         except BaseException:
             failed.set()
             raise
@@ -166,17 +355,17 @@ def _make_and_write(
         writing.result()
     written = time.monotonic()
     used = [r.source for r in setup.references]
-    copies = _merge(new, part, out.repo_id, meta, used, out.real_share)
-    made = [work.load_spent(k) for k in range(episodes)]
+    copies = _merge(new, part_of(out.root), out.repo_id, meta, used, c.real_share or 0.0)
+    made = [work.load_spent(k) for k in range(c.episodes)]
     provenance = [line for line, _ in made] + copies
     seconds = {name: sum(s[name] for _, s in made) for name in made[0][1]}
     seconds |= {"writing": written - spent, "merging": time.monotonic() - written} | parts
-    check(work, setup, checks, progress)
-    agreements = _checked(work, checks)
-    delay = lagged_answers(setup.references)[1] if setup.method == "library" else None
-    finish(part, out.root, provenance, delay)
+    check(work, setup, c.check_mpm, progress)
+    agreements = _checked(work, c.check_mpm)
+    delay = lagged_answers(setup.references)[1] if c.method == "library" else None
+    finish(out.root, provenance, setup.station, delay)
     shutil.rmtree(work.folder)
-    return _summary(provenance, seconds, scenes, began) | agreements | {ANSWER_DELAY: delay or 0}
+    return summary_of(provenance, seconds, scenes, began) | agreements | {ANSWER_DELAY: delay or 0}
 
 
 def _checked(work: Work, checks: int) -> dict:
@@ -185,12 +374,11 @@ def _checked(work: Work, checks: int) -> dict:
     return {"checks": found} if found else {}
 
 
-def _tidy_up(
-    work: Work, out_root: Path, meta: LeRobotDatasetMetadata, setup: AugmentSetup, episodes: int, began: float
-) -> dict:
+def _tidy_up(work: Work, meta: LeRobotDatasetMetadata, setup: AugmentSetup, began: float) -> dict:
     """Ends a run that was stopped when only its work folder was left to remove."""
     work.open(_run(meta, setup))
-    planner = setup.method == "planner"
+    out_root, episodes = setup.config.output.root, setup.config.episodes
+    planner = setup.config.method == "planner"
     scenes = [work.load_scene(i) for i in range(len(setup.references))] if planner else []
     lines = (out_root / "meta" / PROVENANCE).read_text().splitlines()
     provenance = [json.loads(line) for line in lines]
@@ -200,20 +388,18 @@ def _tidy_up(
             f"'{out_root}' holds {new} demonstrations, not {episodes}; give a new folder for them."
         )
     shutil.rmtree(work.folder)
-    return _summary(provenance, {}, scenes, began)
+    return summary_of(provenance, {}, scenes, began)
 
 
-def _find_scenes(
-    work: Work, setup: AugmentSetup, executor: ExecutorOptions, progress: Progress
-) -> list[Scene]:
+def _find_scenes(work: Work, setup: AugmentSetup, progress: Progress) -> list[Scene]:
     files = [work.scene_file(i) for i in range(len(setup.references))]
     make = partial(make_scene, setup, work.folder)
-    run_pieces(make, files, work.folder / "logs", executor, progress, "finding the objects")
+    run_pieces(make, files, work.folder / "logs", setup.config, progress, "finding the objects")
     return [work.load_scene(i) for i in range(len(files))]
 
 
 def _make_together(
-    setup: AugmentSetup, work: Work, files: list[Path], out: NewDataset, progress: Progress
+    setup: AugmentSetup, work: Work, files: list[Path], progress: Progress
 ) -> dict[str, float]:
     """Makes what is missing in a batch of worlds; returns the seconds of this process by part.
 
@@ -225,28 +411,26 @@ def _make_together(
     from pneutac_datasets.demonstrations.augment.lockstep import Lockstep
 
     began = time.monotonic()
-    workers = min(out.executor.workers or len(os.sched_getaffinity(0)), len(missing))
+    workers = min(setup.config.workers or len(os.sched_getaffinity(0)), len(missing))
     with faults_named("Making demonstrations", work.folder), process_pool(workers) as pool:
         for _ in range(workers):
             pool.submit(_start, setup, work.folder)
-        lockstep = Lockstep(setup, work, out.device, out.worlds)
+        lockstep, save = Lockstep(setup), partial(save_sensed, setup, work.folder)
         built = time.monotonic()
-        lockstep.make(missing, pool, progress, len(files) - len(missing))
+        lockstep.make(missing, pool, save, progress, len(files) - len(missing))
     return lockstep.seconds | {"building": built - began, "making": time.monotonic() - built}
 
 
 def _start(setup: AugmentSetup, folder: Path) -> None:
-    """Imports what saving needs, and loads the twin."""
+    """Loads the twin before the first demonstration is to be saved."""
     generator(setup, folder)
 
 
 def _write(
     meta: LeRobotDatasetMetadata,
-    references: list[Reference],
+    setup: AugmentSetup,
     work: Work,
-    episodes: int,
     root: Path,
-    repo_id: str,
     ended: threading.Event,
     failed: threading.Event,
     progress: Progress,
@@ -254,10 +438,9 @@ def _write(
     """Writes the demonstrations in order as a dataset, while they are made until `ended` or `failed`."""
     shutil.rmtree(root, ignore_errors=True)
     features = demonstration_features(meta) | further_features(meta)
-    out = create_dataset(
-        repo_id, root, meta.fps, features, meta.robot_type, bool(meta.video_keys), 1, VIDEOS_MB
-    )
-    videos = EncodedVideos(out)
+    how = meta.robot_type, bool(meta.video_keys), 1, VIDEOS_MB
+    out = create_dataset(setup.config.output.repo_id, root, meta.fps, features, *how)
+    videos, episodes = EncodedVideos(out), setup.config.episodes
     with written(out):
         for k in range(episodes):
             while not work.episode_file(k).exists() and not failed.is_set():
@@ -268,7 +451,7 @@ def _write(
             for key in videos.films:
                 columns[key] = np.broadcast_to(np.uint8(0), (len(columns[ACTION]), *features[key]["shape"]))
             state, action, images = (columns.pop(key) for key in (OBS_STATE, ACTION, TACTILE))
-            task = references[work.load_spent(k)[0]["source"]].task
+            task = setup.references[work.load_spent(k)[0]["source"]].task
             save_episode(out, Episode(state, action, images, task, meta.fps), columns)
             if ended.is_set():
                 progress(WRITING, k + 1, episodes)
@@ -314,26 +497,8 @@ def _repeated(root: Path, repo_id: str, times: int, folder: Path) -> Path:
     return folder / f"{times}"
 
 
-def augment_without_simulator(
-    recorded: Recorded, repo_id: str, out: NewDataset, seed: int, progress: Progress = no_progress
-) -> dict:
-    """The same by `naive.augment_naive`; the result has the keys of `augment_guided`."""
-    began = time.monotonic()
-    if out.root.exists():
-        raise InputError(f"'{out.root}' exists; give a new folder for dataset '{out.repo_id}'.")
-    part = out.root.with_name(out.root.name + ".part")
-    shutil.rmtree(part, ignore_errors=True)
-    augment_naive(recorded, repo_id, part, out.repo_id, out.episodes, seed, progress)
-    provenance = [
-        {"episode": k, "seed": seed, "source_episode": recorded.used[k % len(recorded.used)]}
-        | {"method": "naive"}
-        for k in range(out.episodes)
-    ]
-    finish(part, out.root, provenance)
-    return _summary(provenance, {}, [], began)
-
-
-def _summary(provenance: list[dict], seconds: dict, scenes: list[Scene], began: float) -> dict:
+def summary_of(provenance: list[dict], seconds: dict, scenes: list[Scene], began: float) -> dict:
+    """What `augment_guided` returns, of the provenance of every demonstration."""
     rejected = [r["reason"] for line in provenance for r in line.get("rejected", ())]
     copies = sum(line.get("method") == RECORDED for line in provenance)
     provenance = provenance[: len(provenance) - copies]
@@ -349,17 +514,27 @@ def _summary(provenance: list[dict], seconds: dict, scenes: list[Scene], began: 
     }
 
 
-def finish(part: Path, out_root: Path, provenance: list[dict], answer_delay: int | None = None) -> None:
-    """Adds provenance (a dict an episode) and card to a whole dataset and gives it its name, in one step.
+def part_of(out_root: Path) -> Path:
+    """Where a dataset lies until it is whole."""
+    return out_root.with_name(out_root.name + ".part")
+
+
+def finish(
+    out_root: Path, provenance: list[dict], station: Station | None = None, answer_delay: int | None = None
+) -> None:
+    """Adds provenance (a dict an episode), station and card to a whole dataset and names it, in one step.
 
     `answer_delay`: frames by which the demonstrator answers a touch late, for policies; only of the library.
     """
+    part = part_of(out_root)
     if answer_delay is not None:
         info = load_info(part)
         action = info.features[ACTION]
         action["info"] = {**(action.get("info") or {}), ANSWER_DELAY: answer_delay}
         write_info(info, part)
     write_text(part / "meta" / PROVENANCE, "".join(json.dumps(line) + "\n" for line in provenance))
+    if station:
+        station.save(part / "meta")
     write_card(part)
     os.replace(part, out_root)
 
@@ -371,22 +546,24 @@ def _run(meta: LeRobotDatasetMetadata, setup: AugmentSetup) -> dict:
         centres = () if r.centre_mm is None else r.centre_mm
         for x in (r.flange_m, r.area, r.action, centres):
             digest.update(np.ascontiguousarray(x).tobytes())
+    c, planner = setup.config, setup.config.method == "planner"
     return {
         "dataset": meta.repo_id,
         "demonstrations": digest.hexdigest(),
         "task": setup.task,
-        "twin": None if setup.twin is None else str(setup.twin),
-        "fidelity": setup.fidelity,
-        "station": asdict(setup.where),
-        "conditions": setup.conditions,
-        "method": setup.method,
-        **({"planner": asdict(setup.planner)} if setup.method == "planner" else {}),
-        **({} if setup.method == "planner" else {"start_range_m": setup.start_range_m}),
-        **({"start_width": setup.start_width} if setup.start_width else {}),
-        "seed": setup.seed,
-        "attempts": setup.attempts,
+        "twin": None if c.twin is None else str(c.twin),
+        "fidelity": c.fidelity,
+        "station": asdict(setup.station or Station()),
+        "conditions": c.conditions,
+        "method": c.method,
+        **({"planner": asdict(c.planner)} if planner else {"start_range_m": setup.start_range_m}),
+        **({"start_width": c.start_width} if c.start_width else {}),
+        "seed": c.seed,
+        "attempts": c.attempts,
         "files": 8,  # version of the work folder's files and of the library
         "candidates": setup.candidates,
-        **({"tactile_points": True} if setup.tactile_points else {}),
+        **({"tactile_points": True} if POINTS in setup.further else {}),
         **({"cameras": setup.cameras} if setup.cameras else {}),
+        **({"real_share": c.real_share} if c.real_share else {}),
+        **({"device": c.device} if c.device != "cpu" else {}),
     }

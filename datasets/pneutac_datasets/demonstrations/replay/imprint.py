@@ -30,7 +30,7 @@ from pneutac_datasets.demonstrations.replay.replaying import Place, replay
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, AREA, EE
 from pneutac_sim.gel.contact import THRESHOLD_LEVELS, without_specks
-from pneutac_sim.gel.sensor import TactileSensor, centre_mm
+from pneutac_sim.gel.sensor import centre_mm
 from pneutac_sim.world.base import Variation
 from pneutac_sim.world.world import World
 
@@ -38,7 +38,6 @@ REST_FRAMES, GAP = 12, 1  # frames before the first touch that show the gel at r
 DRIFT_LEVELS, SHAPE_LEVELS = 2.0, 2.0  # of a rest image: less is noise, rounding and slow wander of a camera
 FAINT_LEVELS = 5.0  # what noise changes
 EVERY_PX = 4  # pixels whose brightness is measured
-CENTRE_REST_FRAMES, LEAST_PIXELS = 8, 50  # of an imprint's middle: frames at rest, smallest imprint
 LEAST_SHOWN = 0.02  # levels over the image, below which an imprint has no direction
 
 
@@ -57,22 +56,6 @@ def areas(images: np.ndarray, rest: np.ndarray) -> np.ndarray:
         change = cv2.blur(cv2.absdiff(image, rest), (3, 3)).sum(2, dtype=np.float32) / 3
         out[t] = float((change > THRESHOLD_LEVELS).mean())
     return out
-
-
-def imprint_centres_mm(images: np.ndarray, area: np.ndarray, sensor: TactileSensor) -> np.ndarray:
-    """Middle of the imprint in each image (T, 2), mm across and along the finger; NaN without touch.
-
-    Images uint8 (T, H, W, 3) before the first touch show the gel at rest; threshold and window are the
-    sensor's.
-    """
-    untouched = np.flatnonzero(np.cumsum(area) == 0)[:CENTRE_REST_FRAMES]
-    rest = images[untouched if len(untouched) else [0]].mean(0)
-    centres, limit = np.full((len(images), 2), np.nan), 3 * sensor.model.threshold_levels
-    for t in np.flatnonzero(area > 0):
-        pressed = np.abs(images[t] - rest).sum(2) > limit
-        if pressed.sum() >= LEAST_PIXELS:
-            centres[t] = centre_mm(pressed, sensor.model.window_mm)
-    return centres
 
 
 def strengths(images: np.ndarray, rest: np.ndarray, gain: np.ndarray | float = 1.0) -> np.ndarray:
@@ -179,7 +162,7 @@ def find_place(world: World, episode: Episode) -> Place:
     onset = contact[0]
     free = replay(world, episode)
     gel = free.gel_m[onset], free.gel_axes[onset]
-    middles = imprint_centres_mm(episode.images, without_specks(episode.state[:, AREA]), world.sensor)
+    middles = world.sensor.imprint_centres_mm(episode.images, without_specks(episode.state[:, AREA]))
     world.variation = Variation(tuple(episode.state[0, -6:-3]))
     starts = np.random.default_rng([0, 11]).integers(2**31, size=DRAWS).tolist()
     seen = middles[onset : onset + CENTRES]

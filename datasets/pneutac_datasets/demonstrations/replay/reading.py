@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from pneutac_datasets.demonstrations.info import ACTION, ROBOT, is_demonstrations
+from pneutac_datasets.demonstrations.info import ACTION, ROBOT, is_demonstrations, task_of
 from pneutac_sim.errors import InputError, from_hub, shown
 from pneutac_sim.features import (
     AREA,
@@ -20,9 +19,7 @@ from pneutac_sim.features import (
     CONTROL_HZ,
     EE,
     PRESSURE,
-    TASK_NAMES,
     chamber_count,
-    task_names,
 )
 from pneutac_sim.twin import Twin
 
@@ -190,47 +187,3 @@ def _refuse(recorded: Recorded, twin: Twin, station: Station) -> None:
         )
     if faults := recorded.faults(twin, station, measured=True):
         raise InputError(faults[0])
-
-
-def task_to_do(given: str, instructions: list[str], folder: Path) -> str:
-    """The task that demonstrations are of: the given one, or the one that their instructions name.
-
-    Raises:
-        InputError: the instructions name none, several, or another one of the library's than was given.
-    """
-    found = {text: [n for n in task_names() if n in _words(text)] for text in instructions}
-    if not given:
-        tasks = {text: task_of(text, folder) for text in found}
-        if len(set(tasks.values())) > 1:
-            shown = " and ".join(f"'{task}' ('{text}')" for text, task in tasks.items())
-            raise InputError(f"{folder} holds demonstrations of {shown}; give a dataset of one task.")
-        return next(iter(tasks.values()))
-    for text, named in found.items():
-        if len(named) == 1 and named[0] != given and {given, *named} <= set(TASK_NAMES):
-            raise InputError(
-                f"{folder}: the instruction '{text}' names the task '{named[0]}', not --task={given};"
-                f" give demonstrations of '{given}', or --task={named[0]}."
-            )
-    return given
-
-
-def _words(instruction: str) -> set[str]:
-    return set(re.findall(r"\w+", instruction.lower()))
-
-
-def task_of(instruction: str, folder: Path) -> str:
-    """The task whose own instruction this is, or the only one that it names.
-
-    Raises:
-        InputError: it is none's.
-    """
-    from pneutac_sim.world.tasks import make_task
-
-    own = [n for n in task_names() if make_task(n).description == instruction]
-    named = own or [n for n in task_names() if n in _words(instruction)]
-    if len(named) == 1:
-        return named[0]
-    raise InputError(
-        f"{folder}: the instruction '{instruction}' names no task; say with task= which of "
-        f"{', '.join(task_names())} stood in front of the robot."
-    )

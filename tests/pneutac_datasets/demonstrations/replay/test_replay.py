@@ -16,6 +16,7 @@ from played import shown
 from lerobot_pneutac.verbs.compare_demonstrations import TOUCHED_MM
 from lerobot_robot_pneutac.standin.world import Physics, StandinWorld
 from pneutac_datasets.demonstrations.episodes import Episode
+from pneutac_datasets.demonstrations.info import task_of
 from pneutac_datasets.demonstrations.replay.imprint import (
     Dragging,
     find_place,
@@ -30,7 +31,6 @@ from pneutac_datasets.demonstrations.replay.reading import (
     checked,
     is_dataset,
     load_demonstrations,
-    task_of,
 )
 from pneutac_datasets.demonstrations.replay.replaying import late, replay
 from pneutac_sim.errors import InputError
