@@ -22,6 +22,13 @@ from pneutac_sim.files import refuse_pointer
 
 LAGS = 6
 ROUNDING = 1e-5  # of the command's range: what its own past leaves of a smooth program is rounding
+FOLLOWS = 0.5  # of a command's changes: from there on it is what was measured
+FOLLOWS_NEAR = 0.02  # of the pressure's range
+SCATTERS = "scatters where nothing changes in"
+TURNS = 0.4  # of the rows: noise turns in two thirds, a ramp never
+DELAYS_S = 0.0, 0.1, 0.3, 1.0, 3.0  # of valve, body and tracker
+MOVED = 0.1  # of the pose's variance: a device that pressure moves shows more, in spite of memory and load
+LEAST_ROWS = 200  # for fewer a map of the pressure explains that much by chance
 ANSWERED = 0.15  # share of the command's steps that feedback explains and a program does not
 
 
@@ -150,6 +157,16 @@ def late_command(recording: Recording) -> Iterator[Finding]:
         seen = gauges.get(name) or headline(recording)[0]
         reach = np.ptp(recording.column(name))
         trials = recording.trials().values()
+        how = _as_measured(recording, name, seen[0]) if name in gauges else ""
+        swapped = Finding(
+            "exchanged_pressures",
+            f"Column '{name}' {how} '{seen[0]}', as a measured pressure and no command does: the two columns"
+            " may be in each other's place.",
+            (name, seen[0]),
+        )
+        if how == SCATTERS:
+            yield swapped
+            continue
         leads = [lead for rows in trials for lead in _leads(recording, name, seen, rows, reach)]
         ahead = [lead for lead in leads if lead > 0]
         if len(leads) >= 5 and len(ahead) >= 0.8 * len(leads):
@@ -157,6 +174,8 @@ def late_command(recording: Recording) -> Iterator[Finding]:
         elif name in gauges and (late := _predicted_ahead(recording, name, seen[0])):
             shown = "all along"
         else:
+            if how:
+                yield swapped
             continue
         what = f"Column '{seen[0]}'" if len(seen) == 1 else "The marker"
         rows = plural(late, "row")
@@ -205,6 +224,53 @@ def _predicted_ahead(recording: Recording, name: str, gauge: str) -> int:
         if n and agree / n > ANSWERED:
             late = ahead
     return late
+
+
+def _as_measured(recording: Recording, name: str, gauge: str) -> str:
+    """How a command behaves towards what is called its gauge if it is the measured pressure; else empty."""
+    parts = [(recording.column(name)[r], recording.column(gauge)[r]) for r in recording.trials().values()]
+    far = FOLLOWS_NEAR * np.ptp(recording.column(gauge))
+    away, change, still = [], [], []
+    for u, p in parts:
+        step = np.diff(p.astype(float))
+        stands = [np.arange(a, b) for a, b in sensors.stretches(step == 0) if b - a > sensors.STANDS]
+        noisy = np.concatenate(stands) if stands else np.zeros(0, int)
+        still.append(np.diff(u)[noisy[np.abs(u - p)[noisy] < far]])
+        calm = np.abs(step) < far  # in the row of a step both have moved
+        away.append((p - u)[:-1][calm])
+        change.append(np.diff(u)[calm])
+    away, change, still = (np.concatenate(x).astype(float) for x in (away, change, still))
+    turns = np.diff(np.sign(still[still != 0])) != 0
+    if len(turns) >= LEAST_ROWS and turns.sum() > TURNS * len(still):
+        return SCATTERS
+    if (change != 0).sum() < LEAST_ROWS or not np.ptp(away) or np.polyfit(away, change, 1)[0] <= 0:
+        return ""
+    return "runs after" if np.corrcoef(away, change)[0, 1] ** 2 > FOLLOWS else ""
+
+
+def unmoved(recording: Recording) -> Iterator[Finding]:
+    """A pose that no map of the pressure, now or some time ago, explains."""
+    columns, _ = headline(recording)
+    if not columns or np.ptp(recording.commands) < 1e-3:
+        return
+    y, t = recording.samples[columns].to_numpy(float), recording.column("time_s")
+    drive, trials, best = _drive(recording), recording.trials().values(), 0.0
+    # in all, where a pressure stands throughout a trial; within trials, where a load differs between them
+    within = np.concatenate([y[rows] - y[rows].mean(0) for rows in trials])
+    for delay, moved in product(DELAYS_S, (y - y.mean(0), within)):
+        before = [
+            rows.start + np.maximum(np.searchsorted(t[rows], t[rows] - delay, side="right") - 1, 0)
+            for rows in trials
+        ]
+        design = static_columns(drive[np.concatenate(before)])
+        left = ((moved - design @ regress(design, moved)) ** 2).sum()
+        best = max(best, 1 - float(left / max((moved**2).sum(), 1e-30)))
+    if len(y) >= LEAST_ROWS and best < MOVED:
+        text = (
+            f"Pressure explains {best:.1%} of how the tip moves: the finger stands still, the hose is off, or"
+            " pressure and tip are of different runs or clocks."
+        )
+        yield Finding("unmoved", text, tuple(columns), numbers={"share": best})
 
 
 TURN = 2 * np.pi
@@ -473,7 +539,7 @@ def _trend(design: np.ndarray, y: np.ndarray, done: np.ndarray, block: np.ndarra
 
 LOOKS = sensors.jumps, sensors.frozen, sensors.stale, sensors.saturated, sensors.clipped_command
 LOOKS += sensors.coarse, sensors.repeated, clock, closed_loop, late_command
-LOOKS += exchanged_axes, misplaced_tip, other_way_round, drift
+LOOKS += unmoved, exchanged_axes, misplaced_tip, other_way_round, drift
 
 
 def check(recording: Recording) -> tuple[Recording, list[str]]:
@@ -508,6 +574,9 @@ def _looked(recording: Recording) -> tuple[Recording, list[Finding]]:
     recording, more = pressures.usable(recording)
     found += more
     found += [finding for look in LOOKS for finding in look(recording)]
+    gone = [f.rows for f in found if f.kind == "jumps" and not f.numbers["kept"]]
+    # a tracker that writes 0 where it lost the marker jumps; it does not saturate
+    found = [f for f in found if f.kind != "saturated" or np.isin(f.rows, gone).mean() < 0.9]
     if not measured:
         text = (
             "There is no measured pressure, so a slow valve and a creeping body cannot be distinguished; "

@@ -21,6 +21,7 @@ from pneutac_sim.twin import DEVICES
 STARTS = ("rested", "continues", "unknown")
 DAY_S = 86400.0
 SLOWEST_S = 3600.0  # between samples; no motion is seen in slower ones
+FASTEST_S = 0.00099  # between samples; no tracker is faster
 HUGE = 1e6  # times what 95 % of a column's numbers are at most: a typing error
 MAX_DUPLICATES = 0.01  # share of rows with a doubled stamp that a logger's rounding explains
 ROUNDED_S = 1e-3  # by which stamps of two columns may disagree
@@ -434,6 +435,11 @@ def check_time(samples: pd.DataFrame, file: Path, warnings: list[str]) -> pd.Dat
         warnings.append(
             f"{file}: column 'time_s' has one sample every {normal:g} s; if the clock counts milliseconds, "
             "divide it by 1000."
+        )
+    if 0 < normal < FASTEST_S:
+        warnings.append(
+            f"{file}: column 'time_s' has {1 / normal:.0f} samples a second, {_length(samples):.3g} s in all;"
+            " if the clock counts seconds and not milliseconds, multiply it by 1000."
         )
     return samples
 

@@ -172,7 +172,10 @@ def _shape(table: TextTable, names: list[str], mark: str) -> None:
     table.frame, table.lines = frame[keep].reset_index(drop=True), table.lines[keep.to_numpy()]
     for name in [c for c in table.frame if c.startswith("\0")]:
         filled = table.frame[name].notna()
-        if filled.any():
+        if name[1:] == "0" and _counts_rows(table.frame[name]):
+            which = "column 1, which has no name and counts the rows,"
+            table.notes.append(f"{file}: {which} is left out.")
+        elif filled.any():
             line = table.lines[int(filled.argmax())]
             what = (
                 f"line {line} has more fields than the header has names ({len(names)})"
@@ -182,6 +185,12 @@ def _shape(table: TextTable, names: list[str], mark: str) -> None:
             raise InputError(f"{file}: {what}; give every column a name.")
         table.frame = table.frame.drop(columns=name)
         table.units.pop(name, None)
+
+
+def _counts_rows(values: pd.Series) -> bool:
+    """Whether a column is what pandas writes before a table: 0, 1, 2, ..., from whichever number."""
+    numbers = pd.to_numeric(values, errors="coerce").to_numpy(float)
+    return len(numbers) > 1 and bool((np.diff(numbers) == 1).all())
 
 
 def _texts_to_numbers(table: TextTable, mark: str, comma: bool) -> str:

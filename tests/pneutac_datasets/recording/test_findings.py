@@ -16,7 +16,7 @@ KINDS = """
 wrapped_angle jumps shift frozen stale_pose saturated clipped_command
 quantised repeated other_unit gauge_scale gauge_stuck gauge_alone gauge_late
 pressure_offset supply_limit gaps missing_rows closed_loop late_command exchanged_axes
-misplaced_tip other_way_round drift no_measured_pressure
+misplaced_tip other_way_round drift no_measured_pressure unmoved exchanged_pressures
 """.split()
 
 TIP = ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
@@ -221,6 +221,34 @@ def test_a_gauge_that_is_ahead_of_an_ever_changing_command_is_found(seen, writte
     found = [f for f in findings(loop(seen, written, gauge=True)) if f.kind == "late_command"]
     # the body gets each command one row after it was sent
     assert [f.numbers["rows_late"] for f in found] == ([written - 1] if written else [])
+
+
+def test_a_command_in_the_place_of_its_measured_pressure_is_found(clean):
+    names = {"pressure_kpa": "pressure_cmd_kpa", "pressure_cmd_kpa": "pressure_kpa"}
+    r = copy(clean)
+    r.samples = r.samples.rename(columns=names)
+    assert only(r).kind == "exchanged_pressures" and "scatters where" in only(r).sentence
+    p, u = clean.column("pressure_kpa").copy(), np.zeros(len(clean))
+    for i in range(1, len(u)):  # without noise: a valve of half a second behind stairs
+        p[i] = clean.column("pressure_cmd_kpa").max() * (i // 40 * 7 % 11) / 10
+        u[i] = u[i - 1] + 0.3 * (p[i] - u[i - 1])
+    r.samples = r.samples.assign(pressure_cmd_kpa=u, pressure_kpa=p)
+    found = [f for f in findings(r) if f.kind == "exchanged_pressures"]
+    assert len(found) == 1 and "runs after 'pressure_kpa'" in found[0].sentence
+
+
+def test_a_tip_that_no_pressure_moves_is_found(clean):
+    r, rng = copy(clean), np.random.default_rng(0)
+    for name in TIP:
+        r.samples[name] = r.samples[name].iloc[0] + rng.normal(0, 0.2, len(r))
+    assert "explains 0." in only(r).sentence and only(r).kind == "unmoved"
+
+
+def test_a_tracker_that_writes_zeros_jumps_and_does_not_saturate(clean):
+    r = copy(clean)
+    at = np.arange(60, len(r), 97)
+    r.samples.loc[at, TIP] = 0.0
+    assert "saturated" not in {f.kind for f in findings(r)} and findings(r)[0].kind == "jumps"
 
 
 def turning(clean):

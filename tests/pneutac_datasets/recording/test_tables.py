@@ -396,6 +396,61 @@ def test_faults_name_the_table_its_line_and_its_column(tmp_path):
     assert "samples.csv" not in fault
 
 
+def test_a_number_that_its_unit_makes_impossible_is_shown_with_that_unit(tmp_path):
+    table = TRUTH.rename(columns={"tip_x_mm": "x [m]", "tip_y_mm": "y [m]", "tip_z_mm": "z [m]"})
+    table.to_csv(tmp_path / "lab.csv", index=False)
+    (fault,) = understood(tmp_path / "lab.csv").faults
+    assert "mm if it is in m, which cannot be" in fault
+    assert "x [m]: tip_x_mm [UNIT], y [m]: tip_y_mm [UNIT], z [m]: tip_z_mm [UNIT]'`" in fault
+
+
+def test_what_is_poor_is_said_before_a_table_is_converted_as_after(tmp_path):
+    few = TRUTH.assign(pressure_cmd_kpa=TRUTH[P] / 100, pressure_kpa=TRUTH["pressure_kpa"] / 100)
+    few[few["trial"] == 0].to_csv(tmp_path / "lab.csv", index=False)
+    found = understood(tmp_path / "lab.csv")
+    before, after = found.recording.warnings, found.write(tmp_path / "lab.recording").warnings
+    assert "if that is bar, multiply the pressures by 100" in before[0] and "one trial only" in before[1]
+    assert len(before) == len(after)
+
+
+def test_a_clock_that_is_too_fast_for_any_tracker_is_noted(tmp_path):
+    TRUTH.rename(columns={"time_s": "t [ms]"}).to_csv(tmp_path / "lab.csv", index=False)
+    (note,) = understood(tmp_path / "lab.csv").recording.warnings
+    assert "has 10000 samples a second" in note and "multiply it by 1000" in note
+
+
+def test_the_rows_numbers_that_pandas_writes_are_left_out(tmp_path):
+    TRUTH.to_csv(tmp_path / "lab.csv")
+    found = understood(tmp_path / "lab.csv")
+    same(found.recording, [P, "tip_x_mm"])
+    assert found.notes == [
+        f"{tmp_path / 'lab.csv'}: column 1, which has no name and counts the rows, is left out."
+    ]
+
+
+def test_zeros_that_a_tracker_writes_where_it_sees_nothing_are_left_out(tmp_path):
+    tips = ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
+    table = TRUTH.copy()
+    table.loc[::25, tips] = 0.0
+    table.to_csv(tmp_path / "lab.csv", index=False)
+    found = understood(tmp_path / "lab.csv")
+    assert len(found.recording) == len(TRUTH) - len(TRUTH[::25])
+    assert f"{len(TRUTH[::25])} rows in which tip_x_mm and" in found.notes[0]
+    tared = TRUTH.assign(tip_x_mm=TRUTH["tip_x_mm"] - LENGTH, tip_y_mm=0.0)  # from the resting tip: 0 is seen
+    tared.loc[::25, tips] = 0.0
+    tared.to_csv(tmp_path / "tared.csv", index=False)
+    assert not plain.Understood([tmp_path / "tared.csv"], Given(base_mm=(-LENGTH, 0, 0))).notes
+
+
+def test_how_a_curvature_becomes_a_bend_is_said(tmp_path):
+    table = TRUTH[["time_s", P]].assign(**{"curvature [1/m]": 10 * TRUTH["bend_angle_rad"]})
+    table.to_csv(tmp_path / "lab.csv", index=False)
+    with pytest.raises(InputError, match=r"times the length \(m\).*bend_angle_rad \* 0.1") as e:
+        understood(tmp_path / "lab.csv")
+    answer = parse_columns(str(e.value).split("--columns='")[1].split("'`")[0])
+    same(plain.Understood([tmp_path / "lab.csv"], Given(answer)).recording, ["bend_angle_rad"])
+
+
 @pytest.mark.parametrize(
     ("content", "says"),
     [

@@ -477,8 +477,17 @@ class _Table:
             self.questions.append((what, "NAME: pressure_cmd_kpa"))
         posed = any(re.match(r"(tip_[xz]|bend_|q_|curvature_|image)", c) for c in have)
         if not (self.questions or log or posed):
-            answer = "NAME: tip_x_mm [mm], NAME: tip_z_mm [mm]"
-            self.questions.append(("no column has the motion of the finger", answer))
+            what, answer = (
+                "no column has the motion of the finger",
+                "NAME: tip_x_mm [mm], NAME: tip_z_mm [mm]",
+            )
+            curved = [
+                c.name for c in self.columns if re.search(r"curvature|kr(ue|ü)mmung|kappa", c.name, re.I)
+            ]
+            if curved:
+                what += f"; the bend is {shown(curved[0])} (1/m) times the length (m), here of 0.1 m"
+                answer = f"{curved[0]}: bend_angle_rad * 0.1"
+            self.questions.append((what, answer))
 
 
 def _one_clock(named: dict[str, Named], has_time: bool) -> dict[str, Named]:

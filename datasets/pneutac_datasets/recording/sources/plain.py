@@ -28,7 +28,8 @@ from pneutac_datasets.recording.sources.columns import (
 )
 from pneutac_datasets.recording.sources.readers import AXES, axes_of
 from pneutac_datasets.recording.text_table import TextTable, read_text
-from pneutac_datasets.recording.wording import SourceFile, listed, plural
+from pneutac_datasets.recording.units import BASE_UNIT
+from pneutac_datasets.recording.wording import SourceFile, collected, listed, plural
 from pneutac_sim.errors import InputError, shown
 from pneutac_sim.files import read_fields, read_yaml, write_text
 
@@ -45,6 +46,7 @@ DRIVES = r"trial|time(_sent)?_s|pressure_cmd_(\d+_)?kpa"  # columns that drive o
 REST_SHARE = 0.05  # of the rows: those of the least pressure
 ALONG = 0.7  # cosine between the resting tip and x, below which the axes must be others
 FROM_TIP = 0.2  # of its motion: nearer to the origin than that no resting tip is to its base
+FROM_ZERO = 0.1  # of its usual distance: nearer to the base comes no tip
 EPOCH_S = 1e8  # a clock beyond this counts since 1970
 
 
@@ -373,10 +375,17 @@ class Understood:
         """The rows in which all of the pose was measured, and how many are now missing between them."""
         pose = [c for c in table if re.fullmatch(r"tip_[xyz]_mm|bend_angle_rad|q_\d+_rad", c)]
         seen = table[pose].notna().all(axis=1).to_numpy()
-        lost = int((~seen).sum())
-        if self._log or not lost or not seen.any():
+        lost, zero = int((~seen).sum()), _at_zero(table)
+        seen &= ~zero
+        if self._log or seen.all() or not seen.any():
             return table, 0
-        self.notes.append(f"{self._source}: {plural(lost, 'row')} without {' or '.join(pose)} left out.")
+        if lost:
+            self.notes.append(f"{self._source}: {plural(lost, 'row')} without {' or '.join(pose)} left out.")
+        if zero.any():
+            text = (
+                f"in which {' and '.join(t for t in TIPS if t in table)} are exactly 0, where no tip can be"
+            )
+            self.notes.append(f"{self._source}: {plural(int(zero.sum()), 'row')} {text}, left out.")
         self._of_file, self._line = self._of_file[seen], self._line[seen]
         time_s = pd.to_numeric(table["time_s"], errors="coerce").to_numpy(float)
         missing = count_left_out(table["trial"].to_numpy(), time_s, seen)
@@ -467,7 +476,20 @@ class Understood:
         samples, faults, repeated = self.recording.samples, [], []
 
         def renamed(sentence: str) -> str:
-            return re.sub(r"'([^']+)'", lambda m: shown(names.get(m[1], m[1])), sentence)
+            sentence = re.sub(r"'([^']+)'", lambda m: shown(names.get(m[1], m[1])), sentence)
+            value = re.search(r"column '([^']+)', row .* is (\S+), which can only be (.*)", sentence)
+            column = next((c for c in self.columns if value and c.name == value[1]), None)
+            if value is None or column is None or column.unit is None or column.unit.factor == 1:
+                return sentence
+            # the number as the table has it was converted, so no other unit follows from its size
+            number = f"{value[2]} {BASE_UNIT[column.unit.dimension]} if it is in {column.unit.name}"
+            if value[3].startswith("an error"):
+                return f"{sentence[: value.start(2)]}{number}{sentence[value.end(2) :]}"
+            alike = [c for c in self.columns if c.unit == column.unit and not c.retained]
+            answer = ", ".join(f"{c.name}: {c.column} [UNIT]" for c in alike)
+            command = f"pneutac convert {self._source} --columns='{answer}'"
+            remedy = f"correct the column, or give the unit: `{command}`"
+            return f"{sentence[: value.start(2)]}{number}, which cannot be; {remedy}."
 
         for k, file in enumerate(self.files):
             source, part = SourceFile(file), samples[self._of_file == k]
@@ -486,6 +508,10 @@ class Understood:
                 self.notes.append(renamed(warned[0]))
                 repeated += list(np.delete(at, clean.index))
         self.recording.samples = samples.drop(index=repeated).reset_index(drop=True)
+        if not faults:
+            with collected(faults):  # all files together, as they are read back
+                whole = self.recording.samples, self.recording.device, meta, Path(self._source)
+                self.recording.warnings += map(renamed, rules.check_samples(*whole)[1])
         return list(dict.fromkeys(faults))
 
     def write(self, folder: Path, replaces: bool = False) -> Recording:
@@ -554,6 +580,19 @@ def refuse_other_axes(recording: Recording) -> None:
     raise InputError(_turn_by(str(folder), axes, [*command, *more], axes[0] != "x"))
 
 
+def _at_zero(table: pd.DataFrame) -> np.ndarray:
+    """Mask (n,) of rows in which a tracker wrote 0 for each coordinate, as many do where they see nothing."""
+    tips = [t for t in TIPS if t in table]
+    if len(tips) < 2 or any(table[t].dtype.kind not in "fiu" for t in tips):
+        return np.zeros(len(table), bool)
+    reach = np.abs(table[tips].to_numpy(float)).max(axis=1)
+    zero = reach == 0
+    others = reach[~zero & np.isfinite(reach)]
+    if not len(others) or np.quantile(others, 0.01) < FROM_ZERO * np.median(others):
+        return np.zeros(len(table), bool)  # counted from near the tip itself
+    return zero
+
+
 def _at_rest(table: pd.DataFrame) -> np.ndarray | None:
     """Where the tip is (3,), mm, at the least pressures; None where it was not measured."""
     commands = rules.pressure_commands(table)
@@ -572,6 +611,8 @@ def extent(recording: Recording) -> str:
     time = recording.samples.groupby("trial")["time_s"]
     seconds, steps = float((time.max() - time.min()).sum()), time.diff()
     steps = steps[steps > 0]
-    rate = f", {1 / float(np.median(steps)):.3g} Hz" if len(steps) else ""
-    length = f"{seconds / 60:.2g} minutes" if seconds >= 60 else f"{seconds:.3g} s"
+    rate = 1 / float(np.median(steps)) if len(steps) else 0.0
+    rate = f", {rate:.0f} Hz" if rate >= 1000 else f", {rate:.3g} Hz" * bool(rate)
+    minutes = f"{seconds / 60:.2g}" if seconds < 6000 else f"{seconds / 60:.0f}"
+    length = f"{minutes} minutes" if seconds >= 60 else f"{seconds:.3g} s"
     return f"{plural(len(recording.trials()), 'run')}, {length}{rate}"
