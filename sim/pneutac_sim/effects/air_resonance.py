@@ -59,7 +59,8 @@ def second_order(s, f, dt, omega, zeta):
             y[i] = yy * before + yv * v[i] + yf * new + (1.0 - yy - yf) * old
             v[i] = vy * before + vv * v[i] + vf * new - (vy + vf) * old
             out[t, i] = y[i]
-    s[2], s[3] = y, v
+    for i in range(out.shape[1]):
+        s[2, i], s[3, i] = y[i], v[i]
     return out
 
 
@@ -68,9 +69,17 @@ def run(x, dt, theta, conditions, state):
     """State, a row each: nothing, the input before, pressure and its rate."""
     n, channels = x.shape
     s, f = state.reshape(4, channels), np.empty((n + 1, channels))
-    f[0], f[1:] = s[1], x
-    x[:] = second_order(s, f, dt, theta[0], theta[1])
-    s[1] = f[n]
+    for i in range(channels):
+        f[0, i] = s[1, i]
+    for t in range(n):  # not whole arrays: Numba takes seconds to compile the check of their shapes
+        for i in range(channels):
+            f[t + 1, i] = x[t, i]
+    y = second_order(s, f, dt, theta[0], theta[1])
+    for t in range(n):
+        for i in range(channels):
+            x[t, i] = y[t, i]
+    for i in range(channels):
+        s[1, i] = f[n, i]
 
 
 EFFECT = BodyEffect(

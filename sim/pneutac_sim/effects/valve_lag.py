@@ -14,9 +14,17 @@ def run(x, dt, theta, conditions, state):
     """State, a row each: nothing, the command before, the pressure."""
     n, channels = x.shape
     s, f = state.reshape(3, channels), np.empty((n + 1, channels))
-    f[0], f[1:] = s[1], x
-    x[:] = fill_vent_lag(s, f, dt, theta)
-    s[1] = f[n]
+    for i in range(channels):
+        f[0, i] = s[1, i]
+    for t in range(n):  # not whole arrays: Numba takes seconds to compile the check of their shapes
+        for i in range(channels):
+            f[t + 1, i] = x[t, i]
+    y = fill_vent_lag(s, f, dt, theta)
+    for t in range(n):
+        for i in range(channels):
+            x[t, i] = y[t, i]
+    for i in range(channels):
+        s[1, i] = f[n, i]
 
 
 EFFECT = BodyEffect(

@@ -145,7 +145,8 @@ class Renderer:
         """Tactile image, uint8 (H, W, 3), of a displacement (rows, columns)."""
         out = np.empty_like(self._rest)
         s = light(displacement_mm, *self._light)
-        _render(s, self._rest, self._weight, *self._cells, out)
+        lines = (len(out), -1)
+        _render(s, self._rest.reshape(lines), self._weight.reshape(lines), *self._cells, out.reshape(lines))
         return out
 
     def contact_pixels(self, displacement_mm: np.ndarray, sum_limit: int) -> int:
@@ -182,20 +183,25 @@ def _lerp(before, after, f):
 
 @njit(cache=True, fastmath={"nnan", "nsz"})
 def _render(light, rest, weight, i0, fy, j0, fx, out):
-    rows, cols = rest.shape[:2]
-    across, still = np.empty((light.shape[1], cols, 3), np.float32), np.empty(light.shape[1], np.bool_)
-    for i in range(len(still)):
-        for q in range(cols):
+    """Fills `out` (H, 3 W); rest image and weight are (H, 3 W) too: a pixel's channels follow one another."""
+    rows, ends = rest.shape
+    lines, cells = light.shape[1], light.shape[2]
+    across, still = np.empty((lines, ends), np.float32), np.empty(lines, np.bool_)
+    for i in range(lines):
+        for q in range(ends // 3):
             for k in range(3):
-                across[i, q, k] = _lerp(light[k, i, j0[q]], light[k, i, j0[q] + 1], fx[q])
-        still[i] = not light[:, i].any()
+                across[i, 3 * q + k] = _lerp(light[k, i, j0[q]], light[k, i, j0[q] + 1], fx[q])
+        still[i] = True
+        for k in range(3):
+            for j in range(cells):
+                still[i] &= light[k, i, j] == 0
     for p in range(rows):
         i, f = i0[p], fy[p]
+        before, after, c, w, to = across[i], across[i + 1], rest[p], weight[p], out[p]
         if still[i] and still[i + 1]:
-            out[p] = rest[p]
+            for q in range(ends):
+                to[q] = c[q]
             continue
-        before, after, c, w = across[i].ravel(), across[i + 1].ravel(), rest[p].ravel(), weight[p].ravel()
-        to = out[p].ravel()
-        for q in range(3 * cols):  # vectorises
+        for q in range(ends):  # vectorises
             level = np.float32(c[q]) + w[q] * _lerp(before[q], after[q], f) + np.float32(0.5)
             to[q] = np.int32(min(max(level, np.float32(0)), np.float32(255)))

@@ -83,7 +83,7 @@ def probe_grids(
     float32 (B or more, rows, columns). Raises ValueError as `probe_grid`.
     """
     count, n = np.shape(positions)[:2]
-    known = _probe_all(
+    known = _probe(
         np.asarray(kinds, np.int64).reshape(-1),
         np.asarray(sizes, np.float64).reshape(-1, 3),
         np.asarray(positions, np.float64),
@@ -184,60 +184,85 @@ def _nonzero(x):
     return x if abs(x) > 1e-9 else 1e-9
 
 
-def _sweep(span):
-    """Compiles the loop over grid points for one kind of shape."""
+@njit(inline="always")
+def _deeper(depth, lo, hi, thickness):
+    """The larger of a depth [mm] and that of an interval [m]."""
+    d = np.float32(min(-lo, thickness) * 1e3)
+    touches = (lo <= hi) & (hi > -thickness)
+    return max(depth, d if touches else np.float32(0.0))
 
-    @njit(fastmath=_FAST)
-    def sweep(size, c, R, ex, ey, width, height, thickness, depth):
-        """Raises `depth` [mm] where the shape with centre c and rotation R (gel frame) lies deeper."""
-        rows, cols = depth.shape
-        sx, sy = width / cols, height / rows
-        j0 = max(0, int(math.floor((c[0] - ex + width / 2) / sx)))
-        j1 = min(cols, int(math.ceil((c[0] + ex + width / 2) / sx)) + 1)
-        i0 = max(0, int(math.floor((c[1] - ey + height / 2) / sy)))
-        i1 = min(rows, int(math.ceil((c[1] + ey + height / 2) / sy)) + 1)
-        # the gel's z axis in the shape's frame, never zero so that no slab divides by it
-        dx, dy, dz = _nonzero(R[2, 0]), _nonzero(R[2, 1]), _nonzero(R[2, 2])
-        ax, ay, az = R[0, 0] * sx, R[0, 1] * sx, R[0, 2] * sx
-        x0 = 0.5 * sx - width / 2 - c[0]
-        for i in range(i0, i1):
-            y0 = (i + 0.5) * sy - height / 2 - c[1]
-            bx = R[0, 0] * x0 + R[1, 0] * y0 - R[2, 0] * c[2]
-            by = R[0, 1] * x0 + R[1, 1] * y0 - R[2, 1] * c[2]
-            bz = R[0, 2] * x0 + R[1, 2] * y0 - R[2, 2] * c[2]
-            row = depth[i]
+
+@njit(fastmath=_FAST)
+def _sweep(kind, size, c, R, ex, ey, width, height, thickness, depth):
+    """Raises `depth` [mm] where the shape with centre c and rotation R (gel frame) lies deeper.
+
+    One function for all kinds, each with a loop of its own along the rows: one for each kind would take six
+    times as long to compile.
+    """
+    rows, cols = depth.shape
+    sx, sy = width / cols, height / rows
+    j0 = max(0, int(math.floor((c[0] - ex + width / 2) / sx)))
+    j1 = min(cols, int(math.ceil((c[0] + ex + width / 2) / sx)) + 1)
+    i0 = max(0, int(math.floor((c[1] - ey + height / 2) / sy)))
+    i1 = min(rows, int(math.ceil((c[1] + ey + height / 2) / sy)) + 1)
+    # the gel's z axis in the shape's frame, never zero so that no slab divides by it
+    dx, dy, dz = _nonzero(R[2, 0]), _nonzero(R[2, 1]), _nonzero(R[2, 2])
+    ax, ay, az = R[0, 0] * sx, R[0, 1] * sx, R[0, 2] * sx
+    x0 = 0.5 * sx - width / 2 - c[0]
+    for i in range(i0, i1):
+        y0 = (i + 0.5) * sy - height / 2 - c[1]
+        bx = R[0, 0] * x0 + R[1, 0] * y0 - R[2, 0] * c[2]
+        by = R[0, 1] * x0 + R[1, 1] * y0 - R[2, 1] * c[2]
+        bz = R[0, 2] * x0 + R[1, 2] * y0 - R[2, 2] * c[2]
+        row = depth[i]
+        if kind == SPHERE:
             for j in range(j0, j1):
-                lo, hi = span(size, bx + ax * j, by + ay * j, bz + az * j, dx, dy, dz)
-                d = np.float32(min(-lo, thickness) * 1e3)
-                touches = (lo <= hi) & (hi > -thickness)
-                row[j] = max(row[j], d if touches else np.float32(0.0))
-
-    return sweep
-
-
-_sweep_sphere = _sweep(_sphere)
-_sweep_capsule = _sweep(_capsule)
-_sweep_ellipsoid = _sweep(_ellipsoid)
-_sweep_cylinder = _sweep(_cylinder)
-_sweep_box = _sweep(_box)
-_sweep_cone = _sweep(_cone)
+                lo, hi = _sphere(size, bx + ax * j, by + ay * j, bz + az * j, dx, dy, dz)
+                row[j] = _deeper(row[j], lo, hi, thickness)
+        elif kind == BOX:
+            for j in range(j0, j1):
+                lo, hi = _box(size, bx + ax * j, by + ay * j, bz + az * j, dx, dy, dz)
+                row[j] = _deeper(row[j], lo, hi, thickness)
+        elif kind == CAPSULE:
+            for j in range(j0, j1):
+                lo, hi = _capsule(size, bx + ax * j, by + ay * j, bz + az * j, dx, dy, dz)
+                row[j] = _deeper(row[j], lo, hi, thickness)
+        elif kind == CYLINDER:
+            for j in range(j0, j1):
+                lo, hi = _cylinder(size, bx + ax * j, by + ay * j, bz + az * j, dx, dy, dz)
+                row[j] = _deeper(row[j], lo, hi, thickness)
+        elif kind == ELLIPSOID:
+            for j in range(j0, j1):
+                lo, hi = _ellipsoid(size, bx + ax * j, by + ay * j, bz + az * j, dx, dy, dz)
+                row[j] = _deeper(row[j], lo, hi, thickness)
+        else:
+            for j in range(j0, j1):
+                lo, hi = _cone(size, bx + ax * j, by + ay * j, bz + az * j, dx, dy, dz)
+                row[j] = _deeper(row[j], lo, hi, thickness)
 
 
 @njit
 def _sweep_mesh(triangles, c, R, width, height, thickness, depth):
     """Raises `depth` [mm] where the mesh of these triangles (shape frame) lies deeper."""
     rows, cols = depth.shape
-    low, high = np.full(depth.shape, _FAR), np.full(depth.shape, -_FAR)
+    low, high = np.empty(depth.shape), np.empty(depth.shape)
+    for i in range(rows):
+        for j in range(cols):
+            low[i, j], high[i, j] = _FAR, -_FAR
     at = np.empty((3, 3))  # a triangle's corners: columns and rows from the first grid point, z
+    u, v = np.empty(3), np.empty(3)
     for t in range(len(triangles)):
         for k in range(3):
             x, y, z = triangles[t, k]
             at[k, 0] = (R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + c[0] + width / 2) * cols / width - 0.5
             at[k, 1] = (R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + c[1] + height / 2) * rows / height - 0.5
             at[k, 2] = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + c[2]
-        j0, j1 = max(math.ceil(at[:, 0].min()), 0), min(math.floor(at[:, 0].max()), cols - 1)
-        i0, i1 = max(math.ceil(at[:, 1].min()), 0), min(math.floor(at[:, 1].max()), rows - 1)
-        u, v = at[1] - at[0], at[2] - at[0]
+        left, right = min(at[0, 0], at[1, 0], at[2, 0]), max(at[0, 0], at[1, 0], at[2, 0])
+        top, bottom = min(at[0, 1], at[1, 1], at[2, 1]), max(at[0, 1], at[1, 1], at[2, 1])
+        j0, j1 = max(math.ceil(left), 0), min(math.floor(right), cols - 1)
+        i0, i1 = max(math.ceil(top), 0), min(math.floor(bottom), rows - 1)
+        for k in range(3):
+            u[k], v[k] = at[1, k] - at[0, k], at[2, k] - at[0, k]
         area = u[0] * v[1] - u[1] * v[0]
         if abs(area) < 1e-9:  # seen edge on
             continue
@@ -265,55 +290,46 @@ def _sweep_mesh(triangles, c, R, width, height, thickness, depth):
 
 
 @njit(cache=True)
-def _probe(kinds, sizes, positions, rotations, gel_position, gel_rotation, gel, triangles, depth):
-    """Fills `depth` [mm] (rows, columns) with the maximum over shapes, all inputs in metres.
+def _probe(kinds, sizes, positions, rotations, gel_positions, gel_rotations, gel, triangles, out):
+    """Fills grids [mm] (B or more, rows, columns) with the maximum over shapes, all inputs in metres.
 
-    Returns whether every shape was known.
+    Returns whether every shape was known. Products of matrices are loops, which compile faster than `@`.
     """
     width, height, thickness = gel
-    for k in range(len(kinds)):
-        kind, s = kinds[k], sizes[k]
-        if kind != CONE and not (SPHERE <= kind <= MESH):
-            return False
-        c = gel_rotation.T @ (positions[k] - gel_position)
-        R = gel_rotation.T @ rotations[k]
-        if kind == SPHERE or kind == CAPSULE:  # half extents along the shape's axes, then along the gel's
-            e0, e1, e2, e3 = 0.0, 0.0, (s[1] if kind == CAPSULE else 0.0), s[0]
-        elif kind == CYLINDER or kind == CONE:
-            e0, e1, e2, e3 = s[0], s[0], s[1], 0.0
-        elif kind == MESH:
-            e0, e1, e2, e3 = 0.0, 0.0, 0.0, s[2]
-        else:
-            e0, e1, e2, e3 = s[0], s[1], s[2], 0.0
-        ex = abs(R[0, 0]) * e0 + abs(R[0, 1]) * e1 + abs(R[0, 2]) * e2 + e3
-        ey = abs(R[1, 0]) * e0 + abs(R[1, 1]) * e1 + abs(R[1, 2]) * e2 + e3
-        ez = abs(R[2, 0]) * e0 + abs(R[2, 1]) * e1 + abs(R[2, 2]) * e2 + e3
-        if c[2] - ez > 0.0 or c[2] + ez < -thickness:
-            continue
-        if kind == SPHERE:
-            _sweep_sphere(s, c, R, ex, ey, width, height, thickness, depth)
-        elif kind == BOX:
-            _sweep_box(s, c, R, ex, ey, width, height, thickness, depth)
-        elif kind == CAPSULE:
-            _sweep_capsule(s, c, R, ex, ey, width, height, thickness, depth)
-        elif kind == CYLINDER:
-            _sweep_cylinder(s, c, R, ex, ey, width, height, thickness, depth)
-        elif kind == ELLIPSOID:
-            _sweep_ellipsoid(s, c, R, ex, ey, width, height, thickness, depth)
-        elif kind == MESH:
-            if abs(c[0]) - ex < width / 2 and abs(c[1]) - ey < height / 2:
+    c, R = np.empty(3), np.empty((3, 3))
+    for b in range(len(positions)):
+        depth, G = out[b], gel_rotations[b]
+        for i in range(depth.shape[0]):
+            for j in range(depth.shape[1]):
+                depth[i, j] = 0.0
+        for k in range(len(kinds)):
+            kind, s = kinds[k], sizes[k]
+            if kind != CONE and not (SPHERE <= kind <= MESH):
+                return False
+            for i in range(3):
+                c[i] = 0.0
+                for m in range(3):
+                    c[i] += G[m, i] * (positions[b, k, m] - gel_positions[b, m])
+                for j in range(3):
+                    R[i, j] = 0.0
+                    for m in range(3):
+                        R[i, j] += G[m, i] * rotations[b, k, m, j]
+            if kind == SPHERE or kind == CAPSULE:  # half extents along the shape's axes, then along the gel's
+                e0, e1, e2, e3 = 0.0, 0.0, (s[1] if kind == CAPSULE else 0.0), s[0]
+            elif kind == CYLINDER or kind == CONE:
+                e0, e1, e2, e3 = s[0], s[0], s[1], 0.0
+            elif kind == MESH:
+                e0, e1, e2, e3 = 0.0, 0.0, 0.0, s[2]
+            else:
+                e0, e1, e2, e3 = s[0], s[1], s[2], 0.0
+            ex = abs(R[0, 0]) * e0 + abs(R[0, 1]) * e1 + abs(R[0, 2]) * e2 + e3
+            ey = abs(R[1, 0]) * e0 + abs(R[1, 1]) * e1 + abs(R[1, 2]) * e2 + e3
+            ez = abs(R[2, 0]) * e0 + abs(R[2, 1]) * e1 + abs(R[2, 2]) * e2 + e3
+            if c[2] - ez > 0.0 or c[2] + ez < -thickness:
+                continue
+            if kind != MESH:
+                _sweep(kind, s, c, R, ex, ey, width, height, thickness, depth)
+            elif abs(c[0]) - ex < width / 2 and abs(c[1]) - ey < height / 2:
                 own = triangles[int(s[0]) : int(s[0] + s[1])]
                 _sweep_mesh(own, c, R, width, height, thickness, depth)
-        else:
-            _sweep_cone(s, c, R, ex, ey, width, height, thickness, depth)
-    return True
-
-
-@njit(cache=True)
-def _probe_all(kinds, sizes, positions, rotations, gel_positions, gel_rotations, gel, triangles, out):
-    for b in range(len(positions)):
-        out[b] = 0
-        pose = gel_positions[b], gel_rotations[b]
-        if not _probe(kinds, sizes, positions[b], rotations[b], *pose, gel, triangles, out[b]):
-            return False
     return True

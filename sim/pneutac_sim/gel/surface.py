@@ -32,7 +32,7 @@ def surface(
 def resolutions(shape, cell_mm, decay_mm):
     """How many grids, each of half the resolution, are solved one after another."""
     levels = 1
-    while min(shape) >> levels >= 8 and min(cell_mm) * 2.0**levels < decay_mm:
+    while min(shape[0], shape[1]) >> levels >= 8 and min(cell_mm[0], cell_mm[1]) * 2.0**levels < decay_mm:
         levels += 1
     return levels
 
@@ -85,8 +85,11 @@ def _sweeps(u, o, hx, hy, decay, sweeps):
     scale = np.float32(1.0) / (np.float32(1.0) + np.float32(2.0) * (kx + ky))
     for _ in range(sweeps):
         for colour in range(2):
-            u[0], u[n - 1] = u[1], u[n - 2]
-            u[:, 0], u[:, m - 1] = u[:, 1], u[:, m - 2]
+            # Loops over single cells: Numba takes seconds to compile the check that whole rows fit.
+            for j in range(m):
+                u[0, j], u[n - 1, j] = u[1, j], u[n - 2, j]
+            for i in range(n):
+                u[i, 0], u[i, m - 1] = u[i, 1], u[i, m - 2]
             for i in range(1, n - 1):
                 for j in range(1 + (i + colour) % 2, m - 1, 2):
                     x = (kx * (u[i, j - 1] + u[i, j + 1]) + ky * (u[i - 1, j] + u[i + 1, j])) * scale

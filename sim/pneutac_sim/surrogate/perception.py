@@ -58,60 +58,51 @@ def workspace(channels: tuple[int, int, int]) -> tuple[np.ndarray, ...]:
     return tuple(np.zeros(shape, np.float32) for shape in shapes)
 
 
-def _level(rows: int, cols: int, grids: int = 1):
-    """Compiles a convolution for lines of one length; with a length that is known only later it is slow."""
-    stride, lines = cols + 1, grids * (rows + 1) - 1
-    cells = lines * stride
+def _level(rows: int, cols: int):
+    """Compiles a convolution for lines of n grids; with a stride that is known only later it is slow."""
+    stride = cols + 1
     first = EDGE + stride  # of the plane's own cells
 
     @njit(fastmath=_FAST)
-    def taps(x, w, v, y, z):
-        """Adds to the lines y and z what the line x brings by the kernels w and v (9,)."""
-        w0, w1, w2, w3, w4, w5, w6, w7, w8 = w[0], w[1], w[2], w[3], w[4], w[5], w[6], w[7], w[8]
+    def taps(x, u, v, y, z, cells):
+        """Adds to the lines y and z what the line x brings by the kernels u and v (9,)."""
+        u0, u1, u2, u3, u4, u5, u6, u7, u8 = u[0], u[1], u[2], u[3], u[4], u[5], u[6], u[7], u[8]
         v0, v1, v2, v3, v4, v5, v6, v7, v8 = v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8]
-        for p in range(first, first + cells):
-            a, b, c = x[p - stride - 1], x[p - stride], x[p - stride + 1]
-            d, e, f = x[p - 1], x[p], x[p + 1]
-            g, h, i = x[p + stride - 1], x[p + stride], x[p + stride + 1]
-            y[p] += w0 * a + w1 * b + w2 * c + w3 * d + w4 * e + w5 * f + w6 * g + w7 * h + w8 * i
+        above, here, below = x[first - stride - 1 :], x[first - 1 :], x[first + stride - 1 :]
+        y, z = y[first:], z[first:]
+        for p in range(cells):
+            a, b, c = above[p], above[p + 1], above[p + 2]
+            d, e, f = here[p], here[p + 1], here[p + 2]
+            g, h, i = below[p], below[p + 1], below[p + 2]
+            y[p] += u0 * a + u1 * b + u2 * c + u3 * d + u4 * e + u5 * f + u6 * g + u7 * h + u8 * i
             z[p] += v0 * a + v1 * b + v2 * c + v3 * d + v4 * e + v5 * f + v6 * g + v7 * h + v8 * i
 
     @njit
-    def convolve(x, w, bias, y):
+    def convolve(x, w, bias, y, n):
         """Fills planes y (outputs, ...), of even number, with max(0, w * x + bias) of x (inputs, ...)."""
+        lines = n * (rows + 1) - 1
+        last = first + lines * stride
         for o in range(0, len(y), 2):
-            y[o, first : first + cells] = bias[o]
-            y[o + 1, first : first + cells] = bias[o + 1]
+            upper, lower = y[o], y[o + 1]
+            for p in range(first, last):
+                upper[p], lower[p] = bias[o], bias[o + 1]
             for k in range(len(x)):
-                taps(x[k], w[o, k], w[o + 1, k], y[o], y[o + 1])
+                taps(x[k], w[o, k], w[o + 1, k], upper, lower, last - first)
         for o in range(len(y)):
             line = y[o]
-            for p in range(first, first + cells):
+            for p in range(first, last):
                 line[p] = max(line[p], np.float32(0.0))
             for i in range(lines):
                 line[first + i * stride + cols] = 0.0
-            for g in range(1, grids):  # the row between two grids
+            for g in range(1, n):  # the row between two grids
                 at = first + (g * (rows + 1) - 1) * stride
-                line[at : at + cols] = 0.0
+                for p in range(at, at + cols):
+                    line[p] = 0.0
 
     return convolve
 
 
-def _coarse(rows: int, cols: int):
-    """Compiles `_level` for n grids; where they are more than one, for all that there is room for."""
-    one, full = _level(rows, cols), _level(rows, cols, BATCH)
-
-    @njit
-    def convolve(x, w, bias, y, n):
-        if n == 1:
-            one(x, w, bias, y)
-        else:
-            full(x, w, bias, y)
-
-    return convolve
-
-
-_convolve1, _coarse2, _coarse3 = _level(R1, C1), _coarse(R2, C2), _coarse(R3, C3)
+_convolve1, _convolve2, _convolve3 = _level(R1, C1), _level(R2, C2), _level(R3, C3)
 
 
 @njit(cache=True)
@@ -140,7 +131,7 @@ def _enlarge(coarse, coarse_grid, coarse_cols, fine, grid, rows, cols):
                 fine[k, at + j] = coarse[k, source + j // 2]
 
 
-@njit(cache=True)
+@njit(inline="always")  # into its one caller: else it would be compiled twice
 def added(kernels, biases, work, depth):
     """g(d) of `perception.UNet` in mm, in place of some grids d (n, ROWS, COLS), n up to `BATCH`.
 
@@ -157,27 +148,27 @@ def added(kernels, biases, work, depth):
                 at = EDGE + (i // BLOCK + 1) * (C1 + 1) + j // BLOCK
                 blocks[(i % BLOCK) * BLOCK + j % BLOCK, at] = depth[g, i, j]
         own1 = skip1[g, skip1.shape[1] - len(p2) :]
-        _convolve1(blocks, w[0], b[0], h1)
-        _convolve1(h1, w[1], b[1], own1)
+        _convolve1(blocks, w[0], b[0], h1, 1)
+        _convolve1(h1, w[1], b[1], own1, 1)
         _pool(own1, 0, R1, C1, p2, g, C2)
-    _coarse2(p2, w[2], b[2], h2, n)
-    _coarse2(h2, w[3], b[3], own2, n)
+    _convolve2(p2, w[2], b[2], h2, n)
+    _convolve2(h2, w[3], b[3], own2, n)
     for g in range(n):
         _pool(own2, g, R2, C2, p3, g, C3)
-    _coarse3(p3, w[4], b[4], h3, n)
-    _coarse3(h3, w[5], b[5], y3, n)
+    _convolve3(p3, w[4], b[4], h3, n)
+    _convolve3(h3, w[5], b[5], y3, n)
     for g in range(n):
         _enlarge(y3, g, C3, skip2, g, R2, C2)
-    _coarse2(skip2, w[6], b[6], h2, n)
-    _coarse2(h2, w[7], b[7], y2, n)
+    _convolve2(skip2, w[6], b[6], h2, n)
+    _convolve2(h2, w[7], b[7], y2, n)
     for g in range(n):
         _enlarge(y2, g, C2, skip1[g], 0, R1, C1)
-        _convolve1(skip1[g], w[8], b[8], h1)
-        _convolve1(h1, w[9], b[9], y1)
+        _convolve1(skip1[g], w[8], b[8], h1, 1)
+        _convolve1(h1, w[9], b[9], y1, 1)
         _last(y1, w[10], b[10], depth[g])
 
 
-@njit(cache=True)
+@njit(inline="always")
 def _last(y, w, bias, out):
     """The convolution (4, inputs, 1) of planes y, as a grid."""
     for i in range(ROWS):
@@ -190,10 +181,10 @@ def _last(y, w, bias, out):
 
 
 @njit(cache=True)
-def displacements(kernels, biases, work, grids, rest, deepest_mm, out):
-    """Fills `out` with d + g(min(d, deepest)) - g(0) of grids d (B, ROWS, COLS); what rests stays at d.
+def displacements(kernels, biases, work, grids, rest, least_mm, deepest_mm, out):
+    """Fills `out` with d + g(min(d, deepest)) - rest of grids d (B, ROWS, COLS).
 
-    Returns whether all depths are finite.
+    Grids whose largest depth is `least_mm` or less stay as they are. Returns whether all depths are finite.
     """
     known, which, n = np.empty((BATCH, ROWS, COLS), np.float32), np.empty(BATCH, np.int64), 0
     for m in range(len(grids)):
@@ -205,14 +196,16 @@ def displacements(kernels, biases, work, grids, rest, deepest_mm, out):
                     return False
                 peak = max(peak, d)
                 known[n, i, j] = min(d, deepest_mm)
-        out[m] = grids[m]
-        if peak > 0.0:
+                out[m, i, j] = d
+        if peak > least_mm:
             which[n] = m
             n += 1
         if n == BATCH or (n and m == len(grids) - 1):
             added(kernels, biases, work, known[:n])
             for k in range(n):
-                out[which[k]] += known[k] - rest
+                for i in range(ROWS):
+                    for j in range(COLS):
+                        out[which[k], i, j] += known[k, i, j] - rest[i, j]
             n = 0
     return True
 
@@ -258,7 +251,8 @@ class GelSurrogate:
             raise ValueError(f"probe grids have shape ([B,] {ROWS}, {COLS}); got {depth.shape}")
         grids = depth.reshape(-1, ROWS, COLS)
         out = np.empty_like(grids)
-        if not displacements(*self._network, grids, self._rest, np.float32(self.deepest_mm), out):
+        deepest = np.float32(self.deepest_mm)
+        if not displacements(*self._network, grids, self._rest, np.float32(0), deepest, out):
             raise ValueError("a probe grid holds a depth that is no finite number")
         return out.reshape(depth.shape)
 
@@ -272,9 +266,9 @@ class GelSurrogate:
 
     @cached_property
     def _rest(self) -> np.ndarray:
-        rest = np.zeros((1, ROWS, COLS), np.float32)
-        added(*self._network, rest)
-        return rest[0]
+        zero, out = np.zeros((1, ROWS, COLS), np.float32), np.empty((1, ROWS, COLS), np.float32)
+        displacements(*self._network, zero, zero[0], np.float32(-1), np.float32(self.deepest_mm), out)
+        return out[0]
 
     def out_of_range(self, depth_mm: np.ndarray) -> np.ndarray:
         """Whether probe grids (..., 80, 59) lie deeper, or cover more of the window, than in training."""

@@ -14,6 +14,7 @@ next and r_kk the way from hinge k to the centre. With A = sum_k m_k conj(r_k)^T
 M_ij = Re(A_ij e^{i(phi_j - phi_i)}) + I_i delta_ij and c_i = -sum_j Im(A_ij e^{i(phi_j - phi_i)}) phi_j'^2.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,7 +89,11 @@ def dynamics(A, inertia, q, qd):
     """M (N, N) and c (N,) in joint angles, from those in absolute angles."""
     n = len(q)
     M, c = np.zeros((n, n)), np.zeros(n)
-    turn, rate = np.exp(1j * np.cumsum(q)), np.cumsum(qd)
+    turn, rate = np.empty(n, np.complex128), np.empty(n)
+    angle, fast = 0.0, 0.0
+    for i in range(n):  # not whole arrays: Numba takes seconds to compile the check of their shapes
+        angle, fast = angle + q[i], fast + qd[i]
+        turn[i], rate[i] = complex(math.cos(angle), math.sin(angle)), fast
     for i in range(n):
         for j in range(n):
             z = A[i, j] * np.conj(turn[i]) * turn[j]
@@ -97,10 +102,12 @@ def dynamics(A, inertia, q, qd):
         M[i, i] += inertia[i]
     # A joint turns its own link and all beyond it: sums from the tip.
     for i in range(n - 2, -1, -1):
-        M[i] += M[i + 1]
+        for j in range(n):
+            M[i, j] += M[i + 1, j]
         c[i] += c[i + 1]
     for j in range(n - 2, -1, -1):
-        M[:, j] += M[:, j + 1]
+        for i in range(n):
+            M[i, j] += M[i, j + 1]
     return M, c
 
 
