@@ -121,15 +121,17 @@ def progress_bar(console: Console) -> Iterator[Callable[[str, int, int], None]]:
 
 
 def _lines(console: Console) -> Callable[[str, int, int], None]:
-    last, began = -LINE_S, {}  # when each text's first number was reported, and that number
+    last, began = -LINE_S, {}  # of each text when the first of its work was done, and how much that was
 
     def progress(text: str, done: int, total: int) -> None:
         nonlocal last
-        start_s, first = began.setdefault(text, (time.monotonic(), done))
+        first, start_s = began.setdefault(text, (done, None))
+        if start_s is None and done > first:  # what came before, such as compiling, comes once
+            first, start_s = began[text] = done, time.monotonic()
         if time.monotonic() - last >= LINE_S:
             last = time.monotonic()
             line = f"{text}: {done} of {total}" if total > 1 else f"{text} ..."
-            if total > 1 and done > first:
+            if total > 1 and start_s is not None and done > first:
                 left_s = (last - start_s) * (total - done) / (done - first)
                 line += f", about {math.ceil(left_s / 60)} min left"
             console.print(line, highlight=False)

@@ -48,6 +48,7 @@ HIDDEN = "friction_maxwell"  # effect of the rod of the quick demo
 FIRST_S = 14  # of the demonstration by lerobot-record; the person is done with most in 10 s
 ALONE = "_alone"  # ends the folders of what is made of the recorded demonstrations alone
 RESAMPLED = 10_000
+COUNTED = r"[\w ]+: (\d+) of (\d+)(?:, about \d+ min left)?"  # a line of progress of a command of ours
 
 
 @dataclass
@@ -268,6 +269,8 @@ class Demo:
 
     def __init__(self, cfg: DemoConfig, announce: Announce, progress: Progress):
         self.cfg, self._announce, self._progress = cfg, announce, progress
+        self._commands: list[str] = []  # of the stage that runs
+        self._done: dict[str, tuple[int, int]] = {}  # of each, what is done and of how much
         self._file = cfg.out / "state.json"
         options = {k: v for k, v in vars(cfg).items() if k not in ("fresh", "out", "quick")}
         self.state = read_json(self._file) if self._file.exists() else {"options": options}
@@ -292,7 +295,7 @@ class Demo:
                 self._announce(f"{heading} (done before)")
                 continue
             self._announce(heading)
-            start, self._commands = time.monotonic(), []
+            start, self._commands, self._done = time.monotonic(), [], {}
             found = getattr(self, f"_{name}")()
             self.state[name] = {**found, "seconds": time.monotonic() - start, "commands": self._commands}
             write_json(self._file, self.state)
@@ -468,13 +471,13 @@ class Demo:
 
     def _command(self, *command: str, total: int = 0, pattern: str = "") -> str:
         """Runs a command and returns what it printed, also into `logs/`; a match of `pattern` is progress."""
-        line = shlex.join(command)
-        self._commands.append(line)
-        self._announce(f"$ {line}")
+        shown = shlex.join(command)
+        self._commands.append(shown)
+        self._announce(f"$ {shown}")
         # More threads than cores left over make torch on small batches slower, not faster.
         env = os.environ | {"HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
         env["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{env['PATH']}"
-        number = 1 + self._commands.index(line)
+        number = 1 + self._commands.index(shown)
         log = self._path("logs") / f"{len(self.state):02d}_{number}_{Path(command[0]).name}.log"
         log.parent.mkdir(exist_ok=True)
         lines, done, name = [], 0, " ".join(w for w in command[:2] if not w.startswith("-"))
@@ -485,7 +488,10 @@ class Demo:
                 lines.append(line)
                 if pattern and re.search(pattern, line):
                     done += 1
-                self._progress(name, done, total)
+                elif counted := re.fullmatch(COUNTED, line.rstrip()):
+                    done, total = map(int, counted.groups())
+                self._done[shown] = done, total
+                self._progress(name, *map(sum, zip(*self._done.values(), strict=True)))
         if process.returncode != 0:
             raise InputError(f"the command above failed; the end of {log} says:\n{''.join(lines[-15:])}")
         return "".join(lines)

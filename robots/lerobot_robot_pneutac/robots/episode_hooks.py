@@ -134,7 +134,8 @@ class EpisodeHooks:
             if not self._waits:
                 follows = f"so its motions are stored as {'faster' if short else 'slower'} than they were"
             elif short:
-                remedy = "--dataset.streaming_encoding=true" if films else "the robot a less busy computer"
+                remedy = "the robot a less busy computer"
+                remedy += ", --dataset.streaming_encoding=true if it is not given" if films else ""
                 follows = f"{world}; give {remedy}, or a longer --dataset.episode_time_s"
             else:
                 less = f"in which the policy acted less often than at {fps:g} Hz"

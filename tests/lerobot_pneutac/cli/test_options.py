@@ -238,6 +238,19 @@ def test_without_a_terminal_there_is_a_line_at_once_and_every_ten_seconds(monkey
     ]  # fmt: skip
 
 
+def test_time_left_counts_from_the_first_that_was_done(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    console = Console(file=io.StringIO(), width=80)
+    with progress_bar(console) as progress:
+        for second, done in ((0, 0), (400, 0), (480, 1), (540, 2), (600, 3)):  # it compiles for eight minutes
+            now[0] = float(second)
+            progress("making", done, 10)
+    *before, second, third = console.file.getvalue().splitlines()
+    assert before[-1] == "making: 1 of 10"
+    assert (second, third) == ("making: 2 of 10, about 8 min left", "making: 3 of 10, about 7 min left")
+
+
 def test_a_terminal_gets_a_bar_that_leaves_nothing_behind():
     console = Console(file=io.StringIO(), force_terminal=True, width=80)
     with progress_bar(console) as progress:

@@ -186,6 +186,17 @@ def test_a_failed_command_shows_the_end_of_its_log(tmp_path):
     assert told[0].startswith("$ python -c ")
 
 
+def test_progress_is_that_of_all_commands_that_run_together(tmp_path):
+    shown, run = [], demo(tmp_path / "d")[0]
+    run._progress = lambda *what: shown.append(what)
+    code = "print('loss:1\\n' * {}, end='')"
+    run._together(*(("python", "-c", code.format(n)) for n in (2, 3)), total=3, pattern="loss:")
+    assert shown[-1] == ("python", 5, 6)
+    run._done = {}
+    run._command("python", "-c", "print('making demonstrations: 20 of 60, about 3 min left')")
+    assert shown[-1] == ("python", 20, 60)
+
+
 def test_the_sentence_says_what_was_found_and_the_report_is_written(commands, tmp_path, monkeypatch):
     monkeypatch.setattr(
         "lerobot_pneutac.cli.terminal.Console", lambda **options: Console(width=500, **options)
