@@ -115,8 +115,8 @@ class PneutacSim(BaseRobot):
         self.recording = None
         self._hooks.connect()
         logger.info(
-            "Building the world; on a new machine this compiles for about a minute, once. If it is stopped, what"
-            " is compiled by then stays."
+            "Building the world; on a new machine this compiles for about a minute, once. If it is stopped,"
+            " what is compiled by then stays."
         )
         self.world = _world(self.config)
         self.world.widen_starts(self.config.start_width)
