@@ -134,7 +134,50 @@ SMALL = {
         "policy.num_inference_steps": 5,
         "policy.spatial_softmax_num_keypoints": 8,
     },
+    "smolvla": {
+        "policy.load_vlm_weights": "false",
+        "policy.num_vlm_layers": 2,
+        "policy.resize_imgs_with_padding": "[128,128]",
+        "policy.num_steps": 2,
+    },
 }
+
+
+def small_language_model(folder: Path) -> Path:
+    """Configuration, tokenizer and image processor of a SmolVLM of two layers, whose weights are random."""
+    from tokenizers import Tokenizer, models, pre_tokenizers
+    from transformers import (
+        PreTrainedTokenizerFast,
+        SmolVLMConfig,
+        SmolVLMImageProcessor,
+        SmolVLMProcessor,
+        SmolVLMVideoProcessor,
+    )
+
+    special = {
+        "fake_image_token": "<fake_token_around_image>",
+        "global_image_token": "<global-img>",
+        "image_token": "<image>",
+        "end_of_utterance_token": "<end_of_utterance>",
+    }
+    words = ["<unk>", "<pad>", *special.values(), "Flip", "the", "switch"]
+    known = Tokenizer(models.WordLevel({word: k for k, word in enumerate(words)}, unk_token="<unk>"))
+    known.pre_tokenizer = pre_tokenizers.Whitespace()
+    tokenizer = PreTrainedTokenizerFast(
+        tokenizer_object=known, unk_token="<unk>", pad_token="<pad>", extra_special_tokens=special
+    )
+    images, videos = SmolVLMImageProcessor(), SmolVLMVideoProcessor()
+    SmolVLMProcessor(images, tokenizer, videos, image_seq_len=16).save_pretrained(folder)
+    heads = {"num_attention_heads": 4, "num_key_value_heads": 2, "head_dim": 16}
+    text = {"vocab_size": len(words), "hidden_size": 64, "intermediate_size": 64, "num_hidden_layers": 2}
+    eye = {"hidden_size": 32, "intermediate_size": 32, "num_hidden_layers": 1, "num_attention_heads": 2}
+    SmolVLMConfig(
+        vision_config=eye | {"image_size": 128, "patch_size": 32},
+        text_config={"model_type": "llama"} | text | heads,
+        scale_factor=2,
+        image_token_id=words.index("<image>"),
+    ).save_pretrained(folder)
+    return folder
 
 
 @pytest.mark.nightly
@@ -143,7 +186,10 @@ def test_other_policies_train_and_evaluate_by_the_pages_commands(run, policy):
     """With a small network, two steps and one short trial in place of the page's numbers."""
     page = [b for b in blocks("docs/how_to/which_policy.md") if f"policy.type={policy} " in b.text]
     train, evaluate = (shlex.split(c) for c in page[0].text.replace("\\\n", "").strip().split("\n"))
-    outputs = run.work / policy
+    outputs, more = run.work / policy, dict(SMALL[policy])
+    if policy == "smolvla":
+        pytest.importorskip("num2words", reason="LeRobot's extra `smolvla` is not installed")
+        more["policy.vlm_model_name"] = small_language_model(outputs / "vlm")
     shutil.copytree(ROOT / "tests/golden/recordings/demos", outputs / "switch/demos")
     trial = {"eval.n_episodes": 1, "env.episode_length": 10, "policy.device": "cpu"}
     trial["eval.use_async_envs"] = "true"
@@ -153,9 +199,10 @@ def test_other_policies_train_and_evaluate_by_the_pages_commands(run, policy):
         "num_workers": 0,
         "save_freq": 0,
         "policy.device": "cpu",
-        "policy.pretrained_backbone_weights": "null",
     }
-    for (command, *options), other in ((train, small | SMALL[policy]), (evaluate, trial)):
+    if policy != "smolvla":
+        small["policy.pretrained_backbone_weights"] = "null"
+    for (command, *options), other in ((train, small | more), (evaluate, trial)):
         given = dict(o.removeprefix("--").split("=", 1) for o in options) | other
         given = {k: str(v).replace("outputs/", f"{outputs}/") for k, v in given.items()}
         run(shlex.join([command, *(f"--{k}={v}" for k, v in given.items())]))
