@@ -62,6 +62,7 @@ PACKAGES = "av datasets datatrove lerobot pyarrow quadrants rerun serial taichi 
 PLUGIN_PACKAGES = {PLUGIN, *PACKAGES.split()}
 PLUGIN_VERBS = ("measure", "surrogate", "render", "augment", "ppo", "repair")
 RESUMED = ("demo", "learn", "surrogate", "augment", "ppo")  # commands that go on where one was interrupted
+AT_THE_END = ("compare", "diagnose", "add")
 
 
 AGAIN_S = 1.0  # after which Ctrl-C is raised again where a library has swallowed it
@@ -106,8 +107,11 @@ def main() -> None:
         # an interrupt inside a lock, as of a wait, ends in "release unlocked lock"
         if isinstance(e, RuntimeError) and not isinstance(e.__context__, KeyboardInterrupt):
             raise
-        resumed = sys.argv[0].rpartition(" ")[2] in RESUMED
-        goes_on = "; the same command goes on from what is finished" * resumed
+        verb, goes_on = sys.argv[0].rpartition(" ")[2], ""
+        if verb in RESUMED:
+            goes_on = "; the same command goes on from what is finished"
+        elif verb in AT_THE_END:
+            goes_on = "; only what ends is stored, so the same command begins anew"
         print(f"{sys.argv[0]}: interrupted{goes_on}.", file=sys.stderr)
         sys.exit(130)
 

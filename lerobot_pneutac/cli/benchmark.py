@@ -1,10 +1,17 @@
 """`pneutac benchmark NAME`: tables of accuracy and speed, each one command."""
 
 import importlib
+import json
+import shlex
+import shutil
+import subprocess
 import sys
+from importlib.metadata import version
+from pathlib import Path
 
 from lerobot_pneutac.cli.options import name_option, parse_options
 from pneutac_sim.errors import InputError
+from pneutac_sim.files import write_json
 
 # name -> module with the dataclass `BenchmarkNameConfig` and the function `benchmark_name` that takes it
 TABLES = {
@@ -36,6 +43,19 @@ def command(argv: list[str], terminal) -> None:
     module = importlib.import_module(TABLES[name])
     config_class = getattr(module, f"Benchmark{name.title().replace('_', '')}Config")
     try:
-        getattr(module, f"benchmark_{name}")(parse_options(config_class, argv[1:]))
+        config = parse_options(config_class, argv[1:])
+        getattr(module, f"benchmark_{name}")(config)
     except InputError as e:
         raise InputError(name_option(str(e), config_class, argv)) from e
+    if config.out is not None and (file := config.out / "result.json").is_file():
+        write_json(file, json.loads(file.read_text(encoding="utf-8")) | _made_by(argv))
+
+
+def _made_by(argv: list[str]) -> dict[str, str]:
+    """By what a result can be repeated: command, version and, of a clone, commit."""
+    made = {"made_by": shlex.join(["pneutac", "benchmark", *argv]), "version": version("pneutac")}
+    root = Path(__file__).parents[2]
+    if (root / ".git").exists() and shutil.which("git"):
+        ask = ["git", "-C", str(root), "describe", "--always", "--dirty", "--exclude=*"]
+        made["commit"] = subprocess.run(ask, capture_output=True, text=True).stdout.strip()
+    return made

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from pneutac_datasets.recording.wording import an
-from pneutac_sim.errors import InputError, check_least
+from pneutac_sim.errors import InputError, check_between, check_least
 from pneutac_sim.finger.online import refuse_unused
 from pneutac_sim.gel.indenter import AnyFigure, Figure, Outline, Press
 from pneutac_sim.gel.model import GelModel
@@ -77,6 +77,7 @@ class RenderConfig:
             raise InputError(f"seconds is {self.seconds}; a pressure needs {2 / FPS:.2f} to {MOST_S:g} s.")
         if self.particles is not None:
             check_least(100, particles=self.particles)
+            check_between(100, 1_000_000, particles=self.particles)
 
 
 def filled(config: RenderConfig, twin: Twin) -> RenderConfig:

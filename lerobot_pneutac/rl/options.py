@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from pneutac_sim.errors import InputError, check_between, check_choice, check_least, refuse_given
+from pneutac_sim.executor import MOST_WORLDS
 from pneutac_sim.features import CHAMBERS, FIDELITIES, task_names
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.checks import check_world
@@ -79,4 +80,5 @@ class PpoConfig:
             refuse_given(self, ("parallel",), "is of worlds that are not stepped in a batch")
         self.envs = self.envs if self.envs is not None else BATCH if self.batch else max(8, 2 * cores)
         self.parallel = self.parallel if self.parallel is not None else cores > 2
-        check_least(1, steps=self.steps, envs=self.envs)
+        check_least(1, steps=self.steps)
+        check_between(1, MOST_WORLDS, envs=self.envs)

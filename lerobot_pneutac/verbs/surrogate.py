@@ -6,6 +6,7 @@ Trajectories and contacts are collected one by one into the twin's folder, so th
 import shlex
 import shutil
 import time
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -18,7 +19,7 @@ from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.wording import an
 from pneutac_sim.errors import InputError, check_between, check_choice, refuse_given
 from pneutac_sim.executor import ExecutorOptions
-from pneutac_sim.files import whole, write_text
+from pneutac_sim.files import locked, whole, write_text
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.surrogate.finger import builtin, fits
 from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
@@ -115,24 +116,28 @@ class TrainedNetworks(Result):
 
 
 def train_networks(config: SurrogateConfig, twin: Twin, progress: Progress = no_progress) -> TrainedNetworks:
-    """Trains what is missing or outdated, and writes networks and their card into the twin's folder."""
+    """Trains what is missing or outdated, and writes networks and their card into the twin's folder.
+
+    Raises InputError: the options do not fit, or another process trains networks of this twin.
+    """
     folder = Path(config.twin)
     if twin.device != "finger":
         of = f"{folder} is the twin of {an(twin.device)}, but the networks are of a finger and the gel on it"
         raise InputError(f"{of}; give a finger's twin.")
     config.check()
     networks, missing = {}, config.to_train(twin)
-    for name in NETWORKS:
-        file, start = folder / f"{name}.safetensors", time.perf_counter()
-        if name not in missing:
-            with whole(file) as part:
-                shutil.copyfile(builtin(name), part)
-            found = {"source": "shipped: this finger or gel is the built-in one"}
-        else:
-            train = _train_action if name == "action" else _train_perception
-            found = {"source": "trained"} | train(config, twin, file, progress)
-        networks[name] = found | {"seconds": time.perf_counter() - start}
-        twin.networks[name] = file
+    with locked(folder / DATA, wait_s=0.0) if missing else nullcontext():
+        for name in NETWORKS:
+            file, start = folder / f"{name}.safetensors", time.perf_counter()
+            if name not in missing:
+                with whole(file) as part:
+                    shutil.copyfile(builtin(name), part)
+                found = {"source": "shipped: this finger or gel is the built-in one"}
+            else:
+                train = _train_action if name == "action" else _train_perception
+                found = {"source": "trained"} | train(config, twin, file, progress)
+            networks[name] = found | {"seconds": time.perf_counter() - start}
+            twin.networks[name] = file
     twin.folder = folder
     trained = TrainedNetworks(twin, networks, _errors(networks, folder))
     _write_card(trained, folder)

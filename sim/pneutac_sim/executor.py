@@ -30,11 +30,12 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from pneutac_sim.errors import InputError, check_choice, check_least
+from pneutac_sim.errors import InputError, check_between, check_choice, check_least
 from pneutac_sim.files import read_fields
 from pneutac_sim.progress import Progress, no_progress
 
 EXECUTORS = ("local", "ray", "slurm")
+MOST_WORKERS, MOST_WORLDS = 10_000, 100_000  # a typo beyond would take all memory
 OURS = (
     *("pipeline", "tasks", "workers", "tasks_per_job", "logging_dir", "skip_completed", "depends", "return"),
     *("job_name", "job_id_retriever", "job_id_position", "depends_job_id"),
@@ -63,7 +64,8 @@ class ExecutorOptions:
     def check_executor(self) -> None:
         """Raises InputError where no such executor answers here, or it refuses the arguments of its file."""
         check_choice("executor", self.executor, EXECUTORS)
-        check_least(1, tasks_per_job=self.tasks_per_job, workers=1 if self.workers is None else self.workers)
+        check_least(1, tasks_per_job=self.tasks_per_job)
+        check_between(1, MOST_WORKERS, workers=1 if self.workers is None else self.workers)
         if self.executor == "ray" and importlib.util.find_spec("ray") is None:
             raise InputError(
                 "executor is 'ray', which is not installed; in a clone: uv pip install -e '.[ray]'"

@@ -121,6 +121,7 @@ def test_what_is_wrong_with_an_executor_is_one_sentence(tmp_path, cluster, monke
 
     refused("executor is 'dask'; it must be one of local, ray, slurm", executor="dask")
     refused("workers is 0", workers=0)
+    refused("workers is 1e[+]06; give 1 to 10000", workers=1_000_000)
     refused("tasks_per_job is 0", tasks_per_job=0)
     refused("leave it out, or give --executor", executor_config=cluster)
     refused("which is no file", executor="ray", executor_config=tmp_path / "none.yaml")

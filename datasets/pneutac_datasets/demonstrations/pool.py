@@ -10,6 +10,7 @@ but for their rounding. It also holds the previous action, an input of the polic
 
 import argparse
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -31,13 +32,15 @@ from pneutac_datasets.demonstrations.info import Files, check_new
 from pneutac_datasets.demonstrations.save import create_dataset, written
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole
+from pneutac_sim.world.arms import ArmFile
+from pneutac_sim.world.station import Station, station_file
 
 
 def pool_demonstrations(sources: list[Path], out: str | Path, repo_id: str) -> Path:
     """Writes the demonstrations of several datasets as one whose images are 80 x 60, lying ones 60 x 80.
 
     Raises:
-        InputError: a source is no dataset of this robot, frame rates or sizes differ, or `out` exists.
+        InputError: a source is no dataset of this robot, rates, sizes or stations differ, or `out` exists.
     """
     check_new(Path(out), repo_id)
     for root in sources:
@@ -59,6 +62,14 @@ def pool_demonstrations(sources: list[Path], out: str | Path, repo_id: str) -> P
                     f"'{meta.root}' has '{key}' of the shape {here} and '{metas[0].root}' of {first};"
                     " give datasets of one sensor, arm and finger."
                 )
+    files = [station_file(root) for root in sources]
+    stations = [Station.load(file) if file else Station() for file in files]
+    for root, station in zip(sources, stations, strict=True):
+        if _described(station) != _described(stations[0]):
+            raise InputError(
+                f"'{root}' has another meta/station.yaml than '{sources[0]}', or one of them has none; give"
+                " datasets of one station, or store the file where it is missing."
+            )
     small = (*grid(*size[:2]), size[2])
     if small[0] >= size[0]:
         raise InputError(f"'{metas[0].root}' has images of {size} already; train on it as it is.")
@@ -80,7 +91,17 @@ def pool_demonstrations(sources: list[Path], out: str | Path, repo_id: str) -> P
                     e.images = np.concatenate([_means(image) for image in e.images])
                     e.state, e.action = (x.astype(np.float32) for x in (e.state, e.action))
                     save_episode(new, e, {PREVIOUS_ACTION: previous_actions(e)})
+        if any(files):
+            stations[0].save(part / "meta")
     return Path(out)
+
+
+def _described(station: Station) -> dict:
+    """What it is made of; of an arm's own file, which each dataset has a copy of, the content."""
+    out = asdict(station)
+    if isinstance(station.arm, ArmFile):
+        out["arm"]["urdf"] = Path(station.arm.urdf).read_bytes()
+    return out
 
 
 def _means(image: np.ndarray) -> np.ndarray:

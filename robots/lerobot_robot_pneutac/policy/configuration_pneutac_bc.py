@@ -32,6 +32,7 @@ MOST_STEPS = 10**9  # LeRobot fits the fall of the learning rate into the steps 
 ANSWER_DELAY = "answer_delay_frames"  # in the `info` of a dataset's action
 MOST_AHEAD_S = 0.2  # a label farther ahead is of another place
 NETWORKS = 3  # on what the library made
+MOST_NETWORKS = 100  # a typo beyond would fill the memory
 HUBER_DELTA = 0.5  # mm a control step and kPa; a hand's tremor is 0.4 mm a step
 TACTILE = f"{OBS_IMAGES}.{IMAGE_NAME}"
 PREVIOUS_ACTION = "observation.previous_action"
@@ -91,7 +92,7 @@ class PneutacBCConfig(PreTrainedConfig):
     def __post_init__(self):
         super().__post_init__()
         check_range("--policy.previous_action_dropout", self.previous_action_dropout, 0, 1)
-        check_range("--policy.networks", self.networks, 1)
+        check_range("--policy.networks", self.networks, 1, MOST_NETWORKS)
         noises = "pressure_noise_kpa", "brightness_noise_levels", "pixel_noise_levels"
         for name in ("answer_delay", "huber_delta", *noises):
             check_range(f"--policy.{name}", getattr(self, name), 0)

@@ -343,7 +343,7 @@ def test_an_interrupted_command_says_whether_it_goes_on(monkeypatch, capsys):
             main()
     assert capsys.readouterr().err.splitlines() == [
         "pneutac surrogate: interrupted; the same command goes on from what is finished.",
-        "pneutac diagnose: interrupted.",
+        "pneutac diagnose: interrupted; only what ends is stored, so the same command begins anew.",
     ]
 
 

@@ -1,6 +1,8 @@
 """`pneutac surrogate`: a twin's own body and effect reach the world, interrupted runs go on, bad input."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -114,6 +116,20 @@ def test_a_damaged_network_of_the_twin_is_refused(tmp_path):
         with pytest.raises(InputError, match=f"{name}.safetensors.* train .*with `pneutac surrogate`"):
             World("switch", Twin.load(tmp_path / "twin"), touch="none", fidelity="surrogate")
         file.write_bytes(whole)
+
+
+def test_two_at_once_on_one_twin_are_refused(tmp_path):
+    other_body().save(tmp_path / "twin")
+    other = (
+        "import sys, time; from pathlib import Path; from pneutac_sim.files import locked\n"
+        "with locked(Path(sys.argv[1])): print('locked', flush=True); time.sleep(60)"
+    )
+    command = [sys.executable, "-c", other, str(tmp_path / "twin" / DATA)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        process.stdout.readline()
+        with pytest.raises(InputError, match=f"Another command is writing into '.*twin/{DATA}'; wait for it"):
+            train(tmp_path / "twin")
+        process.kill()
 
 
 def test_twins_that_cannot_be_trained_are_refused(tmp_path):

@@ -26,6 +26,7 @@ from pneutac_datasets.demonstrations.save import (
 )
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, IMAGE_SHAPE, STATE_NAMES
+from pneutac_sim.world.station import Station
 from pneutac_sim.world.world import World
 
 FRAMES = 4
@@ -139,6 +140,16 @@ def test_a_stop_leaves_nothing_half_written(tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         pool_demonstrations(sources, tmp_path / "small", "local/small")
     assert [p.name for p in tmp_path.iterdir()] == ["a"]
+
+
+def test_the_station_goes_along_and_must_be_one(tmp_path):
+    sources = [write(tmp_path / name, 1) for name in "ab"]
+    Station(mount_mm=50).save(sources[0] / "meta")
+    with pytest.raises(InputError, match="/b' has another meta/station.yaml than '.*/a', or one"):
+        pool_demonstrations(sources, tmp_path / "small", "local/small")
+    Station(mount_mm=50).save(sources[1] / "meta")
+    out = pool_demonstrations(sources, tmp_path / "small", "local/small")
+    assert Station.load(out / "meta" / "station.yaml") == Station(mount_mm=50)
 
 
 def test_bad_input_is_named(pooled, tmp_path):

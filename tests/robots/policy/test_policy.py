@@ -74,6 +74,7 @@ def write_dataset(root, levels, fps=15, state_names=STATE_NAMES, shape=IMAGE_SHA
         ({"previous_action_dropout": 1.5}, "previous_action_dropout is 1.5"),
         ({"optimizer_lr": 0.0}, "optimizer_lr is 0.0"),
         ({"networks": 0}, "networks is 0"),
+        ({"networks": 3000}, "networks is 3000; it must be 1 or more and at most 100"),
         ({"normalization_mapping": {"STATE": NormalizationMode.MEAN_STD}}, "must be IDENTITY"),
     ],
 )

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig
 from pneutac_sim.errors import InputError, check_between, check_choice, check_least, refuse_given
-from pneutac_sim.executor import ExecutorOptions, check_device
+from pneutac_sim.executor import MOST_WORLDS, ExecutorOptions, check_device
 from pneutac_sim.features import FIDELITIES, task_names
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.base import MOST_WIDE
@@ -93,7 +93,8 @@ class AugmentConfig(ExecutorOptions):
             raise InputError(f"real_share must be 0 to {MOST_REAL:g}, and 0 with naive.")
         check_choice("fidelity", self.fidelity, FIDELITIES)
         self.check_executor()
-        check_least(1, episodes=self.episodes, attempts=self.attempts, worlds=self.worlds)
+        check_least(1, episodes=self.episodes, attempts=self.attempts)
+        check_between(1, MOST_WORLDS, worlds=self.worlds)
         check_choice("device", self.device, ("cpu", "cuda"))
         if self.device != "cpu":
             self._check_device()
