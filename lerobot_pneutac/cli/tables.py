@@ -106,7 +106,7 @@ def _rows(understood: plain.Understood) -> list[tuple[str, str, str]]:
     for row in rows:  # the axes that there are
         axes = "".join(a for a in "xyz" if row[1].replace("xyz", a) in have)
         row[1] = row[1].replace("xyz", axes) if axes else row[1]
-    return [(" ".join(names), stem, " ".join(p for p in how if p)) for names, stem, how in rows]
+    return [(" ".join(names), stem, ": ".join(p for p in how if p)) for names, stem, how in rows]
 
 
 def _how(c: Column) -> str:

@@ -12,7 +12,7 @@ from pneutac_datasets.demonstrations.replay.reading import Demonstrations, is_da
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.units import unit_faults
-from pneutac_datasets.recording.wording import an, listed, plural
+from pneutac_datasets.recording.wording import an, joined, plural
 from pneutac_sim.errors import InputError, option
 from pneutac_sim.features import CHAMBERS
 from pneutac_sim.finger import BodyData, Pipeline
@@ -216,9 +216,9 @@ def device_moves(recording: Recording) -> None:
     """Raises InputError where every measured number of the device is the same in all rows."""
     poses = [c for c in recording.observations if not c.startswith("image")]
     if poses and len(recording) > 1 and not np.ptp(recording.samples[poses].to_numpy(float), axis=0).any():
-        raise InputError(
-            f"{recording.folder}: {listed(map(repr, poses))} never changes; check that the tracker ran."
-        )
+        never = f"never change{'s' * (len(poses) == 1)}"
+        named = f"{recording.folder}: {joined(map(repr, poses))}"
+        raise InputError(f"{named} {never}; check that the tracker ran.")
 
 
 LEAST_SAMPLES = 10  # of fewer the 95 % interval of a root mean square exceeds 0.7 to 1.8 times its value

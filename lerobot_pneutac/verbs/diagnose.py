@@ -34,7 +34,7 @@ from pneutac_sim.twin import Twin
 # the models between which a diagnosis could not yet choose
 FILE, CONTENDERS = "contenders.json", "contenders"
 BEFORE, BASELINE, FOUND = "before", "baseline", "found"  # folders of twins in that of the report
-SHOWN = 3  # warnings on the console; the report has all
+SHOWN = 3  # warnings on the console, besides those of the recording; the report has all
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -178,10 +178,12 @@ class Diagnosis(Result):
 
     def remarks(self) -> list[str]:
         shown = self.warnings
-        lines = [f"- {escape(w)}" for w in shown[:SHOWN]]
-        if len(shown) > SHOWN:
+        # what is wrong with the recording may be all that was found
+        first = [w for i, w in enumerate(shown) if i < SHOWN or w in self.state.notes]
+        lines = [f"- {escape(w)}" for w in first]
+        if len(shown) > len(first):
             where = "in the report" + " (--out=DIR)" * (self.saved_to is None)
-            lines.append(f"- {len(shown) - SHOWN} more {where}")
+            lines.append(f"- {len(shown) - len(first)} more {where}")
         return ["[bold]Warnings[/]", *lines] if lines else []
 
     def content(self) -> dict:

@@ -209,7 +209,8 @@ def saturated(recording: Recording) -> Iterator[Finding]:
             if np.ptp(x) > 0 and at.sum() >= 20 and at.mean() > 0.01 and spread > 0.1:
                 text = (
                     f"Column '{name}' sticks to its {word} number {extreme:g} in {at.mean():.1%} of the rows "
-                    "while the command varies: the sensor saturates there."
+                    "while the command varies: the sensor saturates there, and a fit follows its limit; "
+                    "leave those rows out, or record within its range."
                 )
                 yield Finding("saturated", text, (name,), np.flatnonzero(at), {"at": float(extreme)})
 

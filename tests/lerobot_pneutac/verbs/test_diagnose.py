@@ -53,6 +53,18 @@ def test_the_report_shows_what_was_found(creep, tmp_path):
     assert "http" not in html.split("<main>")[1].split("<script")[0]
 
 
+def test_what_is_wrong_with_the_recording_is_always_on_the_console(creep):
+    from dataclasses import replace
+
+    told = replace(creep)
+    vars(told)["state"] = replace(
+        creep.state, objections=("a", "b", "c", "d"), notes=("The sensor saturates.",)
+    )
+    lines = told.remarks()
+    assert "- A check failed: c." in lines and "- A check failed: d." not in lines
+    assert lines[4] == "- The sensor saturates." and "more in the report" in lines[5]
+
+
 def test_the_found_twin_is_what_was_measured_against(creep, tmp_path):
     """It is saved and read again, and predicts as the search said."""
     twin = Twin.load(creep.outcome.twin.save(tmp_path / "twin"))

@@ -321,6 +321,7 @@ def test_an_output_that_sticks_to_its_extreme_is_found(clean):
     limit = np.quantile(clean.column("tip_z_mm"), 0.9)
     f = only(by_trial(clean, "tip_z_mm", lambda x: np.minimum(x, limit)))
     assert (f.kind, f.columns, f.numbers["at"]) == ("saturated", ("tip_z_mm",), limit)
+    assert "leave those rows out, or record within its range" in f.sentence
 
 
 def test_a_command_that_the_log_clipped_is_found(clean):
