@@ -164,6 +164,17 @@ def test_what_is_no_task_is_one_sentence(install, code, says):
         PneutacEnvConfig(task="gong")
 
 
+@pytest.mark.parametrize("name", ["reset", "update", "success", "expert"])
+def test_own_code_that_fails_is_one_sentence_with_its_line(install, name):
+    code = re.sub(rf"(    def {name}\(.*\n)", r"\1        [][3]\n", block("python"))
+    install(code, {"doorbell": "pneutac_doorbell:DoorbellTask"})
+    line = code.splitlines().index("        [][3]") + 1
+    says = rf"Entry point 'doorbell' .*: {name} fails in .*pneutac_doorbell.py, line {line} \(IndexError"
+    with pytest.raises(InputError, match=says) as caught:
+        played(World("doorbell", touch="none"), 0, steps=2)
+    assert isinstance(caught.value.__cause__, IndexError)
+
+
 def test_without_an_expert_or_with_a_mesh_to_feel_it_says_what_to_do(install, tmp_path):
     bare = (
         block("python")

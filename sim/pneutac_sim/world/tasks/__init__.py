@@ -1,7 +1,10 @@
 """The tasks by name: the library's own, and those that other packages bring by an entry point."""
 
+import functools
 import math
+import traceback
 from importlib.metadata import entry_points
+from pathlib import Path
 
 from pneutac_sim.errors import InputError, finite_array, load_entry_point, shown
 from pneutac_sim.features import TASK_GROUP, task_names
@@ -10,6 +13,8 @@ from pneutac_sim.world.tasks.base import Task
 from pneutac_sim.world.tasks.card import CardTask
 from pneutac_sim.world.tasks.egg import EggTask
 from pneutac_sim.world.tasks.switch import SwitchTask
+
+CALLED = ("widen", "reset", "update", "success", "failure", "expert")  # of a task, while a world runs
 
 TASKS: dict[str, type[Task]] = {"switch": SwitchTask, "egg": EggTask, "card": CardTask}
 
@@ -38,12 +43,37 @@ def make_task(name: str) -> Task:
     if missing := [m for m in ("mjcf", "reset", "update", "success") if getattr(kind, m) is getattr(Task, m)]:
         raise InputError(f"{where} has no method {', '.join(missing)}; every task needs it.")
     try:
-        task = kind()
+        task = _guarded(kind, where)()
         _check(task)
     except Exception as e:  # whatever a class of others raises
         why = str(e).rstrip(".") if isinstance(e, InputError) else f"fails ({type(e).__name__}: {e})"
         raise InputError(f"{where} {why}; correct its class.") from e
     return task
+
+
+def _guarded(kind: type[Task], where: str) -> type[Task]:
+    """The class, with methods that raise InputError, one sentence with file and line, where its own raise."""
+
+    def guarded(name: str):
+        method = getattr(kind, name)
+
+        @functools.wraps(method)
+        def call(*args, **named):
+            try:
+                return method(*args, **named)
+            except InputError:
+                raise
+            except Exception as e:  # whatever a class of others raises
+                frames = traceback.extract_tb(e.__traceback__)[1:]
+                own = [f for f in frames if "pneutac_sim" not in Path(f.filename).parts] or frames
+                line = f"{own[-1].filename}, line {own[-1].lineno}" if own else "its call"
+                what = f"{where}: {name} fails in {line} ({type(e).__name__}: {e})"
+                raise InputError(f"{what}; correct its class.") from e
+
+        return call
+
+    names = (n for n in CALLED if getattr(kind, n) is not getattr(Task, n))
+    return type(kind.__name__, (kind,), {n: guarded(n) for n in names} | {"__module__": kind.__module__})
 
 
 def _check(task: Task) -> None:
