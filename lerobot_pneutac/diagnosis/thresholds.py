@@ -43,7 +43,7 @@ VOTES = 7  # other splits in which the choice is repeated (search)
 VOTE_BLOCKS = 0.75  # of the blocks, in each of these (search)
 AS_GOOD = 0.02  # of the excess: models that differ by less are rivals (search, gel)
 MOST_RIVALS = 3  # that are reported (search)
-MOST_OTHERS = 4  # candidates besides the final model and the twin as it is (body, gel_press)
+MOST_OTHERS = 4  # candidates besides the final model and the twin as it is (body, design)
 
 # ---------------------------------------------------------------- parts
 
@@ -127,7 +127,7 @@ TELLS = 3.0  # standard deviations by which a motion shows a change (demonstrati
 
 # ---------------------------------------------------------------- next experiment
 
-LITTLE_GAIN = 0.05  # nats about candidates, or share of new time, that count as none (design, gel_press)
+LITTLE_GAIN = 0.05  # nats about candidates, or share of new time, that count as none (design)
 LITTLE_GAIN_CONSTANTS = 1.0  # nats about constants, likewise (design)
 INDEPENDENT_S = 1.0  # a model's error hardly changes within: counts as one measurement (design)
 OVERHEAD_S = 15.0  # that any program costs besides its own time (design)
@@ -139,7 +139,7 @@ LEVELS = 20  # of the range: held pressures that differ by less are one (fit_bod
 QUICK_HZ = 50.0  # at which the measured pressure shows a dead time and a resonance (base)
 LONG_HOLD_S = 120.0  # which shows creep and a leak (base)
 TEMPERATURES_C = 5.0  # between two room temperatures that show an effect of warmth (base)
-HOLD_ENOUGH = 0.8  # of the most that any hold leaves: the shortest such hold is proposed (gel_press)
+HOLD_ENOUGH = 0.8  # of the most that any hold leaves: the shortest such hold is proposed (design)
 
 # ---------------------------------------------------------------- recordings
 

@@ -20,7 +20,7 @@ from pneutac_sim.features import VELOCITY_NAMES, Places
 from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.station import Station, station_file
+from pneutac_sim.world.station import Station, station_of
 
 FEW_ATTEMPTS, FEW_WORKED = 20, 0.15  # with demonstrations of the same finger 17 % or more do the task
 
@@ -160,8 +160,7 @@ def augment(
     from pneutac_datasets.demonstrations.naive import augment_naive
     from pneutac_sim.gel.sensor import TactileSensor
 
-    sensor, file = None, station_file(config.dataset.root, config.station)
-    station = Station.load(file) if file else None
+    sensor, station = None, station_of(config.dataset.root, config.station)
     if config.method != "naive":
         twin = Twin.load(config.twin) if config.twin else Twin.builtin()
         if faults := recorded.faults(twin, station):

@@ -27,7 +27,7 @@ from pneutac_sim.finger.online import COMPUTED
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value, lost_twin
 from pneutac_sim.world.checks import check_networks, check_world, out_of_reach
-from pneutac_sim.world.station import Station, station_faults, station_file
+from pneutac_sim.world.station import Station, station_faults, station_of
 
 SHORT = 1000  # rows: a diagnosis refuses none that is longer
 WORLD = ("joint_stiffness_nm_per_rad", "joint_damping_nms_per_rad", "gain_rad_per_kpa")
@@ -65,8 +65,7 @@ def check_path(path: str | Path, twin: Twin | None = None, station: Station | No
     if (path / "twin.yaml").is_file():
         return Checked(path, "twin", *_twin(path))
     if not (path / "recording.json").is_file() and is_demonstrations(path):
-        left = station_file(path)
-        station = station or (Station.load(left) if left else Station())
+        station = station or station_of(path) or Station()
         recorded = Recorded(path)
         faults = recorded.faults(twin or Twin.builtin(), station)
         notes = recorded.rate_notes() if faults else recorded.notes(station) + recorded.set_aside()

@@ -35,7 +35,7 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import joined
 from pneutac_sim.errors import InputError, check_least
 from pneutac_sim.features import CONTROL_HZ, TRIAL_S
-from pneutac_sim.files import read_json, write_json
+from pneutac_sim.files import read_json, whole, write_json
 from pneutac_sim.pace import DONE, read_outcomes
 from pneutac_sim.progress import Progress
 from pneutac_sim.twin import Twin
@@ -331,11 +331,10 @@ class Demo:
 
     def _add(self) -> dict:
         """All that was found, at once: found together, one alone may not be worth it."""
-        before, part = self._path("before"), self._path("before.part")  # to be found again in the studio
+        before = self._path("before")  # to be found again in the studio
         if not before.exists():
-            shutil.rmtree(part, ignore_errors=True)
-            shutil.copytree(self.twin, part)
-            part.rename(before)
+            with whole(before) as part:
+                shutil.copytree(self.twin, part)
         if set(Twin.load(self.twin).effects) == set(Twin.load(before).effects):
             self._verb("add", self.finger, "added", f"--from={self._path('diagnosis')}")
         return self._compare("compare_after")

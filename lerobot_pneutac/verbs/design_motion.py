@@ -170,10 +170,9 @@ def motion_choices(
     misses: Misses,
     station: Station | None = None,
     progress: Progress = no_progress,
-    drags: Sequence[tuple[float, float]] = DRAGS,
 ) -> list[MotionChoice]:
-    """Every motion, and what it would show; drags go so many mm at so many kPa of the paper's finger."""
-    motions = (*MOTIONS, *(sideways(*drag) for drag in drags))
+    """Every motion, and what it would show."""
+    motions = (*MOTIONS, *(sideways(*drag) for drag in DRAGS))
     responses: dict[str, list[list[Response]]] = {}
     changes, done = fingers(twin), 0
     for name, (changed, friction) in changes.items():

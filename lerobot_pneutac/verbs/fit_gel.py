@@ -305,7 +305,7 @@ def calibrate_gel(
     args = data.presses, data.px_per_mm, names, data.thickness_mm, library()
     fit = fit_presses(*args, *([points.between] if points else []), known=known)
     if points:
-        from pneutac_sim.splat.refine import refine_fit  # numba takes a second to start
+        from pneutac_sim.splat.gel import refine_fit  # numba takes a second to start
 
         progress("the light refined through the splat renderer", 0, 1)
         refine_fit(fit, data.presses, points.between)

@@ -18,8 +18,7 @@ from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import Predictor, Pressed, expected_drift, press_depth, registered
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.mpm.devices import PressedGel
-from pneutac_sim.splat.gel import SplatSensor
-from pneutac_sim.splat.refine import refine_fit
+from pneutac_sim.splat.gel import SplatSensor, refine_fit
 from pneutac_sim.twin import Twin
 
 Predict = Callable[[GelSample], np.ndarray]

@@ -7,7 +7,7 @@ from pneutac_datasets.demonstrations.info import read_info
 from pneutac_sim.features import unit_of
 from pneutac_sim.files import write_text
 from pneutac_sim.pace import DONE, OUTCOME_FILE, read_outcomes
-from pneutac_sim.world.station import Station, station_file
+from pneutac_sim.world.station import Station, station_of
 
 
 def write_card(
@@ -26,8 +26,8 @@ def write_card(
 def dataset_card(folder: Path, licence: str, source: str) -> str:
     """The card as Markdown with the Hub's header."""
     info = read_info(folder / "meta/info.json")
-    left = station_file(folder)
-    station, outcomes = Station.load(left) if left else Station(), read_outcomes(folder / "meta")
+    left, outcomes = station_of(folder), read_outcomes(folder / "meta")
+    station = left or Station()
     arm = station.arm if isinstance(station.arm, str) else "described in `meta/station.yaml`"
     low, high = (", ".join(f"{x:g}" for x in c) for c in (station.workspace_low_m, station.workspace_high_m))
     failed = [str(k) for k, why in sorted(outcomes.items()) if why != DONE]

@@ -6,7 +6,6 @@ scales the velocities, a displaced approach moves joints and commands too, and c
 contact area. Nothing knows whether the altered demonstration would have done the task.
 """
 
-import shutil
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -16,7 +15,7 @@ import numpy as np
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 
 from pneutac_datasets.demonstrations.augment.options import AugmentConfig
-from pneutac_datasets.demonstrations.augment.run import finish, part_of, summary_of
+from pneutac_datasets.demonstrations.augment.run import finish, summary_of
 from pneutac_datasets.demonstrations.episodes import (
     TACTILE,
     Episode,
@@ -29,6 +28,7 @@ from pneutac_datasets.demonstrations.faults import Recorded
 from pneutac_datasets.demonstrations.save import create_dataset, written
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import PANDA_JOINTS, PAPER_RANGE_KPA, PRESSURES, action_limits, state_limits
+from pneutac_sim.files import whole
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.world.station import Station
 
@@ -75,17 +75,17 @@ def augment_naive(
     states, actions = map(np.concatenate, zip(*recorded.episodes.values(), strict=True))
     longest = int(np.ceil(max(meta.episodes["length"]) / SPEED[0])) + 1
     use_videos = features[TACTILE]["dtype"] == "video"
-    shutil.rmtree(part := part_of(new.root), ignore_errors=True)
-    out = create_dataset(new.repo_id, part, meta.fps, features, meta.robot_type, use_videos, longest)
-    with written(out):
-        for k, made in enumerate(varied(load, len(used), states, actions, episodes, seed)):
-            progress("varying demonstrations", k, episodes)
-            save_episode(out, made)
     provenance = [
         {"episode": k, "seed": seed, "source_episode": used[k % len(used)], "method": "naive"}
         for k in range(episodes)
     ]
-    finish(new.root, provenance, station)
+    with whole(new.root) as part:
+        out = create_dataset(new.repo_id, part, meta.fps, features, meta.robot_type, use_videos, longest)
+        with written(out):
+            for k, made in enumerate(varied(load, len(used), states, actions, episodes, seed)):
+                progress("varying demonstrations", k, episodes)
+                save_episode(out, made)
+        finish(part, provenance, station)
     return summary_of(provenance, {}, [], began)
 
 

@@ -33,7 +33,7 @@ from pneutac_datasets.demonstrations.save import create_dataset, written
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import whole
 from pneutac_sim.world.arms import ArmFile
-from pneutac_sim.world.station import Station, station_file
+from pneutac_sim.world.station import Station, station_of
 
 
 def pool_demonstrations(sources: list[Path], out: str | Path, repo_id: str) -> Path:
@@ -62,8 +62,8 @@ def pool_demonstrations(sources: list[Path], out: str | Path, repo_id: str) -> P
                     f"'{meta.root}' has '{key}' of the shape {here} and '{metas[0].root}' of {first};"
                     " give datasets of one sensor, arm and finger."
                 )
-    files = [station_file(root) for root in sources]
-    stations = [Station.load(file) if file else Station() for file in files]
+    left = [station_of(root) for root in sources]
+    stations = [station or Station() for station in left]
     for root, station in zip(sources, stations, strict=True):
         if _described(station) != _described(stations[0]):
             raise InputError(
@@ -91,7 +91,7 @@ def pool_demonstrations(sources: list[Path], out: str | Path, repo_id: str) -> P
                     e.images = np.concatenate([_means(image) for image in e.images])
                     e.state, e.action = (x.astype(np.float32) for x in (e.state, e.action))
                     save_episode(new, e, {PREVIOUS_ACTION: previous_actions(e)})
-        if any(files):
+        if any(left):
             stations[0].save(part / "meta")
     return Path(out)
 

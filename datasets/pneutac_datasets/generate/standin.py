@@ -29,21 +29,22 @@ MARKER_NOISE_MM = 0.3
 SETTLE_S, TURNED_S = 1.0, 4.0  # a finger that has been turned or loaded swings longer
 HANGING = {"gravity_x": 1.0, "gravity_y": 0.0, "gravity_z": 0.0}  # in the base's frame
 PRESSES = 16
+HZ = 20.0  # samples a second of a session
 SCALE_SHARE, SCALE_NOISE_N = 0.01, 0.003  # errors of the scale under the gel
 
 
-def write_finger(folder: str | Path, seed: int = 0, minutes: float = 6.0, hz: float = 20.0) -> Recording:
+def write_finger(folder: str | Path, seed: int = 0, minutes: float = 6.0) -> Recording:
     """Writes a session with the stand-in's finger: stairs, triangles, loops, holds, steps, and two repeats.
 
     Each trial begins rested. The pressure is logged by the gauge of the robot, so that air and body can be
     told apart. The seed decides the programs' random levels and the noise. Raises InputError where `minutes`
-    or `hz`, samples a second, is out of its range.
+    is out of its range.
     """
-    if not 1 <= minutes <= 60 or not 5 <= hz <= 50:
-        raise InputError(f"minutes={minutes}, hz={hz}: minutes must be 1 to 60 and hz 5 to 50.")
+    if not 1 <= minutes <= 60:
+        raise InputError(f"minutes={minutes}: minutes must be 1 to 60.")
     rng = np.random.default_rng([seed, 3])
-    trials = [ProgramTrial(t.label, t.command) for t in session(MAX_PRESSURE_KPA, 60 * minutes, hz, rng)[:3]]
-    return _write(folder, trials, hz, rng)
+    trials = [ProgramTrial(t.label, t.command) for t in session(MAX_PRESSURE_KPA, 60 * minutes, HZ, rng)[:3]]
+    return _write(folder, trials, HZ, rng)
 
 
 def _write(

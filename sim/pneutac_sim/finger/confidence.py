@@ -9,8 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pneutac_sim.finger.quantities import rms
-
 Z95 = 1.959964
 TOLERANCE = 1e-3
 
@@ -20,9 +18,7 @@ class Confidence:
     """Uncertainty of F fitted parameters, in the fit's own scaled units."""
 
     rho: float  # correlation of residuals of neighbouring samples
-    sigma: float  # standard deviation of the residuals, in the unit of the error
     sd: np.ndarray  # (F,) standard deviations; infinite where nothing was learned
-    correlation: np.ndarray  # (F, F) between parameters; zero rows for those at a bound
 
 
 def autocorrelation(residual: np.ndarray, adjacent: np.ndarray) -> float:
@@ -77,21 +73,14 @@ def confidence(J: np.ndarray, residual: np.ndarray, adjacent: np.ndarray, at_bou
     inflation = (1 + rho) / (1 - rho)
     variance = (residual**2).sum() / max(residual.size - count, 1)
     sd = np.full(count, np.inf)
-    correlation = np.zeros((count, count))
     inside = np.flatnonzero(~at_bound)
     H = J.T @ J
     if len(inside):
-        covariance = _inverse(H[np.ix_(inside, inside)])
-        spread = np.sqrt(np.diag(covariance))
-        sd[inside] = spread
-        with np.errstate(invalid="ignore"):
-            correlation[np.ix_(inside, inside)] = np.nan_to_num(covariance / np.outer(spread, spread))
+        sd[inside] = np.sqrt(np.diag(_inverse(H[np.ix_(inside, inside)])))
     for j in np.flatnonzero(at_bound):
         which = np.append(inside, j)
         sd[j] = np.sqrt(_inverse(H[np.ix_(which, which)])[-1, -1])
-    return Confidence(
-        rho=rho, sigma=rms(residual), sd=sd * np.sqrt(variance * inflation), correlation=correlation
-    )
+    return Confidence(rho, sd * np.sqrt(variance * inflation))
 
 
 def _inverse(H: np.ndarray) -> np.ndarray:

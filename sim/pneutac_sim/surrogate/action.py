@@ -54,12 +54,11 @@ def train_action(
     twin: Twin,
     data_dir: str | Path,
     seed: int = 0,
-    epochs: int = EPOCHS,
     progress: Callable[[str], None] = lambda _: None,
 ) -> ActionNetwork:
     """Fits f_r to the torques of inverse dynamics by mean squared error (Adam, learning rate 1e-3).
 
-    On the trajectories of a folder of `collect_action`, in at most so many epochs; `seed` is of weights and
+    On the trajectories of a folder of `collect_action`, in at most `EPOCHS` epochs; `seed` is of weights and
     batches, and `progress` is given a line now and then. The weights with the lowest error on the
     trajectories of early stopping are stored.
 
@@ -86,7 +85,7 @@ def train_action(
     def report(epoch, loss):
         progress(f"epoch {epoch}: error {np.sqrt(loss) * torque_scale[0]:.3g} N m")
 
-    layers = _descend(*sets, noise, seed, epochs, report)
+    layers = _descend(*sets, noise, seed, EPOCHS, report)
     if layers is None:
         raise InputError(
             f"The torques of the trajectories in '{data_dir}' are not finite; collect them again."

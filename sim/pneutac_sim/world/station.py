@@ -128,13 +128,14 @@ class Station:
             part.write_text(yaml.safe_dump({"format": FORMAT} | content, sort_keys=False))
 
 
-def station_file(dataset: str | Path, given: Path | None = None) -> Path | None:
-    """The station's file of a dataset's folder: the one that is given, or that its robot left in its `meta`.
+def station_of(dataset: str | Path, given: Path | None = None) -> Station | None:
+    """The station of a dataset's folder: of the file that is given, or that its robot left in its `meta`.
 
-    None where there is neither: it was the paper's.
+    None where there is neither: it was the paper's. Raises InputError where the file is damaged.
     """
     left = Path(dataset) / "meta" / FILE
-    return given or (left if left.exists() or left.is_symlink() else None)
+    file = given or (left if left.exists() or left.is_symlink() else None)
+    return Station.load(file) if file else None
 
 
 def check_corner(value, name: str) -> tuple[float, float, float]:

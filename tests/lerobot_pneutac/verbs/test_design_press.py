@@ -9,7 +9,7 @@ from generated import once
 from verbs import refused, verb
 
 from lerobot_pneutac.diagnosis.result import Candidate
-from lerobot_pneutac.study.gel_press import held_choice
+from lerobot_pneutac.verbs.design import held_choice
 from lerobot_pneutac.verbs.diagnose import save_candidates
 from pneutac_datasets.generate.gel import write_gel_recording
 from pneutac_datasets.recording.gel import GelRecording

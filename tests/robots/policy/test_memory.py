@@ -108,7 +108,7 @@ def test_labels_in_touch_are_those_of_the_answer():
 
 
 def test_a_dataset_names_its_delay_and_the_loss_counts_from_moved_labels(dataset, tmp_path):
-    shutil.copytree(dataset, tmp_path / "late.part")
+    shutil.copytree(dataset, tmp_path / "late")
     finish(tmp_path / "late", [], answer_delay=2)
     meta = LeRobotDatasetMetadata("local/demos", tmp_path / "late")
     assert meta.features[ACTION]["info"][ANSWER_DELAY] == 2

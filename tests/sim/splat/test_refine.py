@@ -10,9 +10,8 @@ from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import PressPhotograph
 from pneutac_sim.gel.sensor import TactileSensor
-from pneutac_sim.splat import refine
-from pneutac_sim.splat.gel import SplatSensor
-from pneutac_sim.splat.refine import Viewed, refine_fit, refine_light
+from pneutac_sim.splat import gel as splat_gel
+from pneutac_sim.splat.gel import SplatSensor, Viewed, refine_fit, refine_light
 
 PRESS = Press("sphere", 4.0, 2.0, 3.0, 1.0)
 
@@ -65,7 +64,7 @@ def test_what_held_back_parts_do_not_bear_out_is_not_taken(sensor, monkeypatch):
     def wrong(gel, *rest):
         return replace(gel, light=0.8 * gel.light)
 
-    monkeypatch.setattr(refine, "refine_light", wrong)
+    monkeypatch.setattr(splat_gel, "refine_light", wrong)
     refine_fit(fit, [photograph], pressed)
     assert fit.refined is False and fit.gel is before
 

@@ -322,18 +322,35 @@ def augment_guided(
         InputError: the output exists, an unfinished run is another one, or a demonstration cannot be made.
     """
     c, out, began = setup.config, setup.config.output, time.monotonic()
-    work = Work(work_folder(out.root))
-    if out.root.exists() and work.folder.exists():
-        return _tidy_up(work, meta, setup, began) | _checked(work, c.check_mpm)
+    work, n = Work(work_folder(out.root)), len(setup.references)
     check_new(out.root, out.repo_id)
     work.open(_run(meta, setup))
     with locked(work.folder, wait_s=0.0):
-        return _make_and_write(meta, setup, work, progress, began)
+        # It is there where a run was stopped when only its work folder was left to remove.
+        seconds = {} if out.root.exists() else _make_and_write(meta, setup, work, progress)
+        lines = (out.root / "meta" / PROVENANCE).read_text().splitlines()
+        scenes = [work.load_scene(i) for i in range(n) if work.scene_file(i).exists()]
+        found = summary_of([json.loads(line) for line in lines], seconds, scenes, began)
+        if found["kept"] != c.episodes:
+            raise InputError(
+                f"'{out.root}' holds {found['kept']} demonstrations, not {c.episodes}; give a new folder for"
+                " them."
+            )
+        checked = [f for f in map(work.check_file, range(c.check_mpm)) if f.exists()]
+        checks = {"checks": [json.loads(f.read_text()) for f in checked]} if checked else {}
+        shutil.rmtree(work.folder)
+    return found | checks | {ANSWER_DELAY: _answer_delay(setup) or 0}
+
+
+def _answer_delay(setup: AugmentSetup) -> int | None:
+    """Frames by which the demonstrator answers a touch late, for policies; only of the library."""
+    return lagged_answers(setup.references)[1] if setup.config.method == "library" else None
 
 
 def _make_and_write(
-    meta: LeRobotDatasetMetadata, setup: AugmentSetup, work: Work, progress: Progress, began: float
-) -> dict:
+    meta: LeRobotDatasetMetadata, setup: AugmentSetup, work: Work, progress: Progress
+) -> dict[str, float]:
+    """Makes what is missing and writes the dataset; returns the seconds by part."""
     c, out = setup.config, setup.config.output
     scenes = _find_scenes(work, setup, progress) if c.method == "planner" else []
     files, new = [work.episode_file(k) for k in range(c.episodes)], work.folder / "dataset"
@@ -355,40 +372,15 @@ def _make_and_write(
         writing.result()
     written = time.monotonic()
     used = [r.source for r in setup.references]
-    copies = _merge(new, part_of(out.root), out.repo_id, meta, used, c.real_share or 0.0)
+    part = work.folder / "whole"
+    copies = _merge(new, part, out.repo_id, meta, used, c.real_share or 0.0)
     made = [work.load_spent(k) for k in range(c.episodes)]
-    provenance = [line for line, _ in made] + copies
     seconds = {name: sum(s[name] for _, s in made) for name in made[0][1]}
     seconds |= {"writing": written - spent, "merging": time.monotonic() - written} | parts
     check(work, setup, c.check_mpm, progress)
-    agreements = _checked(work, c.check_mpm)
-    delay = lagged_answers(setup.references)[1] if c.method == "library" else None
-    finish(out.root, provenance, setup.station, delay)
-    shutil.rmtree(work.folder)
-    return summary_of(provenance, seconds, scenes, began) | agreements | {ANSWER_DELAY: delay or 0}
-
-
-def _checked(work: Work, checks: int) -> dict:
-    """The agreements that were found, for the summary."""
-    found = [json.loads(work.check_file(k).read_text()) for k in range(checks) if work.check_file(k).exists()]
-    return {"checks": found} if found else {}
-
-
-def _tidy_up(work: Work, meta: LeRobotDatasetMetadata, setup: AugmentSetup, began: float) -> dict:
-    """Ends a run that was stopped when only its work folder was left to remove."""
-    work.open(_run(meta, setup))
-    out_root, episodes = setup.config.output.root, setup.config.episodes
-    planner = setup.config.method == "planner"
-    scenes = [work.load_scene(i) for i in range(len(setup.references))] if planner else []
-    lines = (out_root / "meta" / PROVENANCE).read_text().splitlines()
-    provenance = [json.loads(line) for line in lines]
-    new = sum(line.get("method") != RECORDED for line in provenance)
-    if new != episodes:
-        raise InputError(
-            f"'{out_root}' holds {new} demonstrations, not {episodes}; give a new folder for them."
-        )
-    shutil.rmtree(work.folder)
-    return summary_of(provenance, {}, scenes, began)
+    finish(part, [line for line, _ in made] + copies, setup.station, _answer_delay(setup))
+    os.replace(part, out.root)
+    return seconds
 
 
 def _find_scenes(work: Work, setup: AugmentSetup, progress: Progress) -> list[Scene]:
@@ -514,29 +506,19 @@ def summary_of(provenance: list[dict], seconds: dict, scenes: list[Scene], began
     }
 
 
-def part_of(out_root: Path) -> Path:
-    """Where a dataset lies until it is whole."""
-    return out_root.with_name(out_root.name + ".part")
-
-
 def finish(
-    out_root: Path, provenance: list[dict], station: Station | None = None, answer_delay: int | None = None
+    folder: Path, provenance: list[dict], station: Station | None = None, answer_delay: int | None = None
 ) -> None:
-    """Adds provenance (a dict an episode), station and card to a whole dataset and names it, in one step.
-
-    `answer_delay`: frames by which the demonstrator answers a touch late, for policies; only of the library.
-    """
-    part = part_of(out_root)
+    """Adds provenance (a dict an episode), station, card and delay of the answers to a whole dataset."""
     if answer_delay is not None:
-        info = load_info(part)
+        info = load_info(folder)
         action = info.features[ACTION]
         action["info"] = {**(action.get("info") or {}), ANSWER_DELAY: answer_delay}
-        write_info(info, part)
-    write_text(part / "meta" / PROVENANCE, "".join(json.dumps(line) + "\n" for line in provenance))
+        write_info(info, folder)
+    write_text(folder / "meta" / PROVENANCE, "".join(json.dumps(line) + "\n" for line in provenance))
     if station:
-        station.save(part / "meta")
-    write_card(part)
-    os.replace(part, out_root)
+        station.save(folder / "meta")
+    write_card(folder)
 
 
 def _run(meta: LeRobotDatasetMetadata, setup: AugmentSetup) -> dict:

@@ -102,14 +102,13 @@ def load_demonstrations(
 
     from pneutac_datasets.demonstrations.episodes import load_episode, readable
     from pneutac_datasets.demonstrations.faults import Recorded
-    from pneutac_sim.world.station import Station, station_file
+    from pneutac_sim.world.station import Station, station_of
 
     folder = Path(name)
     if not is_demonstrations(folder):
         with from_hub(f"There is no folder '{name}', and no dataset of that name came from the Hub"):
             folder = Path(LeRobotDataset(str(name), video_backend="pyav").root)
-    file = station_file(folder, station)
-    where = replace(Station.load(file) if file else Station(), control_hz=CONTROL_HZ)
+    where = replace(station_of(folder, station) or Station(), control_hz=CONTROL_HZ)
     recorded = Recorded(folder)
     _refuse(recorded, twin or Twin.builtin(), where)
     notes = recorded.notes(where)

@@ -1,0 +1,35 @@
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from augmenting import config_of
+
+from pneutac_datasets.demonstrations.augment import run
+from pneutac_datasets.demonstrations.augment.episode import AugmentSetup
+from pneutac_datasets.demonstrations.augment.reference import Reference
+from pneutac_datasets.demonstrations.info import work_folder
+from pneutac_sim.errors import InputError
+from pneutac_sim.files import write_text
+
+
+def test_a_run_that_was_stopped_when_only_its_work_folder_was_left_ends(tmp_path, monkeypatch):
+    new, meta = tmp_path / "new", SimpleNamespace(repo_id="local/demos")
+    lines = [{"method": "expert"}, {"method": "expert"}, {"method": run.RECORDED}]
+
+    def setup(episodes):
+        config = config_of(tmp_path / "demos", new, method="expert", episodes=episodes)
+        r = Reference(0, np.zeros((9, 3)), np.linspace(0, 0.1, 9), np.zeros((9, 4)), "flip the switch")
+        return AugmentSetup(config, [r], "switch")
+
+    def stopped(*_):
+        write_text(new / "meta" / run.PROVENANCE, "".join(json.dumps(line) + "\n" for line in lines))
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(run, "_make_and_write", stopped)
+        run.augment_guided(meta, setup(2))
+    with pytest.raises(InputError, match="holds 2 demonstrations, not 3; give a new folder for them"):
+        run.augment_guided(meta, setup(3))
+    found = run.augment_guided(meta, setup(2))
+    assert (found["kept"], found["copies"]) == (2, 1) and not work_folder(new).exists()
