@@ -24,8 +24,9 @@ test: .venv/ready
 	$(PYTEST) -m "not nightly and not realtime"
 	$(REALTIME) || $(REALTIME) --last-failed
 
-# What is too long for CI.
+# What is too long for CI; with MuJoCo Warp, whose worlds are compared with the single one.
 nightly: .venv/ready
+	$(UV) pip install -q --python $(BIN)/python -e '.[dev,warp]' -c constraints.txt
 	$(PYTEST) -m nightly
 
 lint: .venv/ready

@@ -28,7 +28,7 @@ from pneutac_sim.effects.laws import family
 from pneutac_sim.errors import check_between, check_choice, check_least
 from pneutac_sim.executor import ExecutorOptions, run_pieces
 from pneutac_sim.features import CONTROL_HZ, TRIAL_S, task_names
-from pneutac_sim.files import write_json, write_text
+from pneutac_sim.files import claim, write_json, write_text
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.expert import ScriptedExpert
 
@@ -201,6 +201,7 @@ def names_right(right: tuple[str, ...], kinds: list[str]) -> bool:
 def benchmark_demonstrations(config: BenchmarkDemonstrationsConfig) -> None:
     """Runs the cases and writes `demonstrations.md` and one file a case."""
     console = Console()
+    claim(config.out / "run.json", {n: getattr(config, n) for n in ("seed", "task", "demonstrations")})
     twin = measured_twin(config.out / "twin", config.demonstrations, config.seed)
     files = {n: config.out / f"case_{n:02d}.json" for n in range(min(config.cases, len(CASES)))}
     dragged = {n: config.out / f"dragged_{n + 1:02d}.json" for n in range(-1, len(DRAGGED))}

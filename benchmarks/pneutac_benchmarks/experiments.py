@@ -26,7 +26,7 @@ from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError, check_choice, check_least
 from pneutac_sim.executor import ExecutorOptions, run_pieces
-from pneutac_sim.files import write_json, write_text
+from pneutac_sim.files import claim, write_json, write_text
 from pneutac_sim.twin import Twin
 from pneutac_truths import EFFECTS, generate, write
 
@@ -82,6 +82,7 @@ def benchmark_experiments(cfg: BenchmarkExperimentsConfig) -> None:
     cases = [(name, s) for s in STRATEGIES for name in names]  # the longest first
     files = [cfg.out / "cases" / f"{n}_{s}.json" for n, s in cases]
     console = Console()
+    claim(cfg.out / "run.json", {n: getattr(cfg, n) for n in ("seed", "device", "budget_min")})
     missing = sum(not file.is_file() for file in files)
     console.print(f"{len(cases)} cases, {missing} to do; Ctrl-C stops, the same command goes on")
     with progress_bar(Console(stderr=True)) as progress:

@@ -1,7 +1,6 @@
 """`pneutac benchmark NAME`: tables of accuracy and speed, each one command."""
 
 import importlib
-import json
 import shlex
 import shutil
 import subprocess
@@ -10,8 +9,8 @@ from importlib.metadata import version
 from pathlib import Path
 
 from lerobot_pneutac.cli.options import name_option, parse_options
+from lerobot_pneutac.reports import page
 from pneutac_sim.errors import InputError
-from pneutac_sim.files import write_json
 
 # name -> module with the dataclass `BenchmarkNameConfig` and the function `benchmark_name` that takes it
 TABLES = {
@@ -42,13 +41,14 @@ def command(argv: list[str], terminal) -> None:
     sys.argv[0] = f"pneutac benchmark {name}"
     module = importlib.import_module(TABLES[name])
     config_class = getattr(module, f"Benchmark{name.title().replace('_', '')}Config")
+    page.made_by.update(_made_by(argv))
     try:
         config = parse_options(config_class, argv[1:])
         getattr(module, f"benchmark_{name}")(config)
     except InputError as e:
         raise InputError(name_option(str(e), config_class, argv)) from e
-    if config.out is not None and (file := config.out / "result.json").is_file():
-        write_json(file, json.loads(file.read_text(encoding="utf-8")) | _made_by(argv))
+    finally:
+        page.made_by.clear()
 
 
 def _made_by(argv: list[str]) -> dict[str, str]:

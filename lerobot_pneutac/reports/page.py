@@ -130,10 +130,13 @@ def _template() -> jinja2.Template:
     return environment.from_string(Path(__file__).with_name("page.html.jinja").read_text(encoding="utf-8"))
 
 
+made_by: dict[str, str] = {}  # what every result holds by which it can be repeated, while a benchmark runs
+
+
 def write_result(out: str | Path, result: dict) -> Path:
     """Writes `result.json` into folder `out`; raises ValueError where a number is NaN or infinite."""
     path = Path(out) / "result.json"
-    write_json(path, plain(result))
+    write_json(path, plain(result | made_by))
     return path
 
 

@@ -22,13 +22,15 @@ from draccus.utils import DecodingError, ParsingError
 from huggingface_hub.constants import HF_HUB_OFFLINE
 from lerobot.configs import PreTrainedConfig
 from lerobot.configs.parser import get_cli_overrides
-from lerobot.utils.constants import HF_LEROBOT_HOME
+from lerobot.utils.constants import ACTION, HF_LEROBOT_HOME, OBS_STATE
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 from safetensors import SafetensorError, safe_open
 
 from pneutac_sim.errors import InputError, printable, unknown_names
+from pneutac_sim.features import CHAMBERS, action_names, state_names
 from pneutac_sim.files import check_writable, inside, read_json, refuse_pointer
 from pneutac_sim.pace import info_file, read_info, refuse_version
+from pneutac_sim.twin import Twin
 
 TRIED_ON = "0.6.1"
 KNOWN = TRIED_ON.rpartition(".")[0]  # series of LeRobot whose inside `LeRobotHooks` knows
@@ -241,7 +243,7 @@ def _fault_of_policy(options: dict[str, str]) -> str | None:
         return None
     if (Path(path) / "config.json").is_file():
         try:
-            _refuse_rate(check_policy(Path(path)), options)
+            _refuse_other(check_policy(Path(path)), options)
         except InputError as e:
             return f"--policy.path: {e}"
         return None
@@ -251,18 +253,53 @@ def _fault_of_policy(options: dict[str, str]) -> str | None:
     )
 
 
-def _refuse_rate(policy: PreTrainedConfig, options: dict[str, str]) -> None:
-    """Raises InputError where a policy that knows its rate is given to a robot of another one."""
+def _refuse_other(policy: PreTrainedConfig, options: dict[str, str]) -> None:
+    """Raises InputError where a policy is given to a robot of another rate, body or camera, or task."""
+    from pneutac_sim.gel.model import GelModel
     from pneutac_sim.world.station import Station  # MuJoCo
+    from pneutac_sim.world.tasks import tasks_named
 
     for group in ("env", "robot"):
-        if options.get(f"{group}.type") in ("pneutac", "pneutac_sim", "pneutac_standin"):
-            file = options.get(f"{group}.station")
-            hz = Station.load(file).control_hz if file else Station.control_hz
-            if (own := getattr(policy, "control_hz", None) or hz) != hz:
+        given = {k.removeprefix(f"{group}."): v for k, v in options.items() if k.startswith(f"{group}.")}
+        if given.get("type") not in ("pneutac", "pneutac_sim", "pneutac_standin"):
+            continue
+        station = Station.load(given["station"]) if "station" in given else Station()
+        if (own := getattr(policy, "control_hz", None) or station.control_hz) != station.control_hz:
+            raise InputError(
+                f"the policy was trained at {own} Hz and the robot is controlled at {station.control_hz} Hz;"
+                f" give --{group}.station=FILE, the station.yaml of its demonstrations, or train it again."
+            )
+        if group == "env" or given["type"] == "pneutac_sim":
+            standin = given["type"] == "pneutac_standin" or given.get("standin", "").lower() == "true"
+            twin = Twin.load(given["twin"]) if "twin" in given else Twin.builtin()
+            chambers = 1 if standin else CHAMBERS.get(twin.device, 1)
+            here = len(state_names(station.joints, chambers)), len(action_names(chambers))
+            features = {**(policy.input_features or {}), **(policy.output_features or {})}
+            there = tuple(
+                features[key].shape[0] if key in features else size
+                for key, size in zip((OBS_STATE, ACTION), here, strict=True)
+            )
+            if there != here:
                 raise InputError(
-                    f"the policy was trained at {own} Hz and the robot is controlled at {hz} Hz; give"
-                    f" --{group}.station=FILE, the station.yaml of its demonstrations, or train it again."
+                    f"the policy takes {there[0]} numbers of state and gives {there[1]} of action, and the"
+                    f" robot has {here[0]} and {here[1]}: an arm of other joints, or other chambers; give"
+                    f" --{group}.twin and --{group}.station of its demonstrations, or train it again."
+                )
+            if check_size := getattr(policy, "check_size", None):
+                height, width, colours = GelModel.from_twin(twin).rest_image.shape
+                check_size((colours, height, width), f"--{group}.twin")
+            asked = {f"{group}.task": given.get("task", "switch")}
+        else:
+            asked = {k: options[k] for k in ("task", "dataset.single_task") if k in options}
+        trains = "train" in Path(sys.argv[0]).stem  # for the task of its dataset
+        texts = [] if trains else getattr(policy, "instructions", None) or []
+        known = [tasks_named(text) for text in texts]
+        for name, task in asked.items():
+            wanted = [task] if name.startswith(group) else tasks_named(task)
+            if wanted and known and all(named and not {*named} & {*wanted} for named in known):
+                raise InputError(
+                    f"the policy was trained for '{texts[0]}' and --{name} is '{task}'; give its own task, or"
+                    " --policy.instructions=null to try it there."
                 )
 
 

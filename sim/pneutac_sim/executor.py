@@ -31,7 +31,7 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from pneutac_sim.errors import InputError, check_between, check_choice, check_least
-from pneutac_sim.files import read_fields
+from pneutac_sim.files import read_fields, read_made
 from pneutac_sim.progress import Progress, no_progress
 
 EXECUTORS = ("local", "ray", "slurm")
@@ -145,10 +145,13 @@ def run_pieces(
     once all files are there. `progress` is called with `text`, a few words, how many files are there and of
     how many.
 
-    Raises InputError: a piece has raised it, a process ended, no space is left, or the cluster refuses the
-    work; what has been made is there, and another call goes on.
+    Raises InputError: a JSON file is damaged, a piece has raised it, a process ended, no space is left, or
+    the cluster refuses the work; what has been made is there, and another call goes on.
     """
     options = options or ExecutorOptions()
+    for file in files:
+        if file.suffix == ".json" and file.exists():
+            read_made(file)
     missing = tuple(k for k, file in enumerate(files) if not there(file))
     if not missing:
         return

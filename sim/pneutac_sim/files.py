@@ -83,6 +83,30 @@ def _once(pairs: list[tuple[str, object]]) -> dict:
     return out
 
 
+def read_made(file: Path) -> dict:
+    """Content of a JSON file that an earlier run made; raises InputError where it is damaged."""
+    try:
+        return read_json(file)
+    except InputError as e:
+        raise InputError(f"'{file}' is damaged; delete it, and the same command makes it again.") from e
+
+
+def claim(file: Path, run: dict) -> None:
+    """Begins a run that fills the folder of `file`, or goes on with the same one.
+
+    Raises InputError: the file there is damaged, or of a run of other options.
+    """
+    run = json.loads(json.dumps(run))
+    if not file.exists():
+        write_json(file, run)
+    elif (old := read_made(file)) != run:
+        changed = ", ".join(k for k in sorted(run.keys() | old.keys()) if run.get(k) != old.get(k))
+        raise InputError(
+            f"'{file.parent}' holds a run with another {changed}; give another folder, delete this one, or"
+            " repeat the command that began it."
+        )
+
+
 def read_yaml(file: Path):
     """Content of a YAML file; raises InputError, one line, where it is none or far too large."""
     text = _text(file, MOST_YAML_BYTES)

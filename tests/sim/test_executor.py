@@ -91,6 +91,14 @@ def test_a_fault_is_one_sentence_and_the_same_call_goes_on(tmp_path, fault, sent
     assert made.items() <= {f: f.stat().st_mtime_ns for f in tmp_path.glob("*.txt")}.items()
 
 
+def test_a_piece_that_is_cut_in_half_is_named_before_work_starts(tmp_path):
+    files = [tmp_path / f"{k}.json" for k in range(2)]
+    files[0].write_text('{"rows": [1,')
+    with pytest.raises(InputError, match=r"0\.json' is damaged; delete it, and the same command makes it"):
+        run_pieces(partial(pieces.make, tmp_path), files, tmp_path / "logs")
+    assert list(tmp_path.iterdir()) == files[:1]
+
+
 @pytest.mark.nightly  # every day: on this machine, above
 def test_a_lost_process_of_a_job_of_slurm_is_one_sentence_too(tmp_path, cluster):
     (tmp_path / "kill_1").touch()

@@ -30,7 +30,7 @@ from pneutac_benchmarks.body.shape_case import (
 )
 from pneutac_benchmarks.body.shape_table import write_tables
 from pneutac_sim.errors import InputError
-from pneutac_sim.files import write_json
+from pneutac_sim.files import read_made, write_json
 from pneutac_sim.finger import Pipeline
 from pneutac_sim.mpm.solid import parameter
 from pneutac_sim.twin import Twin, Value
@@ -65,7 +65,7 @@ def benchmark_shape(cfg: BenchmarkBodyConfig) -> dict:
                 answer = solve(case, out, cfg.device, lambda done: bar.update(search, completed=done))
                 write_json(file, answer)
             bar.advance(whole)
-    bodies = [json.loads((out / "bodies" / f"{c.key}.json").read_text()) for c in everything]
+    bodies = [read_made(out / "bodies" / f"{c.key}.json") for c in everything]
     return write_tables(bodies, out, console)
 
 

@@ -47,16 +47,12 @@ class BenchmarkDiagnosisConfig(ExecutorOptions):
         if self.seeds < 1 or not 1 <= self.minutes <= 60:
             raise InputError("--seeds must be 1 or more, --minutes 1 to 60.")
         self.check_executor()
+        self.out = self.out or Path("outputs/benchmark_diagnosis") / self.set
         unknown = sorted(set(self.devices) - set(DEVICES))
         if unknown:
             raise InputError(f"--devices={','.join(unknown)} must be some of {', '.join(DEVICES)}.")
         if self.fast:
             self.seeds, self.minutes = 1, min(self.minutes, 4.0)
-
-    @property
-    def folder(self) -> Path:
-        """Of the table."""
-        return self.out or Path("outputs/benchmark_diagnosis") / self.set
 
 
 @dataclass(frozen=True)

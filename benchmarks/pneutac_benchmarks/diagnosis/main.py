@@ -10,7 +10,7 @@ from rich.console import Console
 from lerobot_pneutac.cli.terminal import progress_bar
 from pneutac_benchmarks.diagnosis.cases import BenchmarkDiagnosisConfig, Case
 from pneutac_sim.executor import run_pieces
-from pneutac_sim.files import write_json
+from pneutac_sim.files import claim, write_json
 
 __all__ = ["BenchmarkDiagnosisConfig", "benchmark_diagnosis"]
 
@@ -32,13 +32,14 @@ def benchmark_diagnosis(cfg: BenchmarkDiagnosisConfig) -> None:
         importlib.import_module(f"pneutac_benchmarks.diagnosis.{name}") for name in SETS[cfg.set]
     )
     cases = of_set.cases(cfg)
-    files = [cfg.folder / "cases" / f"{c.key}.json" for c in cases]
+    files = [cfg.out / "cases" / f"{c.key}.json" for c in cases]
     console = Console()
+    claim(cfg.out / "run.json", {"set": cfg.set})
     missing = sum(not file.is_file() for file in files)
     console.print(f"{len(cases)} cases, {missing} to do; Ctrl-C stops, the same command goes on")
     with progress_bar(Console(stderr=True)) as progress:
-        run_pieces(partial(solve, cases, files), files, cfg.folder / "logs", cfg, progress, "diagnoses")
-    of_table.write_table([json.loads(file.read_text()) for file in files], cfg.folder, console)
+        run_pieces(partial(solve, cases, files), files, cfg.out / "logs", cfg, progress, "diagnoses")
+    of_table.write_table([json.loads(file.read_text()) for file in files], cfg.out, console)
 
 
 def solve(cases: list[Case], files: list[Path], number: int) -> None:

@@ -1,6 +1,5 @@
 """`pneutac benchmark tactile`: fits renderers to one pair of images and scores them on held-out ones."""
 
-import json
 import os
 import time
 from dataclasses import asdict, dataclass
@@ -15,7 +14,7 @@ from pneutac_benchmarks.tactile.picture import picture_grid
 from pneutac_benchmarks.tactile.sets import TactileSet, find_sets, thumbnail
 from pneutac_benchmarks.tactile.table import write_tables
 from pneutac_sim.errors import InputError, check_choice
-from pneutac_sim.files import write_json
+from pneutac_sim.files import read_made, write_json
 from pneutac_sim.gel.pair import score
 
 SECONDS_ACROSS = 5.0  # of a pair of sets, for the progress bar
@@ -78,8 +77,8 @@ def benchmark_tactile(cfg: BenchmarkTactileConfig) -> None:
             bar.advance(task, seconds)
     measured = {s.name: {} for s in sets}
     for s, k in rows:
-        measured[s.name][k] = json.loads(_file(cfg.out, s.name, k).read_text())
-    across = [json.loads(_across_file(cfg.out, a, b).read_text()) for a, b in pairs]
+        measured[s.name][k] = read_made(_file(cfg.out, s.name, k))
+    across = [read_made(_across_file(cfg.out, a, b)) for a, b in pairs]
     write_tables(measured, across, cfg.out, console)
     for s in sets:
         thumbs = {
@@ -152,7 +151,7 @@ def _across_file(out: Path, source: TactileSet, target: TactileSet) -> Path:
 
 
 def _done(file: Path, key: str) -> bool:
-    return file.is_file() and json.loads(file.read_text())["key"] == key
+    return file.is_file() and read_made(file).get("key") == key
 
 
 def _write(file: Path, row: dict, thumbs: np.ndarray | None) -> None:

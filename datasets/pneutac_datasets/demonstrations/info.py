@@ -170,14 +170,15 @@ def task_to_do(given: str, instructions: list[str], folder: Path) -> str:
     Raises:
         InputError: the instructions name none, several, or another one of the library's than was given.
     """
-    found = {text: [n for n in task_names() if n in _words(text)] for text in instructions}
+    from pneutac_sim.world.tasks import tasks_named
+
     if not given:
-        tasks = {text: task_of(text, folder) for text in found}
+        tasks = {text: task_of(text, folder) for text in instructions}
         if len(set(tasks.values())) > 1:
             several = " and ".join(f"'{task}' ('{text}')" for text, task in tasks.items())
             raise InputError(f"{folder} holds demonstrations of {several}; give a dataset of one task.")
         return next(iter(tasks.values()))
-    for text, named in found.items():
+    for text, named in ((text, tasks_named(text)) for text in instructions):
         if len(named) == 1 and named[0] != given and {given, *named} <= set(TASK_NAMES):
             raise InputError(
                 f"{folder}: the instruction '{text}' names the task '{named[0]}', not --task={given};"
@@ -186,21 +187,15 @@ def task_to_do(given: str, instructions: list[str], folder: Path) -> str:
     return given
 
 
-def _words(instruction: str) -> set[str]:
-    return set(re.findall(r"\w+", instruction.lower()))
-
-
 def task_of(instruction: str, folder: Path) -> str:
     """The task whose own instruction this is, or the only one that it names.
 
     Raises:
         InputError: it is none's.
     """
-    from pneutac_sim.world.tasks import make_task
+    from pneutac_sim.world.tasks import tasks_named
 
-    own = [n for n in task_names() if make_task(n).description == instruction]
-    named = own or [n for n in task_names() if n in _words(instruction)]
-    if len(named) == 1:
+    if len(named := tasks_named(instruction)) == 1:
         return named[0]
     raise InputError(
         f"{folder}: the instruction '{instruction}' names no task; say with task= which of "

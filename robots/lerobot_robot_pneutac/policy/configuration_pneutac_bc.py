@@ -84,6 +84,9 @@ class PneutacBCConfig(PreTrainedConfig):
     # learning rate of Adam, where training begins; it falls to zero along a cosine
     optimizer_lr: float = 3e-4
     action_feature_names: list[str] | None = None  # set by LeRobot from the dataset
+    # those of the dataset that it was trained on last; one that names another task than the environment's or
+    # the robot's is refused there, unless they are set to null
+    instructions: list[str] | None = None
     push_to_hub: bool = False
     normalization_mapping: dict[str, NormalizationMode] = field(
         default_factory=lambda: dict.fromkeys(("VISUAL", "STATE", "ACTION"), NormalizationMode.IDENTITY)

@@ -247,6 +247,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
         config.validate_features()
         if dataset_meta is not None:
             self._demonstrations = Demonstrations.of(dataset_meta)
+            config.instructions = list(self._demonstrations.tasks)
             self._dataset_rest = rest_image_of(dataset_meta) if config.use_tactile else None
 
         self.encoder = TactileEncoder(config.image_shape) if config.use_tactile else None

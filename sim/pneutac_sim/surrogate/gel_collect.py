@@ -5,7 +5,6 @@ an equilibrium and so a pair of its own. A folder holds `collection.json`, and f
 `contact_NNNN.npz` or, where the material points found no equilibrium, `contact_NNNN.diverged`.
 """
 
-import json
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -17,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.executor import ExecutorOptions, run_pieces
-from pneutac_sim.files import whole, write_json, write_text
+from pneutac_sim.files import claim, whole, write_text
 from pneutac_sim.gel.indenter import INDENTERS, Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.probe import COLS, ROWS, probe_grid
@@ -152,7 +151,8 @@ def collect_gel(
     if contacts < 1:
         raise InputError(f"contacts is {contacts}; give a number of contacts above zero.")
     folder, model = Path(folder), GelModel.from_twin(twin)
-    _claim(folder, {"format": FORMAT, "fingerprint": gel_fingerprint(twin), "seed": seed})
+    label = {"format": FORMAT, "fingerprint": gel_fingerprint(twin), "seed": seed}
+    claim(folder / "collection.json", label)
     files, solver = [folder / f"contact_{n:04d}.npz" for n in range(contacts)], None
     if executor is not None:
         collect, report = partial(_collect, twin, files, seed, device), lambda _, *done: progress(*done)
@@ -215,22 +215,6 @@ def read_contacts(folder: str | Path) -> list[Pairs]:
             "`pneutac surrogate`."
         )
     return [_read(file) for file in sorted(folder.glob("contact_*.npz"))]
-
-
-def _claim(folder: Path, what: dict) -> None:
-    file = folder / "collection.json"
-    if not file.exists():
-        write_json(file, what)
-        return
-    try:
-        found = json.loads(file.read_text())
-    except ValueError:
-        found = None
-    if found != what:
-        raise InputError(
-            f"'{folder}' holds contacts of another gel or another seed; give `pneutac surrogate` an "
-            "empty folder."
-        )
 
 
 def _store(file: Path, contact: Contact, pairs: Pairs) -> None:

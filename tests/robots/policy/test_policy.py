@@ -115,6 +115,7 @@ def test_images_keep_their_size_and_weights_of_another_size_are_named(tmp_path):
     policy.save_pretrained(tmp_path / "policy")
     assert "320 x 240 pixels" in (tmp_path / "policy" / "README.md").read_text()
     path = tmp_path / "policy"
+    assert PreTrainedConfig.from_pretrained(path).instructions == list(mini.tasks.index)
     tuned = make_policy(PneutacBCConfig(device="cpu", pretrained_path=path), mini)
     assert tuned.encoder.rest_image.shape == (3, 240, 320)
     digit = write_dataset(tmp_path / "digit", [100])
@@ -389,6 +390,57 @@ def test_a_damaged_checkpoint_is_one_sentence_before_the_work(tmp_path, monkeypa
     prepare()
     damage(tmp_path / "p" / name)
     with pytest.raises(SystemExit, match=f"^error: --policy.path: .*{said}"):
+        prepare()
+
+
+SMALLER = {OBS_STATE: {"type": "STATE", "shape": [20]}, TACTILE: {"type": "VISUAL", "shape": [3, 48, 64]}}
+ARM = {ACTION: {"type": "ACTION", "shape": [6]}}
+SWITCH = {"instructions": ["Flip the toggle switch.", "flip the switch"]}
+
+
+@pytest.mark.parametrize(
+    ("argv", "fields", "said"),
+    [
+        (
+            "lerobot-eval --env.type=pneutac",
+            {"input_features": SMALLER},
+            "are 240 x 320 px.*takes 64 x 48; give",
+        ),
+        (
+            "lerobot-eval --env.type=pneutac",
+            {"output_features": ARM},
+            "gives 6 of action.* has 20 and 4: an arm",
+        ),
+        ("lerobot-rollout --robot.type=pneutac_sim", {"output_features": ARM}, "give --robot.twin and"),
+        (
+            "lerobot-eval --env.type=pneutac_standin --env.task=egg",
+            SWITCH,
+            "'Flip the toggle switch.' and --env",
+        ),
+        (
+            "lerobot-rollout --robot.type=pneutac_sim --robot.task=egg",
+            SWITCH,
+            "--robot.task is 'egg'; give its",
+        ),
+        ("lerobot-rollout --robot.type=pneutac --task=egg", SWITCH, "--task is 'egg'; give its own task"),
+        ("lerobot-train --env.type=pneutac --env.task=egg", SWITCH, None),
+        ("lerobot-eval --env.type=pneutac --env.task=switch", SWITCH, None),
+        ("lerobot-eval --env.type=pneutac --env.task=egg", {"instructions": ["do it"]}, None),
+        ("lerobot-eval --env.type=pneutac --env.task=egg --policy.instructions=null", SWITCH, None),
+        ("lerobot-eval --env.type=pneutac --env.task=egg", {}, None),
+    ],
+)
+def test_a_policy_of_another_camera_body_or_task_is_refused_before_the_work(
+    tmp_path, monkeypatch, argv, fields, said
+):
+    make_ready_policy().save_pretrained(tmp_path / "p")
+    changed(**fields)(tmp_path / "p" / "config.json")
+    monkeypatch.setattr(sys, "excepthook", sys.excepthook)
+    monkeypatch.setattr(sys, "argv", [*argv.split(), f"--policy.path={tmp_path / 'p'}"])
+    if said is None:
+        prepare()
+        return
+    with pytest.raises(SystemExit, match=f"error: --policy.path: .*{said}"):
         prepare()
 
 

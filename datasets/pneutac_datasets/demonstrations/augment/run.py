@@ -60,7 +60,7 @@ from pneutac_datasets.demonstrations.save import (
 from pneutac_sim.errors import InputError
 from pneutac_sim.executor import faults_named, process_pool, run_pieces
 from pneutac_sim.features import CONTROL_HZ
-from pneutac_sim.files import locked, whole, write_json, write_text
+from pneutac_sim.files import claim, locked, whole, write_json, write_text
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.world.base import START_SOLVES, Variation, solved_joints
 from pneutac_sim.world.station import Station
@@ -82,15 +82,7 @@ class Work:
 
     def open(self, run: dict) -> None:
         """Begins a run or goes on with the same one; raises InputError where the folder holds another."""
-        file, run = self.folder / "run.json", json.loads(json.dumps(run))
-        if not file.exists():
-            write_json(file, run)
-        elif (old := json.loads(file.read_text())) != run:
-            changed = ", ".join(k for k in sorted(run.keys() | old.keys()) if run.get(k) != old.get(k))
-            raise InputError(
-                f"'{self.folder}' holds an unfinished augmentation with another {changed}; delete that"
-                " folder, or repeat the command that began it."
-            )
+        claim(self.folder / "run.json", run)
 
     def scene_file(self, source: int) -> Path:
         return self.folder / f"scene_{source:06d}.json"

@@ -2,6 +2,7 @@
 
 import functools
 import math
+import re
 import traceback
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -17,6 +18,13 @@ from pneutac_sim.world.tasks.switch import SwitchTask
 CALLED = ("widen", "reset", "update", "success", "failure", "expert")  # of a task, while a world runs
 
 TASKS: dict[str, type[Task]] = {"switch": SwitchTask, "egg": EggTask, "card": CardTask}
+
+
+def tasks_named(instruction: str) -> list[str]:
+    """Names of the tasks whose own instruction this is, else of those whose name is among its words."""
+    words = re.findall(r"\w+", instruction.lower())
+    own = [n for n in task_names() if make_task(n).description == instruction]
+    return own or [n for n in task_names() if n in words]
 
 
 def make_task(name: str) -> Task:
