@@ -91,8 +91,10 @@ def read_made(file: Path) -> dict:
         raise InputError(f"'{file}' is damaged; delete it, and the same command makes it again.") from e
 
 
-def claim(file: Path, run: dict) -> None:
+def claim(file: Path, run: dict, **words: str) -> None:
     """Begins a run that fills the folder of `file`, or goes on with the same one.
+
+    `words` say in the sentence what options are called.
 
     Raises InputError: the file there is damaged, or of a run of other options.
     """
@@ -100,10 +102,10 @@ def claim(file: Path, run: dict) -> None:
     if not file.exists():
         write_json(file, run)
     elif (old := read_made(file)) != run:
-        changed = ", ".join(k for k in sorted(run.keys() | old.keys()) if run.get(k) != old.get(k))
+        changed = (words.get(k, k) for k in sorted(run.keys() | old.keys()) if run.get(k) != old.get(k))
         raise InputError(
-            f"'{file.parent}' holds a run with another {changed}; give another folder, delete this one, or"
-            " repeat the command that began it."
+            f"'{file.parent}' holds a run with another {', '.join(changed)}; give another folder, delete this"
+            " one, or repeat the command that began it."
         )
 
 

@@ -152,7 +152,7 @@ def collect_gel(
         raise InputError(f"contacts is {contacts}; give a number of contacts above zero.")
     folder, model = Path(folder), GelModel.from_twin(twin)
     label = {"format": FORMAT, "fingerprint": gel_fingerprint(twin), "seed": seed}
-    claim(folder / "collection.json", label)
+    claim(folder / "collection.json", label, fingerprint="gel")
     files, solver = [folder / f"contact_{n:04d}.npz" for n in range(contacts)], None
     if executor is not None:
         collect, report = partial(_collect, twin, files, seed, device), lambda _, *done: progress(*done)

@@ -227,7 +227,7 @@ def test_killed_and_resumed_on_ray_equals_uninterrupted(recorded, tmp_path):
     process.wait()
     assert not out.exists()
     assert list(work.glob("episode_*.npz"))
-    with pytest.raises(InputError, match="another seed; delete that folder"):
+    with pytest.raises(InputError, match="another seed; give another folder"):
         run_verb("augment", options(recorded, out, "--episodes=2", "--seed=6"))
     run_verb("augment", options(recorded, out, "--episodes=2", "--seed=5", "--executor=ray"))
     for one, two in zip(table(made / "more"), table(out), strict=True):

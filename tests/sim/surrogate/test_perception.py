@@ -116,7 +116,7 @@ def test_a_contact_that_diverges_is_left_out_and_counted(tmp_path, quick, monkey
 
 def test_a_folder_of_another_gel_or_seed_is_refused(tmp_path, quick):
     collect_gel(Twin.builtin(), tmp_path, 1)
-    with pytest.raises(InputError, match="another seed; give `pneutac surrogate`"):
+    with pytest.raises(InputError, match="another seed; give another folder"):
         collect_gel(Twin.builtin(), tmp_path, 1, seed=1)
     other = Twin.builtin()
     other.parameters["gel_poissons_ratio"] = type(other.parameters["gain_alpha"])(0.4)
