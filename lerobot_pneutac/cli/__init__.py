@@ -62,7 +62,7 @@ PACKAGES = "av datasets datatrove lerobot pyarrow quadrants rerun serial taichi 
 PLUGIN_PACKAGES = {PLUGIN, *PACKAGES.split()}
 PLUGIN_VERBS = ("measure", "surrogate", "render", "augment", "ppo", "repair")
 RESUMED = ("demo", "learn", "surrogate", "augment", "ppo")  # commands that go on where one was interrupted
-AT_THE_END = ("compare", "diagnose", "add")
+AT_THE_END = ("diagnose", "add")
 
 
 AGAIN_S = 1.0  # after which Ctrl-C is raised again where a library has swallowed it

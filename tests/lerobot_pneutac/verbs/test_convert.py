@@ -169,6 +169,19 @@ def test_a_mat_may_have_all_of_it(tmp_path):
         convert(ConvertConfig(tmp_path / "bad.mat", tmp_path / "b", **options))
 
 
+def test_the_times_of_a_mat_may_be_a_column_of_a_matrix(tmp_path):
+    t = np.arange(0, 5, 0.1)
+    bend = 0.01 + 0.06 * pressure(t)
+    savemat(tmp_path / "run.mat", {"data": np.stack([t, pressure(t), bend], 1)})
+    with pytest.raises(InputError, match=r"'data' 50x3. Give .* --time, such as data_1 for the first column"):
+        convert(ConvertConfig(tmp_path / "run.mat", tmp_path / "b", LENGTH))
+    columns = {"data_2": "pressure_cmd_kpa [kPa]", "data_3": "bend_angle_rad"}
+    options = {"length_mm": LENGTH, "columns": columns, "time": "data_1"}
+    recording = convert(ConvertConfig(tmp_path / "run.mat", tmp_path / "bench", **options))
+    np.testing.assert_allclose(recording.column("time_s"), t, atol=1e-6)
+    np.testing.assert_allclose(recording.column("bend_angle_rad"), bend, atol=1e-6)
+
+
 def test_a_csv_with_names_of_its_own_keeps_clocks_that_start_anew(tmp_path):
     table = {"run": np.repeat([0, 1], 50), "t": np.tile(np.arange(50) / 10, 2)}
     table |= {"p": np.tile(pressure(np.arange(50) / 10), 2), "a": np.linspace(0, 1, 100)}

@@ -276,6 +276,41 @@ def test_answers_are_taken_and_repeated_by_the_mapping(tmp_path):
     assert not plain.is_current(tmp_path / "lab.recording", [tmp_path / "lab.csv"])
 
 
+def test_a_unit_in_a_name_counts_where_an_answer_gives_none(tmp_path):
+    """`Ventil [bar]: pressure_cmd_kpa` is no kPa, and volts are asked for kPa each."""
+    table = TRUTH.drop(columns=[P, "pressure_kpa", "tip_x_mm", "bend_angle_rad"])
+    table = table.assign(**{"Ventil [bar]": TRUTH[P] / 100, "Weg lang_cm": TRUTH.tip_x_mm / 10})
+    table.to_csv(tmp_path / "lab.csv", index=False)
+    answers = {"Ventil [bar]": "pressure_cmd_kpa", "Weg lang_cm": "tip_x_mm"}
+    same(understood(tmp_path / "lab.csv", columns=answers).recording, [P, "tip_x_mm"])
+    in_full = {"Ventil [bar]": "pressure_cmd_kpa * 100", "Weg lang_cm": "tip_x_mm [cm]"}
+    same(understood(tmp_path / "lab.csv", columns=in_full).recording, [P, "tip_x_mm"])
+    table.rename(columns={"Ventil [bar]": "Ventil [V]"}).to_csv(tmp_path / "lab.csv", index=False)
+    answers = {"Ventil [V]": "pressure_cmd_kpa", "Weg lang_cm": "tip_x_mm"}
+    with pytest.raises(InputError, match=r"'Ventil \[V\]' is no pressure but a signal"):
+        understood(tmp_path / "lab.csv", columns=answers)
+    found = understood(tmp_path / "lab.csv", columns=answers | {"Ventil [V]": "pressure_cmd_kpa * 100"})
+    same(found.recording, [P])
+
+
+def test_a_table_without_any_known_name_is_asked_for_all_of_them_at_once(tmp_path):
+    names = {"time_s": "t", P: "Var1", "tip_x_mm": "Var2", "tip_z_mm": "Var3"}
+    TRUTH[[*names]].rename(columns=names).to_csv(tmp_path / "lab.csv", index=False)
+    with pytest.raises(
+        InputError, match=r"NAME: pressure_cmd_kpa \[kPa\], NAME: tip_x_mm \[mm\], NAME: tip_z"
+    ):
+        understood(tmp_path / "lab.csv")
+
+
+@pytest.mark.parametrize(
+    "names", [("Länge x [mm]", "Höhe z [mm]"), ("X coordinate (mm)", "Z coordinate (mm)")]
+)
+def test_a_length_along_an_axis_is_the_tip(tmp_path, names):
+    columns = ["trial", "time_s", P, "tip_x_mm", "tip_z_mm"]
+    TRUTH[columns].rename(columns=dict(zip(columns[3:], names, strict=True))).to_csv(tmp_path / "lab.csv")
+    same(understood(tmp_path / "lab.csv").recording, columns[2:])
+
+
 def test_several_files_are_trials_in_the_order_of_their_numbers(tmp_path):
     for run, rows in TRUTH.groupby("trial"):
         rows.drop(columns="trial").to_csv(tmp_path / f"run_{9 + run}.csv", index=False)

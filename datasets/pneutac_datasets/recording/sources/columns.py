@@ -18,7 +18,8 @@ WORDS = {
     "command": "soll set cmd command commanded setpoint sollwert target ref reference desired stell vorgabe"
     " ziel demand fuehrung sollwerte",
     "measured": "ist meas measured measurement actual act istwert gemessen sensor gauge feedback fb mess",
-    "tip": "tip spitze marker fingerspitze fingertip tcp ende end endpunkt effector position pos koordinate",
+    "tip": "tip spitze marker fingerspitze fingertip tcp ende end endpunkt effector position pos"
+    " koordinate coordinate",
     "base": "base basis fuss origin ursprung",
     "axis": "x y z",
     "angle": "angle winkel bend bending biegung biegewinkel beugung theta phi curl",
@@ -34,7 +35,7 @@ WORDS = {
     "trial": "trial run lauf versuch messung episode test experiment durchgang versuchsnummer wiederholung",
     "program": "program programm label phase protokoll protocol profil profile",
     "filler": "finger in of the der die no nr id number nummer value wert channel kanal chamber kammer air"
-    " luft valve ventil lab abs absolute absolut rel relative",
+    " luft valve ventil lab laenge hoehe breite abs absolute absolut rel relative",
 }
 KIND = {word: kind for kind, words in WORDS.items() for word in words.split()}
 SHORT = {"axis", "pressure", "gravity", "force", "joint"}  # kinds whose single letters may be in a compound
@@ -315,7 +316,8 @@ class _Table:
 
     def recognise(self, units: dict[str, str]) -> None:
         """Finds each column by what is given, by a recording's own name, or by its words."""
-        columns, named = {n: Column.parsed(n, t) for n, t in self.given.items()}, {}
+        stated = (Column.parsed(n, t) for n, t in self.given.items())
+        columns, named = {c.name: self._as_its_name_says(c, units.get(c.name, "")) for c in stated}, {}
         for name in (n for n in self.frame if n not in self.given):
             own = name.strip().lower()
             if not OWN.fullmatch(own):
@@ -339,6 +341,15 @@ class _Table:
                 what = f"{' and '.join(map(shown, names))} could each be {target}"
                 self.questions.append((what, f"{names[0]}: {target}, {names[1]}: -"))
 
+    def _as_its_name_says(self, column: Column, unit: str) -> Column:
+        """A column that is given without unit and factor, in the unit of its name or of the line of units."""
+        dimension, unit = dimension_of(column.column), unit or read_name(column.name).unit
+        if column.unit or column.retained or column.factor != 1 or not dimension:
+            return column
+        suits = any(unit_named(unit, d) for d in (dimension, "voltage"))
+        # what a name only ends with may be a word, not a unit
+        return self._in_written_unit(column, unit) if unit and (suits or "[" in column.name) else column
+
     def _in_written_unit(self, column: Column, text: str) -> Column:
         dimension = dimension_of(column.column)
         if not dimension:
@@ -359,7 +370,8 @@ class _Table:
         """Units that are not written, by those of the others or by the size of the numbers."""
         for i, column in enumerate(self.columns):
             dimension = dimension_of(column.column)
-            if column.name in self.given and not (column.unit or column.retained) and dimension:
+            open_unit = not (column.unit or column.retained or column.guess)
+            if column.name in self.given and open_unit and dimension:
                 # its name says the unit; a pressure with a factor is stated in full
                 unit = "" if dimension == "pressure" and column.factor != 1 else BASE_UNIT.get(dimension, "")
                 numbers = self.frame[column.name].dtype.kind in "fiu"  # else times of day
@@ -470,13 +482,14 @@ class _Table:
 
     def look_for_what_is_missing(self, log: bool) -> None:
         have = {c.column for c in self.columns}
-        if not self.questions and not pressure_commands(have):
+        asked = bool(self.questions)
+        if not asked and not pressure_commands(have):
             gauges = [shown(c.name) for c in self.columns if re.fullmatch(r"pressure_(\d+_)?kpa", c.column)]
             measured = [f"{gauge} is a measured pressure and none is the commanded one" for gauge in gauges]
             what = [*measured, "no column is the commanded pressure"][0]
-            self.questions.append((what, "NAME: pressure_cmd_kpa"))
+            self.questions.append((what, "NAME: pressure_cmd_kpa [kPa]"))
         posed = any(re.match(r"(tip_[xz]|bend_|q_|curvature_|image)", c) for c in have)
-        if not (self.questions or log or posed):
+        if not (asked or log or posed):
             what, answer = (
                 "no column has the motion of the finger",
                 "NAME: tip_x_mm [mm], NAME: tip_z_mm [mm]",

@@ -463,11 +463,23 @@ def mat_table(file: Path, time: str = "") -> TextTable:
             n for n in vectors if read_name(n.rpartition(".")[2]).kind == "time"
         ]
         time = clocks[0] if len(clocks) == 1 else TIME
-    if time not in vectors or flat[time].dtype.kind not in "fiub":
+    matrices = {n: v if len(v) >= v.shape[1] else v.T for n, v in flat.items() if v.ndim == 2}
+    if time not in vectors:
+        flat |= {
+            f"{n}_{i + 1}": x
+            for n, v in matrices.items()
+            for i, x in enumerate(v.T)
+            if f"{n}_{i + 1}" == time
+        }
+    clock = flat.pop(time, np.zeros(()))
+    if clock.ndim != 1 or clock.dtype.kind not in "fiub":
         has = listed(f"{shown(n)} {'x'.join(map(str, v.shape))}" for n, v in flat.items()) or "no arrays"
-        raise InputError(f"{file} has no vector '{time}' of times; it has {has}. Give its name by --time.")
-    count = len(flat[time])
-    columns, notes = {time: flat.pop(time).astype(float)}, []
+        column = next((f", such as {n}_1 for the first column of {shown(n)}" for n in matrices), "")
+        raise InputError(
+            f"{file} has no vector '{time}' of times; it has {has}. Give its name by --time{column}."
+        )
+    count = len(clock)
+    columns, notes = {time: clock.astype(float)}, []
     for name, value in flat.items():
         if value.size > MAX_CELLS:
             raise InputError(f"{file}: '{name}' has {value.size} entries; keep every n-th.")
