@@ -60,7 +60,8 @@ class BenchmarkAugmentConfig:
                 f"start_width is {self.start_width:g}; it must be from 0 to {MOST_WIDE:g}, 0 with planner."
             )
         check_least(2, demonstrations=self.demonstrations)
-        check_least(1, episodes=self.episodes, workers=1 if self.workers is None else self.workers)
+        check_least(1, episodes=self.episodes, worlds=self.worlds)
+        check_least(1, workers=1 if self.workers is None else self.workers)
 
 
 def benchmark_augment(cfg: BenchmarkAugmentConfig) -> None:

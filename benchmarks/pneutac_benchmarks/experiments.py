@@ -24,7 +24,7 @@ from pneutac_benchmarks.tables import markdown, terminal
 from pneutac_datasets.generate.finger import TruthBench
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.errors import InputError, check_choice, check_least
+from pneutac_sim.errors import InputError, check_between, check_choice
 from pneutac_sim.executor import ExecutorOptions, run_pieces
 from pneutac_sim.files import claim, write_json, write_text
 from pneutac_sim.twin import Twin
@@ -66,7 +66,7 @@ class BenchmarkExperimentsConfig(ExecutorOptions):
 
     def __post_init__(self):
         self.check_executor()
-        check_least(2, budget_min=self.budget_min)
+        check_between(2, 600, budget_min=self.budget_min)
         check_choice("device", self.device, tuple(DEVICES))
         for name in self.effects:
             if name not in EFFECTS or self.device not in EFFECTS[name].devices:

@@ -24,11 +24,15 @@ from pathlib import Path
 import yaml
 
 from pneutac_sim.errors import InputError, check_choice, refuse_given, shown
-from pneutac_sim.executor import check_device
+from pneutac_sim.executor import MOST_WORKERS, check_device
 from pneutac_sim.files import LOCK, YamlLoader, check_writable, fits, inside, read_json, read_yaml
 
 COLUMN = 28  # where help texts begin
 MOST = 2**32 - 1  # of an option's number, and the largest seed that NumPy and PyTorch both take
+MOST_COUNT = 10**6  # of any other whole number: files, trials or rows, of which more would fill the memory
+# What an option's number may be at most, by the last word of its name.
+MOST_OF = {"seed": MOST, "steps": 10**9, "updates": 10**9, "jobs": MOST_WORKERS}
+MOST_OF |= {"batch": 2**14, "size": 2**14}  # samples that are held at once
 OUTPUTS = ("out", "output.root", "student.root")  # options that name a folder to be written
 # Endings that a file has and hardly a folder.
 FILES = ".csv .gif .htm .html .jpg .json .mat .md .mp4 .parquet .pdf .png .py .rrd .txt .xlsx .yaml .yml .zip"
@@ -125,7 +129,8 @@ def parse_options(config_class: type, argv: list[str], what: str | None = None):
 def _check_numbers(config, group: str = "") -> None:
     """Raises InputError for a number that no option takes, and a dataset's name that the Hub does not.
 
-    That is what is not finite or above `MOST`, and a whole number below 0: a seed, a count, a port.
+    That is what is not finite or above the most of its kind, and a whole number below 0: a seed, a count, a
+    port.
     """
     for name in (field.name for field in dataclasses.fields(config)):
         value, option = getattr(config, name), f"--{group}{name}"
@@ -134,8 +139,9 @@ def _check_numbers(config, group: str = "") -> None:
         for number in _numbers(value):
             if not math.isfinite(number):
                 raise InputError(f"{option} is {value}; give a finite number.")
-            if abs(number) > MOST:
-                raise InputError(f"{option} is {value}; give at most {MOST}.")
+            usual = MOST_COUNT if isinstance(number, int) else MOST
+            if abs(number) > (most := MOST_OF.get(name.rpartition("_")[2], usual)):
+                raise InputError(f"{option} is {value}; give at most {most}.")
             if isinstance(number, int) and number < 0:
                 raise InputError(f"{option} is {value}; it must be 0 or more.")
         if name == "device" and isinstance(value, str) and getattr(config, "executor", "local") == "local":

@@ -21,6 +21,8 @@ PACES = (0.02, 0.2, 1.0)  # of the range a second
 STILL_S = (2.0, 10.0)  # that the command has stood
 PRESSED = 1 / 16  # of the range: from there on a chamber counts as one that is under pressure
 
+MOST_SAMPLES = 10**6  # of a program: 14 h at 20 Hz
+
 
 @dataclass(frozen=True, eq=False)
 class Limits:
@@ -38,6 +40,9 @@ class Limits:
         )
         object.__setattr__(self, "low_kpa", low)
         object.__setattr__(self, "high_kpa", high)
+        if not max(self.seconds, self.length_s) * self.hz <= MOST_SAMPLES:
+            longest = f"{max(self.seconds, self.length_s):g} s at {self.hz:g} samples a second"
+            raise InputError(f"A program may have up to {MOST_SAMPLES} samples, not {longest}; give less.")
         for i in np.flatnonzero(~(low < high)):
             where = f" in chamber {i + 1}" if len(low) > 1 else ""
             raise InputError(

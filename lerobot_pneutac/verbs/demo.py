@@ -33,7 +33,7 @@ from lerobot_pneutac.verbs.compare import compare
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import joined
-from pneutac_sim.errors import InputError, check_least
+from pneutac_sim.errors import InputError, check_between, check_least
 from pneutac_sim.features import CONTROL_HZ, TRIAL_S
 from pneutac_sim.files import read_json, whole, write_json
 from pneutac_sim.pace import DONE, read_outcomes
@@ -72,7 +72,7 @@ class DemoConfig:
     quick: bool = False
 
     def __post_init__(self):
-        check_least(1, minutes=self.minutes)
+        check_between(1, 60, minutes=self.minutes)
         check_least(2, demonstrations=self.demonstrations)
         check_least(1, **{name: getattr(self, name) for name in LEARNING[1:]})
         if self.quick and self.out == type(self).out:

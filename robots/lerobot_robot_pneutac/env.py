@@ -19,6 +19,7 @@ from pneutac_sim.features import CAMERA_SHAPE, IMAGE_NAME, POINTS_KEY, action_na
 from pneutac_sim.twin import Twin
 
 TACTILE = f"pixels/{IMAGE_NAME}"
+MOST_LENGTH = 10**6  # control steps of a trial: 18 h
 
 
 @dataclass
@@ -51,7 +52,7 @@ class PneutacTaskConfig(options.SceneOptions, EnvConfig):
     def __post_init__(self):
         if self.task is not None or not isinstance(self, HubEnvConfig):
             options.check_choice("env.task", self.task, own.task_names())
-        options.check_range("--env.episode_length", self.episode_length, 1)
+        options.check_range("--env.episode_length", self.episode_length, 1, MOST_LENGTH)
         options.check_scene("env", self.start_width, self._sizes)
         if self.tactile_points:
             self.features[POINTS_KEY] = PolicyFeature(FeatureType.STATE, (own.POINTS_SIZE,))

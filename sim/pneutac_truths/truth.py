@@ -116,16 +116,19 @@ def generate(
             device heeds it only where one of its effects does), and the base is turned in its plane alone.
         strength: of each effect, see `make.sized`; None draws it.
 
-    Raises ValueError: an unknown name, or a gauge's fault without a gauge.
+    Raises ValueError: an unknown name, a gauge's fault without a gauge, or a length of no recording.
     """
     names = named(device, effects, seed)
+    minutes = MINUTES[device] if minutes is None else minutes
+    if not 0 < minutes <= MOST_MINUTES:
+        raise ValueError(f"minutes is {minutes:g}; give more than 0 and at most {MOST_MINUTES:g}.")
     faulty = [n for n in names if EFFECTS[n].stage == "gauge"]
     if faulty and gauge is False:
         raise ValueError(f"Effect '{faulty[0]}' needs a gauge.")
     rng = stream(seed, device, day, "log")
     gauged = bool(faulty) or (stream(seed, "gauge").random() < 0.5 if gauge is None else gauge)
     drawn = draw(device, names, seed, strength, plan)
-    w = World.start(device, seed, day, MINUTES[device] if minutes is None else minutes, plan)
+    w = World.start(device, seed, day, minutes, plan)
     w.in_plane = lab
     truly, seen = run(w, drawn)
     samples = _commands(w, rng, log_sent)
@@ -216,6 +219,7 @@ def write(truth: Truth, folder: str | Path) -> Path:
 
 
 MINUTES = {"rod": 10.0, "arm": 10.0, "cosserat": 2.0}
+MOST_MINUTES = 600.0  # whose recording fits into the memory
 SIZING_DAYS = (1, 2)
 WANTED = (4.5, 9.0)  # rms change of the tip over the noise that an effect alone is given
 LEAST_MOST = (3.2, 11.4)  # on either day

@@ -54,6 +54,7 @@ def test_scene_cameras_come_under_lerobots_names(config):
         ({"task": "juggle"}, "'juggle'; it must be one of switch, egg, card"),
         ({"fps": 30}, "controlled at 15 Hz"),
         ({"episode_length": 0}, "episode_length is 0; it must be 1 or more"),
+        ({"episode_length": 10**9}, "episode_length is 1000000000; it must be 1 or more and at most 1e"),
         ({"twin": "/nowhere"}, "holds no twin.yaml"),
     ],
 )

@@ -90,6 +90,12 @@ def test_a_device_has_six_effects_that_are_physics():
     assert generate("rod", ["device"], 5, day=2, **SHORT).effects == truth.effects
 
 
+@pytest.mark.parametrize("minutes", [0, -1, 1e9, float("nan")])
+def test_a_length_of_no_recording_is_refused(minutes):
+    with pytest.raises(ValueError, match="give more than 0 and at most 600"):
+        generate("rod", ["plain"], 1, minutes=minutes)
+
+
 @pytest.mark.parametrize(
     "device, effects, gauge, sentence",
     [

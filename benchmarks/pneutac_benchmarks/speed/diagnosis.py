@@ -23,7 +23,7 @@ from lerobot_pneutac.study import study_of
 from pneutac_benchmarks.tables import markdown, terminal
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.laws import is_law
-from pneutac_sim.errors import InputError, check_least
+from pneutac_sim.errors import InputError, check_between
 from pneutac_sim.finger import BodyData, Pipeline, PressurePipeline
 from pneutac_sim.finger.problem import Bounds, Problem
 from pneutac_sim.twin import Twin
@@ -56,9 +56,9 @@ class BenchmarkDiagnosisSpeedConfig:
     out: Path | None = None
 
     def __post_init__(self):
-        check_least(0, jobs=self.jobs, arm_minutes=self.arm_minutes, seed=self.seed)
-        if not self.minutes or min(self.minutes) < 1:
-            raise InputError("--minutes must be lengths of 1 or more.")
+        check_between(0, 600, arm_minutes=self.arm_minutes)
+        if not self.minutes or not all(1 <= m <= 600 for m in self.minutes):
+            raise InputError("--minutes must be lengths of 1 to 600.")
 
 
 def recorded(device: str, minutes: float, seed: int) -> Recording:

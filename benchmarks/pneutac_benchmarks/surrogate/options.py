@@ -7,7 +7,7 @@ output folder, so that an interrupted run goes on.
 from dataclasses import dataclass
 from pathlib import Path
 
-from pneutac_sim.errors import check_choice, check_least
+from pneutac_sim.errors import check_between, check_choice, check_least
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.checks import check_world
 
@@ -51,6 +51,7 @@ class BenchmarkSurrogateConfig:
             self.trajectories, self.seconds, self.contacts, self.steps = 1, 0.06, 2, 40
         check_least(1, trajectories=self.trajectories, contacts=self.contacts, environments=self.environments)
         check_least(20, steps=self.steps)
+        check_between(0.02, 600, "s", seconds=self.seconds)
         check_least(100, particles=self.particles)
         if self.twin is not None:
             check_world(Twin.load(self.twin), "surrogate", {})

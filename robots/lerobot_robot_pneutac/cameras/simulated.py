@@ -14,6 +14,7 @@ from lerobot_robot_pneutac.options import check_range
 from pneutac_sim.features import CAMERA_SHAPE, IMAGE_SHAPE
 
 BALL_RADIUS_M = 0.004
+MOST_PX = 4096  # rows or columns of an image; a typo beyond would take all memory
 
 
 @CameraConfig.register_subclass("pneutac_scene")
@@ -38,10 +39,11 @@ class DigitGeneratedConfig(CameraConfig):
     press_depth_mm: float = 0.8  # depth to which the ball comes
 
     def __post_init__(self):
-        least = {"width": SMALLEST_PX, "height": SMALLEST_PX, "press_period_s": 0, "press_depth_mm": 0}
-        for name, low in least.items():
-            check_range(f"digit_generated: {name}", getattr(self, name), low)
-        check_range("digit_generated: fps", self.fps, 0, ends="()")
+        size = (SMALLEST_PX, MOST_PX)
+        ends = {"width": size, "height": size, "press_period_s": (0, math.inf), "press_depth_mm": (0, 100)}
+        for name, (low, high) in ends.items():
+            check_range(f"digit_generated: {name}", getattr(self, name), low, high)
+        check_range("digit_generated: fps", self.fps, 1, 1000)
 
 
 class DigitGenerated(Camera):

@@ -10,6 +10,8 @@ from lerobot_robot_pneutac import options
 from lerobot_robot_pneutac.options import refuse_if, station_of
 from pneutac_sim.features import task_names
 
+MOST_STARTS = 10_000  # each is simulated before the first episode
+
 
 @RobotConfig.register_subclass("pneutac_sim")
 @dataclass(kw_only=True)
@@ -68,7 +70,7 @@ class PneutacSimConfig(options.WorldOptions, options.SceneOptions, RobotConfig):
             options.check_finger("robot", self.twin, self.conditions)
             options.check_bend("robot", self.twin)
         options.check_range("--robot.seed", self.seed, 0)
-        options.check_range("--robot.spread", self.spread, 0)
+        options.check_range("--robot.spread", self.spread, 0, MOST_STARTS)
         options.check_station("robot.station", self.station)
         self._where = station_of(self.station)
         for name, camera in self.cameras.items():

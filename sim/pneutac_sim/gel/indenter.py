@@ -274,9 +274,10 @@ class Press:
         if self.figure is not None:
             self.size_mm = self.figure.reach_mm
         for name in ("size_mm", "depth_mm"):
-            if not 0 < getattr(self, name) < np.inf:
+            if not 0 < getattr(self, name) <= 1000:
                 raise InputError(
-                    f"{name} of the {self.indenter} is {getattr(self, name)}; give millimetres above zero."
+                    f"{name} of the {self.indenter} is {getattr(self, name)}; give millimetres above zero, at"
+                    " most 1000."
                 )
 
     @property

@@ -182,6 +182,19 @@ def test_a_file_in_place_of_the_folder_for_results_is_refused(tmp_path):
         parse_options(Options, [f"--out={tmp_path / 'o'}"])
 
 
+def test_a_number_that_would_fill_the_memory_is_refused_before_the_work():
+    """A billion of what is counted or held at once; what comes one after the other may be as many."""
+    tried = 0
+    for command in ("demo", *(f"benchmark {name}" for name in TABLES if name != "worlds")):  # that needs CUDA
+        kind = options_class(command)
+        for option in list_options(kind):
+            if option.kind is int and not option.name.endswith(("seed", "steps", "updates")):
+                tried += 1
+                with pytest.raises(InputError, match=rf"^(--)?{option.name} is 1(0*|e\+09)[;.]"):
+                    parse_options(kind, [f"--{option.name}={10**9}"])
+    assert tried > 30
+
+
 def test_help_tells_every_option_with_its_default(capsys):
     with pytest.raises(SystemExit) as e:
         parse_options(Options, ["--help"])

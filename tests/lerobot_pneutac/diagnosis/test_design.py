@@ -113,6 +113,9 @@ def test_limits_that_leave_nothing_are_told(tmp_path):
         Limits(3.0, 3.0)
     with pytest.raises(InputError, match="No program fits between 0 and 0 kPa in chamber 2"):
         Limits(0.0, (15.0, 0.0, 15.0))
+    for huge in ({"hz": 1e9}, {"seconds": 1e9}, {"length_s": 1e9}, {"hz": np.nan}):
+        with pytest.raises(InputError, match="up to 1000000 samples, not .* samples a second; give less"):
+            Limits(0.0, 15.0, **huge)
     more = recording(tmp_path, t, np.repeat(p, 3, axis=1))
     with pytest.raises(InputError, match="has 3 chambers, and the limits are of 1"):
         choices(more, models, 0.5, LIMITS)

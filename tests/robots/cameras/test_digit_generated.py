@@ -69,3 +69,7 @@ def test_bad_options_are_one_sentence():
         DigitGeneratedConfig(width=320, height=20)
     with pytest.raises(DecodingError, match="press_period_s is -1; it must be 0 or more"):
         DigitGeneratedConfig(press_period_s=-1)
+    with pytest.raises(DecodingError, match="width is 1000000000; it must be 32 or more and at most 4096"):
+        DigitGeneratedConfig(width=10**9)
+    with pytest.raises(DecodingError, match="fps is 1000000000; it must be 1 or more and at most 1000"):
+        DigitGeneratedConfig(fps=10**9)
