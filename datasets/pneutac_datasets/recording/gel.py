@@ -149,7 +149,9 @@ def _read(recording: Recording) -> GelRecording:
         out.warnings.append(f"no contact shows where rows {rows} put it; check their x_mm and y_mm.")
     if bright and not misplaced:
         rows = ", ".join(bright)
-        out.warnings.append(f"most of the contact is saturated in rows {rows}; lower the exposure.")
+        out.warnings.append(
+            f"most of the contact is saturated in rows {rows}, which stay in the fit; lower the exposure."
+        )
     out.warnings += rest_doubts
     return out
 

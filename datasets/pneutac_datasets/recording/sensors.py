@@ -191,6 +191,8 @@ def _left_out(bad: np.ndarray) -> str:
 COARSE = 1e-3  # of the range: smaller steps are the digits of the file
 GATHERED = 0.7
 STANDS = 12  # rows: readings that stand for longer may be pressures that stand
+SETTLES_S = 0.3  # for which a valve or tracker may be late
+NEAR_REST = 0.2  # of the largest pressure
 
 
 def _measured(recording: Recording) -> list[str]:
@@ -207,12 +209,35 @@ def saturated(recording: Recording) -> Iterator[Finding]:
             at = x == extreme
             spread = np.ptp(command[at], axis=0).max() / max(np.ptp(command, axis=0).max(), 1e-9)
             if np.ptp(x) > 0 and at.sum() >= 20 and at.mean() > 0.01 and spread > 0.1:
+                gone = name in recording.observations and _goes_on(recording, at)
                 text = (
                     f"Column '{name}' sticks to its {word} number {extreme:g} in {at.mean():.1%} of the rows "
-                    "while the command varies: the sensor saturates there, and a fit follows its limit; "
-                    "leave those rows out, or record within its range."
+                    "while the command varies: the sensor saturates there, "
                 )
-                yield Finding("saturated", text, (name,), np.flatnonzero(at), {"at": float(extreme)})
+                text += (
+                    f"or the marker leaves its view; {_left_out(at)}; record within its range."
+                    if gone
+                    else "and a fit follows its limit; leave those rows out, or record within its range."
+                )
+                numbers = {"at": float(extreme), "kept": int(not gone)}
+                yield Finding("saturated", text, (name,), np.flatnonzero(at), numbers)
+
+
+def _goes_on(recording: Recording, at: np.ndarray) -> bool:
+    """Whether the pressure goes on away from rest while a column of a finger sticks in these rows (n,).
+
+    A device at rest, in its dead zone or held by friction as the pressure turns sticks too. Of several
+    chambers one may have nothing to do with the column.
+    """
+    t, u = recording.column("time_s"), np.abs(recording.commands).max(axis=1)
+    if len(recording.pressure_columns) > 1:
+        return False
+    for rows in recording.trials().values():
+        for a, b in stretches(at[rows]):
+            late = u[rows][a:b][t[rows][a:b] > t[rows][a] + SETTLES_S]
+            if len(late) and late[0] > NEAR_REST * u.max() and late.max() - late[0] > 0.05 * u.max():
+                return True
+    return False
 
 
 def clipped_command(recording: Recording) -> Iterator[Finding]:

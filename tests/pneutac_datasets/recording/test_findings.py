@@ -317,11 +317,28 @@ def test_a_steady_drift_is_found_and_measured(clean):
     assert findings(wandering) == []
 
 
-def test_an_output_that_sticks_to_its_extreme_is_found(clean):
+def test_an_output_that_sticks_to_its_extreme_is_found_and_left_out(clean):
     limit = np.quantile(clean.column("tip_z_mm"), 0.9)
-    f = only(by_trial(clean, "tip_z_mm", lambda x: np.minimum(x, limit)))
-    assert (f.kind, f.columns, f.numbers["at"]) == ("saturated", ("tip_z_mm",), limit)
-    assert "leave those rows out, or record within its range" in f.sentence
+    clipped = by_trial(clean, "tip_z_mm", lambda x: np.minimum(x, limit))
+    f = only(clipped)
+    assert (f.kind, f.columns, f.numbers) == ("saturated", ("tip_z_mm",), {"at": limit, "kept": 0})
+    assert f"{len(f.rows)} rows are left out; record within its range" in f.sentence
+    left = check(clipped)[0]
+    assert len(left) == len(clean) - len(f.rows) and left.column("tip_z_mm").max() < limit
+
+
+def test_a_finger_that_friction_holds_sticks_too_and_is_not_left_out(clean):
+    """Without noise, by the same numbers over and over, at rest and where the pressure turns."""
+    r, share = copy(clean), np.abs((np.arange(len(clean)) * 0.05) % 20 / 10 - 1)
+    held = np.full(len(r), 0.9)
+    for k in range(1, len(r)):  # the play operator
+        held[k] = np.clip(held[k - 1], share[k] - 0.1, share[k] + 0.1).round(6)
+    for name, values in (("pressure_cmd_kpa", 15 * share), ("pressure_kpa", 15 * share), (TIP[2], 30 * held)):
+        r.samples[name] = values
+    found = [f for f in findings(r) if f.kind == "saturated" and f.columns == ("tip_z_mm",)]
+    assert len(found) == 2 and all(f.numbers["kept"] for f in found)
+    assert all("leave those rows out, or record within its range" in f.sentence for f in found)
+    assert check(r)[0].column("tip_z_mm").max() == r.column("tip_z_mm").max()
 
 
 def test_a_command_that_the_log_clipped_is_found(clean):

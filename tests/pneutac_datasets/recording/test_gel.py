@@ -196,5 +196,5 @@ def test_photographs_to_score_by_that_show_nothing_are_noted(tmp_path):
     recording.samples.loc[1, "image"], recording.samples.loc[2, "image"] = "nothing.png", "bright.png"
     assert GelRecording.load(recording).warnings[-2:] == [
         "no contact shows where rows 2, 3 put it; check their x_mm and y_mm.",
-        "most of the contact is saturated in rows 3; lower the exposure.",
+        "most of the contact is saturated in rows 3, which stay in the fit; lower the exposure.",
     ]
