@@ -121,8 +121,9 @@ def _tables(path: Path, files: list[Path]) -> Checked:
         understood = plain.Understood(files, known)
     except InputError as e:
         return Checked(path, "table", [str(e)], [])
-    notes = [] if understood.faults else check(understood.recording)[1]
-    faults = understood.faults or _unfit(replace(understood.recording, folder=path))
+    recording = understood.recording.as_written()  # what `calibrate` reads
+    notes = [] if understood.faults else check(recording)[1]
+    faults = understood.faults or _unfit(replace(recording, folder=path))
     return Checked(path, "table", faults, notes, understood)
 
 

@@ -108,6 +108,10 @@ class Recorded(Files):
                 f" --dataset.fps={station.control_hz}."
             )
         if self.damage or any(f"'{name}'" in sentence for sentence in found for name in (STATE, ACTION)):
+            if (robot := info.get("robot_type")) not in (None, ROBOT):
+                found.insert(
+                    0, f"{file}: robot_type is {shown(robot)}; give demonstrations of a '{ROBOT}' robot."
+                )
             return self.damage + found  # which numbers are which is not known
         if self.joints != station.joints:
             found.append(

@@ -279,6 +279,7 @@ LENGTHS = {"millimetres": 1.0, "centimetres": 10.0, "inches": 25.4, "metres": 10
 MOST_TIPS = 200
 MOST_BENT_RAD = 4.2  # beyond that the path nears the base, where any tip lies close to it
 OTHER_LENGTH = 1.15  # ratio of two lengths that no rough measure explains
+LEAST_TIPS = 10  # fewer show no path
 OFF_PATH = 0.004  # lengths of the device: nearer than that nothing is wrong
 MUCH_NEARER = 0.3
 
@@ -354,6 +355,8 @@ def misplaced_tip(recording: Recording) -> Iterator[Finding]:
     """
     length, names = recording.length_mm, [c for c in TIP if recording.has(c)]
     if recording.device not in ("finger", "arm") or length is None or "tip_x_mm" not in names[:-1]:
+        return
+    if len(recording) < LEAST_TIPS:
         return
     tip = recording.samples[names].to_numpy(float)
     tip = tip[:: max(1, len(tip) // MOST_TIPS)] / length

@@ -22,6 +22,8 @@ from pneutac_sim.files import inside, read_image, whole, write_json
 
 TARGET_BLOCKS = 40
 EDGE = 1e-5  # of a block: rows so near its end belong to the next
+DIGITS = "%.7g"  # of the numbers in a written table
+CLOCKS = ("time_s", "time_sent_s")  # which have digits of their own
 LEVELS = ("temperature_c", "payload_g")  # drift within a block, so a block counts with its mean
 
 
@@ -147,11 +149,16 @@ class Recording:
             if file.suffix == ".parquet":
                 self.samples.to_parquet(part, index=False)
             else:
-                clocks = [c for c in ("time_s", "time_sent_s") if self.has(c)]
-                times = {c: self.samples[c].map(_time) for c in clocks}
-                self.samples.assign(**times).to_csv(part, index=False, float_format="%.7g")
+                times = {c: self.samples[c].map(_time) for c in CLOCKS if self.has(c)}
+                self.samples.assign(**times).to_csv(part, index=False, float_format=DIGITS)
         write_json(path / "recording.json", meta)
         return path
+
+    def as_written(self) -> "Recording":
+        """The recording with the digits that `write` gives to a CSV, so that both are judged alike."""
+        numbers = self.samples.select_dtypes("float")
+        rounded = {c: numbers[c].map(lambda x: float(DIGITS % x)) for c in numbers if c not in CLOCKS}
+        return replace(self, samples=self.samples.assign(**rounded))
 
     # ---------------------------------------------------------------- what it holds
 

@@ -1,9 +1,11 @@
 """`pneutac check`: what later verbs would refuse, all of it, of whatever a folder holds."""
 
+import json
 import shutil
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from demonstration_sets import write_demonstrations
 from sensors import wide_twin
@@ -49,6 +51,36 @@ def test_all_faults_of_demonstrations_are_told_at_once(tmp_path):
     twin.pressure_range_kpa = (0.0, 60.0)
     text = " ".join(Recorded(spoilt).faults(twin))
     assert "beyond" not in text and "(320, 240, 3) and those of the twin's sensor (480, 640, 3)" in text
+
+
+def test_demonstrations_of_another_robot_are_called_so_first(tmp_path):
+    names = ["shoulder_pan.pos" if n == "joint_1.pos" else n for n in STATE_NAMES]
+    root = write_demonstrations(tmp_path / "a", names=names)
+    info = json.loads((root / "meta" / "info.json").read_text())
+    (root / "meta" / "info.json").write_text(json.dumps(info | {"robot_type": "so101_follower"}))
+    first, *others = Recorded(root).faults(Twin.builtin())
+    assert "robot_type is 'so101_follower'; give demonstrations of a 'pneutac' robot." in first and others
+
+
+def test_a_table_is_judged_by_the_digits_that_its_conversion_has(tmp_path):
+    """Metres times 1000 have digits that stored millimetres lack, by which a marker's shifts were counted."""
+    seconds, bend = np.arange(0, 60, 0.1), 0.5 - 0.48 * np.cos(np.arange(0, 60, 0.1))
+    metres = np.round(90 * (1 - np.cos(bend)) / bend / 1000, 4)
+    rows = [f"{t:.1f};{100 * b:.1f};{z}" for t, b, z in zip(seconds, bend, metres, strict=True)]
+    (tmp_path / "log.csv").write_text("\n".join(["t;p_soll [mbar];z [m]", *rows]))
+    understood = check_path(tmp_path / "log.csv").understood
+    assert understood is not None
+    before = understood.recording.as_written().samples
+    pd.testing.assert_frame_equal(
+        before, understood.write(tmp_path / "log.recording").samples, check_exact=True
+    )
+    assert (before["tip_z_mm"] != understood.recording.samples["tip_z_mm"]).any()
+
+
+def test_two_rows_are_too_few_to_name_a_unit(tmp_path):
+    (tmp_path / "log.csv").write_text("t;p_soll [kPa];x [mm];z [mm]\n0;0;90;0\n0.1;1;89;1\n")
+    found = check_path(tmp_path / "log.csv")
+    assert found.faults and "can only be" not in " ".join(found.notes)
 
 
 def test_a_folder_of_folders_names_those_that_can_be_looked_at(tmp_path):

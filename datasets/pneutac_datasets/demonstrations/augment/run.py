@@ -84,6 +84,11 @@ class Work:
         """Begins a run or goes on with the same one; raises InputError where the folder holds another."""
         claim(self.folder / "run.json", run)
 
+    @property
+    def prepared(self) -> Path:
+        """File that is there once a process has its world and can make demonstrations."""
+        return self.folder / "prepared"
+
     def scene_file(self, source: int) -> Path:
         return self.folder / f"scene_{source:06d}.json"
 
@@ -215,6 +220,7 @@ def generator(setup: AugmentSetup, folder: Path) -> Generator:
     global _made
     if _made is None or _made[0] != folder:
         _made = folder, Generator(setup)
+        Work(folder).prepared.touch()
     return _made[1]
 
 
@@ -344,6 +350,7 @@ def _make_and_write(
 ) -> dict[str, float]:
     """Makes what is missing and writes the dataset; returns the seconds by part."""
     c, out = setup.config, setup.config.output
+    work.prepared.unlink(missing_ok=True)
     scenes = _find_scenes(work, setup, progress) if c.method == "planner" else []
     files, new = [work.episode_file(k) for k in range(c.episodes)], work.folder / "dataset"
     parts, ended, failed = {}, threading.Event(), threading.Event()
@@ -354,7 +361,7 @@ def _make_and_write(
                 parts = _make_together(setup, work, files, progress)
             else:
                 make, logs = partial(make_episode, setup, work.folder, scenes), work.folder / "logs"
-                run_pieces(make, files, logs, c, progress, "making demonstrations")
+                run_pieces(make, files, logs, c, _prepared(work, progress), "making demonstrations")
         except BaseException:
             failed.set()
             raise
@@ -375,10 +382,15 @@ def _make_and_write(
     return seconds
 
 
+def _prepared(work: Work, progress: Progress) -> Progress:
+    """Progress that names what comes before the first piece: processes start and replay what was recorded."""
+    return lambda text, *done: progress(text if work.prepared.exists() else "preparing the worlds", *done)
+
+
 def _find_scenes(work: Work, setup: AugmentSetup, progress: Progress) -> list[Scene]:
     files = [work.scene_file(i) for i in range(len(setup.references))]
-    make = partial(make_scene, setup, work.folder)
-    run_pieces(make, files, work.folder / "logs", setup.config, progress, "finding the objects")
+    make, logs = partial(make_scene, setup, work.folder), work.folder / "logs"
+    run_pieces(make, files, logs, setup.config, _prepared(work, progress), "finding the objects")
     return [work.load_scene(i) for i in range(len(files))]
 
 
@@ -399,6 +411,7 @@ def _make_together(
     with faults_named("Making demonstrations", work.folder), process_pool(workers) as pool:
         for _ in range(workers):
             pool.submit(_start, setup, work.folder)
+        progress("preparing the worlds", len(files) - len(missing), len(files))
         lockstep, save = Lockstep(setup), partial(save_sensed, setup, work.folder)
         built = time.monotonic()
         lockstep.make(missing, pool, save, progress, len(files) - len(missing))

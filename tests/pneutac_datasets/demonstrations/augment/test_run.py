@@ -33,3 +33,14 @@ def test_a_run_that_was_stopped_when_only_its_work_folder_was_left_ends(tmp_path
         run.augment_guided(meta, setup(3))
     found = run.augment_guided(meta, setup(2))
     assert (found["kept"], found["copies"]) == (2, 1) and not work_folder(new).exists()
+
+
+def test_what_comes_before_the_first_demonstration_has_a_name(tmp_path, monkeypatch):
+    monkeypatch.setattr(run, "_made", None)
+    monkeypatch.setattr(run, "Generator", lambda setup: setup)
+    work, seen = run.Work(tmp_path), []
+    progress = run._prepared(work, lambda *shown: seen.append(shown))
+    progress("making demonstrations", 0, 2)
+    run.generator(AugmentSetup, tmp_path)  # as a process does before its first demonstration
+    progress("making demonstrations", 0, 2)
+    assert seen == [("preparing the worlds", 0, 2), ("making demonstrations", 0, 2)]
