@@ -20,11 +20,12 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.finger import quantities
 from pneutac_sim.finger.inputs import other_pressures
 
-FAR = 0.025  # of the device's length: the least distance that is looked into
+FAR = 0.05  # of the device's length: the least distance that is looked into
+FAR_OF_MODEL = 0.025  # the same where a fitted model says so: it leaves less than half of what a map leaves
 LEAST_TURN = 0.003  # of the points' own weight: what speaks for no turn
 LEFT = 0.5  # of the error, which a motion may leave
-LEFT_OF_MEMORY = 0.7  # of the error that memory leaves which is fitted to the unmoved rows themselves
-PIECES = 8  # of a trial: for its halves and the bootstrap
+LEFT_OF_MEMORY = 0.7  # of the error that memory leaves
+PIECES, FINE = 8, 64  # of a trial's rows: for its halves and the bootstrap, and to deal into two folds
 DRAWS, SIGNIFICANCE = 400, 0.01
 LEAST_ROWS = 64  # of a trial, to place it by a model
 MOST_ROWS = 2000  # to fit memory by
@@ -143,37 +144,46 @@ def history(recording: Recording, p: np.ndarray, start: str) -> np.ndarray:
 
 
 def remembered(
-    p: np.ndarray, past: np.ndarray, y: np.ndarray, motion: Motion | None = None, new=slice(0), turns=False
+    p: np.ndarray,
+    past: np.ndarray,
+    y: np.ndarray,
+    fitted: np.ndarray,
+    motion: Motion | None = None,
+    new: slice = slice(0),
+    turns: bool = False,
 ) -> tuple[np.ndarray, Motion | None]:
-    """What pressure and its history explain of points y (n, k): f(u), u = p + sum_j w_j past_j.
+    """Squared distances (n,) of points y (n, k) from what pressure and its history explain of them.
 
-    f is a polynomial and `past` (j, n, chambers). Creep, slow air, softening and a drifting gauge all move
-    the device along the path on which pressure moves it, and so does this model; a mount that was turned need
-    not. Of the rows `new` a motion is fitted along where one is given, by Gauss and Newton's steps.
+    That is f(u), u = p + sum_j w_j past_j, with a polynomial f and `past` (j, n, chambers), by the rows
+    `fitted` (n,). Creep, slow air, softening and a drifting gauge all move the device along the path on which
+    pressure moves it, and so does this model; a mount that was turned need not. Of the rows `new` a motion is
+    fitted along where one is given, by Gauss and Newton's steps.
     """
     weight, given = np.zeros(len(past)), y
-    for _ in range(ROUNDS):
+    for turn in range(ROUNDS + 1):
+        if motion:
+            y = np.concatenate([given[: new.start], motion(given[new])])
         u = p + np.tensordot(weight, past, 1)
         columns = static_columns(u)
-        bend = regress(columns, y)
+        bend = regress(columns[fitted], y[fitted])
+        left = y - columns @ bend
+        if turn == ROUNDS:
+            break
         slopes = [(static_columns(u + TINY * h) - columns) @ bend / TINY for h in past]
         if motion:
             moves = Motion.small(y, turns)
             moves[: new.start] = 0
             slopes += list(np.moveaxis(-moves, -1, 0))
-        slopes = np.stack(slopes, -1)
+        slopes = np.stack(slopes, -1)[fitted]
         # the map gives way to weights and moves, so what it takes of them is taken off
-        basis = np.linalg.qr(columns)[0]
+        basis = np.linalg.qr(columns[fitted])[0]
         slopes -= np.einsum("nb,bkm->nkm", basis, np.einsum("nb,nkm->bkm", basis, slopes))
-        a, b = slopes.reshape(-1, slopes.shape[-1]), (y - columns @ bend).ravel()
+        a, b = slopes.reshape(-1, slopes.shape[-1]), left[fitted].ravel()
         gram = a.T @ a
         step = np.linalg.solve(gram + np.diag(DAMPING * gram.diagonal() + 1e-9), a.T @ b)
         weight = np.clip(weight + step[: len(past)], *WEIGHTS)
-        if motion:
-            motion = motion.then(step[len(past) :])
-            y = np.concatenate([given[: new.start], motion(given[new])])
-    columns = static_columns(p + np.tensordot(weight, past, 1))
-    return columns @ regress(columns, y), motion
+        motion = motion and motion.then(step[len(past) :])
+    return (left**2).sum(1), motion
 
 
 # ---------------------------------------------------------------- by a map of the pressure
@@ -190,10 +200,14 @@ class Bench:
         self._y = recording.samples[columns].to_numpy(float)
         self._static, self._recording, self._train = static_columns(self._p), recording, train
         self._turns = columns[0].startswith("tip_") and len(columns) > 1
-        self._piece = np.zeros(len(recording), int)
-        for i, rows in enumerate(recording.trials().values()):
-            n = rows.stop - rows.start
-            self._piece[rows] = PIECES * i + PIECES * np.arange(n) // n
+        self._trial = recording.column("trial")
+
+    def _pieces(self, rows: np.ndarray, pieces: int = PIECES) -> np.ndarray:
+        """Numbers (m,) of pieces of time; of each trial these rows (m,) are cut into `pieces`."""
+        _, trial, n = np.unique(self._trial[rows], return_inverse=True, return_counts=True)
+        within = np.empty(len(rows), int)
+        within[np.argsort(trial, kind="stable")] = np.concatenate([np.arange(k) for k in n])
+        return pieces * trial + pieces * within // n[trial]
 
     @cached_property
     def _past(self) -> list[np.ndarray]:
@@ -211,7 +225,7 @@ class Bench:
         here, goal = self._compared(first, [trial])[1:]
         y = self._y[here]
         before, after = (((points - goal) ** 2).sum(1) for points in (y, motion(y)))
-        return len(here) > 0 and falls(before, after, self._piece[here])
+        return len(here) > 0 and falls(before, after, self._pieces(here))
 
     def sentence(self, motion: Motion, first: list[int], session: list[int], unit: str) -> str:
         here, goal = self._compared(first, session)[1:]
@@ -228,7 +242,7 @@ class Bench:
 
     def _errors(self, rows: np.ndarray, goal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Squared distances (m,) of rows (m,) from their goals (m, k), as measured and moved."""
-        y, late = self._y[rows], self._piece[rows] % PIECES >= PIECES // 2
+        y, late = self._y[rows], self._pieces(rows) % PIECES >= PIECES // 2
         return ((y - goal) ** 2).sum(1), moved_error(y, goal, late, self._turns)
 
     def _compared(self, first: list[int], session: list[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -236,8 +250,7 @@ class Bench:
 
         None of the session's where there are too few to compare.
         """
-        trial = self._recording.column("trial")
-        there, here = (np.flatnonzero(np.isin(trial, t) & self._train) for t in (first, session))
+        there, here = (np.flatnonzero(np.isin(self._trial, t) & self._train) for t in (first, session))
         low, high = (f(self._p[there], axis=0, initial=w) for f, w in ((np.min, np.inf), (np.max, -np.inf)))
         here = here[((self._p[here] >= low) & (self._p[here] <= high)).all(1)]
         if min(len(here), len(there)) < 3 * self._static.shape[1]:
@@ -252,27 +265,31 @@ class Bench:
         a mount.
         """
         there, here, goal = self._compared(first, session)
-        if not len(here) or not falls(*self._errors(here, goal), self._piece[here]):
+        if not len(here) or not falls(*self._errors(here, goal), self._pieces(here)):
             return None
-        motion = Motion.fit(self._y[here], goal, self._turns)
         every = max(1, (len(there) + len(here)) // MOST_ROWS)
         rows, new = np.r_[there[::every], here[::every]], slice(len(there[::every]), None)
-        p, y = self._p[rows], self._y[rows]
-        mine = self._own * np.isin(rows, here)[:, None]
+        p, y, static, moves = self._p[rows], self._y[rows], self._static[rows], np.isin(rows, here)
+        mine = self._own * moves[:, None]
         own = [mine * p, mine + 0 * p][: 1 + self._turns]
-        unmoved, moves = [], []
-        for past in (x[:, rows] for x in self._past):
-            for more in (past, np.concatenate([past, own])):
-                unmoved.append(((y - remembered(p, more, y)[0]) ** 2).sum(1))
-            goal, found = remembered(p, past, y, motion, new, self._turns)
-            error = ((y - goal) ** 2).sum(1)
-            error[new] = self._errors(rows[new], goal[new])[1]
-            moves.append((error, found))
-        error, found = min(moves, key=lambda m: m[0].mean())
-        weight = np.full(len(rows), 1 / new.start)  # one mount counts as much as the other
-        weight[new] = 1 / len(rows[new])
-        errors = (weight * min(unmoved, key=np.mean), weight * error)
-        return found if falls(*errors, self._piece[rows], LEFT_OF_MEMORY) else None
+        pasts = [x[:, rows] for x in self._past]
+        unmoved = [*pasts, *(np.concatenate([x, own]) for x in pasts)]
+
+        def best(fitted: np.ndarray) -> tuple[np.ndarray, np.ndarray, Motion | None]:
+            """Squared distances (n,) unmoved and moved, and the motion, of what fits these rows best."""
+            old, again = fitted & ~moves, fitted & moves
+            motion = Motion.fit(y[again], static[again] @ regress(static[old], y[old]), self._turns)
+            less = min((remembered(p, x, y, fitted)[0] for x in unmoved), key=lambda e: e[fitted].mean())
+            found = (remembered(p, x, y, fitted, motion, new, self._turns) for x in pasts)
+            more, motion = min(found, key=lambda f: f[0][fitted].mean())
+            return less, more, motion
+
+        odd = self._pieces(rows, FINE) % 2 == 1
+        before, after = np.where(odd, best(~odd)[:2], best(odd)[:2])  # each fold by what fits the other
+        weight = np.where(moves, 1 / moves.sum(), 1 / new.start)  # one mount counts as much as the other
+        if falls(weight * before, weight * after, self._pieces(rows), LEFT_OF_MEMORY):
+            return best(np.ones(len(rows), bool))[2]
+        return None
 
 
 def align_mounts(
@@ -331,7 +348,7 @@ def remounted(
     """Trials that were mounted elsewhere than a fitted model places them, with their motions onto it.
 
     Of a trial that is known to have been mounted differently the motion is fitted again. Any other must lie
-    `FAR` away, under the conditions of the first one, and the motion that is fitted to its early
+    `FAR_OF_MODEL` away, under the conditions of the first one, and the motion that is fitted to its early
     half must significantly halve the error of its late half, and vice versa, although the trial may have a
     zero, a gain and a clock of its own.
 
@@ -345,7 +362,7 @@ def remounted(
     """
     columns, unit = headline(recording)
     turns = columns[0].startswith("tip_") and len(columns) > 1
-    far = FAR * length_mm / quantities.weight(unit, "mm", length_mm)
+    far = FAR_OF_MODEL * length_mm / quantities.weight(unit, "mm", length_mm)
     y, goal = recording.samples[columns].to_numpy(float), predicted[:, : len(columns)]
     begun, out = _begun(recording), {}
     for trial, at in recording.trials().items():
