@@ -132,7 +132,8 @@ def frozen(recording: Recording) -> Iterator[Finding]:
     p, t = recording.commands, recording.column("time_s")
     bad, least = np.zeros(len(recording), bool), 0.05 * np.ptp(p, axis=0).max()
     for a, b in stretches(repeats):
-        if b - a >= 8 and t[b - 1] - t[a] >= 0.5 and np.ptp(p[a:b], axis=0).max() > least:
+        early = p[a : _early(t, a, b)]
+        if b - a >= 8 and t[b - 1] - t[a] >= 0.5 and np.ptp(early, axis=0).max() > least:
             bad[a:b] = True
     # a recording without any noise repeats numbers everywhere, which says nothing about the tracker
     if repeats.sum() - bad.sum() > 0.2 * len(recording) or not bad.any():
@@ -176,6 +177,12 @@ def stretches(mask: np.ndarray) -> Iterator[tuple[int, int]]:
     return zip(edges[::2], edges[1::2], strict=True)
 
 
+def _early(t: np.ndarray, a: int, b: int) -> int:
+    """Row after the early ones of a stretch a..b-1: what changes later may move the tip only after it."""
+    late = min(EXPLAINED_BY_S, (t[b - 1] - t[a]) / 2)
+    return a + int(np.searchsorted(t[a:b], t[b - 1] - late, "right"))
+
+
 def is_moving(y: np.ndarray) -> np.ndarray:
     """Mask (n,) of rows around which a signal (n, k) moves within ten rows by 3 % of its span."""
     n = len(y)
@@ -202,12 +209,16 @@ def _measured(recording: Recording) -> list[str]:
 
 def saturated(recording: Recording) -> Iterator[Finding]:
     """Columns that stick to their largest or smallest number while the command varies."""
-    command = recording.commands
+    command, t = recording.commands, recording.column("time_s")
     for name in _measured(recording):
         x = recording.column(name)
         for extreme, word in ((x.max(), "largest"), (x.min(), "smallest")):
             at = x == extreme
-            spread = np.ptp(command[at], axis=0).max() / max(np.ptp(command, axis=0).max(), 1e-9)
+            early = np.zeros(len(x), bool)
+            for rows in recording.trials().values():
+                for a, b in stretches(at[rows]):
+                    early[rows.start + a : rows.start + _early(t[rows], a, b)] = True
+            spread = np.ptp(command[early], axis=0).max() / max(np.ptp(command, axis=0).max(), 1e-9)
             if np.ptp(x) > 0 and at.sum() >= 20 and at.mean() > 0.01 and spread > 0.1:
                 gone = name in recording.observations and _goes_on(recording, at)
                 text = (

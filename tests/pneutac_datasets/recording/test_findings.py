@@ -122,6 +122,15 @@ def test_a_tracker_that_stands_still_is_left_out(clean):
     assert list(f.rows) == list(moves[1:]) and len(check(r)[0]) == len(r) - 99
 
 
+def test_a_tracker_at_rest_until_a_late_finger_answers_a_step_stands_still_rightly(clean):
+    r = copy(clean)
+    step = int(np.argmax(np.abs(np.diff(r.column("pressure_cmd_kpa"))))) + 1
+    rests = r.samples.index[step - 20 : step + 6]
+    assert np.ptp(r.column("pressure_cmd_kpa")[step - 20 : step]) == 0
+    r.samples.loc[rests, TIP] = r.samples.loc[rests[0], TIP].to_numpy(float)
+    assert not [f for f in check(r)[1] if f.kind in ("frozen", "saturated")]
+
+
 def test_a_pause_within_a_trial_is_a_gap(clean):
     r = copy(clean)
     r.samples.loc[1500 : r.trials()[0].stop - 1, "time_s"] += 5.0
