@@ -231,12 +231,13 @@ class ManyPipelines:
     Args:
         one: the pipeline, which stays as it is.
         devices: K.
+        forked: whether `states` and `resume` are called, so that each device needs a clock of its own.
 
     Attributes:
         pressure_kpa: (K, 1) after the last step, as of `PressurePipeline`.
     """
 
-    def __init__(self, one: PressurePipeline, devices: int):
+    def __init__(self, one: PressurePipeline, devices: int, forked: bool = False):
         self._one, self._links = one.copy(), one._to_joints
         self._one.reset(0.0)
         self._one.rest()
@@ -244,7 +245,11 @@ class ManyPipelines:
         effects = [link.effect for _, link in self._links if isinstance(link, EffectLink)]
         clocked = any("session_time_s" in e.columns for e in effects)  # each has begun at its own time
         together = not clocked and all(
-            i < one._model.drive and e.effect.apart and not e.effect.columns for i, e in remember
+            i < one._model.drive
+            and e.effect.apart
+            and not e.effect.columns
+            and not (forked and e.state_size(0))
+            for i, e in remember
         )
         self._own = None if together else [self._one.copy() for _ in range(devices)]
         self._states: dict[int, np.ndarray] = {}
@@ -262,6 +267,21 @@ class ManyPipelines:
                 self._own[k] = self._one.copy()
         for rows, rested in self._rows.values():
             rows[:, devices] = rested
+
+    def states(self, devices: np.ndarray) -> list:
+        """What devices (k,), indices, remember, for `resume`."""
+        if self._own is not None:
+            return [self._own[k].copy() for k in devices]
+        return [rows[:, devices] for rows, _ in self._rows.values()]
+
+    def resume(self, devices: np.ndarray, states: list) -> None:
+        """Lets devices (k,) remember `states` of as many, of these or of others of the same twin."""
+        if self._own is not None:
+            for k, pipeline in zip(devices, states, strict=True):
+                self._own[k] = pipeline.copy()
+            return
+        for (rows, _), columns in zip(self._rows.values(), states, strict=True):
+            rows[:, devices] = columns
 
     def step(self, pressure_cmd_kpa: np.ndarray, dt_s: float) -> np.ndarray:
         """Joint targets (K, N), rad, one control step of `dt_s` on under commands (K, 1)."""

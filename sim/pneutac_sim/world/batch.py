@@ -291,6 +291,7 @@ class BatchedWorld:
         conditions: Conditions | None = None,
         pressure_range_kpa: tuple[float, float] | None = None,
         station: Station | None = None,
+        forked: bool = False,
     ):
         """Worlds at rest; `reset` lays them out.
 
@@ -303,6 +304,7 @@ class BatchedWorld:
             conditions: numbers, see `World`.
             pressure_range_kpa: see `World`.
             station: workspace, mount, rate and latency; the arm is replaced by slides.
+            forked: whether `fork` and `resume` are called.
 
         Raises:
             InputError: as `World`; no such device; the task, or an effect of the twin, has no batched form.
@@ -339,6 +341,7 @@ class BatchedWorld:
         self.single = g = Gantry(one)
         g.finger, g._controller = one.finger, one._controller
         self.worlds, self.dt_s, self.chambers = worlds, g.dt_s, g.chambers
+        self._forked, self._holds = forked, False
         wp.init()
         self.torch_device = torch.empty(0, device=device).device  # with its number
         self.device = wp.device_from_torch(self.torch_device)
@@ -433,7 +436,7 @@ class BatchedWorld:
         self._target = self._zeros(3)
         self._drive, self._rest_rad, self._gain, self._more = map(self._zeros, (n, n, 1, 1))
         self._pipeline = PressurePipeline(g.twin, one.conditions)
-        self._pipelines = ManyPipelines(self._pipeline, N)
+        self._pipelines = ManyPipelines(self._pipeline, N, self._forked)
         self._queue = self._zeros(1, 3 + self.chambers)
         self.state, self.area = self._zeros(8 + self.chambers), self._zeros()
         self.pressure_kpa = self._zeros(self.chambers)
@@ -517,6 +520,25 @@ class BatchedWorld:
             self._pipelines.restart(worlds.cpu().numpy())
             self._place()
 
+    def fork(self, worlds: Sequence[int]) -> tuple[dict[str, torch.Tensor], list]:
+        """All that decides how worlds (k,), which may repeat, go on from here, for `resume`."""
+        with self._on_device():
+            at = self._sent(worlds, torch.long)
+            tensors = {name: tensor[at] for name, tensor in self._everything().items()}
+        return tensors, self._pipelines.states(np.asarray(worlds))
+
+    def resume(self, worlds: Sequence[int], forked: tuple[dict[str, torch.Tensor], list]) -> None:
+        """Puts worlds (k,) where others were at a `fork`, of this batch or of one of the same model."""
+        tensors, states = forked
+        with self._on_device():
+            at, length = self._sent(worlds, torch.long), tensors["_queue"].shape[1]
+            if length != self._queue.shape[1]:
+                self._queue = self._zeros(length, 3 + self.chambers)
+            for name, tensor in self._everything().items():
+                tensor[at] = tensors[name]
+            self._pipelines.resume(np.asarray(worlds), states)
+            self._place()
+
     def _late_of(self, variation: Variation) -> int:
         self.single.variation = variation
         return self.single._late_commands
@@ -548,7 +570,7 @@ class BatchedWorld:
         self._pipeline.set_conditions(g.conditions)
         self._pipeline.reset(0.0)
         self._rest_rad.copy_(self._sent(self._pipeline.rest()).expand_as(self._rest_rad))
-        self._pipelines = ManyPipelines(self._pipeline, self.worlds)
+        self._pipelines = ManyPipelines(self._pipeline, self.worlds, self._forked)
         self._gain.copy_(self._sent([v.bend_gain for v in variations])[:, None])
         self._more.copy_(self._sent([v.more_rad for v in variations])[:, None])
         self._drive.copy_(self._bent(self._rest_rad))
@@ -656,7 +678,7 @@ class BatchedWorld:
     def _advance(self, target_m: torch.Tensor, q_cmd: torch.Tensor) -> None:
         """`World._advance` of all worlds."""
         after = self._bent(q_cmd)
-        if self._body is not None:
+        if self._body is not None and not self._holds:
             self._play(self._resist)
         self._spring = self._contact.springs(self._play)
         self._play(self._set_pad)
@@ -770,3 +792,46 @@ class BatchedWorld:
         k1, k3, _ = self._spring
         x = -self.qpos[:, int(self._pad.qposadr[0])]
         return k1 * x + k3 * x**3
+
+
+class Rollouts:
+    """`Gantry.rollouts` of worlds of a batch: sequences for many of them are tried together.
+
+    Args:
+        batch: of `forked` worlds.
+        ahead: of the same model, whose worlds try the sequences.
+    """
+
+    def __init__(self, batch: BatchedWorld, ahead: BatchedWorld):
+        self._batch, self._ahead = batch, ahead
+
+    def mirror(self, worlds: Sequence[int], samples: int, area: np.ndarray) -> None:
+        """Takes over the states of worlds (k,), each for that many sequences, as `Gantry.mirror`.
+
+        `area` (k,) is what the gels are thought to feel; how far it is from what they feel is held.
+        """
+        owners = np.repeat(worlds, samples)
+        self._used = np.arange(len(owners))
+        self._state = self._batch.fork(owners)
+        self._state[0]["_warmstart"].zero_()
+        self._residual_area = np.repeat(area, samples) - self._state[0]["area"].cpu().numpy()
+
+    def rollouts(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Tries sequences (k, S, H, 3 + C) of actions within the limits, from the mirrored states.
+
+        Returns:
+            flange positions (k, S, H, 3), metres, and contact areas (k, S, H).
+        """
+        b, felt = self._ahead, []
+        b.resume(self._used, self._state)
+        steps = np.zeros((b.worlds, *actions.shape[2:]), np.float32)
+        steps[self._used] = actions.reshape(-1, *actions.shape[2:])
+        for t in range(steps.shape[1]):
+            b._holds = t > 0  # the finger's stiffness, as in `Gantry`
+            b.step(steps[:, t])
+            felt.append(torch.cat([b.state[:, :3], b.area[:, None]], 1))
+        b._holds = False
+        rows = torch.stack(felt, 1)[: len(self._used)].cpu().numpy().astype(float)
+        area = rows[..., 3] + (rows[..., 3] > 0) * self._residual_area[:, None]
+        shape = actions.shape[:3]
+        return rows[..., :3].reshape(*shape, 3), np.maximum(area, 0.0).reshape(shape)

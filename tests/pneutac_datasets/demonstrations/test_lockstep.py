@@ -12,8 +12,10 @@ from augmenting import setup_of  # noqa: E402
 
 from pneutac_datasets.demonstrations.augment.episode import Generator  # noqa: E402
 from pneutac_datasets.demonstrations.augment.lockstep import Lockstep  # noqa: E402
+from pneutac_datasets.demonstrations.augment.planner import PlannerConfig  # noqa: E402
 from pneutac_datasets.demonstrations.augment.reference import Reference  # noqa: E402
 from pneutac_datasets.demonstrations.augment.run import Work, save_sensed  # noqa: E402
+from pneutac_datasets.demonstrations.augment.scene import Scene  # noqa: E402
 from pneutac_sim.executor import process_pool  # noqa: E402
 from pneutac_sim.features import AREA, EE  # noqa: E402
 from pneutac_sim.progress import no_progress  # noqa: E402
@@ -56,3 +58,33 @@ def test_they_agree_until_the_touch(tmp_path):
     assert np.abs(many.action[:free] - one.action[:free]).max() < 1e-3
     # An imprint may be too faint to count as contact.
     assert np.abs(many.images[:free].astype(int) - one.images[:free]).max() < 4
+
+
+def test_the_planner_does_the_task_there_too():
+    """Two variants: both are done, and where touch comes in the same frame the first plan is the same."""
+    recorded, quick = [shown(0), shown(3)], PlannerConfig(horizon=6, samples=4, elites=2, iterations=1)
+    scenes = [Scene(r.source, (0.0, 0.0, 0.0), True, 0.0, 0.0) for r in recorded]
+    setup, ended = setup_of(recorded, planner=quick, attempts=1), {}
+    setup.config.device, setup.config.worlds = DEVICE, 4  # one plan at a time, of two attempts
+    many, one = Lockstep(setup, scenes), Generator(setup, "area")
+
+    def decide(run):
+        ended[run.index] = run
+        many._open.discard(run.index)
+
+    many._decide = decide
+    many.make([1, 2], None, None, no_progress)
+    planned = 0
+    for index, run in ended.items():
+        variant, where, rng = one.variant(index, 0)
+        alone = one.carry_out(variant, scenes[variant.source], rng)
+        assert run.where == where and run.start == alone.start
+        assert alone.reason is run.reason is None
+        assert run.scores.keys() == {"cost", "area_rmse", "scene"} and np.isfinite(run.scores["cost"])
+        touch, there = (int(np.flatnonzero(a)[0]) for a in (alone.area, run.sensed.states[:, 6]))
+        off, early = np.abs(run.sensed.actions[: touch + 3] - alone.action[: touch + 3]), min(touch, there)
+        assert early > 5 and off[: early - 1].max() < 2e-3
+        if touch == there:
+            planned += 1
+            assert off[:, :3].max() < 2e-3 and off[:, 3].max() < 0.2
+    assert ended.keys() == {1, 2} and planned

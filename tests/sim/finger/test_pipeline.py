@@ -146,6 +146,28 @@ def test_many_devices_together_move_as_each_alone(with_effects, name):
         np.testing.assert_allclose(many.pressure_kpa, [a.pressure_kpa for a in alone], atol=1e-12)
 
 
+@pytest.mark.parametrize("name", [*(n for n in ALL if body_effects()[n].signal == "pressure"), *LAWS])
+def test_devices_go_on_from_what_others_remember(with_effects, name):
+    """One waits while another goes on, and devices elsewhere take over what both remember."""
+    twin = with_effects(Twin.builtin(), {"dead_time": {"delay_s": 0.2}} | {name: {}})
+    one = PressurePipeline(twin, dict.fromkeys(("temperature_c", "other_1_kpa", "other_2_kpa"), 21.0))
+    (many, others), alone = (ManyPipelines(one, n, forked=True) for n in (2, 3)), [one.copy(), one.copy()]
+    for t, commands in enumerate(np.random.default_rng(0).uniform(0.0, 15.0, (20, 2, 1))):
+        stays = many.states([1])
+        many.step(commands, 0.07)
+        alone[0].step(commands[0], 0.07)
+        if t % 2:
+            many.resume([1], stays)
+        else:
+            alone[1].step(commands[1], 0.07)
+    others.step(np.full((3, 1), 9.0), 0.07)  # whatever they did before
+    others.resume([2, 0], many.states([0, 1]))
+    for command in np.linspace(15.0, 0.0, 6):
+        joints = [a.step(command, 0.07) for a in alone]
+        np.testing.assert_allclose(many.step(np.full((2, 1), command), 0.07), joints, atol=1e-12)
+        np.testing.assert_allclose(others.step(np.full((3, 1), command), 0.07)[[2, 0]], joints, atol=1e-12)
+
+
 def test_reused_links_give_the_same_run(program):
     inputs = Inputs.from_samples(program(600))
     twin = Twin.builtin()

@@ -14,7 +14,8 @@ pytest.importorskip("mujoco_warp", reason="the extra `warp` is not installed")
 torch = pytest.importorskip("torch")
 
 from pneutac_sim.gel.contact_batch import ContactBatch, Playback  # noqa: E402
-from pneutac_sim.world.batch import BatchedWorld, wp  # noqa: E402
+from pneutac_sim.world.batch import BatchedWorld, Rollouts, wp  # noqa: E402
+from pneutac_sim.world.gantry import Gantry  # noqa: E402
 
 # MuJoCo Warp takes a minute to compile on a CPU.
 pytestmark = pytest.mark.nightly
@@ -67,6 +68,89 @@ def test_each_step_is_that_of_the_single_world(task, steps):
         assert np.quantile(spine, 0.9) < SPINE_RAD
         assert np.quantile(area, 0.9) < AREA
     assert touched > 5
+
+
+@pytest.mark.parametrize("task", ["switch", "egg", "card"])
+def test_a_rollout_is_that_of_one_gantry(task):
+    """From states in contact: the next steps of three sequences, for two worlds in another order."""
+    batch, ahead = (BatchedWorld(task, n, device=DEVICE, forked=True) for n in (2, 7))
+    varied = [Variation(shift_m=(0.004, 0.0, 0.0)), Variation(bend_gain=1.1, friction=0.9, late_commands=1)]
+    batch.reset(3, variations=varied)
+    g, rng = batch.single, np.random.default_rng(0)
+    g.variation = varied[1]
+    g.reset(4)
+    expert, gantry, rollouts = ScriptedExpert(g, rng, tremor=False), Gantry(g), Rollouts(batch, ahead)
+    off = []
+    for _ in range(70):
+        action = expert.action()
+        batch.step(np.stack([action, action]))
+        g.step(action)
+        show(batch, 1)
+        if not g.touch.area > 0:
+            continue
+        tried = action + rng.normal(0, (0.006, 0.006, 0.006, 0.6), (3, 2, 4))
+        tried = np.clip(tried, *g.action_limits)
+        gantry.mirror(g)
+        flange, area = gantry.rollouts(tried)
+        rollouts.mirror([1, 0], 3, np.array([g.touch.area, 0.0]))
+        many_flange, many_area = rollouts.rollouts(np.stack([tried, tried]))
+        assert many_flange.shape == (2, 3, 2, 3) and many_area.shape == (2, 3, 2)
+        off.append([np.abs(many_flange[0] - flange).max(), *np.abs(many_area[0] - area).ravel()])
+        if len(off) == 6:
+            break
+    off = np.array(off)
+    assert len(off) == 6
+    assert off[:, 0].max() < FLANGE_M
+    assert np.quantile(off[:, 1:], 0.9) < AREA
+
+
+def test_worlds_go_on_from_a_fork_as_if_nothing_had_been():
+    """By formulas, a roll-out is what the batch does itself; and a world that waits misses nothing."""
+    twin = Twin.builtin()
+    for name, values in {"play(p)": {}, "valve_slew": {}, "dead_time": {"delay_s": 0.1}}.items():
+        twin.effects[name] = get_effect(name).start(15.0) | {k: Value(v) for k, v in values.items()}
+    options = "card", 2, twin, DEVICE, "probe"
+    batch, ahead = (BatchedWorld(*options, forked=True) for _ in range(2))
+    g, varied = batch.single, [Variation(late_commands=1, friction=1.1), Variation(late_commands=1)]
+
+    def begin():
+        batch.reset(3, variations=varied)
+        for action in before:
+            batch.step(np.stack([action, action]))
+        batch._warmstart.zero_()  # as `mirror` does
+
+    g.variation = varied[0]
+    g.reset(3)
+    expert, before = ScriptedExpert(g, np.random.default_rng(0), tremor=False), []
+    while not g.touch.area > 0:
+        before.append(expert.action())
+        g.step(before[-1])
+    tried = np.array([expert.action() * scale for scale in np.linspace(1, 0.7, 6)])
+    begin()
+    rollouts = Rollouts(batch, ahead)
+    rollouts.mirror([1, 0], 1, batch.area.cpu().numpy()[::-1])
+    flange, area = rollouts.rollouts(np.stack([tried, tried])[:, None])
+    kpa = ahead.pressure_kpa.cpu().numpy()[::-1]
+    found = []
+    for waits in (False, True):
+        begin()
+        rows = []
+        for action in tried:
+            stays = batch.fork([1])
+            batch.step(np.stack([action, action]))
+            if waits:
+                batch.resume([1], stays)
+            rows.append([batch.state[0].cpu().numpy().copy(), float(batch.area[0])])
+        for action in tried if waits else ():
+            batch.step(np.stack([action, action]))
+        found.append(batch.state[1].cpu().numpy().copy())
+        if not waits:
+            np.testing.assert_allclose([r[0][:3] for r in rows], flange[1, 0], atol=FLANGE_M)
+            assert np.quantile(np.abs(np.array([r[1] for r in rows]) - area[1, 0]), 0.9) < AREA
+            np.testing.assert_allclose(batch.pressure_kpa.cpu().numpy(), kpa, atol=1e-4)
+    assert area[1, 0].max() > 0 and np.ptp(kpa) < 15
+    np.testing.assert_allclose(found[0][:3], found[1][:3], atol=FLANGE_M)
+    np.testing.assert_allclose(found[0][8:], found[1][8:], atol=1e-4)
 
 
 def test_the_vector_environment_keeps_gymnasiums_rules():

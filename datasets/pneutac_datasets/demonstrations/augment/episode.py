@@ -1,7 +1,7 @@
 """One new demonstration out of recorded ones: a pure function of seed and index."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import NamedTuple
@@ -281,10 +281,17 @@ class Generator:
             plan: False replays the reference's actions blindly, for comparison.
         """
         r = self.setup.references[variant.source]
-        start = r.flange_m[0] + plan * START_M * np.append(np.clip(rng.standard_normal(2), -2, 2), 0)
-        self.world.variation = variant.of_world(start, scene.shift_m)
+        seed, self.world.variation = self.start_in(scene, variant, rng, plan)
         ways = self._plan(r, variant, rng) if plan else iter(np.clip(r.action, *self.world.action_limits))
-        return self._carried_out(ways, scene.seed, r.area, missed=plan)
+        return self._carried_out(ways, seed, r.area, missed=plan)
+
+    def start_in(
+        self, scene: Scene, variant: Variant, rng: np.random.Generator, jitter: bool = True
+    ) -> tuple[int, Variation]:
+        """Seed and variation of the world at the start of an attempt that follows a reference."""
+        r = self.setup.references[variant.source]
+        start = r.flange_m[0] + jitter * START_M * np.append(np.clip(rng.standard_normal(2), -2, 2), 0)
+        return scene.seed, variant.of_world(start, scene.shift_m)
 
     def find_out(self, variant: Variant, rng: np.random.Generator) -> tuple[Attempt, dict]:
         """Does the task without a reference: start and object lie anywhere.
@@ -382,7 +389,7 @@ class Generator:
             np.array(images) if images and images[0] is not None else None,
             reason,
             float(np.mean(self._costs)) if self._costs else 0.0,
-            1.0 if demonstrated is None else _area_rmse(np.array(areas), demonstrated),
+            1.0 if demonstrated is None else area_rmse(np.array(areas), demonstrated),
             begun,
             {key: np.array([each[key] for each in more]) for key in (more[0] if more else ())},
             None if noise is None else np.array(carried_out),
@@ -399,22 +406,50 @@ class Generator:
         points = {POINTS: tactile_points(self.world).ravel()} if POINTS in self.setup.further else {}
         return points | {f"{OBS_IMAGES}.{name}": p for name, p in self._scene.pictures().items()}
 
-    def _plan(self, r: Reference, variant: Variant, rng: np.random.Generator):
+    def _plan(self, r: Reference, variant: Variant, rng: np.random.Generator) -> Iterator[np.ndarray]:
         """Yields the next action (3 + C,) for what is, until it is over."""
+
+        def felt():
+            return self.world.touch.area, self._centre_mm(), self.world.flange_m
+
+        for asked in self.guided(r, variant, rng, felt, self._costs):
+            if isinstance(asked, CemPlanner):
+                self.gantry.mirror(self.world)
+                asked.solve()
+            else:
+                yield asked
+
+    def guided(
+        self,
+        r: Reference,
+        variant: Variant,
+        rng: np.random.Generator,
+        felt: Callable[[], tuple[float, np.ndarray, np.ndarray]],
+        costs: list[float],
+    ) -> Iterator[np.ndarray | CemPlanner]:
+        """Yields the next action (3 + C,), before it a planner whose plan is to be solved, until it is over.
+
+        Args:
+            r: the reference.
+            variant: what is different from it.
+            rng: decides the planner's samples.
+            felt: contact area, middle of the imprint (2,) mm, NaN without touch, and flange (3,) m, now.
+            costs: those of the plans are added to it.
+        """
         config = self.setup.config.planner.at(r.control_hz)
         planner = CemPlanner(self.gantry, config, rng, r.control_hz)
         r = r.prolonged(r.frames(EXTRA_STEPS))
         demonstrated, course = self._warm(r, variant), Course(r, variant.shift_m[1], self.reaction_hz)
-        steps, world = np.arange(config.horizon), self.world
-        fades = (1 - FEEDBACK_HZ * world.dt_s) ** steps[:, None]
+        steps, dt_s, limits = np.arange(config.horizon), self.world.dt_s, self.world.action_limits
+        fades = (1 - FEEDBACK_HZ * dt_s) ** steps[:, None]
         action, queue = np.zeros(r.action.shape[1]), []
-        while course.advance(world.touch.area, self._centre_mm(), world.flange_m) and course.frame < len(r):
+        while course.advance(*(now := felt())) and course.frame < len(r):
             t = course.frame
             if not (course.in_contact and queue):
                 frames = np.minimum(t + steps, course.last)
                 warm = demonstrated[frames].copy()
                 if not course.waiting:
-                    warm = follow(warm, self.world.flange_m, r.flange_m[t] + course.offset_m, self.world.dt_s)
+                    warm = follow(warm, now[2], r.flange_m[t] + course.offset_m, dt_s)
                 queue = [warm[0]]
                 if course.in_contact:
                     warm[t + steps > course.last, :3] = course.onward_m * r.control_hz
@@ -425,12 +460,12 @@ class Generator:
                     ahead = np.minimum(ahead, course.last)
                     goal = r.flange_m[ahead] + course.offset_m + beyond
                     goal += np.cumsum(answer[:, :3], 0) / r.control_hz
-                    self.gantry.mirror(world)
-                    warm = planner.plan(warm, action, course.area_goal(t + 1 + steps), goal)
-                    self._costs.append(planner.cost)
-                    warm = warm - answer  # is to what is felt in each step, not when the plan was made
+                    planner.begin(warm, action, course.area_goal(t + 1 + steps), goal)
+                    yield planner
+                    costs.append(planner.cost)
+                    warm = planner.best - answer  # is to what is felt in each step, not when it was planned
                     queue = list(warm[: config.replan])
-            action = np.clip(queue.pop(0) + course.answer, *world.action_limits)
+            action = np.clip(queue.pop(0) + course.answer, *limits)
             yield action
 
     def _centre_mm(self) -> np.ndarray:
@@ -478,7 +513,7 @@ def pieces(path: list[tuple[int, int, int]]) -> dict:
     return {"path": named} if named else {}
 
 
-def _area_rmse(area: np.ndarray, demonstrated: np.ndarray) -> float:
+def area_rmse(area: np.ndarray, demonstrated: np.ndarray) -> float:
     """Root mean square error of a contact area (T,) from its onset on; 1 where it never touches."""
     frames = np.flatnonzero(area > 0)
     if not len(frames):

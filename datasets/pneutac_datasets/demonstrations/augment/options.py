@@ -66,8 +66,11 @@ class AugmentConfig(ExecutorOptions):
     # number of the new demonstrations that are carried out once more by material points; how far they agree
     # goes into the report. Each takes minutes
     check_mpm: int = 0
-    device: str = "cpu"  # `cpu`, a world a process, or `cuda`, many worlds on a GPU, of `library` alone
-    worlds: int = 1024  # that are stepped together on a GPU
+    # `cpu`, a world a process, or `cuda`, many worlds on a GPU, of `library` and `planner`
+    device: str = "cpu"
+    # worlds that are stepped together on a GPU; of `planner` those that try action sequences, planner.samples
+    # of them for each plan
+    worlds: int = 1024
     out: Path | None = None  # folder for `report.html` and `result.json`
 
     def __post_init__(self):
@@ -114,8 +117,14 @@ class AugmentConfig(ExecutorOptions):
             Station.load(self.station).make_arm()
 
     def _check_device(self) -> None:
-        for name, only in (("method", "library"), ("executor", "local")):
-            if (value := getattr(self, name)) != only:
-                raise InputError(f"device=cuda is of {name}={only}, not of {value}; leave one out.")
+        for name, some in (("method", ("library", "planner")), ("executor", ("local",))):
+            if (value := getattr(self, name)) not in some:
+                raise InputError(
+                    f"device=cuda is of {name}={' or '.join(some)}, not of {value}; leave one out."
+                )
+        if self.method == "planner" and self.worlds < self.planner.samples:
+            raise InputError(
+                f"worlds is {self.worlds}; a plan needs at least planner.samples ({self.planner.samples})."
+            )
         check_device(self.device)
         import pneutac_sim.world.batch  # noqa: F401  refuses where MuJoCo Warp is not installed

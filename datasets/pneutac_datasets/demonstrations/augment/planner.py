@@ -103,24 +103,42 @@ def demonstration_cost(
 class CemPlanner:
     """Plans on a gantry, whose `mirror` sets where a plan starts; `config` is for its control rate.
 
+    `solve` tries the sequences on the gantry. Whoever tries those of many plans together calls `begin`, and
+    then `draw` and `learn` once for each iteration.
+
     Attributes:
-        cost: of the last plan.
+        best: (H, 3 + C) the last plan.
+        cost: of it.
     """
 
     def __init__(
         self, gantry: Gantry, config: PlannerConfig, rng: np.random.Generator, control_hz: int = CONTROL_HZ
     ):
         self._gantry, self._config, self._rng = gantry, config, rng
-        self._rest = np.empty((0, len(gantry.action_limits[0])))
+        self.best = np.empty((0, len(gantry.action_limits[0])))
         self._memory = MEMORY ** (CONTROL_HZ / control_hz)
+        self._low, self._high = gantry.action_limits
+        widths_kpa = (self._high - self._low)[PRESSURES] / MAX_PRESSURE_KPA
+        self._first = np.append([config.jitter_m_s] * 3, config.jitter_kpa * widths_kpa)
         self.cost = 0.0
 
     def plan(
         self, warm: np.ndarray, previous: np.ndarray, area_goal: np.ndarray, position_goal_m: np.ndarray
     ) -> np.ndarray:
-        """The best sequence of actions (H, 3 + C) found from the gantry's mirrored state.
+        """The best sequence of actions (H, 3 + C) found from the gantry's mirrored state; see `begin`."""
+        self.begin(warm, previous, area_goal, position_goal_m)
+        return self.solve()
 
-        The first iteration tries both the warm start itself and what is left of the last plan.
+    def solve(self) -> np.ndarray:
+        """All iterations of the plan that was begun, on the gantry; returns `best`."""
+        for _ in range(self._config.iterations):
+            self.learn(*self._gantry.rollouts(self.draw()))
+        return self.best
+
+    def begin(
+        self, warm: np.ndarray, previous: np.ndarray, area_goal: np.ndarray, position_goal_m: np.ndarray
+    ) -> None:
+        """Begins a plan, whose first iteration tries both the warm start and what is left of the last plan.
 
         Args:
             warm: (H, 3 + C) actions to start from.
@@ -128,30 +146,36 @@ class CemPlanner:
             area_goal: (H,) demonstrated contact areas after each action, see `demonstration_cost`.
             position_goal_m: (H, 3) demonstrated flange positions after each action.
         """
-        c = self._config
-        mean = warm.copy()
-        mean[: len(self._rest)] = self._rest[: len(mean)]
-        low, high = self._gantry.action_limits
-        largest = np.maximum(-low, high)
-        widths_kpa = (high - low)[PRESSURES]
-        first = np.append([c.jitter_m_s] * 3, c.jitter_kpa * widths_kpa / MAX_PRESSURE_KPA)
-        spread = np.tile(first, (len(warm), 1))
-        tried, costs = np.empty((0, *warm.shape)), np.empty(0)
-        for iteration in range(c.iterations):
-            batch = mean + spread * self._noise(c.samples, warm.shape)
-            if iteration == 0:
-                batch[0], batch[1] = warm, mean
-            batch = np.clip(batch, low, high)
-            position, area = self._gantry.rollouts(batch)
-            goals = area_goal, position, position_goal_m
-            cost = demonstration_cost(area, *goals, batch, previous, c, largest)
-            tried, costs = np.concatenate([tried, batch]), np.concatenate([costs, cost])
-            elites = tried[np.argsort(costs, kind="stable")[: c.elites]]
-            mean, spread = elites.mean(0), np.maximum(elites.std(0), SMALLEST_SPREAD * first)
-        best = int(np.argmin(costs))
-        self.cost, plan = float(costs[best]), tried[best]
-        self._rest = plan[c.replan :]
-        return plan
+        rest = self.best[self._config.replan :][: len(warm)]
+        self._warm, self._mean = warm, np.concatenate([rest, warm[len(rest) :]])
+        self._spread = np.tile(self._first, (len(warm), 1))
+        self._goals = previous, area_goal, position_goal_m
+        self._tried, self._costs = np.empty((0, *warm.shape)), np.empty(0)
+
+    def draw(self) -> np.ndarray:
+        """Sequences (S, H, 3 + C) that an iteration tries."""
+        batch = self._mean + self._spread * self._noise(self._config.samples, self._warm.shape)
+        if not len(self._tried):
+            batch[0], batch[1] = self._warm, self._mean
+        self._batch = np.clip(batch, self._low, self._high)
+        return self._batch
+
+    def learn(self, position_m: np.ndarray, area: np.ndarray) -> None:
+        """Moves mean and spread to the best of all that were tried.
+
+        Args:
+            position_m: (S, H, 3) flange positions to which the drawn sequences lead.
+            area: (S, H) contact areas.
+        """
+        c, (previous, area_goal, position_goal_m) = self._config, self._goals
+        goals, largest = (area_goal, position_m, position_goal_m), np.maximum(-self._low, self._high)
+        cost = demonstration_cost(area, *goals, self._batch, previous, c, largest)
+        self._tried = np.concatenate([self._tried, self._batch])
+        self._costs = np.concatenate([self._costs, cost])
+        order = np.argsort(self._costs, kind="stable")
+        elites = self._tried[order[: c.elites]]
+        self._mean, self._spread = elites.mean(0), np.maximum(elites.std(0), SMALLEST_SPREAD * self._first)
+        self.best, self.cost = self._tried[order[0]], float(self._costs[order[0]])
 
     def _noise(self, samples: int, shape: tuple[int, ...]) -> np.ndarray:
         """Unit normal noise (samples, steps, 3 + C), correlated in time."""

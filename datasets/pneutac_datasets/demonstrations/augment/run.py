@@ -358,7 +358,7 @@ def _make_and_write(
         writing = writer.submit(_write, meta, setup, work, new, ended, failed, progress)
         try:
             if c.device != "cpu":
-                parts = _make_together(setup, work, files, progress)
+                parts = _make_together(setup, work, files, scenes, progress)
             else:
                 make, logs = partial(make_episode, setup, work.folder, scenes), work.folder / "logs"
                 run_pieces(make, files, logs, c, _prepared(work, progress), "making demonstrations")
@@ -395,7 +395,7 @@ def _find_scenes(work: Work, setup: AugmentSetup, progress: Progress) -> list[Sc
 
 
 def _make_together(
-    setup: AugmentSetup, work: Work, files: list[Path], progress: Progress
+    setup: AugmentSetup, work: Work, files: list[Path], scenes: list[Scene], progress: Progress
 ) -> dict[str, float]:
     """Makes what is missing in a batch of worlds; returns the seconds of this process by part.
 
@@ -412,7 +412,7 @@ def _make_together(
         for _ in range(workers):
             pool.submit(_start, setup, work.folder)
         progress("preparing the worlds", len(files) - len(missing), len(files))
-        lockstep, save = Lockstep(setup), partial(save_sensed, setup, work.folder)
+        lockstep, save = Lockstep(setup, scenes), partial(save_sensed, setup, work.folder)
         built = time.monotonic()
         lockstep.make(missing, pool, save, progress, len(files) - len(missing))
     return lockstep.seconds | {"building": built - began, "making": time.monotonic() - built}
