@@ -143,7 +143,7 @@ def test_options_are_told_what_is_right():
         BenchmarkDiagnosisConfig(set="cooking")
     with pytest.raises(InputError, match="must be some of rod, arm, cosserat"):
         BenchmarkDiagnosisConfig(devices=("tentacle",))
-    assert BenchmarkDiagnosisConfig(set="real").folder.name == "real"
+    assert BenchmarkDiagnosisConfig(set="real").out.name == "real"
 
 
 def test_weights_come_back_from_answers_that_they_made():

@@ -60,6 +60,7 @@ def test_they_agree_until_the_touch(tmp_path):
     assert np.abs(many.images[:free].astype(int) - one.images[:free]).max() < 4
 
 
+@pytest.mark.timeout(3000)  # on a CPU
 def test_the_planner_does_the_task_there_too():
     """Two variants: both are done, and where touch comes in the same frame the first plan is the same."""
     recorded, quick = [shown(0), shown(3)], PlannerConfig(horizon=6, samples=4, elites=2, iterations=1)

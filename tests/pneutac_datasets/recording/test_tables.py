@@ -96,7 +96,7 @@ def units_of(choice):
 
 
 @pytest.mark.parametrize(
-    ("choice", "names"), zip(UNITS, [GERMAN, ENGLISH, SHORT, COMPOUND, GERMAN, ENGLISH], strict=True)
+    ("choice", "names"), [*zip(UNITS, [GERMAN, ENGLISH, SHORT, COMPOUND, GERMAN, ENGLISH], strict=True)]
 )
 def test_units_in_brackets_come_back_as_the_recordings(tmp_path, choice, names):
     lab(names, units_of(choice)).to_csv(tmp_path / "lab.csv", index=False)
