@@ -114,8 +114,8 @@ def check_pair(rest: np.ndarray, indentation: np.ndarray, press: Press, px_per_m
     if not found:
         raise InputError(
             f"the indentation image shows no contact at ({x:.0f}, {y:.0f}) px: its difference to rest is "
-            f"{there:.1f} levels there and {elsewhere:.1f} elsewhere; press harder, or correct the position or "
-            f"the indenter, whose contact is {2 * press.contact_radius_mm:.2g} mm wide here."
+            f"{there:.1f} levels there and {elsewhere:.1f} elsewhere; press harder, or correct the position "
+            f"or the indenter, whose contact is {2 * press.contact_radius_mm:.2g} mm wide here."
         )
     scale = press.contact_radius_mm * px_per_mm / 3
     if _relief(indentation, near, scale) < _relief(rest, near, scale):
