@@ -199,6 +199,7 @@ COARSE = 1e-3  # of the range: smaller steps are the digits of the file
 GATHERED = 0.7
 STANDS = 12  # rows: readings that stand for longer may be pressures that stand
 SETTLES_S = 0.3  # for which a valve or tracker may be late
+PILED = 3  # times the rows at the next number that a sensor's end holds
 NEAR_REST = 0.2  # of the largest pressure
 
 
@@ -212,26 +213,34 @@ def saturated(recording: Recording) -> Iterator[Finding]:
     command, t = recording.commands, recording.column("time_s")
     for name in _measured(recording):
         x = recording.column(name)
-        for extreme, word in ((x.max(), "largest"), (x.min(), "smallest")):
+        numbers, counts = np.unique(x, return_counts=True)
+        for end, inwards, word in ((-1, -2, "largest"), (0, 1, "smallest")):
+            # coarse steps gather rows at each number; what saturates gathers them at the last
+            if len(numbers) < 2 or counts[end] < PILED * counts[inwards]:
+                continue
+            extreme = numbers[end]
             at = x == extreme
             early = np.zeros(len(x), bool)
             for rows in recording.trials().values():
                 for a, b in stretches(at[rows]):
                     early[rows.start + a : rows.start + _early(t[rows], a, b)] = True
             spread = np.ptp(command[early], axis=0).max() / max(np.ptp(command, axis=0).max(), 1e-9)
-            if np.ptp(x) > 0 and at.sum() >= 20 and at.mean() > 0.01 and spread > 0.1:
-                gone = name in recording.observations and _goes_on(recording, at)
+            if at.sum() >= 20 and at.mean() > 0.01 and spread > 0.1:
+                seen = name in recording.observations
+                gone = seen and _goes_on(recording, at)
+                what = ", the marker leaves its view or the device is held" * seen
                 text = (
                     f"Column '{name}' sticks to its {word} number {extreme:g} in {at.mean():.1%} of the rows "
-                    "while the command varies: the sensor saturates there, "
+                    f"while the command varies: the sensor saturates there{what}; "
                 )
                 text += (
-                    f"or the marker leaves its view; {_left_out(at)}; record within its range."
+                    f"{_left_out(at)}; record within its range."
                     if gone
-                    else "and a fit follows its limit; leave those rows out, or record within its range."
+                    else "a fit follows that; if it is the sensor, leave those rows out, "
+                    "or record within its range."
                 )
-                numbers = {"at": float(extreme), "kept": int(not gone)}
-                yield Finding("saturated", text, (name,), np.flatnonzero(at), numbers)
+                found = {"at": float(extreme), "kept": int(not gone)}
+                yield Finding("saturated", text, (name,), np.flatnonzero(at), found)
 
 
 def _goes_on(recording: Recording, at: np.ndarray) -> bool:

@@ -131,6 +131,13 @@ def test_a_tracker_at_rest_until_a_late_finger_answers_a_step_stands_still_right
     assert not [f for f in check(r)[1] if f.kind in ("frozen", "saturated")]
 
 
+@pytest.mark.parametrize("step_mm", [0.5, 2.0])
+def test_a_coarse_tracker_that_reaches_its_last_number_now_and_then_saturates_nowhere(clean, step_mm):
+    r = copy(clean)
+    r.samples[TIP] = (r.samples[TIP] / step_mm).round() * step_mm
+    assert not [f for f in check(r)[1] if "sticks to its" in str(f)]
+
+
 def test_a_pause_within_a_trial_is_a_gap(clean):
     r = copy(clean)
     r.samples.loc[1500 : r.trials()[0].stop - 1, "time_s"] += 5.0
