@@ -31,7 +31,7 @@ class BenchmarkAugmentConfig:
         start_width: how much wider than the task's own the starts are, 0 to 2; not of the planner.
         seed: seed of every random choice.
         workers: number of processes; where left out, one a core.
-        device: `cpu` or `cuda`, for the library, see `pneutac augment`.
+        device: `cpu` or `cuda`, for library and planner, see `pneutac augment`.
         worlds: that a GPU steps together.
         out: folder of the datasets, `result.json` and `table.md`.
     """
