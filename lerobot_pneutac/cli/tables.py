@@ -82,7 +82,8 @@ def show_understood(understood: plain.Understood, console: Console) -> None:
         table.add_row(*(Text(printable(c)) for c in cells))
     console.print(table)
     if understood.length_mm is not None:
-        where = "" if understood.given.length_mm else ", where the tip rests (--length_mm)"
+        rests = ", where the tip rests (`pneutac convert --length_mm=` sets it)"
+        where = "" if understood.given.length_mm else rests
         console.print(f"  length {understood.length_mm:g} mm{where}", highlight=False)
     for note in filter(None, (understood.guessed, *understood.notes)):
         console.print(f"[yellow]note:[/] {escape(printable(note))}", highlight=False, soft_wrap=True)

@@ -20,6 +20,7 @@ from pneutac_datasets.recording.checks import check, recording_faults
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.sources import plain
 from pneutac_datasets.recording.sources.plain import Understood, refuse_other_axes
+from pneutac_datasets.recording.wording import grouped, plural
 from pneutac_sim.effects.registry import get_effect, of_body, of_sensor
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Pipeline
@@ -221,10 +222,10 @@ def command(argv: list[str], terminal: Terminal) -> None:
         faulty = faulty or bool(found.faults)
         if found.understood is not None:
             show_understood(found.understood, terminal.console)
-        n = len(found.faults)
-        verdict = f"[red]{n} problem{'s' * (n > 1)}[/]" if n else "[green]good[/]"
+        faults, notes = grouped(found.faults), grouped(found.notes)
+        verdict = f"[red]{plural(len(faults), 'problem')}[/]" if faults else "[green]good[/]"
         terminal.say(f"{escape(str(found.path))} ({found.kind}): {verdict}", markup=True)
-        for mark, sentences in (("[red]problem:[/]", found.faults), ("[yellow]note:[/]", found.notes)):
+        for mark, sentences in (("[red]problem:[/]", faults), ("[yellow]note:[/]", notes)):
             for sentence in sentences:
                 terminal.say(f"  {mark} {escape(sentence)}", markup=True)
     if faulty:

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.wording import grouped
 from pneutac_sim.errors import InputError, shown
 from pneutac_sim.gel.indenter import FIGURES, INDENTERS, AnyFigure, Figure, Outline, Press
 from pneutac_sim.gel.pair import (
@@ -129,6 +130,7 @@ def _read(recording: Recording) -> GelRecording:
         except InputError as e:
             out.faults.append(str(e))
     if out.faults:
+        out.faults = grouped(out.faults)
         return out
     _fill_earlier(recording, out.samples)
     misplaced, rest_doubts = _misplaced(out), _rest_doubts(out)
@@ -143,6 +145,7 @@ def _read(recording: Recording) -> GelRecording:
         except InputError as e:
             where = f"rest image '{recording.meta['rest_image']}', indentation '{s.name}'"
             out.unfit.append(f"{recording.folder} ({where}): {e}")
+    out.unfit = grouped(out.unfit)
     out.warnings += misplaced
     if empty and not misplaced:
         rows = ", ".join(empty)

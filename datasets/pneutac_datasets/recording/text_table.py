@@ -261,7 +261,7 @@ def _cut_ends(table: TextTable) -> None:
     if repeated.any():
         raise InputError(
             f"{table.file}: line {table.lines[int(repeated.argmax())]} repeats the header; put each run into"
-            " a file of its own (--recording='runs/*.csv'), or number the runs in a column 'run'."
+            " a file of its own ('runs/*.csv' names them all), or number the runs in a column 'run'."
         )
     if last + 1 < len(frame):
         line, text = table.lines[last + 1], frame[mixed].iloc[last + 1].dropna().astype(str)

@@ -3,7 +3,8 @@
 What a look at a recording found, for people (a sentence) and for programs (where, and how much).
 """
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -61,6 +62,25 @@ def collected(faults: list[str]) -> Iterator[None]:
         yield
     except InputError as e:
         faults += [str(e)] * (str(e) not in faults)
+
+
+# What may differ between two sentences on one cause: rows, episodes, files and numbers.
+VARIES = re.compile(r"(?:row|episode|trial) \d+|[^\s'(]*/[^\s',:;)]*|(?<![\w.])[-+]?\d[\d.e+-]*\b")
+
+
+def grouped(sentences: Iterable[str]) -> list[str]:
+    """Each cause once: of sentences that differ in rows, files and numbers alone the first, with a count."""
+    causes: dict[str, list[str]] = {}
+    for sentence in dict.fromkeys(sentences):
+        causes.setdefault(VARIES.sub("*", sentence), []).append(sentence)
+    out = []
+    for first, *others in causes.values():
+        named = zip(*map(VARIES.findall, [first, *others]), strict=True)
+        where = next((found[1:] for found in named if len(set(found)) > 1), ())
+        where = [name.rpartition("/")[2] for name in where]
+        more = f"{len(where)} more ({', '.join(where[:3])}{', ...' * (len(where) > 3)})"
+        out.append(f"{first} The same holds for {more}." if where else first)
+    return out
 
 
 @dataclass(frozen=True, eq=False)

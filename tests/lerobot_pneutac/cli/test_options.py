@@ -7,6 +7,7 @@ The command `pneutac`, whatever its verb.
 A lab's own table at the command line: shown once, confirmed, kept beside it, checked.
 """
 
+import ast
 import io
 import json
 import re
@@ -22,13 +23,15 @@ import numpy as np
 import pandas as pd
 import pytest
 from rich.console import Console
+from snapshots import Sentences
 
-from lerobot_pneutac.cli import VERBS, _dispatch, main, options_class
+from lerobot_pneutac.cli import VERBS, _dispatch, main, options_class, run_verb
 from lerobot_pneutac.cli import terminal as module
 from lerobot_pneutac.cli.benchmark import TABLES
 from lerobot_pneutac.cli.options import list_options, name_option, parse_options
 from lerobot_pneutac.cli.terminal import progress_bar, show
 from lerobot_pneutac.verbs.calibrate import calibrate
+from lerobot_pneutac.verbs.check import USAGE, check_path
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.sources.plain import refuse_other_axes
@@ -218,6 +221,57 @@ def test_every_option_of_every_verb_has_a_help_text(name):
         return
     mute = [o.name for o in list_options(config) if not o.text and not o.name.startswith(("camera", "digit"))]
     assert mute == []  # those of LeRobot's cameras are LeRobot's
+
+
+def _texts(tree):
+    """Each text of a file that is no docstring, with {} where it is filled in."""
+    inside = {id(part) for n in ast.walk(tree) if isinstance(n, ast.JoinedStr) for part in n.values}
+    inside |= {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
+    for n in ast.walk(tree):
+        if isinstance(n, ast.JoinedStr):
+            yield "".join(v.value if isinstance(v, ast.Constant) else "{}" for v in n.values)
+        elif isinstance(n, ast.Constant) and isinstance(n.value, str) and id(n) not in inside:
+            yield n.value
+
+
+def _options(verb):
+    """Names of a command's options, those of `check` as its usage lists them."""
+    kind = options_class(verb)
+    known = {o.name for o in list_options(kind)} | set(getattr(kind, "aliases", ())) if kind else set()
+    return known | set(re.findall(r"--([\w.]+)", USAGE)) if verb == "check" else known
+
+
+def test_every_command_in_a_sentence_has_the_options_that_stand_there():
+    """`pneutac VERB --option` in any text of the product, and bare options in the sentences of a verb."""
+    root, wrong, seen = Path(__file__).parents[3], [], 0
+    known = {verb: _options(verb) for verb in (*VERBS, *(f"benchmark {name}" for name in TABLES))}
+    folders = ("lerobot_pneutac", "datasets", "sim", "robots", "packages")
+    for file in (f for name in folders for f in (root / name).rglob("*.py")):
+        for text in _texts(ast.parse(file.read_text())):
+            for verb, rest in re.findall(r"pneutac (benchmark \w+|\w+)((?: (?!pneutac )[^`]*)?)", text):
+                for option in re.findall(r"--(\w[\w.]*\w)", rest) if verb in known else ():
+                    seen += 1
+                    wrong += [(file.name, text)] * (option not in {*known[verb], "help", "config_path"})
+    for name in ("options", "sentences"):  # what a verb answers to bad input
+        said = Sentences(name).said
+        for case, sentence in ((c, s) for c, s in said.items() if c.startswith("pneutac ")):
+            verb = " ".join(case.split()[1 : 2 + case.startswith("pneutac benchmark")])
+            for option in re.findall(r"(?<![\w-])--(\w[\w.]*\w)", re.sub(r"`[^`]*`", "", sentence)):
+                seen += 1
+                own = option in {*known.get(verb, ()), "help", "config_path"}
+                foreign = re.match(r"(robot|dataset|teleop)\.", option) or f"no option --{option}" in sentence
+                wrong += [(case, sentence)] * (not own and not foreign)
+    assert wrong == [] and seen > 150
+
+
+@pytest.mark.parametrize("first", ["", "Frame,"])
+def test_a_remedy_of_check_works_when_it_is_pasted(tmp_path, first):
+    rows = "".join(f"{f'{k},' * bool(first)}{k % 9},{100 - k % 9},{k % 9}\n" for k in range(99))
+    (tmp_path / "a b.csv").write_text(f"{first}p_cmd [kPa],x [mm],z [mm]\n{rows}")
+    [fault] = check_path(tmp_path / "a b.csv").faults
+    [command] = re.findall("`pneutac convert ([^`]*--rate_hz[^`]*)`", fault)
+    run_verb("convert", [*shlex.split(command), "--yes"])
+    assert check_path(tmp_path / "a b.csv").kind == "bench recording"
 
 
 def _pneutac(*argv, **options):

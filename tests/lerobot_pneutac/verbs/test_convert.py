@@ -173,7 +173,9 @@ def test_the_times_of_a_mat_may_be_a_column_of_a_matrix(tmp_path):
     t = np.arange(0, 5, 0.1)
     bend = 0.01 + 0.06 * pressure(t)
     savemat(tmp_path / "run.mat", {"data": np.stack([t, pressure(t), bend], 1)})
-    with pytest.raises(InputError, match=r"'data' 50x3. Give .* --time, such as data_1 for the first column"):
+    with pytest.raises(
+        InputError, match=r"'data' 50x3. Give .* --time of .*, such as data_1 for the first column"
+    ):
         convert(ConvertConfig(tmp_path / "run.mat", tmp_path / "b", LENGTH))
     columns = {"data_2": "pressure_cmd_kpa [kPa]", "data_3": "bend_angle_rad"}
     options = {"length_mm": LENGTH, "columns": columns, "time": "data_1"}

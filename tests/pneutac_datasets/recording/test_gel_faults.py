@@ -116,7 +116,15 @@ def test_every_bad_image_is_said(folder):
     for name in ("images/ball_1.png", "images/ball_4.png"):
         pointer(name)(folder)
     faults, _ = recording_faults(folder)
-    assert len(faults) == 2 and "ball_1.png" in faults[0] and "ball_4.png" in faults[1]
+    assert len(faults) == 1 and "ball_1.png" in faults[0] and faults[0].endswith("1 more (ball_4.png).")
+
+
+def test_a_rest_image_of_another_size_is_one_sentence(folder):
+    Image.open(folder / "rest.png").resize((216, 288)).save(folder / "rest.png")
+    [fault], _ = recording_faults(folder)
+    others = len(list((folder / "images").iterdir())) - 1
+    assert "row 1: image 'images/ball_0.png' is" in fault and "give images of one size" in fault
+    assert fault.endswith(f"The same holds for {others} more (row 2, row 3, row 4, ...).")
 
 
 def test_a_good_recording_has_neither_faults_nor_notes(folder):

@@ -187,10 +187,21 @@ def test_clocks_begin_with_zero(tmp_path, clock):
     assert found.recording.meta.get("date", "") in ("2026-03-01", "2023-11-14", "")
 
 
+@pytest.mark.parametrize("clock", ["seconds", *CLOCKS])
+def test_a_run_begins_after_a_long_pause_of_any_clock(tmp_path, clock):
+    one = TRUTH[TRUTH.trial == 0]
+    time_s = one.time_s.to_numpy() + 3600.0 * (np.arange(len(one)) >= len(one) // 2)
+    stamps = pd.Series(CLOCKS.get(clock, pd.Series)(time_s))
+    one.drop(columns=["trial", "time_s"]).assign(timestamp=stamps).to_csv(tmp_path / "lab.csv", index=False)
+    found = understood(tmp_path / "lab.csv")
+    assert len(found.recording.trials()) == 2
+    assert [n for n in found.notes if "pauses for more than 10 minutes (the longest 3600 s): 2 runs" in n]
+
+
 def test_frames_and_rows_need_a_rate(tmp_path):
     one = TRUTH[TRUTH.trial == 0].drop(columns="time_s")
     one.assign(Frame=np.arange(len(one)) + 100).to_csv(tmp_path / "lab.csv", index=False)
-    with pytest.raises(InputError, match="'Frame' counts frames; give their number a second by --rate_hz"):
+    with pytest.raises(InputError, match=r"'Frame' counts frames; .* `pneutac convert .*csv --rate_hz=20`"):
         understood(tmp_path / "lab.csv")
     found = understood(tmp_path / "lab.csv", rate_hz=10.0)
     np.testing.assert_allclose(found.recording.column("time_s"), TRUTH[TRUTH.trial == 0].time_s, atol=1e-9)

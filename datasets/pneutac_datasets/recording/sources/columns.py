@@ -279,17 +279,18 @@ def understand(
     file: str,
     length_mm: float | None = None,
     log: bool = False,
+    convert: str = "pneutac convert TABLE",
 ) -> list[Column]:
     """What each column of a table is; what is `given`, name to text of `Column.parsed`, wins.
 
     `units` are those of a line of units; with `log` the table need not hold the pose, which markers give.
-    Raises InputError with all that is open, and the option that answers it.
+    Raises InputError with all that is open, and the option of the command `convert` that answers it.
     """
     given = {n: t for n, t in given.items() if n in frame or t not in (n, LEAVE_OUT)}
     unknown = [n for n in given if n not in frame]
     if unknown:
         raise InputError(f"{file} has no column {shown(unknown[0])}; it has {listed(map(shown, frame))}.")
-    table = _Table(frame, given, file, length_mm)
+    table = _Table(frame, given, file, length_mm, convert)
     table.recognise(units)
     if not table.questions:
         table.find_units()
@@ -298,9 +299,9 @@ def understand(
     if table.questions:
         what, answers = (dict.fromkeys(part) for part in zip(*table.questions, strict=True))
         has = f" It has {listed(map(shown, frame))}." if any("NAME" in a for a in answers) else ""
+        asked = f"{'; '.join(what)}.".replace("?.", "?")
         raise InputError(
-            f"{file}: {'; '.join(what)}.{has} Give it as `pneutac convert {quote(str(file))}"
-            f" --columns='{', '.join(answers)}'`."
+            f"{file}: {asked}{has} Give it as `{convert} --columns={quote(', '.join(answers))}`."
         )
     return table.columns
 
@@ -311,6 +312,7 @@ class _Table:
     given: dict[str, str]
     file: str
     length_mm: float | None
+    convert: str  # the command that reads the table
     columns: list[Column] = field(default_factory=list)
     questions: list[tuple[str, str]] = field(default_factory=list)  # what is open, and how to answer it
 
@@ -361,8 +363,8 @@ class _Table:
         if unit is None and not (unitless or dimension in ("time", "acceleration") and unit_named(text)):
             raise InputError(
                 f"{self.file}: the unit {shown(text)} of {shown(column.name)} is unknown for {column.column},"
-                f" which takes {EXAMPLES.get(dimension, 'm/s^2 or none')}; give it as `pneutac convert"
-                f" {self.file} --columns='{column.name}: {column.column} [UNIT]'`."
+                f" which takes {EXAMPLES.get(dimension, 'm/s^2 or none')}; give it as `{self.convert}"
+                f" --columns='{column.name}: {column.column} [UNIT]'`."
             )
         return replace(column, unit=unit)
 

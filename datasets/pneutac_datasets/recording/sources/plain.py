@@ -29,7 +29,7 @@ from pneutac_datasets.recording.sources.columns import (
 from pneutac_datasets.recording.sources.readers import AXES, axes_of
 from pneutac_datasets.recording.text_table import TextTable, read_text
 from pneutac_datasets.recording.units import BASE_UNIT
-from pneutac_datasets.recording.wording import SourceFile, collected, listed, plural
+from pneutac_datasets.recording.wording import SourceFile, collected, grouped, listed, plural
 from pneutac_sim.errors import InputError, shown
 from pneutac_sim.files import read_fields, read_yaml, write_text
 
@@ -48,6 +48,7 @@ ALONG = 0.7  # cosine between the resting tip and x, below which the axes must b
 FROM_TIP = 0.2  # of its motion: nearer to the origin than that no resting tip is to its base
 FROM_ZERO = 0.1  # of its usual distance: nearer to the base comes no tip
 EPOCH_S = 1e8  # a clock beyond this counts since 1970
+PAUSE_S = 600.0  # between two rows: what happened in so long a pause is unknown, so that a new run begins
 
 
 @dataclass(frozen=True)
@@ -217,9 +218,13 @@ class Understood:
         self._read = [read_table(f, time) for f in files]
         self.style, self.notes = self._read[0].style, [n for t in self._read for n in t.notes]
         self._source = str(files[0]) if len(files) == 1 else f"{files[0]} to {files[-1].name}"
+        tables = quote(",".join(map(str, files)))
+        self._convert = f"pneutac convert {f'SOURCE --log={tables}' if log else tables}"
         frame = self._one_frame()
         units = {k: v for t in self._read for k, v in t.units.items()}
-        self.columns = understand(frame, units, given.columns, self._source, given.length_mm, log)
+        self.columns = understand(
+            frame, units, given.columns, self._source, given.length_mm, log, self._convert
+        )
         self.guessed = guesses(self.columns)
         self._clock = next((c for c in self.columns if c.column == "time_s"), None)
         table = self._converted(frame)
@@ -239,6 +244,7 @@ class Understood:
         self.faults = [] if log else self._faults()
         if not log and not self.faults:
             self.faults += self._axes_faults()
+        self.notes = grouped(self.notes)
         meta["conversion"] = {"notes": self.notes, "rows_left_out": left_out}
 
     def _one_frame(self) -> pd.DataFrame:
@@ -286,7 +292,8 @@ class Understood:
         else:
             raise InputError(
                 f"{file}: no column is a time; it has {listed(map(shown, frame))}. Name it by"
-                " --columns='NAME: time_s', or give the rows a second, `pneutac convert TABLE --rate_hz=20`."
+                f" `{self._convert} --columns='NAME: time_s'`, or give the rows a second, `{self._convert}"
+                " --rate_hz=20`."
             )
         time_s, trial = found.pop("time_s"), found.pop("trial", None)
         trial = self._trials(time_s.to_numpy(float)) if trial is None else self._numbered(trial)
@@ -303,7 +310,7 @@ class Understood:
             if not self.given.rate_hz:
                 raise InputError(
                     f"{self.files[0]}: {shown(clock.name)} counts frames; give their number a second by"
-                    " --rate_hz."
+                    f" `{self._convert} --rate_hz=20`."
                 )
             stamps = values.astype(float) / self.given.rate_hz
         else:
@@ -360,16 +367,21 @@ class Understood:
         return pd.factorize(pairs)[0]
 
     def _trials(self, time: np.ndarray) -> np.ndarray:
-        """Number of the trial (n,) of each row by its file, or by a clock that starts again."""
-        other_file = np.r_[True, np.diff(self._of_file) != 0]
-        back = np.r_[False, np.diff(time) < 0] & ~other_file
+        """Number of the trial (n,) of each row by its file, a clock that starts again, or a long pause."""
+        other_file, step = np.r_[True, np.diff(self._of_file) != 0], np.r_[0.0, np.diff(time)]
+        back = (step < 0) & ~other_file
         begins = np.flatnonzero(back | other_file)
-        shuffled = np.diff(np.r_[begins, len(time)]).min() < 5
-        shuffled |= np.ptp(time[begins]) > 1.0 + 0.05 * np.ptp(time)
-        if self._log or not back.any() or shuffled:  # of shuffled rows the rules name one
+        shuffled = back.any() and np.ptp(time[begins]) > 1.0 + 0.05 * np.ptp(time)
+        pause = (step > max(PAUSE_S, 10 * np.median(np.abs(step)))) & ~other_file
+        new = back | pause | other_file
+        few = np.diff(np.r_[np.flatnonzero(new), len(time)]).min() < 5
+        if self._log or not (back | pause).any() or shuffled or few:  # of shuffled rows the rules name one
             return self._of_file.copy()
-        self.notes.append(f"A new run begins wherever the clock starts again: {len(begins)} runs.")
-        return np.cumsum(back | other_file) - 1
+        where = ["starts again"] * bool(back.any())
+        longest = f"pauses for more than {PAUSE_S / 60:g} minutes (the longest {np.max(step):.0f} s)"
+        where += [longest] * bool(pause.any())
+        self.notes.append(f"A new run begins wherever the clock {' or '.join(where)}: {new.sum()} runs.")
+        return np.cumsum(new) - 1
 
     def _seen(self, table: pd.DataFrame) -> tuple[pd.DataFrame, int]:
         """The rows in which all of the pose was measured, and how many are now missing between them."""
@@ -438,7 +450,7 @@ class Understood:
         if far < FROM_TIP * moved:
             raise InputError(
                 f"{source}: at rest the tip is {far:.3g} mm from the origin and moves {moved:.3g} mm: its"
-                f" place is counted from the tip; give that of the base, as `pneutac convert {source}"
+                f" place is counted from the tip; give that of the base, as `{self._convert}"
                 " --base=-LENGTH,0,0`."
             )
         axes = base_axes(self.recording)
@@ -446,7 +458,7 @@ class Understood:
             place = ", ".join(f"{v:.4g}" for v in rest)
             raise InputError(
                 f"{source}: at rest the tip is at ({place}) mm, not along x from the base; give the base's"
-                f" position in the table's frame and its axes, as `pneutac convert {source} --base=X,Y,Z"
+                f" position in the table's frame and its axes, as `{self._convert} --base=X,Y,Z"
                 " --base_x=AXIS --base_z=AXIS`."
             )
         if axes == RIGHT_AXES:
@@ -487,8 +499,7 @@ class Understood:
                 return f"{sentence[: value.start(2)]}{number}{sentence[value.end(2) :]}"
             alike = [c for c in self.columns if c.unit == column.unit and not c.retained]
             answer = ", ".join(f"{c.name}: {c.column} [UNIT]" for c in alike)
-            command = f"pneutac convert {self._source} --columns='{answer}'"
-            remedy = f"correct the column, or give the unit: `{command}`"
+            remedy = f"correct the column, or give the unit: `{self._convert} --columns={quote(answer)}`"
             return f"{sentence[: value.start(2)]}{number}, which cannot be; {remedy}."
 
         for k, file in enumerate(self.files):
@@ -539,7 +550,7 @@ class Understood:
         except OSError as e:
             raise InputError(
                 f"{folder} cannot be written ({e.strerror or e}); convert into a folder of yours:"
-                f" `pneutac convert {self.files[0]} --out=FOLDER`."
+                f" `{self._convert} --out=FOLDER`."
             ) from e
         return Recording.load(folder)
 

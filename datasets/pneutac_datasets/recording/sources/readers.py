@@ -476,7 +476,8 @@ def mat_table(file: Path, time: str = "") -> TextTable:
         has = listed(f"{shown(n)} {'x'.join(map(str, v.shape))}" for n, v in flat.items()) or "no arrays"
         column = next((f", such as {n}_1 for the first column of {shown(n)}" for n in matrices), "")
         raise InputError(
-            f"{file} has no vector '{time}' of times; it has {has}. Give its name by --time{column}."
+            f"{file} has no vector '{time}' of times; it has {has}. Give its name by --time of"
+            f" `pneutac convert`{column}."
         )
     count = len(clock)
     columns, notes = {time: clock.astype(float)}, []
