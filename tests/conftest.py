@@ -1,5 +1,6 @@
 """Keeps every test off the user's folders (Hugging Face's, priors of sensors) and off the network."""
 
+import importlib.metadata
 import json
 import os
 import re
@@ -24,6 +25,11 @@ os.environ["PNEUTAC_PRIORS"] = os.path.join(os.environ["HF_HOME"], "priors")
 FIRST = "PNEUTAC_TEST_RECORDINGS" not in os.environ
 os.environ.setdefault("PNEUTAC_TEST_RECORDINGS", tempfile.mkdtemp(prefix="pneutac_recordings_"))
 compile_once(Path(os.environ["PNEUTAC_TEST_RECORDINGS"]))
+# Diffusers, Transformers and others read the metadata of all installed packages, each for a second.
+importlib.metadata.packages_distributions = cache(importlib.metadata.packages_distributions)
+if "PYTEST_XDIST_WORKER" in os.environ:  # it imports all tests
+    # Before LeRobot: for each of its kernels Taichi looks through every module that is loaded.
+    importlib.import_module("pneutac_sim.mpm.devices")
 
 
 def pytest_sessionfinish():
