@@ -34,7 +34,7 @@ def bench(tmp_path_factory, no_soft_body):
     """A recording without and one with creep of the same finger, and a twin fitted to the first."""
     root = tmp_path_factory.mktemp("bench")
     for name in ("none", "creep"):
-        once(generate, name, root / name, seed=16, minutes=2, hz=20)
+        once(generate, name, root / name, seed=16, minutes=2, hz=10)
     verb("new", twin=root / "twin", recording=root / "none")
     r = Recording.load(root / "none")
     found = calibrate_body(Twin.load(root / "twin"), r)

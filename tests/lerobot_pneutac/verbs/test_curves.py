@@ -15,9 +15,9 @@ def recording(curve, hz: float, lag_s: float = 0.0, seed: int = 0) -> Recording:
     """Three runs of held random steps and one of a slow wave, each command sent at its row; noise 0.2 mm."""
     rng, rows = np.random.default_rng(seed), []
     for run in range(4):
-        t = np.arange(0, 60, 1 / hz)
+        t = np.arange(0, 40, 1 / hz)
         hold = 2.0 + run % 2
-        levels = rng.uniform(0, TOP_KPA, 31)
+        levels = rng.uniform(0, TOP_KPA, 21)
         levels[[0, 10]] = 0.0, TOP_KPA
         u = levels[(t // hold).astype(int)] if run < 3 else TOP_KPA * (0.5 - 0.5 * np.cos(2 * np.pi * t / 8))
         p = u.copy()

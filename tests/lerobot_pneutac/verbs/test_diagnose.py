@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def creep(bench):
     """What is found where creep is hidden."""
-    recording = bench("creep", minutes=4.0, seed=5003)
+    recording = bench("creep", seed=5003)
     return diagnose(twin_of(recording), recording, jobs=1)
 
 
