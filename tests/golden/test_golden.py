@@ -166,7 +166,7 @@ CASES = {
 }
 
 
-LONG = ("augment", "compare_mpm", "finger", "gel")  # half a minute each
+LONG = ("augment", "compare_mpm", "finger", "gel", "render")  # half a minute each
 
 
 @pytest.mark.parametrize(

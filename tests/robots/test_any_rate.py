@@ -111,7 +111,7 @@ def test_a_dataset_of_another_rate_that_is_gone_on_with_is_reported(tmp_path, ca
     assert json.loads((tmp_path / "info.json").read_text()) == info
 
 
-@pytest.mark.parametrize("control_hz", [10, 30])
+@pytest.mark.parametrize("control_hz", [10, pytest.param(30, marks=pytest.mark.nightly)])
 def test_the_stand_in_does_its_task_at_another_rate(control_hz):
     world = StandinWorld("card", touch="area", station=Station(control_hz=control_hz))
     assert succeeds(world, 1, steps=12 * control_hz)
