@@ -19,7 +19,6 @@ COMMANDS = {
     "compare": "compare --twin=twin --recording=lab.csv --yes --out=out",
     "history": "history --twin=twin --restore=0",
     "calibrate": "calibrate --twin=bare --recording=bench --out=out",
-    "add": "add --twin=bare --recording=bench --effect=creep --out=out",
     "export": "export --twin=twin --out=finger.py",
     "control": "control --twin=twin --hz=5 --out=out",
     "effects": "effects export thermal --out=effect.py",

@@ -518,11 +518,10 @@ AXES = {  # of a table: columns of the right one, and what turns it
 }
 
 
-@pytest.mark.parametrize(("names", "sign", "turn"), AXES.values(), ids=AXES)
-@pytest.mark.parametrize("units", ["m", "mm"])
-def test_a_tip_in_other_axes_is_refused_with_the_command_that_turns_it(
-    folder, capsys, names, sign, turn, units
-):
+@pytest.mark.parametrize("axes", AXES)
+def test_a_tip_in_other_axes_is_refused_with_the_command_that_turns_it(folder, capsys, axes):
+    names, sign, turn = AXES[axes]
+    units = "m" if "along" in axes else "mm"
     right = bench()
     table = right[["time_s", "trial", "pressure_cmd_kpa"]].rename(columns={"pressure_cmd_kpa": "p [kPa]"})
     for column, name in names.items():
