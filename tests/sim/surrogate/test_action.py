@@ -160,30 +160,33 @@ def test_too_few_or_missing_trajectories(tmp_path):
         collect_action(Twin("arm", 110.0), tmp_path)
 
 
+TINY = Plan(2, 0.05, particles=200)
+
+
 @pytest.fixture(scope="module")
 def collection(tmp_path_factory):
-    """Six short motions of a coarse finger."""
+    """Two short motions of a coarse finger."""
     folder = tmp_path_factory.mktemp("motions")
-    collect_action(Twin.builtin(), folder, Plan(6, 0.2, particles=200), "cpu")
+    collect_action(Twin.builtin(), folder, TINY, "cpu")
     return folder
 
 
 @pytest.mark.slow
 def test_an_interrupted_collection_goes_on(collection):
-    twin, plan, told = Twin.builtin(), Plan(6, 0.2, particles=200), []
-    assert len(collect_action(twin, collection, plan, "cpu", told.append)) == 6
+    twin, plan, told = Twin.builtin(), TINY, []
+    assert len(collect_action(twin, collection, plan, "cpu", told.append)) == 2
     assert not told  # nothing was left to do
     with pytest.raises(InputError, match="another twin or plan"):
         collect_action(twin, collection, dataclasses.replace(plan, seed=1), "cpu")
-    file = collection / "action_003.safetensors"
+    file = collection / "action_001.safetensors"
     kept = file.read_bytes()
-    before = read_motions(collection, twin)[1][3]
+    before = read_motions(collection, twin)[1][1]
     file.unlink()
-    with pytest.raises(InputError, match="action_003.*missing.*pneutac surrogate"):
+    with pytest.raises(InputError, match="action_001.*missing.*pneutac surrogate"):
         read_motions(collection, twin)
     collect_action(twin, collection, plan, "cpu", told.append, ExecutorOptions(workers=1))
-    assert told[0] == "collected 5 of 6 trajectories"
-    after = read_motions(collection, twin)[1][3]
+    assert told[0] == "collected 1 of 2 trajectories"
+    after = read_motions(collection, twin)[1][1]
     np.testing.assert_allclose(after.q, before.q, atol=2e-3)
     file.write_bytes(kept[:200])
     with pytest.raises(InputError, match="corrupted"):
