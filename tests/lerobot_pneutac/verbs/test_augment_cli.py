@@ -40,7 +40,7 @@ from pneutac_sim.world.world import World
 
 pytestmark = pytest.mark.slow
 
-FEW = 12
+FEW = 6
 QUICK = ["--planner.samples=4", "--planner.elites=2", "--planner.iterations=1", "--planner.horizon=6"]
 
 
