@@ -18,7 +18,7 @@ from pneutac_datasets.generate.finger import generate
 def bench(tmp_path_factory, no_soft_body):
     """A short recording with hidden creep and a twin calibrated to it."""
     folder = tmp_path_factory.mktemp("api") / "bench"
-    once(generate, ["creep"], folder, 5002, minutes=3.0, hz=10)
+    once(generate, ["creep"], folder, 5003, minutes=3.0, hz=10)
     recording = Recording.load(folder)
     twin = Twin.builtin()
     twin.length_mm, twin.spine_joint_positions_mm = recording.length_mm, recording.spine_joint_positions_mm

@@ -158,7 +158,7 @@ def test_an_effect_without_its_column_is_refused(pair, tmp_path):
 @pytest.mark.slow
 def test_every_verb_sees_the_fall_of_a_pneumatic_effect(tmp_path, no_soft_body):
     """Errors are counted from the command, so a slow valve is in them although the pressure was measured."""
-    once(generate, ["valve_lag"], tmp_path / "recording", 5004, minutes=3.0, hz=10)
+    once(generate, ["valve_lag"], tmp_path / "recording", 5001, minutes=3.0, hz=10)
     recording = Recording.load(tmp_path / "recording")
     folder = new_twin("finger", recording).save(tmp_path / "twin")
     verb("calibrate", twin=folder, recording=recording.folder)

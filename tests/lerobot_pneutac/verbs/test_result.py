@@ -20,7 +20,7 @@ from pneutac_sim.twin import Twin
 @pytest.fixture(scope="module")
 def body(bench, tmp_path_factory, no_soft_body):
     """Results of the verbs of a body; it has the effect already when that is refused."""
-    recording = bench("creep")
+    recording = bench("creep", seed=5003)
     folder = new_twin(recording=recording).save(tmp_path_factory.mktemp("body") / "my twin")
     calibrated = calibrate(Twin.load(folder), recording).save(folder)
     added = add(calibrated.twin, recording, "creep").save(folder)
