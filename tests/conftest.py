@@ -1,5 +1,6 @@
 """Keeps every test off the user's folders (Hugging Face's, priors of sensors) and off the network."""
 
+import gc
 import importlib.metadata
 import json
 import os
@@ -17,6 +18,8 @@ from compiled_once import compile_once
 MATERIAL_POINTS = re.compile(
     r"pneutac_sim\.mpm(\.solve)? import .*(devices|solve)|pneutac_sim\.photo_fit|\(photographed\b"
 )
+# A hundred thousand functions and classes are imported, none of which goes: no garbage to search for.
+gc.disable()
 # Before LeRobot is imported: it reads these once.
 os.environ["HF_HOME"] = tempfile.mkdtemp(prefix="pneutac_hf_")
 os.environ["HF_HUB_OFFLINE"] = "1"
@@ -30,6 +33,12 @@ importlib.metadata.packages_distributions = cache(importlib.metadata.packages_di
 if "PYTEST_XDIST_WORKER" in os.environ:  # it imports all tests
     # Before LeRobot: for each of its kernels Taichi looks through every module that is loaded.
     importlib.import_module("pneutac_sim.mpm.devices")
+
+
+def pytest_collection_finish():
+    """What was imported is from now on no garbage, and is not looked through."""
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_sessionfinish():
