@@ -7,8 +7,8 @@ unexport PYTHONDONTWRITEBYTECODE
 # A file of tests stays in one process; each process computes on one thread, so that they share the cores. Three on
 # two cores: some tests record at the pace of the clock, while the cores would idle.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses=3 --dist=loadfile --no-loadscope-reorder --durations=25
-# Tests of the real clock: alone, one after the other.
-REALTIME = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "realtime and not nightly" \
+# Tests of the real clock: alone, one process a core, for they mostly wait.
+REALTIME = OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses=2 --dist=loadfile -m "realtime and not nightly" \
 	$$(grep -rl --include="test_*.py" mark.realtime tests)
 
 .PHONY: demo check lint test nightly bench docs hub-dry-run sbom
