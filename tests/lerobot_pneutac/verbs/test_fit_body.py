@@ -197,8 +197,7 @@ def test_the_tip_alone_tells_the_whole_and_says_so(body, measured_once):
     assert found.parameters[MODULUS]["note"].startswith("fixed") and "q_1_rad" in found.remark
 
 
-@pytest.mark.slow
-def test_a_weight_is_a_force_along_gravity(measured_once):
+def test_a_weight_is_a_force_along_gravity():
     r = recording(joints=True)
     force = r.samples.loc[:, ["force_x_n", "force_z_n"]].to_numpy()
     size = np.linalg.norm(force, axis=1)
@@ -206,10 +205,7 @@ def test_a_weight_is_a_force_along_gravity(measured_once):
     r.samples = r.samples.drop(columns=["force_x_n", "force_y_n", "force_z_n"]).assign(
         payload_g=1e3 * size / STANDARD_GRAVITY, gravity_x=way[:, 0], gravity_y=0.0, gravity_z=way[:, 1]
     )
-    pushed = known_forces(r)
-    np.testing.assert_allclose(pushed[:, [0, 2]], force, atol=1e-9)
-    found = fit_compliance(Twin.builtin(), r, everything(r))
-    assert found.twin.parameter(MODULUS) == pytest.approx(TRUE_MPA, rel=0.1)
+    np.testing.assert_allclose(known_forces(r)[:, [0, 2]], force, atol=1e-9)
 
 
 def test_without_loads_it_says_what_to_hang():
