@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from awake import awake_s, hold_up_us, until
 
+import lerobot_camera_digit
 import lerobot_robot_pneutac
 from lerobot_robot_pneutac.hardware import safety
 from lerobot_robot_pneutac.hardware.limits import Limits
@@ -419,12 +420,14 @@ def test_ctrl_c_within_a_command_halts_at_once_and_goes_on_up(parts, part):
 
 
 def test_the_end_of_the_program_halts_where_nobody_disconnected():
-    # The package without its front door, which would import LeRobot.
+    # The packages without their front doors, which would import LeRobot.
+    packages = {p.__name__: list(p.__path__) for p in (lerobot_camera_digit, lerobot_robot_pneutac)}
     program = f"""
 import atexit, sys, time, types, numpy as np
 sys.path[:0] = {sys.path!r}
-package = sys.modules["lerobot_robot_pneutac"] = types.ModuleType("lerobot_robot_pneutac")
-package.__path__ = {list(lerobot_robot_pneutac.__path__)!r}
+for name, path in {packages!r}.items():
+    sys.modules[name] = types.ModuleType(name)
+    sys.modules[name].__path__ = path
 from lerobot_robot_pneutac.hardware.limits import Limits
 from lerobot_robot_pneutac.hardware.parts import ArmState
 from lerobot_robot_pneutac.hardware import safety
