@@ -16,7 +16,8 @@ import pytest
 from compiled_once import compile_once
 
 MATERIAL_POINTS = re.compile(
-    r"pneutac_sim\.mpm(\.solve)? import .*(devices|solve)|pneutac_sim\.photo_fit|\(photographed\b"
+    r"pneutac_sim\.mpm(\.\w+)? import .*(devices|solve|measure)|pneutac_sim\.(photo_fit|surrogate\.collect)"
+    r"|pneutac_sim\.surrogate import collect|\(photographed\b"
 )
 # A hundred thousand functions and classes are imported, none of which goes: no garbage to search for.
 gc.disable()
