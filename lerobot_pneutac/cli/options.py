@@ -32,7 +32,9 @@ MOST = 2**32 - 1  # of an option's number, and the largest seed that NumPy and P
 MOST_COUNT = 10**6  # of any other whole number: files, trials or rows, of which more would fill the memory
 # What an option's number may be at most, by the last word of its name.
 MOST_OF = {"seed": MOST, "steps": 10**9, "updates": 10**9, "jobs": MOST_WORKERS}
-MOST_OF |= {"batch": 2**14, "size": 2**14}  # samples that are held at once
+MOST_OF |= {"batch": 2**14, "size": 2**14, "rgb": 255}  # samples that are held at once; a colour's levels
+# Options of which no number may be 0 or below, whatever else a verb asks of them.
+POSITIVE = "hz evaluations particles chambers image_size marker_mm dots_mm size_mm depth_mm".split()
 OUTPUTS = ("out", "output.root", "student.root")  # options that name a folder to be written
 # Endings that a file has and hardly a folder.
 FILES = ".csv .gif .htm .html .jpg .json .mat .md .mp4 .parquet .pdf .png .py .rrd .txt .xlsx .yaml .yml .zip"
@@ -129,8 +131,8 @@ def parse_options(config_class: type, argv: list[str], what: str | None = None):
 def _check_numbers(config, group: str = "") -> None:
     """Raises InputError for a number that no option takes, and a dataset's name that the Hub does not.
 
-    That is what is not finite or above the most of its kind, and a whole number below 0: a seed, a count, a
-    port.
+    That is what is not finite or above the most of its kind, a whole number below 0 (a seed, a count, a
+    port), and 0 or less where something must be there.
     """
     for name in (field.name for field in dataclasses.fields(config)):
         value, option = getattr(config, name), f"--{group}{name}"
@@ -144,6 +146,8 @@ def _check_numbers(config, group: str = "") -> None:
                 raise InputError(f"{option} is {value}; give at most {most}.")
             if isinstance(number, int) and number < 0:
                 raise InputError(f"{option} is {value}; it must be 0 or more.")
+            if name in POSITIVE and number <= 0:
+                raise InputError(f"{option} is {value}; it must be above 0.")
         if name == "device" and isinstance(value, str) and getattr(config, "executor", "local") == "local":
             check_device(value)
         if name == "repo_id" and not re.fullmatch(r"([\w.-]+/)?[\w.-]+", value):

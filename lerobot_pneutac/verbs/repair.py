@@ -20,6 +20,10 @@ class RepairConfig:
 def command(config: RepairConfig, terminal: Terminal) -> None:
     if not config.dataset.is_dir():  # before imports that take seconds
         raise InputError(f"There is no folder '{config.dataset}'; give the folder of a dataset.")
+    if config.like is not None and not (config.like / "meta" / "info.json").is_file():
+        raise InputError(
+            f"like={config.like} is no dataset of LeRobot (no meta/info.json); give a whole one."
+        )
     from pneutac_datasets.demonstrations.repair.dataset import repair_dataset
 
     repaired = repair_dataset(config.dataset, config.like, config.drop)

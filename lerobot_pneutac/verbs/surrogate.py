@@ -53,6 +53,10 @@ class SurrogateConfig(ExecutorOptions):
 
     def __post_init__(self):
         self.check_executor()
+        if not 0.02 <= self.seconds <= 600:
+            raise InputError(f"seconds is {self.seconds}; it must lie in [0.02, 600].")
+        check_between(100, 1_000_000, particles=self.particles)
+        check_between(1, 100_000, trajectories=self.trajectories, contacts=self.contacts)
 
     def to_train(self, twin: Twin) -> list[str]:
         """Those of `NETWORKS` that are not shipped for such a finger or gel; all of them where `fresh`."""
@@ -75,10 +79,6 @@ class SurrogateConfig(ExecutorOptions):
         from pneutac_sim.surrogate.gel_train import CHECK_EVERY, HELDOUT, LEAST
 
         check_choice("device", self.device, ("auto", "cpu", "cuda"))
-        if not 0.02 <= self.seconds <= 600:
-            raise InputError(f"seconds is {self.seconds}; it must lie in [0.02, 600].")
-        check_between(100, 1_000_000, particles=self.particles)
-        check_between(1, 100_000, trajectories=self.trajectories, contacts=self.contacts)
         few = "are too few to train on"
         if self.trajectories < FEWEST:
             raise InputError(f"trajectories={self.trajectories} {few}; give {FEWEST} or more.")

@@ -173,7 +173,13 @@ def _begun(recording: Recording) -> tuple[GelRecording, dict[str, np.ndarray]]:
             " taken, the median of five or more presses at different places serves."
         )
     size = meta.get("gel_size_mm")
-    thickness = float(size[2]) if isinstance(size, list) and len(size) == 3 else THICKNESS_MM
+    if size is not None:
+        sizes = size if isinstance(size, list) and len(size) == 3 else [None]
+        if not all(isinstance(x, int | float) and 0 < x < 1000 for x in sizes):
+            raise InputError(
+                f"{file}: field 'gel_size_mm' is {shown(size)}; give width, height and thickness."
+            )
+    thickness = float(size[2]) if size is not None else THICKNESS_MM
     rest = _image(recording, meta["rest_image"], f"{file}: rest image {shown(meta['rest_image'])}")
     width_mm = rest.shape[1] / scale
     if not WINDOW_MM[0] <= width_mm <= WINDOW_MM[1]:
@@ -187,6 +193,8 @@ def _begun(recording: Recording) -> tuple[GelRecording, dict[str, np.ndarray]]:
 
 def _image(recording: Recording, value, what: str, like: np.ndarray | None = None) -> np.ndarray:
     """An image; raises InputError where it is of another size than `like`, or black or white all over."""
+    if not isinstance(value, dict | str):
+        raise InputError(f"{what} is no file's name; name the image.")
     image = recording.image(value, plain=True)
     if like is not None and image.shape != like.shape:
         raise InputError(

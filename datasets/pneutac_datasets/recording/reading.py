@@ -92,7 +92,7 @@ def read_parquet(file: Path) -> pd.DataFrame:
     except InputError:
         raise
     except (pa.ArrowException, OSError, ValueError, TypeError, KeyError, IndexError) as e:  # damaged footers
-        reason = cut((str(e).splitlines() or [type(e).__name__])[0])
+        reason = cut((str(e).splitlines() or [type(e).__name__])[0]).rstrip(".")
         raise InputError(f"{file} cannot be read as Parquet: {reason}.") from e
 
 

@@ -196,6 +196,8 @@ def look(
         missing = [f"{file} has a header but no rows; record at least one trial."]
         return samples, [*missing, *missing_columns(samples, device, file).values()], []
     faults, warnings = list(missing_columns(samples, device, file).values()), []
+    misspelt = [] if faults else list(_misspelt(samples, device, file))
+    (faults if device == "gel" else warnings).extend(misspelt)
     with collected(faults):
         _check_texts(samples, file)
     samples, broken = clean_numbers(samples, device, file)
@@ -269,6 +271,22 @@ def missing_columns(samples: pd.DataFrame, device: str, file: Path) -> dict[str,
                 f"{file}: no column has the motion of the {device}{_near('tip_x_mm', samples)}; add {needed}."
             )
     return missing
+
+
+# Columns that a recording may have, by which a misspelt one is known.
+_FREE = "pressure_kpa tip_x_mm tip_y_mm tip_z_mm bend_angle_rad temperature_c payload_g gravity_x gravity_y"
+_OF_GEL = "role x_mm y_mm depth_mm indenter_radius_mm indenter_size_mm contact_radius_px hold_s rest_image"
+
+
+def _misspelt(samples: pd.DataFrame, device: str, file: Path) -> Iterator[str]:
+    """A sentence for each column that nothing reads, and whose name is nearly that of one that is missing."""
+    known = ["trial", "time_s", *(_OF_GEL if device == "gel" else _FREE).split()]
+    missing = [name for name in known if name not in samples]
+    for name in (
+        c for c in map(str, samples) if c not in known and not re.fullmatch(quantities.PRESSURE.pattern, c)
+    ):
+        if near := difflib.get_close_matches(name, missing, n=1, cutoff=0.9):
+            yield f"{file}: column {shown(name)} is not read; did you mean '{near[0]}'?"
 
 
 _OWN = re.compile(

@@ -178,7 +178,7 @@ def load_mesh(file: Path, within: Path | None = None) -> trimesh.Trimesh:
     except Exception as e:
         raise InputError(f"{file} cannot be read as a mesh ({e}); export it again as STL, OBJ or PLY.") from e
     if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
-        raise InputError(f"{file} is empty: it holds no triangles.")
+        raise InputError(f"{file} holds no triangles: it is empty, cut short or no mesh; export it again.")
     if not np.isfinite(mesh.vertices).all():
         raise InputError(f"{file} has vertices that are not finite numbers; export it again.")
     if len(mesh.faces) > MOST_FACES:

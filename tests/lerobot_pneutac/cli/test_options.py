@@ -198,6 +198,53 @@ def test_a_number_that_would_fill_the_memory_is_refused_before_the_work():
     assert tried > 30
 
 
+# What a verb needs beside the option that is tried; others need nothing, or `--out`.
+NEEDED = {"new": "--twin=o", "measure": "--bench=standin --out=o", "convert": "--source=t.csv"}
+NEEDED |= dict.fromkeys(
+    ("calibrate", "compare", "diagnose", "add", "design"), "--twin=finger --recording=bench"
+)
+NEEDED |= {"studio": "--twin=finger", "history": "--twin=finger", "ppo": "--out=o --student.root=s"}
+NEEDED |= dict.fromkeys(("learn", "control", "surrogate", "render"), "--twin=finger --out=o")
+NEEDED["add"] += " --effect=creep"
+NEEDED["augment"] = "--dataset.repo_id=local/d --dataset.root=d --output.repo_id=local/e --output.root=e"
+NEEDED["augment"] += " --method=planner"
+# Options that may be 0, as a seed, or below, as a place; `learn` refuses a budget with what it needs.
+ZERO = r"seed|first_seed|seeds|jobs|port|restore|base_id|tip_rgb|base_rgb|samples|fingers|arms|hidden|person"
+ZERO += r"|start_width|real_share|films|arm_minutes|check_mpm|min_kpa|noise|processes|.*_weight|jitter_.*"
+ZERO += "|start_range"
+SIGNED = r"(min|max|pressure)_kpa|base_offset_mm|offset_s|conditions|[xy]_mm|yaw_rad|(azimuth|elevation)_deg"
+SIGNED += "|budget_min"
+
+
+@pytest.mark.parametrize("verb", [*NEEDED, *(f"benchmark {name}" for name in TABLES if name != "worlds")])
+def test_no_number_is_nonsense(verb, tmp_path, monkeypatch):
+    """Numbers of nan, inf, -1, 0 and 1e308: what cannot be is one sentence, and writes nothing."""
+    monkeypatch.chdir(tmp_path)
+    for folder in ("finger", "bench", "d"):
+        Path(folder).mkdir()
+    Path("t.csv").touch()
+    kind = options_class(verb)
+    for option in list_options(kind):
+        numbers = re.findall("int|float", str(option.kind))
+        if not numbers or "Path" in str(option.kind):
+            continue
+        for bad in (".nan", ".inf", "-1", "0", str(10**308) if set(numbers) == {"int"} else "1e308"):
+            several = str(option.kind).startswith("tuple") and "..." not in str(option.kind)
+            value = ",".join([bad] * (len(numbers) if several else 1))
+            value = f"{{temperature_c: {bad}}}" if "dict" in str(option.kind) else value
+            name = option.name.rpartition(".")[2]
+            fine = (
+                re.fullmatch(SIGNED, name) and bad in ("-1", "0") or re.fullmatch(ZERO, name) and bad == "0"
+            )
+            try:
+                parse_options(kind, [*shlex.split(NEEDED.get(verb, "")), f"--{option.name}={value}"])
+            except InputError as e:
+                assert name in str(e) and "\n" not in str(e) and len(str(e)) < 300, e
+            else:
+                assert fine, f"{verb} takes --{option.name}={value}"
+    assert {p.name for p in tmp_path.iterdir()} == {"finger", "bench", "d", "t.csv"}
+
+
 def test_help_tells_every_option_with_its_default(capsys):
     with pytest.raises(SystemExit) as e:
         parse_options(Options, ["--help"])

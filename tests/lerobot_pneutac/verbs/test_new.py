@@ -124,6 +124,18 @@ def recorded(folder, length_mm: float):
     return folder
 
 
+@pytest.mark.parametrize("content", [b"", b"\x89PNG\r\n", bytes(80) + b"\x00\xca\x9a\x3b" + bytes(50)])
+def test_a_mesh_that_is_cut_short_is_not_called_empty_alone(tmp_path, content):
+    (tmp_path / "m.stl").write_bytes(content)
+    refused(
+        "holds no triangles: it is empty, cut short or no mesh",
+        "new",
+        twin=tmp_path / "t",
+        mesh=tmp_path / "m.stl",
+    )
+    assert not (tmp_path / "t").exists()
+
+
 def test_a_recording_gives_the_joints_of_a_mesh_of_its_length(tmp_path, capsule):
     mesh = [f"--mesh={capsule}", "--mesh_unit=m"]
     verb("new", *mesh, twin=tmp_path / "twin", recording=recorded(tmp_path / "r", 70.5))

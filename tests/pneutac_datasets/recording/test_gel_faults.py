@@ -71,6 +71,11 @@ def swap(folder):
     press.write_bytes(before)
 
 
+def rename(folder, before, after):
+    table = pd.read_csv(folder / "samples.csv")
+    table.rename(columns={before: after}).to_csv(folder / "samples.csv", index=False)
+
+
 ONE = "images/ball_3.png"
 FAULTS = {
     "rest is a pointer": (pointer("rest.png"), "rest.png is a Git LFS pointer"),
@@ -84,6 +89,14 @@ FAULTS = {
     "not there": (lambda f: (f / ONE).unlink(), "ball_3.png is missing"),
     "no picture": (lambda f: (f / ONE).write_text("404"), "ball_3.png cannot be read as an image"),
     "no rest named": (field(rest_image=""), "field 'rest_image' is missing"),
+    "a number for the rest": (field(rest_image=3), "rest image 3 is no file's name"),
+    "no image named": (rows(image=lambda t: np.nan), "row 1: image 'nan' is no file's name.* 6 more"),
+    "a size of two": (field(gel_size_mm=[20, 15]), "field 'gel_size_mm' is .20, 15.; give width, height"),
+    "a thickness below 0": (field(gel_size_mm=[20, 15, -3]), "field 'gel_size_mm' is .20, 15, -3."),
+    "misspelt": (
+        lambda f: rename(f, "depth_mm", "deph_mm"),
+        "'deph_mm' is not read; did you mean 'depth_mm'",
+    ),
     "slash": (field(rest_image="/rest.png"), "lies outside .* name it 'rest.png'"),
     "outside": (field(rest_image="../../rest.png"), "lies outside the recording's folder"),
     "indenter": (rows(indenter=lambda t: "bal"), "indenter is 'bal'; it must be one of"),

@@ -229,6 +229,7 @@ def test_what_is_no_table_or_too_large_is_refused_before_it_is_read(tmp_path, mo
         (lambda s: s[s.trial == 0], "one trial only"),
         (lambda s: s.iloc[:3], "only 3 rows"),
         (break_("time_s", 12, 11 / 20), "0.55 s of trial 0 (1 such row); it is left out"),
+        (lambda s: s.rename(columns={"tip_y_mm": "tip_y_mmm"}), "not read; did you mean 'tip_y_mm'?"),
         (lambda s: s.drop(columns="tip_z_mm"), "z, in which the device bends, was not measured"),
     ],
 )
