@@ -31,10 +31,11 @@ Knots = list[tuple[float, float]]  # seconds since the one before, kPa
 def law_program(recording: Recording, name: str, constants: Mapping[str, float]) -> Program | None:
     """What to command to see a law, perhaps its second instance, of these constants, and what to look at.
 
-    None for what is no law of the drive, lies beyond the supply, or needs moves below `LEAST_MOVE`.
+    None for what is no law of the drive, needs several chambers (`programs.common_programs` drives these),
+    lies beyond the supply, or needs moves below `LEAST_MOVE`.
     """
     row = TABLE.get(name.partition(" #")[0])
-    if row is None:
+    if row is None or row.experiment not in _PROGRAMS:
         return None
     found = family(name, constants)
     if found != row.family:

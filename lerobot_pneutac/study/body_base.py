@@ -31,8 +31,10 @@ from pneutac_datasets.recording.noise import headline, noise_floor
 from pneutac_datasets.recording.pressures import supply_limits
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import joined, listed, plural
+from pneutac_sim.effects.body_effect import BodyEffect
 from pneutac_sim.effects.laws import family, is_law, law, law_names
 from pneutac_sim.effects.registry import body_effects, get_effect, of_body
+from pneutac_sim.features import CHAMBERS
 from pneutac_sim.finger.confidence import Z95, confidence
 from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.inputs import conditions_of
@@ -46,7 +48,7 @@ def sort_candidates(recording: Recording, twin: Twin) -> tuple[list[str], list[U
     known = conditions_of(recording.samples, recording.device)
     marked = any(recording.has(f"tip_{a}_mm") for a in "xyz")
     for name, effect in (body_effects() | {n: law(n) for n in law_names()}).items():
-        if name in twin.effects and not is_law(name):
+        if (name in twin.effects and not is_law(name)) or (effect.several and CHAMBERS[recording.device] < 2):
             continue
         if is_law(name) and not can_act(name, recording, marked, known):
             continue
@@ -303,8 +305,11 @@ class BodyBase(EffectStudy):
         return times if left > T.NOISE else ""
 
     def refusal(self, effect: str) -> str:
-        if get_effect(effect).stage not in get_effect("creep").stages:
+        asked = get_effect(effect)
+        if not isinstance(asked, BodyEffect):
             return f"'{effect}' does not bend a body; give one of {', '.join(body_effects())}."
+        if asked.several and CHAMBERS[device := self.recording.device] < 2:
+            return f"'{effect}' acts only where there are several chambers; this {device} has one."
         untested = {u.name: f"{self.recording.folder}: effect '{effect}' {u.reason}." for u in self.untested}
         return self.already_on(effect) or untested.get(effect, "")
 

@@ -72,7 +72,7 @@ COUNTS: dict[str, tuple[str, ...]] = {
     "payload": ("payload",),
     "stretch": ("elongation",),
     "out_of_plane": ("tip_y += z^2", "tip_y += x z"),
-    "twist": ("tip_y += z^2", "tip_y += x z"),
+    "twist": ("twist", "tip_y += z^2", "tip_y += x z"),
     "mount_play": ("hysteresis",),
     "soft_clamp": ("base_tilt", BASE),
     "tube_drag": ("friction", "hysteresis"),

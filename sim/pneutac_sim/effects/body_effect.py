@@ -64,6 +64,7 @@ class BodyEffect(Effect):
     # further channels. Its state is then what they share, of `state_size(0)`, and rows of one number a
     # channel
     apart: bool = False
+    several: bool = False  # whether it does something only where there are several chambers
     linear: str = ""  # parameter in which what it adds to its signal is linear; empty where there is none
 
     def __post_init__(self):

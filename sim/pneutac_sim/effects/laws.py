@@ -72,6 +72,11 @@ def work(x, dt, before, c, P):
     return np.abs(x * rate(x, dt, before, c, P)) / P
 
 
+def others(x, dt, before, c, P):
+    """The sum of the other chambers' pressures."""
+    return x.sum(axis=1).reshape(-1, 1) - x
+
+
 OF_RATE = (rate, speed, work)  # they hold since the sample before, where others are straight lines
 
 # ---------------------------------------------------------------- steps of memories
@@ -487,6 +492,10 @@ FAMILIES = {
         "bends differently the more it moves, as if it warmed up",
         "dependence on recent motion",
     ),
+    "crosstalk": (
+        "bends less with a chamber while others are under pressure and stiffen it",
+        "crosstalk between chambers",
+    ),
     "thermal": ("bends more or less when it is warm", "dependence on temperature"),
     "tracker": ("is measured wrongly", "an error or lag of the tracker"),
     "quantisation": ("follows its command in coarse steps", "coarse steps of the command"),
@@ -535,6 +544,7 @@ EXPERIMENTS = {
     "staying": "Small strokes, one to the top, small ones again, also after a rest: the change stays.",
     "strokes": "After a night's rest make many equal strokes: each differs a little less from the one "
     "before.",
+    "chambers": "Go up and down with one chamber, while the others are empty and while they are full.",
     "snap": "Go slowly through the snap and back: it comes at a higher pressure on the way up.",
     "small stairs": "Go up and down by steps smaller than the band, if your regulator can: nothing moves "
     "until they add up to it.",
@@ -573,6 +583,7 @@ TERMS = {
     "mode": "mode_omega,zeta(f) is y of d^2y/dt^2 + 2 zeta omega dy/dt + omega^2 (y - f) = 0",
     "peak": "peak_tau(f) is the largest f so far, which fades with exp(-t/tau)",
     "p_{max}": "p_max is the largest p so far",
+    "p_{others}": "p_others is the sum of the other chambers' pressures",
     "t_{held}": "t_held is the time since p changed last",
     r"\Delta T": "dT is (temperature_c - 23) / 10",
     "e^{-t/": "t is session_time_s",
@@ -609,7 +620,9 @@ class Law:
 
     def effect(self, name: str) -> BodyEffect:
         """The effect of this name, `lag(p)` or `lag(p) #2`."""
-        weight = Parameter("weight", "", 0.05, -3.0, 3.0)
+        several = self.input is others
+        # pressure in a chamber stiffens the body against its neighbours; errors of a tracker look otherwise
+        weight = Parameter("weight", "", *((-0.05, -3.0, 0.0) if several else (0.05, -3.0, 3.0)))
         scale = Parameter("scale_kpa", "kPa", 1.0, 1e-3, 3.0, neutral=1.0, fixed=True, range_power=1)
         term, comma, where = self.equation.partition(r", \quad ")
         own = [p for p in (scale, *self.constants) if p is not scale or "P" in term + where]
@@ -625,7 +638,8 @@ class Law:
             parameters=(weight, scale, *self.constants),
             columns=(self.column,) if self.column else (),
             state_size=lambda channels: SLOTS * channels,
-            apart=True,
+            apart=not several,
+            several=several,
             linear="weight",
             equation=rf"p \to p + w\,({term}){comma}{where}",
             cause="{kind}",
@@ -720,6 +734,8 @@ TABLE = {
     "p^3": Law(cube, "stiffening", r"p^3/P^2 - p", "stairs", minus=True),
     "step(p)": Law(step, "stiffening", r"P\tanh((p - a)/b)", "stairs",
                    _FLIP[1:], ((0.2, 0.15), (0.5, 0.15), (0.8, 0.15))),
+    "p others(p)": Law(none, "crosstalk", r"p\,p_{others}/P", "chambers",
+                       input=others, gain=True),
     "play(p)": Law(play, "hysteresis", r"\mathrm{play}_r(p) - p", "turns",
                    (_width(),), ((0.03,), (0.1,), (0.25,)), minus=True),
     "dead_band(p)": Law(dead_band, "dead_band", r"\mathrm{band}_r(p) - p", "small stairs",
@@ -840,6 +856,7 @@ PLAIN = {
     "p^2": "a gain that grows with pressure",
     "p^3": "a gain that grows with the square of the pressure",
     "step(p)": "a smooth step of the bend at a pressure",
+    "p others(p)": "a gain that falls with the other chambers' pressure",
     "play(p)": "play between pressure and bend",
     "dead_band(p)": "a dead band of small steps of the pressure",
     "round(p)": "a command in coarse steps",

@@ -5,7 +5,7 @@ Order within a stage (it matters: a leak is slowed by the lag behind it):
 - pneumatics: dead_time, leak, valve_lag, orifice_flow, valve_slew, air_resonance, sensor_offset
 - drive: gain_saturation, stiffening, hysteresis, friction, crosstalk
 - load (in static equilibrium with the joints): gravity, payload
-- material: thermal, cyclic_softening, creep; then elongation (of the finished pose)
+- material: twist, thermal, cyclic_softening, creep; then elongation (of the finished pose)
 - observation: base_tilt, camera_misalignment
 - gel: registration_shift, gel_creep
 - light: near_light, photometric_nonlinearity, shadow, rest_colour, illumination_drift
@@ -29,9 +29,9 @@ ENTRY_POINT_GROUP = "pneutac.effects"
 
 BUILTIN = """
     dead_time leak valve_lag orifice_flow valve_slew air_resonance sensor_offset gain_saturation
-    stiffening hysteresis friction crosstalk gravity payload thermal cyclic_softening creep elongation
-    base_tilt camera_misalignment registration_shift gel_creep near_light photometric_nonlinearity
-    shadow rest_colour illumination_drift
+    stiffening hysteresis friction crosstalk gravity payload twist thermal
+    cyclic_softening creep elongation base_tilt camera_misalignment registration_shift gel_creep
+    near_light photometric_nonlinearity shadow rest_colour illumination_drift
 """.split()
 
 

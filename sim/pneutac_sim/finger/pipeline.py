@@ -108,6 +108,8 @@ class Pipeline:
             missing = [c for c in e.columns if columns is not None and c not in (*columns, BENDING_PRESSURE)]
             if missing:
                 self.left_out[e.name] = f"the recording has no column {', '.join(missing)}"
+            elif e.several and geometry.chambers == 1:
+                self.left_out[e.name] = "the device has one chamber"
             elif measured and e.of_air:
                 self.left_out[e.name] = "the measured pressure is the input"
             else:

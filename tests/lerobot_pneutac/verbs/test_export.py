@@ -85,7 +85,7 @@ def assert_equal(twin: Twin) -> str:
 
 @pytest.mark.parametrize("name", [*body_effects(), *law_names()[::3]])
 def test_the_file_steps_as_the_pipeline_does(name):
-    text = assert_equal(twin_with(name))
+    text = assert_equal(twin_with(name, device="arm" if get_effect(name).several else "finger"))
     found = set(re.findall(r"^(?:import|from) (\S+)", text, re.M))
     assert found <= {"__future__", "collections.abc", "dataclasses", "functools", "math", "numpy", "warnings"}
     assert f"{name}.{get_effect(name).parameters[0].name}" in text

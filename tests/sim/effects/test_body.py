@@ -3,6 +3,8 @@
 Observation effects: rigid motions and perspective.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import nnls
@@ -11,6 +13,8 @@ from scipy.special import erf
 
 from pneutac_sim.effects import get_effect
 from pneutac_sim.effects.creep import TIMES_S
+from pneutac_sim.finger.pipeline import Pipeline
+from pneutac_sim.finger.stages import Geometry
 
 WEIGHTS = (0.1, 0.3, 0.0, 0.2, 0.4, 0.1)
 NAMES = [p.name for p in get_effect("creep").parameters]
@@ -131,3 +135,17 @@ def test_pan_brings_perspective_that_no_tilt_has():
     y = camera(line, pan_rad=0.3)
     steps = np.diff(y[:, 0])
     assert abs(steps[1] / steps[0] - 1) > 0.02
+
+
+def test_a_twist_turns_each_joint_by_its_place_and_the_mean_pressure():
+    bends, pressure = np.tile([0.2, 0.0, 0.1, 0.3], (3, 1)), np.array([0.0, 1.0, -2.0])
+    y = apply("twist", bends, {"twist_rad_per_kpa": 0.4}, conditions=pressure)
+    turned = bends.reshape(3, 2, 2) @ [1, 1j] * np.exp(0.4j * pressure[:, None] * [0.25, 0.75])
+    np.testing.assert_allclose(y.reshape(3, 2, 2) @ [1, 1j], turned)
+
+
+@pytest.mark.parametrize("name", ["twist", "p others(p)"])
+def test_what_needs_several_chambers_cannot_act_in_a_finger(name):
+    geometry = Geometry("finger", 100.0, (25.0, 75.0))
+    assert Pipeline(geometry, [name]).left_out == {name: "the device has one chamber"}
+    assert not Pipeline(replace(geometry, device="arm"), [name]).left_out

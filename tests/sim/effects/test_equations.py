@@ -47,6 +47,7 @@ class Operators:
         held_s = stepwise(lambda y, s, i: y + DT if s else 0.0, still, 0.0)
         damage = np.r_[0.0, np.cumsum(DT * np.maximum(p[1:] / P, 0) ** k.get("c", 1) / k.get("tau", 1))]
         self.names = k | {"p": p, "P": P, "RATE": rate, "dT": dT, "t_held": held_s, "D": damage}
+        self.names["p_others"] = 0.7 * p  # of the two other chambers
         self.names |= {"p_max": np.maximum.accumulate(p), "n": np.r_[0.0, np.cumsum(np.abs(np.diff(p)))]}
         self.names |= {"t": conditions, "tanh": np.tanh, "exp": np.exp, "sqrt": np.sqrt, "sign": np.sign}
         self.names |= {"max": np.maximum, "round": np.round, "abs": np.abs}
@@ -127,7 +128,8 @@ def test_a_law_computes_what_is_printed(name):
     symbols = {SYMBOLS.get(q.name, "r"): values[q.name] for q in TABLE[name].constants}
     assert len(symbols) == len(TABLE[name].constants)  # no two constants are called the same
     wanted = p + 0.7 * Operators(p, symbols, conditions).value(term)
-    found = effect.apply(p, np.full(len(p), DT), values, conditions)
+    chambers = np.c_[p, 0.3 * p, 0.4 * p] if effect.several else p[:, None]
+    found = effect.apply(chambers, np.full(len(p), DT), values, conditions)[:, 0]
     moved = np.abs(found - p).max()
     np.testing.assert_allclose(found, wanted, rtol=0, atol=0.02 * moved, err_msg=term)
     assert moved > 0.004 * P
