@@ -82,7 +82,7 @@ def show_understood(understood: plain.Understood, console: Console) -> None:
         table.add_row(*(Text(printable(c)) for c in cells))
     console.print(table)
     if understood.length_mm is not None:
-        rests = ", where the tip rests (`pneutac convert --length_mm=` sets it)"
+        rests = ", where the tip rests (`pneutac convert --length_mm=`)"
         where = "" if understood.given.length_mm else rests
         console.print(f"  length {understood.length_mm:g} mm{where}", highlight=False)
     for note in filter(None, (understood.guessed, *understood.notes)):

@@ -157,7 +157,7 @@ def _table(path: Path, hz: float) -> np.ndarray:
         time_s, bend = (table[c].to_numpy(float) for c in ("time_s", TARGET))
     except (KeyError, ValueError, OSError) as e:
         why = f"it has no column {e}" if isinstance(e, KeyError) else " ".join(str(e).split()).rstrip(".")
-        raise InputError(f"{path} must be a table of numbers, time_s and {TARGET}: {why}.") from e
+        raise InputError(f"{path} must be a table of numbers with columns time_s and {TARGET}: {why}.") from e
     if len(bend) < 2 or not np.isfinite([time_s, bend]).all() or (np.diff(time_s) <= 0).any():
         raise InputError(f"{path}: time_s must rise over two rows at least, all of finite numbers.")
     return np.interp(np.arange(round((time_s[-1] - time_s[0]) * hz) + 1) / hz + time_s[0], time_s, bend)
