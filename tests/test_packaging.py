@@ -195,6 +195,7 @@ def test_installed_wheel_is_discovered_by_lerobot(wheels, tmp_path):
     assert all(Path(f).is_relative_to(site) for f in files)
 
 
+@pytest.mark.nightly  # every day: the import contract "the camera imports nothing of ours"
 def test_the_camera_alone_is_found_by_lerobot(wheels, tmp_path):
     """Without `pneutac`, of which it imports nothing."""
     execute, site = clean_environment([wheels[CAMERA]], tmp_path)
