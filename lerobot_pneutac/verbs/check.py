@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
+from shlex import quote
 
 from rich.markup import escape
 
@@ -211,7 +212,13 @@ def command(argv: list[str], terminal: Terminal) -> None:
     wrong = [a for a in argv if a.startswith("-") and a.split("=")[0] not in ("--twin", "--station")]
     wrong += [a for a in ("--twin", "--station") if a in argv]
     if wrong:
-        raise InputError(f"There is no option {wrong[0]}; the options are --twin=PATH and --station=FILE.")
+        name, _, path = wrong[0].partition("=")
+        how = ""
+        if path and name in ("--recording", "--dataset.root"):  # as of the other verbs
+            how = f" A path stands alone: `pneutac check {quote(path)}`."
+        raise InputError(
+            f"There is no option {wrong[0]}; the options are --twin=PATH and --station=FILE.{how}"
+        )
     twin = Twin.load(options["--twin"]) if "--twin" in options else None
     station = Station.load(options["--station"]) if "--station" in options else None
     faulty, checked = False, [check_path(a, twin, station) for a in argv if not a.startswith("-")]

@@ -160,6 +160,7 @@ def test_the_command_tells_each_folder_and_ends_with_one_where_there_is_a_fault(
     ):
         verb("check", str(tmp_path / "notes.md"))
     refused("There is no option --twins=x", "check", "bench", twins="x")
+    refused("A path stands alone: `pneutac check monday.csv`", "check", recording="monday.csv")
 
 
 def test_a_station_tells_which_tasks_its_arm_does_not_reach(tmp_path):
