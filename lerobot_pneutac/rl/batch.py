@@ -14,6 +14,12 @@ from pneutac_sim.world.batch import BatchedWorld
 STARTS = 4  # that are drawn for each world at a reset; later episodes begin at any of them
 
 
+def _pool(depth_mm: torch.Tensor) -> torch.Tensor:
+    """`env.pool` of probe grids (N, 80, 59) on their device: (N, 10, 8)."""
+    rows = torch.stack([part.amax(1) for part in depth_mm.tensor_split(E.POOL_ROWS[1:].tolist(), 1)], 1)
+    return torch.stack([part.amax(2) for part in rows.tensor_split(E.POOL_COLS[1:].tolist(), 2)], 2)
+
+
 class BatchedPpoEnv(VecEnv):
     """N worlds with the observations, actions and rewards of `PpoEnv`, whose options it takes.
 
@@ -29,7 +35,8 @@ class BatchedPpoEnv(VecEnv):
         shared = {"conditions": options.get("conditions"), "station": options.get("station")}
         self.world = BatchedWorld(task, envs, twin, device, "probe", **shared)
         self._view, self._arm = E.TaskView(self.world.single), one.world.arm
-        self._solvers = [self._arm.solver() for _ in range(envs)]
+        self._solver, self._begins = self._arm.solver(), self._arm.solver()
+        self._solver.reset(np.tile(self._arm.home_rad, (envs, 1)))
         self.render_mode = None
         super().__init__(envs, one.observation_space, one.action_space)
 
@@ -42,18 +49,18 @@ class BatchedPpoEnv(VecEnv):
         self.world.reset(np.array(seeds), count, variations)
         self._factors = np.array([(v.friction, v.bend_gain) for v in variations])
         self._previous, self._done = np.zeros((N, len(ACTION_NAMES))), np.zeros(N, int)
-        self._start = np.arange(N)
+        self._start, self._progress = np.arange(N), np.zeros(N)
         self._begin(np.arange(N))
         self._reset_seeds()
         return self._observe()
 
     def _begin(self, worlds: np.ndarray) -> None:
         self._previous[worlds], self._done[worlds] = 0.0, 0
-        self._moment = self._look()
-        for i in worlds:
-            self._solvers[i].reset()
-            for _ in range(START_SOLVES):
-                self._solvers[i].solve(self._flange_m[i])
+        self._moment = self._look(worlds)
+        self._begins.reset(np.tile(self._arm.home_rad, (len(worlds), 1)))
+        for _ in range(START_SOLVES):
+            self._begins.solve(self._flange_m[worlds])
+        self._solver.q[worlds] = self._begins.q
 
     def step_async(self, actions: np.ndarray) -> None:
         self._actions = actions
@@ -61,7 +68,7 @@ class BatchedPpoEnv(VecEnv):
     def step_wait(self) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, list[dict]]:
         w, normal = self.world, np.clip(self._actions, -1, 1).astype(float)
         w.step(E.to_action(normal, self.one.world.pressure_range_kpa))
-        before, self._moment = self._moment, self._look()
+        before, self._moment = self._moment, self._look(np.arange(self.num_envs))
         terms = E.reward_terms(before, self._moment, self._view.goal.depth_mm, self._previous, normal)
         self._previous, self._done = normal, self._done + 1
         won, lost = self._moment.success, self._moment.failure
@@ -82,29 +89,29 @@ class BatchedPpoEnv(VecEnv):
             observed = self._observe()
         return observed, E.total(terms).astype(np.float32), over, infos
 
-    def _look(self) -> E.Moment:
+    def _look(self, changed: np.ndarray) -> E.Moment:
+        """At all worlds, of which some have changed since."""
         w, fetched = self.world, lambda tensor: tensor.cpu().numpy()
-        qpos, progress = fetched(w.qpos).astype(float), []
-        for row in qpos:  # the task's own class says how far it is
-            w.single.data.qpos[:] = row
-            progress.append(self._view.goal.progress(w.single.task))
+        qpos = fetched(w.qpos).astype(float)
+        for i in changed:  # the task's own class says how far it is
+            w.single.data.qpos[:] = qpos[i]
+            self._progress[i] = self._view.goal.progress(w.single.task)
         rows = (*w.poses.values(), w.fields["body_pos"], w.fields["body_quat"])
         self._seen: E.Seen = self._view.seen_in(
-            *map(fetched, rows), qpos, fetched(w.qvel), np.array(progress)
+            *map(fetched, rows), qpos, fetched(w.qvel), self._progress.copy()
         )
-        self._state, self._depth_mm = fetched(w.state).astype(float), fetched(w.depth_mm)
+        self._state, self._cells_mm = fetched(w.state).astype(float), fetched(_pool(w.depth_mm))
         self._flange_m = self._state[:, :3] - self._arm.base_m
-        deepest = self._depth_mm.max((1, 2))
+        deepest = self._cells_mm.max((1, 2))
         return E.Moment(
             self._seen.progress, self._seen.distance_m, deepest, fetched(w.success), fetched(w.failure)
         )
 
     def _observe(self) -> dict[str, np.ndarray]:
-        moving = zip(self._solvers, self._flange_m, self._state[:, 3:6], strict=True)
-        joints = np.array([solved_joints(*each, self.world.dt_s) for each in moving])
-        state = np.concatenate([joints.reshape(self.num_envs, -1), self._flange_m, self._state[:, 6:]], 1)
+        joints = solved_joints(self._solver, self._flange_m, self._state[:, 3:6], self.world.dt_s)
+        state = np.concatenate([*joints, self._flange_m, self._state[:, 6:]], 1)
         return {
-            "actor": E.actor_observation(self.one.world, state, self._previous, self._depth_mm),
+            "actor": E.actor_observation(self.one.world, state, self._previous, self._cells_mm),
             "object": E.critic_observation(self._seen, *self._factors[self._start].T),
         }
 

@@ -143,8 +143,8 @@ JOINT_RANGE_RAD, JOINT_RATE_RAD_S = 0.6, 0.4  # what a joint moves about home, a
 FRICTION, BEND_GAIN = (0.8, 1.25), (0.93, 1.07)  # ranges of randomisation, factors
 _LIMIT = 20.0  # observations are clipped there; none comes near it in a trial that goes well
 
-_ROWS = np.arange(GRID[0]) * ROWS // GRID[0]
-_COLS = np.arange(GRID[1]) * COLS // GRID[1]
+POOL_ROWS = np.arange(GRID[0]) * ROWS // GRID[0]  # where the cells begin
+POOL_COLS = np.arange(GRID[1]) * COLS // GRID[1]
 
 
 def actor_size(joints: int = PANDA_JOINTS) -> int:
@@ -155,7 +155,7 @@ def actor_size(joints: int = PANDA_JOINTS) -> int:
 
 def pool(depth_mm: np.ndarray) -> np.ndarray:
     """Deepest point (mm) of each cell of a coarse grid `GRID`, from probe grids (..., 80, 59)."""
-    return np.maximum.reduceat(np.maximum.reduceat(depth_mm, _ROWS, -2), _COLS, -1)
+    return np.maximum.reduceat(np.maximum.reduceat(depth_mm, POOL_ROWS, -2), POOL_COLS, -1)
 
 
 def to_action(normal: np.ndarray, pressure_range_kpa: tuple[float, float]) -> np.ndarray:
@@ -171,12 +171,12 @@ def draw_start(rng: np.random.Generator, randomise: bool) -> tuple[int, Variatio
 
 
 def actor_observation(
-    world: World, state: np.ndarray, previous: np.ndarray, depth_mm: np.ndarray
+    world: World, state: np.ndarray, previous: np.ndarray, cells_mm: np.ndarray
 ) -> np.ndarray:
     """What the actor observes, (..., actor_size(N)) float32: proprioception, its last action, the probe grid.
 
     The states (..., 2 N + 6) are as `features.state_names`; their contact area needs an image and is left
-    out. Probe grids are (..., 80, 59) in mm.
+    out. Cells (..., 10, 8) of the probe grid are as by `pool`, in mm.
     """
     n, (low, high) = world.arm.joints, world.pressure_range_kpa
     corners = np.array([world.station.workspace_low_m, world.station.workspace_high_m]) - world.arm.base_m
@@ -186,7 +186,7 @@ def actor_observation(
         (state[..., EE] - corners.mean(0)) / (np.diff(corners, axis=0)[0] / 2),
         (state[..., PRESSURE, None] - low) * (2 / (high - low)) - 1,
         previous,
-        pool(depth_mm).reshape(*depth_mm.shape[:-2], -1),
+        cells_mm.reshape(*cells_mm.shape[:-2], -1),
     )
     return np.clip(np.concatenate(parts, -1), -_LIMIT, _LIMIT).astype(np.float32)
 
@@ -257,6 +257,6 @@ class PpoEnv(gymnasium.Env):
     def _observe(self, state: np.ndarray) -> dict[str, np.ndarray]:
         v = self.world.variation
         return {
-            "actor": actor_observation(self.world, state, self._previous, self.world.touch.depth_mm),
+            "actor": actor_observation(self.world, state, self._previous, pool(self.world.touch.depth_mm)),
             "object": critic_observation(self._seen, v.friction, v.bend_gain),
         }

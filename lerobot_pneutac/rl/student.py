@@ -9,7 +9,7 @@ from lerobot.utils.constants import ACTION, OBS_STR
 from lerobot.utils.feature_utils import combine_feature_dicts, hw_to_dataset_features
 
 from lerobot_pneutac.rl.actor import Actor
-from lerobot_pneutac.rl.env import EPISODE_S, actor_observation, to_action
+from lerobot_pneutac.rl.env import EPISODE_S, actor_observation, pool, to_action
 from lerobot_pneutac.rl.options import StudentRef
 from pneutac_datasets.demonstrations.episodes import Episode, save_episode
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
@@ -103,7 +103,7 @@ def roll_out(actor: Actor, world: World, rng: np.random.Generator, noise: float)
     previous, kpa = np.zeros(len(ACTION_NAMES)), world.pressure_range_kpa
     states, actions, images = [], [], []
     while len(states) < world.station.steps(EPISODE_S) and not (world.success or world.failure):
-        mean = actor.act(actor_observation(world, observed.state, previous, world.touch.depth_mm))
+        mean = actor.act(actor_observation(world, observed.state, previous, pool(world.touch.depth_mm)))
         states.append(observed.state)
         actions.append(to_action(mean, kpa).astype(np.float32))
         images.append(observed.tactile)

@@ -50,9 +50,10 @@ class Variation:
 
 
 def solved_joints(solver, flange_m: np.ndarray, velocity_m_s: np.ndarray, dt_s: float) -> np.ndarray:
-    """Angles (N,) rad and rates (N,) rad/s, (2, N), of an arm's joints whose flange moves like that.
+    """Angles (..., N) rad and rates (..., N) rad/s, (2, ..., N), of an arm whose flange moves like that.
 
-    `solver` is the arm's inverse kinematics, which begins near; the position (3,) is in the arm's frame.
+    `solver` is the inverse kinematics of one arm or of several, which begins near; positions and velocities
+    (..., 3) are in the arm's frame.
     """
     half_m = velocity_m_s * dt_s / 2
     before, now, after = (solver.solve(x) for x in (flange_m - half_m, flange_m, flange_m + half_m))

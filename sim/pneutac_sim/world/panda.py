@@ -94,7 +94,7 @@ class CartesianIK:
     order of position before orientation, as seven joints meet both in the whole workspace.
 
     Attributes:
-        q: the present joint targets (7,), rad; each `solve` starts from them.
+        q: the present joint targets, as they were `reset`, rad; each `solve` starts from them.
     """
 
     missing_m = 0.0  # its whole workspace is in reach
@@ -108,8 +108,8 @@ class CartesianIK:
         self.reset(HOME_JOINTS)
 
     def reset(self, q: np.ndarray = HOME_JOINTS) -> None:
-        """Starts again from the joint angles `q` (7,), rad; from home where there are none."""
-        self.q = np.array(q, float)
+        """Starts again from the joint angles `q` (7,), or (M, 7) of M arms, rad; from home without."""
+        self.q = np.array(q, float, order="C")
 
     def pose(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rotation (3, 3) and position (3,), m, of the flange in the base's frame at joint angles (7,)."""
@@ -117,9 +117,12 @@ class CartesianIK:
         return T[:3, :3], T[:3, 3]
 
     def solve(self, position: np.ndarray) -> np.ndarray:
-        """Joint targets (7,), rad, for the flange at `position` (3,), metres in the base frame."""
-        at = np.ascontiguousarray(position, float)
-        _solve(self.q, at, self._held, *self._arm, *self._limits, *self._search)
+        """Joint targets (7,), rad, for the flange at `position` (3,), metres in the base frame.
+
+        After `reset` with angles (M, 7) those (M, 7) of M arms at positions (M, 3).
+        """
+        at = np.array(position, float, ndmin=2)
+        _solve(self.q.reshape(-1, PANDA_JOINTS), at, self._held, *self._arm, *self._limits, *self._search)
         return self.q.copy()
 
 
@@ -151,12 +154,19 @@ class Panda:
 
 @njit(cache=True)
 def _solve(q, position, rotation, a, d, ca, sa, flange_m, low, high, damping2, iterations):
-    """Moves joint angles `q` (7,) by damped least squares, `dq = J^T (J J^T + damping2 I)^-1 e`.
+    """Moves joint angles `q` (M, 7) by damped least squares, `dq = J^T (J J^T + damping2 I)^-1 e`.
 
-    The flange, `flange_m` along z of the last frame, goes to a position (3,) m with a rotation (3, 3). Links
+    The flange, `flange_m` along z of the last frame, goes to positions (M, 3) m with a rotation (3, 3). Links
     have offsets a and d (7,) m and cosines and sines (7,) of their twists, joints the limits low and high
     (7,) rad.
     """
+    for k in range(len(q)):
+        _approach(q[k], position[k], rotation, a, d, ca, sa, flange_m, low, high, damping2, iterations)
+
+
+@njit(cache=True)
+def _approach(q, position, rotation, a, d, ca, sa, flange_m, low, high, damping2, iterations):
+    """`_solve` of one arm: `q` (7,) and position (3,)."""
     n = len(q)
     J, A, y = np.empty((TASK, n)), np.empty((TASK, TASK)), np.empty(TASK)
     R, p = np.empty((3, 3)), np.empty(3)

@@ -61,8 +61,8 @@ class ChainIK:
     `panda.CartesianIK`, as an arm of five joints cannot meet both.
 
     Attributes:
-        q: the present joint targets (N,), rad; each `solve` starts from them.
-        missing_m: by how much the last `solve` fell short.
+        q: the present joint targets, as they were `reset`, rad; each `solve` starts from them.
+        missing_m: by how much the last `solve` fell short, of the last of several arms.
     """
 
     def __init__(self, model: mujoco.MjModel, base_m: np.ndarray, home_rad: np.ndarray):
@@ -88,7 +88,7 @@ class ChainIK:
         return position, rotation
 
     def reset(self, q: np.ndarray | None = None) -> None:
-        """Starts again from the joint angles `q` (N,), rad; from home where there are none."""
+        """Starts again from the joint angles `q` (N,), or (M, N) of M arms, rad; from home without."""
         self.q, self.missing_m = np.array(self._home if q is None else q, float), 0.0
 
     def hold(self, q: np.ndarray) -> None:
@@ -97,10 +97,19 @@ class ChainIK:
         self._held, _ = self.pose(q)
 
     def solve(self, position: np.ndarray) -> np.ndarray:
-        """Joint targets (N,), rad, for the flange at `position` (3,), metres in the base frame."""
+        """Joint targets (N,), rad, for the flange at `position` (3,), metres in the base frame.
+
+        After `reset` with angles (M, N) those (M, N) of M arms at positions (M, 3).
+        """
+        for q, at in zip(np.atleast_2d(self.q), np.atleast_2d(position), strict=True):
+            q[:] = self._approach(q, at)
+        return self.q.copy()
+
+    def _approach(self, q: np.ndarray, position: np.ndarray) -> np.ndarray:
+        """`solve` of one arm, from joint angles (N,)."""
         low, high = self._model.jnt_range.T
         for _ in range(ITERATIONS):
-            rotation, at = self.pose(self.q)
+            rotation, at = self.pose(q)
             J_p, J_r = self.jacobian()
             away = np.zeros(4)
             mujoco.mju_mat2Quat(away, np.ascontiguousarray(self._held @ rotation.T).ravel())
@@ -108,11 +117,11 @@ class ChainIK:
             mujoco.mju_quat2Vel(turn, away, 1.0)
             inverse = _inverse(J_p, DAMPING)
             step = inverse @ (position - at)
-            free = J_r @ (np.eye(len(self.q)) - inverse @ J_p)
+            free = J_r @ (np.eye(len(q)) - inverse @ J_p)
             step += _inverse(free, TURN_DAMPING) @ (turn - J_r @ step)
-            self.q = np.clip(self.q + step, low, high)
-        self.missing_m = float(np.linalg.norm(position - self.pose(self.q)[1]))
-        return self.q.copy()
+            q = np.clip(q + step, low, high)
+        self.missing_m = float(np.linalg.norm(position - self.pose(q)[1]))
+        return q
 
 
 def _inverse(J: np.ndarray, damping: float) -> np.ndarray:

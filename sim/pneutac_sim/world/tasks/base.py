@@ -52,6 +52,11 @@ class Goal:
     depth_mm: float  # imprint that does the task well
 
 
+def share(done: float) -> float:
+    """At least 0 and at most 1; NumPy's `clip` of one number takes ten times as long."""
+    return min(max(float(done), 0.0), 1.0)
+
+
 class Task:
     """One manipulation task. A subclass sets the class attributes and the methods that it needs.
 

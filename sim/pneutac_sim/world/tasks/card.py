@@ -5,7 +5,7 @@ from typing import override
 
 import numpy as np
 
-from pneutac_sim.world.tasks.base import Goal, Task, contact_force, place
+from pneutac_sim.world.tasks.base import Goal, Task, contact_force, place, share
 
 POSITION_M = (0.56, 0.0, 0.0)
 STAND_M = 0.09  # height of the holder's floor
@@ -28,7 +28,7 @@ class CardTask(Task):
     wider = {"spread_x_m": 0.012, "spread_y_m": 0.008}
     # the front face, below the upper edge: what the second card gives is lost
     goal = Goal(
-        lambda t: np.clip(t.drawn_m(1) / t.draw_m, 0, 1) - np.clip(t.drawn_m(2) / t.second_m, 0, 1),
+        lambda t: share(t.drawn_m(1) / t.draw_m) - share(t.drawn_m(2) / t.second_m),
         "card_1",
         (-1, 0, 0.85),
         depth_mm=0.5,

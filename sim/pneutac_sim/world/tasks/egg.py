@@ -5,7 +5,7 @@ from typing import override
 
 import numpy as np
 
-from pneutac_sim.world.tasks.base import Goal, Task, contact_force, lately, place
+from pneutac_sim.world.tasks.base import Goal, Task, contact_force, lately, place, share
 
 POSITION_M = (0.58, 0.0, 0.0)
 TRAY_M = 0.10  # height of the tray under the carton
@@ -28,7 +28,7 @@ class EggTask(Task):
     starts_m = (-0.015, 0.0, 0.015)
     wider = {"spread_yaw_rad": np.radians(8)}
     # from below, at the front edge of the tab
-    goal = Goal(lambda t: np.clip(t.lid_rad / t.open_rad, 0, 1), "carton_tab", (-1, 0, -1), depth_mm=0.6)
+    goal = Goal(lambda t: share(t.lid_rad / t.open_rad), "carton_tab", (-1, 0, -1), depth_mm=0.6)
 
     latch_n: float = 1.0  # pull of the latch at the front edge, N
     # spring_nm_per_rad, spring_rest_rad: stiffness of the hinge, and the lid's angle at which it is slack

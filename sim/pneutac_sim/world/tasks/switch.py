@@ -5,7 +5,7 @@ from typing import override
 
 import numpy as np
 
-from pneutac_sim.world.tasks.base import Goal, Task, contact_force, lately, place
+from pneutac_sim.world.tasks.base import Goal, Task, contact_force, lately, place, share
 
 LEVER_M = 0.045  # hinge to bar
 HINGE_M = 0.085  # hinge above the table
@@ -30,7 +30,7 @@ class SwitchTask(Task):
     starts_m = (-0.020, 0.0, 0.020)
     wider = {"spread_yaw_rad": np.radians(8)}
     goal = Goal(
-        lambda t: np.clip((t.lever_rad + t.well_rad) / (2 * t.well_rad), 0, 1),
+        lambda t: share((t.lever_rad + t.well_rad) / (2 * t.well_rad)),
         "bar",
         (-1, 0, 0),
         depth_mm=1.0,
