@@ -132,6 +132,7 @@ def test_damaged_files_are_refused(trained, tmp_path):
 
 
 @pytest.mark.nightly  # MuJoCo Warp takes a minute to compile on a CPU
+@pytest.mark.timeout(3000)
 def test_a_policy_does_in_a_batch_what_it_does_in_single_worlds(tmp_path):
     """A policy that sees the object pushes the switch, until each world has ended once."""
     pytest.importorskip("mujoco_warp", reason="the extra `warp` is not installed")

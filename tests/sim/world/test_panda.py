@@ -134,6 +134,16 @@ def test_the_flange_goes_where_it_is_sent_and_keeps_its_orientation(name):
     assert ik.missing_m > 1
 
 
+@pytest.mark.parametrize("arm", [panda.Panda(), chain("ur5")])
+def test_several_arms_are_solved_as_each_alone(arm):
+    goals = arm.solver().pose(arm.home_rad)[1] + np.random.default_rng(2).uniform(-0.05, 0.05, (3, 4, 3))
+    many, alone = arm.solver(), [arm.solver() for _ in range(4)]
+    many.reset(np.tile(arm.home_rad, (4, 1)))
+    for at in goals:
+        together, each = many.solve(at), [one.solve(p) for one, p in zip(alone, at, strict=True)]
+        assert np.array_equal(together, each) and np.ptp(together, axis=0).max() > 0.01
+
+
 @pytest.mark.parametrize("name", ["ur5", "so101"])
 def test_the_jacobian_is_the_slope_of_the_pose(name):
     ik, h = chain(name).solver(), 1e-6
