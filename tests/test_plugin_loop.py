@@ -50,8 +50,9 @@ def dataset_options(name: str, work: Path, episodes: int, seconds: float) -> str
 SIMULATED = "--robot.type=pneutac_sim --robot.id=twin"
 
 
-@pytest.mark.slow
-def test_record_train_eval_rollout_replay_merge(run):
+@pytest.fixture(scope="module")
+def trained(run):
+    """Two demonstrations, and the folder of a policy that was trained on them for a few steps."""
     work = run.work
     policy = work / "train/checkpoints/last/pretrained_model"
 
@@ -85,7 +86,12 @@ def test_record_train_eval_rollout_replay_merge(run):
     )
     assert "motion_mm2" in log
     assert (policy / "model.safetensors").is_file()
+    return demo, policy
 
+
+@pytest.mark.slow
+def test_record_train_eval(run, trained):
+    work, (_, policy) = run.work, trained
     run(
         f"lerobot-eval --policy.path={policy} --policy.device=cpu --env.type=pneutac --env.task=switch"
         " --env.episode_length=20 --eval.n_episodes=2 --eval.batch_size=2 --eval.use_async_envs=false"
@@ -95,6 +101,11 @@ def test_record_train_eval_rollout_replay_merge(run):
     assert overall["n_episodes"] == 2
     assert 0 <= overall["pc_success"] <= 100
     assert list((work / "eval").rglob("*.mp4"))
+
+
+@pytest.mark.nightly  # every day: the policy acts in lerobot-eval, above
+def test_rollout_replay_merge(run, trained):
+    work, (demo, policy) = run.work, trained
 
     def rolled_out():
         shutil.rmtree(work / "rollout_demo", ignore_errors=True)

@@ -89,6 +89,7 @@ class Case:
 
 FINGER = "--twin=finger --recording=finger_creep"
 ARM = "--twin=arm --recording=arm_creep"
+ARM_FITTED = (f"new {ARM}", f"calibrate {ARM} --out=arm_calibrate", f"compare {ARM} --out=arm_compare")
 GEL = "--twin=gel --recording=gel_presses"
 NAIVE = "--output.repo_id=local/naive --output.root=naive --method=naive --out=augment_naive"
 PLANNED = "--output.repo_id=local/more --output.root=more --fidelity=probe --method=planner --out=augment"
@@ -118,12 +119,11 @@ CASES = {
         ),
         ("finger",),
     ),
+    "arm_fitted": Case(("recordings/arm_creep",), ARM_FITTED),
     "arm": Case(
         ("recordings/arm_creep",),
         (
-            f"new {ARM}",
-            f"calibrate {ARM} --out=arm_calibrate",
-            f"compare {ARM} --out=arm_compare",
+            *ARM_FITTED,
             f"diagnose {ARM} --out=arm_diagnose --jobs=1",
             f"add {ARM} --out=arm_add --effect=creep",
         ),
@@ -166,7 +166,7 @@ CASES = {
 }
 
 
-LONG = ("augment", "compare_mpm", "finger", "gel", "render")  # half a minute each
+LONG = ("arm", "augment", "compare_mpm", "finger", "gel", "render")  # half a minute each
 
 
 @pytest.mark.parametrize(

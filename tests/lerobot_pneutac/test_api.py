@@ -2,8 +2,10 @@
 
 import copy
 import json
+import shlex
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from generated import once
 
 import lerobot_pneutac
 from lerobot_pneutac import InputError, Recording, Twin, add, calibrate, compare
+from lerobot_pneutac.verbs.result import ANOTHER_DAY
 from pneutac_datasets.generate.finger import generate
 
 
@@ -65,6 +68,42 @@ def test_results_are_data_and_leave_what_was_given_as_it_was(bench, crept, tmp_p
     saved = added.save(tmp_path / "twin")
     assert saved.to_dict()["version"] == 0 and Twin.load(tmp_path / "twin") == saved.twin
     assert added.twin.history == [], "saving changes the saved result alone"
+
+
+@pytest.fixture(scope="module")
+def stored(bench, tmp_path_factory):
+    """Results of the verbs of a body whose twin is stored; it has the effect already when that is refused."""
+    folder = tmp_path_factory.mktemp("stored") / "my twin"
+    calibrated = bench[0].save(folder)
+    compared = compare(calibrated.twin, bench[1])
+    added = add(calibrated.twin, bench[1], "creep").save(folder)
+    refused = add(added.twin, bench[1], "creep")
+    return {"calibrate": calibrated, "compare": compared, "add": added, "refused": refused}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("verb", "version", "after"),
+    [
+        ("calibrate", "version 0 (calibrated", "compare"),
+        ("compare", "version 0 (calibrated", "diagnose"),
+        ("add", "version 1 (added creep", "compare"),
+        ("refused", "version 1 (added creep", "diagnose"),
+    ],
+)
+def test_a_report_names_twin_version_and_recording_and_what_comes_next(
+    stored, tmp_path, verb, version, after
+):
+    result = stored[verb]
+    page = result.report(tmp_path).read_text()
+    twin, recording = result.subject()
+    about = page.partition('<p class="about">')[2].partition("</p>")[0]
+    assert f"<code>{twin.folder}</code>, {version}" in about
+    assert f"Recording: <code>{Path(recording).name}</code>." in about
+    assert shlex.split(result.next_command)[:3] == ["pneutac", after, f"--twin={twin.folder}"]
+    shown = page.partition("<h2>Do next</h2>")[2].partition("<pre>")[2].partition("</pre>")[0]
+    tested = ANOTHER_DAY if verb == "add" else recording  # what was added is tested on another day
+    assert shown.replace("&#39;", "'") == result.next_command and f"--recording={tested}" in shown
 
 
 @pytest.mark.slow

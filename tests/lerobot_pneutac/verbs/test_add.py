@@ -121,6 +121,7 @@ def test_an_effect_in_whose_place_another_explains_more_is_refused_and_stored_on
     assert "hysteresis" in stored.effects and stored.history[-1]["change"] == "added hysteresis (unconfirmed)"
 
 
+@pytest.mark.nightly  # every day: one effect that changes nothing is refused
 @pytest.mark.slow
 def test_of_two_effects_the_one_that_adds_nothing_is_named(pair):
     recording = Recording.load(pair[1])
@@ -152,6 +153,7 @@ def test_an_effect_without_its_column_is_refused(pair, tmp_path):
     refused("record column temperature_c", "add", twin=twin, recording=tmp_path / "cold", effect="thermal")
 
 
+@pytest.mark.nightly  # every day: the same of creep, in test_api
 @pytest.mark.slow
 def test_every_verb_sees_the_fall_of_a_pneumatic_effect(tmp_path, no_soft_body):
     """Errors are counted from the command, so a slow valve is in them although the pressure was measured."""

@@ -156,6 +156,7 @@ def test_larger_images_keep_their_size_and_are_made_smaller_where_asked(recordin
         run(tmp_path / "turned", recording, f"--image_size=[{HEIGHT},{WIDTH}]")
 
 
+@pytest.mark.nightly  # every day: several presses are fitted in test_diagnose_gel
 def test_all_rows_of_role_calibration_count(generated, twin, tmp_path, capsys):
     recording = Recording.load(generated)
     recording.samples.loc[:2, "role"] = "calibration"
@@ -178,7 +179,7 @@ def test_all_rows_of_role_calibration_count(generated, twin, tmp_path, capsys):
     "name, role, rmse, contact_rmse, contact_dncc, make",
     [
         ("digit_fots", "heldout", 8.5, 14.0, 0.92, "DIGIT"),
-        ("gelsight_thu", "known_depth", 4.4, 9.5, 0.96, ""),
+        pytest.param("gelsight_thu", "known_depth", 4.4, 9.5, 0.96, "", marks=pytest.mark.nightly),
     ],
 )
 def test_real_sensors(name, role, rmse, contact_rmse, contact_dncc, make):

@@ -54,6 +54,7 @@ def test_a_proportional_bend_has_no_curve():
     assert not result.twin.effects and not any("left out" in f for f in result.findings)
 
 
+@pytest.mark.nightly  # every day: README, and test_measured_pressure_tells_the_valve_from_the_body
 @pytest.mark.slow
 def test_a_slow_valve_before_a_saturating_bend_is_found_with_its_constants():
     given = recording(saturating, 20.0, LAG_S)

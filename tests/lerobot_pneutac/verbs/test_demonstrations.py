@@ -65,12 +65,13 @@ def test_a_clock_of_the_camera_that_jumps_in_the_midst_is_told(two):
         state[:, AREA] = e.state[source, AREA]
         return replace(e, state=state, images=e.images[source])
 
-    told = compare(Twin.builtin(), replace(two, episodes=[apart(e) for e in two.episodes]))
+    told = compare(Twin.builtin(), replace(two, episodes=[apart(two.episodes[0])]))
     jump_s = 0.5 * frames / CONTROL_HZ
     assert told.drift_s == pytest.approx(jump_s, abs=0.5 / CONTROL_HZ)
     assert "clocks of camera and robot drift" in " ".join(told.remarks())
 
 
+@pytest.mark.nightly  # every day: `add` says the same, in test_what_does_not_go_with
 @pytest.mark.slow
 def test_two_demonstrations_claim_nothing(two):
     assert "2 demonstrations are too few" in diagnose(Twin.builtin(), two, jobs=1).sentence

@@ -42,6 +42,7 @@ def test_measured_pressure_tells_the_valve_from_the_body(bench):
     assert d.after["heldout"] < 0.6 * d.before["heldout"] and d.outcome.evidence.after < 1.3
 
 
+@pytest.mark.nightly  # every day: the verdict of given errors, in test_verdict
 def test_a_disturbance_is_unknown_and_no_headline(bench):
     """A declared noise tells it from a slow noise of the tracker."""
     recording = bench("clock_jitter")
@@ -119,6 +120,7 @@ def test_a_short_recording_is_ambiguous_and_says_what_to_record(bench):
     assert "too short" in d.sentence and "ten minutes" in d.next_experiment
 
 
+@pytest.mark.nightly  # every day: a short recording is ambiguous, above
 def test_constant_pressure_is_ambiguous(bench):
     recording = bench("none")
     still = recording.keep(np.arange(len(recording)) < 600)

@@ -77,6 +77,7 @@ def test_it_ends_by_itself_with_what_is_hidden_and_a_program_that_needed_it(lear
     assert len(history) == len(learnt.rounds) and name in history[-1]["change"]
 
 
+@pytest.mark.nightly  # every day: a round whose measurement is stored is not driven again, below
 @pytest.mark.slow
 def test_interrupted_it_goes_on_and_ends_alike(learnt, tmp_path):
     last = learnt.last.number

@@ -3,33 +3,13 @@
 A twin with its history as one page.
 """
 
-import shlex
-from pathlib import Path
-
 import pytest
 from verbs import verb
 
-from lerobot_pneutac import add, calibrate, compare
 from lerobot_pneutac.verbs.history import report
-from lerobot_pneutac.verbs.new import new_twin
-from lerobot_pneutac.verbs.result import ANOTHER_DAY, Result
+from lerobot_pneutac.verbs.result import Result
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.twin import Twin
-
-
-@pytest.fixture(scope="module")
-def body(bench, tmp_path_factory, no_soft_body):
-    """Results of the verbs of a body; it has the effect already when that is refused."""
-    recording = bench("creep", seed=5003)
-    folder = new_twin(recording=recording).save(tmp_path_factory.mktemp("body") / "my twin")
-    calibrated = calibrate(Twin.load(folder), recording).save(folder)
-    added = add(calibrated.twin, recording, "creep").save(folder)
-    return {
-        "calibrate": calibrated,
-        "compare": compare(calibrated.twin, recording),
-        "add": added,
-        "refused": add(added.twin, recording, "creep"),
-    }
 
 
 def test_what_has_no_place_in_json_is_refused():
@@ -59,29 +39,6 @@ def test_a_report_that_is_stopped_leaves_the_earlier_one(tmp_path):
             Stopped().report(tmp_path / out)
     assert {p: p.read_bytes() for p in before} == before
     assert (tmp_path / "out" / "twin").is_dir() and not (tmp_path / "new").exists()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("verb", "version", "after"),
-    [
-        ("calibrate", "version 0 (calibrated", "compare"),
-        ("compare", "version 0 (calibrated", "diagnose"),
-        ("add", "version 1 (added creep", "compare"),
-        ("refused", "version 1 (added creep", "diagnose"),
-    ],
-)
-def test_a_report_names_twin_version_and_recording_and_what_comes_next(body, tmp_path, verb, version, after):
-    result = body[verb]
-    page = result.report(tmp_path).read_text()
-    twin, recording = result.subject()
-    about = page.partition('<p class="about">')[2].partition("</p>")[0]
-    assert f"<code>{twin.folder}</code>, {version}" in about
-    assert f"Recording: <code>{Path(recording).name}</code>." in about
-    assert shlex.split(result.next_command)[:3] == ["pneutac", after, f"--twin={twin.folder}"]
-    shown = page.partition("<h2>Do next</h2>")[2].partition("<pre>")[2].partition("</pre>")[0]
-    tested = ANOTHER_DAY if verb == "add" else recording  # what was added is tested on another day
-    assert shown.replace("&#39;", "'") == result.next_command and f"--recording={tested}" in shown
 
 
 def test_the_next_command_is_told_of_demonstrations_what_the_first_was(tmp_path):

@@ -121,6 +121,7 @@ def test_a_sensors_effect_is_fitted_saved_and_rendered_like_any_other(backlight,
     assert lit.contact_from_depth(depth) == lit.contact(lit.image(depth))
 
 
+@pytest.mark.nightly  # every day: it is fitted, saved and rendered like any other, above
 @pytest.mark.slow
 def test_a_sensors_effect_is_added_like_any_other(backlight, tmp_path):
     recording = write_hidden_gel(tmp_path / "gel", ["rest_colour", "backlight"], images=12)

@@ -171,6 +171,7 @@ def collection(tmp_path_factory):
     return folder
 
 
+@pytest.mark.nightly  # every day: an interrupted training goes on, in test_surrogate
 @pytest.mark.slow
 def test_an_interrupted_collection_goes_on(collection):
     twin, plan, told = Twin.builtin(), TINY, []
