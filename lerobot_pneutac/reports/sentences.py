@@ -398,6 +398,8 @@ def next_experiment(study: EffectStudy, outcome: Outcome) -> tuple[str, Separati
         return study.more_data, None
     if outcome.not_yet:
         return outcome.not_yet, None
+    if not outcome.evidence.is_noise and (log := study.to_log(outcome)):
+        return log, None
     if outcome.rivals:
         rival = outcome.rivals[0]
         best = study.separation(rival)

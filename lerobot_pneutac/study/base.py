@@ -372,6 +372,10 @@ class EffectStudy(ABC):
         """What the reader must know besides the verdict."""
         return []
 
+    def to_log(self, outcome: Outcome) -> str:
+        """What to log before anything else decides, a sentence; empty where nothing is missing."""
+        return ""
+
     def how_tested(self, outcome: Outcome) -> str:
         """On what the candidates were tried."""
         return ""

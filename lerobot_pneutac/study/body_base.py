@@ -465,7 +465,33 @@ class BodyBase(EffectStudy):
 
     def caveats(self, outcome: Outcome) -> list[str]:
         """What the log of pressures and commands leaves open."""
-        return [*self._unsent(outcome), *self._unread()]
+        return [*self._unsent(outcome), *self._unread(), *self._unpaused(outcome)]
+
+    def to_log(self, outcome: Outcome) -> str:
+        if not self._unpaused(outcome):
+            return ""
+        return (
+            "State in recording.json, under `trials`, how long the device rested before each run, and "
+            "diagnose again; `pneutac measure` logs it."
+        )
+
+    def _unpaused(self, outcome: Outcome) -> list[str]:
+        """That runs go on from those before them, after pauses that nobody logged."""
+        twin, runs = outcome.after.twin, set(self.recording.samples["trial"].astype(str))
+        pause = twin.parameters.get("pause_s")
+        if pause is None or pause.value >= RESTED_S or runs <= set(self.recording.meta.get("trials", {})):
+            return []
+        ends = (replace(twin, parameters=twin.parameters | {"pause_s": Value(s)}) for s in (0.0, RESTED_S))
+        none, long = (predict(end, read(self.recording, end))[0] for end in ends)
+        moved = float(np.linalg.norm(none - long, axis=1).max())
+        if moved < max(3 * (self.noise.value or 0.0), 1e-9):
+            return []
+        return [
+            "How long the device rested before each run is not recorded, and it remembers the run before: "
+            f"between no pause and a long one its {OUTPUT[self.unit]} differs by up to {moved:.2g} "
+            f"{self.unit}. One pause of {pause.value:g} s for all fits best; the error on runs with other "
+            "pauses may be larger."
+        ]
 
     def _unsent(self, outcome: Outcome) -> list[str]:
         """That a quick effect of the air was found without the times at which commands were sent."""

@@ -47,6 +47,7 @@ def given(selected=(LAW,), after=0.45, contributions=(), known=(), run_terms=Non
         noise=SimpleNamespace(value=0.43, how="from two repeated runs"), parts=SimpleNamespace(has_test=True),
         errors=lambda model: {"heldout": model}, reduction=lambda a, b: (0.92, (0.88, 0.95)),
         cause=lambda model, name: law(name).as_cause(constants, "finger"), caveats=lambda outcome: [],
+        to_log=lambda outcome: "",
         confusable_with=lambda effects: "It may be a load." if "lag(p^2)" in effects else "",
         experiment=lambda model, name: "Step and hold.", too_little=lambda: "Too short.",
         recorded="", more_data="Record longer.", repeat="Do it twice.", nothing_left="Nothing.",

@@ -1,10 +1,13 @@
 """What to record next asks for nothing that the recording has."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from lerobot_pneutac.study.base import experiment_of, unidentified
+from lerobot_pneutac.study.body import BodyStudy
 from lerobot_pneutac.study.pair import longer
 from lerobot_pneutac.verbs.fit_body import advice, held_kpa, shown_by, unknown_parameters
 from pneutac_datasets.recording.noise import noise_floor
@@ -90,3 +93,19 @@ def test_the_noise_asks_for_minutes_that_are_missing_alone():
 def test_what_is_hung_on_the_tip_is_more_than_hung_there():
     assert "hang about 400 g" in advice(TWIN, recording(payload_g=[0.0, 200.0]))
     assert "hang about 400 g" not in advice(TWIN, recording())
+
+
+def test_pauses_that_a_memory_goes_on_in_are_asked_for():
+    one = recording(9).samples
+    runs = pd.concat([one.assign(trial=k) for k in range(3)], ignore_index=True)
+    r = Recording("bench", {"device": "finger", "noise": {"tip_x_mm": 0.1, "tip_z_mm": 0.1}}, runs, "finger")
+    study, twin = BodyStudy(TWIN, r, 0, []), TWIN.copy()
+    weights = {q.name: Value(0.2 * (q.name == "weight_40s")) for q in get_effect("creep").parameters}
+    twin.effects["creep"] = weights
+    twin.parameters["pause_s"] = Value(9.0)
+    found = SimpleNamespace(after=SimpleNamespace(twin=twin), selected=["creep"])
+    assert "One pause of 9 s for all fits best" in " ".join(study.caveats(found))
+    assert "under `trials`, how long the device rested" in study.to_log(found)
+    stated = {str(k): {"start": "continues", "pause_s": 9} for k in (1, 2)}
+    r.meta["trials"] = {"0": {"start": "rested"}} | stated
+    assert not study.to_log(found)

@@ -165,7 +165,8 @@ def test_effects_without_their_column_are_listed_with_the_remedy(bench):
     )
     study = study_of(twin_of(recording), poor, 0)
     assert "record column temperature_c" in next(u.reason for u in study.untested if u.name == "thermal")
-    air, body = (SimpleNamespace(selected=[e]) for e in ("valve_lag", "creep"))
+    after = SimpleNamespace(twin=Twin.builtin())
+    air, body = (SimpleNamespace(selected=[e], after=after) for e in ("valve_lag", "creep"))
     assert not study.caveats(air)  # ramps only: there is no step whose instant could be fitted
     study.recording.samples["pressure_cmd_kpa"] = 20.0 * (np.arange(len(poor.samples)) // 50 % 2)
     assert "together with valve lag: what takes less" in " ".join(study.caveats(air))

@@ -198,6 +198,30 @@ def test_a_run_begins_after_a_long_pause_of_any_clock(tmp_path, clock):
     assert [n for n in found.notes if "pauses for more than 10 minutes (the longest 3600 s): 2 runs" in n]
 
 
+@pytest.mark.parametrize("clock", ["seconds", *CLOCKS])
+@pytest.mark.parametrize("files", [1, 2])
+def test_pauses_are_read_off_a_clock_that_goes_on(tmp_path, clock, files):
+    runs = [
+        TRUTH[TRUTH.trial == k].assign(pressure_cmd_kpa=lambda r: np.r_[0, r.pressure_cmd_kpa[1:-1], 0])
+        for k in (0, 1)
+    ]
+    rows = pd.concat([runs[0], runs[1].assign(time_s=runs[1].time_s + 30.0)], ignore_index=True)
+    table = rows.drop(columns="time_s").assign(
+        timestamp=pd.Series(CLOCKS.get(clock, pd.Series)(rows.time_s.to_numpy()))
+    )
+    for k, part in enumerate(
+        [table] if files == 1 else [r.drop(columns="trial") for _, r in table.groupby("trial")]
+    ):
+        part.to_csv(tmp_path / f"lab_{k}.csv", index=False)
+    found = plain.Understood(sorted(tmp_path.glob("*.csv")), Given())
+    known = files == 1 or clock not in ("seconds", "of the day")
+    pause_s = 30.0 - runs[0].time_s.max()
+    stated = {"1": {"start": "continues", "pause_s": pytest.approx(pause_s, abs=2e-3)}}
+    assert found.recording.meta.get("trials", {}) == (stated if known else {})
+    table.assign(pressure_cmd_kpa=table.pressure_cmd_kpa + 5.0).to_csv(tmp_path / "under.csv", index=False)
+    assert "trials" not in understood(tmp_path / "under.csv").recording.meta  # not at zero in between
+
+
 def test_frames_and_rows_need_a_rate(tmp_path):
     one = TRUTH[TRUTH.trial == 0].drop(columns="time_s")
     one.assign(Frame=np.arange(len(one)) + 100).to_csv(tmp_path / "lab.csv", index=False)

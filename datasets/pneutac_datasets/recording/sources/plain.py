@@ -44,6 +44,7 @@ TIPS = ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
 VECTORS = "tip_{}_mm", "force_{}_n", "gravity_{}"
 DRIVES = r"trial|time(_sent)?_s|pressure_cmd_(\d+_)?kpa"  # columns that drive or time the device
 REST_SHARE = 0.05  # of the rows: those of the least pressure
+ZERO_SHARE = 0.01  # of the largest command: at less there is no pressure
 ALONG = 0.7  # cosine between the resting tip and x, below which the axes must be others
 FROM_TIP = 0.2  # of its motion: nearer to the origin than that no resting tip is to its base
 FROM_ZERO = 0.1  # of its usual distance: nearer to the base comes no tip
@@ -227,6 +228,7 @@ class Understood:
         )
         self.guessed = guesses(self.columns)
         self._clock = next((c for c in self.columns if c.column == "time_s"), None)
+        self._began, self._absolute = np.zeros(len(files)), False  # when files begin, by one clock or not
         table = self._converted(frame)
         table, left_out = self._seen(table)
         self._fill(table)
@@ -240,6 +242,8 @@ class Understood:
             meta["length_proposed"] = True
         meta["notes"] = f"from {', '.join(f.name for f in files)}"
         device = "arm" if "pressure_cmd_1_kpa" in table else "finger"
+        if not log and (trials := self._pauses(table)):
+            meta["trials"] = trials
         self.recording = Recording(files[0].parent, meta, table, device)
         self.faults = [] if log else self._faults()
         if not log and not self.faults:
@@ -318,11 +322,14 @@ class Understood:
             if raw.dropna().abs().max() * factor < EPOCH_S:
                 return values.astype(float)
             # Differences first: nanoseconds since 1970 have more digits than a float.
-            return ((raw - self._firsts(raw)).astype(float) * factor).round(9)
+            return ((raw - self._firsts(raw, factor)).astype(float) * factor).round(9)
         return (stamps - self._firsts(stamps)).round(9)
 
-    def _firsts(self, values: pd.Series) -> pd.Series:
-        return values.groupby(self._of_file).transform("min")
+    def _firsts(self, values: pd.Series, factor: float = 1.0) -> pd.Series:
+        """The first time of each row's file, and in `_began` that of each file in seconds."""
+        firsts = values.groupby(self._of_file)
+        self._began, self._absolute = firsts.min().to_numpy(float) * factor, True
+        return firsts.transform("min")
 
     def _stamps(self, raw: pd.Series, source: str) -> pd.Series:
         """Seconds of texts: times of a day, or ISO and German dates with a time."""
@@ -382,6 +389,33 @@ class Understood:
         where += [longest] * bool(pause.any())
         self.notes.append(f"A new run begins wherever the clock {' or '.join(where)}: {new.sum()} runs.")
         return np.cumsum(new) - 1
+
+    def _pauses(self, table: pd.DataFrame) -> dict[str, dict]:
+        """Runs that go on from the one before after a pause without pressure, where one clock tells it.
+
+        It does where its times rise from run to run. That of a file that does not begin in 1970, at midnight
+        or with a date tells nothing of the next file.
+        """
+        commands, trial = rules.pressure_commands(table), table["trial"].to_numpy()
+        begins = np.flatnonzero(np.diff(trial) != 0) + 1
+        if not commands or not len(begins) or any(table[c].dtype.kind not in "fiu" for c in commands):
+            return {}
+        driven = table[commands].abs().max(axis=1).to_numpy(float)
+        time_s = pd.to_numeric(table["time_s"], errors="coerce").to_numpy(float) + self._began[self._of_file]
+        step, other_file = np.diff(time_s), np.diff(self._of_file) != 0
+        known = ~other_file | self._absolute
+        zero = driven <= ZERO_SHARE * driven.max()
+        if not (step[known] > 0).all():
+            return {}
+        told = begins[known[begins - 1] & zero[begins] & zero[begins - 1]]
+        if not len(told):
+            return {}
+        gap = step[told - 1]
+        length = f"{gap[0]:.3g} s" if len(gap) == 1 else f"{gap.min():.3g} to {gap.max():.3g} s"
+        runs = "run goes on from the one before it" if len(told) == 1 else "runs go on from those before them"
+        self.notes.append(f"{len(told)} {runs}, after {length} without pressure by the clock.")
+        pauses = zip(trial[told].tolist(), gap.tolist(), strict=True)
+        return {str(n): {"start": "continues", "pause_s": round(s, 3)} for n, s in pauses}
 
     def _seen(self, table: pd.DataFrame) -> tuple[pd.DataFrame, int]:
         """The rows in which all of the pose was measured, and how many are now missing between them."""
