@@ -7,6 +7,8 @@ The benchmark of experiments: a foreign device that remembers its programs, and 
 The benchmark of demonstrations: what is hidden, and when an answer is right.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -207,3 +209,13 @@ def test_a_temperature_that_is_followed_minutes_late_is_found_through_unknown_pa
     assert answer["terms"] == ["p lag(dT)"]
     assert answer["values"]["p lag(dT)"]["time_s"] == pytest.approx(late_s, rel=0.15)
     assert answer["ratio"] < 1.5
+
+
+def test_both_days_state_their_pauses_where_that_is_asked():
+    case = Case("truths", "effect", "mullins", 967, 1.0, device="rod")
+    for asked in (case, replace(case, pauses=True)):
+        with truths.two_days(asked) as days:
+            for r in (days.learn, days.judge, days.logged):
+                known = [s.pause_s for s in r.starts.values()][1:]
+                assert all((p is not None) == asked.pauses for p in known) and known
+    assert asked.key == f"{case.key}_pauses"

@@ -30,6 +30,7 @@ class BenchmarkDiagnosisConfig(ExecutorOptions):
         minutes: length of each recording; a cosserat rod is always recorded for two.
         devices: names of devices, of truths, with commas between.
         effects: names of effects, of truths, with commas; where left out, all, pairs, `plain` and `device`.
+        pauses: whether both days of truths state how long the device rested before each run.
     """
 
     set: str = "truths"
@@ -40,6 +41,7 @@ class BenchmarkDiagnosisConfig(ExecutorOptions):
     minutes: float = 10.0
     devices: tuple[str, ...] = DEVICES
     effects: tuple[str, ...] = ()
+    pauses: bool = False
 
     def __post_init__(self):
         if self.set not in SETS:
@@ -66,6 +68,7 @@ class Case:
         seed: of everything random.
         minutes: of the recording.
         device: of a truth, or the folder of a real recording.
+        pauses: whether a truth's recordings state them.
     """
 
     set: str
@@ -74,12 +77,13 @@ class Case:
     seed: int
     minutes: float = 0.0
     device: str = ""
+    pauses: bool = False
 
     @property
     def key(self) -> str:
         """File name of its answer."""
         parts = (self.kind, self.device, self.effects.replace(",", "+"), str(self.seed))
-        return "_".join(p for p in (*parts, f"{self.minutes:g}min") if p)
+        return "_".join(p for p in (*parts, f"{self.minutes:g}min", "pauses" * self.pauses) if p)
 
 
 def diagnosed(twin, recording, seed: int, wanted: Callable[[str], bool] | None = None):

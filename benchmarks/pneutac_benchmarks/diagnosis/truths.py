@@ -45,7 +45,7 @@ def cases(cfg: BenchmarkDiagnosisConfig) -> list[Case]:
                     continue
                 kind = name if name in ("plain", "device") else "pair" if name in PAIRS else "effect"
                 minutes = COSSERAT_MINUTES if device == "cosserat" else cfg.minutes
-                made.append(Case(cfg.set, kind, name, seed, minutes, device=device))
+                made.append(Case(cfg.set, kind, name, seed, minutes, device, cfg.pauses))
     return made
 
 
@@ -120,7 +120,7 @@ def two_days(case: Case) -> Iterator[Days]:
     with tempfile.TemporaryDirectory() as tmp:
 
         def recorded(day: int, log_sent: bool) -> tuple[Truth, Recording]:
-            asked = {"day": day, "minutes": case.minutes, "log_sent": log_sent}
+            asked = {"day": day, "minutes": case.minutes, "log_sent": log_sent, "state_pauses": case.pauses}
             truth = generate(case.device, [case.effects], case.seed, **asked)
             return truth, Recording.load(write(truth, Path(tmp) / f"day{day}_{log_sent}"))
 
