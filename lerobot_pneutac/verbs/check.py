@@ -199,7 +199,7 @@ USAGE = """usage: pneutac check PATH [PATH ...] [--twin=PATH] [--station=FILE]
 Lists in seconds what a later command would refuse, and exits with 1 if there is anything.
 
   PATH            folder of a twin, a bench recording or a LeRobotDataset of demonstrations, a lab's table
-                  (CSV, .mat, Parquet) or a station.yaml
+                  (CSV, .mat, .npz, Parquet) or a station.yaml
   --twin=PATH     twin for which demonstrations or a station are looked at (default the built-in one)
   --station=FILE  station.yaml in which demonstrations were recorded (default the one stored with them)"""
 

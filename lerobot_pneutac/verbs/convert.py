@@ -35,9 +35,9 @@ class ConvertConfig:
 
     first: ClassVar = "source"
 
-    # a table (CSV, text, Parquet, .mat), several of them (`a.csv,b.csv`, `'runs/*.csv'`) as one run each, a
-    # CSV of OptiTrack (Motive) or Vicon (Nexus), the folder of a ROS 2 bag, or a film. `pneutac convert FILE`
-    # is the same as `--source=FILE`
+    # a table (CSV, text, Parquet, .mat, .npz), several of them (`a.csv,b.csv`, `'runs/*.csv'`) as one run
+    # each, a CSV of OptiTrack (Motive) or Vicon (Nexus), the folder of a ROS 2 bag, or a film.
+    # `pneutac convert FILE` is the same as `--source=FILE`
     source: Path
     # folder of the new bench recording, new or empty; that of tables is `NAME.recording` next to them
     # if omitted
@@ -51,7 +51,7 @@ class ConvertConfig:
     columns: str = ""
     yes: bool = False  # take the units of the pose that are guessed by size, without asking
     mapping: Path | None = None  # `mapping.yaml` of an earlier conversion, which is repeated
-    time: str = ""  # name of the times in a table or .mat, where it does not say so
+    time: str = ""  # name of the times in a table, .mat or .npz, where it does not say so
     rate_hz: float | None = None  # rows or frames a second of a table without times
     offset_s: float = 0.0  # what the markers' clock shows when the log's shows zero
     tip: str = ""  # name of the tip's marker or topic; in a film ArUco's number or a dot, see below

@@ -25,9 +25,15 @@ def read_meta(folder: Path) -> dict:
     if not file.is_file():
         if (folder / "meta" / "info.json").is_file():
             return {"lerobot": True}
-        raise InputError(
-            f"{file} is missing; a bench recording is a folder with recording.json and samples.csv."
-        )
+        tables = sorted(p for p in folder.iterdir() if p.suffix.lower() in (".csv", ".tsv", ".txt", ".mat"))
+        if (folder / "twin.yaml").is_file():
+            remedy = f"'{folder}' is a twin"
+        elif tables and not (folder / "samples.csv").is_file():
+            pattern = quote(str(folder / f"*{tables[0].suffix}"))
+            remedy = f"'{folder}' holds tables: give one, such as '{tables[0]}', or all by {pattern}"
+        else:
+            remedy = "a bench recording is a folder with recording.json and samples.csv"
+        raise InputError(f"{file} is missing; {remedy}.")
     meta = read_json(file)
     if (folder / "meta" / "info.json").is_file() and "samples" not in meta:
         meta["lerobot"] = True

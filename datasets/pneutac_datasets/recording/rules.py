@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from pneutac_datasets.recording.units import unit_faults
+from pneutac_datasets.recording.units import base_unit, unit_faults, unit_named
 from pneutac_datasets.recording.wording import an, collected, listed, plural, row_name
 from pneutac_sim.errors import CONTROL, InputError, shown
 from pneutac_sim.finger import quantities
@@ -22,6 +22,7 @@ STARTS = ("rested", "continues", "unknown")
 DAY_S = 86400.0
 SLOWEST_S = 3600.0  # between samples; no motion is seen in slower ones
 FASTEST_S = 0.00099  # between samples; no tracker is faster
+TOO_FAST_S = 5e-5  # between samples: 20 Hz in days, and in hours, are faster than any logger
 HUGE = 1e6  # times what 95 % of a column's numbers are at most: a typing error
 MAX_DUPLICATES = 0.01  # share of rows with a doubled stamp that a logger's rounding explains
 ROUNDED_S = 1e-3  # by which stamps of two columns may disagree
@@ -66,6 +67,7 @@ def meta_of_trials(meta: dict, before: list[int], left: list[int]) -> dict:
     return meta | {"trials": stated}
 
 
+COARSE = "write time_s with more digits, or delete those rows"
 LEAST_USUAL_KPA, LARGE_MOTION_MM = 3.0, 10.0  # no finger of rubber bends so far by so little
 LABELS = r"program|image(_\w+)?|mask(_\w+)?|role|indenter|indenter_file|outline_mm|depth_source"
 
@@ -285,7 +287,15 @@ def _misspelt(samples: pd.DataFrame, device: str, file: Path) -> Iterator[str]:
     for name in (
         c for c in map(str, samples) if c not in known and not re.fullmatch(quantities.PRESSURE.pattern, c)
     ):
-        if near := difflib.get_close_matches(name, missing, n=1, cutoff=0.9):
+        quantity, _, written = name.rpartition("_")
+        same = next((m for m in missing if m.rpartition("_")[0] == quantity and base_unit(m)), "")
+        own = base_unit(same)
+        if unit := own and unit_named(written, own.dimension):
+            how = (
+                f"multiply it by {unit.factor:.6g}{f', add {unit.shift:.6g}' * bool(unit.shift)} and call it"
+            )
+            yield f"{file}: column {shown(name)} is not read; {how} '{same}'."
+        elif near := difflib.get_close_matches(name, missing, n=1, cutoff=0.9):
             yield f"{file}: column {shown(name)} is not read; did you mean '{near[0]}'?"
 
 
@@ -434,7 +444,7 @@ def check_time(samples: pd.DataFrame, file: Path, warnings: list[str]) -> pd.Dat
             f"{trial[row]} ({plural(n, 'such row')})"
         )
         if n > MAX_DUPLICATES * len(samples) and n > 1:
-            raise InputError(f"{where}; write time_s with more digits, or delete those rows.")
+            raise InputError(f"{where}; {COARSE}.")
         warnings.append(f"{where}; {'it is' if n == 1 else 'they are'} left out.")
         samples = samples[~doubled]
     normal = np.median(step[np.isfinite(step)]) if np.isfinite(step).any() else 0.0
@@ -448,6 +458,11 @@ def check_time(samples: pd.DataFrame, file: Path, warnings: list[str]) -> pd.Dat
         raise InputError(
             f"{file}: column 'time_s' has one sample every {normal:g} s, which can only be another unit than"
             " seconds; divide it by 1e6 if the clock counts microseconds, by 1e9 if nanoseconds."
+        )
+    if 0 < normal < TOO_FAST_S:
+        raise InputError(
+            f"{file}: column 'time_s' has one sample every {normal:.3g} s, which can only be another unit"
+            " than seconds; multiply it by 86400 if the clock counts days, by 3600 if hours."
         )
     if normal >= 5 and len(samples) > 100:
         warnings.append(

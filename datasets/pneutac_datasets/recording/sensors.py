@@ -123,7 +123,7 @@ def _lonely(y: np.ndarray, i: int, end: int) -> bool:
 
 
 def _local_median(x: np.ndarray, window: int) -> np.ndarray:
-    return median_filter(x, size=2 * window + 1, mode="nearest")
+    return median_filter(x, size=2 * min(window, len(x)) + 1, mode="nearest")
 
 
 def frozen(recording: Recording) -> Iterator[Finding]:

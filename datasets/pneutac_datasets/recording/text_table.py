@@ -3,6 +3,7 @@
 import codecs
 import csv
 import re
+import warnings
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -34,6 +35,7 @@ KINDS = {
     b"PAR1": "a Parquet file",
     b"MATLAB 5": "a .mat file",
     b"%PDF-": "a PDF",
+    b"<": "a web page or XML",
 }
 NUMBER = re.compile(
     r"\s*[-+\u2212]?(\d[\d.,]*|\d{1,3}([\s'\u2019\u00a0\u202f]\d{3})+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?\s*"
@@ -125,7 +127,9 @@ def _read(file: Path, encoding: str, head: list[str]) -> TextTable:
     while names and not names[-1] and len(names) > width:
         names.pop()
     typical_width = _median([len(cells[i]) for i in body if i >= first] or [len(names)])
-    if len(names) != width and mark == "," and typical_width == 2 * len(names):
+    crowded = _median([sum(map(bool, cells[i])) for i in body if i >= first]) > len(names)
+    pointless = not any("." in head[i] for i in body if i >= first)
+    if mark == "," and (len(names) != width and typical_width == 2 * len(names) or crowded and pointless):
         raise InputError(
             f"{file} has {len(names)} names in its header and {typical_width} fields in its rows: decimal"
             " commas between commas; save it with semicolons between the columns, or with decimal points."
@@ -142,12 +146,14 @@ def _read(file: Path, encoding: str, head: list[str]) -> TextTable:
     comma = mark != "," and any(
         _definite(c) == "," for i in body if i >= first for c in cells[i] if NUMBER.fullmatch(c)
     )
-    frame = pd.read_csv(
-        file, sep=r"\s+" if mark == " " else mark, decimal="," if comma else ".", encoding=encoding,
-        header=None, names=[*columns, *MORE], index_col=False, skiprows=begin, skip_blank_lines=False,
-        skipinitialspace=mark != "\t", na_values=EMPTY, low_memory=False, nrows=MAX_ROWS + 1,
-        on_bad_lines="error", encoding_errors="strict",
-    )  # fmt: skip
+    with warnings.catch_warnings():  # of more fields than names, which `_shape` refuses
+        warnings.simplefilter("ignore", pd.errors.ParserWarning)
+        frame = pd.read_csv(
+            file, sep=r"\s+" if mark == " " else mark, decimal="," if comma else ".", encoding=encoding,
+            header=None, names=[*columns, *MORE], index_col=False, skiprows=begin, skip_blank_lines=False,
+            skipinitialspace=mark != "\t", na_values=EMPTY, low_memory=False, nrows=MAX_ROWS + 1,
+            on_bad_lines="error", encoding_errors="strict",
+        )  # fmt: skip
     if len(frame) > MAX_ROWS:
         raise InputError(f"{file} has over {MAX_ROWS} rows; keep every n-th row.")
     lines = np.arange(len(frame)) + begin + 1

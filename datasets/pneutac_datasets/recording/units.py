@@ -26,17 +26,18 @@ UNITS = {
     "pressure": {
         "kpa": 1.0, "bar": 100.0, "mbar": 0.1, "hpa": 0.1, "pa": 1e-3, "mpa": 1000.0, "psi": 6.894757,
         "mmhg": 0.1333224, "torr": 0.1333224, "atm": 101.325, "cmh2o": 0.0980665, "inh2o": 0.2490889,
-        "kilopascal": 1.0, "pascal": 1e-3, "millibar": 0.1,
+        "kgf/cm2": 98.0665, "kg/cm2": 98.0665, "kilopascal": 1.0, "pascal": 1e-3, "millibar": 0.1,
     },
     "length": {
         "mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "inch": 25.4, "inches": 25.4, "um": 1e-3,
-        "meter": 1000.0,
+        "meter": 1000.0, "ft": 304.8, "feet": 304.8,
         "metre": 1000.0, "meters": 1000.0, "metres": 1000.0, "millimeter": 1.0, "millimetre": 1.0,
         "zoll": 25.4, "dm": 100.0, "millimeters": 1.0, "centimeter": 10.0, "centimeters": 10.0,
     },
     "time": {
         "s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0,
         "sek": 1.0, "sekunden": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6,
+        "day": 86400.0, "days": 86400.0, "tage": 86400.0,
         "ns": 1e-9, "min": 60.0, "minutes": 60.0, "minuten": 60.0, "h": 3600.0, "milliseconds": 1e-3,
         "millisekunden": 1e-3, "frames": 1.0,
     },
@@ -44,14 +45,22 @@ UNITS = {
         "rad": 1.0, "mrad": 1e-3, "deg": np.pi / 180, "degree": np.pi / 180, "degrees": np.pi / 180,
         "°": np.pi / 180, "grad": np.pi / 180, "radian": 1.0, "radians": 1.0, "radiant": 1.0,
     },
-    "mass": {"g": 1.0, "kg": 1000.0, "mg": 1e-3, "gram": 1.0, "grams": 1.0, "gramm": 1.0},
+    "mass": {
+        "g": 1.0, "kg": 1000.0, "mg": 1e-3, "gram": 1.0, "grams": 1.0, "gramm": 1.0,
+        "lb": 453.59237, "lbs": 453.59237, "oz": 28.349523,
+    },
     "temperature": {
         "°c": 1.0, "c": 1.0, "degc": 1.0, "celsius": 1.0, "k": 1.0, "kelvin": 1.0, "°f": 5 / 9, "f": 5 / 9,
         "degf": 5 / 9, "fahrenheit": 5 / 9, "°k": 1.0, "grad c": 1.0, "deg c": 1.0, "deg f": 5 / 9,
     },
-    "force": {"n": 1.0, "mn": 1e-3, "kn": 1000.0, "newton": 1.0},
+    "force": {
+        "n": 1.0, "mn": 1e-3, "kn": 1000.0, "newton": 1.0,
+        "lbf": 4.4482216, "kgf": 9.80665, "gf": 9.80665e-3,
+    },
     "acceleration": {"m/s2": 1 / 9.80665, "m/s/s": 1 / 9.80665, "ms-2": 1 / 9.80665},
-    "voltage": dict.fromkeys(("v", "mv", "volt", "ma", "counts", "adc", "digits", "pwm", "%"), 1.0),
+    "voltage": dict.fromkeys(
+        ("v", "mv", "volt", "ma", "counts", "adc", "digits", "pwm", "%", "percent"), 1.0
+    ),
     "none": {"1": 1.0, "#": 1.0, "text": 1.0, "string": 1.0, "iso": 1.0},
 }  # fmt: skip
 SHIFTS = {"k": -273.15, "°k": -273.15, "kelvin": -273.15}  # of temperatures, °C
@@ -149,8 +158,11 @@ def unit_faults(samples: pd.DataFrame, meta: dict, file: Path) -> Iterator[str]:
         norm = np.linalg.norm(samples[gravity].to_numpy(float), axis=1)
         row = int(np.abs(norm - 1).argmax())
         if abs(norm[row] - 1) > 0.05:
-            what = "no unit vector (length of gravity_x, y, z)", "divide the three columns by their length"
-            yield from other("gravity_x", row, *what, float(norm[row]))
+            where = row_name(int(samples.index[row]), file)
+            yield (
+                f"{file}: columns 'gravity_x', 'gravity_y' and 'gravity_z', {where}, have the length"
+                f" {norm[row]:.3g}, where a direction has 1; divide them by it."
+            )
     yield from beyond("temperature_c", 150, "kelvin", "subtract 273.15 from the column")
 
 

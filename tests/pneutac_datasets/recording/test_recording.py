@@ -103,7 +103,10 @@ BAD = [  # more are in `tests/snapshots/sentences.txt`
     (lambda s: s.assign(**{c: s[c] / 1000 for c in TIPS}), "metres.*multiply"),
     (lambda s: s.assign(bend_angle_rad=s[P]), "degrees"),
     (lambda s: s.assign(temperature_c=294.0), "kelvin"),
-    (lambda s: s.assign(gravity_x=9.81, gravity_y=0, gravity_z=0), "unit vector"),
+    (
+        lambda s: s.assign(gravity_x=9.81, gravity_y=0, gravity_z=0),
+        "have the length 9.81, where a direction has 1",
+    ),
     (lambda s: s.assign(gravity_x=1.0), "'gravity_y' is missing"),
     (lambda s: s.assign(time_s=np.round(s.time_s * 1e4)), "time_s.*milliseconds; divide it by 1000"),
     (lambda s: s.assign(time_s=np.round(s.time_s * 1e6)), "time_s.*every .* divide it by 1e6"),
@@ -222,6 +225,15 @@ def test_what_is_no_table_or_too_large_is_refused_before_it_is_read(tmp_path, mo
         Recording.load(folder)
 
 
+def test_a_folder_of_tables_and_a_twin_are_named_where_a_recording_is_wanted(tmp_path):
+    (tmp_path / "twin.yaml").write_text("")
+    with pytest.raises(InputError, match="recording.json is missing; '.*' is a twin"):
+        Recording.load(tmp_path)
+    (tmp_path / "twin.yaml").rename(tmp_path / "monday.csv")
+    with pytest.raises(InputError, match=r"holds tables: give one, such as '.*monday.csv', or all by .*csv"):
+        Recording.load(tmp_path)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -230,6 +242,11 @@ def test_what_is_no_table_or_too_large_is_refused_before_it_is_read(tmp_path, mo
         (lambda s: s.iloc[:3], "only 3 rows"),
         (break_("time_s", 12, 11 / 20), "0.55 s of trial 0 (1 such row); it is left out"),
         (lambda s: s.rename(columns={"tip_y_mm": "tip_y_mmm"}), "not read; did you mean 'tip_y_mm'?"),
+        (
+            lambda s: s.drop(columns="temperature_c", errors="ignore").assign(temperature_f=72.0),
+            "'temperature_f' is not read; multiply it by 0.555556, add -17.7778 and call it 'temperature_c'.",
+        ),
+        (lambda s: s.assign(payload_kg=0.02), "multiply it by 1000 and call it 'payload_g'."),
         (lambda s: s.drop(columns="tip_z_mm"), "z, in which the device bends, was not measured"),
     ],
 )

@@ -187,6 +187,38 @@ def test_clocks_begin_with_zero(tmp_path, clock):
     assert found.recording.meta.get("date", "") in ("2026-03-01", "2023-11-14", "")
 
 
+@pytest.mark.parametrize("pattern", ["%I:%M:%S", "%Y-%m-%d %I:%M:%S", "%d.%m.%Y %I:%M:%S"])
+def test_a_clock_of_twelve_hours_goes_on_at_one_and_that_is_said(tmp_path, pattern):
+    one = TRUTH[TRUTH.trial == 0]
+    stamps = pd.Timestamp("2026-03-01 12:59:55") + pd.to_timedelta(one.time_s, "s")
+    texts = [f"{v:{pattern}}.{v.microsecond // 1000:03d}" for v in stamps]
+    one.drop(columns="time_s").assign(clock=texts).to_csv(tmp_path / "lab.csv", index=False)
+    found = understood(tmp_path / "lab.csv")
+    np.testing.assert_allclose(found.recording.column("time_s"), one.time_s, atol=1e-6)
+    assert [n for n in found.notes if "from 12 to 1 o'clock in line 52, without AM or PM" in n]
+
+
+def test_days_are_asked_for_and_read_and_a_clock_in_them_is_refused(tmp_path):
+    one = TRUTH[TRUTH.trial == 0]
+    days = one.drop(columns="time_s").assign(clock=46084.5 + one.time_s / 86400)
+    days.to_csv(tmp_path / "lab.csv", index=False)
+    with pytest.raises(InputError, match=r"in steps of 1.16e-06\) has no unit.*'clock: time_s \[s\|days\]'"):
+        understood(tmp_path / "lab.csv")
+    found = understood(tmp_path / "lab.csv", columns={"clock": "time_s [days]"})
+    np.testing.assert_allclose(found.recording.column("time_s"), one.time_s, atol=1e-5)
+    (fault,) = understood(tmp_path / "lab.csv", columns={"clock": "time_s [s]"}).faults
+    assert "can only be another unit than seconds; multiply it by 86400 if the clock counts days" in fault
+
+
+def test_whole_seconds_of_even_rows_are_answered_by_their_rate(tmp_path):
+    one = TRUTH[TRUTH.trial == 0]
+    one.assign(time_s=np.floor(one.time_s)).to_csv(tmp_path / "lab.csv", index=False)
+    (fault,) = understood(tmp_path / "lab.csv").faults
+    assert "(108 such rows)" in fault and "--columns='time_s: -' --rate_hz=10` counts" in fault
+    found = understood(tmp_path / "lab.csv", columns={"time_s": "-"}, rate_hz=10.0)
+    np.testing.assert_allclose(found.recording.column("time_s"), one.time_s, atol=1e-9)
+
+
 @pytest.mark.parametrize("clock", ["seconds", *CLOCKS])
 def test_a_run_begins_after_a_long_pause_of_any_clock(tmp_path, clock):
     one = TRUTH[TRUTH.trial == 0]
@@ -289,6 +321,85 @@ def test_what_is_open_is_asked_in_one_sentence(tmp_path, change, says):
     with pytest.raises(InputError, match=says) as e:
         understood(tmp_path / "lab.csv")
     assert "\n" not in str(e.value) and "lab.csv" in str(e.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (renamed("presure_kpa", P), r"'presure_kpa: pressure_cmd_kpa \[kpa\]'"),
+        (renamed("pressure_comand_psi", P), r"'pressure_comand_psi: pressure_cmd_kpa \[psi\]'"),
+        (renamed("pression (kPa)", P), r"'pression \(kPa\): pressure_cmd_kpa \[kPa\]'"),
+        (renamed("pressure_cmd_volt", P), r"'pressure_cmd_volt: pressure_cmd_kpa \* KPA_PER_UNIT \+ KPA_AT"),
+        (
+            lambda t: t.rename(columns={P: "p_ist [kPa]"}),
+            r"the measured one stands.*'p_ist \[kPa\]: pressure_cmd",
+        ),
+        (renamed("tiem_s", "time_s"), r"'tiem_s: time_s \[s\]'"),
+        (renamed("temps (s)", "time_s"), r"'temps \(s\): time_s \[s\]'"),
+        (
+            lambda t: t.drop(columns="tip_y_mm").rename(
+                columns={"tip_x_mm": "positon_x", "tip_z_mm": "positon_z"}
+            ),
+            r"'positon_x: tip_x_mm \[mm\|cm\|m\|in\], positon_z: tip_z_mm \[mm\|cm\|m\|in\]'",
+        ),
+        (
+            lambda t: t.drop(columns="tip_y_mm").assign(tip_x_mm=np.nan, tip_z_mm=np.nan),
+            "Nothing is in 'tip_x_mm', 'tip_z_mm'",
+        ),
+    ],
+)
+def test_a_misspelt_column_is_named_where_it_is_missing(tmp_path, change, says):
+    change(TRUTH.drop(columns=["bend_angle_rad", "pressure_kpa"])).to_csv(tmp_path / "lab.csv", index=False)
+    with pytest.raises(InputError, match=says):
+        understood(tmp_path / "lab.csv")
+
+
+@pytest.mark.parametrize("answer", ["presure_cmd_kpa", "pressure_cmd", "presure_cmd_kpa [bar]"])
+def test_an_answer_that_is_no_column_of_a_recording_is_refused(tmp_path, answer):
+    TRUTH.rename(columns={P: "u"}).to_csv(tmp_path / "lab.csv", index=False)
+    with pytest.raises(
+        InputError, match="of 'u' is no column of a recording; did you mean 'pressure_cmd_kpa'"
+    ):
+        understood(tmp_path / "lab.csv", columns={"u": answer})
+
+
+def test_named_arrays_of_numpy_are_a_table_and_objects_are_not(tmp_path):
+    one = TRUTH[TRUTH.trial == 0]
+    nanoseconds = 1_700_000_000_000_000_000 + np.round(1e9 * one.time_s).astype("int64")
+    arrays = {"stamp_ns": nanoseconds, P: one[P], "label": np.repeat("stairs", len(one)), "rate": 10.0}
+    arrays |= {"tip": one[["tip_x_mm", "tip_z_mm"]], "film": np.zeros((len(one), 4, 4))}
+    np.savez(tmp_path / "lab.npz", **arrays)
+    (file,) = plain.table_files(tmp_path / "lab.npz")
+    found = understood(file, columns={"tip_1": "tip_x_mm", "tip_2": "tip_z_mm"})
+    for column in ("time_s", P, "tip_x_mm", "tip_z_mm"):
+        np.testing.assert_allclose(found.recording.column(column), one[column], atol=1e-9)
+    assert set(found.recording.samples["program"]) == {"stairs"}
+    np.savez(tmp_path / "objects.npz", time=np.array([{}, 1], object))
+    (tmp_path / "cut.npz").write_bytes((tmp_path / "lab.npz").read_bytes()[:900])
+    for name in ("objects", "cut"):
+        with pytest.raises(InputError, match=r"is no .npz of arrays \(.*\); save it by `numpy.savez`"):
+            understood(tmp_path / f"{name}.npz")
+
+
+def test_a_misspelt_column_that_may_be_left_out_is_noted_and_its_remedy_works(tmp_path):
+    table = TRUTH.rename(columns={"pressure_kpa": "pressure_measurd_kpa", "payload_g": "payloda_g"})
+    table.assign(step=1.0, setup=2.0, flow=3.0).to_csv(tmp_path / "lab.csv", index=False)
+    notes = [n for n in understood(tmp_path / "lab.csv").notes if "is stored as it is; if it is" in n]
+    assert len(notes) == 2 and "--columns='pressure_measurd_kpa: pressure_kpa'`" in notes[0]
+    answers = {"pressure_measurd_kpa": "pressure_kpa", "payloda_g": "payload_g"}
+    found = understood(tmp_path / "lab.csv", columns=answers)
+    same(found.recording, ["pressure_kpa", "payload_g"])
+    assert not [n for n in found.notes if "is stored as it is" in n]
+
+
+@pytest.mark.parametrize(("factor", "plus", "proposed"), [(1 / 25.4, 0.0, 3), (1.0, 330.0, 403)])
+def test_a_length_that_no_finger_has_is_noted(tmp_path, factor, plus, proposed):
+    table = TRUTH.drop(columns=["tip_y_mm", "bend_angle_rad"])
+    table = table.assign(tip_x_mm=table.tip_x_mm * factor + plus, tip_z_mm=table.tip_z_mm * factor)
+    table.to_csv(tmp_path / "lab.csv", index=False)
+    (note,) = understood(tmp_path / "lab.csv").notes
+    assert f"at rest the tip is {proposed} mm from the origin" in note and "--base=X,Y,Z`" in note
+    assert understood(tmp_path / "lab.csv", length_mm=float(proposed)).notes == []
 
 
 def test_answers_are_taken_and_repeated_by_the_mapping(tmp_path):
@@ -535,6 +646,8 @@ def test_how_a_curvature_becomes_a_bend_is_said(tmp_path):
         ),
         ("t;p\n0;1\n1;2\n2;3\nt;p\n0;1\n1;2\n", "line 5 repeats the header"),
         ("t;p\n0;1,5\n1;2.5\n", "has decimal points and decimal commas"),
+        ("run,t,p\n0,0,5,1,5\n0,0,6,1,5\n0,0,7,1,5\n", "decimal commas between commas"),
+        ("<!DOCTYPE html>\n<table>", "is a web page or XML and no text"),
         ("", "holds no table"),
         ("t,,p\n0,1,2\n1,2,3\n", "column 2 has no name in the header but is filled in line 2"),
     ],

@@ -1,5 +1,6 @@
 """What the columns of a lab's table are: by their names, in English and German, their units and numbers."""
 
+import difflib
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -43,11 +44,17 @@ OWN = re.compile(
     r"trial|time_s|time_sent_s|pressure_(cmd_)?(\d+_)?kpa|tip_[xyz]_mm|bend_angle_rad|q_\d+_rad|temperature_c"
     rf"|curvature_[xy]_1_per_m|gravity_[xyz]|payload_g|force_[xyz]_n|base_[xyz]_mm|{LABELS}"
 )
+# Columns of a recording, by which a misspelt one is known.
+TARGETS = (
+    "time_s time_sent_s trial program pressure_cmd_kpa pressure_kpa tip_x_mm tip_y_mm tip_z_mm bend_angle_rad"
+    " temperature_c payload_g gravity_x gravity_y gravity_z force_x_n force_y_n force_z_n"
+).split()
 UNIT_BEHIND = r"(.+?)\s*/\s*(\S+)", r"(.+?)\s+in\s+(\S+)", r"(.+)[\s_.:,;-]+([^\s_]+)", r"(.+?)_(1_per_m)"
 LEAVE_OUT = "-"  # instead of a column's name
 AMBIENT_KPA = 101.325
 POSES = "length", "angle"  # dimensions of what one tracker writes, in one unit
 NO_CM = 30.0  # from there on a tip is not in cm: soft fingers are 40 to 250 mm long
+FIRST_DAY = 2e4  # 1954 in the days that spreadsheets count since 1900; MATLAB counts 7e5
 NEAR_AMBIENT_KPA = 85.0, 110.0  # of the air, from 1,500 m above the sea
 PARTS = re.compile(
     r"(?P<column>[^\[*]*?)\s*(\[(?P<unit>[^\]]*)\])?\s*(\*\s*(?P<factor>[-+\d.eE]+))?\s*"
@@ -56,7 +63,7 @@ PARTS = re.compile(
 EXAMPLES = {
     "pressure": "kPa, bar, mbar, hPa, psi, Pa or MPa, each with abs where it counts from a vacuum",
     "length": "mm, cm, m or in",
-    "time": "s, ms, us, ns, min or h",
+    "time": "s, ms, us, ns, min, h or days",
     "angle": "rad or deg",
     "mass": "g or kg",
     "temperature": "C, K or F",
@@ -115,6 +122,13 @@ class Column:
                 " FACTOR + SHIFT, such as 'pressure_cmd_kpa [bar]'."
             ) from e
         column, unit = found["column"], None
+        near = [t for t in TARGETS if t.startswith(f"{column}_")]
+        near += difflib.get_close_matches(column, TARGETS, n=1, cutoff=0.85)
+        if near and not OWN.fullmatch(column):
+            raise InputError(
+                f"columns: {shown(column)} of {shown(name)} is no column of a recording; did you mean"
+                f" {near[0]!r}?"
+            )
         dimension = dimension_of(column)
         if found["unit"]:
             unit = unit_named(found["unit"], dimension)
@@ -269,6 +283,58 @@ def _segments(token: str) -> list[str] | None:
     return None
 
 
+def respelt(name: str) -> str:
+    """The name with words of four letters and more that are nearly known ones, as those are spelt."""
+
+    def known(found: re.Match) -> str:
+        word = found[0].lower()
+        if _segments(word):
+            return found[0]
+        near = [w for w in KIND if len(w) > 3 and sorted(w) == sorted(word)]
+        return [*near, *difflib.get_close_matches(word, KIND, n=1, cutoff=0.8), found[0]][0]
+
+    return re.sub(r"[^\W\d_]{4,}", known, name)
+
+
+def meant(column: Column) -> str:
+    """The recording's column that a column which is retained as it is seems to be, misspelt; else empty."""
+    name = respelt(column.name)
+    if not column.retained or name == column.name:
+        return ""
+    if OWN.fullmatch(name):
+        return name
+    named = read_name(name)
+    target, dimension = KINDS.get(named.kind, ("", ""))
+    target = target or "pressure_kpa" * (named.kind == "pressure")
+    if named.unit and unit_named(named.unit, dimension) is None or ("{i}" in target and not named.index):
+        return ""
+    return target.format(i=named.index, chamber=f"{named.index}_" if named.index else "")
+
+
+def seeming(columns: Sequence[Column], dimension: str, units: str) -> list[str]:
+    """`NAME: COLUMN [UNIT]` of columns that are retained as they are and may be what is missing.
+
+    These are misspelt, or have a unit of the `dimension`, or are a signal for a pressure; `units` are those
+    to choose from where a name has none. Of pressures that are no commands, and of clocks, there is one.
+    """
+    one, found = {"pressure": "pressure_cmd_kpa", "time": "time_s"}.get(dimension, ""), {}
+    for c in (c for c in columns if c.retained):
+        unit, target = read_name(c.name).unit, meant(c)
+        right = bool(unit) and unit_named(unit, dimension) is not None
+        signal = (_kind(*parts)[0] for parts in _with_unit(c.name)) if dimension == "pressure" else ()
+        if dimension_of(target) == dimension:
+            found[c.name] = target, f"[{unit if right else units}]"
+        elif one and right:
+            found[c.name] = one, f"[{unit}]"
+        elif any(kind in ("command", "pressure") for kind in signal):
+            found[c.name] = one, "* KPA_PER_UNIT + KPA_AT_ZERO"
+    chosen = {n: t for n, t in found.items() if not one or t[0] == one or pressure_commands(t[:1])}
+    chosen = chosen or {n: (one, how) for n, (_, how) in found.items()}
+    if one and len({target for target, _ in chosen.values()}) < len(chosen):
+        chosen = dict([*chosen.items()][:1])
+    return [f"{name}: {target} {how}" for name, (target, how) in chosen.items()]
+
+
 # ---------------------------------------------------------------- what they are
 
 
@@ -280,10 +346,12 @@ def understand(
     length_mm: float | None = None,
     log: bool = False,
     convert: str = "pneutac convert TABLE",
+    empty: Sequence[str] = (),
 ) -> list[Column]:
     """What each column of a table is; what is `given`, name to text of `Column.parsed`, wins.
 
     `units` are those of a line of units; with `log` the table need not hold the pose, which markers give.
+    `empty` are columns that were left out because they hold no number.
     Raises InputError with all that is open, and the option of the command `convert` that answers it.
     """
     given = {n: t for n, t in given.items() if n in frame or t not in (n, LEAVE_OUT)}
@@ -299,6 +367,7 @@ def understand(
     if table.questions:
         what, answers = (dict.fromkeys(part) for part in zip(*table.questions, strict=True))
         has = f" It has {listed(map(shown, frame))}." if any("NAME" in a for a in answers) else ""
+        has += f" Nothing is in {listed(map(shown, empty))}." if has and empty else ""
         asked = f"{'; '.join(what)}.".replace("?.", "?")
         raise InputError(
             f"{file}: {asked}{has} Give it as `{convert} --columns={quote(', '.join(answers))}`."
@@ -450,6 +519,8 @@ class _Table:
                 return unit  # since 1970
         steps = np.diff(numbers)
         step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+        if step < 1e-4 and numbers.min() > FIRST_DAY:
+            return f"from {numbers.min():.9g} in steps of {step:.3g}", "s", "days"
         return "s" if step < 1 else (f"in steps of {step:.3g}", "s", "ms")
 
     def _same_quantity(self, dimension: str) -> list[Column]:
@@ -489,13 +560,19 @@ class _Table:
             gauges = [shown(c.name) for c in self.columns if re.fullmatch(r"pressure_(\d+_)?kpa", c.column)]
             measured = [f"{gauge} is a measured pressure and none is the commanded one" for gauge in gauges]
             what = [*measured, "no column is the commanded pressure"][0]
-            self.questions.append((what, "NAME: pressure_cmd_kpa [kPa]"))
+            answers = seeming(self.columns, "pressure", "kPa|bar|psi")
+            if gauges and not answers:
+                what += "; where none was logged, the measured one stands for it"
+                answers = [f"{gauges[0][1:-1]}: pressure_cmd_kpa"]
+            self.questions.append((what, ", ".join(answers) or "NAME: pressure_cmd_kpa [kPa]"))
         posed = any(re.match(r"(tip_[xz]|bend_|q_|curvature_|image)", c) for c in have)
         if not (asked or log or posed):
-            what, answer = (
-                "no column has the motion of the finger",
-                "NAME: tip_x_mm [mm], NAME: tip_z_mm [mm]",
-            )
+            what = "no column has the motion of the finger"
+            answers = [
+                *seeming(self.columns, "length", "mm|cm|m|in"),
+                *seeming(self.columns, "angle", "rad|deg"),
+            ]
+            answer = ", ".join(answers) or "NAME: tip_x_mm [mm], NAME: tip_z_mm [mm]"
             curved = [
                 c.name for c in self.columns if re.search(r"curvature|kr(ue|ü)mmung|kappa", c.name, re.I)
             ]

@@ -22,8 +22,10 @@ from pneutac_datasets.recording.sources.columns import (
     LEAVE_OUT,
     Column,
     guesses,
+    meant,
     parse_columns,
     read_name,
+    seeming,
     understand,
 )
 from pneutac_datasets.recording.sources.readers import AXES, axes_of
@@ -38,7 +40,7 @@ MAPPING = "mapping.yaml"  # there, what the columns are
 # Fields of `recording.json` that each conversion writes anew.
 REWRITTEN = ("length_mm", "length_proposed", "samples", "source", "conversion")
 TEXT = (".csv", ".txt", ".tsv", ".tab", ".dat", ".log", ".asc", ".prn")
-FILES = (*TEXT, ".mat", ".parquet")
+FILES = (*TEXT, ".mat", ".npz", ".parquet")
 SPREADSHEETS = (".xlsx", ".xls", ".xlsm", ".ods", ".numbers")
 TIPS = ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
 VECTORS = "tip_{}_mm", "force_{}_n", "gravity_{}"
@@ -49,6 +51,9 @@ ALONG = 0.7  # cosine between the resting tip and x, below which the axes must b
 FROM_TIP = 0.2  # of its motion: nearer to the origin than that no resting tip is to its base
 FROM_ZERO = 0.1  # of its usual distance: nearer to the base comes no tip
 EPOCH_S = 1e8  # a clock beyond this counts since 1970
+HALF_DAY_S = rules.DAY_S / 2
+USUAL_MM = 25.0, 350.0  # length of a finger; of another the tip's unit or origin may be wrong
+NOON_S = 60.0  # at most between the last row before one o'clock and the first after it
 PAUSE_S = 600.0  # between two rows: what happened in so long a pause is unknown, so that a new run begins
 
 
@@ -184,9 +189,11 @@ def _digest(file: Path) -> str:
 
 
 def read_table(file: Path, time: str = "") -> TextTable:
-    """A table of text, Parquet or MATLAB; raises InputError where it is none, or is motion capture."""
+    """A table of text, Parquet, MATLAB or NumPy; raises InputError where it is none, or is motion capture."""
     if file.suffix.lower() == ".mat":
         return readers.mat_table(file, time)
+    if file.suffix.lower() == ".npz":
+        return readers.npz_table(file, time)
     if file.suffix.lower() == ".parquet":
         frame = reading.read_parquet(file).rename(columns=str).reset_index(drop=True)
         return TextTable(file, frame, {}, np.arange(len(frame)) + 1, "Parquet")
@@ -224,8 +231,9 @@ class Understood:
         frame = self._one_frame()
         units = {k: v for t in self._read for k, v in t.units.items()}
         self.columns = understand(
-            frame, units, given.columns, self._source, given.length_mm, log, self._convert
+            frame, units, given.columns, self._source, given.length_mm, log, self._convert, self._empty
         )
+        self._note_misspelt()
         self.guessed = guesses(self.columns)
         self._clock = next((c for c in self.columns if c.column == "time_s"), None)
         self._began, self._absolute = np.zeros(len(files)), False  # when files begin, by one clock or not
@@ -236,6 +244,12 @@ class Understood:
         rest = _at_rest(table)
         reach = float(np.linalg.norm(rest)) if rest is not None else 0.0
         self.length_mm = given.length_mm or (float(round(reach)) if 2 <= reach <= 1000 else None)
+        if given.length_mm is None and self.length_mm and not USUAL_MM[0] <= self.length_mm <= USUAL_MM[1]:
+            self.notes.append(
+                f"{self._source}: at rest the tip is {self.length_mm:g} mm from the origin, where a"
+                " finger is 40 to 250 mm long; check its unit, give the base's place if it is elsewhere"
+                f" (`{self._convert} --base=X,Y,Z`), or the measured length (--length_mm)."
+            )
         meta = {"length_mm": self.length_mm, "date": given.date or self._date(frame)}
         meta = {k: v for k, v in meta.items() if v not in (None, "")}
         if given.length_mm is None and self.length_mm:
@@ -269,12 +283,24 @@ class Understood:
             raise InputError(f"{self.files[0]} has a header but no rows; record at least one trial.")
         self._of_file = np.repeat(np.arange(len(self._read)), [len(t.frame) for t in self._read])
         self._line = np.concatenate([t.lines for t in self._read])
-        if empty := [c for c in frame if frame[c].isna().all()]:
+        self._empty = empty = [c for c in frame if frame[c].isna().all()]
+        if empty:
             are = "is" if len(empty) == 1 else "are"
             self.notes.append(
                 f"{self._source}: {listed(map(shown, empty))} {are} empty or not a number, left out."
             )
         return frame.drop(columns=empty)
+
+    def _note_misspelt(self) -> None:
+        """Notes each column that is stored as it is though its name is nearly that of a recording's."""
+        have = {c.column for c in self.columns}
+        for c in self.columns:
+            if (target := meant(c)) and target not in have and c.name not in self.given.columns:
+                answer = quote(f"{c.name}: {target}")
+                self.notes.append(
+                    f"{self._source}: {shown(c.name)} is stored as it is; if it is {target}, `{self._convert}"
+                    f" --columns={answer}` takes it as that."
+                )
 
     def _converted(self, frame: pd.DataFrame) -> pd.DataFrame:
         """The table by the recording's names and units, with trials and a clock in seconds."""
@@ -294,9 +320,10 @@ class Understood:
             within = np.arange(len(frame)) - np.searchsorted(self._of_file, self._of_file)
             found["time_s"] = pd.Series(within / self.given.rate_hz)
         else:
+            named = quote((seeming(self.columns, "time", "s|ms") or ["NAME: time_s"])[0])
             raise InputError(
                 f"{file}: no column is a time; it has {listed(map(shown, frame))}. Name it by"
-                f" `{self._convert} --columns='NAME: time_s'`, or give the rows a second, `{self._convert}"
+                f" `{self._convert} --columns={named}`, or give the rows a second, `{self._convert}"
                 " --rate_hz=20`."
             )
         time_s, trial = found.pop("time_s"), found.pop("trial", None)
@@ -337,8 +364,8 @@ class Understood:
         day = texts.str.extract(r"^(?:(\d+):)?(\d{1,2}):(\d{1,2}(?:\.\d+)?)$").astype(float)
         if texts.notna().any() and day[1][texts.notna()].notna().all():
             stamps = day[0].fillna(0.0) * 3600 + day[1] * 60 + day[2]
-            midnights = (stamps.diff() < -rules.DAY_S / 2).groupby(self._of_file).cumsum()
-            return stamps + rules.DAY_S * midnights
+            midnights = (stamps.diff() < -HALF_DAY_S).groupby(self._of_file).cumsum()
+            return self._past_noon(stamps + rules.DAY_S * midnights, source)
         german = bool(texts.str.contains(r"^\d{1,2}\.\d{1,2}\.\d{4}", regex=True).fillna(False).mean() > 0.5)
         parsed = pd.Series(pd.NaT, index=texts.index)
         with np.errstate(all="ignore"), contextlib.suppress(ValueError, OverflowError, TypeError):
@@ -355,7 +382,19 @@ class Understood:
                 f" is {value}, which is no time ({plural(int(bad.sum()), 'such row')}); write seconds, or"
                 " times as 2026-03-01T12:00:00.05."
             )
-        return (parsed - parsed.min()).dt.total_seconds()
+        return self._past_noon((parsed - parsed.min()).dt.total_seconds(), source)
+
+    def _past_noon(self, stamps: pd.Series, source: str) -> pd.Series:
+        """Seconds of a clock of 12 hours without AM and PM, in which 12:59:59 comes before 1:00:00."""
+        since = stamps.groupby(self._of_file).diff() + HALF_DAY_S
+        noons = (since > 0) & (since < NOON_S)
+        if noons.any():
+            line = self._line[int(noons.to_numpy().argmax())]
+            self.notes.append(
+                f"{self._source}: {source} goes from 12 to 1 o'clock in line {line}, without AM or PM:"
+                " 12 hours are added from there on."
+            )
+        return stamps + HALF_DAY_S * noons.groupby(self._of_file).cumsum()
 
     def _numbered(self, given: pd.Series) -> np.ndarray:
         """Number of the trial (n,) of each row, by the tables' own numbers or names of runs."""
@@ -523,6 +562,12 @@ class Understood:
 
         def renamed(sentence: str) -> str:
             sentence = re.sub(r"'([^']+)'", lambda m: shown(names.get(m[1], m[1])), sentence)
+            if rules.COARSE in sentence and self._clock is not None:
+                stamps = samples["time_s"].drop_duplicates().sort_values()
+                rate = len(samples) / len(stamps) / float(stamps.diff().median())
+                without = quote(f"{self._clock.name}: {LEAVE_OUT}")
+                even = f"`{self._convert} --columns={without} --rate_hz={rate:.3g}` counts evenly spaced rows"
+                return sentence.replace(rules.COARSE, f"write the times with more digits; {even}")
             value = re.search(r"column '([^']+)', row .* is (\S+), which can only be (.*)", sentence)
             column = next((c for c in self.columns if value and c.name == value[1]), None)
             if value is None or column is None or column.unit is None or column.unit.factor == 1:

@@ -1,8 +1,10 @@
-"""Motion capture (OptiTrack, Vicon), ROS 2 bags and `.mat` files: markers and logs, each on its clock."""
+"""Motion capture (OptiTrack, Vicon), ROS 2 bags, `.mat` and `.npz`: markers and logs, each on its clock."""
 
 import csv
 import dataclasses
 import difflib
+import zipfile
+import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -457,6 +459,33 @@ def mat_table(file: Path, time: str = "") -> TextTable:
     for name, value in content.items():
         if not name.startswith("__"):
             _flatten_mat(name, value, flat)
+    return _arrays_table(file, flat, time, "MATLAB")
+
+
+def npz_table(file: Path, time: str = "") -> TextTable:
+    """Every vector of an `.npz` that is as long as its times, texts too; matrices as in `mat_table`."""
+    refuse_pointer(file)
+    flat: dict[str, np.ndarray] = {}
+    try:
+        with zipfile.ZipFile(file) as packed:
+            size = sum(entry.file_size for entry in packed.infolist())
+        if size > 8 * MAX_CELLS:
+            raise InputError(f"{file} holds {size / 2**30:.1f} GB; keep every n-th row.")
+        with np.load(file, allow_pickle=False) as content:
+            for name in content.files:
+                value = np.squeeze(content[name])
+                if value.dtype.kind in "fiubcU" and value.ndim in (1, 2):
+                    flat[name] = value
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as e:
+        reason = cut(" ".join(str(e).split()) or type(e).__name__)
+        raise InputError(
+            f"{file} is no .npz of arrays ({reason}); save it by `numpy.savez`, without objects."
+        ) from e
+    return _arrays_table(file, flat, time, "NumPy")
+
+
+def _arrays_table(file: Path, flat: dict[str, np.ndarray], time: str, style: str) -> TextTable:
+    """The table of named arrays of one and two dimensions; see `mat_table`."""
     vectors = [n for n, v in flat.items() if v.ndim == 1 and len(v) > 1]
     if not time:
         clocks = [n for n in vectors if n == TIME] or [
@@ -480,22 +509,23 @@ def mat_table(file: Path, time: str = "") -> TextTable:
             f" `pneutac convert`{column}."
         )
     count = len(clock)
-    columns, notes = {time: clock.astype(float)}, []
+    # nanoseconds since 1970 have more digits than a float
+    columns, notes = {time: clock if clock.dtype.kind in "iu" else clock.astype(float)}, []
     for name, value in flat.items():
         if value.size > MAX_CELLS:
             raise InputError(f"{file}: '{name}' has {value.size} entries; keep every n-th.")
         if value.ndim == 2 and value.shape[0] != count == value.shape[1]:
             value = value.T
-        if value.shape[:1] != (count,) or value.dtype.kind not in "fiub":
+        if value.shape[:1] != (count,) or value.dtype.kind not in "fiubU":
             if value.size > 1:
                 what = "complex" if value.dtype.kind == "c" else "x".join(map(str, value.shape))
                 notes.append(f"{file}: {shown(name)} ({what}) is left out; '{time}' has {count} entries.")
             continue
         if value.ndim == 1:
-            columns[name] = value.astype(float)
-        elif value.ndim == 2:
+            columns[name] = value.astype(object if value.dtype.kind == "U" else float)
+        elif value.ndim == 2 and value.dtype.kind != "U":
             columns |= {f"{name}_{i + 1}": column.astype(float) for i, column in enumerate(value.T)}
-    return TextTable(file, pd.DataFrame(columns), {}, np.arange(count) + 1, "MATLAB", notes)
+    return TextTable(file, pd.DataFrame(columns), {}, np.arange(count) + 1, style, notes)
 
 
 def _flatten_mat(name: str, value, into: dict[str, np.ndarray]) -> None:
