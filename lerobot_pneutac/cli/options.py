@@ -18,6 +18,7 @@ import textwrap
 import types
 import typing
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -473,7 +474,9 @@ def _completed(options: dict[str, Option], argv: list[str], aliases: dict[str, s
 def _of_yaml(option: Option, text: str) -> str:
     """A value as draccus reads it; raises InputError where it is not of the option's kind."""
     if option.kind in (str, Path) and text != "null":
-        plain = re.fullmatch(r"[\w./~+-]*", text) and yaml.safe_load(text) == text
+        plain = False
+        with suppress(ValueError):  # of a date that cannot be, such as 2026-13-40
+            plain = re.fullmatch(r"[\w./~+-]*", text) and yaml.safe_load(text) == text
         # else brackets, stars, colons and numbers would be YAML; a plain one may be a choice of argparse
         return text if plain else json.dumps(text, ensure_ascii=False)
     value, (always, sometimes) = text, _lists(option.kind)

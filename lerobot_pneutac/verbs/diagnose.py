@@ -254,7 +254,9 @@ def read_found(
     folder = Path(folder)
     file = folder / "result.json"
     if not file.is_file():
-        make = f"make one with `pneutac diagnose {option('out', folder)}`"
+        given = {"twin": twin.folder or "DIR", "recording": recording.folder, "out": folder}
+        command = " ".join(option(name, value) for name, value in given.items())
+        make = f"make one with `pneutac diagnose {command}`"
         raise InputError(f"There is no diagnosis at '{folder}'; {make}.")
     result = read_json(file)
     kinds = {"verdict": str, "selected": list[str], "seed": int}

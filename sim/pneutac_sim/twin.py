@@ -101,6 +101,20 @@ def lost_twin(folder: Path) -> str:
     return ""
 
 
+def _no_format(file: Path, content: object) -> str:
+    """The sentence for the content of a twin.yaml that is no twin's."""
+    if isinstance(content, dict) and content:
+        return f"{file}: field 'format' must be '{FORMAT}'."
+    folder = file.parent
+    if stored := sorted(folder.glob("history/*/twin.yaml")):
+        remedy = f"copy the last one that is stored, {stored[-1]}, to it"
+    elif folder.parent.name == "history":
+        remedy = "restore it from the twin's source"
+    else:
+        remedy = f"delete '{folder}' and make the twin again with `pneutac new {option('twin', folder)}`"
+    return f"{file} {'is empty' if not content else 'holds no fields'}; {remedy}."
+
+
 @dataclass
 class Twin:
     """Our model of one device."""
@@ -277,7 +291,7 @@ class Twin:
             raise InputError(no_twin(Path(path)))
         d = read_yaml(file)
         if not isinstance(d, dict) or d.get("format") != FORMAT:
-            raise InputError(f"{file}: field 'format' must be '{FORMAT}'.")
+            raise InputError(_no_format(file, d))
         fields, faults = _fields(d)
         if faults:
             raise InputError(f"{file}: {faults[0]}")
@@ -318,9 +332,10 @@ class Twin:
             d = read_yaml(file)
         except InputError as e:
             return [str(e)]
-        d = d if isinstance(d, dict) else {}
+        if not d or not isinstance(d, dict):
+            return [_no_format(file, d)]
         found = [] if d.get("format") == FORMAT else [f"field 'format' must be '{FORMAT}'."]
-        found += _fields(d)[1] if d else []
+        found += _fields(d)[1]
         if found:
             return [f"{file}: {fault}" for fault in found]
         earlier = (e["version"] for e in d["history"][:-1])

@@ -119,6 +119,21 @@ def test_a_malformed_twin_names_file_and_field(old, new, said, tmp_path):
     assert any(re.search(f"twin.yaml: {said}", fault) for fault in Twin.faults(tmp_path))
 
 
+@pytest.mark.parametrize("content", ["", "# nothing", "[]", "- 1"])
+def test_an_empty_twin_is_answered_by_what_to_do(tmp_path, content):
+    Twin.builtin().save(tmp_path / "t")
+    file = tmp_path / "t" / "twin.yaml"
+    file.write_text(content)
+    (fault,) = Twin.faults(tmp_path / "t")
+    with pytest.raises(InputError) as e:
+        Twin.load(tmp_path / "t")
+    assert fault == str(e.value) and ("is empty; " if content != "- 1" else "holds no fields; ") in fault
+    assert f"`pneutac new --twin={tmp_path / 't'}`" in fault
+    (tmp_path / "t" / "history" / "001").mkdir(parents=True)
+    (tmp_path / "t" / "history" / "001" / "twin.yaml").write_text("")
+    assert "copy the last one that is stored" in Twin.faults(tmp_path / "t")[0]
+
+
 def test_a_fault_of_a_file_that_versions_share_is_reported_once(tmp_path):
     twin = Twin.builtin()
     twin.arrays["rest_image"] = np.zeros((4, 3, 3), np.uint8)

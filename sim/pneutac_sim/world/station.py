@@ -159,8 +159,11 @@ def station_faults(file: str | Path) -> list[str]:
     """One sentence for each fault of a `station.yaml`; raises InputError where it cannot be read at all."""
     file = Path(file)
     content = read_yaml(file)
-    if not isinstance(content, dict):
-        return [f"{file}: field 'format' must be '{FORMAT}'."]
+    if file.name == "twin.yaml":
+        return [f"{file} is a twin's; give its folder, {file.parent}."]
+    if not content or not isinstance(content, dict):
+        what = "is empty" if not content else "holds no fields"
+        return [f"{file} {what}; its first line is `format: {FORMAT}`."]
     found, good = [], {}
     if content.pop("format", None) != FORMAT:
         found.append(f"{file}: field 'format' must be '{FORMAT}'.")

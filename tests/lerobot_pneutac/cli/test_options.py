@@ -74,6 +74,11 @@ class Options:
     overwrite: bool = False
 
 
+@pytest.mark.parametrize("text", ["2026-13-40", "2026-02-30", "2026-03-01"])
+def test_a_date_is_a_text_even_where_there_is_no_such_day(text):
+    assert parse_options(Options, [f"--program={text}"], "x").program == text
+
+
 @pytest.mark.parametrize(
     "argv", [["--tasks=b,c", "--seeds=3", "--size=4,5"], ["--tasks=[b, c]", "--seeds=[3]", "--size=[4, 5]"]]
 )

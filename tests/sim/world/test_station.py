@@ -12,7 +12,7 @@ from pneutac_sim.splat.body import blank_looks, looks_into_twin
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.splats import SplatFinger, camera_of
-from pneutac_sim.world.station import Station
+from pneutac_sim.world.station import Station, station_faults
 from pneutac_sim.world.view import Renderer, require_gl
 from pneutac_sim.world.world import World
 
@@ -21,6 +21,16 @@ def written(folder, text="", form="pneutac-station/1"):
     file = folder / "station.yaml"
     file.write_text(f"format: {form}\n{text}\n")
     return file
+
+
+def test_an_empty_station_and_a_twins_file_are_named(tmp_path):
+    for name, says in (
+        ("station.yaml", "is empty; its first line is `format"),
+        ("twin.yaml", "is a twin's; give"),
+    ):
+        (tmp_path / name).write_text("")
+        (fault,) = station_faults(tmp_path / name)
+        assert says in fault
 
 
 def test_what_is_left_out_is_the_papers(tmp_path):
