@@ -2,6 +2,8 @@
 
 import json
 import re
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from generated import once
@@ -9,7 +11,7 @@ from verbs import refused, verb
 
 from lerobot_pneutac import add, compare
 from lerobot_pneutac.verbs.add import Addition
-from lerobot_pneutac.verbs.diagnose import BEFORE, FOUND
+from lerobot_pneutac.verbs.diagnose import BEFORE, FOUND, read_found
 from lerobot_pneutac.verbs.new import new_twin
 from pneutac_datasets.generate.finger import generate
 from pneutac_datasets.generate.gel import write_gel_recording
@@ -189,3 +191,11 @@ def test_known_causes_are_said_to_lower_only_what_they_lower(baseline, says):
     found = Addition(effect="creep, payload", accepted=True, reason="", diagnosed=True, **given)
     assert not found.rows() and not found.findings_shown  # the diagnosis has shown both
     assert "with known causes (the weight at the tip)" in found.page().fragment()
+
+
+def test_where_there_is_no_diagnosis_the_command_that_makes_one_is_whole(tmp_path):
+    twin, recording = SimpleNamespace(folder=Path("my twin")), SimpleNamespace(folder=Path("bench"))
+    with pytest.raises(
+        InputError, match=r"`pneutac diagnose --twin='my twin' --recording=bench --out=.*/d`\."
+    ):
+        read_found(tmp_path / "d", twin, recording)
