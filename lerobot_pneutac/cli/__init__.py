@@ -56,6 +56,8 @@ MODULES = {
 }
 # What only the distribution `lerobot_robot_pneutac` installs, and the commands that do nothing without it;
 # none of the packages is on PyPI yet.
+# What others call a verb.
+SYNONYMS = {"fit": "calibrate", "record": "measure", "import": "convert", "validate": "check"}
 PLUGIN = "lerobot_robot_pneutac"
 INSTALL = "in a clone: pip install . ./packages/lerobot_camera_digit ./robots"
 PACKAGES = "av datasets datatrove lerobot pyarrow quadrants rerun serial taichi torch"
@@ -131,7 +133,7 @@ def _dispatch(argv: list[str]) -> None:
         print(f"pneutac {importlib.metadata.version('pneutac')}")
         return
     if verb not in VERBS:
-        near = difflib.get_close_matches(verb, VERBS, n=1)
+        near = [*SYNONYMS.get(verb, "").split(), *difflib.get_close_matches(verb, VERBS, n=1)]
         hint = f"did you mean '{near[0]}'?" if near else f"the commands are {', '.join(VERBS)}."
         sys.exit(f"pneutac: There is no command '{verb}'; {hint}")
     if verb in missing:

@@ -4,6 +4,7 @@ import re
 import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from datetime import date
 from pathlib import Path
 from typing import ClassVar
 
@@ -84,6 +85,11 @@ class ConvertConfig:
         out = None if self.out is None else Path(self.out)
         if out is not None and out.exists() and not (plain.is_unfinished(out) or plain.is_ours(out)):
             raise InputError(f"out is '{out}', which exists; give a new folder.")
+        if self.date:
+            try:
+                date.fromisoformat(self.date)
+            except ValueError:
+                raise InputError(f"date is '{self.date}', no day; write it as 2026-03-01.") from None
         if self.length_mm is not None:
             check_length(self.length_mm)
         if self.rate_hz is not None and not 0 < self.rate_hz < 1e6:

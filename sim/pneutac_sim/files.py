@@ -409,6 +409,7 @@ def write_json(file: Path, content) -> None:
 FORMATS = ("PNG", "JPEG", "BMP", "TIFF")
 MOST_BYTES = 80 * 2**20
 MOST_PIXELS = 25_000_000  # 6000 x 4000: decoding takes under 400 MB and half a second
+ORIENTATION = 0x0112  # field of EXIF; 1 is upright
 MOST_SCANS = 60  # of a JPEG; a progressive one has about 10, and each costs a pass over all pixels
 # What PIL's decoders of these formats raise on damaged files.
 DAMAGED = (OSError, SyntaxError, ValueError, TypeError, KeyError, IndexError, EOFError, OverflowError)
@@ -433,6 +434,7 @@ def read_image(source: str | Path | bytes, name: str = "", plain: bool = False) 
             warnings.simplefilter("ignore")  # about damaged fields that nothing here reads
             with Image.open(io.BytesIO(data), formats=FORMATS) as image:
                 _check_image(image, name, plain)
+                _refuse_turned(image, name)
                 if image.format == "JPEG" and data.count(b"\xff\xda") > MOST_SCANS:
                     raise InputError(f"{name} has more than {MOST_SCANS} scans; save it again.")
                 return np.array(image.convert("RGB"))
@@ -443,6 +445,18 @@ def read_image(source: str | Path | bytes, name: str = "", plain: bool = False) 
         if "BytesIO" in reason:  # PIL names the buffer that it was given
             reason = "it is none of these"
         raise InputError(f"{name} cannot be read as an image ({', '.join(FORMATS)}): {reason}.") from e
+
+
+def _refuse_turned(image: ImageFile.ImageFile, name: str) -> None:
+    """Raises InputError where a viewer turns the picture, whose places would be others than in its pixels."""
+    turn = 1
+    with suppress(*DAMAGED):  # a damaged field turns nothing
+        turn = image.getexif().get(ORIENTATION, 1) if image.format in ("JPEG", "PNG") else 1
+    if turn in range(2, 9):
+        raise InputError(
+            f"{name} is stored turned, and viewers turn it back (EXIF orientation {turn}); save it"
+            " upright, as `mogrify -auto-orient` does."
+        )
 
 
 def _check_image(image: ImageFile.ImageFile, name: str, plain: bool) -> None:

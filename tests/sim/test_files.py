@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.files import LOCK, locked, together, whole, write_image, write_json, write_text
+from pneutac_sim.files import LOCK, locked, read_image, together, whole, write_image, write_json, write_text
 from pneutac_sim.least_squares import minimise
 
 
@@ -169,3 +170,20 @@ def test_bounds_hold_with_a_prior(linear):
     A, b = linear
     found = solve(A, b + A @ np.array([1.0, 0, 0, 0]), 0.3, prior=(np.full(4, 0.5), 0.1 * np.eye(4)))
     assert found.v[0] == 1.0 and ((found.v >= 0) & (found.v <= 1)).all()
+
+
+@pytest.mark.parametrize(
+    ("orientation", "refused"), [(None, False), (1, False), (6, True), (3, True), (99, False)]
+)
+@pytest.mark.parametrize("ending", ["jpg", "png"])
+def test_a_picture_that_viewers_turn_is_refused(tmp_path, ending, orientation, refused):
+    picture, file = Image.new("RGB", (6, 4)), tmp_path / f"ball.{ending}"
+    exif = picture.getexif()
+    if orientation is not None:
+        exif[0x0112] = orientation
+    picture.save(file, exif=exif)
+    if not refused:
+        assert read_image(file, plain=True).shape == (4, 6, 3)
+        return
+    with pytest.raises(InputError, match=rf"ball.{ending} is stored turned.*EXIF orientation {orientation}"):
+        read_image(file)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pneutac_sim.errors import InputError, check_choice, check_least
+from pneutac_sim.errors import InputError, check_between, check_choice
 from pneutac_sim.features import TASK_NAMES
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.expert import ScriptedExpert
@@ -40,7 +40,8 @@ class BenchmarkWorldsConfig:
     out: Path | None = None
 
     def __post_init__(self):
-        check_least(1, steps=self.steps, **{f"worlds[{i}]": n for i, n in enumerate(self.worlds)})
+        check_between(1, 100_000, steps=self.steps, **{f"worlds[{i}]": n for i, n in enumerate(self.worlds)})
+        check_between(-1, 1024, processes=self.processes)
         check_choice("device", self.device, ("cpu", "cuda"))
         if not self.worlds:
             raise InputError("worlds is empty; give numbers of worlds, such as 64,1024.")

@@ -25,7 +25,7 @@ def read_meta(folder: Path) -> dict:
     if not file.is_file():
         if (folder / "meta" / "info.json").is_file():
             return {"lerobot": True}
-        tables = sorted(p for p in folder.iterdir() if p.suffix.lower() in (".csv", ".tsv", ".txt", ".mat"))
+        tables = [p for ending in (".csv", ".tsv", ".mat") for p in sorted(folder.glob(f"*{ending}"))]
         if (folder / "twin.yaml").is_file():
             remedy = f"'{folder}' is a twin"
         elif tables and not (folder / "samples.csv").is_file():

@@ -205,7 +205,7 @@ def _tip_elsewhere(
             return other(tips[0], row, unit, f"multiply the tip columns by {mm:g}", value)
     if value > most:
         unit = f"another unit or frame (length_mm is {length_mm:g})"
-        remedy = "give the tip in millimetres from the base of the device"
+        remedy = "give the tip in millimetres from the base of the device, or the right length"
         return other(name, row, unit, remedy, *far)
     return []
 

@@ -193,7 +193,7 @@ def test_a_file_in_place_of_the_folder_for_results_is_refused(tmp_path):
 def test_a_number_that_would_fill_the_memory_is_refused_before_the_work():
     """A billion of what is counted or held at once; what comes one after the other may be as many."""
     tried = 0
-    for command in ("demo", *(f"benchmark {name}" for name in TABLES if name != "worlds")):  # that needs CUDA
+    for command in ("demo", *(f"benchmark {name}" for name in TABLES)):
         kind = options_class(command)
         for option in list_options(kind):
             if option.kind is int and not option.name.endswith(("seed", "steps", "updates")):
@@ -210,6 +210,7 @@ NEEDED |= dict.fromkeys(
 )
 NEEDED |= {"studio": "--twin=finger", "history": "--twin=finger", "ppo": "--out=o --student.root=s"}
 NEEDED |= dict.fromkeys(("learn", "control", "surrogate", "render"), "--twin=finger --out=o")
+NEEDED["benchmark worlds"] = "--device=cpu"  # where it has -1 processes, none
 NEEDED["add"] += " --effect=creep"
 NEEDED["augment"] = "--dataset.repo_id=local/d --dataset.root=d --output.repo_id=local/e --output.root=e"
 NEEDED["augment"] += " --method=planner"
@@ -221,7 +222,7 @@ SIGNED = r"(min|max|pressure)_kpa|base_offset_mm|offset_s|conditions|[xy]_mm|yaw
 SIGNED += "|budget_min"
 
 
-@pytest.mark.parametrize("verb", [*NEEDED, *(f"benchmark {name}" for name in TABLES if name != "worlds")])
+@pytest.mark.parametrize("verb", sorted({*NEEDED, *(f"benchmark {name}" for name in TABLES)}))
 def test_no_number_is_nonsense(verb, tmp_path, monkeypatch):
     """Two of nan, inf, -1, 0 and 1e308 in turn: what cannot be is one sentence, and writes nothing."""
     monkeypatch.chdir(tmp_path)
@@ -242,6 +243,7 @@ def test_no_number_is_nonsense(verb, tmp_path, monkeypatch):
             fine = (
                 re.fullmatch(SIGNED, name) and bad in ("-1", "0") or re.fullmatch(ZERO, name) and bad == "0"
             )
+            fine = fine or (verb, name, bad) == ("benchmark worlds", "processes", "-1")
             try:
                 parse_options(kind, [*shlex.split(NEEDED.get(verb, "")), f"--{option.name}={value}"])
             except InputError as e:
@@ -249,6 +251,13 @@ def test_no_number_is_nonsense(verb, tmp_path, monkeypatch):
             else:
                 assert fine, f"{verb} takes --{option.name}={value}"
     assert {p.name for p in tmp_path.iterdir()} == {"finger", "bench", "d", "t.csv"}
+
+
+@pytest.mark.parametrize(("verb", "meant"), [("fit", "calibrate"), ("record", "measure"), ("chek", "check")])
+def test_a_verb_of_another_name_is_understood(verb, meant, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["pneutac", verb])
+    with pytest.raises(SystemExit, match=f"no command '{verb}'; did you mean '{meant}'"):
+        main()
 
 
 def test_help_tells_every_option_with_its_default(capsys):

@@ -146,6 +146,13 @@ def test_a_pointer_of_git_lfs_is_named(tmp_path, log):
             convert(ConvertConfig(tmp_path / name, **options))
 
 
+@pytest.mark.parametrize("day", ["23.11.2026", "2026-13-40", "monday"])
+def test_a_date_is_a_day(tmp_path, day):
+    (tmp_path / "lab.csv").touch()
+    with pytest.raises(InputError, match=f"date is '{day}', no day; write it as 2026-03-01"):
+        ConvertConfig(tmp_path / "lab.csv", date=day)
+
+
 def test_a_mat_may_have_all_of_it(tmp_path):
     t = np.arange(0, 5, 0.1)
     bend = 0.01 + 0.06 * pressure(t)

@@ -214,7 +214,7 @@ def test_whole_seconds_of_even_rows_are_answered_by_their_rate(tmp_path):
     one = TRUTH[TRUTH.trial == 0]
     one.assign(time_s=np.floor(one.time_s)).to_csv(tmp_path / "lab.csv", index=False)
     (fault,) = understood(tmp_path / "lab.csv").faults
-    assert "(108 such rows)" in fault and "--columns='time_s: -' --rate_hz=10` counts" in fault
+    assert "(108 such rows)" in fault and "--columns='time_s: -' --rate_hz=10`." in fault
     found = understood(tmp_path / "lab.csv", columns={"time_s": "-"}, rate_hz=10.0)
     np.testing.assert_allclose(found.recording.column("time_s"), one.time_s, atol=1e-9)
 

@@ -566,8 +566,10 @@ class Understood:
                 stamps = samples["time_s"].drop_duplicates().sort_values()
                 rate = len(samples) / len(stamps) / float(stamps.diff().median())
                 without = quote(f"{self._clock.name}: {LEAVE_OUT}")
-                even = f"`{self._convert} --columns={without} --rate_hz={rate:.3g}` counts evenly spaced rows"
-                return sentence.replace(rules.COARSE, f"write the times with more digits; {even}")
+                even = (
+                    f"count evenly spaced rows by `{self._convert} --columns={without} --rate_hz={rate:.3g}`"
+                )
+                return sentence.replace(rules.COARSE, f"write the times with more digits, or {even}")
             value = re.search(r"column '([^']+)', row .* is (\S+), which can only be (.*)", sentence)
             column = next((c for c in self.columns if value and c.name == value[1]), None)
             if value is None or column is None or column.unit is None or column.unit.factor == 1:
