@@ -86,7 +86,7 @@ EFFECT = BodyEffect(
     name="air_resonance",
     stage="pneumatics",
     parameters=(
-        Parameter("frequency_rad_per_s", "rad/s", 15.0, 1.0, 90.0, neutral=math.inf, log=True),
+        Parameter("frequency_rad_per_s", "rad/s", 15.0, 1.0, 150.0, neutral=math.inf, log=True),
         Parameter("damping_ratio", "", 0.5, 0.02, 4.0, neutral=1.0, log=True),
     ),
     run=run,

@@ -215,6 +215,7 @@ def _by_pressure(
 
 SHORTEST_ROWS = 0.25  # of a time that a recording can show, in its time between rows
 SHORTEST_PERIOD_ROWS = 4.0
+SHORTEST_AIR_ROWS = 1.0  # of a swing of the air: rows alias it, but its input, the command, is known between
 
 
 class Bounds:
@@ -227,11 +228,14 @@ class Bounds:
 
     def __init__(self, pipeline: Pipeline, pressure_range_kpa: float, row_s: float | None = None):
         bounds = np.array([p.limits(pressure_range_kpa) for p in pipeline.specs])
-        for (_, low, high), bound, spec in zip(bounds.copy(), bounds, pipeline.specs, strict=True):
+        for (_, low, high), bound, spec, name in zip(
+            bounds.copy(), bounds, pipeline.specs, pipeline.names, strict=True
+        ):
             if row_s is not None and spec.unit == "s" and low > 0:  # a dead time may be none
                 bound[1] = min(max(low, SHORTEST_ROWS * row_s), 0.9 * high)
             elif row_s is not None and spec.unit == "rad/s":
-                bound[2] = max(min(high, 2 * np.pi / (SHORTEST_PERIOD_ROWS * row_s)), 1.1 * low)
+                rows = SHORTEST_AIR_ROWS if name.startswith("air_resonance.") else SHORTEST_PERIOD_ROWS
+                bound[2] = max(min(high, 2 * np.pi / (rows * row_s)), 1.1 * low)
         self._log = np.array([p.log for p in pipeline.specs])
         self.default, self.lower, self.upper = bounds.T
         every = np.arange(len(bounds))

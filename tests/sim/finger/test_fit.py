@@ -51,6 +51,16 @@ def test_a_delay_that_no_sample_tells_is_the_middle_of_what_is_possible(program,
     assert f.twin.effects["dead_time"]["delay_s"].value == pytest.approx((low + high) / 2, abs=0.01 * dt)
 
 
+def test_air_that_swings_faster_than_half_the_record_rate_is_found_by_its_steps(tmp_path):
+    """A period of 1.9 samples: logged times of commands give where in its swing each sample lies."""
+    truth = generate("rod", ["line_second_order"], 7019, minutes=1.0, log_sent=True, gauge=False)
+    r, air = Recording.load(write(truth, tmp_path / "r")), truth.effects["line_second_order"]
+    assert air["size"] < 2 / 20
+    found = fit(Twin("finger", r.length_mm), r, ["air_resonance"], starts=4).twin.effects["air_resonance"]
+    assert found["frequency_rad_per_s"].value == pytest.approx(2 * np.pi / air["size"], rel=0.03)
+    assert found["damping_ratio"].value == pytest.approx(air["damping"], abs=0.03)
+
+
 def test_static_parameters_come_back_within_their_intervals(program, recording):
     truth = Twin.builtin()
     rec = recording(truth, program(), noise=0.1)
