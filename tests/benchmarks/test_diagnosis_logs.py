@@ -7,8 +7,7 @@ from pneutac_benchmarks.diagnosis import logs
 from pneutac_benchmarks.diagnosis.cases import BenchmarkDiagnosisConfig, Case
 from pneutac_sim.errors import InputError
 
-QUICK = 33
-MORE = (2, 3, 5, 8, 14, 17, 18, 21, 23, 26, 29, 31, 36)
+PLAIN = (2, 3, 5, 8, 14, 17, 18, 21, 23, 26, 29, 31, 33, 36)
 EFFECTS = (
     ("valve", 160),
     *(pytest.param(*c, marks=pytest.mark.nightly) for c in (("creep", 120), ("hysteresis", 140))),
@@ -56,8 +55,8 @@ def test_other_effects_are_refused_in_one_sentence():
         logs.cases(BenchmarkDiagnosisConfig(set="logs", effects=("cooking",)))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [QUICK, *(pytest.param(s, marks=pytest.mark.nightly) for s in MORE)])
+@pytest.mark.nightly  # every day: where nothing is missing, in test_diagnose
+@pytest.mark.parametrize("seed", PLAIN)
 def test_nothing_is_named_where_nothing_is(seed):
     a = logs.solve(Case("logs", "plain", "plain", seed))
     assert "crash" not in a, a.get("where")

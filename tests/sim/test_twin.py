@@ -197,6 +197,7 @@ def test_an_earlier_version_has_the_arrays_of_its_time(tmp_path):
 SAVED = Path(__file__).parents[1] / "golden" / "twins" / "finger"
 
 
+@pytest.mark.nightly  # every day: files are on disk before they get their names, below
 @pytest.mark.slow
 def test_a_save_that_is_killed_at_any_operation_leaves_the_old_twin_or_the_new(tmp_path):
     assert kill_saves(tmp_path).broken == ()

@@ -124,7 +124,7 @@ def test_in_its_own_model_the_bend_is_as_asked(found, shape):
     assert kpa.min() >= 0 and kpa.max() <= 15
 
 
-@pytest.mark.parametrize("shape", [slow_sine, minor_loops])
+@pytest.mark.parametrize("shape", [pytest.param(slow_sine, marks=pytest.mark.nightly), minor_loops])
 def test_another_finger_follows_three_times_better_once_its_effects_are_found(found, shape):
     wanted, errors = shape(24, HZ), []
     for twin in (twin_of(STATIC), found):

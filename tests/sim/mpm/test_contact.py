@@ -67,7 +67,7 @@ def thickness_factor(chi, nu):
 def test_hertz_force_and_radius_on_a_thick_slab():
     """At 6 mm the slab's finite thickness adds 13 to 24 % to Hertz' force; the rest agrees within 3 %."""
     solver, radius = slab((32, 32, 20)), 6e-3
-    depths, forces = (0.1e-3, 0.2e-3, 0.3e-3), []
+    depths, forces = (0.1e-3, 0.3e-3), []
     for depth in depths:
         e = solve_equilibrium(solver, press(depth, radius, friction=0.0), tolerance=1e-3, warm=bool(forces))
         hertz = 4 / 3 * 1e5 / (1 - 0.3**2) * np.sqrt(radius) * depth**1.5

@@ -131,6 +131,7 @@ def test_two_seconds_in_the_world_agree_with_the_skeleton(worlds):
     assert full.finger.substeps > 0 and skeleton.finger is None
 
 
+@pytest.mark.nightly  # every day: its stiffness, in tests/sim/world/test_fidelity.py
 def test_the_material_follows_the_worlds_joints_and_resists(worlds):
     finger = worlds[1].finger
     tip = finger.solver.body.positions[:, 0] > 0.105

@@ -79,7 +79,7 @@ def test_before_the_touch_the_expert_does_not_know_where_the_object_is(worlds, t
     assert min(compared) >= 5 and np.mean(compared) > 8
 
 
-@pytest.mark.parametrize("task", ["switch", "egg"])
+@pytest.mark.parametrize("task", [pytest.param("switch", marks=pytest.mark.nightly), "egg"])
 def test_search_ends_on_the_object_wherever_it_is(worlds, task):
     """The lane in which the touch that counts happened is the one in front of the object."""
     world = worlds[task]
@@ -96,7 +96,9 @@ def test_search_ends_on_the_object_wherever_it_is(worlds, task):
     assert np.corrcoef(hits, offsets)[0, 1] > 0.75
 
 
-@pytest.mark.parametrize("task, wide_m", [("switch", 0.032), ("egg", 0.026)])
+@pytest.mark.parametrize(
+    "task, wide_m", [("switch", 0.032), pytest.param("egg", 0.026, marks=pytest.mark.nightly)]
+)
 def test_search_keeps_its_lanes_though_the_hand_is_carried_aside(worlds, task, wide_m):
     """A policy errs by some millimetres a second all the time, which would add up from lane to lane."""
     world, lanes = worlds[task], []

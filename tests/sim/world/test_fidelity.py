@@ -54,7 +54,9 @@ def to_tip(twin, q):
     return (np.exp(1j * np.cumsum(q)) * ways)[::-1].cumsum()[::-1]
 
 
-@pytest.mark.parametrize("pressure_kpa", [0.0, pytest.param(7.5, marks=pytest.mark.nightly), 15.0])
+@pytest.mark.parametrize(
+    "pressure_kpa", [*(pytest.param(p, marks=pytest.mark.nightly) for p in (0.0, 7.5)), 15.0]
+)
 def test_a_force_at_the_tip_moves_it_as_far_with_the_network_as_with_material_points(bodies, pressure_kpa):
     """What material points say otherwise of the torque at a loaded pose would move the tip by 5 % at most."""
     twin, _, network = bodies
@@ -143,6 +145,7 @@ def test_another_effect_keeps_the_networks_and_another_body_needs_its_own(tmp_pa
     assert World("switch", stored, touch="none", fidelity="probe").finger is None
 
 
+@pytest.mark.nightly  # every day: the gel's face lies on the ball, in tests/sim/mpm
 def test_the_full_gel_feels_a_ball_as_the_material_points_under_an_indenter_do(monkeypatch):
     """Both with an eighth of the particles."""
     monkeypatch.setattr(devices, "gel", partial(devices.gel, counts=(30, 40, 7)))

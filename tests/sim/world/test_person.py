@@ -95,7 +95,11 @@ def test_a_varied_world_widens_its_objects_and_starts_where_it_is_told():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("task", "strength", "width"), [("switch", 1.0, 0.25), ("egg", 1.0, 1.0), ("card", 0.5, 0.5)]
+    ("task", "strength", "width"),
+    [
+        ("switch", 1.0, 0.25),
+        *(pytest.param(*c, marks=pytest.mark.nightly) for c in (("egg", 1.0, 1.0), ("card", 0.5, 0.5))),
+    ],
 )
 def test_a_person_manages_now_and_then(task, strength, width):
     world = World(task, fidelity="probe", touch="none")
