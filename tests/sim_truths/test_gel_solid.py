@@ -66,6 +66,7 @@ def test_a_wide_punch_on_a_thin_layer_compresses_a_column():
     assert press(Punch("cylinder", a), depth, rubber, 0.25).force_n == pytest.approx(column, rel=0.08)
 
 
+@pytest.mark.nightly  # every day: a ball on a layer follows Hertz, above
 @pytest.mark.slow
 def test_finer_elements_change_less_and_less():
     force = [press(Punch("sphere", 3.0), 0.24, Rubber(1.5), h).force_n for h in (0.5, 0.3, 0.2)]
@@ -79,6 +80,7 @@ def test_rubber_that_is_pushed_away_bulges_beside_the_punch():
     assert face.moved_mm[..., 2] == pytest.approx(face.moved_mm[::-1, :, 2])
 
 
+@pytest.mark.nightly  # every day: a ball on a layer follows Hertz, above
 @pytest.mark.slow
 def test_a_dragged_ball_takes_the_face_along_and_piles_it_up_in_front():
     rubber = Rubber(2.0, 40.0, 0.49)

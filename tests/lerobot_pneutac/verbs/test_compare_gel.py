@@ -58,9 +58,13 @@ def test_a_twin_agrees_with_the_recording_that_it_was_calibrated_to(bench, tmp_p
 @pytest.mark.parametrize(
     "how, says",
     [
-        ({"flip_x": True, "flip_y": True}, "turned upside down"),
+        pytest.param({"flip_x": True, "flip_y": True}, "turned upside down", marks=pytest.mark.nightly),
         # its lights are almost mirror images: red and green swapped look the same
-        ({"flip_x": True}, "(mirrored left to right|channels GRB instead of RGB)"),
+        pytest.param(
+            {"flip_x": True},
+            "(mirrored left to right|channels GRB instead of RGB)",
+            marks=pytest.mark.nightly,
+        ),
         ({"flip_y": True, "bgr": True}, "channels BGR instead of RGB and mirrored top to bottom"),
     ],
     ids=lambda v: "+".join(v) if isinstance(v, dict) else "",

@@ -39,7 +39,14 @@ def saturating(p):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("curve", [saturating, lambda p: np.expm1(p / 40), lambda p: np.log1p(p / 30)])
+@pytest.mark.parametrize(
+    "curve",
+    [
+        saturating,
+        pytest.param(lambda p: np.expm1(p / 40), marks=pytest.mark.nightly),
+        pytest.param(lambda p: np.log1p(p / 30), marks=pytest.mark.nightly),
+    ],
+)
 def test_a_curve_of_the_pressure_is_no_stretch_and_no_tilted_base(curve):
     given = recording(curve, 10.0)
     result = calibrate(new_twin(recording=given), given)

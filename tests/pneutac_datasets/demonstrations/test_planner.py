@@ -109,7 +109,9 @@ def test_sigma_is_that_of_the_contact_onsets():
         onset_sigma_m([pressed, pressed])
 
 
-@pytest.mark.parametrize("task", ["switch", "egg", "card"])
+@pytest.mark.parametrize(
+    "task", ["switch", *(pytest.param(t, marks=pytest.mark.nightly) for t in ("egg", "card"))]
+)
 def test_gantry_goes_the_arms_way(task):
     r = demonstrations(task, 1)[0]
     world = World(task, touch="area", fidelity="probe")
@@ -192,7 +194,7 @@ def test_the_touch_tells_where_the_object_stood():
     assert np.mean(beside) < 0.010
 
 
-@pytest.mark.parametrize("late", [0, 1, 3])
+@pytest.mark.parametrize("late", [1, *(pytest.param(n, marks=pytest.mark.nightly) for n in (0, 3))])
 def test_the_free_way_tells_how_late_commands_act(late):
     references = demonstrations("switch", 2, late)
     world = World("switch", touch="area", fidelity="probe")

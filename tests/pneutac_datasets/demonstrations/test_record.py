@@ -52,6 +52,7 @@ def test_records_successful_demonstrations_frame_by_frame(devices, tmp_path):
     assert (first - dataset[rest][f"{OBS_IMAGES}.tactile"] * 255).abs().mean() < 3
 
 
+@pytest.mark.nightly  # every day: test_same_seeds_same_demonstration of the teleoperator
 @pytest.mark.slow
 def test_same_seeds_same_dataset(devices, tmp_path):
     for name in ("a", "b"):

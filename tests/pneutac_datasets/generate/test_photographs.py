@@ -115,6 +115,7 @@ def test_disturbances_act_and_stay_secret(finger, tmp_path):
     assert np.linalg.norm(eyes[0] - eyes[1]) == pytest.approx(3e-3)
 
 
+@pytest.mark.nightly  # every day: what disturbs acts and stays secret, above
 def test_an_effect_is_hidden_in_the_body(finger, tmp_path):
     hidden = Disturbances(effects={"stiffening": {"linear_1_per_kpa": 0.02}, "gravity": {"tip_mass_g": 20}})
     across = {"gravity_x": [1.0, 0.0], "gravity_y": 0.0, "gravity_z": [0.0, -1.0]}

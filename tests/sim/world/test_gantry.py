@@ -40,8 +40,7 @@ def tilted() -> Twin:
     [
         ("switch", "surrogate", False),
         ("switch", "probe", True),
-        ("egg", "probe", False),
-        ("card", "probe", False),
+        *(pytest.param(t, "probe", False, marks=pytest.mark.nightly) for t in ("egg", "card")),
     ],
 )
 def test_many_sequences_are_each_by_itself(task, fidelity, tilts):
