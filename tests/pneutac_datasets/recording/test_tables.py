@@ -198,6 +198,30 @@ def test_a_clock_of_twelve_hours_goes_on_at_one_and_that_is_said(tmp_path, patte
     assert [n for n in found.notes if "from 12 to 1 o'clock in line 52, without AM or PM" in n]
 
 
+@pytest.mark.parametrize("pattern", ["%d/%m/%Y", "%m/%d/%Y", "%d-%m-%Y"])
+@pytest.mark.parametrize("day", ["2026-03-08", "2026-03-12"])
+def test_the_order_of_day_and_month_is_that_in_which_midnight_is_no_pause(tmp_path, day, pattern):
+    one = TRUTH[TRUTH.trial == 0]
+    stamps = pd.Timestamp(f"{day} 23:59:55") + pd.to_timedelta(one.time_s, "s")
+    texts = [f"{v:{pattern} %H:%M:%S}.{v.microsecond // 1000:03d}" for v in stamps]
+    one.drop(columns=["trial", "time_s"]).assign(clock=texts).to_csv(tmp_path / "lab.csv", index=False)
+    found = understood(tmp_path / "lab.csv")
+    np.testing.assert_allclose(found.recording.column("time_s"), one.time_s, atol=1e-6)
+    assert found.notes == [] and len(found.recording.trials()) == 1
+
+
+def test_topics_of_a_bag_as_columns_are_recognised(tmp_path):
+    names = {"time_s": "__time", P: "/pressure_cmd/data [kPa]", "tip_x_mm": "/tip/pose/position/x"}
+    names |= {"tip_y_mm": "/tip/pose/position/y", "tip_z_mm": "/tip/pose/position/z"}
+    table = TRUTH[TRUTH.trial == 0][[*names]].rename(columns=names)
+    table.assign(**{f"/tip/pose/orientation/{a}": 0.0 for a in "xyzw"}).to_csv(
+        tmp_path / "b.csv", index=False
+    )
+    recording = understood(tmp_path / "b.csv").recording
+    for column in names:
+        np.testing.assert_allclose(recording.column(column), TRUTH[TRUTH.trial == 0][column])
+
+
 def test_days_are_asked_for_and_read_and_a_clock_in_them_is_refused(tmp_path):
     one = TRUTH[TRUTH.trial == 0]
     days = one.drop(columns="time_s").assign(clock=46084.5 + one.time_s / 86400)
@@ -326,7 +350,7 @@ def test_what_is_open_is_asked_in_one_sentence(tmp_path, change, says):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (renamed("presure_kpa", P), r"'presure_kpa: pressure_cmd_kpa \[kpa\]'"),
+        (renamed("presure_kpa", P), r"'presure_kpa' may be it.*'presure_kpa: pressure_cmd_kpa \[kpa\]'"),
         (renamed("pressure_comand_psi", P), r"'pressure_comand_psi: pressure_cmd_kpa \[psi\]'"),
         (renamed("pression (kPa)", P), r"'pression \(kPa\): pressure_cmd_kpa \[kPa\]'"),
         (renamed("pressure_cmd_volt", P), r"'pressure_cmd_volt: pressure_cmd_kpa \* KPA_PER_UNIT \+ KPA_AT"),

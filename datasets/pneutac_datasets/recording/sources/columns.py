@@ -36,7 +36,8 @@ WORDS = {
     "trial": "trial run lauf versuch messung episode test experiment durchgang versuchsnummer wiederholung",
     "program": "program programm label phase protokoll protocol profil profile",
     "filler": "finger in of the der die no nr id number nummer value wert channel kanal chamber kammer air"
-    " luft valve ventil lab laenge hoehe breite abs absolute absolut rel relative",
+    " luft valve ventil lab laenge hoehe breite abs absolute absolut rel relative"
+    " pose data field",
 }
 KIND = {word: kind for kind, words in WORDS.items() for word in words.split()}
 SHORT = {"axis", "pressure", "gravity", "force", "joint"}  # kinds whose single letters may be in a compound
@@ -564,6 +565,8 @@ class _Table:
             if gauges and not answers:
                 what += "; where none was logged, the measured one stands for it"
                 answers = [f"{gauges[0][1:-1]}: pressure_cmd_kpa"]
+            elif answers:
+                what += f"; {shown(answers[0].rpartition(': ')[0])} may be it"
             self.questions.append((what, ", ".join(answers) or "NAME: pressure_cmd_kpa [kPa]"))
         posed = any(re.match(r"(tip_[xz]|bend_|q_|curvature_|image)", c) for c in have)
         if not (asked or log or posed):

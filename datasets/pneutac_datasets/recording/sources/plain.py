@@ -372,7 +372,11 @@ class Understood:
             how = {"format": "mixed" if german else "ISO8601", "dayfirst": german}
             parsed = pd.to_datetime(texts, errors="coerce", utc=True, **how)
             if parsed.notna().sum() < 0.5 * texts.notna().sum():
-                parsed = pd.to_datetime(texts, format="mixed", errors="coerce", utc=True)
+                # 08/03 is in March or August, which matters where a recording goes past midnight
+                orders = (False, True) if texts.str[:10].nunique() > 1 else (False,)
+                mixed = {"format": "mixed", "errors": "coerce", "utc": True}
+                both = [pd.to_datetime(texts, dayfirst=order, **mixed) for order in orders]
+                parsed = min(both, key=lambda p: (p.isna().sum(), p.max() - p.min()))
         bad = parsed.isna().to_numpy()
         if bad.any():
             row = int(np.argmax(bad))
