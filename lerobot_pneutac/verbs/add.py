@@ -22,6 +22,7 @@ from lerobot_pneutac.verbs.result import ANOTHER_DAY, Result, command_on
 from pneutac_datasets.demonstrations.replay.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import joined
+from pneutac_sim.effects.laws import is_law
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.executor import one_thread
@@ -261,6 +262,8 @@ def add(
         parameter = e in ("late_commands", "compliance")  # of a twin, no effects
         if not (parameter and isinstance(recording, Demonstrations)):
             get_effect(e)
+        if effects.count(e) > 1 and not is_law(e):  # of a law there may be two, with constants of their own
+            raise InputError(f"effect names '{e}' twice; give it once.")
     recording, steps = same_body(twin, recording, "add to"), Steps(progress)
     given = _given(effects, recording, seed)
     study = study_of(twin, recording, seed, adding=effects)

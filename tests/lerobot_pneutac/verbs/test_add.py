@@ -193,6 +193,17 @@ def test_known_causes_are_said_to_lower_only_what_they_lower(baseline, says):
     assert "with known causes (the weight at the tip)" in found.page().fragment()
 
 
+def test_an_effect_that_is_named_twice_is_refused_before_it_is_fitted(pair):
+    twin, recording = pair
+    refused(
+        "effect names 'creep' twice; give it once",
+        "add",
+        twin=twin,
+        recording=recording,
+        effect="creep,creep",
+    )
+
+
 def test_where_there_is_no_diagnosis_the_command_that_makes_one_is_whole(tmp_path):
     twin, recording = SimpleNamespace(folder=Path("my twin")), SimpleNamespace(folder=Path("bench"))
     with pytest.raises(
