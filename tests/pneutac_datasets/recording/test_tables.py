@@ -222,6 +222,22 @@ def test_topics_of_a_bag_as_columns_are_recognised(tmp_path):
         np.testing.assert_allclose(recording.column(column), TRUTH[TRUTH.trial == 0][column])
 
 
+@pytest.mark.parametrize("names", [("secs", "nsecs"), ("/tip/header.stamp.sec", "/tip/header.stamp.nanosec")])
+@pytest.mark.parametrize("begin", [0, 1_700_000_000])
+def test_seconds_and_nanoseconds_of_ros_are_one_clock(tmp_path, names, begin):
+    one = TRUTH[TRUTH.trial == 0]
+    nanoseconds = np.round(1e9 * one.time_s).astype("int64")
+    stamps = {names[0]: begin + nanoseconds // 10**9, names[1]: nanoseconds % 10**9}
+    one.drop(columns=["trial", "time_s"]).assign(**stamps).to_csv(tmp_path / "lab.csv", index=False)
+    found = understood(tmp_path / "lab.csv")
+    np.testing.assert_allclose(found.recording.column("time_s"), one.time_s, atol=1e-6)
+    assert "are one time, 'stamp [ns]'" in found.notes[0]
+    again = understood(tmp_path / "lab.csv", columns={c.name: str(c) for c in found.columns})
+    np.testing.assert_array_equal(again.recording.column("time_s"), found.recording.column("time_s"))
+    one.assign(**stamps).to_csv(tmp_path / "both.csv", index=False)  # with a clock of its own
+    assert set(understood(tmp_path / "both.csv").recording.samples) >= set(names)
+
+
 def test_days_are_asked_for_and_read_and_a_clock_in_them_is_refused(tmp_path):
     one = TRUTH[TRUTH.trial == 0]
     days = one.drop(columns="time_s").assign(clock=46084.5 + one.time_s / 86400)

@@ -52,6 +52,7 @@ FROM_TIP = 0.2  # of its motion: nearer to the origin than that no resting tip i
 FROM_ZERO = 0.1  # of its usual distance: nearer to the base comes no tip
 EPOCH_S = 1e8  # a clock beyond this counts since 1970
 HALF_DAY_S = rules.DAY_S / 2
+STAMP = "stamp [ns]"  # name of a clock that stands in two columns
 USUAL_MM = 25.0, 350.0  # length of a finger; of another the tip's unit or origin may be wrong
 NOON_S = 60.0  # at most between the last row before one o'clock and the first after it
 PAUSE_S = 600.0  # between two rows: what happened in so long a pause is unknown, so that a new run begins
@@ -224,6 +225,8 @@ class Understood:
     def __init__(self, files: Sequence[Path], given: Given, log: bool = False, time: str = ""):
         self.files, self.given, self._log = list(files), given, log
         self._read = [read_table(f, time) for f in files]
+        for table in self._read:
+            _one_stamp(table, given)
         self.style, self.notes = self._read[0].style, [n for t in self._read for n in t.notes]
         self._source = str(files[0]) if len(files) == 1 else f"{files[0]} to {files[-1].name}"
         tables = quote(",".join(map(str, files)))
@@ -638,6 +641,27 @@ class Understood:
                 f" `{self._convert} --out=FOLDER`."
             ) from e
         return Recording.load(folder)
+
+
+def _one_stamp(table: TextTable, given: Given) -> None:
+    """Makes one clock of whole seconds and nanoseconds in columns of their own, as ROS writes them."""
+    frame = table.frame
+    if any(c in frame and re.match(r"time_s\b", text) for c, text in given.columns.items()):
+        return
+    for name in map(str, frame):
+        found = re.fullmatch(r"(.*?)n(?:ano)?(secs?)", name)
+        pair = [found[1] + found[2], name] if found else []
+        others = [c for c in map(str, frame) if c not in pair]
+        clocks = any(c == "time_s" or read_name(c).kind == "time" for c in others)
+        if not pair or pair[0] not in frame or clocks:
+            continue
+        if all(frame[c].dtype.kind in "iu" for c in pair):
+            frame[STAMP] = frame[pair[0]].astype("int64") * 10**9 + frame[name].astype("int64")
+            table.frame = frame.drop(columns=pair)
+            table.notes.append(
+                f"{table.file}: {' and '.join(map(shown, pair))} are one time, {shown(STAMP)}."
+            )
+            return
 
 
 def _turn_by(source: str, axes: tuple[str, str], command: Sequence[str], other_x: bool) -> str:
