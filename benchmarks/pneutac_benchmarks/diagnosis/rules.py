@@ -28,7 +28,7 @@ COUNTS: dict[str, tuple[str, ...]] = {
     "line_second_order": ("air_resonance", "ringing"),  # without a gauge the pose cannot tell which swings
     "leak": ("leak", "gain_saturation"),  # against a finite flow it is a droop that grows with pressure
     "hunting": (),
-    "supply_sag": ("rate", "orifice_flow", "valve_lag"),
+    "supply_sag": ("supply_sag", "rate", "orifice_flow", "valve_lag"),
     # p + w (lag(p) - p) with w < 0 is its equation, which counted as creep before it had a name of its own
     "gas_heat": ("relaxation", "creep"),
     "vent_slow": ("valve_lag", "orifice_flow"),

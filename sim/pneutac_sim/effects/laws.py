@@ -77,7 +77,14 @@ def others(x, dt, before, c, P):
     return x.sum(axis=1).reshape(-1, 1) - x
 
 
-OF_RATE = (rate, speed, work)  # they hold since the sample before, where others are straight lines
+def drawn(x, dt, before, c, P):
+    """Air that all chambers draw from their common supply, as a rate of their pressures."""
+    total = np.maximum(rate(x, dt, before, c, P), 0.0).sum(axis=1)
+    return np.repeat(total, x.shape[1]).reshape(x.shape)
+
+
+SHARED = (others, drawn)  # they need several chambers, which they weaken
+OF_RATE = (rate, speed, work, drawn)  # they hold since the sample before, where others are straight lines
 
 # ---------------------------------------------------------------- steps of memories
 # Arguments: s (slots, channels), what is remembered, changed; f (n + 1, channels), the one before first;
@@ -496,6 +503,10 @@ FAMILIES = {
         "bends less with a chamber while others are under pressure and stiffen it",
         "crosstalk between chambers",
     ),
+    "supply_sag": (
+        "bends less after air was drawn, as if its supply sagged",
+        "a supply that sags while air is drawn",
+    ),
     "thermal": ("bends more or less when it is warm", "dependence on temperature"),
     "tracker": ("is measured wrongly", "an error or lag of the tracker"),
     "quantisation": ("follows its command in coarse steps", "coarse steps of the command"),
@@ -545,6 +556,7 @@ EXPERIMENTS = {
     "strokes": "After a night's rest make many equal strokes: each differs a little less from the one "
     "before.",
     "chambers": "Go up and down with one chamber, while the others are empty and while they are full.",
+    "filling": "Hold one chamber and fill the others at once: it loses pressure, and has it back soon.",
     "snap": "Go slowly through the snap and back: it comes at a higher pressure on the way up.",
     "small stairs": "Go up and down by steps smaller than the band, if your regulator can: nothing moves "
     "until they add up to it.",
@@ -620,8 +632,9 @@ class Law:
 
     def effect(self, name: str) -> BodyEffect:
         """The effect of this name, `lag(p)` or `lag(p) #2`."""
-        several = self.input is others
-        # pressure in a chamber stiffens the body against its neighbours; errors of a tracker look otherwise
+        several = self.input in SHARED
+        # pressure in a chamber stiffens the body against its neighbours, and a supply only sags; errors of a
+        # tracker look otherwise
         weight = Parameter("weight", "", *((-0.05, -3.0, 0.0) if several else (0.05, -3.0, 3.0)))
         scale = Parameter("scale_kpa", "kPa", 1.0, 1e-3, 3.0, neutral=1.0, fixed=True, range_power=1)
         term, comma, where = self.equation.partition(r", \quad ")
@@ -799,6 +812,8 @@ TABLE = {
     "p lag(p |dp/dt|)": Law(lag, "self_heating", r"p\,\mathrm{lag}_\tau(|p\,\dot p|)/P^2",
                             "motion, by pressure",
                             (_time(90.0, 3.0, 200.0),), ((30.0,), (90.0,)), input=work, gain=True),
+    "p lag(drawn)": Law(lag, "supply_sag", r"p\,\mathrm{lag}_\tau(Q)/P, \quad Q = \sum\max(\dot p, 0)",
+                        "filling", (_time(5.0, 0.5, 60.0),), ((3.0,), (10.0,)), input=drawn, gain=True),
     "p exp(-t)": Law(fading_time, "warm_up", r"p\,e^{-t/\tau}", "from rest",
                      (_time(100.0, 10.0, 2000.0),), ((60.0,), (200.0,)), gain=True, column="session_time_s"),
     "p lag(dT)": Law(lag, "thermal", r"p\,\mathrm{lag}_\tau(\Delta T)", "warming",
@@ -885,6 +900,7 @@ PLAIN = {
     "p path(p)": "softening with use",
     "p lag(|dp/dt|)": "softening by recent motion",
     "p lag(p |dp/dt|)": "softening by recent motion under pressure",
+    "p lag(drawn)": "a gain that falls with the air drawn lately",
     "p exp(-t)": "a gain that settles as the session goes on",
     "p lag(dT)": "a gain that follows the temperature late",
     "p dT": "a gain that follows the temperature",

@@ -47,7 +47,8 @@ class Operators:
         held_s = stepwise(lambda y, s, i: y + DT if s else 0.0, still, 0.0)
         damage = np.r_[0.0, np.cumsum(DT * np.maximum(p[1:] / P, 0) ** k.get("c", 1) / k.get("tau", 1))]
         self.names = k | {"p": p, "P": P, "RATE": rate, "dT": dT, "t_held": held_s, "D": damage}
-        self.names["p_others"] = 0.7 * p  # of the two other chambers
+        # of the two other chambers, and of all
+        self.names |= {"p_others": 0.7 * p, "Q": 1.7 * np.maximum(rate, 0.0)}
         self.names |= {"p_max": np.maximum.accumulate(p), "n": np.r_[0.0, np.cumsum(np.abs(np.diff(p)))]}
         self.names |= {"t": conditions, "tanh": np.tanh, "exp": np.exp, "sqrt": np.sqrt, "sign": np.sign}
         self.names |= {"max": np.maximum, "round": np.round, "abs": np.abs}
