@@ -37,14 +37,16 @@ from pneutac_sim.twin import Twin
 from pneutac_sim.world.station import Station
 
 CHECKPOINT, CURVE = "checkpoint.safetensors", "curve.json"
+WINDOW = 100  # episodes of which the curve has the mean, at least
 LEAST_STEPS = 16  # of each world between two updates, a second, so that what an action earns is in them
 
 
 class Keeper(BaseCallback):
     """Writes checkpoint and curve after every update.
 
-    The `curve` has a row an update: `steps`, `return` and `success` (means of the last 100 episodes, None
-    before one has ended), `seconds` of all goes together, `action_std`, and `terms`, the weighted means.
+    The `curve` has a row an update: `steps`, `return` and `success` (means of the last 100 episodes, or as
+    many as there are worlds; None before one has ended), `seconds` of all goes together, `action_std`, and
+    `terms`, the weighted means.
     """
 
     def __init__(self, out: Path, run: dict, progress: Callable[[str, int], None]):
@@ -193,6 +195,7 @@ def make_ppo(worlds: VecEnv, seed: int, device: str, s: PpoSettings, control_hz:
     loss = {"clip_range": s.clip, "ent_coef": s.entropy, "gae_lambda": s.trace}
     loss["gamma"] = s.discount ** (CONTROL_HZ / control_hz)
     how = {"n_epochs": s.epochs, "learning_rate": s.learning_rate, "seed": seed, "device": device}
+    how["stats_window_size"] = max(WINDOW, worlds.num_envs)  # fewer are those that ended together, all alike
     policy = {"net_arch": list(s.hidden), "log_std_init": s.log_std}
     return PPO(AsymmetricPolicy, worlds, policy_kwargs=policy, **steps, **loss, **how)
 
