@@ -253,6 +253,7 @@ class BodyFitter:
         self._steps: dict[InputModel, StepRows] = {}
         between = np.diff(np.asarray(recording.samples["time_s"], dtype=float))[np.diff(self.trial) == 0]
         self.row_s = float(np.median(between)) if len(between) else None
+        self.sent = "time_sent_s" in recording.samples
 
     def data(self, input_model: InputModel) -> BodyData:
         data = self._data.get(input_model)
@@ -339,7 +340,7 @@ class BodyFitter:
         """
         data, pipeline = self.data(structure.input_model), self.pipeline(structure)
         p = data.inputs.pressure_range_kpa
-        bounds = Bounds(pipeline, p, self.row_s)
+        bounds = Bounds(pipeline, p, self.row_s, self.sent)
         theta = np.clip(self.start(structure, pipeline, values), bounds.lower, bounds.upper)
         free = self.free(pipeline, data, structure.own_profile)
         problem = Problem(pipeline, data.thin(self.rows[::every]), theta, bounds, free)
@@ -380,7 +381,7 @@ class BodyFitter:
     def rough(self, structure: BodyStructure) -> dict[str, float]:
         """Gain, rest pressure and directions of chambers from a coarse grid, by name."""
         data, pipeline = self.data(structure.input_model), self.pipeline(structure)
-        bounds = Bounds(pipeline, data.inputs.pressure_range_kpa, self.row_s)
+        bounds = Bounds(pipeline, data.inputs.pressure_range_kpa, self.row_s, self.sent)
         theta = self.start(structure, pipeline, {})
         thin = data.thin(self.rows[:: max(1, len(self.rows) // 400)])
         theta = rough_drive(pipeline, thin, theta, bounds, self.free(pipeline, data, structure.own_profile))

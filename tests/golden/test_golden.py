@@ -166,7 +166,7 @@ CASES = {
 }
 
 
-LONG = ("arm", "augment", "compare_mpm", "finger", "gel", "render")  # half a minute each
+LONG = ("augment", "compare_mpm", "finger", "gel", "render")  # half a minute each
 
 
 @pytest.mark.parametrize(

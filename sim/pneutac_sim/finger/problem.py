@@ -215,7 +215,9 @@ def _by_pressure(
 
 SHORTEST_ROWS = 0.25  # of a time that a recording can show, in its time between rows
 SHORTEST_PERIOD_ROWS = 4.0
-SHORTEST_AIR_ROWS = 1.0  # of a swing of the air: rows alias it, but its input, the command, is known between
+# Of a swing of the air where the times of commands are logged: rows alias it, but they tell where in it each
+# lies. Without these times fitted instants and such a swing together fit any step.
+SHORTEST_AIR_ROWS = 1.0
 
 
 class Bounds:
@@ -223,10 +225,12 @@ class Bounds:
 
     It is that of the logarithm where that matters. `default` (P,) are starting values for the recording's
     pressure range. With a time between rows, `row_s`, times and periods that are too short to show stay
-    outside the bounds.
+    outside the bounds; `sent` says whether the times of commands are logged.
     """
 
-    def __init__(self, pipeline: Pipeline, pressure_range_kpa: float, row_s: float | None = None):
+    def __init__(
+        self, pipeline: Pipeline, pressure_range_kpa: float, row_s: float | None = None, sent: bool = False
+    ):
         bounds = np.array([p.limits(pressure_range_kpa) for p in pipeline.specs])
         for (_, low, high), bound, spec, name in zip(
             bounds.copy(), bounds, pipeline.specs, pipeline.names, strict=True
@@ -234,7 +238,8 @@ class Bounds:
             if row_s is not None and spec.unit == "s" and low > 0:  # a dead time may be none
                 bound[1] = min(max(low, SHORTEST_ROWS * row_s), 0.9 * high)
             elif row_s is not None and spec.unit == "rad/s":
-                rows = SHORTEST_AIR_ROWS if name.startswith("air_resonance.") else SHORTEST_PERIOD_ROWS
+                air = sent and name.startswith("air_resonance.")
+                rows = SHORTEST_AIR_ROWS if air else SHORTEST_PERIOD_ROWS
                 bound[2] = max(min(high, 2 * np.pi / (rows * row_s)), 1.1 * low)
         self._log = np.array([p.log for p in pipeline.specs])
         self.default, self.lower, self.upper = bounds.T
