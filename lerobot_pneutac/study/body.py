@@ -27,6 +27,7 @@ from lerobot_pneutac.study.body_base import BodyBase, base_effects
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel
 from lerobot_pneutac.study.body_search import LATE_S, LATE_TEMPERATURE, BodySearch, Searched
 from lerobot_pneutac.study.body_space import BodySpace
+from lerobot_pneutac.study.pair import recorded_min
 from pneutac_sim.effects.laws import family, is_law, starts
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.finger.data import BodyData
@@ -41,6 +42,9 @@ OF_TRIALS = (
 
 def _of(parameter: str) -> str:
     return parameter.rpartition(".")[0]
+
+
+DRIFT = "p exp(-t)"  # the law of one drift, from the recording's beginning on
 
 
 class BodyStudy(BodyBase):
@@ -398,13 +402,20 @@ class _Judgement:
         """What the recording does not show of an effect found, a clause; empty where it shows all.
 
         How stiff a finger is to its side, its bending in its plane does not show. How warm a device that
-        follows the temperature minutes late begins a run, depends on how long it rested before.
+        follows the temperature minutes late begins a run, depends on how long it rested before. A drift that
+        is slower than the recording is seen once, and in part.
         """
         recording, model = self.study.recording, self.after
         samples, late = recording.samples, model.twin.effects.get(LATE_TEMPERATURE)
         stated = set(recording.meta.get("trials", {}))
         if late and late["time_s"].value > LATE_S and not set(samples["trial"].astype(str)) <= stated:
             return "how long it rested before each run, which sets how warm it begins, is not recorded"
+        times = [v["time_s"].value for n, v in model.twin.effects.items() if n.startswith(DRIFT)]
+        if times and max(times) > 60 * recorded_min(recording):
+            return (
+                f"the device drifts over {max(times):.0f} s, longer than the recording, so that neither the "
+                "drift's end nor where it begins on another day is known"
+            )
         sideways = samples.get("gravity_y")
         if recording.device != "finger" or "gravity" not in model.effects or sideways is None:
             return ""

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from lerobot_pneutac.study.base import experiment_of, unidentified
-from lerobot_pneutac.study.body import BodyStudy
+from lerobot_pneutac.study.body import BodyStudy, _Judgement
 from lerobot_pneutac.study.pair import longer
 from lerobot_pneutac.verbs.fit_body import advice, held_kpa, shown_by, unknown_parameters
 from pneutac_datasets.recording.noise import noise_floor
@@ -109,3 +109,15 @@ def test_pauses_that_a_memory_goes_on_in_are_asked_for():
     stated = {str(k): {"start": "continues", "pause_s": 9} for k in (1, 2)}
     r.meta["trials"] = {"0": {"start": "rested"}} | stated
     assert not study.to_log(found)
+
+
+@pytest.mark.parametrize("time_s", [30.0, 300.0])
+def test_a_drift_slower_than_the_recording_is_not_known_on_another_day(time_s):
+    twin = TWIN.copy()
+    twin.effects["p exp(-t)"] = {"time_s": Value(time_s)}
+    judged = _Judgement.__new__(_Judgement)
+    judged.study, judged.after = (
+        SimpleNamespace(recording=recording(9)),
+        SimpleNamespace(twin=twin, effects=[]),
+    )
+    assert ("the device drifts over 300 s, longer than" in judged.unseen()) == (time_s == 300.0)
