@@ -20,7 +20,7 @@ demo: .venv/ready
 check: lint
 	$(PYTEST) -m "not slow and not nightly and not realtime"
 
-# Everything that CI runs: 17 to 22 minutes on two cores.
+# Everything that CI runs: 17 minutes on two cores, more beside other work.
 test: .venv/ready
 	$(PYTEST) -m "not nightly and not realtime"
 	$(REALTIME) || $(REALTIME) --last-failed
