@@ -215,7 +215,7 @@ def _by_pressure(
 
 SHORTEST_ROWS = 0.25  # of a time that a recording can show, in its time between rows
 SHORTEST_PERIOD_ROWS = 4.0
-# Of a swing of the air where the times of commands are logged: rows alias it, but they tell where in it each
+# Of a swing of the air where the times of commands are logged: rows alias it, but they show where in it each
 # lies. Without these times fitted instants and such a swing together fit any step.
 SHORTEST_AIR_ROWS = 1.0
 

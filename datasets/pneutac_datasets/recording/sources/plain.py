@@ -437,10 +437,10 @@ class Understood:
         return np.cumsum(new) - 1
 
     def _pauses(self, table: pd.DataFrame) -> dict[str, dict]:
-        """Runs that go on from the one before after a pause without pressure, where one clock tells it.
+        """Runs that go on from the one before after a pause without pressure, where one clock shows it.
 
         It does where its times rise from run to run. That of a file that does not begin in 1970, at midnight
-        or with a date tells nothing of the next file.
+        or with a date shows nothing of the next file.
         """
         commands, trial = rules.pressure_commands(table), table["trial"].to_numpy()
         begins = np.flatnonzero(np.diff(trial) != 0) + 1
@@ -453,14 +453,14 @@ class Understood:
         zero = driven <= ZERO_SHARE * driven.max()
         if not (step[known] > 0).all():
             return {}
-        told = begins[known[begins - 1] & zero[begins] & zero[begins - 1]]
-        if not len(told):
+        rested = begins[known[begins - 1] & zero[begins] & zero[begins - 1]]
+        if not len(rested):
             return {}
-        gap = step[told - 1]
+        gap = step[rested - 1]
         length = f"{gap[0]:.3g} s" if len(gap) == 1 else f"{gap.min():.3g} to {gap.max():.3g} s"
-        runs = "run goes on from the one before it" if len(told) == 1 else "runs go on from those before them"
-        self.notes.append(f"{len(told)} {runs}, after {length} without pressure by the clock.")
-        pauses = zip(trial[told].tolist(), gap.tolist(), strict=True)
+        runs = "run goes on from the one before it" if len(rested) == 1 else "runs go on from those before them"
+        self.notes.append(f"{len(rested)} {runs}, after {length} without pressure by the clock.")
+        pauses = zip(trial[rested].tolist(), gap.tolist(), strict=True)
         return {str(n): {"start": "continues", "pause_s": round(s, 3)} for n, s in pauses}
 
     def _seen(self, table: pd.DataFrame) -> tuple[pd.DataFrame, int]:
