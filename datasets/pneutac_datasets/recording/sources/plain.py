@@ -453,14 +453,16 @@ class Understood:
         zero = driven <= ZERO_SHARE * driven.max()
         if not (step[known] > 0).all():
             return {}
-        rested = begins[known[begins - 1] & zero[begins] & zero[begins - 1]]
-        if not len(rested):
+        after = begins[known[begins - 1] & zero[begins] & zero[begins - 1]]
+        if not len(after):
             return {}
-        gap = step[rested - 1]
+        gap = step[after - 1]
         length = f"{gap[0]:.3g} s" if len(gap) == 1 else f"{gap.min():.3g} to {gap.max():.3g} s"
-        runs = "run goes on from the one before it" if len(rested) == 1 else "runs go on from those before them"
-        self.notes.append(f"{len(rested)} {runs}, after {length} without pressure by the clock.")
-        pauses = zip(trial[rested].tolist(), gap.tolist(), strict=True)
+        runs = (
+            "run goes on from the one before it" if len(after) == 1 else "runs go on from those before them"
+        )
+        self.notes.append(f"{len(after)} {runs}, after {length} without pressure by the clock.")
+        pauses = zip(trial[after].tolist(), gap.tolist(), strict=True)
         return {str(n): {"start": "continues", "pause_s": round(s, 3)} for n, s in pauses}
 
     def _seen(self, table: pd.DataFrame) -> tuple[pd.DataFrame, int]:
