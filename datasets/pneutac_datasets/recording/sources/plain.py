@@ -461,7 +461,9 @@ class Understood:
         runs = (
             "run goes on from the one before it" if len(after) == 1 else "runs go on from those before them"
         )
-        self.notes.append(f"{len(after)} {runs}, after {length} without pressure by the clock.")
+        self.notes.append(
+            f"{len(after)} {runs}, {length} later by the clock; no pressure is assumed in between."
+        )
         pauses = zip(trial[after].tolist(), gap.tolist(), strict=True)
         return {str(n): {"start": "continues", "pause_s": round(s, 3)} for n, s in pauses}
 
