@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.noise import quiet_s
+from pneutac_datasets.recording.recording import GRAVITY, Recording
 from pneutac_datasets.recording.units import BASE_UNIT, base_unit
 from pneutac_datasets.recording.wording import an, plural
 from pneutac_sim.errors import InputError
@@ -39,7 +40,7 @@ def axes(recording: Recording) -> list[Axis]:
     s = recording.samples
     found = [numbers(c, recording.column(c), 8) for c in recording.pressure_columns]
     rate, rest_s = motion(recording)
-    still = is_still(recording, rate)
+    still = np.abs(rate) <= STILL_1_PER_S * max(float(np.ptp(recording.commands)), 1e-9)
     way = np.where(still, 2, np.where(rate > 0, 0, 1))
     found.append(Axis("direction", None, way, ["loading", "unloading", "hold"]))
     found.append(_rates(rate, still))
@@ -50,7 +51,7 @@ def axes(recording: Recording) -> list[Axis]:
         if name in s:
             found.append(_labels(name, s[name]))
     if "gravity_x" in s:
-        g = s[["gravity_x", "gravity_y", "gravity_z"]].to_numpy(float).round(1) + 0.0
+        g = s[[*GRAVITY]].to_numpy(float).round(1) + 0.0
         found.append(_labels("gravity", pd.Series([", ".join(f"{x:g}" for x in v) for v in g])))
     for name in recording.conditions:
         if name == "program" or name.startswith("gravity_"):
@@ -59,7 +60,11 @@ def axes(recording: Recording) -> list[Axis]:
             found.append(numbers(name, recording.column(name).astype(float), 6))
         elif s[name].nunique() <= 30:
             found.append(_labels(name, s[name]))
-    return [_compact(a) for a in found if (a.bin >= 0).any()]
+    for axis in found:  # only bins that hold a sample
+        used, at = np.unique(axis.bin[axis.bin >= 0], return_inverse=True)
+        axis.bin, axis.labels = axis.bin.copy(), [axis.labels[i] for i in used]
+        axis.bin[axis.bin >= 0] = at
+    return [axis for axis in found if axis.labels]
 
 
 def motion(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
@@ -67,22 +72,15 @@ def motion(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
 
     Of several chambers the rate is their sum's, since loading means more air in all.
     """
-    rate, rest_s = np.zeros(len(recording)), np.zeros(len(recording))
-    p = recording.commands
-    quiet = 1e-3 * max(float(np.ptp(p)), 1e-9)
+    rate = np.zeros(len(recording))
+    p, time_s, begins = recording.commands, recording.column("time_s"), np.zeros(len(recording), bool)
+    begins[[rows.start for rows in recording.trials().values()]] = True
     for rows in recording.trials().values():
-        t, q = recording.column("time_s")[rows], p[rows]
+        t, q = time_s[rows], p[rows]
         back = np.minimum(np.searchsorted(t, t - 0.2), np.maximum(np.arange(len(t)) - 1, 0))
         span = np.maximum(t - t[back], 1e-9)
         rate[rows] = np.where(np.arange(len(t)) > 0, (q - q[back]).sum(1) / span, 0.0)
-        moved = np.r_[True, np.abs(np.diff(q, axis=0)).max(1, initial=0.0) > quiet]
-        rest_s[rows] = t - t[np.maximum.accumulate(np.where(moved, np.arange(len(t)), 0))]
-    return rate, rest_s
-
-
-def is_still(recording: Recording, rate: np.ndarray) -> np.ndarray:
-    """Mask (n,) of samples at which the command stands."""
-    return np.abs(rate) <= STILL_1_PER_S * max(float(np.ptp(recording.commands)), 1e-9)
+    return rate, quiet_s(time_s, begins, p)
 
 
 def numbers(name: str, value: np.ndarray, bins: int) -> Axis:
@@ -115,13 +113,6 @@ def _rates(rate: np.ndarray, still: np.ndarray) -> Axis:
 def _labels(name: str, column: pd.Series) -> Axis:
     at, labels = pd.factorize(column)
     return Axis(name, None, at, [str(x) for x in labels])
-
-
-def _compact(axis: Axis) -> Axis:
-    used = np.unique(axis.bin[axis.bin >= 0])
-    place = np.full(len(axis.labels) + 1, -1)
-    place[used] = np.arange(len(used))
-    return Axis(axis.name, axis.value, place[axis.bin], [axis.labels[i] for i in used])
 
 
 def unit_of(name: str) -> str:

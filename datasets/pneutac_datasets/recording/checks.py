@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from pneutac_datasets.recording import pressures, reading, rules, sensors
 from pneutac_datasets.recording.gel import gel_faults
 from pneutac_datasets.recording.noise import headline, noise_floor, regress, static_columns
-from pneutac_datasets.recording.recording import Recording, time_blocks, wide_gaps
+from pneutac_datasets.recording.recording import GRAVITY, Recording, time_blocks, wide_gaps
 from pneutac_datasets.recording.sensors import measured_pressures, where
 from pneutac_datasets.recording.wording import Finding, collected, plural
 from pneutac_sim.errors import InputError
@@ -77,7 +77,7 @@ def closed_loop(recording: Recording) -> Iterator[Finding]:
     too, but with the device's own sign, and a controller has the other.
     """
     columns, _ = headline(recording)
-    gains = {"before": [0.0, 0], "same": [0.0, 0]}
+    gains = np.zeros(3)  # sums over rows: of feedback from before, of that of the same row, and of 1
     command = recording.commands
     pose = recording.samples[columns].to_numpy(float)
     for rows in recording.trials().values() if columns else ():
@@ -96,20 +96,19 @@ def closed_loop(recording: Recording) -> Iterator[Finding]:
         before, left = _gain(target, known, y[at - 1][LAGS:])
         shown = (y @ _answer(u, y))[at][LAGS:]  # (n, chambers), each growing with its chamber's pressure
         same, sign = _same_row(left, np.hstack([known, y[at - 1][LAGS:]]), shown)
-        for name, gain in (("before", before), ("same", same * (sign < 0))):
-            gains[name][0] += gain * len(target)
-            gains[name][1] += len(target)
-    before, same = (a / n if n else 0.0 for a, n in gains.values())
+        gains += len(target) * np.array([before, same * (sign < 0), 1.0])
+    before, same, _ = gains / max(gains[2], 1)
     if max(before, same) > ANSWERED:
         own_row = same > ANSWERED
         text = (
             f"The command follows the measured motion ({max(before, same):.0%} of its steps are explained by "
             "it): under feedback noise passes for physics; record open-loop programs."
         )
-        if own_row:
-            text += " It answers to the pose of its own row, so it was sent after it was measured: log "
-            text += "time_sent_s."
-        numbers = {"share": max(before, same), "same_row": float(own_row)}
+        answers = (
+            " It answers to the pose of its own row, so it was sent after it was measured: log time_sent_s."
+        )
+        text += answers * bool(own_row)
+        numbers = {"share": float(max(before, same)), "same_row": float(own_row)}
         yield Finding("closed_loop", text, tuple(recording.pressure_columns), numbers=numbers)
 
 
@@ -323,28 +322,14 @@ def _drive(recording: Recording) -> np.ndarray:
 
 def exchanged_axes(recording: Recording) -> Iterator[Finding]:
     """Tip columns of a finger in each other's place: it bends in z and lies along x."""
-    length = recording.length_mm
-    if recording.device != "finger" or length is None:
-        return
-    p = _drive(recording)
-    if recording.has("tip_y_mm") and recording.has("tip_z_mm"):
-        y, z = (_moved_by(recording, p, c) for c in ("tip_y_mm", "tip_z_mm"))
-        if y > 0.03 * length and z < 0.2 * y:
-            text = (
-                f"The pressure moves tip_y_mm (by {y:.3g} mm) and hardly tip_z_mm (by {z:.2g} mm), but a "
-                "finger bends in z: the axes are exchanged, or the base is turned by 90 degrees; give both "
-                "in the finger's base frame."
-            )
-            yield Finding("exchanged_axes", text, ("tip_y_mm", "tip_z_mm"))
-    if recording.has("tip_x_mm") and recording.has("tip_z_mm"):
-        rest = np.abs(p[:, 0]) <= np.quantile(np.abs(p[:, 0]), 0.1)
-        x, z = (float(np.median(recording.column(c)[rest])) for c in ("tip_x_mm", "tip_z_mm"))
-        if abs(z) > 0.8 * length and abs(x) < 0.5 * length:
-            text = (
-                f"At the lowest pressures the tip is at tip_x_mm {x:.3g} and tip_z_mm {z:.3g}, but a finger "
-                f"of {length:g} mm lies along x: the axes are exchanged; give both in its base frame."
-            )
-            yield Finding("exchanged_axes", text, ("tip_x_mm", "tip_z_mm"))
+    along, towards = base_axes(recording)
+    other = "xz" if along[-1] == "z" else "yz" if towards[-1] == "y" and recording.has("tip_z_mm") else ""
+    if recording.length_mm is not None and other:
+        text = (
+            f"The finger lies along {along} and pressure bends it along {towards}, where x and z must point:"
+            " the axes are exchanged, or the base is turned by 90 degrees; give both in the base's frame."
+        )
+        yield Finding("exchanged_axes", text, tuple(f"tip_{a}_mm" for a in other))
 
 
 def misplaced_tip(recording: Recording) -> Iterator[Finding]:
@@ -485,7 +470,8 @@ def drift(recording: Recording) -> Iterator[Finding]:
     if not columns or same.sum() < 200:
         return
     p, block = _drive(recording)[same], time_blocks(recording.samples)[same]
-    done = _session_s(recording)[same]
+    step_s = recording.samples.groupby("trial")["time_s"].diff().fillna(0.0)  # no pauses between trials
+    done = np.cumsum(step_s.to_numpy(float))[same]
     y = recording.samples[columns].to_numpy(float)[same]
     floor = noise_floor(recording).by_column
     moved = {}
@@ -506,22 +492,13 @@ def drift(recording: Recording) -> Iterator[Finding]:
 def _usual_conditions(recording: Recording) -> np.ndarray:
     """Mask (n,) of rows in the most common orientation and payload, and near the median temperature."""
     s, mask = recording.samples, np.ones(len(recording), bool)
-    for name in ("gravity_x", "gravity_y", "gravity_z", "payload_g"):
+    for name in (*GRAVITY, "payload_g"):
         if name in s:
             rounded = s[name].round(1)
             mask &= (rounded == rounded.mode()[0]).to_numpy()
     if "temperature_c" in s:
         mask &= ((s["temperature_c"] - s["temperature_c"].median()).abs() < 2.0).to_numpy()
     return mask
-
-
-def _session_s(recording: Recording) -> np.ndarray:
-    """(n,) seconds recorded since the first row; pauses between trials are not counted."""
-    t, out, before = recording.column("time_s"), np.empty(len(recording)), 0.0
-    for rows in recording.trials().values():
-        out[rows] = before + t[rows] - t[rows.start]
-        before = out[rows.stop - 1]
-    return out
 
 
 def _trend(design: np.ndarray, y: np.ndarray, done: np.ndarray, block: np.ndarray) -> tuple[float, bool]:

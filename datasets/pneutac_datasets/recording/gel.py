@@ -234,8 +234,9 @@ def _fill_earlier(recording: Recording, samples: list[GelSample]) -> None:
                 f"{where}, row {i + 1}: with time_s {t:g} and hold_s {hold:g} it was pressed before the row "
                 f"above it was photographed, at {time[i - 1]:g} s; correct them, or leave hold_s out."
             )
+    first = 0
     for i, s in enumerate(samples):
-        first = next((k for k in range(i, 0, -1) if samples[k - 1].rest is not s.rest), 0)
+        first = i if s.rest is not samples[first].rest else first
         before = range(first, i)
         s.earlier = tuple(Earlier(samples[k].press, float(held[k]), float(time[i] - time[k])) for k in before)
 

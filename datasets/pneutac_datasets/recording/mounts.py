@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pneutac_datasets.recording.noise import headline, regress, static_columns
-from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.recording import GRAVITY, Recording
 from pneutac_sim.finger import quantities
 from pneutac_sim.finger.inputs import other_pressures
 
@@ -29,7 +29,7 @@ PIECES, FINE = 8, 64  # of a trial's rows: for its halves and the bootstrap, and
 DRAWS, SIGNIFICANCE = 400, 0.01
 LEAST_ROWS = 64  # of a trial, to place it by a model
 MOST_ROWS = 2000  # to fit memory by
-CONDITIONS = {"gravity_x": 0.1, "gravity_y": 0.1, "gravity_z": 0.1, "temperature_c": 2.0, "payload_g": 0.1}
+CONDITIONS = dict.fromkeys(GRAVITY, 0.1) | {"temperature_c": 2.0, "payload_g": 0.1}
 
 
 @dataclass(frozen=True)

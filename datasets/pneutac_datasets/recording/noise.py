@@ -23,8 +23,10 @@ from pathlib import Path
 
 import numpy as np
 from scipy.signal import detrend, lfilter
+from scipy.sparse import csr_array
 
-from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.recording import GRAVITY, Recording
+from pneutac_datasets.recording.rules import recorded_s
 from pneutac_datasets.recording.wording import plural
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import quantities
@@ -157,8 +159,7 @@ def noise_floor(recording: Recording) -> NoiseFloor:
 
 def _more(recording: Recording) -> str:
     """What would show the noise and is not there yet, a clause."""
-    time_s = recording.samples.groupby("trial")["time_s"]
-    longer = "" if (time_s.max() - time_s.min()).sum() >= LONG_S else "record two minutes or more, "
+    longer = "" if recorded_s(recording.samples) >= LONG_S else "record two minutes or more, "
     rows = sum(len(first) for first, *_ in repeats(recording))
     twice = f" for {LEAST_REPEATED} rows or more (not {rows})" if rows else ""
     return f"{longer}run one program twice{twice}, or declare 'noise' in recording.json"
@@ -195,10 +196,8 @@ def repeats(recording: Recording) -> list[tuple[np.ndarray, np.ndarray, int]]:
             continue
         a = np.arange(i0, i1)
         ta, tb = time[a] - time[i0], time[j0:j1] - time[j0]
-        nearest = np.clip(np.searchsorted(tb, ta), 1, len(tb) - 1) if len(tb) > 1 else np.zeros(len(ta), int)
-        nearest -= (ta - tb[nearest - 1] < tb[nearest] - ta) if len(tb) > 1 else 0
         a = a[ta <= tb[-1]]
-        b = j0 + nearest[: len(a)]
+        b = j0 + np.round(np.interp(ta[: len(a)], tb, np.arange(len(tb)))).astype(int)  # the nearest
         equal = np.abs(command[a] - command[b]).max(1) <= tolerance
         n = len(equal) if equal.all() else int(np.argmin(equal))
         if n < 20 or ta[n - 1] < 3.0 or np.ptp(command[a[:n]]) <= tolerance:
@@ -208,7 +207,7 @@ def repeats(recording: Recording) -> list[tuple[np.ndarray, np.ndarray, int]]:
     return found
 
 
-_TOLERANCES = {"gravity_x": 0.1, "gravity_y": 0.1, "gravity_z": 0.1, "temperature_c": 1.0, "payload_g": 0.1}
+_TOLERANCES = dict.fromkeys(GRAVITY, 0.1) | {"temperature_c": 1.0, "payload_g": 0.1}
 
 
 def _runs(recording: Recording) -> list[tuple[int, int]]:
@@ -251,7 +250,7 @@ def contrasts(recording: Recording, columns: list[str], at_rest: bool = False) -
     u = recording.commands[rows]
     Y = recording.samples[columns].to_numpy(float)[rows]
     F = np.concatenate([_responses(c, first) for c in u.T], axis=1)
-    quiet = _quiet_s(t, first, u)
+    quiet = quiet_s(t, first, u)
     if at_rest:
         quiet[(np.abs(u) > REST * np.abs(u).max()).any(axis=1)] = np.nan  # no wait is over there
     wide = max(WIDE_ROWS, round(WIDE_S / float(np.median(step_s))))
@@ -302,7 +301,7 @@ def _play(x: np.ndarray, width: float) -> np.ndarray:
     return out
 
 
-def _quiet_s(t: np.ndarray, first: np.ndarray, u: np.ndarray) -> np.ndarray:
+def quiet_s(t: np.ndarray, first: np.ndarray, u: np.ndarray) -> np.ndarray:
     """(n,) seconds since a command last changed; 0 in the row of the change."""
     moved = np.r_[True, (np.abs(np.diff(u, axis=0)) > 1e-3 * max(float(np.ptp(u)), 1e-9)).any(axis=1)]
     last = np.maximum.accumulate(np.where(moved | first, np.arange(len(t)), 0))
@@ -328,10 +327,11 @@ class _Contrasts:
         i = i[trial[i - s] == trial[i + s]]
         w = (t[i + s] - t[i]) / (t[i + s] - t[i - s])
         W = np.stack([-w, np.ones(len(i)), w - 1], axis=1)
-        self.W = W / np.linalg.norm(W, axis=1, keepdims=True)
+        W /= np.linalg.norm(W, axis=1, keepdims=True)
+        rows = np.repeat(np.arange(len(i)), 3), np.add.outer(i, (-s, 0, s)).ravel()
+        self.C = csr_array((W.ravel(), rows), shape=(len(i), len(t)))
+        self.X, self.c = self.C @ F, self.C @ Y
         self.i, self.s, self.t = i, s, t
-        ends = list(enumerate((-s, 0, s)))
-        self.X, self.c = (np.sum([self.W[:, [k]] * z[i + d] for k, d in ends], axis=0) for z in (F, Y))
         self._basis: dict[float | None, np.ndarray] = {}
 
     def deviation(self, k: int, quiet: np.ndarray, after_s: tuple[float | None, ...]) -> float | None:
@@ -382,15 +382,9 @@ class _Contrasts:
 
     def _spread(self, k: int, at: np.ndarray, Q: np.ndarray) -> tuple[float, float, np.ndarray] | None:
         """Deviation, tr((I - H) C C') and what the regression leaves."""
-        c, W, rows, s = self.c[at, k], self.W[at], self.i[at], self.s
+        c = self.c[at, k]
         left = c - Q @ (Q.T @ c)
-        trace = len(at) - float((Q**2).sum())
-        for d in (s, 2 * s):  # contrasts that share rows are correlated
-            b = np.minimum(np.searchsorted(rows, rows + d), max(len(rows) - 1, 0))
-            a = np.flatnonzero(rows[b] == rows + d)
-            b = b[a]
-            shared = W[a, 2] * W[b, 0] if d == 2 * s else W[a, 1] * W[b, 0] + W[a, 2] * W[b, 1]
-            trace -= 2 * float((shared * (Q[a] * Q[b]).sum(axis=1)).sum())
+        trace = len(at) - float(((self.C[at].T @ Q) ** 2).sum())  # contrasts that share rows are correlated
         if trace < LEAST_DOF:
             return None
         return float(np.sqrt((left @ left) / trace)), trace, left

@@ -6,7 +6,7 @@ from shlex import quote
 
 import pandas as pd
 
-from pneutac_datasets.recording.text_table import MAX_COLUMNS, MAX_ROWS, TextTable, read_text
+from pneutac_datasets.recording.text_table import MAX_COLUMNS, MAX_ROWS, read_text
 from pneutac_datasets.recording.units import base_unit, unit_named
 from pneutac_datasets.recording.wording import SourceFile, cut
 from pneutac_sim.errors import InputError, shown
@@ -62,23 +62,12 @@ def read_table(folder: Path, meta: dict) -> tuple[pd.DataFrame, Path]:
         return read_parquet(file), file
     table, source = read_text(file), SourceFile(file)
     source.lines = table.lines
-    return _named_table(table), source
-
-
-def read_csv(file: Path) -> pd.DataFrame:
-    """A table of text whose names have the units; raises InputError where it is none or too large."""
-    return _named_table(read_text(file))
-
-
-def _named_table(table: TextTable) -> pd.DataFrame:
     for name, unit in table.units.items():
         own, found = base_unit(name), unit_named(unit)
         if own and found and (found.against == "abs" or found.scale != own.scale):
-            raise InputError(
-                f"{table.file}: column {shown(name)} is in {shown(unit)}, as a line below the header or its"
-                f" cells say; `pneutac convert {quote(str(table.file))}` converts it."
-            )
-    return table.frame
+            said = f"column {shown(name)} is in {shown(unit)}, as a line below the header or its cells say"
+            raise InputError(f"{file}: {said}; `pneutac convert {quote(str(file))}` converts it.")
+    return table.frame, source
 
 
 def read_parquet(file: Path) -> pd.DataFrame:

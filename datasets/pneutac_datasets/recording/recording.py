@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from pneutac_datasets.recording import reading, rules
-from pneutac_datasets.recording.rules import TrialStart, meta_of_trials, starts
+from pneutac_datasets.recording.rules import TrialStart, meta_of_trials
 from pneutac_datasets.recording.wording import listed
 from pneutac_sim.errors import InputError, shown
 from pneutac_sim.files import inside, read_image, whole, write_json
@@ -24,6 +24,7 @@ TARGET_BLOCKS = 40
 EDGE = 1e-5  # of a block: rows so near its end belong to the next
 DIGITS = "%.7g"  # of the numbers in a written table
 CLOCKS = ("time_s", "time_sent_s")  # which have digits of their own
+GRAVITY = ("gravity_x", "gravity_y", "gravity_z")
 LEVELS = ("temperature_c", "payload_g")  # drift within a block, so a block counts with its mean
 
 
@@ -31,33 +32,28 @@ def time_blocks(samples: pd.DataFrame) -> np.ndarray:
     """Block number (n,) of each sample: equal pieces of time within one trial, program and orientation."""
     cut = np.zeros(len(samples), bool)
     cut[0] = True
-    keys = [c for c in ("program", "gravity_x", "gravity_y", "gravity_z") if c in samples]
     trial = samples["trial"].to_numpy()
     cut[1:] |= trial[1:] != trial[:-1]
-    for name in keys:
-        v = samples[name]
-        v = np.round(v.to_numpy(float)) if name != "program" else pd.factorize(v)[0]
+    for name in ("program", *GRAVITY):
+        if name not in samples:
+            continue
+        v = np.round(samples[name].to_numpy(float)) if name in GRAVITY else pd.factorize(samples[name])[0]
         change = v[1:] != v[:-1]
         if change.sum() <= len(samples) / 20:  # a label that flickers cannot bound blocks
             cut[1:] |= change
     run = np.cumsum(cut) - 1
     time = samples["time_s"].to_numpy()
-    starts = np.flatnonzero(cut)
-    t0 = time[starts]
-    duration = np.array([time[b - 1] - time[a] for a, b in _spans(starts, len(samples))])
+    begin = np.flatnonzero(cut)
+    end = np.r_[begin[1:], len(samples)]
+    duration = time[end - 1] - time[begin]
     target = max(duration.sum() / TARGET_BLOCKS, 1e-9)
     # An offset of the clock changes the last digits of times: what is at an edge must not depend on them.
     pieces = np.maximum(1, np.round(np.round(duration / target, 6))).astype(int)
     # a short run (one step of a trial) still gives something to both parts
-    sizes = np.array([b - a for a, b in _spans(starts, len(samples))])
-    pieces = np.where((pieces == 1) & (sizes >= 20), 2, pieces)
-    share = (time - t0[run]) / np.maximum(duration[run], 1e-12)
+    pieces = np.where((pieces == 1) & (end - begin >= 20), 2, pieces)
+    share = (time - time[begin][run]) / np.maximum(duration[run], 1e-12)
     within = np.minimum((share * pieces[run] + EDGE).astype(int), pieces[run] - 1)
     return np.unique(run * (pieces.max() + 1) + within, return_inverse=True)[1]
-
-
-def _spans(starts: np.ndarray, n: int):
-    return zip(starts, np.r_[starts[1:], n], strict=True)
 
 
 def strata(samples: pd.DataFrame, block: np.ndarray) -> np.ndarray:
@@ -67,7 +63,7 @@ def strata(samples: pd.DataFrame, block: np.ndarray) -> np.ndarray:
     for name in ("program", "indenter", "role"):
         if name in samples:
             key.append(pd.factorize(samples[name].astype(str))[0][first])
-    for name in ("gravity_x", "gravity_y", "gravity_z"):
+    for name in GRAVITY:
         if name in samples:
             key.append(np.round(samples[name].to_numpy(float)[first]).astype(int))
     for name in LEVELS:
@@ -149,7 +145,9 @@ class Recording:
             if file.suffix == ".parquet":
                 self.samples.to_parquet(part, index=False)
             else:
-                times = {c: self.samples[c].map(_time) for c in CLOCKS if self.has(c)}
+                # nine decimals: seven digits would be too few for a clock that counts since 1970
+                clocks = self.samples[[c for c in CLOCKS if self.has(c)]]
+                times = clocks.map(lambda seconds: np.format_float_positional(seconds, 9, trim="-"))
                 self.samples.assign(**times).to_csv(part, index=False, float_format=DIGITS)
         write_json(path / "recording.json", meta)
         return path
@@ -227,8 +225,9 @@ class Recording:
 
     @property
     def starts(self) -> dict[int, TrialStart]:
-        """Trial number to how it began, in order."""
-        return starts(self.meta, list(self.trials()))
+        """Trial number to how it began, in order; `unknown` where it is not stated."""
+        stated = self.meta.get("trials") or {}
+        return {trial: TrialStart(**stated.get(str(trial), {})) for trial in self.trials()}
 
     def image(self, value, plain: bool = False) -> np.ndarray:
         """RGB uint8 (H, W, 3) named in a column: a relative path, or bytes stored in Parquet.
@@ -275,11 +274,6 @@ class Recording:
                 return train, ~train
         part = assign(self.samples, self.blocks(), seed, fractions)
         return tuple(part == i for i in range(len(fractions)))
-
-
-def _time(seconds: float) -> str:
-    """With nine decimals: seven digits would be too few for a clock that counts since 1970."""
-    return f"{seconds:.9f}".rstrip("0").rstrip(".")
 
 
 def joined(recordings: Sequence[Recording], pauses_s: Sequence[float | None]) -> Recording:

@@ -46,12 +46,6 @@ class TrialStart:
     pause_s: float | None = None
 
 
-def starts(meta: dict, trials: list[int]) -> dict[int, TrialStart]:
-    """How each of these trials began; `unknown` where it is not stated."""
-    stated = meta.get("trials") or {}
-    return {t: TrialStart(**stated.get(str(t), {})) for t in trials}
-
-
 def meta_of_trials(meta: dict, before: list[int], left: list[int]) -> dict:
     """The fields for a table of fewer trials; one that continued a trial which is gone starts unknown."""
     if "trials" not in meta:
@@ -448,32 +442,21 @@ def check_time(samples: pd.DataFrame, file: Path, warnings: list[str]) -> pd.Dat
         warnings.append(f"{where}; {'it is' if n == 1 else 'they are'} left out.")
         samples = samples[~doubled]
     normal = np.median(step[np.isfinite(step)]) if np.isfinite(step).any() else 0.0
+    every = f"{file}: column 'time_s' has one sample every {normal:g} s"
     if 5 <= normal <= 1000 and _in_milliseconds(samples):
-        raise InputError(
-            f"{file}: column 'time_s' has one sample every {normal:g} s for {_length(samples) / DAY_S:.1f} "
-            "days while the pressure ramps from row to row, which can only be milliseconds; divide it by "
-            "1000."
-        )
-    if normal > SLOWEST_S:
-        raise InputError(
-            f"{file}: column 'time_s' has one sample every {normal:g} s, which can only be another unit than"
-            " seconds; divide it by 1e6 if the clock counts microseconds, by 1e9 if nanoseconds."
-        )
-    if 0 < normal < TOO_FAST_S:
-        raise InputError(
-            f"{file}: column 'time_s' has one sample every {normal:.3g} s, which can only be another unit"
-            " than seconds; multiply it by 86400 if the clock counts days, by 3600 if hours."
-        )
+        days = f"{recorded_s(samples) / DAY_S:.1f} days while the pressure ramps from row to row"
+        raise InputError(f"{every} for {days}, which can only be milliseconds; divide it by 1000.")
+    if normal > SLOWEST_S or 0 < normal < TOO_FAST_S:
+        remedy = "divide it by 1e6 if the clock counts microseconds, by 1e9 if nanoseconds"
+        if normal < TOO_FAST_S:
+            remedy = "multiply it by 86400 if the clock counts days, by 3600 if hours"
+        raise InputError(f"{every}, which can only be another unit than seconds; {remedy}.")
     if normal >= 5 and len(samples) > 100:
-        warnings.append(
-            f"{file}: column 'time_s' has one sample every {normal:g} s; if the clock counts milliseconds, "
-            "divide it by 1000."
-        )
+        warnings.append(f"{every}; if the clock counts milliseconds, divide it by 1000.")
     if 0 < normal < FASTEST_S:
-        warnings.append(
-            f"{file}: column 'time_s' has {1 / normal:.0f} samples a second, {_length(samples):.3g} s in all;"
-            " if the clock counts seconds and not milliseconds, multiply it by 1000."
-        )
+        rate = f"{1 / normal:.0f} samples a second, {recorded_s(samples):.3g} s in all"
+        remedy = "if the clock counts seconds and not milliseconds, multiply it by 1000"
+        warnings.append(f"{file}: column 'time_s' has {rate}; {remedy}.")
     return samples
 
 
@@ -515,7 +498,7 @@ def check_sent(samples: pd.DataFrame, file: Path) -> None:
     raise InputError(f"{file}: column 'time_sent_s', {row} (trial {trial[i]}) {fault}.")
 
 
-def _length(samples: pd.DataFrame) -> float:
+def recorded_s(samples: pd.DataFrame) -> float:
     """Total recorded time, s."""
     time = samples.groupby("trial")["time_s"]
     return float((time.max() - time.min()).sum())
@@ -528,7 +511,7 @@ def _in_milliseconds(samples: pd.DataFrame) -> bool:
     that is truly so slow holds its pressures (creep) or jumps between them from row to row (fatigue).
     """
     time = samples["time_s"].to_numpy()
-    if _length(samples) < DAY_S or (np.abs(time - np.round(time)) > 1e-3).any():
+    if recorded_s(samples) < DAY_S or (np.abs(time - np.round(time)) > 1e-3).any():
         return False
     p = samples[pressure_commands(samples)].to_numpy(float)
     move = np.abs(np.diff(p, axis=0)).max(1) / max(float(np.ptp(p)), 1e-9)

@@ -1,6 +1,5 @@
 """Tables of text as labs and spreadsheets write them: any delimiter, decimal mark, encoding and preamble."""
 
-import codecs
 import csv
 import re
 import warnings
@@ -178,7 +177,8 @@ def _shape(table: TextTable, names: list[str], mark: str) -> None:
     table.frame, table.lines = frame[keep].reset_index(drop=True), table.lines[keep.to_numpy()]
     for name in [c for c in table.frame if c.startswith("\0")]:
         filled = table.frame[name].notna()
-        if name[1:] == "0" and _counts_rows(table.frame[name]):
+        numbers = pd.to_numeric(table.frame[name], errors="coerce")
+        if name[1:] == "0" and len(numbers) > 1 and (numbers.diff()[1:] == 1).all():  # as pandas writes them
             which = "column 1, which has no name and counts the rows,"
             table.notes.append(f"{file}: {which} is left out.")
         elif filled.any():
@@ -191,12 +191,6 @@ def _shape(table: TextTable, names: list[str], mark: str) -> None:
             raise InputError(f"{file}: {what}; give every column a name.")
         table.frame = table.frame.drop(columns=name)
         table.units.pop(name, None)
-
-
-def _counts_rows(values: pd.Series) -> bool:
-    """Whether a column is what pandas writes before a table: 0, 1, 2, ..., from whichever number."""
-    numbers = pd.to_numeric(values, errors="coerce").to_numpy(float)
-    return len(numbers) > 1 and bool((np.diff(numbers) == 1).all())
 
 
 def _texts_to_numbers(table: TextTable, mark: str, comma: bool) -> str:
@@ -304,11 +298,10 @@ def _encoding(file: Path) -> str:
 
 
 def _tried(file: Path, encoding: str) -> str:
-    decoder, before = codecs.getincrementaldecoder(encoding)(), ""
+    before = ""
     try:
-        with file.open("rb") as f:
-            while chunk := f.read(2**20):
-                text = decoder.decode(chunk)
+        with file.open(encoding=encoding) as f:
+            while text := f.read(2**20):
                 if "\0" in text:
                     raise InputError(f"{file} holds zero bytes, so it is no text; save it as 'CSV UTF-8'.")
                 if huge := HUGE.search(before + text):
@@ -317,7 +310,6 @@ def _tried(file: Path, encoding: str) -> str:
                         " that column."
                     )
                 before = text[-64:]
-        decoder.decode(b"", final=True)
     except UnicodeError as e:
         reason = getattr(e, "reason", e)
         raise InputError(f"{file} is no text that can be decoded ({reason}); save it as 'CSV UTF-8'.") from e

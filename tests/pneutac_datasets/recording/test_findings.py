@@ -79,6 +79,8 @@ def test_what_is_found_in_public_recordings_is_true(name):
     if "PNEUTAC_DATA" not in os.environ:
         pytest.skip("PNEUTAC_DATA does not name a folder with real recordings")
     r = Recording.load(Path(os.environ["PNEUTAC_DATA"]) / "soft" / name)
+    train, heldout = r.split()
+    assert 0.15 < heldout.mean() < 0.45 and (train ^ heldout).all()
     found = {f.kind: f for f in findings(r)}
     assert set(found) == PUBLIC[name] and set(found) <= set(KINDS)
     assert all(len(f.sentence) <= 400 for f in found.values())

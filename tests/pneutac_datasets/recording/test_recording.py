@@ -1,7 +1,6 @@
 """Bench recordings survive a round trip, bad ones say what to do, and parts are whole blocks of time."""
 
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -103,10 +102,7 @@ BAD = [  # more are in `tests/snapshots/sentences.txt`
     (lambda s: s.assign(**{c: s[c] / 1000 for c in TIPS}), "metres.*multiply"),
     (lambda s: s.assign(bend_angle_rad=s[P]), "degrees"),
     (lambda s: s.assign(temperature_c=294.0), "kelvin"),
-    (
-        lambda s: s.assign(gravity_x=9.81, gravity_y=0, gravity_z=0),
-        "have the length 9.81, where a direction has 1",
-    ),
+    (lambda s: s.assign(gravity_x=9.81, gravity_y=0, gravity_z=0), "have the length 9.81, where a direction"),
     (lambda s: s.assign(gravity_x=1.0), "'gravity_y' is missing"),
     (lambda s: s.assign(time_s=np.round(s.time_s * 1e4)), "time_s.*milliseconds; divide it by 1000"),
     (lambda s: s.assign(time_s=np.round(s.time_s * 1e6)), "time_s.*every .* divide it by 1e6"),
@@ -159,7 +155,6 @@ def test_bad_table_is_one_sentence_with_file_column_and_remedy(tmp_path, change,
 NOISE = [  # field `noise`, and of which the sentence speaks
     ('"0.2"', "noise.*standard deviation"),
     ('{"tip_x_mm": "0.2"}', "'noise' of 'tip_x_mm' is '0.2'"),
-    ('{"temperature_c": 0.2}', "'temperature_c', which is not measured"),
     ('{"tip_x_mm": 0.2, "tip_z_mm": 0.2}', "does not name 'tip_y_mm'"),
 ]
 STARTS = [  # field `trials`
@@ -173,11 +168,6 @@ META_TEXTS = [
     ('{"device": "finger", "length_mm": NaN}', "length_mm"),
     *((f'{{"device": "finger", "length_mm": 110, "noise": {noise}}}', says) for noise, says in NOISE),
     *((f'{{"device": "finger", "length_mm": 110, "trials": {starts}}}', says) for starts, says in STARTS),
-    ('{"device": "finger", "samples": "other.csv"}', "other.csv is missing"),
-]
-
-
-META_TEXTS += [
     ("[" * 100_000, "is not valid JSON"),
     ('{"length_mm": ' + "1" * 5000 + "}", "field 'length_mm' is inf"),
     ("\udcff", "is no text in UTF-8"),
@@ -194,13 +184,10 @@ def test_bad_metadata_is_one_short_sentence_that_names_the_field(tmp_path, monke
     assert len(str(e.value)) <= 400
 
 
-LONG = "x" * 5000
-
-
 def test_a_missing_column_and_a_long_image_name_are_short_sentences(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     r = Recording.load(write(Path("r"), table().assign(**{f"condition_{i}": 0.0 for i in range(50)})))
-    for call in (lambda: r.column("force_x_n"), lambda: r.image(LONG + ".png")):
+    for call in (lambda: r.column("force_x_n"), lambda: r.image(5000 * "x" + ".png")):
         with pytest.raises(InputError) as e:
             call()
         assert len(str(e.value)) <= 400
@@ -247,6 +234,10 @@ def test_a_folder_of_tables_and_a_twin_are_named_where_a_recording_is_wanted(tmp
             "'temperature_f' is not read; multiply it by 0.555556, add -17.7778 and call it 'temperature_c'.",
         ),
         (lambda s: s.assign(payload_kg=0.02), "multiply it by 1000 and call it 'payload_g'."),
+        (
+            lambda s: s.assign(time_s=s.time_s / 1000),
+            "has 20000 samples a second, 0.0198 s in all; if the clock",
+        ),
         (lambda s: s.drop(columns="tip_z_mm"), "z, in which the device bends, was not measured"),
     ],
 )
@@ -345,21 +336,6 @@ def test_gel_recording_splits_by_role_and_reads_images(tmp_path):
     train, heldout = r.split()
     assert train.tolist() == [True, False, False, False] and (train != heldout).all()
     np.testing.assert_array_equal(r.image(r.samples.image[0]), picture)
-    for name, message in (("b.png", "b.png is missing"), ("../x.png", "outside")):
-        with pytest.raises(InputError, match=message):
-            r.image(name)
-    (folder / "b.png").write_text("no picture")
-    with pytest.raises(InputError, match="cannot be read as an image"):
-        r.image("b.png")
-
-
-@pytest.mark.parametrize("name", ["asu_segment", "sopra_segment", "three_bellow_arm"])
-def test_real_recordings_load_and_split(name):
-    if "PNEUTAC_DATA" not in os.environ:
-        pytest.skip("PNEUTAC_DATA does not name a folder with real recordings")
-    r = Recording.load(Path(os.environ["PNEUTAC_DATA"]) / "soft" / name)
-    train, heldout = r.split()
-    assert 0.15 < heldout.mean() < 0.45 and (train ^ heldout).all()
 
 
 @pytest.mark.parametrize("number", [120, pytest.param(10_000, marks=pytest.mark.nightly)])

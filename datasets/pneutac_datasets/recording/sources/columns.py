@@ -252,11 +252,9 @@ def _kind(base: str, unit: str) -> tuple[str, str]:
     axes = [w for w, k in zip(words, kinds, strict=True) if k == "axis"]
     index = numbers[0] if len(numbers) == 1 else ""
 
-    if have == {"gravity", "axis"} and len(axes) == 1:
-        return "gravity", axes[0]
     if len(axes) == 1 and have - {"measured"} in ({"axis"}, {"axis", "tip"}) and not numbers[1:]:
         return "tip", axes[0]
-    for kind in ("base", "force"):
+    for kind in ("gravity", "base", "force"):
         if have == {"axis", kind} and len(axes) == 1:
             return kind, axes[0]
     if have in ({"pressure", "command"}, {"command"}):

@@ -28,7 +28,7 @@ from pneutac_datasets.recording.sources.columns import (
     seeming,
     understand,
 )
-from pneutac_datasets.recording.sources.readers import AXES, axes_of
+from pneutac_datasets.recording.sources.readers import AXES, REST_SHARE, axes_of
 from pneutac_datasets.recording.text_table import TextTable, read_text
 from pneutac_datasets.recording.units import BASE_UNIT
 from pneutac_datasets.recording.wording import SourceFile, collected, grouped, listed, plural
@@ -45,7 +45,6 @@ SPREADSHEETS = (".xlsx", ".xls", ".xlsm", ".ods", ".numbers")
 TIPS = ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
 VECTORS = "tip_{}_mm", "force_{}_n", "gravity_{}"
 DRIVES = r"trial|time(_sent)?_s|pressure_cmd_(\d+_)?kpa"  # columns that drive or time the device
-REST_SHARE = 0.05  # of the rows: those of the least pressure
 ZERO_SHARE = 0.01  # of the largest command: at less there is no pressure
 ALONG = 0.7  # cosine between the resting tip and x, below which the axes must be others
 FROM_TIP = 0.2  # of its motion: nearer to the origin than that no resting tip is to its base
@@ -54,6 +53,7 @@ EPOCH_S = 1e8  # a clock beyond this counts since 1970
 HALF_DAY_S = rules.DAY_S / 2
 STAMP = "stamp [ns]"  # name of a clock that stands in two columns
 USUAL_MM = 25.0, 350.0  # length of a finger; of another the tip's unit or origin may be wrong
+LIES = "the straight finger lies along {} and pressure bends it along {}, where x and z must point"
 NOON_S = 60.0  # at most between the last row before one o'clock and the first after it
 PAUSE_S = 600.0  # between two rows: what happened in so long a pause is unknown, so that a new run begins
 
@@ -93,12 +93,9 @@ class Given:
         quoted = {n: f'"{n}"' if set(n) & set(",:") else n for n in self.columns}
         columns = ", ".join(f"{quoted[n]}: {column}" for n, column in self.columns.items())
         base = ",".join(f"{v:g}" for v in self.base_mm)
-        given = {"columns": columns, "base": base * any(self.base_mm), "base_x": self.base_x}
-        given |= {"base_z": self.base_z, "length_mm": self.length_mm, "rate_hz": self.rate_hz}
-        given |= {"date": self.date}
-        usual = {k: f.default for k, f in self.__dataclass_fields__.items()}
+        given = {"columns": columns, "base": base * any(self.base_mm)} | {k: getattr(self, k) for k in KINDS}
         shown = {k: f"{v:g}" if isinstance(v, float) else v for k, v in given.items() if v}
-        return [f"--{k}={v}" for k, v in shown.items() if v != usual.get(k)]
+        return [f"--{k}={v}" for k, v in shown.items() if v != getattr(Given, k, None)]
 
     def turned(self, x: str, z: str) -> "Given":
         """With other axes of the base, `x` and `z`, which are named in the frame of these."""
@@ -108,15 +105,13 @@ class Given:
 
     def text(self, columns: Sequence[Column]) -> str:
         """The content of `mapping.yaml` once the columns are known."""
-        content = {"columns": {c.name: str(c) for c in columns}, "length_mm": self.length_mm}
-        content |= {"base_mm": list(self.base_mm), "base_x": self.base_x, "base_z": self.base_z}
-        content |= {"rate_hz": self.rate_hz, "date": self.date}
+        content = vars(self) | {"columns": {c.name: str(c) for c in columns}, "base_mm": list(self.base_mm)}
         content = {k: v for k, v in content.items() if v not in (None, "")}
         head = "# What the columns of the table are; `pneutac convert` and every --mapping read it.\n"
         return head + yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=1000)
 
 
-KINDS = {"length_mm": float, "rate_hz": float, "base_x": str, "base_z": str, "date": str}  # of `Given`
+KINDS = {"base_x": str, "base_z": str, "length_mm": float, "rate_hz": float, "date": str}  # of `Given`
 
 
 def table_files(path: str | Path) -> list[Path]:
@@ -181,12 +176,8 @@ def is_unfinished(folder: Path) -> bool:
 
 def _stamp(folder: Path, files: Sequence[Path]) -> dict:
     """Of what a recording was made, by which its age is known."""
-    return {"files": {f.name: _digest(f) for f in files}, "mapping": _digest(folder / MAPPING)}
-
-
-def _digest(file: Path) -> str:
-    with file.open("rb") as f:
-        return hashlib.file_digest(f, "sha256").hexdigest()
+    *digests, mapping = (hashlib.sha256(f.read_bytes()).hexdigest() for f in (*files, folder / MAPPING))
+    return {"files": dict(zip([f.name for f in files], digests, strict=True)), "mapping": mapping}
 
 
 def read_table(file: Path, time: str = "") -> TextTable:
@@ -342,10 +333,8 @@ class Understood:
             stamps = self._stamps(raw, shown(clock.name))
         elif clock.unit is not None and clock.unit.name == "frames":
             if not self.given.rate_hz:
-                raise InputError(
-                    f"{self.files[0]}: {shown(clock.name)} counts frames; give their number a second by"
-                    f" `{self._convert} --rate_hz=20`."
-                )
+                counts = f"{shown(clock.name)} counts frames; give their number a second"
+                raise InputError(f"{self.files[0]}: {counts} by `{self._convert} --rate_hz=20`.")
             stamps = values.astype(float) / self.given.rate_hz
         else:
             factor = (clock.unit.factor if clock.unit else 1.0) * clock.factor
@@ -670,14 +659,11 @@ def _one_stamp(table: TextTable, given: Given) -> None:
 
 def _turn_by(source: str, axes: tuple[str, str], command: Sequence[str], other_x: bool) -> str:
     """That a tip is given in other axes than the base's, and the command that turns it, a sentence."""
-    x, z = axes
-    if not other_x:
-        return (
-            f"{source}: pressure bends the finger along {z}, where z must point; `{join(command)}` turns it."
-        )
-    lies = f"the straight finger lies along {x} and pressure bends it along {z}, where x and z must point"
-    elsewhere = "if the base is not at the origin, give its place too, --base=X,Y,Z"
-    return f"{source}: {lies}; `{join(command)}` turns it ({elsewhere})."
+    lies = f"pressure bends the finger along {axes[1]}, where z must point"
+    if other_x:
+        lies = LIES.format(*axes)
+    elsewhere = " (if the base is not at the origin, give its place too, --base=X,Y,Z)" * other_x
+    return f"{source}: {lies}; `{join(command)}` turns it{elsewhere}."
 
 
 def refuse_other_axes(recording: Recording) -> None:
@@ -688,10 +674,7 @@ def refuse_other_axes(recording: Recording) -> None:
     folder = Path(recording.folder)
     table = folder / recording.meta.get("samples", "samples.csv")
     if not table.is_file():
-        raise InputError(
-            f"{folder}: the straight finger lies along {axes[0]} and pressure bends it along {axes[1]}, where"
-            " x and z must point; turn the columns of the tip."
-        )
+        raise InputError(f"{folder}: {LIES.format(*axes)}; turn the columns of the tip.")
     files = [folder.parent / name for name in recording.meta.get("source", {}).get("files", ())]
     if files and is_ours(folder) and all(f.is_file() for f in files) and folder_of(files) == folder:
         turned = Given.load(folder / MAPPING).turned(*axes)
@@ -700,7 +683,7 @@ def refuse_other_axes(recording: Recording) -> None:
     else:
         command, more, ways = ["pneutac", "convert", str(table)], [f"--out={folder}_turned"], axes
     named = {"base_x": ways[0], "base_z": ways[1], "length_mm": recording.meta.get("length_mm")}
-    command += [f"--{k}={v}" for k, v in named.items() if v and v != Given.__dataclass_fields__[k].default]
+    command += [f"--{k}={v}" for k, v in named.items() if v and v != getattr(Given, k)]
     raise InputError(_turn_by(str(folder), axes, [*command, *more], axes[0] != "x"))
 
 
@@ -732,10 +715,8 @@ def _at_rest(table: pd.DataFrame) -> np.ndarray | None:
 
 def extent(recording: Recording) -> str:
     """`10 runs, 8.6 minutes, 20 Hz`."""
-    time = recording.samples.groupby("trial")["time_s"]
-    seconds, steps = float((time.max() - time.min()).sum()), time.diff()
-    steps = steps[steps > 0]
-    rate = 1 / float(np.median(steps)) if len(steps) else 0.0
+    seconds, steps = rules.recorded_s(recording.samples), recording.samples.groupby("trial")["time_s"].diff()
+    rate = 1 / float(steps[steps > 0].median()) if (steps > 0).any() else 0.0
     rate = f", {rate:.0f} Hz" if rate >= 1000 else f", {rate:.3g} Hz" * bool(rate)
     minutes = f"{seconds / 60:.2g}" if seconds < 6000 else f"{seconds / 60:.0f}"
     length = f"{minutes} minutes" if seconds >= 60 else f"{seconds:.3g} s"

@@ -16,8 +16,9 @@ from scipy.spatial.transform import Rotation
 
 from pneutac_datasets.recording.reading import MAX_CELLS
 from pneutac_datasets.recording.recording import Recording, count_left_out
-from pneutac_datasets.recording.sources.columns import read_name
+from pneutac_datasets.recording.sources.columns import EXAMPLES, read_name
 from pneutac_datasets.recording.text_table import MAX_CSV_BYTES, MAX_ROWS, TextTable
+from pneutac_datasets.recording.units import UNITS
 from pneutac_datasets.recording.wording import cut, listed, plural
 from pneutac_sim.errors import InputError, shown
 from pneutac_sim.files import refuse_pointer
@@ -30,6 +31,17 @@ class Track:
     time_s: np.ndarray  # (n,) rising
     position_mm: np.ndarray  # (n, 3) in the frame of the measuring system; NaN where it was not seen
     rotation: np.ndarray | None = None  # (n, 3, 3) of a body in that frame, or None of a single marker
+
+    @classmethod
+    def of(cls, time_s: np.ndarray, position_mm: np.ndarray, turns: np.ndarray) -> "Track":
+        """With rotations where `turns` (n, k) are quaternions x, y, z, w; NaN where those are."""
+        if turns.shape[1] != 4:
+            return cls(time_s, position_mm)
+        R = np.full((len(turns), 3, 3), np.nan)
+        seen = np.isfinite(turns).all(1) & (np.linalg.norm(turns, axis=1) > 0.5)
+        if seen.any():
+            R[seen] = Rotation.from_quat(turns[seen]).as_matrix()
+        return cls(time_s, position_mm, R)
 
 
 @dataclass
@@ -85,15 +97,6 @@ def _near(name: str, names: Iterable[str]) -> str:
     names = list(names)
     close = difflib.get_close_matches(name, names, n=1)
     return f"; is '{close[0]}' meant?" if close else f"; it has {', '.join(names[:20]) or 'none'}"
-
-
-def rotations(quaternion_xyzw: np.ndarray) -> np.ndarray:
-    """Rotations (n, 3, 3) of quaternions (n, 4) x, y, z, w; NaN where these are."""
-    R = np.full((len(quaternion_xyzw), 3, 3), np.nan)
-    seen = np.isfinite(quaternion_xyzw).all(1) & (np.linalg.norm(quaternion_xyzw, axis=1) > 0.5)
-    if seen.any():
-        R[seen] = Rotation.from_quat(quaternion_xyzw[seen]).as_matrix()
-    return R
 
 
 REST_SHARE = 0.05  # of the samples: those of the least pressure, at which the tip rests
@@ -225,7 +228,6 @@ def joined(tip: Track, frame: BaseFrame, log: Source, columns: dict[str, str], l
 
 
 SECTIONS = ("trajectories", "objects", "segments")
-MM = {"meters": 1000.0, "centimeters": 10.0, "millimeters": 1.0, "m": 1000.0, "cm": 10.0, "mm": 1.0}
 
 
 def read_optitrack(file: Path) -> Source:
@@ -258,8 +260,7 @@ def read_optitrack(file: Path) -> Source:
         turns = [columns[f"rotation {a}"] for a in "xyzw" if f"rotation {a}" in columns]
         if len(places) < 3:
             continue
-        R = rotations(table[:, turns]) if len(turns) == 4 else None
-        source.tracks[name] = Track(time_s, scale * table[:, places], R)
+        source.tracks[name] = Track.of(time_s, scale * table[:, places], table[:, turns])
     return source
 
 
@@ -308,9 +309,9 @@ def _vicon_section(file: Path, rows: list[list[str]], at: int, source: Source) -
             continue
         unit = units[place[0]].strip().lower() if place[0] < len(units) else ""
         turns = [here[a] for a in ("RX", "RY", "RZ", "RW") if a in here]
-        R = rotations(table[:, turns]) if len(turns) == 4 else None  # three angles are of an unknown order
-        name = label.split(":")[-1]
-        source.tracks[name] = Track(time_s, _scale(file, unit or "mm") * table[:, place], R)
+        # three angles are of an unknown order
+        track = Track.of(time_s, _scale(file, unit or "mm") * table[:, place], table[:, turns])
+        source.tracks[label.split(":")[-1]] = track
 
 
 def is_optitrack(file: Path) -> bool:
@@ -350,14 +351,11 @@ def _numbers(rows: list[list[str]], width: int) -> np.ndarray:
 
 
 def _scale(file: Path, unit: str) -> float:
-    if unit not in MM:
+    if unit not in UNITS["length"]:
         raise InputError(
-            f"{file}: the length unit '{unit}' is none of {', '.join(MM)}; export in one of them."
+            f"{file}: the length unit '{unit}' is none of {EXAMPLES['length']}; export in one of them."
         )
-    return MM[unit]
-
-
-MM_A_M = 1000.0  # ROS counts in metres
+    return UNITS["length"][unit]
 
 
 def read_rosbag(folder: Path) -> Source:
@@ -409,10 +407,9 @@ def _track(time_s: np.ndarray, columns: dict[str, np.ndarray]) -> Track | None:
         ("point", ""),
     ):
         if all(f"{place}.{a}" in columns for a in "xyz"):
-            position = np.stack([columns[f"{place}.{a}"] for a in "xyz"], 1) * MM_A_M
+            position_m = np.stack([columns[f"{place}.{a}"] for a in "xyz"], 1)
             turns = [columns[f"{turn}.{a}"] for a in "xyzw" if f"{turn}.{a}" in columns]
-            R = rotations(np.stack(turns, 1)) if len(turns) == 4 else None
-            return Track(time_s, position, R)
+            return Track.of(time_s, 1e3 * position_m, np.reshape(turns, (-1, len(time_s))).T)
     return None
 
 
