@@ -28,12 +28,8 @@ OPTIONS = {
     "seed": {"type": int, "help": "decides everything random; default 0"},
     "effect": {"help": HIDDEN},
     "strength": {"type": float, "help": "finger: 1 (default) is a clear effect, 0.2 a faint one"},
-    "minutes": {
-        "type": float, "help": "finger, standin: length of the session; default 10, of the stand-in 6",
-    },
-    "program": {
-        "help": "standin: CSV of commands, as `pneutac control` writes it; the finger follows it",
-    },
+    "minutes": {"type": float, "help": "finger, standin: length of the session; default 10, stand-in 6"},
+    "program": {"help": "standin: CSV of commands, as `pneutac control` writes it; the finger follows it"},
     "hz": {"type": float, "help": "finger: samples a second; default 20"},
     "no_measured_pressure": {
         "action": "store_true", "default": None,

@@ -64,6 +64,15 @@ def meta_of_trials(meta: dict, before: list[int], left: list[int]) -> dict:
 COARSE = "write time_s with more digits, or delete those rows"
 LEAST_USUAL_KPA, LARGE_MOTION_MM = 3.0, 10.0  # no finger of rubber bends so far by so little
 LABELS = r"program|image(_\w+)?|mask(_\w+)?|role|indenter|indenter_file|outline_mm|depth_source"
+OWN = re.compile(
+    r"trial|time_s|time_sent_s|pressure_(cmd_)?(\d+_)?kpa|tip_[xyz]_mm|bend_angle_rad|q_\d+_rad|temperature_c"
+    rf"|curvature_[xy]_1_per_m|gravity_[xyz]|payload_g|force_[xyz]_n|base_[xyz]_mm|{LABELS}"
+)
+# Columns of a recording, by which a misspelt one is known.
+TARGETS = (
+    "time_s time_sent_s trial program pressure_cmd_kpa pressure_kpa tip_x_mm tip_y_mm tip_z_mm bend_angle_rad"
+    " temperature_c payload_g gravity_x gravity_y gravity_z force_x_n force_y_n force_z_n"
+).split()
 
 
 def device_of(meta: dict, samples: pd.DataFrame, folder: Path) -> str:
@@ -269,14 +278,12 @@ def missing_columns(samples: pd.DataFrame, device: str, file: Path) -> dict[str,
     return missing
 
 
-# Columns that a recording may have, by which a misspelt one is known.
-_FREE = "pressure_kpa tip_x_mm tip_y_mm tip_z_mm bend_angle_rad temperature_c payload_g gravity_x gravity_y"
 _OF_GEL = "role x_mm y_mm depth_mm indenter_radius_mm indenter_size_mm contact_radius_px hold_s rest_image"
 
 
 def _misspelt(samples: pd.DataFrame, device: str, file: Path) -> Iterator[str]:
     """A sentence for each column that nothing reads, and whose name is nearly that of one that is missing."""
-    known = ["trial", "time_s", *(_OF_GEL if device == "gel" else _FREE).split()]
+    known = ["trial", "time_s", *_OF_GEL.split()] if device == "gel" else TARGETS
     missing = [name for name in known if name not in samples]
     for name in (
         c for c in map(str, samples) if c not in known and not re.fullmatch(quantities.PRESSURE.pattern, c)
@@ -293,16 +300,11 @@ def _misspelt(samples: pd.DataFrame, device: str, file: Path) -> Iterator[str]:
             yield f"{file}: column {shown(name)} is not read; did you mean '{near[0]}'?"
 
 
-_OWN = re.compile(
-    r"pressure_(\d_)?kpa|tip_[xyz]_mm|bend_angle_rad|time_sent_s|temperature_c|payload_g|program"
-)
-
-
 def _near(name: str, samples: pd.DataFrame) -> str:
     """Names a column that is the wanted one under another unit, such as `pressure_cmd_pa`, or misspelt."""
     stem = re.sub(r"_(kpa|mm|rad|s|c|g)$", "", name)
     # What is a column of its own, as the measured pressure is, stands for no other.
-    others = [c for c in samples if isinstance(c, str) and not _OWN.fullmatch(c)]
+    others = [c for c in samples if isinstance(c, str) and not OWN.fullmatch(c)]
     same = [c for c in others if c.strip().lower() == name]
     if same:
         return f" (there is {shown(same[0])}: rename it)"

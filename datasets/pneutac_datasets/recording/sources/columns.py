@@ -9,7 +9,7 @@ from shlex import quote
 import numpy as np
 import pandas as pd
 
-from pneutac_datasets.recording.rules import LABELS, pressure_commands
+from pneutac_datasets.recording.rules import LABELS, OWN, TARGETS, pressure_commands
 from pneutac_datasets.recording.units import BASE_UNIT, UNITS, Unit, base_unit, unit_named
 from pneutac_datasets.recording.wording import joined, listed
 from pneutac_sim.errors import InputError, shown
@@ -41,15 +41,6 @@ WORDS = {
 }
 KIND = {word: kind for kind, words in WORDS.items() for word in words.split()}
 SHORT = {"axis", "pressure", "gravity", "force", "joint"}  # kinds whose single letters may be in a compound
-OWN = re.compile(
-    r"trial|time_s|time_sent_s|pressure_(cmd_)?(\d+_)?kpa|tip_[xyz]_mm|bend_angle_rad|q_\d+_rad|temperature_c"
-    rf"|curvature_[xy]_1_per_m|gravity_[xyz]|payload_g|force_[xyz]_n|base_[xyz]_mm|{LABELS}"
-)
-# Columns of a recording, by which a misspelt one is known.
-TARGETS = (
-    "time_s time_sent_s trial program pressure_cmd_kpa pressure_kpa tip_x_mm tip_y_mm tip_z_mm bend_angle_rad"
-    " temperature_c payload_g gravity_x gravity_y gravity_z force_x_n force_y_n force_z_n"
-).split()
 UNIT_BEHIND = r"(.+?)\s*/\s*(\S+)", r"(.+?)\s+in\s+(\S+)", r"(.+)[\s_.:,;-]+([^\s_]+)", r"(.+?)_(1_per_m)"
 LEAVE_OUT = "-"  # instead of a column's name
 AMBIENT_KPA = 101.325

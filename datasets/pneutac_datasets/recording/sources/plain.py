@@ -125,18 +125,13 @@ def table_files(path: str | Path) -> list[Path]:
     parts = [text] if Path(path).is_file() else [p.strip() for p in text.split(",") if p.strip()]
     files: list[Path] = []
     for part in map(Path, parts):
-        near = []
-        if part.is_file():
-            found = [part]
-        elif glob.has_magic(str(part)):
-            found = [p for p in map(Path, glob.glob(str(part))) if p.is_file()]
-        elif part.suffix.lower() in (*FILES, *SPREADSHEETS):
-            found, near = [], sorted(p.name for p in part.absolute().parent.glob(f"*{part.suffix}"))
-        else:
+        found = [part] if part.is_file() else [p for p in map(Path, glob.glob(str(part))) if p.is_file()]
+        pattern = glob.has_magic(str(part))
+        if not (found or pattern or part.suffix.lower() in (*FILES, *SPREADSHEETS)):
             return []
         if not found:
-            there = f"; there is {listed(near)}" if near else ""
-            raise InputError(f"There is no file '{part}'{there}.")
+            near = sorted(p.name for p in part.absolute().parent.glob(f"*{part.suffix}") if not pattern)
+            raise InputError(f"There is no file '{part}'{f'; there is {listed(near)}' if near else ''}.")
         files += found
     for file in files:
         if file.suffix.lower() in SPREADSHEETS:
@@ -481,8 +476,7 @@ class Understood:
         names = {c.column: c.name for c in self.columns}
         for name in (n for n in table if table[n].isna().any() and not re.fullmatch(DRIVES, n)):
             gaps = plural(int(table[name].isna().sum()), "row")
-            table[name] = table.groupby("trial")[name].ffill()
-            table[name] = table.groupby("trial")[name].bfill()
+            table[name] = table.groupby("trial")[name].transform(lambda values: values.ffill().bfill())
             if table[name].isna().any() and table[name].dtype.kind not in "fiu":
                 table[name] = table[name].fillna("none")
             self.notes.append(
