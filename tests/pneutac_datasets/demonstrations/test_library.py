@@ -18,6 +18,8 @@ from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.expert import Person
 from pneutac_sim.world.world import World
 
+LIMITS = np.full(4, -15.0), np.full(4, 15.0)
+
 
 def walk(source, start_m=(0.0, 0.0, 0.3), touch=(40, 60), frames=90, y_m_s=0.02) -> Reference:
     """Goes along y at 15 Hz, is pressed at 6 kPa in `touch` and ends."""
@@ -33,29 +35,28 @@ def walk(source, start_m=(0.0, 0.0, 0.3), touch=(40, 60), frames=90, y_m_s=0.02)
 
 def follower_of(references, start_m, seed=0) -> Followers:
     """One run of demonstrations as they are, whose touch is not answered."""
-    follower = Followers(Library.of(references, np.zeros((3, 3)), 15.0))
+    follower = Followers(Library.of(references, np.zeros((3, 3)), 15.0), LIMITS)
     follower.begin(0, np.random.default_rng(seed), np.array(start_m))
     return follower
 
 
-def next_action(follower, area, flange_m, pressure_kpa):
+def next_action(follower, area, flange_m):
     centre_mm = np.full((1, 2), 0.0 if area else np.nan)
-    felt = np.array([area]), centre_mm, flange_m[None], pressure_kpa[None]
+    felt = np.array([area]), centre_mm, flange_m[None]
     (action,), (goes_on,) = follower.actions(np.zeros(1, int), *felt)
     return action if goes_on else None
 
 
 def run(follower, felt, steps, start_m):
     """Actions and places where areas `felt(flange, step)` come back; ends where no action comes."""
-    flange, pressure, actions, places = np.array(start_m, float), np.full(1, 3.0), [], []
+    flange, actions, places = np.array(start_m, float), [], []
     for k in range(steps):
-        area = felt(flange, k)
-        action = next_action(follower, area, flange, pressure)
+        action = next_action(follower, felt(flange, k), flange)
         if action is None:
             break
         actions.append(action)
         places.append(flange)
-        flange, pressure = flange + action[:3] / 15, action[3:]
+        flange = flange + action[:3] / 15
     return np.array(actions), np.array(places)
 
 
@@ -105,7 +106,7 @@ def test_far_from_all_demonstrations_it_gives_up():
     r = walk(0)
     far_m = r.flange_m[0] + (0.3, 0.0, 0.0)
     follower = follower_of([r], far_m)
-    given = [next_action(follower, 0.0, far_m, np.full(1, 3.0)) for _ in range(100)]
+    given = [next_action(follower, 0.0, far_m) for _ in range(100)]
     assert given[0] is not None and given[-1] is None
 
 
@@ -113,20 +114,20 @@ def test_runs_side_by_side_are_those_of_each_alone():
     """Three that feel a touch at other frames; whoever is asked acts, in any order."""
     demonstrations = [walk(0), walk(1, (0.01, 0.0, 0.3), (30, 55))]
     starts = np.add(demonstrations[0].flange_m[0], [[0.0, 0.0, 0.0], [0.006, 0.0, 0.0], [0.0, 0.01, 0.002]])
-    together = Followers(Library.of(demonstrations, np.zeros((3, 3)), 15.0), 3)
+    together = Followers(Library.of(demonstrations, np.zeros((3, 3)), 15.0), LIMITS, 3)
     alone = [follower_of(demonstrations, start, seed) for seed, start in enumerate(starts)]
     for k, start in enumerate(starts):
         together.begin(k, np.random.default_rng(k), start)
-    flange, pressure = starts.copy(), np.full((3, 1), 3.0)
+    flange = starts.copy()
     for step in range(90):
         which = np.roll(np.arange(3), step)[: 2 + step % 2]
         area = np.where((30 + 5 * which <= step) & (step < 50 + 5 * which), 0.05, 0.0)
         centre_mm = np.where(area[:, None] > 0, 0.0, np.full((len(which), 2), np.nan))
-        actions, goes_on = together.actions(which, area, centre_mm, flange[which], pressure[which])
+        actions, goes_on = together.actions(which, area, centre_mm, flange[which])
         for k, a, action, on in zip(which, area, actions, goes_on, strict=True):
-            expected = next_action(alone[k], a, flange[k], pressure[k])
+            expected = next_action(alone[k], a, flange[k])
             assert on == (expected is not None) and (not on or np.array_equal(action, expected))
-            flange[k], pressure[k] = flange[k] + action[:3] / 15, action[3:]
+            flange[k] += action[:3] / 15
     assert together.paths == [f.paths[0] for f in alone] and any(len(p) > 1 for p in together.paths)
 
 

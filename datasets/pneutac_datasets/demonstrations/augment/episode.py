@@ -316,17 +316,15 @@ class Generator:
 
     def _follow(self, rng: np.random.Generator) -> Iterator[np.ndarray]:
         """Yields the library's actions; begins at the first, after the world was reset."""
-        world, limits = self.world, self.world.action_limits
-        follower, pressure, alone = Followers(self.library), self.library.pressure_kpa[0], np.zeros(1, int)
+        world = self.world
+        follower = Followers(self.library, world.action_limits)
         follower.begin(0, rng, world.flange_m)
         self._path = follower.paths[0]
         while True:
             felt = (np.array(x, float)[None] for x in (world.touch.area, self._centre_mm(), world.flange_m))
-            (action,), goes_on = follower.actions(alone, *felt, pressure[None])
+            (action,), goes_on = follower.actions(np.zeros(1, int), *felt)
             if not goes_on:
                 return
-            action = np.clip(action, *limits)
-            pressure = action[PRESSURES]
             yield action
 
     def _expert(self, rng: np.random.Generator) -> Iterator[np.ndarray]:

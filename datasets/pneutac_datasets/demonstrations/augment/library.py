@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from pneutac_datasets.demonstrations.augment.reference import FIRM, Reference
+from pneutac_datasets.demonstrations.augment.reference import FIRM, Reference, felt_and_done
 from pneutac_datasets.demonstrations.replay.replaying import FEEDBACK_HZ
 from pneutac_sim.features import CONTROL_HZ, MAX_PRESSURE_KPA, MAX_SPEED_M_S, PRESSURES
 
@@ -53,16 +53,7 @@ def lagged_answers(references: list[Reference]) -> tuple[np.ndarray, int]:
     """
     best, gain, best_lag = 0.0, np.zeros((3, 3)), 0
     for lag in range(references[0].frames(LAGS)):
-        seen, moved = [np.empty((0, 3))], [np.empty((0, 3))]
-        for r in references:
-            if r.centre_mm is None:
-                continue
-            for first, end in r.contacts:
-                t = np.arange(first + lag, min(end, len(r)))
-                t = t[np.isfinite(r.centre_mm[t - lag, 0])]
-                seen.append(np.column_stack([1e-3 * r.centre_mm[t - lag], r.area[t - lag]]))
-                moved.append(r.action[t, :3])
-        x, y = np.concatenate(seen), np.concatenate(moved)
+        x, y = felt_and_done(references, lag, lag)
         if len(x) < LEAST_SEEN:
             continue
         x, y = x - x.mean(0), y - y.mean(0)
@@ -172,14 +163,16 @@ class Followers:
 
     Args:
         library: of demonstrations.
+        limits: lowest and highest action (3 + C,).
         runs: their number N.
 
     Attributes:
         paths: (frame of the run, reference, its frame) wherever another piece begins, a list for each run.
     """
 
-    def __init__(self, library: Library, runs: int = 1):
-        self._library, self._runs = library, np.zeros(runs, RUN)
+    def __init__(self, library: Library, limits: tuple[np.ndarray, np.ndarray], runs: int = 1):
+        self._library, self._limits, self._runs = library, limits, np.zeros(runs, RUN)
+        self._pressure_kpa = np.zeros((runs, library.pressure_kpa.shape[1]))  # commanded last
         self.paths: list[list[tuple[int, int, int]]] = [[] for _ in range(runs)]
 
     def begin(self, k: int, rng: np.random.Generator, flange_m: np.ndarray) -> None:
@@ -187,32 +180,29 @@ class Followers:
         starts = self._library.flange_m[self._library.begins[:-1]]
         far = np.linalg.norm((starts - flange_m) / START_M, axis=1)
         self._runs[k], self.paths[k] = np.zeros((), RUN), []
+        self._pressure_kpa[k] = self._library.pressure_kpa[0]
         _go(self._runs[k], int(rng.choice(np.argsort(far)[:NEAREST])), -1)
         self._note(k)
 
     def actions(
-        self,
-        which: np.ndarray,
-        area: np.ndarray,
-        centre_mm: np.ndarray,
-        flange_m: np.ndarray,
-        pressure_kpa: np.ndarray,
+        self, which: np.ndarray, area: np.ndarray, centre_mm: np.ndarray, flange_m: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The next actions of some runs; arrays are float64.
+        """The next actions of some runs within the limits; arrays are float64.
 
         Args:
             which: (K,) numbers of the runs.
             area: (K,) contact areas that the gels feel.
             centre_mm: (K, 2) middles of the imprints; NaN without touch.
             flange_m: (K, 3) where the flanges are.
-            pressure_kpa: (K, C) commanded last.
 
         Returns:
-            (K, 3 + C), zero where no demonstration goes on from here, and (K,) whether one does.
+            (K, 3 + C), of no use where no demonstration goes on from here, and (K,) whether one does.
         """
         actions = np.zeros((len(which), self._library.action.shape[1]))
-        felt = (area, centre_mm, flange_m, pressure_kpa)
+        felt = (area, centre_mm, flange_m, self._pressure_kpa[which])
         goes_on = _actions(self._library, self._runs, which, *felt, actions)
+        actions = np.clip(actions, *self._limits)
+        self._pressure_kpa[which] = actions[:, PRESSURES]
         for k in which[self._runs["begun"][which] > 0]:
             self._note(k)
         return actions, goes_on

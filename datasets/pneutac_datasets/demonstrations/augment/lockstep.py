@@ -34,7 +34,6 @@ from pneutac_datasets.demonstrations.augment.library import Followers
 from pneutac_datasets.demonstrations.augment.planner import LATE_RELEASE, LATE_TOUCH, CemPlanner
 from pneutac_datasets.demonstrations.augment.reference import EXTRA_STEPS
 from pneutac_datasets.demonstrations.augment.scene import Scene
-from pneutac_sim.features import PRESSURES
 from pneutac_sim.progress import Progress
 from pneutac_sim.world.base import Variation
 from pneutac_sim.world.batch import BatchedWorld, Rollouts
@@ -60,14 +59,11 @@ class Following:
     """Controllers of the library for the attempts of N worlds."""
 
     def __init__(self, generator: Generator, worlds: int):
-        self._library, self._followers = generator.library, Followers(generator.library, worlds)
-        self._pressure_kpa = np.zeros((worlds, self._library.pressure_kpa.shape[1]))
-        self._limits = generator.world.action_limits
+        self._followers = Followers(generator.library, generator.world.action_limits, worlds)
 
     def begin(self, k: int, run: Run, flange_m: np.ndarray) -> None:
         """Begins an attempt in world `k`, whose flange is at (3,)."""
         self._followers.begin(k, run.rng, flange_m)
-        self._pressure_kpa[k] = self._library.pressure_kpa[0]
 
     def actions(
         self, worlds: np.ndarray, area: np.ndarray, centre_mm: np.ndarray, flange_m: np.ndarray
@@ -77,10 +73,7 @@ class Following:
         Returns:
             also whether the attempts go on (K,) bool, and whether they wait, so that the worlds must too.
         """
-        felt = area, centre_mm, flange_m, self._pressure_kpa[worlds]
-        made, goes_on = self._followers.actions(worlds, *felt)
-        made = np.clip(made, *self._limits)
-        self._pressure_kpa[worlds] = made[:, PRESSURES]
+        made, goes_on = self._followers.actions(worlds, area, centre_mm, flange_m)
         return made, goes_on, np.zeros_like(goes_on)
 
     def scores(self, k: int, run: Run, area: np.ndarray) -> dict:

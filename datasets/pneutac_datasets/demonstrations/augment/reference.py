@@ -114,25 +114,33 @@ class Reference:
         return max(0, self.onset - margin), min(len(self), last + margin + 1)
 
 
+def felt_and_done(
+    references: list[Reference], skip: int, lag: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Touch `lag` frames before, and velocity (n, 3) m/s, in all frames in contact but the first `skip`.
+
+    The touch (n, 3) is the imprint's middle across and along the finger, metres, and its area.
+    """
+    felt, done = [np.empty((0, 3))], [np.empty((0, 3))]
+    for r in references:
+        for first, end in r.contacts if r.centre_mm is not None else ():
+            t = np.arange(first + skip, end)
+            t = t[np.isfinite(r.centre_mm[t - lag, 0])]
+            felt.append(np.column_stack([1e-3 * r.centre_mm[t - lag], r.area[t - lag]]))
+            done.append(r.action[t, :3])
+    return np.concatenate(felt), np.concatenate(done)
+
+
 def reaction_hz(references: list[Reference]) -> np.ndarray:
     """How demonstrations answer where the touch is on the gel: (3, 2), 1/s.
 
     The change of the velocity (3,) with the middle (2,) of the imprint, by least squares over all frames in
     contact. A row is zero where it explains less than `ANSWERS`, as in a task that asks for no such thing.
     """
-    centres, velocities = [np.empty((0, 2))], [np.empty((0, 3))]
-    for r in references:
-        if r.centre_mm is None:
-            continue
-        for first, end in r.contacts:
-            seen = np.arange(first + r.frames(STARTLED), end)
-            seen = seen[np.isfinite(r.centre_mm[seen, 0])]
-            centres.append(1e-3 * r.centre_mm[seen])
-            velocities.append(r.action[seen, :3])
-    centre, velocity = np.concatenate(centres), np.concatenate(velocities)
-    if len(centre) < LEAST_SEEN:
+    felt, velocity = felt_and_done(references, references[0].frames(STARTLED))
+    if len(felt) < LEAST_SEEN:
         return np.zeros((3, 2))
-    centre, velocity = centre - centre.mean(0), velocity - velocity.mean(0)
+    centre, velocity = felt[:, :2] - felt[:, :2].mean(0), velocity - velocity.mean(0)
     gain = np.linalg.lstsq(centre, velocity, rcond=None)[0].T
     left = np.sum((velocity - centre @ gain.T) ** 2, 0)
     return np.where((left < (1 - ANSWERS) * np.sum(velocity**2, 0))[:, None], gain, 0.0)
