@@ -36,10 +36,10 @@ from pneutac_sim.effects.registry import get_effect, of_sensor, sensor_effects
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.quantities import root_mean
 from pneutac_sim.gel import optics
-from pneutac_sim.gel.fit import FAR_ENOUGH, LEFT_RADII, GelFit, fit_photographs
+from pneutac_sim.gel.fit import LEFT_RADII, GelFit, fit_photographs
 from pneutac_sim.gel.identifiability import library
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.pair import CONTACT_DISC, PressPhotograph
+from pneutac_sim.gel.pair import CONTACT_DISC, FAR_ENOUGH, PressPhotograph
 from pneutac_sim.gel.photograph import Predictor, Pressed, session_light
 from pneutac_sim.twin import Twin
 

@@ -1,6 +1,9 @@
-"""Twins of soft bodies of three chambers, as calibration gives them."""
+"""Twins of soft bodies of three chambers, as calibration gives them; a body on a base that stands still."""
+
+import mujoco
 
 from pneutac_sim.twin import Twin, Value
+from pneutac_sim.world.soft_finger import mjcf
 
 
 def arm_twin(
@@ -22,3 +25,14 @@ def arm_twin(
     parameters = {name: Value(value) for name, value in (values | more).items()}
     at = [length * (i + 0.5) / joints for i in range(joints)]
     return Twin("arm", length, at, parameters, pressure_range_kpa=(0.0, 50.0))
+
+
+def alone(twin: Twin, step_s: float) -> mujoco.MjModel:
+    """Without weight, in physics steps of that length."""
+    finger = mjcf(twin)
+    return mujoco.MjModel.from_xml_string(
+        f'<mujoco><compiler angle="radian"/><option timestep="{step_s!r}" integrator="implicitfast"'
+        f' gravity="0 0 0"/><default>{finger.defaults}</default><asset>{finger.materials}'
+        f'<material name="arm_dark"/></asset><worldbody>{finger.body}</worldbody>'
+        f"<actuator>{finger.actuators}</actuator>{finger.tendons}</mujoco>"
+    )

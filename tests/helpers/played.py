@@ -23,6 +23,21 @@ def succeeds(world, seed, pilot=ScriptedExpert, steps=300) -> bool:
     return bool(world.success and not world.failure)
 
 
+def until(world, seed, reached) -> np.ndarray:
+    """Plays the scripted expert from a start until `reached()`; returns its last action (A,)."""
+    world.reset(seed)
+    expert, action = ScriptedExpert(world, np.random.default_rng(seed)), np.zeros(3 + world.chambers)
+    while not reached():
+        action = expert.action()
+        world.step(action)
+    return action
+
+
+def episode_of(seen, actions, fps=CONTROL_HZ) -> Episode:
+    state, images = np.array([o.state for o in seen[:-1]], float), np.stack([o.tactile for o in seen[:-1]])
+    return Episode(state, np.array(actions, float), images, "press", fps)
+
+
 def shown(count, seed, physics=None, task="button", drag_m=0.0, steps=220) -> list[Episode]:
     """Demonstrations of a scripted expert on the stand-in; one that fails is shown anew."""
     world, episodes = StandinWorld(task, physics=physics), []
@@ -32,7 +47,5 @@ def shown(count, seed, physics=None, task="button", drag_m=0.0, steps=220) -> li
         seen, actions = played(world, seed, steps=steps)
         seed += 1
         if world.success:
-            state = np.array([o.state for o in seen[:-1]], float)
-            images = np.stack([o.tactile for o in seen[:-1]])
-            episodes.append(Episode(state, np.array(actions, float), images, "press", CONTROL_HZ))
+            episodes.append(episode_of(seen, actions))
     return episodes

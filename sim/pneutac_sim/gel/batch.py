@@ -24,10 +24,10 @@ from pneutac_sim.twin import Twin
 
 
 class CastShadows:
-    """`effects.shadow.cast` of some channels: cells hand on the shadow's height, those of a side at once.
+    """`effects.shadow.cast` of some channels: all cells hand on the shadow's height at once, again and again.
 
-    The cells of a side are gone through as often as a shadow may be handed on from the first to the last
-    of them, or until one of the deepest imprint has ended; sides of different channels together.
+    That is done as often as a shadow may be handed on across the window, or until one of the deepest imprint
+    has ended.
 
     Args:
         towards: x and y in mm from each cell to each channel's light, (2, channels, 80, 59).
@@ -55,41 +55,25 @@ class CastShadows:
         steep = np.maximum(np.maximum(px, py), 1e-9)
         f = np.minimum(px, py) / steep
         drop = slope[:, None, None] * np.hypot(ex, ey) / steep
-        side = 2 * (di < 0) + (dj < 0)
-        turn = np.stack([np.searchsorted(np.unique(s), s) for s in side]) if len(side) else side
 
         def sent(a):
             return torch.tensor(a.reshape(-1, 1), dtype=torch.float32, device=device)
 
-        self._turns = []
-        for t in range(4):
-            acts = (turn == t) & ~leaves
-            if acts.any():
-                cells = torch.tensor(np.stack([near, other]).reshape(-1), device=device)
-                at_most = _longest(near, other, acts), max(drop[acts].min(), 1e-9)
-                self._turns.append((cells, sent(f), sent(np.where(acts, drop, np.inf)), *at_most))
+        self._cells = torch.tensor(np.stack([near, other]).reshape(-1), device=device)
+        self._f, self._drop = sent(f), sent(np.where(leaves, np.inf, drop))
+        # From all around a near light it goes to and fro between rows and columns.
+        self._most = ROWS + COLS if np.ptp(towards, (2, 3)).any() else max(ROWS, COLS)
+        self._least_mm = max(drop.min(initial=np.inf, where=~leaves), 1e-9)
 
     def cast(self, u: torch.Tensor, deepest: float) -> torch.Tensor:
         """Heights in mm over surfaces (B, rows, columns) of `deepest` mm, (B, channels, rows, columns)."""
         flat = u.reshape(len(u), -1).T
-        channels = len(self._turns[0][1]) // len(flat)
+        channels = len(self._f) // len(flat)
         S = flat.repeat(channels, 1)
-        for cells, f, drop, longest, least_mm in self._turns:
-            for _ in range(min(longest, math.ceil(deepest / least_mm))):
-                near, other = S.index_select(0, cells).view(2, *S.shape)
-                S = torch.maximum(S, torch.lerp(near, other, f).sub_(drop))
+        for _ in range(min(self._most, math.ceil(deepest / self._least_mm))):
+            near, other = S.index_select(0, self._cells).view(2, *S.shape)
+            S = torch.maximum(S, torch.lerp(near, other, self._f).sub_(self._drop))
         return (S.T.reshape(len(u), channels, -1) - flat.T[:, None]).reshape(len(u), channels, *u.shape[1:])
-
-
-def _longest(near: np.ndarray, other: np.ndarray, acts: np.ndarray) -> int:
-    """How many cells hand on, one after another, at most."""
-    steps, near, other, acts = np.zeros(near.size, int), near.ravel(), other.ravel(), acts.ravel()
-    for n in range(near.size):
-        longer = np.where(acts, 1 + np.maximum(steps[near], steps[other]), 0)
-        if (longer == steps).all():
-            return n
-        steps = longer
-    return near.size
 
 
 DEPTH_LIGHT = 2  # c_d of a channel's row of coefficients, see `gel.optics`

@@ -23,7 +23,7 @@ from pneutac_sim.gel.contact import quiet_threshold
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.layout import DIGIT, Layout, Orientation, recognise, recognise_rest
 from pneutac_sim.gel.model import GelModel, further_light
-from pneutac_sim.gel.pair import CONTACT_DISC, PressPhotograph, check_pair, to_grid
+from pneutac_sim.gel.pair import CONTACT_DISC, FAR_ENOUGH, PressPhotograph, check_pair, to_grid
 from pneutac_sim.gel.photograph import (
     Pressed,
     Residues,
@@ -435,7 +435,6 @@ class Problem:
         return replace(bare, light=rows[:, :2], depth_light=rows[:, 2], effects=effects)
 
 
-FAR_ENOUGH = 0.1  # share of a photograph that must lie away from its contact to measure its light
 # By which a press is moved to see what changes: about half a cell, since an indenter with a sharp edge covers
 # whole cells alone.
 MOVED_MM, DEEPER_MM = 0.1, 0.02

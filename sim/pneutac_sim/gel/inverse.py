@@ -23,7 +23,7 @@ from scipy.sparse.linalg import splu
 from pneutac_sim.gel import optics
 from pneutac_sim.gel.force import MATERIAL, MODULUS
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.pair import to_grid
+from pneutac_sim.gel.pair import FAR_ENOUGH, smooth_change, to_grid
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.gel.sensor import centre_mm
 from pneutac_sim.twin import Twin
@@ -31,7 +31,6 @@ from pneutac_sim.twin import Twin
 MU, LAMBDA = 10.0, 3.0  # levels/mm, levels mm
 STEPS = 3
 AROUND_MM = 1.4  # round what has changed, where the surface still sags
-QUIET_SHARE = 0.1  # of the image, from which on a drift of its light can be measured
 EDGE = 0.4  # of a contact's deepest point: the surface there is where it leaves the object, on balls
 SHALLOWEST_MM = 0.08  # of a contact
 # Over E / t: of ten presses of balls, punches, an edge and a cone into 2.5 mm of material points, 2.1 to 3.0.
@@ -84,8 +83,6 @@ class TouchReader:
         J, lap = _derivative(self._light[0], self._weight, self._cell), _laplacian(self._cell)
         damping = MU**2 * sparse.eye(ROWS * COLS) + LAMBDA**2 * lap.T @ lap
         self._solve, self._JT = splu((J.T @ J + damping).tocsc()).solve, J.T.tocsr()
-        y, x = np.meshgrid(np.linspace(-1, 1, ROWS), np.linspace(-1, 1, COLS), indexing="ij")
-        self._smooth = np.stack([np.ones_like(x), x, y, x * x, y * y, x * y], -1)
         reach = [2 * round(AROUND_MM / c) + 1 for c in self._cell]
         self._around = np.ones(reach[::-1], np.uint8)
 
@@ -107,7 +104,11 @@ class TouchReader:
         rest_grid = self._rest if rest is None else to_grid(rest)
         difference = to_grid(image) - rest_grid
         near = self._changed(difference)
-        seen = self._without_drift(difference, rest_grid, ~near).transpose(2, 0, 1).ravel()
+        if (~near).mean() >= FAR_ENOUGH:
+            quiet = ~near
+            quiet[::2] = False  # half of the rows suffice
+            difference = difference - smooth_change(difference, rest_grid, quiet)
+        seen = difference.transpose(2, 0, 1).ravel()
         u = np.zeros((ROWS, COLS))
         for k in range(STEPS):
             s = optics.light(u, self._cell, *self._light) * self._weight if k else np.zeros(1)
@@ -120,19 +121,6 @@ class TouchReader:
         changed = (np.abs(difference).mean(2) > self.gel.threshold_levels).astype(np.uint8)
         without_specks = cv2.morphologyEx(changed, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
         return cv2.dilate(without_specks, self._around) > 0
-
-    def _without_drift(self, difference: np.ndarray, rest: np.ndarray, quiet: np.ndarray) -> np.ndarray:
-        """A difference to rest (80, 59, 3) less its smooth part, fitted to quiet cells."""
-        if quiet.mean() < QUIET_SHARE:
-            return difference
-        some = quiet.copy()
-        some[::2] = False  # half of the rows suffice
-        out = np.empty_like(difference)
-        for k in range(3):
-            basis = np.concatenate([rest[..., k : k + 1], self._smooth], -1)
-            fitted = np.linalg.lstsq(basis[some], difference[..., k][some], rcond=None)[0]
-            out[..., k] = difference[..., k] - basis @ fitted
-        return out
 
     def _touch(self, u: np.ndarray) -> Touch:
         parts, count = ndimage.label(u > SHALLOWEST_MM)

@@ -44,6 +44,7 @@ def press_px(press: Press, shape: tuple[int, ...], px_per_mm: float) -> tuple[fl
     return shape[1] / 2 + press.x_mm * px_per_mm, shape[0] / 2 + press.y_mm * px_per_mm
 
 
+FAR_ENOUGH = 0.1  # share of a photograph that must lie away from its contact to measure its light
 NEAR_RADII = 3.0  # pixels within so many contact radii belong to the gel, those beyond to the session
 
 
@@ -83,6 +84,19 @@ def to_grid(image: np.ndarray) -> np.ndarray:
     return cv2.resize(image.astype(np.float32), (COLS, ROWS), interpolation=cv2.INTER_AREA)
 
 
+def smooth_change(difference: np.ndarray, rest: np.ndarray, quiet: np.ndarray) -> np.ndarray:
+    """The smooth part of what the light did since a rest image, (80, 59, 3) levels, where nothing touches.
+
+    A gain and a quadratic in x and y for each channel, fitted to the difference in cells `quiet` (80, 59).
+    """
+    y, x = np.meshgrid(np.linspace(-1, 1, ROWS), np.linspace(-1, 1, COLS), indexing="ij")
+    out = np.empty(rest.shape)
+    for k in range(3):
+        basis = np.stack([rest[..., k], np.ones_like(x), x, y, x * x, y * y, x * y], -1)
+        out[..., k] = basis @ np.linalg.lstsq(basis[quiet], difference[..., k][quiet], rcond=None)[0]
+    return out
+
+
 def check_pair(rest: np.ndarray, indentation: np.ndarray, press: Press, px_per_mm: float) -> None:
     """Raises InputError, in one sentence, where the pair is not a rest and an indentation image."""
     _check_shapes(rest, indentation, press, px_per_mm)
@@ -103,7 +117,7 @@ def check_pair(rest: np.ndarray, indentation: np.ndarray, press: Press, px_per_m
     found = _stands_out(there, elsewhere)
     if not found:
         _check_mirrored(difference, press, px_per_mm)
-    if far.mean() > 0.1:
+    if far.mean() > FAR_ENOUGH:
         likeness = ncc(rest[far], indentation[far])
         if likeness < MIN_LIKENESS:
             raise InputError(

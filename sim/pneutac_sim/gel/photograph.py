@@ -15,7 +15,7 @@ from pneutac_sim.effects.gel_creep import share_left
 from pneutac_sim.gel import optics
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.pair import Earlier, PressPhotograph, to_grid
+from pneutac_sim.gel.pair import FAR_ENOUGH, Earlier, PressPhotograph, smooth_change, to_grid
 from pneutac_sim.gel.probe import COLS, ROWS
 from pneutac_sim.gel.sensor import LEAST_MM, TactileSensor, branches_of, pressed_on
 from pneutac_sim.gel.surface import surface
@@ -76,20 +76,11 @@ class Residues:
 
 
 def session_light(pair: PressPhotograph, px_per_mm: float) -> np.ndarray:
-    """Change of the light since the rest image, smooth over the image, (80, 59, 3) levels.
-
-    A gain and a quadratic in x and y for each channel, fitted away from the contact; zero where hardly
-    anything lies away from it.
-    """
+    """`smooth_change` of a photograph away from its contact; zero where hardly anything lies away from it."""
     far = pair.far(px_per_mm)
-    y, x = np.meshgrid(np.linspace(-1, 1, ROWS), np.linspace(-1, 1, COLS), indexing="ij")
-    rest, difference = to_grid(pair.rest), to_grid(pair.image.astype(np.float32) - pair.rest)
-    out = np.zeros((ROWS, COLS, 3))
-    if far.mean() > 0.1:
-        for k in range(3):
-            basis = np.stack([rest[..., k], np.ones_like(x), x, y, x * x, y * y, x * y], -1)
-            out[..., k] = basis @ np.linalg.lstsq(basis[far], difference[..., k][far], rcond=None)[0]
-    return out
+    if far.mean() <= FAR_ENOUGH:
+        return np.zeros((ROWS, COLS, 3))
+    return smooth_change(to_grid(pair.image.astype(np.float32) - pair.rest), to_grid(pair.rest), far)
 
 
 def expected_drift(pairs: Sequence[PressPhotograph], rest: np.ndarray, px_per_mm: float) -> np.ndarray:

@@ -52,7 +52,8 @@ class Gantry(World):
         self.touch = Touch(self.model, self.sensor, "area", world.touch.network)
         self._snapshots = Snapshots(self.touch, self._flange)
         self.steps, self.seconds = 0, {"physics": 0.0, "touch": 0.0}
-        self._pairs = Pairs(world.model, self.model)
+        named = [(self.model.geom(g).name, g) for g in range(self.model.ngeom)]
+        self._geoms = np.transpose([(world.model.geom(name).id, g) for name, g in named if name])
         root, hand = self.model.body_rootid, self.model.body("gantry").id
         loose = [j for j in range(self.model.njnt) if root[self.model.jnt_bodyid[j]] != hand]
         self._loose = [(self.model.joint(j), self.data.joint(j)) for j in loose]
@@ -71,7 +72,7 @@ class Gantry(World):
     def mirror(self, world: World) -> None:
         """Takes over the state of `world`: poses, speeds, pressures, and what the task remembers."""
         here, there = self.data, world.data
-        self._pairs.copy(world.model, there, self.model, here)
+        self._take(world)
         jacobian = np.zeros((3, world.model.nv))
         mujoco.mj_comPos(world.model, there)
         mujoco.mj_jacSite(world.model, there, jacobian, None, world._flange)
@@ -91,6 +92,18 @@ class Gantry(World):
         self._residual_area = world.touch.area - self.touch.area
         self._friction = self.model.dof_frictionloss.copy()
         self._store()
+
+    def _take(self, world: World) -> None:
+        """Poses, masses, friction, positions, speeds, controls of all but the arm, first in both models."""
+        one, other, arm = world.model, self.model, len(SLIDES)
+        a, b = (m.body("flange").id + 1 for m in (one, other))
+        for name in ("body_pos", "body_quat", "body_mass"):
+            getattr(other, name)[b:] = getattr(one, name)[a:]
+        other.geom_friction[self._geoms[1]] = one.geom_friction[self._geoms[0]]
+        other.dof_frictionloss[arm:] = one.dof_frictionloss[arm - other.nv :]
+        for name in ("qpos", "qvel", "ctrl"):
+            mine, theirs = getattr(self.data, name), getattr(world.data, name)
+            mine[arm:] = theirs[arm - len(mine) :]
 
     def stage(self, seed: int, shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
         """Lays the objects out as `reset` does with this seed, moved by `shift_m`; the hand stays."""
@@ -217,49 +230,6 @@ class Snapshots:
         size = gel.window_mm, gel.thickness_mm, self._grids, touch.sensor.triangles
         depth = probe_grids(touch.kinds, touch.sizes, *poses, *size)
         return touch.sensor.areas(depth), depth
-
-
-_COUNTS = {"joint": "njnt", "body": "nbody", "geom": "ngeom", "actuator": "nu"}
-
-
-class Pairs:
-    """Indices of all joints, bodies, geoms and actuators that two models have by the same names."""
-
-    def __init__(self, one: mujoco.MjModel, other: mujoco.MjModel):
-        def both(kind: str) -> list[str]:
-            count, of = _COUNTS[kind], lambda m: getattr(m, kind)
-            first, second = ([of(m)(i).name for i in range(getattr(m, count))] for m in (one, other))
-            return [n for n in second if n and n in first]
-
-        def indices(names: list[str], find) -> tuple[np.ndarray, ...]:
-            return tuple(np.concatenate([find(m, n) for n in names]).astype(int) for m in (one, other))
-
-        joints = both("joint")
-        bodies = [n for n in both("body") if n not in ("world", "flange")]
-        self._qpos = indices(joints, lambda m, n: _span(m.joint(n).qposadr[0], m.joint(n).qpos0))
-        self._dofs = indices(joints, lambda m, n: _span(m.joint(n).dofadr[0], m.joint(n).armature))
-        self._ctrl = indices(both("actuator"), lambda m, n: [m.actuator(n).id])
-        body = indices(bodies, lambda m, n: [m.body(n).id])
-        geom = indices(both("geom"), lambda m, n: [m.geom(n).id])
-        self._fields = [
-            *((*body, name) for name in ("body_pos", "body_quat", "body_mass")),
-            (*geom, "geom_friction"),
-            (*self._dofs, "dof_frictionloss"),
-        ]
-
-    def copy(
-        self, one: mujoco.MjModel, here: mujoco.MjData, other: mujoco.MjModel, there: mujoco.MjData
-    ) -> None:
-        """Takes poses, masses and friction, positions, speeds and controls from `one` to `other`."""
-        for a, b, name in self._fields:
-            getattr(other, name)[b] = getattr(one, name)[a]
-        there.qpos[self._qpos[1]] = here.qpos[self._qpos[0]]
-        there.qvel[self._dofs[1]] = here.qvel[self._dofs[0]]
-        there.ctrl[self._ctrl[1]] = here.ctrl[self._ctrl[0]]
-
-
-def _span(first: int, like: np.ndarray) -> np.ndarray:
-    return first + np.arange(len(np.atleast_1d(like)))
 
 
 class _Slides:

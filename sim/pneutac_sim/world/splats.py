@@ -12,7 +12,7 @@ from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.render import Gaussians, on
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.scene import SEEN_GROUPS
-from pneutac_sim.world.view import CAMERA, Renderer, View, no_gl
+from pneutac_sim.world.view import CAMERA, View
 
 CAP_M = 5e-3  # of the stiff end, as the material points have it
 SKIN_GROUP = 4  # of the geoms that splats stand in for
@@ -33,18 +33,10 @@ class SplatView(View):
     """
 
     def __init__(self, model: mujoco.MjModel, twin: Twin):
-        super().__init__(model)
+        super().__init__(model, required=True)
         self._finger = SplatFinger(model, twin, DEVICE)
         skin = np.isin(model.geom_bodyid, self._finger.links[:-1]) & np.isin(model.geom_group, SEEN_GROUPS)
         model.geom_group[skin] = SKIN_GROUP
-
-    @override
-    def _start(self) -> None:
-        if self._gl is None:
-            try:
-                self._gl = Renderer(self._model)
-            except Exception as e:  # every platform and driver fails in its own way
-                raise no_gl(e) from e
 
     @override
     def scene(self, data: mujoco.MjData, camera: str, width: int, height: int) -> np.ndarray:

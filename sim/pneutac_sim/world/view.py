@@ -24,10 +24,13 @@ _SKY, _TABLE = (214, 222, 232), (204, 197, 185)
 
 
 class View:
-    """A camera on a model, with the tactile image inset. OpenGL starts with the first picture."""
+    """A camera on a model, with the tactile image inset. OpenGL starts with the first picture.
 
-    def __init__(self, model: mujoco.MjModel):
-        self._model = model
+    Where it does not, pictures are drawn from the kinematics, or InputError is raised if it is `required`.
+    """
+
+    def __init__(self, model: mujoco.MjModel, required: bool = False):
+        self._model, self._required = model, required
         self._gl = None
         self._failed = False
 
@@ -54,6 +57,8 @@ class View:
             try:
                 self._gl = Renderer(self._model)
             except Exception as e:  # every platform and driver fails in its own way
+                if self._required:
+                    raise no_gl(e) from e
                 logger.warning("No OpenGL (%s): pictures are drawn from the kinematics instead.", e)
                 self._failed = True
 

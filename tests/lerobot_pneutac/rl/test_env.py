@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from lerobot_pneutac.rl.env import WEIGHTS, PpoEnv, TaskView, actor_size, pool
+from lerobot_pneutac.rl.env import WEIGHTS, PpoEnv, actor_size, pool
 from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import TASK_NAMES, task_names
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.tasks import make_task
-from pneutac_sim.world.world import World
 
 
 def move(env: PpoEnv, direction: np.ndarray, steps: int = 5) -> dict[str, float]:
@@ -65,24 +64,8 @@ def test_the_actor_does_not_see_the_object_but_the_critic_does():
     assert np.array_equal(before["actor"], after["actor"])
     assert not np.array_equal(before["object"], after["object"])
     assert before["actor"].shape == (actor_size(),)
-
-
-def test_the_actor_feels_a_touch_as_the_touch_pipeline_does():
-    world = World("switch", touch="area", fidelity="probe")
-    world.reset(0)
-    felt = World("switch", touch="probe", fidelity="probe")
-    felt.reset(0)
-    view = TaskView(world)
-    for _ in range(60):
-        way = view.seen().point_m - world.gel_m
-        action = np.append(0.08 * way / np.linalg.norm(way), 5.0)
-        world.step(action)
-        felt.step(action)
-        if world.touch.pixels:
-            break
-    grid = felt.touch.depth_mm
-    assert world.touch.pixels and np.array_equal(grid, world.touch.depth_mm)
-    assert pool(grid).max() == grid.max() > 0
+    grid = np.random.default_rng(0).uniform(0, 2, (3, 80, 59))
+    assert np.array_equal(pool(grid).max((1, 2)), grid.max((1, 2))) and pool(grid).shape == (3, 10, 8)
 
 
 def test_with_another_arm_the_actor_sees_its_joints_about_its_own_home():

@@ -71,12 +71,6 @@ def test_a_clock_of_the_camera_that_jumps_in_the_midst_is_told(two):
     assert "clocks of camera and robot drift" in " ".join(told.remarks())
 
 
-@pytest.mark.nightly  # every day: `add` says the same, in test_what_does_not_go_with
-@pytest.mark.slow
-def test_two_demonstrations_claim_nothing(two):
-    assert "2 demonstrations are too few" in diagnose(Twin.builtin(), two, jobs=1).sentence
-
-
 @pytest.mark.slow
 def test_light_at_rest_is_taken_and_a_drift_is_told(two):
     twin = with_gel(Twin.builtin())

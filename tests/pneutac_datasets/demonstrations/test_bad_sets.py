@@ -37,6 +37,7 @@ from pneutac_sim.pace import DONE, OUTCOME_FILE, PACE_FILE, Pace
 DEMOS = Path(__file__).parents[2] / "golden" / "recordings" / "demos"
 DATA, EPISODES = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet"
 VIDEO = f"videos/{TACTILE}/chunk-000/file-000.mp4"
+PRESSURE = STATE_NAMES.index("pressure.pos")
 EE = slice(STATE_NAMES.index("ee_x.pos"), STATE_NAMES.index("ee_x.pos") + 3)
 
 
@@ -56,6 +57,14 @@ def feature(key, **changes):
         features = json.loads((root / "meta/info.json").read_text())["features"]
         features[key] = features[key] | changes
         info(features=features)(root)
+
+    return damage
+
+
+def without_feature(key):
+    def damage(root):
+        features = json.loads((root / "meta/info.json").read_text())["features"]
+        info(features={k: f for k, f in features.items() if k != key})(root)
 
     return damage
 
@@ -173,6 +182,8 @@ BAD = {
     "names null": (feature(STATE, names=None), "'observation.state' has the names None; write one list"),
     "channels first": (feature(TACTILE, shape=[3, 320, 240]), r"channels first; write \[320, 240, 3\]"),
     "other image size": (feature(TACTILE, shape=[480, 640, 3]), "those of the twin's sensor"),
+    "no touch": (without_feature(TACTILE), f"feature '{TACTILE}' is missing"),
+    "a name less": (feature(STATE, names=STATE_NAMES[:-1]), "'observation.state' lacks 'pressure.pos'"),
     "shape of 19": (feature(STATE, shape=[19]), "20 names and the shape .19.; it must be .20."),
     "no tasks": (without("meta/tasks.parquet"), "tasks.parquet is missing"),
     "tasks of other numbers": (other_tasks, "has the task number 0"),
@@ -260,55 +271,46 @@ def test_images_in_parquet_are_opened(tmp_path):
     assert "cannot be read as an image" in fault and "row 0" in fault
 
 
-def notes_of(root, *damages):
-    for damage in damages:
-        damage(root)
+def notes_of(root, damage):
+    damage(root)
     found = check_path(root)
     assert found.faults == []
     short = "fewer than 100 frames"  # both of the golden demonstrations are
     return " ".join(n for n in found.notes if short not in n)
 
 
-def test_joints_that_do_not_belong_to_the_flange_are_noted(tmp_path):
+def achieved(hz):
+    return lambda root: (root / "meta" / PACE_FILE).write_text(json.dumps({"0": vars(Pace(hz, 0, 0.1))}))
+
+
+def jumps(state):
+    return state + 0.05 * np.outer(np.arange(len(state)) > 30, np.arange(20) == EE.start)
+
+
+POOR = {
+    "other joints": (numbers(STATE, shifted(np.radians(10.0), [1])), "angles put the flange of 'panda'"),
+    "another rate": (numbers(ACTION, times(2.0, range(3))), "moves 0.5 times .* Was the loop faster"),
+    "slightly slow": (achieved(14.8), "^$"),
+    "slow": (achieved(13.0), "fell short of 15 Hz"),
+    "slightly quick": (achieved(15.2), "^$"),
+    "quick": (achieved(28.5), "ran faster than 15 Hz"),
+    "another robot": (info(robot_type="so101_follower"), "robot_type is 'so101_follower'; compare"),
+    "no gauge": (numbers(STATE, times(0, [PRESSURE])), "pressure.pos stays at 0 kPa"),
+    "lost frames": (numbers(STATE, jumps), "the flange jumps by 5"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("poor", POOR)
+def test_what_is_poor_is_noted_and_what_is_no_measurement_is_refused_as_one(tmp_path, poor):
+    damage, said = POOR[poor]
     root = copied(tmp_path)
-    assert notes_of(root) == ""
-    noted = notes_of(root, numbers(STATE, shifted(np.radians(10.0), [1])))
-    assert "the joint angles put the flange of 'panda'" in noted and "mm away from ee_x.pos" in noted
-    assert any("joint angles put" in w for w in load_demonstrations(root, task="switch").warnings)
-
-
-def test_a_loop_of_another_rate_is_noted(tmp_path):
-    """Frames of a loop at 30 Hz that the dataset counts as 15 a second."""
-    half_as_far = notes_of(copied(tmp_path), numbers(ACTION, times(2.0, range(3))))
-    assert "the flange moves 0.5 times as far as commanded. Was the loop faster" in half_as_far
-
-
-@pytest.mark.parametrize(
-    "hz,said", [(14.8, ""), (13.0, "fell short of 15 Hz"), (15.2, ""), (28.5, "ran faster than 15 Hz")]
-)
-def test_achieved_rates_above_and_below_are_noted(tmp_path, hz, said):
-    root = copied(tmp_path)
-    (root / "meta" / PACE_FILE).write_text(json.dumps({"0": vars(Pace(hz, 0, 0.1))}))
-    noted = notes_of(root)
-    assert said in noted and bool(said) == bool(noted)
-
-
-@pytest.mark.parametrize(
-    "damage,said",
-    [
-        (info(robot_type="so101_follower"), "robot_type is 'so101_follower'; compare"),
-        (numbers(STATE, times(0, [STATE_NAMES.index("pressure.pos")])), "pressure.pos stays at 0 kPa"),
-        (
-            numbers(STATE, lambda s: s + 0.05 * np.outer(np.arange(len(s)) > 30, np.arange(20) == EE.start)),
-            "the flange jumps by 5",
-        ),
-    ],
-)
-def test_what_is_no_measurement_is_noted_and_refused(tmp_path, damage, said):
-    root = copied(tmp_path)
-    assert said in notes_of(root, damage)
-    with pytest.raises(InputError):
-        load_demonstrations(root, task="switch")
+    assert re.search(said, notes_of(root, damage))
+    if poor in ("another robot", "no gauge", "lost frames"):
+        with pytest.raises(InputError, match=said.split(";")[0]):
+            load_demonstrations(root, task="switch")
+    else:
+        noted = load_demonstrations(root, task="switch").warnings
+        assert said == "^$" or any(re.search(said, note) for note in noted)
 
 
 def test_episodes_by_pandas_are_read_too(tmp_path):
@@ -321,17 +323,8 @@ def test_episodes_by_pandas_are_read_too(tmp_path):
 def some_failed(folder, areas, outcomes):
     """Demonstrations whose touch begins in their third frame, or never; and how they ended."""
     root = write_demonstrations(folder, (12.0,) * len(areas), areas)
-    late = numbers(
-        STATE,
-        lambda s: (
-            s
-            * (
-                (np.arange(len(s)) % 5 > 1)[:, None]
-                | (np.arange(20) != STATE_NAMES.index("contact_area.pos"))
-            )
-        ),
-    )
-    late(root)
+    begun, others = np.arange(5 * len(areas)) % 5 > 1, np.arange(20) != STATE_NAMES.index("contact_area.pos")
+    numbers(STATE, lambda s: s * (begun[:, None] | others))(root)
     (root / "meta" / OUTCOME_FILE).write_text(json.dumps(outcomes))
     return root
 
@@ -417,7 +410,11 @@ def test_failed_demonstrations_are_not_mixed_in(tmp_path):
 
 def test_demonstrations_of_another_task_are_refused():
     here = Path("demos")
-    assert task_to_do("", ["flip the switch"] * 2, here) == "switch"
+    for named in ("flip the switch", "Flip the toggle switch.", "Push the Switch."):
+        assert task_to_do("", [named] * 2, here) == "switch"
+    for unnamed in ("press", "push the button, not the switch"):
+        with pytest.raises(InputError, match="names no task; say with task= which of switch, egg,"):
+            task_to_do("", [unnamed], here)
     assert task_to_do("egg", ["do it"], here) == "egg"
     assert task_to_do("mine", ["flip the switch"], here) == "mine"  # of a user's package
     with pytest.raises(InputError, match="names the task 'switch', not --task=egg; give demonstrations"):

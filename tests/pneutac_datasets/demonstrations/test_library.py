@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from augmenting import demonstrations
 
 from pneutac_datasets.demonstrations.augment.episode import BEND_GAIN, bend_gain_sd
 from pneutac_datasets.demonstrations.augment.library import (
@@ -13,10 +14,8 @@ from pneutac_datasets.demonstrations.augment.library import (
 )
 from pneutac_datasets.demonstrations.augment.reference import Reference, reaction_hz
 from pneutac_sim.finger.confidence import Z95
-from pneutac_sim.gel.sensor import centre_mm
 from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.expert import Person
-from pneutac_sim.world.world import World
 
 LIMITS = np.full(4, -15.0), np.full(4, 15.0)
 
@@ -150,23 +149,8 @@ def test_late_answers_are_found_where_the_same_frame_shows_nothing():
 
 def test_the_answers_of_a_modelled_person_are_found():
     """On the card, whose x and z velocities it corrects by what it feels 0.15 to 0.35 s before."""
-    world, made = World("card", touch="area", fidelity="probe"), []
-    world.widen_starts(0.5)
-    for seed in range(40):
-        world.reset(seed)
-        rows = []
-        person = Person(world, np.random.default_rng(seed), 0.5)
-        while not (world.success or world.failure) and len(rows) < 200:
-            depth_mm, felt = world.touch.depth_mm, world.touch.area > 0
-            centre = centre_mm(depth_mm, world.sensor.model.window_mm) if felt else np.full(2, np.nan)
-            rows.append((world.flange_m, world.touch.area, person.action(), centre))
-            world.step(rows[-1][2])
-        flange, area, action, centre = map(np.array, zip(*rows, strict=True))
-        if world.success and not area[0] and area.any():
-            made.append(Reference(seed, flange, area, action, "card", centre))
-        if len(made) == 8:
-            break
-    answers, lag = lagged_answers(made)
+    person = lambda world, rng: Person(world, rng, 0.5)  # noqa: E731
+    answers, lag = lagged_answers(demonstrations("card", 8, pilot=person, width=0.5, after=1))
     assert answers.any(1).sum() >= 1 and lag > 0, (answers, lag)
 
 

@@ -8,39 +8,24 @@ import pytest
 pytest.importorskip("mujoco_warp", reason="the extra `warp` is not installed")
 torch = pytest.importorskip("torch")
 
-from augmenting import setup_of  # noqa: E402
+from augmenting import demonstrations, setup_of  # noqa: E402
 
 from pneutac_datasets.demonstrations.augment.episode import Generator  # noqa: E402
 from pneutac_datasets.demonstrations.augment.lockstep import Lockstep  # noqa: E402
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig  # noqa: E402
-from pneutac_datasets.demonstrations.augment.reference import Reference  # noqa: E402
 from pneutac_datasets.demonstrations.augment.run import Work, save_sensed  # noqa: E402
 from pneutac_datasets.demonstrations.augment.scene import Scene  # noqa: E402
 from pneutac_sim.executor import process_pool  # noqa: E402
-from pneutac_sim.features import AREA, EE  # noqa: E402
+from pneutac_sim.features import EE  # noqa: E402
 from pneutac_sim.progress import no_progress  # noqa: E402
-from pneutac_sim.world.expert import ScriptedExpert  # noqa: E402
-from pneutac_sim.world.world import World  # noqa: E402
 
 pytestmark = pytest.mark.nightly
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 JOINTS, RATES = slice(0, 7), slice(7, 14)
 
 
-def shown(seed: int) -> Reference:
-    """The switch, flipped by the scripted expert."""
-    world, states, actions = World("switch", touch="area"), [], []
-    observation, expert = world.reset(seed), ScriptedExpert(world, np.random.default_rng(seed))
-    while not (world.success or world.failure):
-        states.append(observation.state)
-        actions.append(expert.action())
-        observation = world.step(actions[-1])
-    states = np.array(states, float)
-    return Reference(seed, states[:, EE], states[:, AREA], np.array(actions), world.task.description)
-
-
 def test_they_agree_until_the_touch(tmp_path):
-    setup = setup_of([shown(0), shown(3)], method="library", start_range=(0.004, 0.004, 0.004))
+    setup = setup_of(demonstrations("switch", 2), method="library", start_range=(0.004, 0.004, 0.004))
     setup.config.device, setup.config.worlds = DEVICE, 2
     work = Work(tmp_path)
     with process_pool(1) as pool:
@@ -63,9 +48,9 @@ def test_they_agree_until_the_touch(tmp_path):
 @pytest.mark.timeout(3000)  # on a CPU
 def test_the_planner_does_the_task_there_too():
     """Two variants: both are done, and where touch comes in the same frame the first plan is the same."""
-    recorded, quick = [shown(0), shown(3)], PlannerConfig(horizon=6, samples=4, elites=2, iterations=1)
-    scenes = [Scene(r.source, (0.0, 0.0, 0.0), True, 0.0, 0.0) for r in recorded]
-    setup, ended = setup_of(recorded, planner=quick, attempts=1), {}
+    shown, quick = demonstrations("switch", 2), PlannerConfig(horizon=6, samples=4, elites=2, iterations=1)
+    scenes = [Scene(r.source, (0.0, 0.0, 0.0), True, 0.0, 0.0) for r in shown]
+    setup, ended = setup_of(shown, planner=quick, attempts=1), {}
     setup.config.device, setup.config.worlds = DEVICE, 4  # one plan at a time, of two attempts
     many, one = Lockstep(setup, scenes), Generator(setup, "area")
 

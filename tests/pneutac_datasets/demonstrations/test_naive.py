@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from augmenting import config_of
-from demonstration_sets import write_demonstrations, write_episodes
+from demonstration_sets import write_episodes
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata, merge_datasets
 from lerobot.utils.constants import OBS_STATE
 
@@ -9,8 +9,6 @@ from pneutac_datasets.demonstrations import naive
 from pneutac_datasets.demonstrations.episodes import Episode
 from pneutac_datasets.demonstrations.faults import Recorded
 from pneutac_datasets.demonstrations.naive import augment_naive, vary
-from pneutac_datasets.demonstrations.save import create_dataset
-from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
     ACTION_HIGH,
     ACTION_LOW,
@@ -22,7 +20,6 @@ from pneutac_sim.features import (
     PRESSURE,
     STATE_HIGH,
     STATE_LOW,
-    STATE_NAMES,
 )
 
 FPS = 15
@@ -127,22 +124,3 @@ def test_appearance_changes_contact_and_brightness_but_not_the_order(source):
     assert (np.abs(rest - 100) < 10).all()
     ratio = (contact - rest) / 40
     assert ((ratio > 0.75) & (ratio < 1.3)).all()
-
-
-def test_bad_input_is_named(source, tmp_path):
-    with pytest.raises(InputError, match="holds no LeRobotDataset"):
-        naive_of(tmp_path / "none", tmp_path / "o")
-    with pytest.raises(InputError, match="exists; give a new folder"):
-        naive_of(source, tmp_path)
-    untouched = write_demonstrations(tmp_path / "untouched", area=0.0)
-    with pytest.raises(
-        InputError, match="has no demonstrations besides episodes 0, 1 .never touches anything"
-    ):
-        naive_of(untouched, tmp_path / "o")
-    features = {OBS_STATE: {"dtype": "float32", "shape": (20,), "names": list(STATE_NAMES)}}
-    bare = create_dataset("local/bare", tmp_path / "bare", FPS, features, "pneutac", False, 2)
-    bare.add_frame({OBS_STATE: np.zeros(20, np.float32), "task": "x"})
-    bare.save_episode()
-    bare.finalize()
-    with pytest.raises(InputError, match="feature .action. is missing"):
-        naive_of(tmp_path / "bare", tmp_path / "o")

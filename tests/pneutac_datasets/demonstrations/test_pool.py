@@ -64,27 +64,27 @@ def test_states_actions_and_means_are_those_of_the_sources_in_order(pooled):
         assert (a[TACTILE] - means).abs().max() < 0.51 / 255  # rounded to 8 bit, no more
 
 
+def policy_for(out, **options) -> PneutacBCPolicy:
+    """An untrained policy of a dataset of small images."""
+    meta = LeRobotDatasetMetadata(f"local/{out.name}", out)
+    features = dataset_to_policy_features(meta.features)
+    options["input_features"] = {k: f for k, f in features.items() if k.startswith("observation")}
+    torch.manual_seed(0)
+    config = PneutacBCConfig(device="cpu", output_features={ACTION: features[ACTION]}, **options)
+    return PneutacBCPolicy(config, dataset_meta=meta).eval()
+
+
 def test_one_row_a_sample_says_what_three_do(pooled):
     sources, out = pooled
-    meta = LeRobotDatasetMetadata("local/small", out)
-    features = dataset_to_policy_features(meta.features)
     losses = {}
     for whole in (False, True):
-        config = PneutacBCConfig(
-            device="cpu",
-            previous_action_in_data=whole,
-            input_features={k: f for k, f in features.items() if k.startswith("observation")},
-            output_features={ACTION: features[ACTION]},
-        )
-        times = None if whole else {ACTION: [-1 / meta.fps, 0.0]}
-        assert config.action_delta_indices == (None if whole else [-1, 0])
-        torch.manual_seed(0)
-        policy = PneutacBCPolicy(config, dataset_meta=meta).eval()
+        policy, times = policy_for(out, previous_action_in_data=whole), None if whole else [-1 / 15, 0.0]
+        assert policy.config.action_delta_indices == (None if whole else [-1, 0])
         assert policy.config.image_shape == tuple(
             LeRobotDataset("local/a", root=sources[0])[0][TACTILE].shape
         )
         assert "observation.previous_action" not in policy.config.input_features
-        data = LeRobotDataset("local/small", root=out, delta_timestamps=times)
+        data = LeRobotDataset("local/small", root=out, delta_timestamps=times and {ACTION: times})
         losses[whole] = policy(default_collate([data[i] for i in range(len(data))]))[0].item()
     assert losses[True] == pytest.approx(losses[False], rel=1e-5)
 
@@ -97,12 +97,7 @@ def test_a_start_in_mid_episode_has_no_previous_action_of_another(tmp_path):
     pressure = first[OBS_STATE][STATE_NAMES.index("pressure.pos")]
     hold = torch.tensor([0.0, 0.0, 0.0, pressure])
     assert torch.equal(first[PREVIOUS_ACTION], hold)
-    config = PneutacBCConfig(
-        device="cpu",
-        input_features=dataset_to_policy_features({k: small.features[k] for k in (OBS_STATE, TACTILE)}),
-        output_features=dataset_to_policy_features({ACTION: small.features[ACTION]}),
-    )
-    policy = PneutacBCPolicy(config, dataset_meta=small.meta)
+    policy = policy_for(out)
     image = torch.nn.functional.interpolate(first[TACTILE][None], IMAGE_SHAPE[:2])
     seen = {OBS_STATE: first[OBS_STATE][None], TACTILE: image}
     policy.reset()
@@ -121,12 +116,8 @@ def test_a_policy_on_the_twin_has_the_twins_own_image_at_rest(tmp_path):
     for name, image in (("twin", world.sensor.rest_image), ("standin", new_gel().rest_image)):
         write_episodes(tmp_path / name, [[(1, 1, image)] * 2])
         out = pool_demonstrations([tmp_path / name], tmp_path / f"{name}_small", f"local/{name}_small")
-        meta = LeRobotDatasetMetadata(f"local/{name}_small", out)
-        features = dataset_to_policy_features({k: meta.features[k] for k in (OBS_STATE, ACTION, TACTILE)})
-        inputs, outputs = {k: features[k] for k in (OBS_STATE, TACTILE)}, {ACTION: features[ACTION]}
-        config = PneutacBCConfig(device="cpu", input_features=inputs, output_features=outputs)
-        encoder = PneutacBCPolicy(config, dataset_meta=meta).encoder
-        shown[name] = float((255 * DIFFERENCE_SCALE * encoder.difference(at_rest)).abs().mean())
+        difference = policy_for(out).encoder.difference(at_rest)
+        shown[name] = float((255 * DIFFERENCE_SCALE * difference).abs().mean())
     assert shown["twin"] < 0.5 and shown["standin"] > 3.0, shown  # levels
 
 

@@ -11,25 +11,11 @@ from pneutac_datasets.demonstrations.record import record_episodes
 from pneutac_sim.features import STATE_NAMES
 
 
-@pytest.fixture
-def devices(tmp_path):
-    def make(steps=90, seed=1):
-        calibration = {"calibration_dir": tmp_path / "calibration"}
-        robot = PneutacSim(PneutacSimConfig(id="sim", seed=seed, **calibration))
-        config = PneutacScriptedConfig(id="script", seed=seed, episode_steps=steps, **calibration)
-        return robot, PneutacScripted(config)
-
-    return make
-
-
-def read(root, key):
-    dataset = LeRobotDataset("local/x", root, video_backend="pyav")
-    return np.array(dataset.hf_dataset.with_format("numpy")[key])
-
-
 @pytest.mark.slow
-def test_records_successful_demonstrations_frame_by_frame(devices, tmp_path):
-    robot, teleop = devices()
+def test_records_successful_demonstrations_frame_by_frame(tmp_path):
+    common = {"seed": 1, "calibration_dir": tmp_path / "calibration"}
+    robot = PneutacSim(PneutacSimConfig(id="sim", **common))
+    teleop = PneutacScripted(PneutacScriptedConfig(id="script", episode_steps=90, **common))
     root = record_episodes(robot, teleop, "local/x", tmp_path / "x", 2, "flip the switch", True)
     dataset = LeRobotDataset("local/x", root, video_backend="pyav")
     assert (dataset.num_episodes, dataset.fps) == (2, 15)
@@ -38,7 +24,8 @@ def test_records_successful_demonstrations_frame_by_frame(devices, tmp_path):
     assert max(np.subtract(ends, starts)) < 90  # an episode ends when the task is done
     assert dataset.meta.robot_type == "pneutac"
     assert sum(robot.successes) == 2
-    state, action = read(root, OBS_STATE), read(root, ACTION)
+    rows = dataset.hf_dataset.with_format("numpy")
+    state, action = (np.array(rows[key]) for key in (OBS_STATE, ACTION))
     # The action of a frame shows its effect in the next: the pressure is the one commanded.
     p = STATE_NAMES.index("pressure.pos")
     for start, end in zip(starts, ends, strict=True):
@@ -50,12 +37,3 @@ def test_records_successful_demonstrations_frame_by_frame(devices, tmp_path):
     assert (first - most).abs().max() > 20
     rest = [i for i in range(len(area)) if area[i] == 0][-1]
     assert (first - dataset[rest][f"{OBS_IMAGES}.tactile"] * 255).abs().mean() < 3
-
-
-@pytest.mark.nightly  # every day: test_same_seeds_same_demonstration of the teleoperator
-@pytest.mark.slow
-def test_same_seeds_same_dataset(devices, tmp_path):
-    for name in ("a", "b"):
-        record_episodes(*devices(), "local/x", tmp_path / name, 1, "flip", True)
-    for key in (OBS_STATE, ACTION):
-        np.testing.assert_array_equal(read(tmp_path / "a", key), read(tmp_path / "b", key))

@@ -5,11 +5,25 @@ import pytest
 
 from pneutac_sim.effects import get_effect
 from pneutac_sim.effects.sensor_effect import CHANNELS
+from pneutac_sim.gel.force import GelForce
 from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import PressPhotograph
 from pneutac_sim.gel.photograph import gains, press_depth, registered
 from pneutac_sim.gel.sensor import TactileSensor
+from pneutac_sim.twin import Twin
+
+
+@pytest.fixture(scope="session")
+def law():
+    return GelForce.of(Twin.builtin())
+
+
+@pytest.fixture(scope="session")
+def imprint(law):
+    """How deep an indenter lies in the window of the law's gel, (80, 59) mm."""
+    return lambda press: press.depths(law.window_mm, law.thickness_mm)
+
 
 PLACES = [(0.6, -1.0, 0.9), (-3.0, 4.0, 0.8), (3.0, 4.5, 0.7), (-3.0, -5.0, 1.0), (3.0, -4.5, 0.8)]
 

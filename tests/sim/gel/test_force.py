@@ -1,4 +1,4 @@
-"""The gel's force: limits with a closed form, and material points.
+"""The gel's force: limits with a closed form, and material points; as a spring, wherever the gel is turned.
 
 Touch back from images of the model itself, with noise and a drift of the light.
 """
@@ -12,8 +12,8 @@ from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.inverse import BED, TouchReader
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.photograph import press_depth
-from pneutac_sim.gel.probe import probe_grid
 from pneutac_sim.gel.sensor import TactileSensor
+from pneutac_sim.gel.spring import GelSpring
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.solve import solve_equilibrium
 from pneutac_sim.twin import Twin, Value
@@ -28,15 +28,6 @@ MATERIAL_POINTS = {
     ("edge", 6.0): (0.0998, 0.2693, 0.5228, 0.9186, 1.4313),
     ("cube", 5.0): (0.8333, 1.8110, 2.9220, 3.9765, 5.5282),
 }
-
-
-@pytest.fixture(scope="module")
-def law():
-    return GelForce.of(Twin.builtin())
-
-
-def imprint(law, press):
-    return probe_grid(*press.shapes(), window_mm=law.window_mm, thickness_mm=law.thickness_mm)
 
 
 def ball(radius, depth, window, n):
@@ -87,14 +78,14 @@ def test_no_tension_no_overlap_and_no_pressure_across_a_gap():
 
 
 @pytest.mark.parametrize("indenter, size", MATERIAL_POINTS)
-def test_force_is_that_of_material_points(law, indenter, size):
-    force = [law.force(imprint(law, Press(indenter, size, 0.0, 0.0, d))) for d in DEPTHS_MM]
+def test_force_is_that_of_material_points(law, imprint, indenter, size):
+    force = [law.force(imprint(Press(indenter, size, 0.0, 0.0, d))) for d in DEPTHS_MM]
     np.testing.assert_allclose(force, MATERIAL_POINTS[indenter, size], rtol=0.10)
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("ratio, near", [(0.40, 0.11), (NU, 0.10)])
-def test_material_points_give_that_force(ratio, near):
+def test_material_points_give_that_force(imprint, ratio, near):
     """Also at another ratio of Poisson, which the law's one number was not fitted to."""
     twin = Twin.builtin()
     twin.parameters["gel_poissons_ratio"] = Value(ratio)
@@ -104,13 +95,13 @@ def test_material_points_give_that_force(ratio, near):
             press = Press(indenter, size, 0.0, 0.0, depth)
             rest = solve_equilibrium(solver, devices.press_loads(press), warm=k > 0)
             force = -float(rest.contact_force[0, 2])
-            assert law.force(imprint(law, press)) == pytest.approx(force, rel=near)
+            assert law.force(imprint(press)) == pytest.approx(force, rel=near)
             if ratio == NU:
                 assert force == pytest.approx(tabled[k], rel=0.02)
 
 
-def test_force_grows_with_the_modulus_of_the_twin_and_with_a_thinner_gel(law):
-    d = imprint(law, Press("sphere", 4.0, 0.0, 0.0, 0.8))
+def test_force_grows_with_the_modulus_of_the_twin_and_with_a_thinner_gel(law, imprint):
+    d = imprint(Press("sphere", 4.0, 0.0, 0.0, 0.8))
     twin = Twin.builtin()
     twin.parameters["gel_youngs_modulus_mpa"] = Value(0.2)
     assert GelForce.of(twin).force(d) == pytest.approx(2 * law.force(d), rel=1e-3)
@@ -191,3 +182,44 @@ def test_another_rest_image_may_be_given_and_other_things_are_refused(linear, ph
         with pytest.raises(ValueError, match="uint8"):
             reader.read(bad)
     assert TouchReader(GelModel.builtin()).read(GelModel.builtin().rest_image).depth_mm == 0
+
+
+HERE = np.zeros(3), np.eye(3)
+
+
+@pytest.fixture(scope="module")
+def springs(law):
+    return GelSpring(law)
+
+
+@pytest.mark.parametrize(
+    "indenter, size, near",
+    [("sphere", 4.0, 0.04), ("sphere", 8.0, 0.05), ("cylinder", 3.0, 0.03), ("cube", 5.0, 0.03),
+     ("edge", 6.0, 0.15)],
+)  # fmt: skip
+def test_force_and_slope_are_the_laws(law, imprint, springs, indenter, size, near):
+    def force(depth):
+        return law.force(imprint(Press(indenter, size, 0.0, 0.0, depth)))
+
+    for depth in (0.4, 0.8, 1.2):
+        spring = springs.of(*Press(indenter, size, 0.0, 0.0, depth).shapes(), *HERE)
+        assert spring.force(1e-3 * depth) == pytest.approx(force(depth), rel=near)
+        slope = (force(depth + 0.1) - force(depth - 0.1)) / 0.2e-3
+        assert spring.slope(1e-3 * depth) == pytest.approx(slope, rel=2 * near)
+
+
+def test_a_flat_end_is_a_straight_spring_and_a_ball_is_not(springs):
+    flat, ball = (springs.of(*Press(k, 3.0, 0, 0, 0.4).shapes(), *HERE) for k in ("cylinder", "sphere"))
+    assert flat.k1 * 0.4e-3 > 0.9 * flat.force(0.4e-3)
+    assert ball.k1 * 0.4e-3 < 0.7 * ball.force(0.4e-3)
+
+
+def test_what_is_near_has_a_spring_and_what_is_far_none(springs):
+    def before_the_face(mm):
+        kinds, sizes, (at,), turns = Press("sphere", 4.0, 0, 0, 0.3).shapes()
+        return springs.of(kinds, sizes, [at + [0, 0, 1e-3 * (0.3 + mm)]], turns, *HERE)
+
+    touching = springs.of(*Press("sphere", 4.0, 0, 0, 0.3).shapes(), *HERE)
+    near = before_the_face(2.0)
+    assert near.force(3e-4) == pytest.approx(touching.force(3e-4), rel=0.02)
+    assert before_the_face(20.0) is None

@@ -7,7 +7,6 @@ What earlier presses leave in a gel that creeps.
 The residual field: learnt where five presses show one, not where there is none, and kept with the twin.
 """
 
-import itertools
 import json
 import os
 from dataclasses import replace
@@ -18,6 +17,7 @@ import pytest
 import torch
 import trimesh
 from PIL import Image
+from sensors import wavy
 
 from pneutac_datasets.generate.gel import write_hidden_gel
 from pneutac_datasets.recording.gel import GelRecording
@@ -48,7 +48,6 @@ from pneutac_sim.gel.residual import (
     FEATURES,
     LEAST_MM,
     MOVED_MM,
-    PLACE,
     SLOPE,
     Leftover,
     ResidualField,
@@ -59,14 +58,8 @@ from pneutac_sim.gel.residual import (
 from pneutac_sim.gel.sensor import Memory, TactileSensor, branches_of, pressed_on
 from pneutac_sim.gel.surface import surface
 from pneutac_sim.mpm.indenter import centre_m, distances_m, half_edge_m
-from pneutac_sim.twin import Twin
 from pneutac_sim.world.mpm_gel import signed_distance
 
-EVERY = [
-    Orientation(c, x, y)
-    for c in itertools.permutations(range(3))
-    for x, y in itertools.product((False, True), repeat=2)
-]
 PLACES = [(0.0, 0.0), (-2.0, 3.0)]
 SIZE = (240, 320)
 
@@ -84,7 +77,7 @@ def mismatch_deg(layout, light, x_mm, y_mm):
     return np.degrees(np.arccos(np.clip(cosine, -1, 1))).max()
 
 
-@pytest.mark.parametrize("orientation", EVERY, ids=str)
+@pytest.mark.parametrize("orientation", orientations(), ids=str)
 @pytest.mark.parametrize("x_mm, y_mm", PLACES)
 def test_every_order_of_channels_and_mirroring_is_found(orientation, x_mm, y_mm):
     """Or upright, where the make's own orientation fits within the limit as well."""
@@ -185,32 +178,27 @@ def test_a_mesh_of_a_ball_is_a_ball():
     assert mesh.size_mm == pytest.approx(3.0, rel=1e-3)
 
 
+METRES = trimesh.creation.box((0.004, 0.004, 0.004)).triangles
+
+
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("make", "says"),
     [
-        ("0 2; 2 -1", "three corners"),
-        ("triangle", "give corners in mm"),
-        ("-2 -2; 2 2; 2 -2; -2 2", "crosses itself: side 1 meets side 3"),
-        ("1 1; 3 1; 2 3", "does not contain its origin"),
+        (lambda: Outline.of_text("0 2; 2 -1"), "three corners"),
+        (lambda: Outline.of_text("triangle"), "give corners in mm"),
+        (lambda: Outline.of_text("-2 -2; 2 2; 2 -2; -2 2"), "crosses itself: side 1 meets side 3"),
+        (lambda: Outline.of_text("1 1; 3 1; 2 3"), "does not contain its origin"),
+        (lambda: Figure(METRES), "give it in mm"),
+        (lambda: Figure(1e3 * METRES + [9.0, 0, 0]), "does not contain its origin"),
+        (lambda: Press("mesh", 3.0, 0, 0, 0.5), "needs a figure"),
+        (lambda: Press("cube", 3.0, 0, 0, 0.5, 0, SQUARE), "has no figure"),
+        (lambda: Press("outline", 0, 0, 0, 0.5, 0, SQUARE).shapes(), "none of the shapes"),
     ],
 )
-def test_impossible_outlines_get_one_sentence(text, says):
+def test_impossible_indenters_get_one_sentence(make, says):
     with pytest.raises(InputError, match=says) as e:
-        Outline.of_text(text)
+        make()
     assert "\n" not in str(e.value)
-
-
-def test_impossible_figures_get_one_sentence():
-    metres = trimesh.creation.box((0.004, 0.004, 0.004)).triangles
-    for bad, says in ((metres, "give it in mm"), (1e3 * metres + [9.0, 0, 0], "does not contain its origin")):
-        with pytest.raises(InputError, match=says):
-            Figure(bad)
-    with pytest.raises(InputError, match="needs a figure"):
-        Press("mesh", 3.0, 0, 0, 0.5)
-    with pytest.raises(InputError, match="has no figure"):
-        Press("cube", 3.0, 0, 0, 0.5, 0, SQUARE)
-    with pytest.raises(InputError, match="none of the shapes"):
-        Press("outline", 0, 0, 0, 0.5, 0, SQUARE).shapes()
 
 
 @pytest.mark.parametrize("mesh", [False, True])
@@ -318,13 +306,6 @@ def test_a_generated_recording_that_hides_creep_tells_its_holds_and_is_predicted
 CELL = 12 / 59, 16 / 80
 
 
-def wavy(rng) -> ResidualField:
-    """One of a few broad bumps, which reaches over the whole gel."""
-    centres = np.repeat(rng.normal(0, 0.7, (3, 6, FEATURES)), 30, 1).astype(np.float32)
-    centres[..., PLACE] = rng.uniform(-1, 1, (3, 180, 2))
-    return ResidualField(centres, np.repeat(rng.normal(0, 3, (3, 6)), 30, 1).astype(np.float32))
-
-
 @pytest.mark.parametrize(
     ("there", "share"), [(True, 0.8), pytest.param(False, 1.05, marks=pytest.mark.nightly)]
 )
@@ -339,15 +320,6 @@ def test_five_presses_teach_what_the_model_leaves_over_and_no_harm_if_nothing(
     real, bare = photograph(truth, press), replace(gel, residual=None)
     own, without = (rmse(Predictor(g).image(press, linear.rest_image), real) for g in (gel, bare))
     assert own < share * without
-
-
-def test_a_twin_keeps_it_until_another_gel_comes(linear):
-    twin, field = Twin.builtin(), wavy(np.random.default_rng(2))
-    replace(linear, residual=field).into_twin(twin)
-    kept = GelModel.from_twin(twin).residual
-    assert np.array_equal(kept.centres, field.centres) and np.array_equal(kept.weights, field.weights)
-    linear.into_twin(twin)
-    assert GelModel.from_twin(twin).residual is None
 
 
 def test_it_adds_what_its_formula_says(linear):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from sensors import wavy
 
 from pneutac_sim.effects.sensor_effect import CHANNELS
 from pneutac_sim.errors import InputError
@@ -15,7 +16,6 @@ from pneutac_sim.gel.layout import DIGIT, Layout, Orientation, SensorPrior, reco
 from pneutac_sim.gel.model import GelModel, rest_image
 from pneutac_sim.gel.pair import PressPhotograph, rmse
 from pneutac_sim.gel.photograph import Predictor
-from pneutac_sim.gel.residual import FEATURES, PLACE, ResidualField
 from pneutac_sim.twin import Twin
 
 
@@ -58,13 +58,9 @@ def test_the_library_holds_the_products_makes_and_ones_own(own, linear, photogra
     assert prior[1] == lab.distances_sd_mm[0]
 
 
-def unit(rest, seed: int) -> SensorPrior:
-    """A sensor of a make with a field of a few broad bumps over the whole gel."""
-    rng = np.random.default_rng(seed)
-    centres = np.repeat(rng.normal(0, 0.7, (3, 6, FEATURES)), 30, 1).astype(np.float32)
-    centres[..., PLACE] = rng.uniform(-1, 1, (3, 180, 2))
-    weights = np.repeat(rng.normal(0, 0.001, (3, 6)), 30, 1)
-    return SensorPrior(rest, ResidualField(centres, weights.astype(np.float32)))
+def unit() -> SensorPrior:
+    """A sensor of a make that left something over."""
+    return SensorPrior(np.zeros((16, 12, 3)), wavy(np.random.default_rng(4)).times(1 / 3000))
 
 
 def test_a_make_lends_what_it_left_over_on_other_sensors_and_never_on_the_very_one(tmp_path):
@@ -88,7 +84,7 @@ def test_a_make_lends_what_it_left_over_on_other_sensors_and_never_on_the_very_o
 @pytest.mark.parametrize("true", [True, False])
 def test_as_much_of_a_prior_field_is_taken_as_explains_the_press(linear, photograph, true):
     linear.effects = {"rest_colour": {f"exponent_{c}": 0.5 for c in CHANNELS}}
-    other = unit(np.zeros((16, 12, 3)), 4)
+    other = unit()
     strength = np.linalg.norm(linear.light)
     truth = replace(linear, prior_residual=other.field.times(strength if true else -strength))
     press = Press("sphere", 3.0, 0.6, -1.0, 0.9)
@@ -110,15 +106,18 @@ def test_as_much_of_a_prior_field_is_taken_as_explains_the_press(linear, photogr
         assert own < 0.9 * without
 
 
-def test_a_twin_of_an_earlier_version_keeps_its_prior_field(linear):
-    twin, field = Twin("gel"), unit(np.zeros((16, 12, 3)), 4).field
-    replace(linear, prior_residual=field).into_twin(twin)
+def test_a_twin_keeps_its_fields_until_another_gel_comes_also_one_of_an_earlier_version(linear):
+    twin, field = Twin("gel"), wavy(np.random.default_rng(2))
+    replace(linear, prior_residual=field, residual=field).into_twin(twin)
     for part in ("centres", "weights"):
         twin.arrays[f"lent_{part}"] = twin.arrays.pop(f"prior_residual_{part}")
     again = GelModel.from_twin(twin)
-    assert np.array_equal(again.prior_residual.weights, field.weights)
+    for stored in (again.prior_residual, again.residual):
+        assert np.array_equal(stored.weights, field.weights) and np.array_equal(stored.centres, field.centres)
     again.into_twin(twin)
     assert "prior_residual_weights" in twin.arrays and "lent_weights" not in twin.arrays
+    linear.into_twin(twin)
+    assert GelModel.from_twin(twin).residual is None
 
 
 def test_five_presses_save_a_field_that_others_of_the_make_are_lent(own, linear, session):

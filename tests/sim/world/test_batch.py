@@ -1,6 +1,7 @@
 """Many worlds at once agree with the single world, step by step."""
 
 import gymnasium
+import mujoco
 import numpy as np
 import pytest
 
@@ -13,18 +14,14 @@ from pneutac_sim.world.expert import ScriptedExpert
 pytest.importorskip("mujoco_warp", reason="the extra `warp` is not installed")
 torch = pytest.importorskip("torch")
 
-from pneutac_sim.gel.contact_batch import ContactBatch, Playback  # noqa: E402
-from pneutac_sim.world.batch import BatchedWorld, Rollouts, wp  # noqa: E402
+from pneutac_sim.world.batch import BatchedWorld, Rollouts  # noqa: E402
 from pneutac_sim.world.gantry import Gantry  # noqa: E402
 
 # MuJoCo Warp takes a minute to compile on a CPU.
 pytestmark = pytest.mark.nightly
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
-FLANGE_M, SPINE_RAD, AREA = (
-    2e-5,
-    0.01,
-    0.02,
-)  # how far one control step in the batch may be from the single world
+# How far one control step in the batch may be from the single world.
+FLANGE_M, SPINE_RAD, AREA = 2e-5, 0.01, 0.02
 
 
 def show(batch: BatchedWorld, world: int) -> None:
@@ -38,8 +35,6 @@ def show(batch: BatchedWorld, world: int) -> None:
 @pytest.mark.parametrize(("task", "steps"), [("switch", 45), ("egg", 45), ("card", 60)])
 def test_each_step_is_that_of_the_single_world(task, steps):
     """Contacts chatter, and two runs part: the single world begins each step where the batch is."""
-    import mujoco
-
     batch = BatchedWorld(task, 2, device=DEVICE)
     varied = [Variation(bend_gain=1.1, friction=0.9, late_commands=1), Variation(shift_m=(0.004, 0.0, 0.0))]
     batch.reset(3, variations=varied)
@@ -212,49 +207,23 @@ def test_what_has_no_batched_form_is_refused():
 def test_springs_are_those_of_one_gel():
     """Eighty random presses: forces within 5 %, three quarters of them within 0.5 %."""
     batch = BatchedWorld("switch", 80, device=DEVICE, fidelity="probe")
+    batch.reset([0] * 80)
     g, rng = batch.single, np.random.default_rng(0)
     g.reset(0)
-    from types import SimpleNamespace
-
-    import mujoco
-
-    rows, expected = [], []
-    for _ in range(80):
+    expected = []
+    for world in range(80):
         g.data.qpos[3:7] = rng.uniform(-0.2, 0.2, 4)
         mujoco.mj_kinematics(g.model, g.data)
         aim = g.data.geom("bar").xpos + rng.uniform(-1, 1, 3) * (0.001, 0.006, 0.006) - (0.0055, 0, 0)
         g.data.qpos[:3] += aim - g.gel_m
         mujoco.mj_kinematics(g.model, g.data)
-        rows.append(
-            [a.copy() for a in (g.data.geom_xpos, g.data.geom_xmat, g.data.site_xpos, g.data.site_xmat)]
-        )
+        batch.qpos[world] = torch.as_tensor(g.data.qpos)
         found = g._pad._springs.of(*g.touch.objects(g.data)) or g._pad._free
         expected.append((found.force(found.depth_m), g.touch.sensor.probe(*g.touch.objects(g.data))))
-    kinds = (wp.vec3, wp.mat33, wp.vec3, wp.mat33)
-    with wp.ScopedDevice(batch.device):
-        columns = [
-            wp.array(np.array(c, np.float32).reshape(80, -1, *((3, 3) if k is wp.mat33 else (3,))), dtype=k)
-            for c, k in zip(zip(*rows, strict=True), kinds, strict=True)
-        ]
-    names = ("geom_xpos", "geom_xmat", "site_xpos", "site_xmat")
-    data = SimpleNamespace(nworld=80, **dict(zip(names, columns, strict=True)))
-    t, gel = g.touch, g.sensor.model
-    from pneutac_sim.gel.force import GelForce
-
-    contact = ContactBatch(
-        GelForce.of(g.twin),
-        gel.window_mm,
-        gel.thickness_mm,
-        t.felt,
-        t.kinds,
-        t.sizes,
-        g._gel,
-        data,
-        batch.device,
-        g._pad._free,
-    )
-    depth = contact.look().cpu().numpy()
-    k1, k3, x = (a.cpu().numpy() for a in contact.springs(Playback(batch.torch_device)))
+    with batch._on_device():
+        batch._place()
+        depth = batch._contact.look().cpu().numpy()
+        k1, k3, x = (a.cpu().numpy() for a in batch._contact.springs(batch._play))
     force, grids = (np.array(column) for column in zip(*expected, strict=True))
     off = np.abs((k1 * x + k3 * x**3) / force - 1)
     assert off.max() < 0.05 and np.quantile(off, 0.75) < 0.005

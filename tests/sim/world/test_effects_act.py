@@ -18,7 +18,6 @@ from pneutac_sim.finger import Inputs, Pipeline
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin, Value
-from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.world import World
 
 RISE_KPA = 5.0 * (1 - np.cos(np.pi * np.arange(91) / 90))  # in 6 s
@@ -158,36 +157,7 @@ def test_the_network_bends_the_free_finger_as_the_bench_says():
     assert apart_mm(fast, bench(world.twin, {}, FAST_KPA)) < 0.003 * 110.0
 
 
-def test_the_planner_moves_the_finger_as_the_world_does():
-    twin = with_effect("thermal", "elongation", "base_tilt", "valve_lag")
-    world = World("switch", twin, "none", conditions=CONDITIONS)
-    world.reset(0)
-    for p in SWEEP_KPA[30:70]:
-        world.step([0.0, 0.0, 0.0, p])
-    gantry = Gantry(world)
-    gantry.mirror(world)
-    actions = np.column_stack([np.zeros((20, 3)), SWEEP_KPA[70:90]])
-    gantry.rollout(actions)
-    first = gantry.gel_m - gantry.flange_m
-    gantry.rollout(actions)
-    np.testing.assert_allclose(gantry.gel_m - gantry.flange_m, first, atol=1e-12)
-    for action in actions:
-        world.step(action)
-    np.testing.assert_allclose(first, world.gel_m - world.flange_m, atol=1e-4)
-
-
 # ---------------------------------------------------------------- conditions and sessions
-
-
-@pytest.mark.parametrize("value", [[30.0, 20.0], "warm", float("nan"), True])
-def test_a_condition_is_a_number_or_a_range(value):
-    with pytest.raises(InputError, match="conditions has temperature_c: .* give a finite number, or a range"):
-        World("switch", with_effect("thermal"), touch="none", conditions={"temperature_c": value})
-
-
-def test_a_condition_that_no_effect_has_is_refused():
-    with pytest.raises(InputError, match="'temprature_c'; did you mean 'temperature_c'"):
-        World("switch", touch="none", conditions={"temprature_c": 30.0})
 
 
 def test_a_range_is_drawn_anew_for_each_episode_and_by_the_seed():

@@ -11,13 +11,14 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from arms import alone
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.probe import SPHERE
 from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.scene import PHYSICS_HZ
-from pneutac_sim.world.soft_finger import Springs, mjcf
+from pneutac_sim.world.soft_finger import Springs
 from pneutac_sim.world.spine import Follower
 from pneutac_sim.world.touch import Touch
 from pneutac_sim.world.world import World
@@ -25,20 +26,9 @@ from pneutac_sim.world.world import World
 JOINTS = 4
 
 
-@pytest.fixture(scope="module")
-def model():
-    """A finger of the world on a base that stands still."""
-    finger = mjcf(Twin.builtin())
-    materials = '<material name="arm_dark"/>'
-    return mujoco.MjModel.from_xml_string(
-        f'<mujoco><compiler angle="radian"/><option timestep="{1 / PHYSICS_HZ!r}" integrator="implicitfast"'
-        f' gravity="0 0 0"/><default>{finger.defaults}</default><asset>{finger.materials}{materials}</asset>'
-        f"<worldbody>{finger.body}</worldbody><actuator>{finger.actuators}</actuator>{finger.tendons}</mujoco>"
-    )
-
-
-def test_a_free_finger_goes_along_the_path_whatever_its_stiffness(model):
+def test_a_free_finger_goes_along_the_path_whatever_its_stiffness():
     """Where the gel's pad is held, to rounding: each control step ends at its target, at the rate told."""
+    model = alone(Twin.builtin(), 1 / PHYSICS_HZ)
     model.dof_armature[model.joint("pad").dofadr[0]] = 1e9
     data, rng = mujoco.MjData(model), np.random.default_rng(0)
     springs, follower = Springs(model, JOINTS, 0.006, 0.458), Follower(model, JOINTS)

@@ -2,27 +2,23 @@
 
 import numpy as np
 import pytest
+from played import until
 
 from pneutac_sim.effects import get_effect
 from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.base import Variation
-from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.gantry import Gantry
+from pneutac_sim.world.station import Station
 from pneutac_sim.world.world import World
 
 pytestmark = pytest.mark.slow
 
 
-def in_contact(task: str, twin=None, late: int = 0, **kwargs) -> tuple[World, np.ndarray]:
+def in_contact(task: str, twin=None, **kwargs) -> tuple[World, np.ndarray]:
     """A world whose gel touches the object, and the expert's last action (4,)."""
     world = World(task, twin, "area", **kwargs)
-    world.variation = Variation(late_commands=late)
     for seed in range(3, 8):
-        world.reset(seed)
-        expert, action = ScriptedExpert(world, np.random.default_rng(seed)), np.zeros(4)
-        while world.touch.area < 0.01 and world.time_s < 12:
-            action = expert.action()
-            world.step(action)
+        action = until(world, seed, lambda: world.touch.area > 0.01 or world.time_s > 12)
         if world.touch.area:
             return world, action
     raise AssertionError(f"the expert never touches the {task}")
@@ -61,6 +57,42 @@ def test_many_sequences_are_each_by_itself(task, fidelity, tilts):
     # Nothing of them is left: fewer and shorter ones go the same way.
     np.testing.assert_array_equal(gantry.rollouts(tried[2:4, :4])[0], flange[2:4, :4])
     np.testing.assert_array_equal(gantry.rollout(tried[4])[1], area[4])
+
+
+def moved() -> Twin:
+    twin = tilted()
+    for name in ("thermal", "elongation", "valve_lag"):
+        twin.effects[name] = get_effect(name).start(15.0)
+    return twin
+
+
+@pytest.mark.parametrize(
+    ("twin", "station", "action"),
+    [
+        (None, Station(control_hz=30), [0.05, 0.0, -0.02, 8.0]),
+        (None, Station(latency_s=0.2), [0.0, 0.0, 0.0, 3.0]),  # what was sent before still acts
+        (None, Station((0.35, -0.1, 0.2), (0.45, 0.1, 0.4), 50.0), [0.1, 0.0, 0.1, 0.0]),  # to its corner
+        (moved(), Station(), [0.0, 0.0, 0.0, 4.0]),
+    ],
+    ids=["another rate", "latency", "a box of its own", "effects"],
+)
+def test_a_rollout_in_free_air_goes_where_the_world_goes(twin, station, action):
+    world = World("switch", twin, "none", station=station, conditions=twin and {"temperature_c": 31.0})
+    world.variation = Variation(shift_m=(0.0, 0.0, -5.0))
+    world.reset(3)
+    for pressure in np.linspace(0.0, 12.0, 12):
+        world.step([0.05, 0.0, 0.02, pressure])
+    gantry, actions = Gantry(world), np.tile(action, (20, 1))
+    gantry.mirror(world)
+    planned, _ = gantry.rollout(actions)
+    gel = gantry.gel_m - gantry.flange_m
+    np.testing.assert_array_equal(gantry.rollout(actions)[0], planned)
+    start_m = world.flange_m
+    for each in actions:
+        world.step(each)
+    np.testing.assert_allclose(planned[-1], world.flange_m, atol=2e-4)
+    np.testing.assert_allclose(gel, world.gel_m - world.flange_m, atol=1e-4)
+    assert station.latency_s == 0 or world.flange_m[0] > start_m[0] + 0.008
 
 
 def test_the_reduced_world_has_nothing_to_look_at_but_the_same_physics():

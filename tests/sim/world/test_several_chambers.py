@@ -3,9 +3,9 @@
 import mujoco
 import numpy as np
 import pytest
-from arms import arm_twin
+from arms import alone, arm_twin
 from gymnasium.utils.env_checker import check_env
-from played import succeeds
+from played import succeeds, until
 
 from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
@@ -14,8 +14,7 @@ from pneutac_sim.finger.equilibrium import solve
 from pneutac_sim.finger.online import PressurePipeline
 from pneutac_sim.twin import Value
 from pneutac_sim.world.env import PneutacEnv
-from pneutac_sim.world.expert import ScriptedExpert, towards_gel
-from pneutac_sim.world.soft_finger import DEFAULTS, MATERIALS, mjcf
+from pneutac_sim.world.expert import towards_gel
 from pneutac_sim.world.spine import Follower, Spine, end_of
 from pneutac_sim.world.world import World
 
@@ -65,20 +64,9 @@ def test_each_chamber_bends_it_to_its_own_side_of_the_table(world):
         assert np.hypot(x, y) > 0.03 and z > 0.005
 
 
-def _alone(twin):
-    """The body on a base that stands still."""
-    finger = mjcf(twin)
-    return (
-        '<mujoco><compiler angle="radian"/>'
-        '<option timestep="0.001" integrator="implicitfast" gravity="0 0 0"/>'
-        f'<default>{DEFAULTS}</default><asset>{MATERIALS}<material name="arm_dark"/></asset>'
-        f"<worldbody>{finger.body}</worldbody><actuator>{finger.actuators}</actuator></mujoco>"
-    )
-
-
 def test_torques_are_those_of_mujocos_inverse_dynamics():
     """A body at speed in both planes: without springs, to rounding of the discrete rates."""
-    model = mujoco.MjModel.from_xml_string(_alone(SIX))
+    model = alone(SIX, 0.001)
     model.dof_armature[model.joint("pad").dofadr[0]] = 1e9  # the gel's face stays where it is
     data, spine, rng = mujoco.MjData(model), Spine(model, SIX), np.random.default_rng(0)
     follower = Follower(model, 6)
@@ -110,23 +98,6 @@ def test_a_load_across_the_tip_bends_it_as_the_pipeline_says():
         hold(world, (0, 0, 0), steps=1)
     assert np.abs(q).max() > 0.02
     np.testing.assert_allclose(world.spine_rad, q.reshape(6, 2), atol=5e-4)
-
-
-@pytest.mark.parametrize(("length_mm", "joints", "stiffness"), [
-    (60.0, 10, 50.0), (250.0, 6, 5.0), (100.0, 2, 0.1),
-])  # fmt: skip
-def test_any_arm_is_stable_and_swings_less_and_less_after_a_push(length_mm, joints, stiffness):
-    twin = arm_twin(joints=joints, length_mm=length_mm, joint_stiffness_nm_per_rad=stiffness)
-    world = World("button", twin, touch="none")
-    world.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-    world.reset(0)
-    world.data.qvel[world._spine] = np.tile([1.0, 3.0, -2.0], joints)
-    swing = []
-    for _ in range(60):
-        hold(world, (10, 0, 5), steps=1)
-        swing.append(np.abs(world.spine_rad - world.spine_target_rad).max())
-    assert swing[0] < 2.0
-    assert max(swing[-10:]) < max(0.5 * max(swing[2:12]), 1e-4)
 
 
 ASKEW = {"pitch_rad": Value(0.05), "yaw_rad": Value(-0.04), "roll_rad": Value(0.06), "shift_y_mm": Value(2.0)}
@@ -162,14 +133,6 @@ def test_the_environment_is_sized_by_the_chambers():
     assert state[Places.of(3).pressure] == pytest.approx([10, 20, 30])
     assert state[Places.of(3).ee] == pytest.approx(env.world.flange_m, abs=1e-6)
     env.close()
-
-
-@pytest.mark.parametrize("fidelity", ["surrogate", "mpm"])
-def test_networks_and_material_points_are_refused_with_what_works(fidelity):
-    with pytest.raises(
-        InputError, match="for fingers of one chamber; this twin's arm has 3, so give fidelity=p"
-    ):
-        World("button", SIX, fidelity=fidelity)
 
 
 def test_an_action_of_one_chamber_is_refused(world):
@@ -208,10 +171,7 @@ def test_it_is_pressed_as_deep_as_its_springs_and_the_gels_say():
     """The force on the gel is that of its material, and the balls' springs bear it about both axes."""
     twin = arm_twin(angle_rad=0.35)
     world = World("button", twin, touch="area")
-    world.reset(3)
-    expert = ScriptedExpert(world, np.random.default_rng(3))
-    for _ in range(80):
-        world.step(expert.action())
+    until(world, 3, lambda: world.time_s > 5.3)
     hold(world, world.command[3:], steps=30)
     force = np.zeros(6)
     pull = np.zeros((6, 3))

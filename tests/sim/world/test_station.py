@@ -10,7 +10,6 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.solid import bending_body
 from pneutac_sim.splat.body import blank_looks, looks_into_twin
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.splats import SplatFinger, camera_of
 from pneutac_sim.world.station import Station, station_faults
 from pneutac_sim.world.view import Renderer, require_gl
@@ -38,20 +37,15 @@ def test_what_is_left_out_is_the_papers(tmp_path):
     assert Station.load(written(tmp_path, "mount_mm: 35")).mount_mm == 35
 
 
-def test_a_longer_mount_keeps_the_gel_where_it_was_and_the_box_holds_world_and_plans():
+def test_a_longer_mount_keeps_the_gel_where_it_was_and_the_box_holds_the_flange():
     station = Station((0.35, -0.1, 0.2), (0.45, 0.1, 0.4), 50.0)
     paper, own = (World("switch", touch="none", station=s) for s in (None, station))
     for world in (paper, own):
         world.reset(3)
     np.testing.assert_allclose(own.gel_m, paper.gel_m, atol=1e-3)
     np.testing.assert_allclose(own.flange_m - paper.flange_m, [0, 0, 0.03], atol=1e-3)
-    gantry = Gantry(own)
-    gantry.mirror(own)
-    push = np.tile([0.1, 0.0, 0.1, 0.0], (40, 1))
-    planned, _ = gantry.rollout(push[:40])
-    assert planned[-1][0] == pytest.approx(0.45, abs=2e-3) and planned[-1][2] == pytest.approx(0.4, abs=2e-3)
-    for action in push:
-        own.step(action)
+    for _ in range(40):
+        own.step([0.1, 0.0, 0.1, 0.0])
     np.testing.assert_allclose(own.flange_m[[0, 2]], [0.45, 0.4], atol=2e-3)
 
 
@@ -83,25 +77,15 @@ def test_another_format_or_no_file_is_named(tmp_path):
 
 def test_commands_act_late_by_the_stations_latency_and_it_starts_at_its_home():
     station = Station(home_m=(0.42, 0.02, 0.33), latency_s=0.2)
-    late, prompt = (
-        World("card", touch="none", station=s) for s in (station, Station(home_m=(0.42, 0.02, 0.33)))
-    )
-    ahead = World("card", touch="none", station=station)
-    for world in (late, prompt, ahead):
+    stations = station, Station(home_m=(0.42, 0.02, 0.33))
+    late, prompt = (World("card", touch="none", station=s) for s in stations)
+    for world in (late, prompt):
         world.reset(0)
     np.testing.assert_allclose(late.flange_m, [0.42, 0.02, 0.33], atol=0.007)
-    path = [[world.step([0.05, 0.0, 0.0, 3.0]).state for _ in range(8)] for world in (late, prompt, ahead)]
-    np.testing.assert_array_equal(path[0], path[2])
+    path = [[world.step([0.05, 0.0, 0.0, 3.0]).state for _ in range(8)] for world in (late, prompt)]
     flange, pressure = slice(-6, -3), -1
     np.testing.assert_allclose(np.array(path[0])[3:, flange], np.array(path[1])[:-3, flange], atol=1e-4)
     assert path[0][2][pressure] == 0 < path[0][3][pressure]
-    gantry = Gantry(ahead)
-    gantry.mirror(ahead)
-    planned, _ = gantry.rollout(np.zeros((5, 4)))
-    for _ in range(5):
-        ahead.step(np.zeros(4))
-    np.testing.assert_allclose(planned[-1], ahead.flange_m, atol=1e-3)  # what was sent before still acts
-    assert planned[-1][0] > path[2][-1][-6] + 0.008
 
 
 def has_gl() -> bool:
@@ -182,11 +166,6 @@ def test_without_opengl_it_says_what_to_do(monkeypatch):
         raise RuntimeError("no EGL here")
 
     world = World("switch", touch="none", fidelity="probe", render="splats")
-    monkeypatch.setattr("pneutac_sim.world.splats.Renderer", no_gl)
+    monkeypatch.setattr("pneutac_sim.world.view.Renderer", no_gl)
     with pytest.raises(InputError, match=r"needs OpenGL.*\(no EGL here\); install .*or choose render=mesh"):
         world.render(64, 48)
-
-
-def test_an_unknown_way_is_named():
-    with pytest.raises(InputError, match="mesh, splats"):
-        World("switch", render="oil")

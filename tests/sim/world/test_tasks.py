@@ -1,10 +1,13 @@
-"""Tasks: physics, random starts, and what counts as success and failure, by hand-made actions.
+"""Tasks: physics, random starts, and what counts as success and failure, by hand-made actions and experts.
 
-The call button: pressed and held twice by the expert, in the twin's world and on the stand-in alike.
+The call button, fruit and cable: done by the expert, in the twin's world and on the stand-in alike.
 """
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from played import succeeds, until
 
 from lerobot_robot_pneutac.standin.world import StandinWorld
 from pneutac_sim.features import TASK_NAMES
@@ -210,10 +213,7 @@ def test_the_expert_presses_twice_and_holds(kind):
 
 def test_a_press_that_is_let_go_too_early_does_not_count():
     world = World("button", touch="none")
-    world.reset(2)
-    expert = ScriptedExpert(world, np.random.default_rng(2))
-    while world.task._force[1] < world.task.press_n:
-        world.step(expert.action())
+    until(world, 2, lambda: world.task._force[1] > world.task.press_n)
     for _ in range(20):
         world.step([0, 0, 0, 0])
     assert world.task.pressed == 0 and not world.success
@@ -232,3 +232,43 @@ def test_the_expert_drags_the_finger_to_both_sides_before_it_lets_go(kind):
     assert world.success
     ways = np.array(ways) - ways[0]
     assert ways.max() > 4 and ways.min() < -4
+
+
+TASKS = ("fruit", "cable")
+
+
+@pytest.fixture(scope="module", params=TASKS)
+def world(request):
+    return World(request.param, touch="none")
+
+
+def play(world, seed, actions):
+    """Whether actions, given as a function of the step, end the trial well."""
+    each = map(actions, range(150))
+    return succeeds(world, seed, lambda *_: SimpleNamespace(action=each.__next__), 150)
+
+
+def test_the_expert_does_it_and_holding_still_does_not(world):
+    assert all(succeeds(world, seed, steps=150) for seed in range(4))
+    assert not play(world, 0, lambda k: [0, 0, 0, 3.0]) and world.failure is None
+
+
+def test_a_fruit_that_is_pressed_on_bursts_and_one_that_is_let_go_falls():
+    world = World("fruit", touch="none")
+    assert not play(world, 1, lambda k: [0.05, 0, 0, 3.0])
+    assert "squeezed the fruit with more than 1.6 N" in world.failure
+    until(world, 1, lambda: world.task.lifted_m > 0.01)
+    for _ in range(30):
+        world.step([-0.08, 0, 0, 0])
+    assert world.task.lifted_m < 1e-3 and not world.success
+
+
+def test_a_cable_that_is_left_leads_nowhere():
+    world = World("cable", touch="none")
+    ended = [play(world, seed, lambda k: [0.05 * (k < 40), 0.03 * (k >= 40), 0, 3.0]) for seed in range(4)]
+    assert sum(ended) < 4
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_stand_in_offers_them_too(task):
+    assert succeeds(StandinWorld(task, touch="none"), 0, steps=150)

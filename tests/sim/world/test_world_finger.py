@@ -1,6 +1,8 @@
 """The finger in the world: statics against the formula, loads, imprint and force.
 
 The world with fingers of other labs: of any size, number of joints, stiffness and range of pressures.
+
+A finger that a load bends across its plane: where it goes freely, and how it turns under a drag.
 """
 
 import logging
@@ -8,13 +10,15 @@ import logging
 import mujoco
 import numpy as np
 import pytest
+from arms import arm_twin
 
-from pneutac_sim.errors import InputError
+from lerobot_pneutac.verbs.design_motion import PRESS, carried_out, sideways
 from pneutac_sim.features import ACTION_HIGH, CONTROL_HZ
 from pneutac_sim.finger.stages import joint_command
 from pneutac_sim.gel.force import GelForce
 from pneutac_sim.gel.probe import probe_grid
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
+from pneutac_sim.world.base import Variation
 from pneutac_sim.world.env import PneutacEnv
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.station import Station
@@ -131,22 +135,23 @@ def test_any_gel_comes_to_rest(modulus_mpa):
     assert (press_mm > stiffer[2]) == (modulus_mpa < 0.1)
 
 
-@pytest.mark.parametrize("length_mm, joints, stiffness", [
-    (40.0, 10, 50.0), (160.0, 3, 0.05), (250.0, 10, 0.458), (250.0, 2, 5.0),
+@pytest.mark.parametrize("chambers, length_mm, joints, stiffness", [
+    (1, 40.0, 10, 50.0), (1, 160.0, 3, 0.05), (1, 250.0, 10, 0.458), (1, 250.0, 2, 5.0),
+    (3, 60.0, 10, 50.0), (3, 250.0, 6, 5.0), (3, 100.0, 2, 0.1),
 ])  # fmt: skip
-def test_any_finger_is_stable_and_swings_less_and_less_after_a_push(length_mm, joints, stiffness):
+def test_any_body_is_stable_and_swings_less_and_less_after_a_push(chambers, length_mm, joints, stiffness):
     """Springs of MuJoCo alone run away where w h > 2: with these from 0.17 N m/rad a joint on."""
-    twin = Twin.builtin()
+    twin = Twin.builtin() if chambers == 1 else arm_twin(joints=joints)
     twin.length_mm = length_mm
     twin.spine_joint_positions_mm = np.linspace(0.1, 0.9, joints) * length_mm
     twin.parameters["joint_stiffness_nm_per_rad"] = Value(stiffness)
     world = World("switch", twin, touch="none")
     world.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT  # the long ones reach the table
     world.reset(0)
-    world.data.qvel[world._spine] = 3.0
+    world.data.qvel[world._spine] = 3.0 if chambers == 1 else np.tile([1.0, 3.0, -2.0], joints)
     swing = []
     for _ in range(60):
-        hold(world, 5.0, steps=1)
+        world.step([0, 0, 0, 5.0] if chambers == 1 else [0, 0, 0, 10, 0, 5])
         swing.append(np.abs(world.spine_rad - world.spine_target_rad).max())
     assert swing[0] < 2.0 and world.data.warning.number.sum() == 0
     assert max(swing[-10:]) < max(0.5 * max(swing[2:12]), 1e-4)
@@ -171,11 +176,6 @@ def test_the_finger_is_stable_for_an_hour_under_any_pressure_and_load():
     world.data.qfrc_applied[:] = 0.0
     hold(world, 5.0, steps=60)
     np.testing.assert_allclose(world.spine_rad, world.spine_target_rad, atol=1e-4)
-
-
-def test_a_gel_alone_is_refused():
-    with pytest.raises(InputError, match="finger"):
-        World("switch", Twin(device="gel"), touch="none")
 
 
 def finger(range_kpa=(0.0, 60.0)) -> Twin:
@@ -232,3 +232,44 @@ def test_the_same_bend_by_vacuum_and_by_four_times_the_pressure_does_the_task_al
     assert np.ptp(np.array(ways[0])[:, -1]) > 1 and np.max(ways[0]) < ACTION_HIGH[3]
     for way in ways[1:]:
         np.testing.assert_allclose(way, ways[0], atol=1e-4)
+
+
+@pytest.fixture(scope="module")
+def sideways_world():
+    return World("button", touch="none", sideways=True)
+
+
+def drag(sideways_world, friction, drag_mm=12.0):
+    sideways_world.variation = Variation(friction=friction)
+    return carried_out(sideways_world, 3, sideways(drag_mm))
+
+
+def test_pressure_bends_it_in_its_plane_as_ever(sideways_world):
+    flat = World("button", touch="none")
+    for w in (sideways_world, flat):
+        w.reset(1)
+        for _ in range(40):
+            w.step([0, 0, 0, 9.0])
+    np.testing.assert_allclose(sideways_world.tip, flat.tip, atol=0.01)
+    np.testing.assert_allclose(sideways_world.spine_rad[:, 1], 0, atol=1e-4)
+
+
+def test_a_gel_that_sticks_turns_by_three_halves_of_the_way_over_the_length(sideways_world):
+    """A beam held at its end, whose tip is free to turn, however stiff; the gel's middle is 15 mm beyond."""
+    felt = drag(sideways_world, friction=5.0)
+    beam = np.degrees(1.5 / (sideways_world.twin.length_mm + 15.0))
+    assert felt.turn_deg_per_mm == pytest.approx(beam, rel=0.15)
+    softer = Twin.builtin()
+    whole = softer.parameter("joint_stiffness_nm_per_rad")
+    softer.parameters = softer.parameters | {"joint_stiffness_nm_per_rad": Value(0.7 * whole)}
+    soft = World("button", softer, touch="none", sideways=True)
+    assert drag(soft, friction=5.0).turn_deg_per_mm == pytest.approx(felt.turn_deg_per_mm, rel=0.1)
+    sideways_world.variation = soft.variation = Variation()
+    press, pressed = (carried_out(w, 3, PRESS).force_n.mean() for w in (sideways_world, soft))
+    assert pressed == pytest.approx(0.75 * press, rel=0.1)
+
+
+def test_one_that_slips_turns_less(sideways_world):
+    turns = [drag(sideways_world, friction).turn_deg_per_mm for friction in (5.0, 0.3, 0.05)]
+    assert turns[0] > turns[1] > turns[2] and turns[2] < 0.3 * turns[0]
+    assert carried_out(sideways_world, 3, PRESS).turn_deg_per_mm == 0

@@ -114,9 +114,7 @@ class Reference:
         return max(0, self.onset - margin), min(len(self), last + margin + 1)
 
 
-def felt_and_done(
-    references: list[Reference], skip: int, lag: int = 0
-) -> tuple[np.ndarray, np.ndarray]:
+def felt_and_done(references: list[Reference], skip: int, lag: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Touch `lag` frames before, and velocity (n, 3) m/s, in all frames in contact but the first `skip`.
 
     The touch (n, 3) is the imprint's middle across and along the finger, metres, and its area.
