@@ -162,23 +162,19 @@ def _read(recording: Recording) -> GelRecording:
 def _begun(recording: Recording) -> tuple[GelRecording, dict[str, np.ndarray]]:
     """A recording without its samples yet, and its rest images by name."""
     file, meta = recording.folder / "recording.json", recording.meta
-    scale = meta.get("px_per_mm")
+    scale, field = meta.get("px_per_mm"), f"{file}: field"
     if isinstance(scale, bool) or not isinstance(scale, int | float) or not 0 < scale < math.inf:
-        raise InputError(
-            f"{file}: field 'px_per_mm' is {shown(scale)}; give the images' pixels per millimetre."
-        )
+        raise InputError(f"{field} 'px_per_mm' is {shown(scale)}; give the images' pixels per millimetre.")
     if not meta.get("rest_image"):
         raise InputError(
-            f"{file}: field 'rest_image' is missing; name the image without contact. Where none was"
-            " taken, the median of five or more presses at different places serves."
+            f"{field} 'rest_image' is missing; name the image without contact. Where none was taken, the"
+            " median of five or more presses at different places serves."
         )
     size = meta.get("gel_size_mm")
     if size is not None:
         sizes = size if isinstance(size, list) and len(size) == 3 else [None]
         if not all(isinstance(x, int | float) and 0 < x < 1000 for x in sizes):
-            raise InputError(
-                f"{file}: field 'gel_size_mm' is {shown(size)}; give width, height and thickness."
-            )
+            raise InputError(f"{field} 'gel_size_mm' is {shown(size)}; give width, height and thickness.")
     thickness = float(size[2]) if size is not None else THICKNESS_MM
     rest = _image(recording, meta["rest_image"], f"{file}: rest image {shown(meta['rest_image'])}")
     width_mm = rest.shape[1] / scale
@@ -221,21 +217,20 @@ def _fill_earlier(recording: Recording, samples: list[GelSample]) -> None:
     """Fills in what came before each photograph, by `time_s` and `hold_s`; a new rest image starts again."""
     if not recording.has("hold_s"):
         return
-    where = recording.folder
     held, time = (recording.samples[c].to_numpy(float) for c in ("hold_s", "time_s"))
-    for i, (t, hold) in enumerate(zip(time, held, strict=True)):
+    first = 0
+    for i, (s, t, hold) in enumerate(zip(samples, time, held, strict=True)):
+        row = f"{recording.folder}, row {i + 1}:"
         if not 0 < hold < MOST_HELD_S:
             raise InputError(
-                f"{where}, row {i + 1}: hold_s is {hold:g}; give the seconds that the indenter was in the "
-                f"gel, above 0 and below {MOST_HELD_S:g}, in every row, or leave the column out."
+                f"{row} hold_s is {hold:g}; give the seconds that the indenter was in the gel, above 0 and"
+                f" below {MOST_HELD_S:g}, in every row, or leave the column out."
             )
         if i and t - hold < time[i - 1]:
             raise InputError(
-                f"{where}, row {i + 1}: with time_s {t:g} and hold_s {hold:g} it was pressed before the row "
-                f"above it was photographed, at {time[i - 1]:g} s; correct them, or leave hold_s out."
+                f"{row} with time_s {t:g} and hold_s {hold:g} it was pressed before the row above it was"
+                f" photographed, at {time[i - 1]:g} s; correct them, or leave hold_s out."
             )
-    first = 0
-    for i, s in enumerate(samples):
         first = i if s.rest is not samples[first].rest else first
         before = range(first, i)
         s.earlier = tuple(Earlier(samples[k].press, float(held[k]), float(time[i] - time[k])) for k in before)

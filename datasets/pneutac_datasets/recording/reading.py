@@ -47,15 +47,13 @@ def read_table(folder: Path, meta: dict) -> tuple[pd.DataFrame, Path]:
     """
     if meta.get("lerobot"):
         return _read_lerobot(folder), folder / "data"
-    name = meta.get("samples", "samples.csv")
+    name, field = meta.get("samples", "samples.csv"), f"{folder / 'recording.json'}: field 'samples'"
     named = isinstance(name, str) and len(name) <= MAX_NAME
     if not named or Path(name).suffix.lower() not in (".csv", ".parquet"):
-        raise InputError(
-            f"{folder / 'recording.json'}: field 'samples' is {shown(name)}; name a .csv or .parquet file."
-        )
+        raise InputError(f"{field} is {shown(name)}; name a .csv or .parquet file.")
     file = folder / name
     if not inside(folder, file):
-        raise InputError(f"{folder / 'recording.json'}: field 'samples' must name a file inside the folder.")
+        raise InputError(f"{field} must name a file inside the folder.")
     if not file.is_file():
         raise InputError(f"{file} is missing; field 'samples' of recording.json names the table of samples.")
     if file.suffix.lower() != ".csv":
@@ -102,9 +100,7 @@ def _read_lerobot(folder: Path) -> pd.DataFrame:
         raise InputError(f"{file}: field 'features' is {shown(features)}; the LeRobotDataset is damaged.")
     parts = sorted((folder / "data").glob("**/*.parquet"))
     if not parts:
-        raise InputError(
-            f"{folder / 'data'} holds no .parquet file; the LeRobotDataset is empty or incomplete."
-        )
+        raise InputError(f"{folder}/data holds no .parquet file; the LeRobotDataset is empty or incomplete.")
     raw = pd.concat([read_parquet(p) for p in parts], ignore_index=True)
     if len(raw) > MAX_ROWS:
         raise InputError(f"{folder} has {len(raw)} rows, above the limit of {MAX_ROWS}; use fewer episodes.")

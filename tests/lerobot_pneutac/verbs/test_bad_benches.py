@@ -103,12 +103,8 @@ def test_a_calibration_alone_takes_a_twin_without_its_gain_and_finds_it(tmp_path
     del without.parameters["gain_rad_per_kpa"]
     without.save(folder)
     given = [f"--twin={folder}", f"--recording={recording}"]
-    for verb, *more in (
-        ["compare"],
-        ["diagnose"],
-        ["add", "--effect=creep"],
-        ["learn", "--bench=standin", "--out=o"],
-    ):
+    verbs = ["compare"], ["diagnose"], ["add", "--effect=creep"], ["learn", "--bench=standin", "--out=o"]
+    for verb, *more in verbs:
         with pytest.raises(InputError, match="twin.yaml: body: gain_rad_per_kpa is missing; `pneutac cal"):
             run_verb(verb, given[: 1 if verb == "learn" else 2] + more)
     run_verb("calibrate", given)
@@ -257,13 +253,13 @@ def test_a_file_with_any_number_in_any_place_is_read_or_one_sentence(value, tmp_
     for path in places(content):
         (tmp_path / "station.yaml").write_text(yaml.safe_dump(put(content, path, value)))
         refused(lambda: Station.load(tmp_path / "station.yaml"))
-    content = {
-        "device": "finger",
-        "length_mm": 100,
-        "noise": {"bend_angle_rad": 0.1},
+    content = {"device": "finger", "length_mm": 100, "noise": {"bend_angle_rad": 0.1}}
+    content |= {
         "samples": "samples.csv",
+        "trials": {"0": {"start": "rested"}},
+        "spine_joint_positions_mm": [10, 50],
+        "supply_kpa": 3,
     }
-    content |= {"trials": {"0": {"start": "rested"}}, "spine_joint_positions_mm": [10, 50], "supply_kpa": 3}
     folder = write(tmp_path / "r", table(80))
     for path in places(content):
         (folder / "recording.json").write_text(json.dumps(put(content, path, value)))

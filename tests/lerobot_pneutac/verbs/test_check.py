@@ -178,15 +178,7 @@ def test_a_station_tells_which_tasks_its_arm_does_not_reach(tmp_path):
     )
     told = check_path(file).faults
     assert len(told) == 7
-    named = (
-        "'format'",
-        "'base'; did you mean 'base_m'",
-        "mount_mm",
-        "latency_s",
-        "_low_m",
-        "_high_m",
-        "mine.urdf",
-    )
+    named = ["'base'; did you mean 'base_m'", *"'format' mount_mm latency_s _low_m _high_m mine.urdf".split()]
     assert all(any(name in fault for fault in told) for name in named)
     corners = "workspace_low_m: [0.7, 0, 0.2]\nworkspace_high_m: [0.8, 0.1, 0.5]\n"  # beyond the default's
     file.write_text(f"format: pneutac-station/1\n{corners}")

@@ -77,10 +77,8 @@ def test_truth_is_kept_apart(finger):
     for name in hidden_twin(4, "finger").parameters:
         assert name not in json.dumps(stated)
     truth = json.loads((finger.folder.parent / "truth" / "finger.json").read_text())
-    assert (
-        truth["parameters"]["gain_rad_per_kpa"]
-        == hidden_twin(4, "finger").parameters["gain_rad_per_kpa"].value
-    )
+    gain = hidden_twin(4, "finger").parameters["gain_rad_per_kpa"].value
+    assert truth["parameters"]["gain_rad_per_kpa"] == gain
     assert hidden_twin(5, "finger").parameters != hidden_twin(4, "finger").parameters
     seen = finger.samples[["tip_x_mm", "tip_y_mm", "tip_z_mm"]].to_numpy()
     assert 0 < np.abs(seen - truth["tips_mm"]).max() < 5 * MARKER_NOISE_MM
@@ -105,10 +103,8 @@ def test_disturbances_act_and_stay_secret(finger, tmp_path):
     assert iou(read_photograph(bad, 0, "front")[1], read_photograph(finger, 0, "front")[1]) < 0.8
     truth = json.loads((tmp_path / "truth" / "bad.json").read_text())
     assert truth["disturbances"]["tilt_deg"] == 3
-    stated, true = (
-        np.array(bad.meta["cameras"]["back"]["extrinsics"]),
-        np.array(truth["camera_extrinsics"]["back"]),
-    )
+    places = bad.meta["cameras"]["back"]["extrinsics"], truth["camera_extrinsics"]["back"]
+    stated, true = map(np.array, places)
     turn = np.degrees(np.arccos((np.trace(stated[:3, :3].T @ true[:3, :3]) - 1) / 2))
     assert turn == pytest.approx(2, abs=1e-6)
     eyes = [-t[:3, :3].T @ t[:3, 3] for t in (stated, true)]

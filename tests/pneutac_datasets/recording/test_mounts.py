@@ -32,9 +32,8 @@ def ringing(recording):
     b, a, _ = signal.cont2discrete(([w * w], [1, 0.2 * w, w * w]), 0.05)
     for rows in recording.trials().values():
         y = samples[TIP].to_numpy()[rows]
-        samples.loc[samples.index[rows], TIP] = (
-            signal.lfilter(b.ravel(), a, y - y[0] * 0.5, axis=0) + y[0] * 0.5
-        )
+        swung = signal.lfilter(b.ravel(), a, y - y[0] * 0.5, axis=0)
+        samples.loc[samples.index[rows], TIP] = swung + y[0] * 0.5
     return with_samples(recording, samples)
 
 
@@ -120,19 +119,14 @@ def test_one_coordinate_is_shifted(plain, seen):
     (column,) = r.observations
     offset = 0.4 if column.endswith("rad") else 25.0
     back, sentences = align_mounts(put_back(r, lambda y: y + offset), r.length_mm, r.split(0)[0])
-    assert (
-        len(sentences) == 1
-        and "shifted onto the first mount" in sentences[0]
-        and "turned" not in sentences[0]
-    )
+    assert len(sentences) == 1 and "are shifted onto the first mount" in sentences[0]
     assert np.abs(back.column(column) - r.column(column)).max() < 0.05 * offset
 
 
 def test_a_creeping_finger_that_was_put_back_keeps_its_creep(creeping):
     r = cut(creeping)
-    back, sentences = align_mounts(
-        put_back(r, MOVES["turned about its axis and shifted"]), r.length_mm, r.split(0)[0]
-    )
+    turned = put_back(r, MOVES["turned about its axis and shifted"])
+    back, sentences = align_mounts(turned, r.length_mm, r.split(0)[0])
     assert len(sentences) == 1 and "trials 3 to 5:" in sentences[0]
     again = np.isin(r.column("trial"), AGAIN)
     off = np.linalg.norm(back.samples[TIP].to_numpy() - r.samples[TIP].to_numpy(), axis=1)[again]

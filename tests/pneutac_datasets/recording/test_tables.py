@@ -36,6 +36,7 @@ def truth(runs=3, seconds=12.0, hz=10.0):
 
 
 TRUTH = truth()
+ONE = TRUTH[TRUTH.trial == 0]
 SCALE = {"bar": 100, "mbar": 0.1, "hPa": 0.1, "psi": 6.894757, "Pa": 1e-3, "MPa": 1000, "kPa": 1}
 SCALE |= {"m": 1000, "cm": 10, "mm": 1, "in": 25.4, "deg": np.pi / 180, "°": np.pi / 180, "rad": 1}
 SCALE |= {"s": 1, "ms": 1e-3, "min": 60, "g": 1, "kg": 1000}
@@ -59,6 +60,17 @@ def lab(names, units, pattern="{} [{}]"):
 
 def understood(file, **given):
     return plain.Understood([file], Given(**given))
+
+
+@pytest.fixture
+def reads(tmp_path):
+    """Writes a table and says how it is understood."""
+
+    def reads(table, sep=",", **given):
+        table.to_csv(tmp_path / "lab.csv", index=False, sep=sep)
+        return understood(tmp_path / "lab.csv", **given)
+
+    return reads
 
 
 def same(recording, columns, atol=2e-6):
@@ -98,18 +110,16 @@ def units_of(choice):
 @pytest.mark.parametrize(
     ("choice", "names"), [*zip(UNITS, [GERMAN, ENGLISH, SHORT, COMPOUND, GERMAN, ENGLISH], strict=True)]
 )
-def test_units_in_brackets_come_back_as_the_recordings(tmp_path, choice, names):
-    lab(names, units_of(choice)).to_csv(tmp_path / "lab.csv", index=False)
-    found = understood(tmp_path / "lab.csv")
+def test_units_in_brackets_come_back_as_the_recordings(reads, choice, names):
+    found = reads(lab(names, units_of(choice)))
     assert found.faults == [] and found.length_mm == LENGTH
     same(found.recording, TRUTH)
 
 
 @pytest.mark.parametrize("pattern", ["{} ({})", "{}_{}", "{} in {}", "{}, {}"])
-def test_units_stand_behind_the_name_in_many_ways(tmp_path, pattern):
+def test_units_stand_behind_the_name_in_many_ways(reads, pattern):
     units = units_of(("mbar", "cm", "deg", "ms", "kg", "K"))
-    lab(GERMAN, units, pattern).to_csv(tmp_path / "lab.csv", index=False, sep=";")
-    same(understood(tmp_path / "lab.csv").recording, TRUTH)
+    same(reads(lab(GERMAN, units, pattern), ";").recording, TRUTH)
 
 
 ENCODINGS = ("utf-8", "utf-8-sig", "cp1252", "utf-16")
@@ -146,14 +156,13 @@ def test_a_line_of_units_below_the_header(tmp_path, brackets):
     same(understood(tmp_path / "lab.csv").recording, TRUTH)
 
 
-def test_blanks_between_columns_units_in_cells_and_thousands(tmp_path):
+def test_blanks_between_columns_units_in_cells_and_thousands(tmp_path, reads):
     table = lab(SHORT, units_of(UNITS[3]))  # pascal
     (tmp_path / "lab.txt").write_text(table.to_string(index=False))
     same(understood(tmp_path / "lab.txt").recording, TRUTH)
     cells = table.rename(columns={"p_cmd [Pa]": "p_cmd"})
     cells["p_cmd"] = [f"{v:,.1f} Pa" for v in table["p_cmd [Pa]"]]
-    cells.to_csv(tmp_path / "cells.csv", index=False)
-    same(understood(tmp_path / "cells.csv").recording, TRUTH)
+    same(reads(cells).recording, TRUTH)
     cells["p_cmd"] = [f"{v:,.2f}".translate(str.maketrans(".,", ",.")) for v in table["p_cmd [Pa]"]]
     cells.rename(columns={"p_cmd": "p_cmd [Pa]"}).to_csv(
         tmp_path / "g.csv", sep=";", decimal=",", index=False
@@ -178,135 +187,114 @@ CLOCKS = {
 
 
 @pytest.mark.parametrize("clock", CLOCKS)
-def test_clocks_begin_with_zero(tmp_path, clock):
-    one = TRUTH[TRUTH.trial == 0]
-    table = one.drop(columns="time_s").assign(timestamp=pd.Series(CLOCKS[clock](one.time_s.to_numpy())))
-    table.to_csv(tmp_path / "lab.csv", index=False, sep=";")
-    found = understood(tmp_path / "lab.csv")
-    np.testing.assert_allclose(found.recording.column("time_s"), one.time_s, atol=1e-6)
+def test_clocks_begin_with_zero(reads, clock):
+    table = ONE.drop(columns="time_s").assign(timestamp=pd.Series(CLOCKS[clock](ONE.time_s.to_numpy())))
+    found = reads(table, ";")
+    np.testing.assert_allclose(found.recording.column("time_s"), ONE.time_s, atol=1e-6)
     assert found.recording.meta.get("date", "") in ("2026-03-01", "2023-11-14", "")
 
 
 @pytest.mark.parametrize("pattern", ["%I:%M:%S", "%Y-%m-%d %I:%M:%S", "%d.%m.%Y %I:%M:%S"])
-def test_a_clock_of_twelve_hours_goes_on_at_one_and_that_is_said(tmp_path, pattern):
-    one = TRUTH[TRUTH.trial == 0]
-    stamps = pd.Timestamp("2026-03-01 12:59:55") + pd.to_timedelta(one.time_s, "s")
+def test_a_clock_of_twelve_hours_goes_on_at_one_and_that_is_said(reads, pattern):
+    stamps = pd.Timestamp("2026-03-01 12:59:55") + pd.to_timedelta(ONE.time_s, "s")
     texts = [f"{v:{pattern}}.{v.microsecond // 1000:03d}" for v in stamps]
-    one.drop(columns="time_s").assign(clock=texts).to_csv(tmp_path / "lab.csv", index=False)
-    found = understood(tmp_path / "lab.csv")
-    np.testing.assert_allclose(found.recording.column("time_s"), one.time_s, atol=1e-6)
+    found = reads(ONE.drop(columns="time_s").assign(clock=texts))
+    np.testing.assert_allclose(found.recording.column("time_s"), ONE.time_s, atol=1e-6)
     assert [n for n in found.notes if "from 12 to 1 o'clock in line 52, without AM or PM" in n]
 
 
 @pytest.mark.parametrize("pattern", ["%d/%m/%Y", "%m/%d/%Y", "%d-%m-%Y"])
 @pytest.mark.parametrize("day", ["2026-03-08", "2026-03-12"])
-def test_the_order_of_day_and_month_is_that_in_which_midnight_is_no_pause(tmp_path, day, pattern):
-    one = TRUTH[TRUTH.trial == 0]
-    stamps = pd.Timestamp(f"{day} 23:59:55") + pd.to_timedelta(one.time_s, "s")
+def test_the_order_of_day_and_month_is_that_in_which_midnight_is_no_pause(reads, day, pattern):
+    stamps = pd.Timestamp(f"{day} 23:59:55") + pd.to_timedelta(ONE.time_s, "s")
     texts = [f"{v:{pattern} %H:%M:%S}.{v.microsecond // 1000:03d}" for v in stamps]
-    one.drop(columns=["trial", "time_s"]).assign(clock=texts).to_csv(tmp_path / "lab.csv", index=False)
-    found = understood(tmp_path / "lab.csv")
-    np.testing.assert_allclose(found.recording.column("time_s"), one.time_s, atol=1e-6)
+    found = reads(ONE.drop(columns=["trial", "time_s"]).assign(clock=texts))
+    np.testing.assert_allclose(found.recording.column("time_s"), ONE.time_s, atol=1e-6)
     assert found.notes == [] and len(found.recording.trials()) == 1
 
 
-def test_topics_of_a_bag_as_columns_are_recognised(tmp_path):
+def test_topics_of_a_bag_as_columns_are_recognised(reads):
     names = {"time_s": "__time", P: "/pressure_cmd/data [kPa]", "tip_x_mm": "/tip/pose/position/x"}
     names |= {"tip_y_mm": "/tip/pose/position/y", "tip_z_mm": "/tip/pose/position/z"}
-    table = TRUTH[TRUTH.trial == 0][[*names]].rename(columns=names)
-    table.assign(**{f"/tip/pose/orientation/{a}": 0.0 for a in "xyzw"}).to_csv(
-        tmp_path / "b.csv", index=False
-    )
-    recording = understood(tmp_path / "b.csv").recording
+    table = ONE[[*names]].rename(columns=names)
+    recording = reads(table.assign(**{f"/tip/pose/orientation/{a}": 0.0 for a in "xyzw"})).recording
     for column in names:
-        np.testing.assert_allclose(recording.column(column), TRUTH[TRUTH.trial == 0][column])
+        np.testing.assert_allclose(recording.column(column), ONE[column])
 
 
 @pytest.mark.parametrize("names", [("secs", "nsecs"), ("/tip/header.stamp.sec", "/tip/header.stamp.nanosec")])
 @pytest.mark.parametrize("begin", [0, 1_700_000_000])
-def test_seconds_and_nanoseconds_of_ros_are_one_clock(tmp_path, names, begin):
-    one = TRUTH[TRUTH.trial == 0]
-    nanoseconds = np.round(1e9 * one.time_s).astype("int64")
+def test_seconds_and_nanoseconds_of_ros_are_one_clock(reads, names, begin):
+    nanoseconds = np.round(1e9 * ONE.time_s).astype("int64")
     stamps = {names[0]: begin + nanoseconds // 10**9, names[1]: nanoseconds % 10**9}
-    one.drop(columns=["trial", "time_s"]).assign(**stamps).to_csv(tmp_path / "lab.csv", index=False)
-    found = understood(tmp_path / "lab.csv")
-    np.testing.assert_allclose(found.recording.column("time_s"), one.time_s, atol=1e-6)
+    table = ONE.drop(columns=["trial", "time_s"]).assign(**stamps)
+    found = reads(table)
+    np.testing.assert_allclose(found.recording.column("time_s"), ONE.time_s, atol=1e-6)
     assert "are one time, 'stamp [ns]'" in found.notes[0]
-    again = understood(tmp_path / "lab.csv", columns={c.name: str(c) for c in found.columns})
+    again = reads(table, columns={c.name: str(c) for c in found.columns})
     np.testing.assert_array_equal(again.recording.column("time_s"), found.recording.column("time_s"))
-    one.assign(**stamps).to_csv(tmp_path / "both.csv", index=False)  # with a clock of its own
-    assert set(understood(tmp_path / "both.csv").recording.samples) >= set(names)
+    assert set(reads(ONE.assign(**stamps)).recording.samples) >= set(names)  # with a clock of its own
 
 
-def test_days_are_asked_for_and_read_and_a_clock_in_them_is_refused(tmp_path):
-    one = TRUTH[TRUTH.trial == 0]
-    days = one.drop(columns="time_s").assign(clock=46084.5 + one.time_s / 86400)
-    days.to_csv(tmp_path / "lab.csv", index=False)
+def test_days_are_asked_for_and_read_and_a_clock_in_them_is_refused(reads):
+    days = ONE.drop(columns="time_s").assign(clock=46084.5 + ONE.time_s / 86400)
     with pytest.raises(InputError, match=r"in steps of 1.16e-06\) has no unit.*'clock: time_s \[s\|days\]'"):
-        understood(tmp_path / "lab.csv")
-    found = understood(tmp_path / "lab.csv", columns={"clock": "time_s [days]"})
-    np.testing.assert_allclose(found.recording.column("time_s"), one.time_s, atol=1e-5)
-    (fault,) = understood(tmp_path / "lab.csv", columns={"clock": "time_s [s]"}).faults
+        reads(days)
+    found = reads(days, columns={"clock": "time_s [days]"})
+    np.testing.assert_allclose(found.recording.column("time_s"), ONE.time_s, atol=1e-5)
+    (fault,) = reads(days, columns={"clock": "time_s [s]"}).faults
     assert "can only be another unit than seconds; multiply it by 86400 if the clock counts days" in fault
 
 
-def test_whole_seconds_of_even_rows_are_answered_by_their_rate(tmp_path):
-    one = TRUTH[TRUTH.trial == 0]
-    one.assign(time_s=np.floor(one.time_s)).to_csv(tmp_path / "lab.csv", index=False)
-    (fault,) = understood(tmp_path / "lab.csv").faults
+def test_whole_seconds_of_even_rows_are_answered_by_their_rate(reads):
+    whole = ONE.assign(time_s=np.floor(ONE.time_s))
+    (fault,) = reads(whole).faults
     assert "(108 such rows)" in fault and "--columns='time_s: -' --rate_hz=10`." in fault
-    found = understood(tmp_path / "lab.csv", columns={"time_s": "-"}, rate_hz=10.0)
-    np.testing.assert_allclose(found.recording.column("time_s"), one.time_s, atol=1e-9)
+    found = reads(whole, columns={"time_s": "-"}, rate_hz=10.0)
+    np.testing.assert_allclose(found.recording.column("time_s"), ONE.time_s, atol=1e-9)
 
 
 @pytest.mark.parametrize("clock", ["seconds", *CLOCKS])
-def test_a_run_begins_after_a_long_pause_of_any_clock(tmp_path, clock):
-    one = TRUTH[TRUTH.trial == 0]
-    time_s = one.time_s.to_numpy() + 3600.0 * (np.arange(len(one)) >= len(one) // 2)
+def test_a_run_begins_after_a_long_pause_of_any_clock(reads, clock):
+    time_s = ONE.time_s.to_numpy() + 3600.0 * (np.arange(len(ONE)) >= len(ONE) // 2)
     stamps = pd.Series(CLOCKS.get(clock, pd.Series)(time_s))
-    one.drop(columns=["trial", "time_s"]).assign(timestamp=stamps).to_csv(tmp_path / "lab.csv", index=False)
-    found = understood(tmp_path / "lab.csv")
+    found = reads(ONE.drop(columns=["trial", "time_s"]).assign(timestamp=stamps))
     assert len(found.recording.trials()) == 2
     assert [n for n in found.notes if "pauses for more than 10 minutes (the longest 3600 s): 2 runs" in n]
 
 
 @pytest.mark.parametrize("clock", ["seconds", *CLOCKS])
 @pytest.mark.parametrize("files", [1, 2])
-def test_pauses_are_read_off_a_clock_that_goes_on(tmp_path, clock, files):
+def test_pauses_are_read_off_a_clock_that_goes_on(tmp_path, reads, clock, files):
     runs = [
         TRUTH[TRUTH.trial == k].assign(pressure_cmd_kpa=lambda r: np.r_[0, r.pressure_cmd_kpa[1:-1], 0])
         for k in (0, 1)
     ]
     rows = pd.concat([runs[0], runs[1].assign(time_s=runs[1].time_s + 30.0)], ignore_index=True)
-    table = rows.drop(columns="time_s").assign(
-        timestamp=pd.Series(CLOCKS.get(clock, pd.Series)(rows.time_s.to_numpy()))
-    )
-    for k, part in enumerate(
-        [table] if files == 1 else [r.drop(columns="trial") for _, r in table.groupby("trial")]
-    ):
+    stamps = pd.Series(CLOCKS.get(clock, pd.Series)(rows.time_s.to_numpy()))
+    table = rows.drop(columns="time_s").assign(timestamp=stamps)
+    parts = [r.drop(columns="trial") for _, r in table.groupby("trial")]
+    for k, part in enumerate([table] if files == 1 else parts):
         part.to_csv(tmp_path / f"lab_{k}.csv", index=False)
     found = plain.Understood(sorted(tmp_path.glob("*.csv")), Given())
     known = files == 1 or clock not in ("seconds", "of the day")
     pause_s = 30.0 - runs[0].time_s.max()
     stated = {"1": {"start": "continues", "pause_s": pytest.approx(pause_s, abs=2e-3)}}
     assert found.recording.meta.get("trials", {}) == (stated if known else {})
-    table.assign(pressure_cmd_kpa=table.pressure_cmd_kpa + 5.0).to_csv(tmp_path / "under.csv", index=False)
-    assert "trials" not in understood(tmp_path / "under.csv").recording.meta  # not at zero in between
+    under = reads(table.assign(pressure_cmd_kpa=table.pressure_cmd_kpa + 5.0))  # not at zero in between
+    assert "trials" not in under.recording.meta
 
 
-def test_frames_and_rows_need_a_rate(tmp_path):
-    one = TRUTH[TRUTH.trial == 0].drop(columns="time_s")
-    one.assign(Frame=np.arange(len(one)) + 100).to_csv(tmp_path / "lab.csv", index=False)
+def test_frames_and_rows_need_a_rate(reads):
+    one = ONE.drop(columns="time_s")
+    framed = one.assign(Frame=np.arange(len(one)) + 100)
     with pytest.raises(InputError, match=r"'Frame' counts frames; .* `pneutac convert .*csv --rate_hz=20`"):
-        understood(tmp_path / "lab.csv")
-    found = understood(tmp_path / "lab.csv", rate_hz=10.0)
-    np.testing.assert_allclose(found.recording.column("time_s"), TRUTH[TRUTH.trial == 0].time_s, atol=1e-9)
-    one.to_csv(tmp_path / "lab.csv", index=False)
+        reads(framed)
+    found = reads(framed, rate_hz=10.0)
+    np.testing.assert_allclose(found.recording.column("time_s"), ONE.time_s, atol=1e-9)
     with pytest.raises(InputError, match="no column is a time; .* --rate_hz"):
-        understood(tmp_path / "lab.csv")
-    assert understood(tmp_path / "lab.csv", rate_hz=10.0).recording.column("time_s")[-1] == pytest.approx(
-        11.9
-    )
+        reads(one)
+    assert reads(one, rate_hz=10.0).recording.column("time_s")[-1] == pytest.approx(11.9)
 
 
 @pytest.mark.parametrize("offset", [0.0, 2e5, 1.7e9])
@@ -360,10 +348,9 @@ P = "pressure_cmd_kpa"
         ),
     ],
 )
-def test_what_is_open_is_asked_in_one_sentence(tmp_path, change, says):
-    change(TRUTH.drop(columns=["bend_angle_rad", "pressure_kpa"])).to_csv(tmp_path / "lab.csv", index=False)
+def test_what_is_open_is_asked_in_one_sentence(reads, change, says):
     with pytest.raises(InputError, match=says) as e:
-        understood(tmp_path / "lab.csv")
+        reads(change(TRUTH.drop(columns=["bend_angle_rad", "pressure_kpa"])))
     assert "\n" not in str(e.value) and "lab.csv" in str(e.value)
 
 
@@ -392,31 +379,26 @@ def test_what_is_open_is_asked_in_one_sentence(tmp_path, change, says):
         ),
     ],
 )
-def test_a_misspelt_column_is_named_where_it_is_missing(tmp_path, change, says):
-    change(TRUTH.drop(columns=["bend_angle_rad", "pressure_kpa"])).to_csv(tmp_path / "lab.csv", index=False)
+def test_a_misspelt_column_is_named_where_it_is_missing(reads, change, says):
     with pytest.raises(InputError, match=says):
-        understood(tmp_path / "lab.csv")
+        reads(change(TRUTH.drop(columns=["bend_angle_rad", "pressure_kpa"])))
 
 
 @pytest.mark.parametrize("answer", ["presure_cmd_kpa", "pressure_cmd", "presure_cmd_kpa [bar]"])
-def test_an_answer_that_is_no_column_of_a_recording_is_refused(tmp_path, answer):
-    TRUTH.rename(columns={P: "u"}).to_csv(tmp_path / "lab.csv", index=False)
-    with pytest.raises(
-        InputError, match="of 'u' is no column of a recording; did you mean 'pressure_cmd_kpa'"
-    ):
-        understood(tmp_path / "lab.csv", columns={"u": answer})
+def test_an_answer_that_is_no_column_of_a_recording_is_refused(reads, answer):
+    with pytest.raises(InputError, match="of 'u' is no column of a recording; did you mean 'pressure_cmd_k"):
+        reads(TRUTH.rename(columns={P: "u"}), columns={"u": answer})
 
 
 def test_named_arrays_of_numpy_are_a_table_and_objects_are_not(tmp_path):
-    one = TRUTH[TRUTH.trial == 0]
-    nanoseconds = 1_700_000_000_000_000_000 + np.round(1e9 * one.time_s).astype("int64")
-    arrays = {"stamp_ns": nanoseconds, P: one[P], "label": np.repeat("stairs", len(one)), "rate": 10.0}
-    arrays |= {"tip": one[["tip_x_mm", "tip_z_mm"]], "film": np.zeros((len(one), 4, 4))}
+    nanoseconds = 1_700_000_000_000_000_000 + np.round(1e9 * ONE.time_s).astype("int64")
+    arrays = {"stamp_ns": nanoseconds, P: ONE[P], "label": np.repeat("stairs", len(ONE)), "rate": 10.0}
+    arrays |= {"tip": ONE[["tip_x_mm", "tip_z_mm"]], "film": np.zeros((len(ONE), 4, 4))}
     np.savez(tmp_path / "lab.npz", **arrays)
     (file,) = plain.table_files(tmp_path / "lab.npz")
     found = understood(file, columns={"tip_1": "tip_x_mm", "tip_2": "tip_z_mm"})
     for column in ("time_s", P, "tip_x_mm", "tip_z_mm"):
-        np.testing.assert_allclose(found.recording.column(column), one[column], atol=1e-9)
+        np.testing.assert_allclose(found.recording.column(column), ONE[column], atol=1e-9)
     assert set(found.recording.samples["program"]) == {"stairs"}
     np.savez(tmp_path / "objects.npz", time=np.array([{}, 1], object))
     (tmp_path / "cut.npz").write_bytes((tmp_path / "lab.npz").read_bytes()[:900])
@@ -425,25 +407,24 @@ def test_named_arrays_of_numpy_are_a_table_and_objects_are_not(tmp_path):
             understood(tmp_path / f"{name}.npz")
 
 
-def test_a_misspelt_column_that_may_be_left_out_is_noted_and_its_remedy_works(tmp_path):
+def test_a_misspelt_column_that_may_be_left_out_is_noted_and_its_remedy_works(reads):
     table = TRUTH.rename(columns={"pressure_kpa": "pressure_measurd_kpa", "payload_g": "payloda_g"})
-    table.assign(step=1.0, setup=2.0, flow=3.0).to_csv(tmp_path / "lab.csv", index=False)
-    notes = [n for n in understood(tmp_path / "lab.csv").notes if "is stored as it is; if it is" in n]
+    table = table.assign(step=1.0, setup=2.0, flow=3.0)
+    notes = [n for n in reads(table).notes if "is stored as it is; if it is" in n]
     assert len(notes) == 2 and "--columns='pressure_measurd_kpa: pressure_kpa'`" in notes[0]
     answers = {"pressure_measurd_kpa": "pressure_kpa", "payloda_g": "payload_g"}
-    found = understood(tmp_path / "lab.csv", columns=answers)
+    found = reads(table, columns=answers)
     same(found.recording, ["pressure_kpa", "payload_g"])
     assert not [n for n in found.notes if "is stored as it is" in n]
 
 
 @pytest.mark.parametrize(("factor", "plus", "proposed"), [(1 / 25.4, 0.0, 3), (1.0, 330.0, 403)])
-def test_a_length_that_no_finger_has_is_noted(tmp_path, factor, plus, proposed):
+def test_a_length_that_no_finger_has_is_noted(reads, factor, plus, proposed):
     table = TRUTH.drop(columns=["tip_y_mm", "bend_angle_rad"])
     table = table.assign(tip_x_mm=table.tip_x_mm * factor + plus, tip_z_mm=table.tip_z_mm * factor)
-    table.to_csv(tmp_path / "lab.csv", index=False)
-    (note,) = understood(tmp_path / "lab.csv").notes
+    (note,) = reads(table).notes
     assert f"at rest the tip is {proposed} mm from the origin" in note and "--base=X,Y,Z`" in note
-    assert understood(tmp_path / "lab.csv", length_mm=float(proposed)).notes == []
+    assert reads(table, length_mm=float(proposed)).notes == []
 
 
 def test_answers_are_taken_and_repeated_by_the_mapping(tmp_path):
@@ -466,30 +447,29 @@ def test_answers_are_taken_and_repeated_by_the_mapping(tmp_path):
     assert not plain.is_current(tmp_path / "lab.recording", [tmp_path / "lab.csv"])
 
 
-def test_a_unit_in_a_name_counts_where_an_answer_gives_none(tmp_path):
+def test_a_unit_in_a_name_counts_where_an_answer_gives_none(reads):
     """`Ventil [bar]: pressure_cmd_kpa` is no kPa, and volts are asked for kPa each."""
     table = TRUTH.drop(columns=[P, "pressure_kpa", "tip_x_mm", "bend_angle_rad"])
     table = table.assign(**{"Ventil [bar]": TRUTH[P] / 100, "Weg lang_cm": TRUTH.tip_x_mm / 10})
-    table.to_csv(tmp_path / "lab.csv", index=False)
     answers = {"Ventil [bar]": "pressure_cmd_kpa", "Weg lang_cm": "tip_x_mm"}
-    same(understood(tmp_path / "lab.csv", columns=answers).recording, [P, "tip_x_mm"])
+    same(reads(table, columns=answers).recording, [P, "tip_x_mm"])
     in_full = {"Ventil [bar]": "pressure_cmd_kpa * 100", "Weg lang_cm": "tip_x_mm [cm]"}
-    same(understood(tmp_path / "lab.csv", columns=in_full).recording, [P, "tip_x_mm"])
-    table.rename(columns={"Ventil [bar]": "Ventil [V]"}).to_csv(tmp_path / "lab.csv", index=False)
+    same(reads(table, columns=in_full).recording, [P, "tip_x_mm"])
+    table = table.rename(columns={"Ventil [bar]": "Ventil [V]"})
     answers = {"Ventil [V]": "pressure_cmd_kpa", "Weg lang_cm": "tip_x_mm"}
     with pytest.raises(InputError, match=r"'Ventil \[V\]' is no pressure but a signal"):
-        understood(tmp_path / "lab.csv", columns=answers)
-    found = understood(tmp_path / "lab.csv", columns=answers | {"Ventil [V]": "pressure_cmd_kpa * 100"})
+        reads(table, columns=answers)
+    found = reads(table, columns=answers | {"Ventil [V]": "pressure_cmd_kpa * 100"})
     same(found.recording, [P])
 
 
 @pytest.mark.parametrize(
     "names", [("Länge x [mm]", "Höhe z [mm]"), ("X coordinate (mm)", "Z coordinate (mm)")]
 )
-def test_a_length_along_an_axis_is_the_tip(tmp_path, names):
+def test_a_length_along_an_axis_is_the_tip(reads, names):
     columns = ["trial", "time_s", P, "tip_x_mm", "tip_z_mm"]
-    TRUTH[columns].rename(columns=dict(zip(columns[3:], names, strict=True))).to_csv(tmp_path / "lab.csv")
-    same(understood(tmp_path / "lab.csv").recording, columns[2:])
+    table = TRUTH[columns].rename(columns=dict(zip(columns[3:], names, strict=True)))
+    same(reads(table).recording, columns[2:])
 
 
 def test_several_files_are_trials_in_the_order_of_their_numbers(tmp_path):
@@ -512,7 +492,7 @@ def test_several_files_are_trials_in_the_order_of_their_numbers(tmp_path):
         plain.Understood(files, Given())
 
 
-def test_the_trackers_frame_is_turned_into_the_bases(tmp_path):
+def test_the_trackers_frame_is_turned_into_the_bases(reads):
     tip = TRUTH[["tip_x_mm", "tip_y_mm", "tip_z_mm"]].to_numpy()
     # In the lab the finger hangs along -z and bends towards x.
     lab_mm = np.stack([tip[:, 2], tip[:, 1], -tip[:, 0]], 1) + [310.0, -40.0, 880.0]
@@ -520,27 +500,24 @@ def test_the_trackers_frame_is_turned_into_the_bases(tmp_path):
         **dict(zip(("x [mm]", "y [mm]", "z [mm]"), lab_mm.T, strict=True)), gx=0.0, gy=0.0, gz=-1.0
     )
     table = table.drop(columns=["tip_x_mm", "tip_y_mm", "tip_z_mm"])
-    table.to_csv(tmp_path / "lab.csv", index=False)
     with pytest.raises(InputError, match=r"at rest the tip is at \(3.*\) mm, not along x .*--base=X,Y,Z"):
-        understood(tmp_path / "lab.csv")
-    found = understood(tmp_path / "lab.csv", base_mm=(310.0, -40.0, 880.0), base_x="-z", base_z="x")
+        reads(table)
+    found = reads(table, base_mm=(310.0, -40.0, 880.0), base_x="-z", base_z="x")
     same(found.recording, TRUTH)
     assert (found.recording.column("gravity_x") == 1.0).all()  # it hangs
     assert found.length_mm == LENGTH
     flipped = TRUTH.assign(tip_z_mm=-TRUTH.tip_z_mm)
-    flipped.to_csv(tmp_path / "lab.csv", index=False)
-    assert "lab.csv --base_z=-z` turns it" in understood(tmp_path / "lab.csv").faults[0]
+    assert "lab.csv --base_z=-z` turns it" in reads(flipped).faults[0]
 
 
-def test_a_place_that_is_counted_from_the_tip_and_a_bend_along_y_are_noticed(tmp_path):
-    TRUTH.assign(tip_x_mm=TRUTH.tip_x_mm - LENGTH).to_csv(tmp_path / "lab.csv", index=False)
+def test_a_place_that_is_counted_from_the_tip_and_a_bend_along_y_are_noticed(reads):
+    tared = TRUTH.assign(tip_x_mm=TRUTH.tip_x_mm - LENGTH)
     with pytest.raises(InputError, match="its place is counted from the tip; .*--base=-LENGTH,0,0"):
-        understood(tmp_path / "lab.csv")
-    same(understood(tmp_path / "lab.csv", base_mm=(-LENGTH, 0.0, 0.0)).recording, TRUTH)
+        reads(tared)
+    same(reads(tared, base_mm=(-LENGTH, 0.0, 0.0)).recording, TRUTH)
     flat = TRUTH.drop(columns="tip_y_mm").rename(columns={"tip_z_mm": "tip_y_mm"})
-    flat.to_csv(tmp_path / "lab.csv", index=False)
-    assert "lab.csv --base_z=y` turns it" in understood(tmp_path / "lab.csv").faults[0]
-    same(understood(tmp_path / "lab.csv", base_z="y").recording, ["tip_x_mm", "tip_z_mm"])
+    assert "lab.csv --base_z=y` turns it" in reads(flat).faults[0]
+    same(reads(flat, base_z="y").recording, ["tip_x_mm", "tip_z_mm"])
 
 
 def dataset(folder, features, robot_type="bench"):
@@ -571,14 +548,11 @@ def test_a_lerobot_dataset_of_a_bench_keeps_the_names_of_its_entries(tmp_path):
         Recording.load(doubled)
 
 
-def test_what_is_not_recognised_is_retained_and_what_is_empty_said(tmp_path):
+def test_what_is_not_recognised_is_retained_and_what_is_empty_said(tmp_path, reads):
     table = TRUTH.assign(flow_lpm=np.arange(len(TRUTH)) % 7, Bemerkung="ok", leer=np.nan, Ofen=20.5)
     table.loc[5:8, "tip_z_mm"] = np.nan
     table.loc[20:30, "temperature_c"] = np.nan
-    table.rename(columns={"Ofen": "Ofen [°C]", "temperature_c": "Tx"}).to_csv(
-        tmp_path / "lab.csv", index=False
-    )
-    found = understood(tmp_path / "lab.csv")
+    found = reads(table.rename(columns={"Ofen": "Ofen [°C]", "temperature_c": "Tx"}))
     assert set(found.recording.samples) >= {"flow_lpm", "Bemerkung", "Tx", "temperature_c"}
     assert len(found.recording) == len(TRUTH) - 4
     said = "4 rows without", "'leer' is empty or not a number", "'Tx' is empty or not a number in 11 rows"
@@ -588,12 +562,11 @@ def test_what_is_not_recognised_is_retained_and_what_is_empty_said(tmp_path):
     assert "missing from" not in " ".join(check(stored)[1])
 
 
-def test_rows_left_out_at_an_end_hide_none_that_was_not_logged(tmp_path):
+def test_rows_left_out_at_an_end_hide_none_that_was_not_logged(tmp_path, reads):
     table = TRUTH.copy()
     table.loc[0:3, "tip_z_mm"] = np.nan  # before the first pose: no gap
     table.loc[60, "tip_z_mm"] = np.nan
-    table.drop(index=[40, 50]).to_csv(tmp_path / "lab.csv", index=False)
-    stored = understood(tmp_path / "lab.csv").write(tmp_path / "lab.recording")
+    stored = reads(table.drop(index=[40, 50])).write(tmp_path / "lab.recording")
     assert "3 rows are missing" in (found := " ".join(check(stored)[1]))
     assert "the conversion left out 1 without a tip, 2 were not logged" in found
 
@@ -608,18 +581,16 @@ def test_faults_name_the_table_its_line_and_its_column(tmp_path):
     assert "samples.csv" not in fault
 
 
-def test_a_number_that_its_unit_makes_impossible_is_shown_with_that_unit(tmp_path):
+def test_a_number_that_its_unit_makes_impossible_is_shown_with_that_unit(reads):
     table = TRUTH.rename(columns={"tip_x_mm": "x [m]", "tip_y_mm": "y [m]", "tip_z_mm": "z [m]"})
-    table.to_csv(tmp_path / "lab.csv", index=False)
-    (fault,) = understood(tmp_path / "lab.csv").faults
+    (fault,) = reads(table).faults
     assert "mm if it is in m, which cannot be" in fault
     assert "x [m]: tip_x_mm [UNIT], y [m]: tip_y_mm [UNIT], z [m]: tip_z_mm [UNIT]'`" in fault
 
 
-def test_what_is_poor_is_said_before_a_table_is_converted_as_after(tmp_path):
+def test_what_is_poor_is_said_before_a_table_is_converted_as_after(tmp_path, reads):
     few = TRUTH.assign(pressure_cmd_kpa=TRUTH[P] / 100, pressure_kpa=TRUTH["pressure_kpa"] / 100)
-    few[few["trial"] == 0].to_csv(tmp_path / "lab.csv", index=False)
-    found = understood(tmp_path / "lab.csv")
+    found = reads(few[few["trial"] == 0])
     before, after = found.recording.warnings, found.write(tmp_path / "lab.recording").warnings
     assert "if that is bar, multiply the pressures by 100" in before[0] and "one trial only" in before[1]
     assert len(before) == len(after)
@@ -634,27 +605,24 @@ def test_the_rows_numbers_that_pandas_writes_are_left_out(tmp_path):
     ]
 
 
-def test_zeros_that_a_tracker_writes_where_it_sees_nothing_are_left_out(tmp_path):
+def test_zeros_that_a_tracker_writes_where_it_sees_nothing_are_left_out(reads):
     tips = ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
     table = TRUTH.copy()
     table.loc[::25, tips] = 0.0
-    table.to_csv(tmp_path / "lab.csv", index=False)
-    found = understood(tmp_path / "lab.csv")
+    found = reads(table)
     assert len(found.recording) == len(TRUTH) - len(TRUTH[::25])
     assert f"{len(TRUTH[::25])} rows in which tip_x_mm and" in found.notes[0]
     tared = TRUTH.assign(tip_x_mm=TRUTH["tip_x_mm"] - LENGTH, tip_y_mm=0.0)  # from the resting tip: 0 is seen
     tared.loc[::25, tips] = 0.0
-    tared.to_csv(tmp_path / "tared.csv", index=False)
-    assert not plain.Understood([tmp_path / "tared.csv"], Given(base_mm=(-LENGTH, 0, 0))).notes
+    assert not reads(tared, base_mm=(-LENGTH, 0, 0)).notes
 
 
-def test_how_a_curvature_becomes_a_bend_is_said(tmp_path):
+def test_how_a_curvature_becomes_a_bend_is_said(reads):
     table = TRUTH[["time_s", P]].assign(**{"curvature [1/m]": 10 * TRUTH["bend_angle_rad"]})
-    table.to_csv(tmp_path / "lab.csv", index=False)
     with pytest.raises(InputError, match=r"times the length \(m\).*bend_angle_rad \* 0.1") as e:
-        understood(tmp_path / "lab.csv")
+        reads(table)
     answer = parse_columns(str(e.value).split("--columns='")[1].split("'`")[0])
-    same(plain.Understood([tmp_path / "lab.csv"], Given(answer)).recording, ["bend_angle_rad"])
+    same(reads(table, columns=answer).recording, ["bend_angle_rad"])
 
 
 @pytest.mark.parametrize(
@@ -720,16 +688,14 @@ def test_spoilt_bytes_end_in_a_recording_or_one_sentence(tmp_path, seed):
 
 
 @pytest.mark.parametrize(("mm", "unit"), [(10.0, "cm"), (1000.0, "m"), (25.4, "in"), (1.0, "mm")])
-def test_all_columns_of_a_tip_are_guessed_to_be_in_one_unit_and_that_is_said(mm, unit, tmp_path):
+def test_all_columns_of_a_tip_are_guessed_to_be_in_one_unit_and_that_is_said(mm, unit, reads):
     """A finger of 100 mm that bends by up to 1 rad: its z alone would fit 100 mm in another unit."""
     bend = 1.0 * np.abs(np.sin(np.arange(400) / 40)) + 1e-6
     x, z = 100 * np.sin(bend) / bend / mm, 100 * (1 - np.cos(bend)) / bend / mm
     table = {"run": 0, "t_s": np.arange(400) / 10, "p_set_kpa": 40 * bend, "x": x, "z": z}
-    pd.DataFrame(table).to_csv(tmp_path / "lab.csv", index=False)
-    found = plain.Understood([tmp_path / "lab.csv"], Given(length_mm=100.0))
+    found = reads(table := pd.DataFrame(table), length_mm=100.0)
     assert [str(c.unit) for c in found.columns if c.column.startswith("tip_")] == [unit, unit]
     assert f"No unit is written for 'x' and 'z'; by the size of the numbers {unit} was taken" in found.guessed
-    given = {"x": f"tip_x_mm [{unit}]"}
-    found = plain.Understood([tmp_path / "lab.csv"], Given(given))
+    found = reads(table, columns={"x": f"tip_x_mm [{unit}]"})
     assert [str(c.unit) for c in found.columns if c.column.startswith("tip_")] == [unit, unit]
     assert not found.guessed
