@@ -422,9 +422,7 @@ def _place(row: pd.Series, px_per_mm: float, axis: str, size_px: int) -> tuple[f
     px, mm = _number(row, f"contact_{axis}_px"), _number(row, f"{axis}_mm")
     if px is None:
         if mm is None:
-            raise InputError(
-                "the contact's place is empty; fill x_mm and y_mm, or contact_x_px, contact_y_px."
-            )
+            raise InputError("the contact's place is empty; fill x_mm, y_mm, or contact_x_px, contact_y_px.")
         px = size_px / 2 + mm * px_per_mm
     centred_mm = (px - size_px / 2) / px_per_mm
     if not 0 <= px < size_px:

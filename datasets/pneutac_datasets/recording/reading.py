@@ -98,9 +98,10 @@ def _read_lerobot(folder: Path) -> pd.DataFrame:
     features = read_json(file).get("features")
     if not isinstance(features, dict):
         raise InputError(f"{file}: field 'features' is {shown(features)}; the LeRobotDataset is damaged.")
-    parts = sorted((folder / "data").glob("**/*.parquet"))
+    data = folder / "data"
+    parts = sorted(data.glob("**/*.parquet"))
     if not parts:
-        raise InputError(f"{folder}/data holds no .parquet file; the LeRobotDataset is empty or incomplete.")
+        raise InputError(f"{data} holds no .parquet file; the LeRobotDataset is empty or incomplete.")
     raw = pd.concat([read_parquet(p) for p in parts], ignore_index=True)
     if len(raw) > MAX_ROWS:
         raise InputError(f"{folder} has {len(raw)} rows, above the limit of {MAX_ROWS}; use fewer episodes.")

@@ -82,9 +82,8 @@ def device_of(meta: dict, samples: pd.DataFrame, folder: Path) -> str:
         device = "gel" if "indenter" in samples else "arm" if "pressure_cmd_1_kpa" in samples else "finger"
     if device not in DEVICES:
         fault = "is missing" if device is None else f"is {shown(device)}"
-        raise InputError(
-            f"{folder / 'recording.json'}: field 'device' {fault}; it must be one of {', '.join(DEVICES)}."
-        )
+        field = f"{folder / 'recording.json'}: field 'device'"
+        raise InputError(f"{field} {fault}; it must be one of {', '.join(DEVICES)}.")
     return device
 
 
@@ -366,21 +365,19 @@ def clean_numbers(
 
 def clean_trials(trial: pd.Series, file: Path) -> np.ndarray:
     """Numbers of the trials (n,); raises InputError where they are not whole, or one comes twice."""
-    t = trial.to_numpy(float)
+    t, column = trial.to_numpy(float), f"{file}: column 'trial'"
     broken = (t != np.round(t)) | (np.abs(t) > 2**53)  # beyond that a float skips whole numbers
     if broken.any():
         row = int(np.argmax(broken))
-        raise InputError(
-            f"{file}: column 'trial', {row_name(row, file)} is {t[row]}; number the trials 0, 1, 2, ..."
-        )
+        raise InputError(f"{column}, {row_name(row, file)} is {t[row]}; number the trials 0, 1, 2, ...")
     t = t.astype(np.int64)
     begins = np.flatnonzero(np.r_[True, t[1:] != t[:-1]])
     again = pd.Series(t[begins]).duplicated()
     if again.any():
         row = int(begins[again.argmax()])
         raise InputError(
-            f"{file}: column 'trial', {row_name(row, file)} goes back to trial {t[row]}; "
-            "keep the rows of a trial together, or give the second part its own number."
+            f"{column}, {row_name(row, file)} goes back to trial {t[row]}; keep the rows of a trial together,"
+            " or give the second part its own number."
         )
     return t
 

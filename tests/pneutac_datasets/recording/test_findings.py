@@ -61,6 +61,11 @@ def clean(generated):
     return generated("none")
 
 
+@pytest.fixture
+def r(clean):
+    return copy(clean)
+
+
 @pytest.mark.parametrize("effect", ["none", "creep", "valve_lag", "dead_time", "hysteresis", "leak"])
 def test_physics_is_no_fault(generated, effect):
     r = generated(effect)
@@ -97,8 +102,8 @@ def test_what_is_found_in_public_recordings_is_true(name):
         )
 
 
-def test_jumps_that_come_back_are_left_out_and_named(clean):
-    r, bad = copy(clean), np.zeros(len(clean), bool)
+def test_jumps_that_come_back_are_left_out_and_named(clean, r):
+    bad = np.zeros(len(clean), bool)
     for start, length in ((2400, 1), (2500, 8), (2600, 20)):
         bad[start : start + length] = True
     r.samples.loc[bad, "tip_x_mm"] += 30.0
@@ -108,15 +113,13 @@ def test_jumps_that_come_back_are_left_out_and_named(clean):
     assert len(check(r)[0]) == len(r) - len(f.rows)
 
 
-def test_a_shift_that_stays_is_reported_and_kept(clean):
-    r = copy(clean)
+def test_a_shift_that_stays_is_reported_and_kept(r):
     r.samples.loc[1500 : r.trials()[0].stop - 1, "tip_z_mm"] += 15.0
     f = only(r)
     assert f.kind == "shift" and "shifts suddenly 1 time" in f.sentence and len(check(r)[0]) == len(r)
 
 
-def test_a_tracker_that_stands_still_is_left_out(clean):
-    r = copy(clean)
+def test_a_tracker_that_stands_still_is_left_out(r):
     moves = r.samples.index[r.samples["program"] == "triangle_slow"][50:150]
     r.samples.loc[moves, TIP] = r.samples.loc[moves[0], TIP].to_numpy(float)
     f = only(r)
@@ -124,8 +127,7 @@ def test_a_tracker_that_stands_still_is_left_out(clean):
     assert list(f.rows) == list(moves[1:]) and len(check(r)[0]) == len(r) - 99
 
 
-def test_a_tracker_at_rest_until_a_late_finger_answers_a_step_stands_still_rightly(clean):
-    r = copy(clean)
+def test_a_tracker_at_rest_until_a_late_finger_answers_a_step_stands_still_rightly(r):
     step = int(np.argmax(np.abs(np.diff(r.column("pressure_cmd_kpa"))))) + 1
     rests = r.samples.index[step - 20 : step + 6]
     assert np.ptp(r.column("pressure_cmd_kpa")[step - 20 : step]) == 0
@@ -134,14 +136,12 @@ def test_a_tracker_at_rest_until_a_late_finger_answers_a_step_stands_still_right
 
 
 @pytest.mark.parametrize("step_mm", [0.5, 2.0])
-def test_a_coarse_tracker_that_reaches_its_last_number_now_and_then_saturates_nowhere(clean, step_mm):
-    r = copy(clean)
+def test_a_coarse_tracker_that_reaches_its_last_number_now_and_then_saturates_nowhere(r, step_mm):
     r.samples[TIP] = (r.samples[TIP] / step_mm).round() * step_mm
     assert not [f for f in check(r)[1] if "sticks to its" in str(f)]
 
 
-def test_a_pause_within_a_trial_is_a_gap(clean):
-    r = copy(clean)
+def test_a_pause_within_a_trial_is_a_gap(r):
     r.samples.loc[1500 : r.trials()[0].stop - 1, "time_s"] += 5.0
     f = only(r)
     assert (f.kind, f.numbers["count"]) == ("gaps", 1) and "1 gap (the longest 5.0 s" in f.sentence
@@ -165,8 +165,7 @@ def test_a_gauge_that_is_read_now_and_then_repeats_too(clean):
     assert f.kind == "repeated" and f.numbers["rows_each"] == pytest.approx(2.5, rel=0.2)
 
 
-def test_an_ideal_gauge_that_follows_a_stair_of_short_steps_repeats_nothing(clean):
-    r = copy(clean)
+def test_an_ideal_gauge_that_follows_a_stair_of_short_steps_repeats_nothing(r):
     stair = np.repeat(np.random.default_rng(0).uniform(0, 30, len(r) // 5 + 1), 5)[: len(r)]
     r.samples["pressure_cmd_kpa"] = r.samples["pressure_kpa"] = stair
     assert "repeated" not in {f.kind for f in findings(r)}
@@ -241,9 +240,8 @@ def test_a_gauge_that_is_ahead_of_an_ever_changing_command_is_found(seen, writte
     assert [f.numbers["rows_late"] for f in found] == ([written - 1] if written else [])
 
 
-def test_a_command_in_the_place_of_its_measured_pressure_is_found(clean):
+def test_a_command_in_the_place_of_its_measured_pressure_is_found(clean, r):
     names = {"pressure_kpa": "pressure_cmd_kpa", "pressure_cmd_kpa": "pressure_kpa"}
-    r = copy(clean)
     r.samples = r.samples.rename(columns=names)
     assert only(r).kind == "exchanged_pressures" and "scatters where" in only(r).sentence
     p, u = clean.column("pressure_kpa").copy(), np.zeros(len(clean))
@@ -255,15 +253,14 @@ def test_a_command_in_the_place_of_its_measured_pressure_is_found(clean):
     assert len(found) == 1 and "runs after 'pressure_kpa'" in found[0].sentence
 
 
-def test_a_tip_that_no_pressure_moves_is_found(clean):
-    r, rng = copy(clean), np.random.default_rng(0)
+def test_a_tip_that_no_pressure_moves_is_found(r):
+    rng = np.random.default_rng(0)
     for name in TIP:
         r.samples[name] = r.samples[name].iloc[0] + rng.normal(0, 0.2, len(r))
     assert "explains 0." in only(r).sentence and only(r).kind == "unmoved"
 
 
-def test_a_tracker_that_writes_zeros_jumps_and_does_not_saturate(clean):
-    r = copy(clean)
+def test_a_tracker_that_writes_zeros_jumps_and_does_not_saturate(r):
     at = np.arange(60, len(r), 97)
     r.samples.loc[at, TIP] = 0.0
     assert "saturated" not in {f.kind for f in findings(r)} and findings(r)[0].kind == "jumps"
@@ -275,16 +272,16 @@ def turning(clean):
     return np.convolve(bend, np.ones(5) / 5, "same")
 
 
-def test_an_angle_that_wraps_is_unwrapped_where_that_is_certain(clean):
-    r, bend = copy(clean), turning(clean)
+def test_an_angle_that_wraps_is_unwrapped_where_that_is_certain(clean, r):
+    bend = turning(clean)
     r.samples["bend_angle_rad"] = (bend + np.pi) % (2 * np.pi) - np.pi
     f = only(r)
     assert (f.kind, f.numbers["unwrapped"]) == ("wrapped_angle", 1.0) and len(f.rows) > 10
     np.testing.assert_allclose(check(r)[0].column("bend_angle_rad"), bend, atol=1e-9)
 
 
-def test_an_angle_that_wraps_in_a_wild_signal_is_kept_and_reported(clean):
-    r, rng = copy(clean), np.random.default_rng(0)
+def test_an_angle_that_wraps_in_a_wild_signal_is_kept_and_reported(clean, r):
+    rng = np.random.default_rng(0)
     wild = turning(clean) + 0.5 * rng.normal(size=len(r))
     r.samples["bend_angle_rad"] = (wild + np.pi) % (2 * np.pi) - np.pi
     f = next(f for f in findings(r) if f.kind == "wrapped_angle")
@@ -307,8 +304,7 @@ def test_rows_that_an_even_clock_lacks_are_counted(clean):
     assert findings(uneven.keep(keep)) == []
 
 
-def test_poses_that_are_repeated_are_found(clean):
-    r = copy(clean)
+def test_poses_that_are_repeated_are_found(r):
     at = np.arange(7, len(r), 20)
     r.samples.loc[at, TIP] = r.samples.loc[at - 1, TIP].to_numpy()
     f = only(r)
@@ -317,15 +313,13 @@ def test_poses_that_are_repeated_are_found(clean):
 
 
 @pytest.mark.parametrize("pair", [("tip_y_mm", "tip_z_mm"), ("tip_x_mm", "tip_z_mm")])
-def test_axes_in_each_others_place_are_named(clean, pair):
-    r = copy(clean)
+def test_axes_in_each_others_place_are_named(clean, r, pair):
     r.samples[list(pair)] = clean.samples[list(pair[::-1])].to_numpy()
     f = only(r)
     assert f.kind == "exchanged_axes" and set(f.columns) == set(pair)
 
 
-def test_a_steady_drift_is_found_and_measured(clean):
-    r = copy(clean)
+def test_a_steady_drift_is_found_and_measured(clean, r):
     r.samples["tip_x_mm"] += np.linspace(0, 6, len(r))
     f = only(r)
     assert f.kind == "drift" and set(f.numbers) == {"tip_x_mm"}
@@ -345,9 +339,9 @@ def test_an_output_that_sticks_to_its_extreme_is_found_and_left_out(clean):
     assert len(left) == len(clean) - len(f.rows) and left.column("tip_z_mm").max() < limit
 
 
-def test_a_finger_that_friction_holds_sticks_too_and_is_not_left_out(clean):
+def test_a_finger_that_friction_holds_sticks_too_and_is_not_left_out(clean, r):
     """Without noise, by the same numbers over and over, at rest and where the pressure turns."""
-    r, share = copy(clean), np.abs((np.arange(len(clean)) * 0.05) % 20 / 10 - 1)
+    share = np.abs((np.arange(len(clean)) * 0.05) % 20 / 10 - 1)
     held = np.full(len(r), 0.9)
     for k in range(1, len(r)):  # the play operator
         held[k] = np.clip(held[k - 1], share[k] - 0.1, share[k] + 0.1).round(6)
