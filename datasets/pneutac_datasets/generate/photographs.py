@@ -22,7 +22,7 @@ from pneutac_datasets.generate.finger import write_truth
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.effect import BODY_STAGES
 from pneutac_sim.effects.registry import get_effect
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, check_between
 from pneutac_sim.features import CHAMBERS
 from pneutac_sim.finger.inputs import Inputs, pressure_columns
 from pneutac_sim.finger.pipeline import Pipeline
@@ -153,9 +153,7 @@ class Disturbances:
                 other = "tilt_deg turns the base, camera_deg and camera_mm move the cameras"
                 raise InputError(f"Disturbances: effect '{name}' does not act on the body; {other}.")
         for name in ("tilt_deg", "camera_deg", "camera_mm", "mask_px"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
-                raise InputError(f"Disturbances: {name} is {value}; it must be 0 or a positive number.")
+            check_between(0, 1000, **{f"Disturbances: {name}": getattr(self, name)})
 
 
 def write_photographs(

@@ -372,7 +372,7 @@ def read_rosbag(folder: Path) -> Source:
     except ImportError as e:
         raise InputError("A ROS 2 bag needs rosbags: uv pip install -e '.[ros]' in PneuTac's folder.") from e
     times: dict[str, list[float]] = {}
-    numbers: dict[str, dict[str, list[float]]] = {}
+    numbers: dict[str, list[dict[str, float]]] = {}
     try:
         with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             for connection, logged_ns, raw in reader.messages():
@@ -381,16 +381,14 @@ def read_rosbag(folder: Path) -> Source:
                 _flatten("", message, found)
                 stamp = _stamp(message)
                 times.setdefault(connection.topic, []).append(logged_ns * 1e-9 if stamp is None else stamp)
-                into = numbers.setdefault(connection.topic, {k: [] for k in found})
-                for name in into:
-                    into[name].append(found.get(name, np.nan))
+                numbers.setdefault(connection.topic, []).append(found)
     except (AnyReaderError, OSError, ValueError, KeyError) as e:
         raise InputError(f"{folder} is no ROS 2 bag that rosbags reads ({e}).") from e
     source, begin = Source(folder), min((t[0] for t in times.values()), default=0.0)
-    for topic, fields in numbers.items():
+    for topic, messages in numbers.items():
         at = np.array(times[topic]) - begin
         order = np.argsort(at, kind="stable")
-        columns = {name: np.array(values)[order] for name, values in fields.items()}
+        columns = {str(name): values.to_numpy()[order] for name, values in pd.DataFrame(messages).items()}
         source.columns |= {f"{topic}.{name}": (at[order], values) for name, values in columns.items()}
         track = _track(at[order], columns)
         if track is not None:
@@ -490,14 +488,8 @@ def _arrays_table(file: Path, flat: dict[str, np.ndarray], time: str, style: str
         ]
         time = clocks[0] if len(clocks) == 1 else TIME
     matrices = {n: v if len(v) >= v.shape[1] else v.T for n, v in flat.items() if v.ndim == 2}
-    if time not in vectors:
-        flat |= {
-            f"{n}_{i + 1}": x
-            for n, v in matrices.items()
-            for i, x in enumerate(v.T)
-            if f"{n}_{i + 1}" == time
-        }
-    clock = flat.pop(time, np.zeros(()))
+    within = {f"{n}_{i + 1}": x for n, v in matrices.items() for i, x in enumerate(v.T)}
+    clock = flat.pop(time, within.get(time, np.zeros(())))
     if clock.ndim != 1 or clock.dtype.kind not in "fiub":
         has = listed(f"{shown(n)} {'x'.join(map(str, v.shape))}" for n, v in flat.items()) or "no arrays"
         column = next((f", such as {n}_1 for the first column of {shown(n)}" for n in matrices), "")
