@@ -169,7 +169,7 @@ class BodySearch:
         base = (*own, *(e for e in base_effects(study) if e not in own))
         joints = sorted({len(study.twin.spine_joint_positions_mm), study.joints})
         candidates = [c for c in study.candidates if c not in base and get_effect(c).stage != "pneumatics"]
-        actuations, values = _actuations(own, study.excluded), {}
+        actuations, values, switch = _actuations(own, study.excluded), {}, None
         if input_model.source == "measured":
             actuations = ((),)
         elif air is not None:
@@ -177,8 +177,9 @@ class BodySearch:
                 e for e in air.final.model.structure.effects if e not in own and get_effect(e).of_air
             )
             values = {k: v for k, v in air.final.model.values.items() if k.rpartition(".")[0] in gauged}
+            switch = air.final.model.structure.input_model.switch
             actuations = (*actuations, gauged) if gauged and gauged not in actuations else actuations
-        space = BodySpace(fitter, base, joints, candidates, actuations, input_model, values)
+        space = BodySpace(fitter, base, joints, candidates, actuations, input_model, values, switch)
         found = self.engine(space).find()
         if input_model.source == "command" and (
             self.take_back_slip(found.final) or study.amend(change_break(study, self.rows, found.final))

@@ -40,12 +40,21 @@ class BodySpace(Space):
         actuations: alternatives for the air; only () where the measured pressure drives the body.
         input_model: to begin with.
         gauged: parameters of the air found from the gauge, by name.
+        gauged_switch: instants of the command's steps found from the gauge, see `InputModel.switch`.
     """
 
     def __init__(
-        self, fitter: BodyFitter, base, joints, candidates, actuations, input_model: InputModel, gauged=None
+        self,
+        fitter: BodyFitter,
+        base,
+        joints,
+        candidates,
+        actuations,
+        input_model: InputModel,
+        gauged=None,
+        gauged_switch=None,
     ):
-        self.gauged, self.required = gauged or {}, tuple(base)
+        self.gauged, self._gauged_switch, self.required = gauged or {}, gauged_switch, tuple(base)
         self.trials: tuple[float, ...] = ()
         self.fitter, self.base, self.joints = fitter, tuple(base), tuple(joints)
         self.candidates, self.actuations, self.input_model = list(candidates), actuations, input_model
@@ -86,9 +95,11 @@ class BodySpace(Space):
                 if actuation and len(self._steps):
                     input_model = replace(input_model, switch=0.5)
                 structure = replace(model.structure, effects=(*actuation, *rest), input_model=input_model)
+                out += [(structure, model.values | start) for start in _actuation_starts(actuation)]
                 gauged = {k: v for k, v in self.gauged.items() if k.rpartition(".")[0] in actuation}
-                for start in (*_actuation_starts(actuation), *((gauged,) if gauged else ())):
-                    out.append((structure, model.values | start))
+                if gauged:  # at the instants at which it was found: the same lag at others is another
+                    input_model = replace(input_model, switch=self._gauged_switch)
+                    out.append((replace(structure, input_model=input_model), model.values | gauged))
         return out
 
     # ---------------------------------------------------------------- growing

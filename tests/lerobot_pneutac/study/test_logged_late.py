@@ -1,0 +1,48 @@
+"""A slow valve is found wherever a computer writes its rows: as it sends a command, or before the next."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from lerobot_pneutac import Recording, calibrate, diagnose
+from lerobot_pneutac.verbs.new import new_twin
+
+DT_S, TAU_S, LENGTH_MM = 0.1, 0.25, 100.0
+
+
+def logged(late_rows: int) -> Recording:
+    """An arc of 0.02 rad a kPa behind a valve of 0.25 s, exactly; each row `late_rows` after its command."""
+    rng, runs = np.random.default_rng(1), []
+    vented = np.ravel([(kpa, 0.0) for kpa in rng.uniform(10, 60, 3)])
+    up = np.linspace(0, 60, 7)
+    wave = 30 - 30 * np.cos(2 * np.pi * DT_S * np.arange(1700) / 12)
+    steps = np.repeat(rng.uniform(0, 60, 57), 30)
+    for run, kpa in enumerate((np.repeat(vented, 300), np.repeat([*up, *up[-2::-1]], 130), steps, wave)):
+        kpa = np.r_[np.zeros(100), kpa]
+        valve = np.zeros(len(kpa) + 1)
+        for i, command in enumerate(kpa):
+            valve[i + 1] = command + (valve[i] - command) * np.exp(-DT_S / TAU_S)
+        gauge = valve[late_rows:][: len(kpa)]
+        bend = 0.02 * gauge
+        tip = LENGTH_MM * np.array([np.sinc(bend / np.pi), np.sin(bend / 2) * np.sinc(bend / 2 / np.pi)])
+        tip += rng.normal(0, 0.25, tip.shape)
+        table = {"trial": run, "time_s": DT_S * np.arange(len(kpa)), "pressure_cmd_kpa": kpa}
+        table |= {
+            "pressure_kpa": gauge + rng.normal(0, 0.2, len(kpa)),
+            "tip_x_mm": tip[0],
+            "tip_z_mm": tip[1],
+        }
+        runs.append(pd.DataFrame(table))
+    return Recording("bench", {"device": "finger", "length_mm": LENGTH_MM}, pd.concat(runs), "finger")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("late_rows", [0, 1])
+def test_a_slow_valve_is_no_creep_wherever_its_rows_are_written(late_rows):
+    recording = logged(late_rows)
+    twin = calibrate(new_twin(recording=recording), recording).twin
+    found = diagnose(twin, recording)
+    assert found.selected == ["valve_lag"], found.sentence
+    assert found.outcome.after.twin.effects["valve_lag"]["fill_time_s"].value == pytest.approx(
+        TAU_S, rel=0.05
+    )
