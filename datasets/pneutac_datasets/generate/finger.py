@@ -12,7 +12,7 @@ import pandas as pd
 
 from pneutac_datasets.recording.axes import command_columns
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, check_between
 from pneutac_sim.files import write_json
 from pneutac_truths import EFFECTS, write
 from pneutac_truths import generate as simulate
@@ -179,10 +179,9 @@ def generate(
         if "rod" not in getattr(EFFECTS.get(TRUTHS.get(name, name)), "devices", ()):
             known = f"{', '.join(TRUTHS)}, and those of `python -m pneutac_truths --list`"
             raise InputError(f"There is no hidden effect '{name}'; there are none, {known}.")
-    if not 0 < strength <= 3:
-        raise InputError(f"strength is {strength}; it must be above 0 and at most 3.")
-    if not 1 <= minutes <= 60 or not 5 <= hz <= 100:
-        raise InputError(f"minutes={minutes}, hz={hz}: minutes must be 1 to 60 and hz 5 to 100.")
+    check_between(0.01, 3, strength=strength)
+    check_between(1, 60, minutes=minutes)
+    check_between(5, 100, hz=hz)
     trials = session(1.0, 60 * minutes, hz, np.random.default_rng([seed, 1]))
     fine = []  # times and commands on the simulation's grid, straight between samples
     for t in trials:

@@ -20,7 +20,7 @@ from lerobot_robot_pneutac.standin.world import (
 from pneutac_datasets.generate.finger import ProgramTrial, session
 from pneutac_datasets.generate.gel import ball_press, write_presses
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.errors import InputError
+from pneutac_sim.errors import InputError, check_between
 from pneutac_sim.features import MAX_PRESSURE_KPA
 from pneutac_sim.gel.indenter import Press
 from pneutac_truths.light import SPHERE, reach_below
@@ -40,8 +40,7 @@ def write_finger(folder: str | Path, seed: int = 0, minutes: float = 6.0) -> Rec
     told apart. The seed decides the programs' random levels and the noise. Raises InputError where `minutes`
     is out of its range.
     """
-    if not 1 <= minutes <= 60:
-        raise InputError(f"minutes={minutes}: minutes must be 1 to 60.")
+    check_between(1, 60, minutes=minutes)
     rng = np.random.default_rng([seed, 3])
     trials = [ProgramTrial(t.label, t.command) for t in session(MAX_PRESSURE_KPA, 60 * minutes, HZ, rng)[:3]]
     return _write(folder, trials, HZ, rng)
@@ -93,9 +92,8 @@ def write_program(folder: str | Path, program: str | Path, seed: int = 0) -> Rec
         raise InputError(f"{program}: time_s must rise, most times by the same and by at most 0.2 s.")
     grid = time_s[0] + np.arange(round((time_s[-1] - time_s[0]) / usual) + 1) * usual
     command = command[np.searchsorted(time_s, grid + 0.01 * usual, side="right") - 1]
-    rng = np.random.default_rng([seed, 5])
     conditions = {c: float(table[c].iloc[0]) for c in (*HANGING, "payload_g") if c in table}
-    return _write(folder, [ProgramTrial("program", command)], 1 / usual, rng, conditions)
+    return write_trials(folder, [("program", command)], 1 / usual, seed, conditions)
 
 
 def write_trials(

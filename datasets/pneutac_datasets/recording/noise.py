@@ -115,17 +115,14 @@ def noise_floor(recording: Recording) -> NoiseFloor:
     by: dict[str, float] = {}
     session, calm = None, contrasts(recording, numeric, at_rest=True)
     if pairs:
+        whole = {}
         for c in numeric:
-            a = [recording.column(c)[first] - recording.column(c)[second] for first, second, _ in pairs]
-            fast = np.concatenate([_detrended(d, window) for d, (*_, window) in zip(a, pairs, strict=True)])
-            size = np.abs(fast)
+            apart = [recording.column(c)[first] - recording.column(c)[second] for first, second, _ in pairs]
+            fast = [_detrended(d, window) for d, (*_, window) in zip(apart, pairs, strict=True)]
+            size = np.abs(np.concatenate(fast))
             usual = size[size <= OUTLIER * MAD * np.median(size)]  # without jumps of the marker
-            by[c] = float(np.sqrt(np.mean(usual**2) / 2))
-        whole = {
-            c: np.concatenate([recording.column(c)[a] - recording.column(c)[b] for a, b, _ in pairs])
-            for c in columns
-        }
-        session = _norm({c: float(np.sqrt(np.mean(d**2) / 2)) for c, d in whole.items()}, columns)
+            by[c], whole[c] = (float(np.sqrt(np.mean(d**2) / 2)) for d in (usual, np.concatenate(apart)))
+        session = _norm(whole, columns)
         pair = plural(len(pairs), "pair")
         how = f"the difference between equal runs ({pair}), without slow drift"
     elif all(c in declared for c in columns):

@@ -40,7 +40,7 @@ def test_the_standin_is_two_recordings(tmp_path, capsys):
     assert main(["--device=standin", f"--out={tmp_path}", "--minutes=1"]) == 0
     assert capsys.readouterr().out == f"finger: {tmp_path / 'finger'}\ngel: {tmp_path / 'gel'}\n"
     assert main(["--device=standin", f"--out={tmp_path / 'none'}", "--minutes=0"]) == 1
-    assert "minutes must be 1 to 60" in capsys.readouterr().err
+    assert "minutes is 0; give 1 to 60." in capsys.readouterr().err
 
 
 def test_a_recording_that_is_there_is_not_overwritten(tmp_path, capsys):

@@ -19,55 +19,38 @@ from pneutac_datasets.recording.checks import exchanged_axes, misplaced_tip, oth
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import FORMATS, read_image
-
-
-def bench(folder, change=lambda table: table, **meta):
-    n = 120
-    p = np.tile(40 * (1 - np.abs(np.linspace(-1, 1, n // 2))), 2)
-    table = pd.DataFrame(
-        {
-            "trial": np.repeat([0, 1], n // 2),
-            "time_s": np.tile(np.arange(n // 2) / 10, 2),
-            "pressure_cmd_kpa": p,
-            "pressure_kpa": p,
-            "tip_x_mm": 100 - 0.1 * p,
-            "tip_z_mm": p,
-        }
-    )
-    folder.mkdir()
-    (folder / "recording.json").write_text(json.dumps({"device": "finger", "length_mm": 110.0} | meta))
-    change(table).to_csv(folder / "samples.csv", index=False)
-    return folder
+from pneutac_sim.finger.inputs import pressure_columns
 
 
 def test_every_fault_is_said_and_misspelt_names_are_reported_what_they_may_mean(tmp_path):
-    def spoil(table):
-        table["temperature_c"] = 20.0
-        table.loc[7, "temperature_c"] = np.nan
-        table[["tip_x_mm", "tip_z_mm"]] /= 1e5
-        table["pressure_kpa"] *= 1e5
-        return table.rename(columns={"pressure_cmd_kpa": "presure_cmd_kpa", "time_s": "tiem_s"})
-
-    folder = bench(tmp_path / "r", spoil, noise={"tip_x_mm": -1}, spine_joint_position_mm=[10.0])
-    faults, _ = recording_faults(folder)
+    good, meta = finger(length=110.0), {"device": "finger", "length_mm": 110.0}
+    folder, p = good.write(tmp_path / "r"), good.samples["pressure_cmd_kpa"]
+    faults, notes = recording_faults(folder)
+    assert faults == [] and all(isinstance(n, str) for n in notes)
+    table = good.samples.assign(pressure_kpa=1e5 * p, temperature_c=20.0)
+    table.loc[7, "temperature_c"] = np.nan
+    table[["tip_x_mm", "tip_y_mm", "tip_z_mm"]] /= 1e5
+    table = table.rename(columns={"pressure_cmd_kpa": "presure_cmd_kpa", "time_s": "tiem_s"})
+    table.to_csv(folder / "samples.csv", index=False)
+    spoilt = meta | {"noise": {"tip_x_mm": -1}, "spine_joint_position_mm": [10.0]}
+    (folder / "recording.json").write_text(json.dumps(spoilt))
+    top, (faults, _) = p.idxmax(), recording_faults(folder)
     for words in (
         "field 'noise' of 'tip_x_mm' is -1",
         "unknown field 'spine_joint_position_mm'; did you mean 'spine_joint_positions_mm'?",
         "column 'time_s' is missing (there is 'tiem_s': rename it",
         "column 'pressure_cmd_kpa' is missing (there is 'presure_cmd_kpa': rename it",
         "column 'temperature_c', row 8 (line 9 of the file) is empty",
-        "column 'pressure_kpa', row 30 (line 31 of the file) is 3.93",
+        f"column 'pressure_kpa', row {top + 1} (line {top + 2} of the file) is {1e5 * p[top]:g}",
         "which can only be metres",
     ):
         assert sum(words in f for f in faults) == 1, words
     assert len(faults) == 7
     with pytest.raises(InputError, match="unknown field 'spine_joint_position_mm'"):
         Recording.load(folder)
-    (folder / "recording.json").write_text(json.dumps({"device": "finger", "length_mm": 110.0}))
+    (folder / "recording.json").write_text(json.dumps(meta))
     with pytest.raises(InputError, match="'time_s' is missing .* Missing too: 'pressure_cmd_kpa'"):
         Recording.load(folder)
-    faults, notes = recording_faults(bench(tmp_path / "good"))
-    assert faults == [] and all(isinstance(n, str) for n in notes)
 
 
 @pytest.mark.parametrize("number", [120, pytest.param(10_000, marks=pytest.mark.nightly)])
@@ -120,10 +103,9 @@ def finger(
     tip[:, 1:] = np.stack([-np.sin(turned_rad) * tip[:, 2], np.cos(turned_rad) * tip[:, 2]], -1)
     tip += 1e-3 * length * rng.normal(size=tip.shape)
     s = {"trial": np.repeat([0, 1], n // 2), "time_s": np.tile(np.arange(n // 2) / 20, 2)}
-    chambers = (
-        {"pressure_cmd_kpa": u} if device == "finger" else {f"pressure_cmd_{i}_kpa": u for i in (1, 2, 3)}
-    )
-    s |= chambers | {f"tip_{a}_mm": tip[:, i] for i, a in enumerate("xyz")}
+    s |= dict.fromkeys(pressure_columns(device)[0], u) | {
+        f"tip_{a}_mm": tip[:, i] for i, a in enumerate("xyz")
+    }
     return Recording(Path("r"), {"length_mm": stated or length}, pd.DataFrame(s), device)
 
 
