@@ -104,10 +104,8 @@ def closed_loop(recording: Recording) -> Iterator[Finding]:
             f"The command follows the measured motion ({max(before, same):.0%} of its steps are explained by "
             "it): under feedback noise passes for physics; record open-loop programs."
         )
-        answers = (
-            " It answers to the pose of its own row, so it was sent after it was measured: log time_sent_s."
-        )
-        text += answers * bool(own_row)
+        if own_row:
+            text += " It answers to the pose of its own row, so it was sent after it: log time_sent_s."
         numbers = {"share": float(max(before, same)), "same_row": float(own_row)}
         yield Finding("closed_loop", text, tuple(recording.pressure_columns), numbers=numbers)
 
@@ -371,9 +369,7 @@ def misplaced_tip(recording: Recording) -> Iterator[Finding]:
     if np.linalg.norm(origin) > 1 - 1 / OTHER_LENGTH:  # a finger bent at rest is not straight on x either
         shifted = tip - origin
         place = ", ".join(f"{v:.3g}" for v in length * origin)
-        remedy = (
-            f"its base is at ({place}) mm of the recording's frame; subtract that from {' and '.join(names)}"
-        )
+        remedy = f"its base is at ({place}) mm of the frame; subtract that from {' and '.join(names)}"
         readings.append((2 * _off_path(shifted[:, 0], np.linalg.norm(shifted[:, 1:], axis=1)), remedy, 1))
     off, remedy, kind = min(readings, key=lambda r: r[0])
     if off > MUCH_NEARER * now:

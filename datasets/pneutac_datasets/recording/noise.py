@@ -344,29 +344,29 @@ class _Contrasts:
             if wait is not None:
                 held = quiet[i + s] - quiet[i - s] > 0.99 * (t[i + s] - t[i - s])
                 use = held & (quiet[i - s] >= wait)
-            found.append(self._estimate(k, use, wait) if use.sum() >= LEAST_DOF else None)
-        found = [f for f in found if f is not None]
-        if not found:
-            return None
-        upper = [sigma * (1 + 2 / np.sqrt(dof)) for sigma, dof in found]
-        return next(sigma for sigma, _ in found if sigma <= min(upper))
+            if use.sum() >= LEAST_DOF and (estimate := self._estimate(k, use, wait)):
+                found.append(estimate)
+        upper = min((sigma * (1 + 2 / np.sqrt(dof)) for sigma, dof in found), default=0.0)
+        return next((sigma for sigma, _ in found if sigma <= upper), None)
 
     def _estimate(self, k: int, use: np.ndarray, wait: float | None) -> tuple[float, float] | None:
-        """Deviation and its degrees of freedom; contrasts beyond `OUTLIER` are left out once."""
-        at = np.flatnonzero(use)
+        """Deviation and its degrees of freedom, tr((I - H) C C'); contrasts beyond `OUTLIER` go once."""
+        at, first = np.flatnonzero(use), True
         if wait not in self._basis:
             self._basis[wait] = self._directions(at)
         Q = self._basis[wait]
-        found = self._spread(k, at, Q)
-        if found is None:
-            return None
-        sigma, dof, left = found
-        robust = MAD * float(np.median(np.abs(left))) * np.sqrt(len(at) / dof)
-        usual = np.abs(left) < OUTLIER * robust
-        if robust <= 0 or usual.all():
-            return sigma, dof
-        found = self._spread(k, at[usual], self._directions(at[usual]))
-        return found and found[:2]
+        while True:
+            c = self.c[at, k]
+            left = c - Q @ (Q.T @ c)
+            dof = len(at) - float(((self.C[at].T @ Q) ** 2).sum())  # contrasts that share rows are correlated
+            if dof < LEAST_DOF:
+                return None
+            robust = MAD * float(np.median(np.abs(left))) * np.sqrt(len(at) / dof)
+            usual = np.abs(left) < OUTLIER * robust
+            if not first or robust <= 0 or usual.all():
+                return float(np.sqrt((left @ left) / dof)), dof
+            at, first = at[usual], False
+            Q = self._directions(at)
 
     def _directions(self, at: np.ndarray) -> np.ndarray:
         """(m, r) orthonormal basis of the responses' contrasts in these rows."""
@@ -376,12 +376,3 @@ class _Contrasts:
             return np.zeros((len(at), 0))
         U, S, _ = np.linalg.svd(X, full_matrices=False)
         return U[:, S > 1e-6 * S[0]] if S[0] > 0 else U[:, :0]
-
-    def _spread(self, k: int, at: np.ndarray, Q: np.ndarray) -> tuple[float, float, np.ndarray] | None:
-        """Deviation, tr((I - H) C C') and what the regression leaves."""
-        c = self.c[at, k]
-        left = c - Q @ (Q.T @ c)
-        trace = len(at) - float(((self.C[at].T @ Q) ** 2).sum())  # contrasts that share rows are correlated
-        if trace < LEAST_DOF:
-            return None
-        return float(np.sqrt((left @ left) / trace)), trace, left

@@ -229,15 +229,11 @@ def saturated(recording: Recording) -> Iterator[Finding]:
                 seen = name in recording.observations
                 gone = seen and _goes_on(recording, at)
                 what = ", the marker leaves its view or the device is held" * seen
+                follows = "a fit follows that; if it is the sensor, leave those rows out, or"
                 text = (
                     f"Column '{name}' sticks to its {word} number {extreme:g} in {at.mean():.1%} of the rows "
                     f"while the command varies: the sensor saturates there{what}; "
-                )
-                text += (
-                    f"{_left_out(at)}; record within its range."
-                    if gone
-                    else "a fit follows that; if it is the sensor, leave those rows out, "
-                    "or record within its range."
+                    f"{f'{_left_out(at)};' if gone else follows} record within its range."
                 )
                 found = {"at": float(extreme), "kept": int(not gone)}
                 yield Finding("saturated", text, (name,), np.flatnonzero(at), found)

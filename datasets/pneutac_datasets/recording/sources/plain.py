@@ -441,13 +441,10 @@ class Understood:
         if not len(after):
             return {}
         gap = step[after - 1]
-        length = f"{gap[0]:.3g} s" if len(gap) == 1 else f"{gap.min():.3g} to {gap.max():.3g} s"
-        runs = (
-            "run goes on from the one before it" if len(after) == 1 else "runs go on from those before them"
-        )
-        self.notes.append(
-            f"{len(after)} {runs}, {length} later by the clock; no pressure is assumed in between."
-        )
+        runs = f"1 run goes on from the one before it, {gap[0]:.3g}"
+        if len(gap) > 1:
+            runs = f"{len(gap)} runs go on from those before them, {gap.min():.3g} to {gap.max():.3g}"
+        self.notes.append(f"{runs} s later by the clock; no pressure is assumed in between.")
         pauses = zip(trial[after].tolist(), gap.tolist(), strict=True)
         return {str(n): {"start": "continues", "pause_s": round(s, 3)} for n, s in pauses}
 
@@ -462,10 +459,8 @@ class Understood:
         if lost:
             self.notes.append(f"{self._source}: {plural(lost, 'row')} without {' or '.join(pose)} left out.")
         if zero.any():
-            text = (
-                f"in which {' and '.join(t for t in TIPS if t in table)} are exactly 0, where no tip can be"
-            )
-            self.notes.append(f"{self._source}: {plural(int(zero.sum()), 'row')} {text}, left out.")
+            tips = f"{' and '.join(t for t in TIPS if t in table)} are exactly 0, where no tip can be"
+            self.notes.append(f"{self._source}: {plural(int(zero.sum()), 'row')} in which {tips}, left out.")
         self._of_file, self._line = self._of_file[seen], self._line[seen]
         time_s = pd.to_numeric(table["time_s"], errors="coerce").to_numpy(float)
         missing = count_left_out(table["trial"].to_numpy(), time_s, seen)
@@ -560,10 +555,9 @@ class Understood:
                 stamps = samples["time_s"].drop_duplicates().sort_values()
                 rate = len(samples) / len(stamps) / float(stamps.diff().median())
                 without = quote(f"{self._clock.name}: {LEAVE_OUT}")
-                even = (
-                    f"count evenly spaced rows by `{self._convert} --columns={without} --rate_hz={rate:.3g}`"
-                )
-                return sentence.replace(rules.COARSE, f"write the times with more digits, or {even}")
+                even = f"`{self._convert} --columns={without} --rate_hz={rate:.3g}`"
+                digits = "write the times with more digits, or count evenly spaced rows by"
+                return sentence.replace(rules.COARSE, f"{digits} {even}")
             value = re.search(r"column '([^']+)', row .* is (\S+), which can only be (.*)", sentence)
             column = next((c for c in self.columns if value and c.name == value[1]), None)
             if value is None or column is None or column.unit is None or column.unit.factor == 1:
