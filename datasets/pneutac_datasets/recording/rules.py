@@ -282,19 +282,17 @@ _OF_GEL = "role x_mm y_mm depth_mm indenter_radius_mm indenter_size_mm contact_r
 
 def _misspelt(samples: pd.DataFrame, device: str, file: Path) -> Iterator[str]:
     """A sentence for each column that nothing reads, and whose name is nearly that of one that is missing."""
-    known = ["trial", "time_s", *_OF_GEL.split()] if device == "gel" else TARGETS
+    free = [name for name in TARGETS if "_cmd_" not in name]  # an arm's commands are several
+    known = ["trial", "time_s", *_OF_GEL.split()] if device == "gel" else free
     missing = [name for name in known if name not in samples]
-    for name in (
-        c for c in map(str, samples) if c not in known and not re.fullmatch(quantities.PRESSURE.pattern, c)
-    ):
+    for name in (c for c in map(str, samples) if c not in known and not OWN.fullmatch(c)):
         quantity, _, written = name.rpartition("_")
         same = next((m for m in missing if m.rpartition("_")[0] == quantity and base_unit(m)), "")
         own = base_unit(same)
         if unit := own and unit_named(written, own.dimension):
-            how = (
-                f"multiply it by {unit.factor:.6g}{f', add {unit.shift:.6g}' * bool(unit.shift)} and call it"
-            )
-            yield f"{file}: column {shown(name)} is not read; {how} '{same}'."
+            shift = f", add {unit.shift:.6g}" * bool(unit.shift)
+            how = f"multiply it by {unit.factor:.6g}{shift} and call it '{same}'"
+            yield f"{file}: column {shown(name)} is not read; {how}."
         elif near := difflib.get_close_matches(name, missing, n=1, cutoff=0.9):
             yield f"{file}: column {shown(name)} is not read; did you mean '{near[0]}'?"
 

@@ -27,6 +27,8 @@ def test_every_fault_is_said_and_misspelt_names_are_reported_what_they_may_mean(
     folder, p = good.write(tmp_path / "r"), good.samples["pressure_cmd_kpa"]
     faults, notes = recording_faults(folder)
     assert faults == [] and all(isinstance(n, str) for n in notes)
+    of_arm = recording_faults(finger(device="arm").write(tmp_path / "arm"))
+    assert of_arm[0] == [] and not [n for n in of_arm[1] if "is not read" in n]
     table = good.samples.assign(pressure_kpa=1e5 * p, temperature_c=20.0)
     table.loc[7, "temperature_c"] = np.nan
     table[["tip_x_mm", "tip_y_mm", "tip_z_mm"]] /= 1e5
