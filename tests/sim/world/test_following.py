@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-from arms import alone
+from arms import alone, arm_twin
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.gel.probe import SPHERE
@@ -19,31 +19,32 @@ from pneutac_sim.gel.sensor import TactileSensor
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.scene import PHYSICS_HZ
 from pneutac_sim.world.soft_finger import Springs
-from pneutac_sim.world.spine import Follower
+from pneutac_sim.world.spine import Follower, Spine
 from pneutac_sim.world.touch import Touch
 from pneutac_sim.world.world import World
 
 JOINTS = 4
 
 
-def test_a_free_finger_goes_along_the_path_whatever_its_stiffness():
+@pytest.mark.parametrize(("twin", "axes"), [(Twin.builtin(), ()), (arm_twin(angle_rad=0.35, joints=4), (2,))])
+def test_a_free_body_goes_along_the_path_whatever_its_stiffness(twin, axes):
     """Where the gel's pad is held, to rounding: each control step ends at its target, at the rate told."""
-    model = alone(Twin.builtin(), 1 / PHYSICS_HZ)
+    model = alone(twin, 1 / PHYSICS_HZ)
     model.dof_armature[model.joint("pad").dofadr[0]] = 1e9
-    data, rng = mujoco.MjData(model), np.random.default_rng(0)
+    data, rng, spine = mujoco.MjData(model), np.random.default_rng(0), Spine(model, twin)
     springs, follower = Springs(model, JOINTS, 0.006, 0.458), Follower(model, JOINTS)
-    at, rate = np.array([0.2, 0.1, 0.15, 0.1]), np.zeros(JOINTS)
-    data.qpos[:JOINTS] = at
+    at, rate = rng.uniform(-0.2, 0.2, (JOINTS, *axes)), np.zeros((JOINTS, *axes))
+    spine.write(data, at)
     for stiffness in (0.4, 0.1, 1.0, 0.4, 0.4):
-        K = stiffness * np.eye(JOINTS) + 0.04 * (np.eye(JOINTS, k=1) + np.eye(JOINTS, k=-1))
-        target = at + rng.uniform(-0.15, 0.15, JOINTS)
+        K = stiffness * np.eye(JOINTS) + (0 if axes else 0.04) * (np.eye(JOINTS, k=1) + np.eye(JOINTS, k=-1))
+        target = at + rng.uniform(-0.15, 0.15, at.shape)
         torques, end = follower.torques(at, rate, target, K, springs.set(K), 50)
         for row in torques:
             data.ctrl[:] = row
             mujoco.mj_step(model, data)
-        np.testing.assert_allclose(data.qpos[:JOINTS], target, atol=2e-6)
-        np.testing.assert_allclose(data.qvel[:JOINTS], end, atol=2e-4)
+        np.testing.assert_allclose(spine.read(data), target, atol=1e-5 if axes else 2e-6)
         np.testing.assert_allclose(end, (target - at) / (50 * model.opt.timestep), rtol=1e-9)
+        assert axes or np.abs(data.qvel[spine.dofs] - end).max() < 2e-4
         at, rate = target, end
 
 

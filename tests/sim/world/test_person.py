@@ -5,7 +5,6 @@ import pytest
 from played import played, succeeds
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.world.base import Variation
 from pneutac_sim.world.expert import Person, ScriptedExpert, demonstrator
 from pneutac_sim.world.tasks.base import HOME_JITTER_M, WIDER_M
 from pneutac_sim.world.world import World
@@ -79,18 +78,6 @@ def test_wider_starts_scatter_hand_and_objects_about_the_same_middle():
     for wrong in (-1, 2.5, float("nan")):
         with pytest.raises(InputError, match="start_width"):
             world.widen_starts(wrong)
-
-
-def test_a_varied_world_widens_its_objects_and_starts_where_it_is_told():
-    world = World("card", None, "none", "probe")
-    world.widen_starts(1.0)
-    world.variation = Variation((0.38, 0.01, 0.32))
-    found = []
-    for seed in range(20):
-        world.reset(seed)
-        found.append(world.target_m - (0.38, 0.01, 0.32))
-    assert (np.abs(found) <= HOME_JITTER_M).all()
-    assert world.task.spread_x_m == pytest.approx(0.052)
 
 
 @pytest.mark.slow

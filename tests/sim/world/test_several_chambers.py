@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
-from arms import alone, arm_twin
+from arms import arm_twin
 from gymnasium.utils.env_checker import check_env
 from played import succeeds, until
 
@@ -15,7 +15,7 @@ from pneutac_sim.finger.online import PressurePipeline
 from pneutac_sim.twin import Value
 from pneutac_sim.world.env import PneutacEnv
 from pneutac_sim.world.expert import towards_gel
-from pneutac_sim.world.spine import Follower, Spine, end_of
+from pneutac_sim.world.spine import end_of
 from pneutac_sim.world.world import World
 
 SIX = arm_twin(angle_rad=0.35, gains=(0.9, 1.2))
@@ -62,25 +62,6 @@ def test_each_chamber_bends_it_to_its_own_side_of_the_table(world):
         angle = 0.35 + 2 * np.pi / 3 * chamber
         assert np.angle(np.exp(1j * (np.arctan2(y, x) - angle))) == pytest.approx(0.0, abs=0.01)
         assert np.hypot(x, y) > 0.03 and z > 0.005
-
-
-def test_torques_are_those_of_mujocos_inverse_dynamics():
-    """A body at speed in both planes: without springs, to rounding of the discrete rates."""
-    model = alone(SIX, 0.001)
-    model.dof_armature[model.joint("pad").dofadr[0]] = 1e9  # the gel's face stays where it is
-    data, spine, rng = mujoco.MjData(model), Spine(model, SIX), np.random.default_rng(0)
-    follower = Follower(model, 6)
-    before, rate, slope = (rng.uniform(-size, size, (6, 2)) for size in (0.2, 2, 2))
-    nothing, h = np.zeros((6, 6)), model.opt.timestep
-    ours, _ = follower.torques(before, rate, before + 20 * h * slope, nothing, nothing, 20)
-    spine.write(data, before)
-    earlier = mujoco.MjData(model)
-    spine.write(earlier, before - h * rate)
-    mujoco.mj_differentiatePos(model, data.qvel, h, earlier.qpos, data.qpos)
-    for row in ours:
-        data.ctrl[:] = row
-        mujoco.mj_step(model, data)
-    np.testing.assert_allclose(spine.read(data), before + 20 * h * slope, atol=1e-5)
 
 
 def test_a_load_across_the_tip_bends_it_as_the_pipeline_says():

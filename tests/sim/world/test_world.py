@@ -26,6 +26,7 @@ from pneutac_sim.world.gantry import Gantry
 from pneutac_sim.world.soft_finger import GEL_FRICTION
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.task_env import contact_force_n, tactile_points
+from pneutac_sim.world.tasks.base import HOME_JITTER_M
 from pneutac_sim.world.view import CAMERA
 from pneutac_sim.world.world import Substeps, World
 
@@ -320,7 +321,12 @@ def test_after_a_shifted_start_the_tasks_own_home_is_home_again():
     world = World("card", touch="none", fidelity="probe")
     own = world.home_m
     world.variation = Variation(start_m=tuple(own + (0.02, -0.01, 0.03)))
-    world.reset(1)
+    world.widen_starts(1.0)  # of the objects alone
+    for seed in range(8):
+        world.reset(seed)
+        assert (np.abs(world.target_m - own - (0.02, -0.01, 0.03)) <= HOME_JITTER_M).all()
+    assert world.task.spread_x_m == pytest.approx(0.052)
+    world.widen_starts(0.0)
     np.testing.assert_allclose(world.home_m, own + (0.02, -0.01, 0.03))
     world.variation = Variation()
     np.testing.assert_array_equal(world.home_m, own)
