@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from lerobot.datasets import LeRobotDataset
 from lerobot.utils.constants import ACTION, OBS_STR
 from lerobot.utils.feature_utils import combine_feature_dicts, hw_to_dataset_features
 
@@ -43,7 +42,13 @@ def record_student(
     """
     world = World(task, twin, "image", student.fidelity, conditions, station=station)
     _loaded(actor_dir, world)
-    dataset = _new_dataset(student, world)
+    observed = dict.fromkeys(state_names(world.arm.joints), float) | {IMAGE_NAME: world.tactile_shape}
+    features = combine_feature_dicts(
+        hw_to_dataset_features(dict.fromkeys(ACTION_NAMES, float), ACTION, student.video),
+        hw_to_dataset_features(observed, OBS_STR, student.video),
+    )
+    fps, steps = world.station.control_hz, world.station.steps(EPISODE_S)
+    dataset = create_dataset(student.repo_id, student.root, fps, features, ROBOT, student.video, steps)
     if station:
         station.save(Path(student.root) / "meta")
     stored = trials = 0
@@ -85,16 +90,6 @@ def _loaded(actor_dir: str | Path, world: World) -> Actor:
         remedy = "give its station by --station="
         raise InputError(f"The actor in '{actor_dir}' was trained with {both}; {remedy}.")
     return actor
-
-
-def _new_dataset(student: StudentRef, world: World) -> LeRobotDataset:
-    observed = dict.fromkeys(state_names(world.arm.joints), float) | {IMAGE_NAME: world.tactile_shape}
-    features = combine_feature_dicts(
-        hw_to_dataset_features(dict.fromkeys(ACTION_NAMES, float), ACTION, student.video),
-        hw_to_dataset_features(observed, OBS_STR, student.video),
-    )
-    fps, steps = world.station.control_hz, world.station.steps(EPISODE_S)
-    return create_dataset(student.repo_id, student.root, fps, features, ROBOT, student.video, steps)
 
 
 def roll_out(actor: Actor, world: World, rng: np.random.Generator, noise: float) -> Episode:

@@ -128,7 +128,8 @@ def test_a_plan_follows_the_demonstrated_touch(demonstrations, folder):
     config = PlannerConfig(samples=4, elites=2, iterations=1, horizon=6)
     planner = CemPlanner(gantry, config, np.random.default_rng(0))
     warm = np.clip(r.action[20:26], *world.action_limits)
-    plan = planner.plan(warm, np.zeros(6), r.area[21:27], r.flange_m[21:27])
+    planner.begin(warm, np.zeros(6), r.area[21:27], r.flange_m[21:27])
+    plan = planner.solve()
     assert plan.shape == (6, 6) and np.isfinite(planner.cost)
     assert (plan >= world.action_limits[0]).all() and (plan <= world.action_limits[1]).all()
     for action in plan:  # the reduced world goes where the world goes

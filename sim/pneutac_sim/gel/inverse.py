@@ -103,7 +103,9 @@ class TouchReader:
             raise ValueError(f"a tactile image is uint8 (H, W, 3); got {image.dtype} {image.shape}")
         rest_grid = self._rest if rest is None else to_grid(rest)
         difference = to_grid(image) - rest_grid
-        near = self._changed(difference)
+        changed = (np.abs(difference).mean(2) > self.gel.threshold_levels).astype(np.uint8)
+        without_specks = cv2.morphologyEx(changed, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+        near = cv2.dilate(without_specks, self._around) > 0  # cells that differ from rest, and those around
         if (~near).mean() >= FAR_ENOUGH:
             quiet = ~near
             quiet[::2] = False  # half of the rows suffice
@@ -115,12 +117,6 @@ class TouchReader:
             step = self._solve(self._JT @ (seen - s.ravel()))
             u = np.where(near, np.clip(u + step.reshape(u.shape), 0.0, self.gel.thickness_mm), 0.0)
         return self._touch(u)
-
-    def _changed(self, difference: np.ndarray) -> np.ndarray:
-        """Cells (80, 59) that differ from rest, and those around them."""
-        changed = (np.abs(difference).mean(2) > self.gel.threshold_levels).astype(np.uint8)
-        without_specks = cv2.morphologyEx(changed, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-        return cv2.dilate(without_specks, self._around) > 0
 
     def _touch(self, u: np.ndarray) -> Touch:
         parts, count = ndimage.label(u > SHALLOWEST_MM)

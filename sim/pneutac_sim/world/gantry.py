@@ -50,7 +50,6 @@ class Gantry(World):
         limits = {"pressure_range_kpa": world.pressure_range_kpa, "station": world.station}
         super().__init__(world.task.name, world.twin, "area", "probe", world.conditions, **limits)
         self.touch = Touch(self.model, self.sensor, "area", world.touch.network)
-        self._snapshots = Snapshots(self.touch, self._flange)
         self.steps, self.seconds = 0, {"physics": 0.0, "touch": 0.0}
         named = [(self.model.geom(g).name, g) for g in range(self.model.ngeom)]
         self._geoms = np.transpose([(world.model.geom(name).id, g) for name, g in named if name])
@@ -148,36 +147,39 @@ class Gantry(World):
     def _try(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Flange positions, contact areas and probe grids (S * H, 80, 59) of sequences."""
         S, H = actions.shape[:2]
-        if S * H > len(self._snapshots.flange_m):
-            self._snapshots.make_room(S * H)
         sent = np.array(self._queue, float).reshape(1, -1, actions.shape[2])
         acting = np.concatenate([np.repeat(sent, S, 0), actions], 1)[:, :H]
         began = time.perf_counter()
-        for s, sequence in enumerate(acting):
-            self._follow(sequence, s * H)
+        rows = [row for sequence in acting for row in self._follow(sequence)]
         moved = time.perf_counter()
-        felt, depth = self._snapshots.feel(S * H)
+        flange_m, *poses = map(np.array, zip(*rows, strict=True))
+        touch, gel = self.touch, self.sensor.model
+        size = gel.window_mm, gel.thickness_mm, np.empty((S * H, ROWS, COLS), np.float32)
+        depth = probe_grids(touch.kinds, touch.sizes, *poses, *size, self.sensor.triangles)
+        felt = self.sensor.areas(depth)
         area = np.where(felt > 0, np.maximum(felt + self._residual_area, 0.0), 0.0)
         self.steps += S * H
         self.seconds["physics"] += moved - began
         self.seconds["touch"] += time.perf_counter() - moved
-        return self._snapshots.flange_m[: S * H].reshape(S, H, 3).copy(), area.reshape(S, H), depth
+        return flange_m.reshape(S, H, 3), area.reshape(S, H), depth
 
-    def _follow(self, acting: np.ndarray, row: int) -> None:
-        """One sequence (H, 3 + C), control step by control step, into the snapshots from `row` on."""
+    def _follow(self, acting: np.ndarray) -> list[list[np.ndarray]]:
+        """One sequence (H, 3 + C): after each step the flange's place, and poses of objects and gel."""
         mujoco.mj_setState(self.model, self.data, self._state, _STATE)
         self.model.dof_frictionloss[:] = self._friction
         vars(self.task).update(_memory(self._memory))
         self._placing.set(self.model, self._poses)
         mujoco.mj_kinematics(self.model, self.data)
         saved = self.target_m, self._joints, self.spine_target_rad, self._drive, self._rate, self._pipeline
-        self._pipeline, target = self._pipeline.copy(), self.target_m
-        for t, action in enumerate(acting):
+        self._pipeline, target, rows = self._pipeline.copy(), self.target_m, []
+        for action in acting:
             target = np.clip(target + action[:3] * self.dt_s, *self.workspace_m)
             self._advance(target, self._pipeline.step(action[PRESSURES], self.dt_s))
             self.task.update(self.model, self.data, self.dt_s)
-            self._snapshots.take(row + t, self.data)
+            poses = self.data.site_xpos[self._flange], *self.touch.objects(self.data)[2:]
+            rows.append([x.copy() for x in poses])
         self.target_m, self._joints, self.spine_target_rad, self._drive, self._rate, self._pipeline = saved
+        return rows
 
     @override
     def _resist(self, drive):
@@ -193,43 +195,6 @@ _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 def _memory(attributes: dict) -> dict:
     return {k: copy.copy(v) for k, v in attributes.items() if isinstance(v, int | float | tuple | np.ndarray)}
-
-
-class Snapshots:
-    """Poses of flange, gel and objects of a touch of mode `area`, one row a state; rows are used again.
-
-    Attributes:
-        flange_m: (B, 3) flange positions, metres.
-    """
-
-    def __init__(self, touch: Touch, flange: int):
-        self._touch, self._flange = touch, flange
-        self.make_room(0)
-
-    def make_room(self, count: int) -> None:
-        """Rows for at least `count` states; what is in them is lost where they are too few."""
-        n = len(self._touch.felt)
-        self.flange_m, self._gel_m = np.empty((2, count, 3))
-        self._gel = np.empty((count, 9))
-        self._objects_m, self._objects = np.empty((count, n, 3)), np.empty((count, n, 9))
-        self._grids = np.empty((count, ROWS, COLS), np.float32)
-
-    def take(self, row: int, data: mujoco.MjData) -> None:
-        """Stores the present state, whose kinematics must be up to date, in a row."""
-        if row >= len(self.flange_m):
-            raise ValueError(f"there is room for {len(self.flange_m)} states, and this is number {row + 1}")
-        _, _, self._objects_m[row], self._objects[row], self._gel_m[row], self._gel[row] = (
-            self._touch.objects(data)
-        )
-        self.flange_m[row] = data.site_xpos[self._flange]
-
-    def feel(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Contact areas (count,) and probe grids (count, 80, 59) of the first rows, until the next call."""
-        touch, gel = self._touch, self._touch.sensor.model
-        poses = (x[:count] for x in (self._objects_m, self._objects, self._gel_m, self._gel))
-        size = gel.window_mm, gel.thickness_mm, self._grids, touch.sensor.triangles
-        depth = probe_grids(touch.kinds, touch.sizes, *poses, *size)
-        return touch.sensor.areas(depth), depth
 
 
 class _Slides:

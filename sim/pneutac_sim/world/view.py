@@ -199,7 +199,10 @@ def draw(model: mujoco.MjModel, data: mujoco.MjData, camera: str, width: int, he
         if local[:, 2].max() > -0.02:
             continue
         pixels = focal * local[:, :2] / -local[:, 2:] * [1, -1] + [width / 2, height / 2]
-        shapes.append((local[:, 2].mean(), pixels.round().astype(np.int32), _colour(model, g)))
+        material = model.geom_matid[g]
+        rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[g]
+        colour = tuple(int(235 * c) for c in rgba[:3])
+        shapes.append((local[:, 2].mean(), pixels.round().astype(np.int32), colour))
     for _, pixels, colour in sorted(shapes, key=lambda s: s[0]):
         hull = cv2.convexHull(pixels)
         cv2.fillConvexPoly(image, hull, colour, cv2.LINE_AA)
@@ -216,9 +219,3 @@ def _outline(model: mujoco.MjModel, g: int) -> np.ndarray:
         end = _RING if kind == mujoco.mjtGeom.mjGEOM_CYLINDER else _BALL
         return np.concatenate([end * size[0] + [0, 0, z] for z in (-size[1], size[1])])
     return _BALL * (size[0] if kind == mujoco.mjtGeom.mjGEOM_SPHERE else size)
-
-
-def _colour(model: mujoco.MjModel, g: int) -> tuple[int, int, int]:
-    material = model.geom_matid[g]
-    rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[g]
-    return tuple(int(235 * c) for c in rgba[:3])

@@ -175,28 +175,37 @@ def test_what_is_laid_out_around_a_hand_is_what_a_reset_lays_out():
         np.testing.assert_allclose(felt[:n], area[:n], atol=0.02)
 
 
-@pytest.mark.parametrize(("steps", "short"), [(augment_episode.SHORTEST - 1, True), (30, False)])
-def test_what_is_done_at_once_is_no_demonstration(switch, monkeypatch, steps, short):
+@pytest.fixture
+def blindly(switch, monkeypatch):
+    """The same generator, which replays a reference's actions in place of a plan."""
     generator, scenes = switch
+    limits = generator.world.action_limits
+    monkeypatch.setattr(generator, "_plan", lambda r, *_: iter(np.clip(r.action, *limits)))
+    return generator, scenes
+
+
+@pytest.mark.parametrize(("steps", "short"), [(augment_episode.SHORTEST - 1, True), (30, False)])
+def test_what_is_done_at_once_is_no_demonstration(blindly, monkeypatch, steps, short):
+    generator, scenes = blindly
     world = generator.world
     taken, step = [], world.step
     monkeypatch.setattr(world, "step", lambda action: (taken.append(action), step(action))[1])
     monkeypatch.setattr(world.task, "success", lambda: len(taken) >= steps)
     variant = Variant(0, (0.0, 0.0, 0.0), 1.0, 0.0, 1.0)
-    trial = generator.carry_out(variant, scenes[0], np.random.default_rng(0), plan=False)
+    trial = generator.carry_out(variant, scenes[0], np.random.default_rng(0))
     assert len(trial.action) == steps
-    assert trial.reason == (augment_episode.IN_THE_WAY if short else None)
+    assert (trial.reason == augment_episode.IN_THE_WAY) == short
 
 
-def test_a_demonstration_keeps_its_turn(switch, monkeypatch):
+def test_a_demonstration_keeps_its_turn(blindly, monkeypatch):
     """Else those that are hard to vary would be left out, and with them what they alone show."""
-    generator, scenes = switch
+    generator, scenes = blindly
     tried, real = [], generator.carry_out
     works = [False] * 6 + [True]
 
     def carry_out(variant, scene, rng):
         tried.append(variant.source)
-        trial = real(variant, scene, rng, plan=False)
+        trial = real(variant, scene, rng)
         return replace(trial, reason=None if works[len(tried) - 1] else "no")
 
     monkeypatch.setattr(generator, "carry_out", carry_out)
@@ -206,14 +215,12 @@ def test_a_demonstration_keeps_its_turn(switch, monkeypatch):
     assert all(r["late_commands"] == 1 for r in line["rejected"])
 
 
-def test_variants_draw_their_conditions_and_the_world_has_them(switch):
-    recorded, scenes = switch[0].setup.references, switch[1]
+def test_variants_draw_their_conditions_and_the_world_has_them(blindly):
+    generator, scenes = blindly
     hot = {"temperature_c": [20.0, 30.0], "payload_g": 5.0}
-    setup = setup_of(recorded, conditions=hot)
-    generator = Generator(setup, touch="area")
     drawn = [Variant.draw(0, np.zeros(3), 0, np.random.default_rng(k), hot) for k in range(3)]
     assert len({v.conditions["temperature_c"] for v in drawn}) == 3
-    generator.carry_out(drawn[1], scenes[0], np.random.default_rng(0), plan=False)
+    generator.carry_out(drawn[1], scenes[0], np.random.default_rng(0))
     assert drawn[1].conditions.items() <= generator.world.conditions.items()
 
 
@@ -224,7 +231,7 @@ def test_an_episode_is_a_function_of_seed_and_index(switch):
     generator.world.step([0.05, 0, 0, 9.0])  # whatever was done before
     first, line = generator.episode(1, scenes)
     variant = Variant(1, (0.006, 0.0, 0.0), 1.1, 0.3, 0.96)
-    generator.carry_out(variant, scenes[1], np.random.default_rng(9), plan=False)
+    generator.carry_out(variant, scenes[1], np.random.default_rng(9))
     again, same = generator.episode(1, scenes)
     np.testing.assert_array_equal(first.action, again.action)
     np.testing.assert_array_equal(first.state, again.state)

@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from itertools import count
 from typing import NamedTuple
 
 import numpy as np
@@ -269,28 +270,22 @@ class Generator:
         remedy = "are the recorded demonstrations of this task and this finger?"
         return InputError(f"Demonstration {index}: {tried} ({reasons}); {remedy}")
 
-    def carry_out(
-        self, variant: Variant, scene: Scene, rng: np.random.Generator, plan: bool = True
-    ) -> Attempt:
+    def carry_out(self, variant: Variant, scene: Scene, rng: np.random.Generator) -> Attempt:
         """Plans a variant and carries it out in the world.
 
         Args:
             variant: what is different from the reference.
             scene: where the object stood in the reference.
             rng: decides the start's jitter and the planner's samples.
-            plan: False replays the reference's actions blindly, for comparison.
         """
         r = self.setup.references[variant.source]
-        seed, self.world.variation = self.start_in(scene, variant, rng, plan)
-        ways = self._plan(r, variant, rng) if plan else iter(np.clip(r.action, *self.world.action_limits))
-        return self._carried_out(ways, seed, r.area, missed=plan)
+        seed, self.world.variation = self.start_in(scene, variant, rng)
+        return self._carried_out(self._plan(r, variant, rng), seed, r.area)
 
-    def start_in(
-        self, scene: Scene, variant: Variant, rng: np.random.Generator, jitter: bool = True
-    ) -> tuple[int, Variation]:
+    def start_in(self, scene: Scene, variant: Variant, rng: np.random.Generator) -> tuple[int, Variation]:
         """Seed and variation of the world at the start of an attempt that follows a reference."""
         r = self.setup.references[variant.source]
-        start = r.flange_m[0] + jitter * START_M * np.append(np.clip(rng.standard_normal(2), -2, 2), 0)
+        start = r.flange_m[0] + START_M * np.append(np.clip(rng.standard_normal(2), -2, 2), 0)
         return scene.seed, variant.of_world(start, scene.shift_m)
 
     def find_out(self, variant: Variant, rng: np.random.Generator) -> tuple[Attempt, dict]:
@@ -303,8 +298,11 @@ class Generator:
         """
         seed, self.world.variation = self.start(variant, rng)
         self._path: list[tuple[int, int, int]] = []
-        ways = self._follow(rng) if self.setup.config.method == "library" else self._expert(rng)
-        noise = rng if self.setup.config.method == "expert" else None
+        if self.setup.config.method == "library":
+            ways, noise = self._follow(rng), None
+        else:  # without the tremor of a hand
+            expert, noise = ScriptedExpert(self.world, rng, tremor=False), rng
+            ways = (expert.action() for _ in count())
         attempt = self._carried_out(ways, seed, noise=noise)
         return attempt, pieces(self._path)
 
@@ -327,18 +325,11 @@ class Generator:
                 return
             yield action
 
-    def _expert(self, rng: np.random.Generator) -> Iterator[np.ndarray]:
-        """Yields the actions of the task's scripted expert, without the tremor of a hand."""
-        expert = ScriptedExpert(self.world, rng, tremor=False)
-        while True:
-            yield expert.action()
-
     def _carried_out(
         self,
         ways: Iterator[np.ndarray],
         seed: int,
         demonstrated: np.ndarray | None = None,
-        missed: bool = True,
         noise: np.random.Generator | None = None,
     ) -> Attempt:
         """Carries actions out in the world, from a reset with a seed, until the task is done or they end.
@@ -347,7 +338,6 @@ class Generator:
             ways: asked for its next action once a control step.
             seed: of the task's own start.
             demonstrated: contact areas of the reference; None without one, where the time is limited.
-            missed: whether the object must be touched.
             noise: draws what is carried out besides each action and not stored; None for nothing.
         """
         observation = self.world.reset(seed)
@@ -357,7 +347,7 @@ class Generator:
             return Attempt(*nothing, IN_THE_WAY, 0.0, 1.0, begun)
         states, actions, images, areas, more, self._costs = [], [], [], [], [], []
         carried_out: list[np.ndarray] = []
-        astray = np.zeros(len(self.world.action_limits[0]))
+        astray, missed = np.zeros(len(self.world.action_limits[0])), True
         end, after, longest = self.setup.limits
         while not (self.world.success or self.world.failure):
             action = next(ways, None)

@@ -122,13 +122,6 @@ class CemPlanner:
         self._first = np.append([config.jitter_m_s] * 3, config.jitter_kpa * widths_kpa)
         self.cost = 0.0
 
-    def plan(
-        self, warm: np.ndarray, previous: np.ndarray, area_goal: np.ndarray, position_goal_m: np.ndarray
-    ) -> np.ndarray:
-        """The best sequence of actions (H, 3 + C) found from the gantry's mirrored state; see `begin`."""
-        self.begin(warm, previous, area_goal, position_goal_m)
-        return self.solve()
-
     def solve(self) -> np.ndarray:
         """All iterations of the plan that was begun, on the gantry; returns `best`."""
         for _ in range(self._config.iterations):
@@ -228,16 +221,13 @@ class Course:
         if self.in_contact and not self._stay_in_contact(area):
             return False
         goes_on = self.in_contact or self._search(area > 0, flange_m)
-        self._answer(centre_mm)
-        return goes_on
-
-    def _answer(self, centre_mm: np.ndarray) -> None:
-        """Leads the way aside as the demonstrations do where the touch is elsewhere than it was."""
+        # Where the touch is elsewhere than it was the way is led aside as the demonstrations do.
         self.answer = np.zeros_like(self.answer)
         elsewhere = 1e-3 * (centre_mm - self._centre_mm[min(self.frame, len(self._centre_mm) - 1)])
         if self.in_contact and np.isfinite(elsewhere).all():
             self.answer[:3] = self._reaction_hz @ elsewhere
         self.offset_m = self.offset_m + self.answer[:3] / self._reference.control_hz
+        return goes_on
 
     def _stay_in_contact(self, area: float) -> bool:
         """Ends a contact when the touch is gone, up to `EARLY` frames too soon; False if it is too late."""

@@ -116,8 +116,10 @@ class Work:
         provenance, seconds = self.load_spent(index)
         scores = provenance.get("cost", 0.0), provenance.get("area_rmse", 1.0)
         with np.load(self.episode_file(index)) as d:
-            start = start_from_json(str(d["start"]))
+            values = json.loads(str(d["start"]))
             carried_out = d["carried_out"] if "carried_out" in d.files else None
+        seed = values.pop("seed")
+        start = seed, Variation(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
         return Attempt(state, action, images, None, *scores, start, columns, carried_out), provenance, seconds
 
     def load_columns(self, index: int) -> tuple[dict[str, np.ndarray], dict[str, Film]]:
@@ -153,26 +155,14 @@ class Work:
         }
         columns |= {key: np.frombuffer(film.data, np.uint8) for key, film in films.items()}
         statistics = {k: {name: x.tolist() for name, x in f.statistics.items()} for k, f in films.items()}
-        texts = {"start": start_to_json(attempt.start), "provenance": json.dumps(provenance)}
-        texts |= {"seconds": json.dumps(seconds), "statistics": json.dumps(statistics)}
-        arrays = {name: np.array(text) for name, text in texts.items()}
+        start = {"seed": attempt.start[0], **asdict(attempt.start[1])}
+        texts = {"start": start, "provenance": provenance, "seconds": seconds, "statistics": statistics}
+        arrays = {name: np.array(json.dumps(each)) for name, each in texts.items()}
         if attempt.carried_out is not None:
             arrays["carried_out"] = attempt.carried_out
         arrays |= {f"{FEATURE}{key}": values for key, values in columns.items()}
         with whole(self.episode_file(index)) as part, part.open("wb") as f:
             np.savez_compressed(f, **arrays)
-
-
-def start_to_json(start: tuple[int, Variation]) -> str:
-    """The seed and variation with which a demonstration begins, as text."""
-    return json.dumps({"seed": start[0], **asdict(start[1])})
-
-
-def start_from_json(text: str) -> tuple[int, Variation]:
-    """Seed and variation from the text of `start_to_json`."""
-    values = json.loads(text)
-    seed = values.pop("seed")
-    return seed, Variation(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
 
 
 # ------------------------------------------------------------------ in a worker process

@@ -92,7 +92,8 @@ def test_numbers_at_the_ends_of_their_ranges_are_taken():
 
 def test_the_jitter_has_its_spread_at_every_step_and_is_correlated_in_time():
     p = planner(samples=4000, iterations=1)
-    p.plan(WARM, STILL, *NOWHERE)
+    p.begin(WARM, STILL, *NOWHERE)
+    p.solve()
     (batch,) = batches(p, 4000)
     np.testing.assert_array_equal(batch[:2], [WARM, WARM])
     noise = (batch[2:] - WARM) / JITTER
@@ -107,7 +108,8 @@ def test_the_jitter_has_its_spread_at_every_step_and_is_correlated_in_time():
 
 def test_nothing_beyond_the_limits_is_tried():
     p = planner(samples=50, iterations=2)
-    plan = p.plan(1.5 * np.tile(ACTION_HIGH, (H, 1)), STILL, *NOWHERE)
+    p.begin(1.5 * np.tile(ACTION_HIGH, (H, 1)), STILL, *NOWHERE)
+    plan = p.solve()
     for actions in (*batches(p, 50), plan):
         assert (actions <= ACTION_HIGH).all() and (actions >= ACTION_LOW).all()
     assert (batches(p, 50)[0, 0] == ACTION_HIGH).all()
@@ -116,7 +118,8 @@ def test_nothing_beyond_the_limits_is_tried():
 def test_the_plan_is_the_best_that_was_tried():
     p = planner(seed=3)
     assert p.cost == 0
-    plan = p.plan(WARM, STILL, *NOWHERE)
+    p.begin(WARM, STILL, *NOWHERE)
+    plan = p.solve()
     tried = np.concatenate(batches(p, 10))
     costs = cost(p, tried)
     assert p.cost == pytest.approx(costs.min()) and costs.min() < costs[0]
