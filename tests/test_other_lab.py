@@ -35,17 +35,11 @@ def bench(folder: Path) -> Path:
     """A finger of 80 mm and six joints that bends by 0.45 rad at 60 kPa."""
     rng = np.random.default_rng(0)
     kpa = np.repeat(np.append([0.0, 59.6], rng.uniform(0, 60, 58)), 20)
-    samples = pd.DataFrame(
-        {
-            "trial": np.repeat(range(4), 300),
-            "time_s": np.tile(np.arange(300) / 10, 4),
-            "pressure_cmd_kpa": kpa,
-            "bend_angle_rad": 0.2 + 0.0075 * kpa + rng.normal(0, 0.005, 1200),
-        }
-    )
+    samples = {"trial": np.repeat(range(4), 300), "time_s": np.tile(np.arange(300) / 10, 4)}
+    samples |= {"pressure_cmd_kpa": kpa, "bend_angle_rad": 0.2 + 0.0075 * kpa + rng.normal(0, 0.005, 1200)}
     joints = [80 * (i + 0.5) / 6 for i in range(6)]
     meta = {"device": "finger", "length_mm": 80.0, "spine_joint_positions_mm": joints}
-    return Recording(folder, meta, samples, "finger").write(folder)
+    return Recording(folder, meta, pd.DataFrame(samples), "finger").write(folder)
 
 
 def sensor(folder: Path) -> Path:

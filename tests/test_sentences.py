@@ -121,21 +121,15 @@ def write_bench(folder: Path) -> None:
     """A minute of a finger that follows its pressure, in two trials."""
     t = np.arange(0, 30, 0.1)
     p = np.round(5 + 5 * np.sin(t), 3)
-    samples = pd.concat(
-        pd.DataFrame(
-            {
-                "trial": trial,
-                "time_s": np.round(t, 2),
-                "pressure_cmd_kpa": p,
-                "tip_x_mm": np.round(109 - 0.3 * p, 3),
-                "tip_y_mm": 0.0,
-                "tip_z_mm": np.round(3 * p + trial, 3),
-            }
-        )
-        for trial in (0, 1)
-    )
+    one = {
+        "time_s": np.round(t, 2),
+        "pressure_cmd_kpa": p,
+        "tip_x_mm": np.round(109 - 0.3 * p, 3),
+        "tip_y_mm": 0.0,
+    }
+    two = [{"trial": k} | one | {"tip_z_mm": np.round(3 * p + k, 3)} for k in (0, 1)]
     folder.mkdir()
-    samples.to_csv(folder / "samples.csv", index=False)
+    pd.concat(map(pd.DataFrame, two)).to_csv(folder / "samples.csv", index=False)
     meta = {"device": "finger", "length_mm": 110.0, "samples": "samples.csv"}
     (folder / "recording.json").write_text(json.dumps(meta))
 

@@ -476,39 +476,21 @@ def test_an_interrupted_command_says_whether_it_goes_on(monkeypatch, capsys):
     ]
 
 
-COLUMNS = {
-    "trial": "Lauf",
-    "program": "Programm",
-    "time_s": "Zeit [s]",
-    "pressure_cmd_kpa": "p_soll [bar]",
-    "tip_x_mm": "x",
-    "tip_y_mm": "y",
-    "tip_z_mm": "z",
-    "temperature_c": "Temp",
-    "payload_g": "Gewicht [g]",
-    "gravity_x": "gx",
-    "gravity_y": "gy",
-    "gravity_z": "gz",
-}
+OWN = "trial program time_s pressure_cmd_kpa tip_x_mm tip_y_mm tip_z_mm temperature_c payload_g gravity_x"
+LAB = "Lauf,Programm,Zeit [s],p_soll [bar],x,y,z,Temp,Gewicht [g],gx,gy,gz"
+COLUMNS = dict(zip([*OWN.split(), "gravity_y", "gravity_z"], LAB.split(","), strict=True))
 
 
 def bench():
     """Three runs of a finger of 73 mm, by a recording's names, with the digits that CSV keeps."""
-    parts = []
-    for run, (program, warm, load) in enumerate(
-        (("stairs", 21.4, 0), ("warm", 39.1, 0), ("payload", 21.4, 2.7))
-    ):
+    runs, parts = (("stairs", 21.4, 0), ("warm", 39.1, 0), ("payload", 21.4, 2.7)), []
+    for run, (program, warm, load) in enumerate(runs):
         t = np.round(np.arange(0, 20, 0.05), 2)
         p = np.round(np.clip(12 * np.floor(t / 4), 0, 48), 3)
         z = np.round(0.6 * p + 0.05 * np.sin(7 * t + run), 3)
         x = np.round(np.sqrt(73.0**2 - z**2), 3)
-        parts.append(
-            pd.DataFrame(
-                {"trial": run + 1, "program": program, "time_s": t, "pressure_cmd_kpa": p, "tip_x_mm": x}
-            )
-            .assign(tip_y_mm=0.1, tip_z_mm=z, temperature_c=warm, payload_g=load)
-            .assign(gravity_x=0.0, gravity_y=0.0, gravity_z=-1.0)
-        )
+        values = run + 1, program, t, p, x, 0.1, z, warm, load, 0.0, 0.0, -1.0
+        parts.append(pd.DataFrame(dict(zip(COLUMNS, values, strict=True))))
     return pd.concat(parts, ignore_index=True)
 
 
@@ -541,9 +523,8 @@ def test_one_command_goes_from_a_table_to_a_twin(folder, capsys, given, kept):
     assert "3 runs, 59.8 s, 20 Hz (semicolons, decimal commas)" in shown and "length 73 mm" in shown
     assert len(shown.split()) <= 80
     recording = Recording.load(f"{kept}.recording")
-    pd.testing.assert_frame_equal(
-        recording.samples[list(COLUMNS)], bench()[list(COLUMNS)], check_dtype=False, rtol=0, atol=1e-12
-    )
+    stored, own = recording.samples[list(COLUMNS)], bench()[list(COLUMNS)]
+    pd.testing.assert_frame_equal(stored, own, check_dtype=False, rtol=0, atol=1e-12)
     _dispatch(["compare", "--twin=twin", f"--recording={given}"])
     assert "Lauf" not in capsys.readouterr().out  # shown once
     _dispatch(["check", given])
@@ -553,9 +534,8 @@ def test_one_command_goes_from_a_table_to_a_twin(folder, capsys, given, kept):
 def test_a_changed_table_is_converted_again_by_its_mapping(folder, capsys):
     _dispatch(["convert", "lab.csv", "--yes"])
     meta = json.loads((folder / "lab.recording" / "recording.json").read_text())
-    (folder / "lab.recording" / "recording.json").write_text(
-        json.dumps(meta | {"noise": {}, "notes": "mine"})
-    )
+    mine = json.dumps(meta | {"noise": {}, "notes": "mine"})
+    (folder / "lab.recording" / "recording.json").write_text(mine)
     lines = (folder / "lab.csv").read_text().splitlines()
     (folder / "lab.csv").write_text("\n".join(lines[:-10]) + "\n")
     capsys.readouterr()

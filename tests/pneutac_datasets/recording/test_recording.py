@@ -21,18 +21,11 @@ def table(n=400, trials=4):
     m = n // trials
     p = np.tile(40 * (1 - np.abs(np.linspace(-1, 1, m))), trials)
     bend = 0.02 * p
-    return pd.DataFrame(
-        {
-            "trial": np.repeat(np.arange(trials), m),
-            "program": np.repeat([f"program_{i % 2}" for i in range(trials)], m),
-            "time_s": np.tile(np.arange(m) / 20, trials),
-            "pressure_cmd_kpa": p,
-            "tip_x_mm": 110 * np.sinc(bend / np.pi),
-            "tip_y_mm": 0.0,
-            "tip_z_mm": 55 * bend,
-            "temperature_c": 21.0,
-        }
-    )
+    s = {"trial": np.repeat(np.arange(trials), m)}
+    s |= {"program": np.repeat([f"program_{i % 2}" for i in range(trials)], m)}
+    s |= {"time_s": np.tile(np.arange(m) / 20, trials), "pressure_cmd_kpa": p}
+    s |= {"tip_x_mm": 110 * np.sinc(bend / np.pi), "tip_y_mm": 0.0, "tip_z_mm": 55 * bend}
+    return pd.DataFrame(s | {"temperature_c": 21.0})
 
 
 def write(folder, samples=None, **meta):
@@ -242,11 +235,8 @@ def test_poor_data_loads_with_a_warning(tmp_path, change, message):
 
 
 def test_starts_and_times_sent_survive_a_round_trip_and_the_loss_of_trials(tmp_path):
-    started = {
-        "0": {"start": "rested"},
-        "2": {"start": "continues", "pause_s": 12},
-        "3": {"start": "continues"},
-    }
+    started = {"0": {"start": "rested"}, "2": {"start": "continues", "pause_s": 12}}
+    started |= {"3": {"start": "continues"}}
     held = table().assign(pressure_cmd_kpa=lambda s: np.repeat(s.pressure_cmd_kpa[::10], 10).to_numpy())
     first = np.repeat(held.time_s[::10] - 0.01, 10).to_numpy()  # a command stands for ten rows
     r = Recording.load(write(tmp_path / "r", held.assign(time_sent_s=first), trials=started))
