@@ -33,6 +33,14 @@ def until(world, seed, reached) -> np.ndarray:
     return action
 
 
+def press_bar(world, away_m) -> int:
+    """Sets the switch's bar this far from the gel, along its normal, and feels it; returns the bar's geom."""
+    site, bar = world.data.site("gel"), world.model.geom("bar").id
+    world.data.geom_xpos[bar] = site.xpos + away_m * site.xmat.reshape(3, 3)[:, 2]
+    world.touch.sense(world.data)
+    return bar
+
+
 def episode_of(seen, actions, fps=CONTROL_HZ) -> Episode:
     state, images = np.array([o.state for o in seen[:-1]], float), np.stack([o.tactile for o in seen[:-1]])
     return Episode(state, np.array(actions, float), images, "press", fps)

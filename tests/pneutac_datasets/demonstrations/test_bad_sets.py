@@ -53,18 +53,12 @@ def info(**changes):
 
 
 def feature(key, **changes):
+    """Changes a feature of `info.json`, or takes it away."""
+
     def damage(root):
         features = json.loads((root / "meta/info.json").read_text())["features"]
-        features[key] = features[key] | changes
-        info(features=features)(root)
-
-    return damage
-
-
-def without_feature(key):
-    def damage(root):
-        features = json.loads((root / "meta/info.json").read_text())["features"]
-        info(features={k: f for k, f in features.items() if k != key})(root)
+        there = features.pop(key)
+        info(features=features | ({key: there | changes} if changes else {}))(root)
 
     return damage
 
@@ -182,7 +176,7 @@ BAD = {
     "names null": (feature(STATE, names=None), "'observation.state' has the names None; write one list"),
     "channels first": (feature(TACTILE, shape=[3, 320, 240]), r"channels first; write \[320, 240, 3\]"),
     "other image size": (feature(TACTILE, shape=[480, 640, 3]), "those of the twin's sensor"),
-    "no touch": (without_feature(TACTILE), f"feature '{TACTILE}' is missing"),
+    "no touch": (feature(TACTILE), f"feature '{TACTILE}' is missing"),
     "a name less": (feature(STATE, names=STATE_NAMES[:-1]), "'observation.state' lacks 'pressure.pos'"),
     "shape of 19": (feature(STATE, shape=[19]), "20 names and the shape .19.; it must be .20."),
     "no tasks": (without("meta/tasks.parquet"), "tasks.parquet is missing"),
@@ -245,7 +239,8 @@ def test_check_says_what_the_verbs_refuse(tmp_path, bad):
     assert not any("cannot be read by LeRobot" in sentence for sentence in refused)
 
 
-REPAIRED = "5 episodes,episodes cut,no stats,stats without images,from_timestamp".split(",")
+REPAIRED = dict.fromkeys(("5 episodes", "episodes cut", "no stats", "stats without images"), "")
+REPAIRED |= {"from_timestamp": "did not fit the videos"}
 
 
 @pytest.mark.parametrize("bad", REPAIRED)
@@ -253,7 +248,8 @@ def test_repair_mends_what_check_sends_to_it(tmp_path, bad):
     root = copied(tmp_path)
     BAD[bad][0](root)
     assert "pneutac repair --dataset=" in " ".join(check_path(root).faults)
-    assert repair_dataset(root).frames == 110
+    repaired = repair_dataset(root)
+    assert repaired.frames == 110 and REPAIRED[bad] in " ".join(repaired.remarks)
     assert check_path(root).faults == []
 
 

@@ -209,16 +209,6 @@ def test_the_episode_that_was_being_written_is_left_out_with_its_pictures(tmp_pa
     assert not list((root / "images").glob("*/episode-*"))
 
 
-def test_times_that_do_not_fit_the_videos_are_counted_anew(finished):
-    file = finished / "meta/episodes/chunk-000/file-000.parquet"
-    table = pq.read_table(file).to_pandas()
-    table["videos/observation.images.tactile/from_timestamp"] += 0.0003
-    table.to_parquet(file)
-    repaired = repair_dataset(finished)
-    assert repaired.episodes == 2 and "did not fit the videos" in " ".join(repaired.remarks)
-    LeRobotDataset("local/demo", finished, video_backend="pyav")[9]
-
-
 @pytest.mark.parametrize("number", [errno.EROFS, errno.EACCES])
 def test_a_folder_that_cannot_be_written_is_one_sentence(torn, monkeypatch, number):
     def refuse(*args, **options):

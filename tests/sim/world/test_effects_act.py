@@ -10,6 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 from installed import packages
+from played import press_bar
 
 from pneutac_sim.effects import body_effects, get_effect
 from pneutac_sim.effects.registry import all_effects, sensor_effects
@@ -237,11 +238,7 @@ def check_image(name: str, shows: bool = True) -> tuple[World, int]:
     with_it.into_twin(twin)
     world = World("switch", twin, touch="image")
     world.reset(0)
-    site = world.model.site("gel").id
-    normal = world.data.site_xmat[site].reshape(3, 3)[:, 2]
-    bar = world.model.geom("bar").id
-    world.data.geom_xpos[bar] = world.data.site_xpos[site] + 0.0057 * normal
-    world.touch.sense(world.data)
+    bar = press_bar(world, 0.0057)
     depth = world.touch.depth_mm
     assert 0.5 < depth.max() < 1.5
     own, bare = (TactileSensor(g).image(depth).astype(int) for g in (with_it, without))

@@ -5,6 +5,7 @@ from functools import partial
 import numpy as np
 import pytest
 import trimesh
+from played import press_bar
 from scipy.spatial.transform import Rotation
 
 from pneutac_sim.errors import InputError
@@ -120,11 +121,7 @@ def test_a_gel_that_is_pressed_deeper_than_in_training_is_counted():
     world.reset(0)
     world.step(PUSH)
     assert world.out_of_range == 0 and world.touch.in_range
-    gel = world.data.site_xpos[world.model.site("gel").id]
-    normal = world.data.site_xmat[world.model.site("gel").id].reshape(3, 3)[:, 2]
-    bar = world.model.geom("bar").id
-    world.data.geom_xpos[bar] = gel + 0.004 * normal  # a bar of 6.5 mm radius: 2.5 mm deep
-    world.touch.sense(world.data)
+    press_bar(world, 0.004)  # a bar of 6.5 mm radius: 2.5 mm deep
     assert not world.touch.in_range and np.isfinite(world.touch.area) and world.touch.area > 0
 
 

@@ -81,7 +81,6 @@ def test_simulated_flange_follows_the_commanded_velocity(axis):
 
 UR5_A, UR5_D = (0.0, -0.425, -0.39225, 0.0, 0.0, 0.0), (0.089159, 0.0, 0.0, 0.10915, 0.09465, 0.0823)
 UR5_ALPHA = np.pi / 2 * np.array([1, 0, 0, 1, -1, 0])
-UR5 = ARMS["ur5"][0]
 
 
 def ur5_pose(q):
@@ -196,27 +195,6 @@ def test_an_mjcf_without_its_meshes_is_an_arm_too(tmp_path):
         f"<mujoco><default><default class='arm'/></default><asset><material name='arm'/>"
         f"<material name='arm_dark'/></asset><worldbody>{arm.body()}</worldbody></mujoco>"
     ).nq == 5  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("arm: ur6", "arm is 'ur6'; give panda, ur5, so101, or a mapping with exactly urdf, flange"),
-        ("arm: {urdf: ur5.urdf, flange: tool1, home_rad: [0]}", "no link 'tool1'; it has base, shoulder"),
-        ("arm: {urdf: ur5.urdf, flange: tool0, home_rad: [0]}", "6 joints .* home_rad has 1 angles"),
-        ("arm: {urdf: ur5.urdf, flange: tool0, home_rad: [0, 0, 0, 0, 0, 0]}", "points along .* points down"),
-        ("arm: {urdf: broken.urdf, flange: tool0, home_rad: [0]}", "no URDF or MJCF that MuJoCo reads"),
-        ("arm: {urdf: slide.urdf, flange: tool0, home_rad: [0]}", "joint 'elbow' .* is no hinge"),
-    ],
-)
-def test_a_bad_arm_is_one_sentence(tmp_path, text, says):
-    ur5 = open(UR5.urdf).read()
-    (tmp_path / "ur5.urdf").write_text(ur5)
-    (tmp_path / "broken.urdf").write_text("<robot")
-    (tmp_path / "slide.urdf").write_text(ur5.replace('"elbow" type="revolute"', '"elbow" type="prismatic"'))
-    (tmp_path / "station.yaml").write_text(f"format: pneutac-station/1\n{text}\n")
-    with pytest.raises(InputError, match=says):
-        Station.load(tmp_path / "station.yaml").make_arm()
 
 
 def test_an_arm_that_cannot_reach_the_task_says_so():

@@ -3,13 +3,17 @@
 Splats where people look: the touch by the gel's, the finger by the twin's over MuJoCo's scene.
 """
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from played import press_bar
 
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm.solid import bending_body
 from pneutac_sim.splat.body import blank_looks, looks_into_twin
 from pneutac_sim.twin import Twin
+from pneutac_sim.world.arms import ARMS
 from pneutac_sim.world.splats import SplatFinger, camera_of
 from pneutac_sim.world.station import Station, station_faults
 from pneutac_sim.world.view import Renderer, require_gl
@@ -61,11 +65,21 @@ def test_a_longer_mount_keeps_the_gel_where_it_was_and_the_box_holds_the_flange(
         ("base_m: {1: x, 2: y, 3: z}", "base_m is .* three finite numbers"),
         ("arm: {urdf: a, flange: b, home_rad: '0000'}", "arm.home_rad is '0000'; give a finite angle"),
         ("workspace_low_m: [0.7, -0.1, 0.2]", "each number of the first must be below"),
+        ("arm: ur6", "arm is 'ur6'; give panda, ur5, so101, or a mapping with exactly urdf, flange"),
+        ("arm: {urdf: ur5.urdf, flange: tool1, home_rad: [0]}", "no link 'tool1'; it has base, shoulder"),
+        ("arm: {urdf: ur5.urdf, flange: tool0, home_rad: [0]}", "6 joints .* home_rad has 1 angles"),
+        ("arm: {urdf: ur5.urdf, flange: tool0, home_rad: [0, 0, 0, 0, 0, 0]}", "points along .* points down"),
+        ("arm: {urdf: broken.urdf, flange: tool0, home_rad: [0]}", "no URDF or MJCF that MuJoCo reads"),
+        ("arm: {urdf: slide.urdf, flange: tool0, home_rad: [0]}", "joint 'elbow' .* is no hinge"),
     ],
 )
-def test_a_bad_station_is_one_sentence(tmp_path, text, says):
-    with pytest.raises(InputError, match=f"station.yaml: .*{says}"):
-        Station.load(written(tmp_path, text))
+def test_a_bad_station_or_arm_is_one_sentence(tmp_path, text, says):
+    ur5 = Path(ARMS["ur5"][0].urdf).read_text()
+    (tmp_path / "ur5.urdf").write_text(ur5)
+    (tmp_path / "broken.urdf").write_text("<robot")
+    (tmp_path / "slide.urdf").write_text(ur5.replace('"elbow" type="revolute"', '"elbow" type="prismatic"'))
+    with pytest.raises(InputError, match=rf"(station.yaml: |\w+.urdf).*{says}"):
+        Station.load(written(tmp_path, text)).make_arm()
 
 
 def test_another_format_or_no_file_is_named(tmp_path):
@@ -114,10 +128,7 @@ def worlds():
 def test_both_ways_show_the_same_touch(worlds, away):
     images = []
     for world in worlds:
-        site = world.model.site("gel").id
-        normal = world.data.site_xmat[site].reshape(3, 3)[:, 2]
-        world.data.geom_xpos[world.model.geom("bar").id] = world.data.site_xpos[site] + away * normal
-        world.touch.sense(world.data)
+        press_bar(world, away)
         images.append(world.touch.image.astype(float))
     assert worlds[0].touch.depth_mm.max() > 0.2
     contrast = np.sqrt(np.mean((images[0] - worlds[0].sensor.rest_image) ** 2))
