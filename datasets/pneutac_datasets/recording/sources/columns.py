@@ -48,9 +48,10 @@ POSES = "length", "angle"  # dimensions of what one tracker writes, in one unit
 NO_CM = 30.0  # from there on a tip is not in cm: soft fingers are 40 to 250 mm long
 FIRST_DAY = 2e4  # 1954 in the days that spreadsheets count since 1900; MATLAB counts 7e5
 NEAR_AMBIENT_KPA = 85.0, 110.0  # of the air, from 1,500 m above the sea
+FLOAT = r"(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?"
 PARTS = re.compile(
-    r"(?P<column>[^\[*]*?)\s*(\[(?P<unit>[^\]]*)\])?\s*(\*\s*(?P<factor>[-+\d.eE]+))?\s*"
-    r"((?P<sign>[+-])\s*(?P<shift>[\d.eE+-]+))?"
+    rf"(?P<column>[^\[*]+?)\s*(\[(?P<unit>[^\]]*)\])?\s*(\*\s*(?P<factor>[-+]?{FLOAT}))?\s*"
+    rf"((?P<sign>[+-])\s*(?P<shift>{FLOAT}))?"
 )
 EXAMPLES = {
     "pressure": "kPa, bar, mbar, hPa, psi, Pa or MPa, each with abs where it counts from a vacuum",
@@ -102,17 +103,13 @@ class Column:
             return cls(name, name, retained=True)
         if text == LEAVE_OUT:
             return cls(name, LEAVE_OUT)
-        try:
-            found = PARTS.fullmatch(text)
-            if not found or not found["column"]:
-                raise ValueError("no column")
-            factor = float(found["factor"] or 1)
-            shift = float((found["sign"] or "") + (found["shift"] or "0"))
-        except ValueError as e:
+        found = PARTS.fullmatch(text)
+        if not found:
             raise InputError(
                 f"columns: {shown(name)} is {shown(text)}; write COLUMN, COLUMN [UNIT] or COLUMN [UNIT] *"
                 " FACTOR + SHIFT, such as 'pressure_cmd_kpa [bar]'."
-            ) from e
+            )
+        factor, shift = float(found["factor"] or 1), float((found["sign"] or "") + (found["shift"] or "0"))
         column, unit = found["column"], None
         near = [t for t in TARGETS if t.startswith(f"{column}_")]
         near += difflib.get_close_matches(column, TARGETS, n=1, cutoff=0.85)
