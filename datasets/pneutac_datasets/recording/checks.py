@@ -355,10 +355,9 @@ def misplaced_tip(recording: Recording) -> Iterator[Finding]:
         remedy = " and ".join(f"{which} can only be in {unit}" for which, unit, _ in units)
         remedy += f"; multiply by {' and '.join(f'{k:g}' for *_, k in units)}"
         readings.append((_off_path(kx * x, kz * aside), remedy, max(kx, kz)))
-    remedy = f"x is counted from the tip at rest; add {length:g} to tip_x_mm"
-    readings.append((_off_path(x + 1, aside), remedy, 1))
-    remedy = "x points from the tip to the base; change the sign of tip_x_mm"
-    readings.append((_off_path(-x, aside), remedy, -1))
+    from_tip = f"x is counted from the tip at rest; add {length:g} to tip_x_mm"
+    to_base = "x points from the tip to the base; change the sign of tip_x_mm"
+    readings += (_off_path(x + 1, aside), from_tip, 1), (_off_path(-x, aside), to_base, -1)
     scales = [s for s in np.geomspace(1 / 6, 6, 91) if not 1 / OTHER_LENGTH < s < OTHER_LENGTH]
     best = min(scales, key=lambda s: _off_path(s * x, s * aside))
     remedy = f"it fits a device of {length / best:.3g} mm; correct length_mm, or the scale of the tip"

@@ -595,7 +595,7 @@ def test_a_recording_in_other_axes_is_refused_until_the_command_has_turned_it(fo
         with pytest.raises((SystemExit, InputError)) as refused:
             refuses()
     command = re.search("`pneutac (.*?)`", str(refused.value))[1]
-    assert command == "convert flat/samples.csv --base_z=y --length_mm=73.0 --out=flat_turned"
+    assert command == "convert flat/samples.csv --base_z=y --length_mm=73 --out=flat_turned"
     _dispatch(shlex.split(command))
     refuse_other_axes(Recording.load("flat_turned"))
     assert Recording.load("flat_turned").length_mm == 73.0

@@ -107,19 +107,18 @@ def units_of(choice):
     return units | dict.fromkeys(("tip_y_mm", "tip_z_mm"), units["tip_x_mm"])
 
 
+LANGUAGES = zip(UNITS, [GERMAN, ENGLISH, SHORT, COMPOUND, GERMAN, ENGLISH], strict=True)
+PATTERNS = "{} ({})", "{}_{}", "{} in {}", "{}, {}"
+
+
 @pytest.mark.parametrize(
-    ("choice", "names"), [*zip(UNITS, [GERMAN, ENGLISH, SHORT, COMPOUND, GERMAN, ENGLISH], strict=True)]
+    ("choice", "names", "pattern"),
+    [*((*x, "{} [{}]") for x in LANGUAGES), *((UNITS[1], GERMAN, p) for p in PATTERNS)],
 )
-def test_units_in_brackets_come_back_as_the_recordings(reads, choice, names):
-    found = reads(lab(names, units_of(choice)))
+def test_units_behind_the_name_come_back_as_the_recordings(reads, choice, names, pattern):
+    found = reads(lab(names, units_of(choice), pattern), ";")
     assert found.faults == [] and found.length_mm == LENGTH
     same(found.recording, TRUTH)
-
-
-@pytest.mark.parametrize("pattern", ["{} ({})", "{}_{}", "{} in {}", "{}, {}"])
-def test_units_stand_behind_the_name_in_many_ways(reads, pattern):
-    units = units_of(("mbar", "cm", "deg", "ms", "kg", "K"))
-    same(reads(lab(GERMAN, units, pattern), ";").recording, TRUTH)
 
 
 ENCODINGS = ("utf-8", "utf-8-sig", "cp1252", "utf-16")
@@ -346,17 +345,7 @@ P = "pressure_cmd_kpa"
             lambda t: t.drop(columns="temperature_c").assign(**{"Temp A": 20.0, "Temp B": 21.0}),
             "'Temp A' and 'Temp B' could each be temperature_c",
         ),
-    ],
-)
-def test_what_is_open_is_asked_in_one_sentence(reads, change, says):
-    with pytest.raises(InputError, match=says) as e:
-        reads(change(TRUTH.drop(columns=["bend_angle_rad", "pressure_kpa"])))
-    assert "\n" not in str(e.value) and "lab.csv" in str(e.value)
-
-
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
+        # a misspelt column is named where it is missing
         (renamed("presure_kpa", P), r"'presure_kpa' may be it.*'presure_kpa: pressure_cmd_kpa \[kpa\]'"),
         (renamed("pressure_comand_psi", P), r"'pressure_comand_psi: pressure_cmd_kpa \[psi\]'"),
         (renamed("pression (kPa)", P), r"'pression \(kPa\): pressure_cmd_kpa \[kPa\]'"),
@@ -379,9 +368,10 @@ def test_what_is_open_is_asked_in_one_sentence(reads, change, says):
         ),
     ],
 )
-def test_a_misspelt_column_is_named_where_it_is_missing(reads, change, says):
-    with pytest.raises(InputError, match=says):
+def test_what_is_open_is_asked_in_one_sentence(reads, change, says):
+    with pytest.raises(InputError, match=says) as e:
         reads(change(TRUTH.drop(columns=["bend_angle_rad", "pressure_kpa"])))
+    assert "\n" not in str(e.value) and "lab.csv" in str(e.value)
 
 
 @pytest.mark.parametrize("answer", ["presure_cmd_kpa", "pressure_cmd", "presure_cmd_kpa [bar]"])

@@ -670,8 +670,7 @@ def refuse_other_axes(recording: Recording) -> None:
         more, ways = ["--replace"], (turned.base_x, turned.base_z)
     else:
         command, more, ways = ["pneutac", "convert", str(table)], [f"--out={folder}_turned"], axes
-    named = {"base_x": ways[0], "base_z": ways[1], "length_mm": recording.meta.get("length_mm")}
-    command += [f"--{k}={v}" for k, v in named.items() if v and v != getattr(Given, k)]
+    command += Given(base_x=ways[0], base_z=ways[1], length_mm=recording.length_mm).options()
     raise InputError(_turn_by(str(folder), axes, [*command, *more], axes[0] != "x"))
 
 
