@@ -1,6 +1,6 @@
 """Demonstrations in memory: a LeRobotDataset's episodes as arrays, and back."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +9,9 @@ from types import MappingProxyType
 
 import numpy as np
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
+from lerobot.datasets.video_utils import decode_video_frames
 from lerobot.utils.constants import ACTION, DEFAULT_FEATURES, OBS_STATE, OBS_STR
+from torch import Tensor
 
 from pneutac_datasets.demonstrations.faults import FURTHER, TACTILE, feature_faults
 from pneutac_sim.errors import InputError
@@ -24,6 +26,7 @@ from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.world.task_env import points_info
 
 POINTS = f"{OBS_STR}.{POINTS_KEY}"  # touch as data
+DECODED_AT_ONCE = 200  # images of a video, which take 50 MB
 
 
 @dataclass
@@ -154,16 +157,28 @@ def readable(folder: str | Path) -> Iterator[None]:
 
 
 def load_episode(dataset: LeRobotDataset, index: int) -> Episode:
-    """Reads an episode whole; raises InputError where it has one frame only."""
+    """Reads an episode whole; raises InputError where it has one frame only, NaN or infinity."""
     row = dataset.meta.episodes[index]
-    frames = [dataset[i] for i in range(row["dataset_from_index"], row["dataset_to_index"])]
-    if len(frames) < 2:
+    begin, end = row["dataset_from_index"], row["dataset_to_index"]
+    if end - begin < 2:
         raise InputError(f"Dataset '{dataset.repo_id}': episode {index} has one frame only; delete it.")
-    images = np.stack([_as_uint8(f[TACTILE]) for f in frames])
-    state, action = (np.stack([f[k].numpy() for f in frames]).astype(float) for k in (OBS_STATE, ACTION))
+    frames = dataset.hf_dataset[begin:end]
+    state, action = (np.stack(frames[k]).astype(float) for k in (OBS_STATE, ACTION))
     if not (np.isfinite(state).all() and np.isfinite(action).all()):
         raise InputError(f"Dataset '{dataset.repo_id}': episode {index} holds NaN or infinity; delete it.")
-    return Episode(state, action, images, frames[0]["task"], dataset.meta.fps)
+    images = frames[TACTILE] if TACTILE in frames else _decoded(dataset, index, frames["timestamp"])
+    images = np.stack([_as_uint8(image) for image in images])
+    task = dataset.meta.tasks.iloc[int(frames["task_index"][0])].name
+    return Episode(state, action, images, task, dataset.meta.fps)
+
+
+def _decoded(dataset: LeRobotDataset, index: int, times_s: Sequence) -> Iterator[Tensor]:
+    """The images (3, H, W) of an episode's video; one by one each would be decoded from a key frame on."""
+    row, path = dataset.meta.episodes[index], dataset.root / dataset.meta.get_video_file_path(index, TACTILE)
+    times_s = [row[f"videos/{TACTILE}/from_timestamp"] + float(t) for t in times_s]
+    for first in range(0, len(times_s), DECODED_AT_ONCE):
+        part = times_s[first : first + DECODED_AT_ONCE]
+        yield from decode_video_frames(path, part, dataset.tolerance_s, "pyav", return_uint8=True)
 
 
 def _as_uint8(image) -> np.ndarray:

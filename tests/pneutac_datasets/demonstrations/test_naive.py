@@ -5,7 +5,7 @@ from demonstration_sets import write_episodes
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata, merge_datasets
 from lerobot.utils.constants import OBS_STATE
 
-from pneutac_datasets.demonstrations import naive
+from pneutac_datasets.demonstrations import episodes, naive
 from pneutac_datasets.demonstrations.episodes import Episode
 from pneutac_datasets.demonstrations.faults import Recorded
 from pneutac_datasets.demonstrations.naive import augment_naive, vary
@@ -49,10 +49,10 @@ def demonstration(speed=0.03, length=40, contact=(20, 30)) -> Episode:
 @pytest.fixture(scope="module")
 def source(tmp_path_factory):
     root = tmp_path_factory.mktemp("naive") / "source"
-    episodes = (demonstration(speed) for speed in (0.03, 0.05))
+    moves = map(demonstration, (0.03, 0.05))
     return write_episodes(
         root,
-        [zip(e.state, e.action, e.images, strict=True) for e in episodes],
+        [zip(e.state, e.action, e.images, strict=True) for e in moves],
         fps=FPS,
         task="push",
         video=True,
@@ -84,6 +84,16 @@ def test_features_stay_and_datasets_merge(source, tmp_path):
     assert merged.num_episodes == 5
     assert merged.num_frames == old.total_frames + new.total_frames
     assert merged[merged.num_frames - 1]["task"] == "push"
+
+
+def test_an_episode_of_a_video_is_as_its_frames_one_by_one(source, monkeypatch):
+    monkeypatch.setattr(episodes, "DECODED_AT_ONCE", 7)  # several parts, the last one shorter
+    dataset = LeRobotDataset("local/source", source, return_uint8=True)
+    rows = range(dataset.meta.episodes[1]["dataset_from_index"], dataset.num_frames)
+    images = [dataset[i][episodes.TACTILE].numpy().transpose(1, 2, 0) for i in rows]
+    read = episodes.load_episode(dataset, 1)
+    np.testing.assert_array_equal(read.images, images)
+    assert len(read) == 40 and np.ptp(read.images[:, 150, 120, 0].astype(int)) > 20
 
 
 @pytest.mark.slow
