@@ -56,7 +56,8 @@ class Evidence:
     cancelling: list[str] = field(default_factory=list)
     near_miss: list[str] = field(default_factory=list)  # effects that helped, but not significantly
     left_to_black_box: float = 0.0  # share of what is left that a black box removes
-    forward: bool = True  # whether it holds for the later part when fitted to the earlier one
+    # whether at least half of the fall of the error stays in the later part, fitted to the earlier one
+    forward: bool = True
     # 95 % interval of `after`, by resampling the blocks of the test part
     interval: tuple[float, float] | None = None
     # error over noise of the later part, of the model fitted to the earlier part; None where there is no
@@ -119,11 +120,11 @@ class Evidence:
         if self.noise_known and self.after is not None and self.after > T.CLOSE:
             out.append(f"the error stays at {self.after:.2g} times the noise")
         if not self.noise_known and self.unfinished:
-            out.append("the noise is not known")
+            out.append("the noise was not measured")
         if self.unfinished:
             out.append(f"a black box still removes {100 * self.left_to_black_box:.0f} % of what is left")
         if not self.forward:
-            out.append("fitted to the earlier part, it does not hold in the later one")
+            out.append("fitted to the earlier part, less than half of its improvement stays in the later one")
         if self.agreed < T.AGREED:
             out.append(f"only {100 * self.agreed:.0f} % of the splits chose it")
         if self.at_bound:

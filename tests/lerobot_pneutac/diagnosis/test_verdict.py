@@ -80,9 +80,12 @@ def test_too_few_samples_or_pieces_of_time_are_no_base_for_a_claim(given, few):
         ({"after": 1.4, "left_to_black_box": 0.4}, ["a black box still removes 40 % of what is left"]),
         (
             {"noise_known": False, "after": 9.0, "left_to_black_box": 0.4},
-            ["the noise is not known", "a black box still removes 40 % of what is left"],
+            ["the noise was not measured", "a black box still removes 40 % of what is left"],
         ),
-        ({"forward": False}, ["fitted to the earlier part, it does not hold in the later one"]),
+        (
+            {"forward": False},
+            ["fitted to the earlier part, less than half of its improvement stays in the later one"],
+        ),
         ({"agreed": 2 / 7}, ["only 29 % of the splits chose it"]),
         ({"at_bound": ["a.b", "c.d"]}, ["b of a, d of c stopped at a bound"]),
         (

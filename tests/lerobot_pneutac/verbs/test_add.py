@@ -53,7 +53,7 @@ def test_what_speaks_against_a_diagnosis_is_told_where_its_finding_is_added(pair
     named = add(twin, recording, "creep")
     twin.save(tmp_path / BEFORE)
     named.twin.save(tmp_path / FOUND)
-    objection = "fitted to the earlier part, it does not hold in the later one"
+    objection = "fitted to the earlier part, less than half of its improvement stays in the later one"
     told = {"verdict": "insufficient_form", "rows": len(recording), "seed": 0, "selected": ["creep"]}
     (tmp_path / "result.json").write_text(json.dumps(told | {"objections": [objection]}))
     added = add(twin, recording, tmp_path)
