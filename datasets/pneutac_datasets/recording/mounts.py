@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from pneutac_datasets.recording.noise import headline, regress, static_columns
@@ -27,6 +28,7 @@ LEFT = 0.5  # of the error, which a motion may leave
 LEFT_OF_MEMORY = 0.7  # of the error that memory leaves
 PIECES, FINE = 8, 64  # of a trial's rows: for its halves and the bootstrap, and to deal into two folds
 DRAWS, SIGNIFICANCE = 400, 0.01
+EQUAL = 0.05  # of the largest pressure: pressures that differ by less are compared
 LEAST_ROWS = 64  # of a trial, to place it by a model
 MOST_ROWS = 2000  # to fit memory by
 CONDITIONS = dict.fromkeys(GRAVITY, 0.1) | {"temperature_c": 2.0, "payload_g": 0.1}
@@ -246,13 +248,14 @@ class Bench:
         return ((y - goal) ** 2).sum(1), moved_error(y, goal, late, self._turns)
 
     def _compared(self, first: list[int], session: list[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rows of both, the session's within the pressures of the first, and where the first would be there.
+        """Rows of both, the session's at pressures of the first, and where the first would be there.
 
+        Few holds of several pressures leave most of the range between them open, where the map is anything.
         None of the session's where there are too few to compare.
         """
         there, here = (np.flatnonzero(np.isin(self._trial, t) & self._train) for t in (first, session))
-        low, high = (f(self._p[there], axis=0, initial=w) for f, w in ((np.min, np.inf), (np.max, -np.inf)))
-        here = here[((self._p[here] >= low) & (self._p[here] <= high)).all(1)]
+        seen = KDTree(np.unique(self._p[there], axis=0))
+        here = here[seen.query(self._p[here], p=np.inf)[0] <= EQUAL]
         if min(len(here), len(there)) < 3 * self._static.shape[1]:
             return there, here[:0], self._y[:0]
         return there, here, self._static[here] @ regress(self._static[there], self._y[there])

@@ -6,9 +6,12 @@ from generated import once
 from scipy import signal
 from scipy.spatial.transform import Rotation
 
+from lerobot_pneutac.diagnosis.parts import deal
 from pneutac_datasets.generate.finger import generate
 from pneutac_datasets.recording.mounts import align_mounts, moved, remounted
 from pneutac_datasets.recording.recording import Recording
+from pneutac_truths import generate as truth
+from pneutac_truths import write
 
 TIP = ["tip_x_mm", "tip_y_mm", "tip_z_mm"]
 AGAIN = (3, 4, 5)  # trials of six after the device was taken off and put back
@@ -172,3 +175,9 @@ def test_a_neighbour_that_was_never_driven_before_may_be_the_cause(plain):
     s = put_back(r, MOVES["shifted"]).samples
     s["segment2_cmd_1_kpa"] = np.where(s["trial"] >= 3, 20.0, 0.0)
     assert align_mounts(with_samples(r, s), r.length_mm)[1] == []
+
+
+def test_few_holds_of_three_chambers_say_nothing_of_other_pressures(tmp_path):
+    plain = Recording.load(write(truth("arm", [], 12409, minutes=6.0), tmp_path / "arm"))
+    train = deal(plain, 12409).train  # leaves eighteen of the holds of the first trial
+    assert align_mounts(plain, plain.length_mm, train)[1] == []
