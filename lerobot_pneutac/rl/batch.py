@@ -23,9 +23,10 @@ def _pool(depth_mm: torch.Tensor) -> torch.Tensor:
 class BatchedPpoEnv(VecEnv):
     """N worlds with the observations, actions and rewards of `PpoEnv`, whose options it takes.
 
-    After `seed(s)` and `reset` world i begins where `PpoEnv.reset(seed=s + i)` does. Slides stand for the
-    arm, whose joints are those of its inverse kinematics. The worlds' device is `cpu` or `cuda`, their task
-    `switch`, `egg` or `card`.
+    After `seed(s)` and `reset` world i begins where `PpoEnv.reset(seed=s + i)` does; its first episode ends
+    after a random part of the time, so that later the worlds are at different moments of their episodes and
+    an update sees all of these. Slides stand for the arm, whose joints are those of its inverse kinematics.
+    The worlds' device is `cpu` or `cuda`, their task `switch`, `egg` or `card`.
 
     Raises InputError: as `PpoEnv` and `BatchedWorld`.
     """
@@ -51,6 +52,7 @@ class BatchedPpoEnv(VecEnv):
         self._previous, self._done = np.zeros((N, len(ACTION_NAMES))), np.zeros(N, int)
         self._start, self._progress = np.arange(N), np.zeros(N)
         self._begin(np.arange(N))
+        self._done = self._draws.integers(self.one.length, size=N)
         self._reset_seeds()
         return self._observe()
 

@@ -12,7 +12,7 @@ from pneutac_sim.twin import Twin
 from pneutac_sim.world.checks import check_world
 from pneutac_sim.world.station import Station
 
-BATCH = 1024  # worlds of a batch
+BATCH = 256  # worlds of a batch
 
 
 @dataclass
@@ -50,7 +50,7 @@ class PpoConfig:
     station: Path | None = None  # file `station.yaml` of arm, workspace and mount; if omitted, the paper's
     steps: int = 500_000  # control steps of training, of all worlds; with more than before it goes on
     seed: int = 0  # seed of networks and starts
-    envs: int | None = None  # number of worlds; if omitted, two a core, at least 8, or 1024 in a batch
+    envs: int | None = None  # number of worlds; if omitted, two a core, at least 8, or 256 in a batch
     parallel: bool | None = None  # a process for each world; if omitted, on more than two cores
     device: str = "cpu"  # of the networks and of a batch, `cpu` or `cuda`
     # whether the worlds are stepped together by MuJoCo Warp, for switch, egg and card; if omitted, on `cuda`

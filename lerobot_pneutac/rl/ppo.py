@@ -38,7 +38,7 @@ from pneutac_sim.world.station import Station
 
 CHECKPOINT, CURVE = "checkpoint.safetensors", "curve.json"
 WINDOW = 100  # episodes of which the curve has the mean, at least
-LEAST_STEPS = 16  # of each world between two updates, a second, so that what an action earns is in them
+LEAST_STEPS = 64  # of each world between two updates: with 16 the card was not learned
 
 
 class Keeper(BaseCallback):
