@@ -286,7 +286,7 @@ def compare_body(twin: Twin, recording: Recording) -> BodyComparison:
     clean, moved = align_mounts(clean, twin.length_mm, reference_rows)
     prediction = simulate(twin, read(clean, twin))
     findings += moved
-    findings += [f"Effect '{name}' could not act: {why}." for name, why in prediction.left_out.items()]
+    findings += [f"Effect '{name}' {why}." for name, why in prediction.left_out.items()]
     bench = prediction.data
     outside, range_finding = out_of_range(twin, bench)
     noise, pressure = noise_floor(clean), None

@@ -44,6 +44,9 @@ SIGNALS = {
 kernel = njit(cache=True, error_model="numpy", nogil=True)
 
 
+REFERENCE_C = 23.0  # temperature of the laws, and of a recording without one
+
+
 @dataclass(frozen=True, kw_only=True)
 class BodyEffect(Effect):
     """One mechanism of a finger or an arm."""
@@ -65,6 +68,8 @@ class BodyEffect(Effect):
     # channel
     apart: bool = False
     several: bool = False  # whether it does something only where there are several chambers
+    # whether it acts where no temperature is recorded, as at `REFERENCE_C`
+    at_reference: bool = False
     linear: str = ""  # parameter in which what it adds to its signal is linear; empty where there is none
 
     def __post_init__(self):

@@ -27,10 +27,9 @@ from numba import njit
 
 from pneutac_sim.effects import air_resonance, gain_saturation, hysteresis, stiffening
 from pneutac_sim.effects.air_resonance import second_order
-from pneutac_sim.effects.body_effect import BodyEffect, kernel
+from pneutac_sim.effects.body_effect import REFERENCE_C, BodyEffect, kernel
 from pneutac_sim.effects.effect import Parameter, plain_equation
 
-REFERENCE_C = 23.0
 SLOTS = (
     16  # numbers that a channel remembers: whether it has begun, its pressure before, the memory's, its input
 )
@@ -650,6 +649,7 @@ class Law:
             run=partial(run_drive, **self.choices()),
             parameters=(weight, scale, *self.constants),
             columns=(self.column,) if self.column else (),
+            at_reference=self.column == "temperature_c",
             state_size=lambda channels: SLOTS * channels,
             apart=not several,
             several=several,

@@ -109,7 +109,7 @@ class Prediction:
     model: np.ndarray  # (n, D) predicted values of `data.columns`
     residual: np.ndarray  # (n, D) measured - model
     error: float  # root mean square Euclidean distance in `data.unit`
-    left_out: dict[str, str]  # effects of the twin that could not act, and why
+    left_out: dict[str, str]  # effects of the twin that could not act in full, and why
 
 
 def simulate(twin: Twin, recording, effects: Sequence[str] | None = None) -> Prediction:

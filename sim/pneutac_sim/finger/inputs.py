@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from pneutac_sim.effects.body_effect import REFERENCE_C
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CHAMBERS
 from pneutac_sim.finger.quantities import observations
@@ -196,9 +197,15 @@ class Inputs:
     def conditions(self, names: tuple[str, ...]) -> np.ndarray:
         """(m, k) condition columns in this order."""
         if names not in self._cache:
-            parts = [self.columns[name] for name in names]
+            parts = [self._condition(name) for name in names]
             self._cache[names] = np.stack(parts, axis=1) if parts else np.zeros((len(self.dt_s), 0))
         return self._cache[names]
+
+    def _condition(self, name: str) -> np.ndarray:
+        """(m,) of a column, or the laws' reference where no temperature was recorded."""
+        if name == "temperature_c" and name not in self.columns:
+            return np.full(len(self.dt_s), REFERENCE_C)
+        return self.columns[name]
 
     def conditions_with(
         self, more: dict[str, np.ndarray], at_samples: bool
@@ -208,7 +215,7 @@ class Inputs:
         def conditions(names: tuple[str, ...]) -> np.ndarray:
             if any(name in more for name in names):
                 rows = self.rows if at_samples else slice(None)
-                parts = [more[name] if name in more else self.columns[name][rows] for name in names]
+                parts = [more[name] if name in more else self._condition(name)[rows] for name in names]
                 return np.stack(parts, axis=1)
             if not at_samples:
                 return self.conditions(names)

@@ -316,3 +316,20 @@ def test_a_curl_is_shared_by_the_joints_and_has_no_stress(program, with_effects)
     creeping = [with_effects(t, {"creep": {}}) for t in (Twin.builtin(), curled)]
     (_, a), (_, b) = (simulate(t, inputs) for t in creeping)
     np.testing.assert_allclose(b.joints - a.joints, 0.8 / 4, atol=1e-12)
+
+
+def test_without_a_recorded_temperature_a_law_acts_as_at_its_reference(program):
+    """Creep that warmth speeds up is creep still, and not left out of what was fitted with it."""
+    table, name = dict(program(400)), "lag(p; time moves with dT)"
+    table["temperature_c"] = np.full(400, 23.0)
+    logged = Inputs.from_samples(table)
+    del table["temperature_c"]
+    unlogged = Inputs.from_samples(table)
+    twin = Twin.builtin()
+    (_, known), (model, assumed), (_, bare) = (
+        simulate(twin, inputs, effects)
+        for inputs, effects in ((logged, [name]), (unlogged, [name]), (unlogged, []))
+    )
+    np.testing.assert_array_equal(assumed.markers, known.markers)
+    assert np.abs(assumed.markers - bare.markers).max() > 0.01
+    assert model.left_out == {name: "acted as at 23 °C: the recording has no column temperature_c"}
