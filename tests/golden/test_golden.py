@@ -66,7 +66,7 @@ TOLERANCES = [
     ("*reduction*", 1e-3, 1e-3),  # shares of one, many of them next to nothing
     ("gel_diagnose:*parameters*", 1e-2, 1e-4),  # of effects that are not there: 3e-3 were seen
     ("*coverage", 0.0, 1e-2),  # a share of rows: two of 700 fell on the other side on another machine
-    ("finger_diagnose:*", 1e-2, 2e-3),  # a share of a sample, 0.6275 or 0.6405, from machine to machine
+    ("finger_diagnose:*", 3e-2, 2e-3),  # a share of a sample, 0.6275 or 0.6405, from machine to machine
     ("arm_diagnose:base_model*", 1e-3, 2e-5),  # kPa and rad of next to nothing: 7e-6 from machine to machine
     ("finger_compare_mpm:*", 3e-3, 1e-4),  # material points come to rest within a tolerance
     ("render_finger:*", 3e-3, 1e-2),
