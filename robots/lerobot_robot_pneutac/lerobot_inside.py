@@ -362,6 +362,7 @@ _OF_DATASETS = {
     "aggregate_stats": "compute_stats",
     "cast_stats_to_numpy": "io_utils",
     "compute_episode_stats": "compute_stats",
+    "decode_video_frames": "video_utils",
     "get_hf_features_from_features": "feature_utils",
     "get_video_info": "video_utils",
     "load_info": "io_utils",

@@ -9,10 +9,10 @@ from types import MappingProxyType
 
 import numpy as np
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
-from lerobot.datasets.video_utils import decode_video_frames
 from lerobot.utils.constants import ACTION, DEFAULT_FEATURES, OBS_STATE, OBS_STR
 from torch import Tensor
 
+from lerobot_robot_pneutac.lerobot_inside import decode_video_frames
 from pneutac_datasets.demonstrations.faults import FURTHER, TACTILE, feature_faults
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
