@@ -408,8 +408,7 @@ class Demo:
                 "lerobot-train", "--policy.type=pneutac_bc", "--policy.device=cpu",
                 f"--dataset.repo_id=local/{data.name}", f"--dataset.root={data}", f"--output_dir={out}",
                 f"--steps={cfg.steps}", f"--batch_size={cfg.batch_size}", f"--seed={cfg.seed}",
-                "--policy.previous_action_in_data=true", "--policy.optimizer_lr=1e-3", "--num_workers=1",
-                "--dataloader_multiprocessing_context=fork",
+                "--policy.previous_action_in_data=true", "--policy.optimizer_lr=1e-3", "--num_workers=0",
                 f"--log_freq={every}", "--save_freq=0", "--env_eval_freq=0", "--wandb.enable=false",
             ))  # fmt: skip
         self._together(*pools)
