@@ -28,6 +28,8 @@ from pneutac_datasets.recording.mounts import align_mounts
 from pneutac_datasets.recording.noise import NoiseFloor, noise_floor
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import plural
+from pneutac_sim.effects.body_effect import REFERENCE_C
+from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError, option
 from pneutac_sim.finger import BodyData, Pipeline, simulate
 from pneutac_sim.finger.confidence import Z95, independent
@@ -286,7 +288,11 @@ def compare_body(twin: Twin, recording: Recording) -> BodyComparison:
     clean, moved = align_mounts(clean, twin.length_mm, reference_rows)
     prediction = simulate(twin, read(clean, twin))
     findings += moved
-    findings += [f"Effect '{name}' {why}." for name, why in prediction.left_out.items()]
+    for name, why in prediction.left_out.items():
+        as_at = get_effect(name).at_reference and why.endswith("temperature_c")
+        findings.append(
+            f"Effect '{name}' {f'acted as at {REFERENCE_C:g} °C' if as_at else 'could not act'}: {why}."
+        )
     bench = prediction.data
     outside, range_finding = out_of_range(twin, bench)
     noise, pressure = noise_floor(clean), None

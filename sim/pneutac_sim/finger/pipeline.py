@@ -30,7 +30,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pneutac_sim.effects.body_effect import REFERENCE_C
 from pneutac_sim.effects.effect import Parameter
 from pneutac_sim.effects.registry import get_effect, in_order, of_body
 from pneutac_sim.errors import InputError, unknown_names
@@ -109,14 +108,13 @@ class Pipeline:
             missing = [c for c in e.columns if columns is not None and c not in (*columns, BENDING_PRESSURE)]
             as_at = e.at_reference and missing == ["temperature_c"]
             if missing:
-                how = f"acted as at {REFERENCE_C:g} °C" if as_at else "could not act"
-                self.left_out[e.name] = f"{how}: the recording has no column {', '.join(missing)}"
+                self.left_out[e.name] = f"the recording has no column {', '.join(missing)}"
             if missing and not as_at:
                 continue
             if e.several and geometry.chambers == 1:
-                self.left_out[e.name] = "could not act: the device has one chamber"
+                self.left_out[e.name] = "the device has one chamber"
             elif measured and e.of_air:
-                self.left_out[e.name] = "could not act: the measured pressure is the input"
+                self.left_out[e.name] = "the measured pressure is the input"
             else:
                 by_signal = e.stage in ("load", "material") or e.signal == "mount"
                 link = EffectLink(e, tuple(range(at, len(self.names))))
