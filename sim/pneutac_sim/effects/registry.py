@@ -2,7 +2,7 @@
 
 Order within a stage (it matters: a leak is slowed by the lag behind it):
 
-- pneumatics: dead_time, leak, valve_lag, orifice_flow, valve_slew, air_resonance, sensor_offset
+- pneumatics: leak, valve_lag, orifice_flow, valve_slew, air_resonance, dead_time, sensor_offset
 - drive: gain_saturation, stiffening, hysteresis, friction, crosstalk
 - load (in static equilibrium with the joints): gravity, payload
 - material: twist, thermal, cyclic_softening, creep; then elongation (of the finished pose)
@@ -27,8 +27,10 @@ from pneutac_sim.errors import InputError, load_entry_point
 
 ENTRY_POINT_GROUP = "pneutac.effects"
 
+# A delay commutes with all of the air, and comes last: what it delays is smooth there, while a delayed step
+# that comes between two rows would fill a valve from the next row on.
 BUILTIN = """
-    dead_time leak valve_lag orifice_flow valve_slew air_resonance sensor_offset gain_saturation
+    leak valve_lag orifice_flow valve_slew air_resonance dead_time sensor_offset gain_saturation
     stiffening hysteresis friction crosstalk gravity payload twist thermal
     cyclic_softening creep elongation base_tilt camera_misalignment registration_shift gel_creep
     near_light photometric_nonlinearity shadow rest_colour illumination_drift

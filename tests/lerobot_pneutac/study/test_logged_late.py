@@ -1,8 +1,9 @@
-"""A slow valve is found wherever a computer writes its rows: as it sends a command, or before the next."""
+"""A slow valve is found wherever a computer writes its rows: as it sends a command, or before."""
 
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import signal
 
 from lerobot_pneutac import Recording, calibrate, diagnose
 from lerobot_pneutac.verbs.new import new_twin
@@ -43,6 +44,29 @@ def test_a_slow_valve_is_no_creep_wherever_its_rows_are_written(late_rows):
     twin = calibrate(new_twin(recording=recording), recording).twin
     found = diagnose(twin, recording)
     assert found.selected == ["valve_lag"], found.sentence
+    assert found.outcome.after.twin.effects["valve_lag"]["fill_time_s"].value == pytest.approx(
+        TAU_S, rel=0.05
+    )
+
+
+@pytest.mark.slow
+def test_a_row_that_has_the_command_sent_after_its_pose_is_a_dead_time_and_no_swing():
+    """A plain finger and a valve, no gauge; commands are sent at any moment until the next row."""
+    rng, runs, fine_s = np.random.default_rng(1), [], 0.002
+    rows = slice(None, None, round(DT_S / fine_s))
+    for run in range(6):
+        kpa = np.repeat(rng.uniform(0, 60, 40) * (rng.random(40) < 0.8), rng.integers(750, 2250, 40))[:50000]
+        kpa[:1000] = 0.0
+        gauge = signal.lfilter([0.0, fine_s / TAU_S], [1.0, fine_s / TAU_S - 1.0], kpa)[rows]
+        bend = 0.02 * gauge
+        tip = LENGTH_MM * np.array([np.sinc(bend / np.pi), np.sin(bend / 2) * np.sinc(bend / 2 / np.pi)])
+        tip += rng.normal(0, 0.2, tip.shape)
+        command = np.append(kpa, kpa[-1:].repeat(50))[49:][: len(kpa)][rows]
+        table = {"trial": run, "time_s": DT_S * np.arange(len(gauge)), "pressure_cmd_kpa": command}
+        runs.append(pd.DataFrame(table | {"tip_x_mm": tip[0], "tip_z_mm": tip[1]}))
+    recording = Recording("bench", {"device": "finger", "length_mm": LENGTH_MM}, pd.concat(runs), "finger")
+    found = diagnose(calibrate(new_twin(recording=recording), recording).twin, recording)
+    assert sorted(found.selected) == ["dead_time", "valve_lag"], found.sentence
     assert found.outcome.after.twin.effects["valve_lag"]["fill_time_s"].value == pytest.approx(
         TAU_S, rel=0.05
     )

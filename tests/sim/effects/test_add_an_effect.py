@@ -171,7 +171,7 @@ def test_effects_act_stage_by_stage_in_a_fixed_order():
     names = [
         e.name for e in in_order(["creep", "base_tilt", "valve_lag", "dead_time", "creep", "stiffening"])
     ]
-    assert names == ["dead_time", "valve_lag", "stiffening", "creep", "base_tilt"]
+    assert names == ["valve_lag", "dead_time", "stiffening", "creep", "base_tilt"]
     stages = [list(SIGNALS).index(e.stage) for e in EFFECTS]
     assert stages == sorted(stages)
 

@@ -333,3 +333,20 @@ def test_without_a_recorded_temperature_a_law_acts_as_at_its_reference(program):
     np.testing.assert_array_equal(assumed.markers, known.markers)
     assert np.abs(assumed.markers - bare.markers).max() > 0.01
     assert model.left_out == {name: "the recording has no column temperature_c"}
+
+
+@pytest.mark.parametrize(("delay_s", "share"), [(0.1, 0.3), (0.05, 0.3), (0.03, 0.9), (0.16, 0.5)])
+def test_a_delayed_step_that_comes_between_two_rows_fills_a_slow_valve_from_then_on(delay_s, share):
+    """Closed form of a first-order lag; a row that took the delayed step as its own missed 7 to 10 %."""
+    n, tau_s, step_kpa = 40, 0.25, 40.0
+    t = 0.1 * np.arange(n)
+    command = np.where(np.arange(n) >= 10, step_kpa, 0.0)
+    table = {"trial": np.zeros(n, int), "time_s": t, "pressure_cmd_kpa": command}
+    twin, inputs = Twin.builtin(), Inputs.from_samples(table, switch=share)
+    model = Pipeline.of(twin, inputs, ["dead_time", "valve_lag"])
+    theta = model.theta(twin, step_kpa)
+    for name, value in {"dead_time.delay_s": delay_s, "valve_lag.fill_time_s": tau_s}.items():
+        theta[model.names.index(name)] = value
+    since = np.maximum(t - (t[9] + 0.1 * share + delay_s), 0)
+    seen = model.run(inputs, theta).pressure_kpa.ravel()
+    assert np.abs(seen - step_kpa * (1 - np.exp(-since / tau_s))).max() < 0.02 * step_kpa
