@@ -49,7 +49,7 @@ EFFECT = BodyEffect(
     state_size=lambda channels: 3 + _KEPT * (channels + 1),
     equation=r"p(t) = p_{cmd}(t - L)",
     cause="dead time, {delay_s:.2g} s",
-    summary="Nothing happens for {delay_s:.2g} s after a logged command: your pressure starts late, or a row holds "
-    "a command that is sent after its pose.",
+    summary="Nothing happens for {delay_s:.2g} s after a logged command: your pressure starts late, or rows "
+    "hold commands that are sent after their pose.",
     experiment="Command single steps and log the measured pressure at 50 Hz or more: it stays flat first.",
 )
