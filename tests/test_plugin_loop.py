@@ -1,6 +1,7 @@
 """LeRobot's whole loop as its users run it: real commands, no display, no network."""
 
 import json
+import re
 import shlex
 import shutil
 from pathlib import Path
@@ -240,7 +241,12 @@ ON_DEMOS = f"--dataset.repo_id=local/demos --dataset.root={DEMOS}"
         (
             "lerobot-train --policy.type=act --policy.push_to_hub=false --dataset.repo_id=local/a"
             " --dataset.root=torn",
-            "error: LeRobot fails at the dataset torn (",
+            "error: torn/meta/stats.json is not valid JSON",
+        ),
+        (
+            "lerobot-train --policy.type=act --policy.push_to_hub=false --dataset.repo_id=local/a"
+            " --dataset.root=torn_arm",
+            "error: LeRobot fails at the dataset torn_arm (",
         ),
         (
             f"lerobot-train --policy.type=pneutac_bc {ON_DEMOS} --policy.device=cpu --policy.control_hz=30",
@@ -262,9 +268,11 @@ def test_what_a_user_gave_wrongly_ends_in_one_sentence(run, command, sentence):
     info = (DEMOS / "meta/info.json").read_text().replace('"v3.0"', '"v2.1"')
     (run.work / "old/meta").mkdir(parents=True, exist_ok=True)
     (run.work / "old/meta/info.json").write_text(info)
-    if "torn" in command:
-        shutil.copytree(DEMOS, run.work / "torn")
-        (run.work / "torn/meta/stats.json").write_text("{")
+    if torn := re.search(r"torn\w*", command):
+        root = Path(shutil.copytree(DEMOS, run.work / torn[0]))
+        (root / "meta/stats.json").write_text("{")
+        robot = "so101_follower" if torn[0] == "torn_arm" else "pneutac"
+        (root / "meta/info.json").write_text(info.replace("v2.1", "v3.0").replace('"pneutac"', f'"{robot}"'))
     code, output = run.commands.run(*shlex.split(command))
     assert code == 1 and "Traceback" not in output
     assert sentence in output.splitlines()[-1]

@@ -16,7 +16,7 @@ from lerobot_pneutac.study import study_of
 from lerobot_pneutac.study.pair import enough_to_compare, fit_parts
 from lerobot_pneutac.verbs.new import new_twin
 from pneutac_datasets.demonstrations.faults import Recorded
-from pneutac_datasets.demonstrations.info import info_file, is_demonstrations
+from pneutac_datasets.demonstrations.info import is_demonstrations
 from pneutac_datasets.recording.checks import check, recording_faults
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.sources import plain
@@ -27,6 +27,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.finger import Pipeline
 from pneutac_sim.finger.online import COMPUTED
 from pneutac_sim.gel.model import GelModel
+from pneutac_sim.pace import info_file
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value, lost_twin
 from pneutac_sim.world.checks import check_networks, check_world, out_of_reach
 from pneutac_sim.world.station import Station, station_faults, station_of

@@ -26,6 +26,7 @@ from lerobot.utils.constants import ACTION, HF_LEROBOT_HOME, OBS_STATE
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 from safetensors import SafetensorError, safe_open
 
+from pneutac_sim.dataset_files import ROBOT, Files
 from pneutac_sim.errors import InputError, printable, unknown_names
 from pneutac_sim.features import CHAMBERS, action_names, state_names
 from pneutac_sim.files import check_writable, inside, read_json, refuse_pointer
@@ -192,7 +193,10 @@ def _check_folders(options: dict[str, str]) -> None:
         check_policy(file.parent)
     if _records(options) and not options.get("dataset.single_task", "given").strip():
         raise InputError("--dataset.single_task is blank; give the instruction, such as 'flip the switch'.")
-    if not (root := options.get("dataset.root")):
+    root, own = options.get("dataset.root"), HF_LEROBOT_HOME / options.get("dataset.repo_id", "")
+    if not root and not _records(options) and (own / "meta" / "info.json").is_file():
+        root = str(own)
+    if not root:
         return
     if _records(options):
         if not Path(root).exists():
@@ -209,7 +213,13 @@ def _check_folders(options: dict[str, str]) -> None:
         if HF_HUB_OFFLINE:
             raise InputError(f"--dataset.root: {e}") from e
         return  # to be downloaded
-    refuse_version(file, read_info(file))
+    refuse_version(file, info := read_info(file))
+    # Of other robots LeRobot may read what is no demonstration's.
+    if info.get("robot_type") == ROBOT or options.get("policy.type") == "pneutac_bc":
+        files = Files(root)
+        files.refuse_damaged()
+        if any(name in Path(sys.argv[0]).stem for name in ("train", "replay")):
+            files.refuse_not_finite()
 
 
 def explained(error: BaseException) -> str | None:

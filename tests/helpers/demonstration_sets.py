@@ -3,8 +3,8 @@
 import numpy as np
 
 from pneutac_datasets.demonstrations.faults import TACTILE
-from pneutac_datasets.demonstrations.info import ACTION, STATE
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
+from pneutac_sim.dataset_files import ACTION, STATE
 from pneutac_sim.features import ACTION_NAMES, IMAGE_SHAPE, STATE_NAMES
 
 FRAMES = 5  # of an episode of `write_demonstrations`

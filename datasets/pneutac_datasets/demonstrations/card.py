@@ -3,10 +3,9 @@
 import json
 from pathlib import Path
 
-from pneutac_datasets.demonstrations.info import read_info
 from pneutac_sim.features import unit_of
 from pneutac_sim.files import write_text
-from pneutac_sim.pace import DONE, OUTCOME_FILE, read_outcomes
+from pneutac_sim.pace import DONE, OUTCOME_FILE, read_info, read_outcomes
 from pneutac_sim.world.station import Station, station_of
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pneutac_datasets.demonstrations.info import ACTION, OWN, ROBOT, STATE, Files
 from pneutac_datasets.recording.sensors import stretches
+from pneutac_sim.dataset_files import ACTION, NOT_FINITE, OWN, ROBOT, STATE, Files, leave_out
 from pneutac_sim.errors import shown
 from pneutac_sim.features import (
     CHAMBERS,
@@ -355,7 +355,7 @@ def _of_episodes(episodes: dict, range_kpa: tuple[float, float], area: int) -> l
     low, high = range_kpa
     tolerance = ROUNDING_KPA * (high - low)
     kinds: dict[str, list[int]] = {
-        "holds numbers that are not finite": [],
+        NOT_FINITE: [],
         "has one frame only": [],
         UNTOUCHED: [],
         f"commands pressures beyond the {low:g} to {high:g} kPa that the twin was measured over": [],
@@ -370,13 +370,7 @@ def _of_episodes(episodes: dict, range_kpa: tuple[float, float], area: int) -> l
             untouched.append(number)
         elif action[:, PRESSURES].min() < low - tolerance or action[:, PRESSURES].max() > high + tolerance:
             beyond.append(number)
-    return [
-        f"{f'Episode {which[0]}' if len(which) == 1 else f'Each of the episodes {which}'} {fault};"
-        " leave out with lerobot-edit-dataset --operation.type=delete_episodes"
-        f' --operation.episode_indices="{which}".'
-        for fault, which in kinds.items()
-        if which
-    ]
+    return [leave_out(which, fault) for fault, which in kinds.items() if which]
 
 
 def _close(name: str, names) -> str:

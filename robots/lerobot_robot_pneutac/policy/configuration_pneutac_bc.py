@@ -206,12 +206,16 @@ class PneutacBCConfig(PreTrainedConfig):
             bad = [n for i, n in enumerate(names) if not all(np.isfinite(e[i]) for e in extremes)]
             if bad:
                 table = parquet.read_table(meta.root / "data", columns=["episode_index", key])
-                finite = [np.isfinite(row).all() for row in table[key].to_pylist()]
-                first = table["episode_index"][finite.index(False)]
+                broken = ~np.isfinite(np.array(table[key].to_pylist(), float)).all(1)
+                if not broken.any():
+                    raise InputError(
+                        f"{where}: meta/stats.json has NaN or infinity for '{key}' in {', '.join(bad)}, and"
+                        " no frame has; write it with lerobot-edit-dataset --operation.type=recompute_stats."
+                    )
                 raise InputError(
                     f"{where}: '{key}' contains NaN or infinity in {', '.join(bad)},"
-                    f" first in episode {first}; delete such episodes with lerobot-edit-dataset"
-                    " --operation.type=delete_episodes."
+                    f" first in episode {table['episode_index'][int(broken.argmax())]}; delete such episodes"
+                    " with lerobot-edit-dataset --operation.type=delete_episodes."
                 )
         if self.previous_action_in_data and PREVIOUS_ACTION not in meta.features:
             raise InputError(
@@ -253,9 +257,8 @@ def _untouched(meta) -> list[int]:
     from pneutac_sim.gel.contact import without_specks  # Numba, which robots do not need
 
     table = parquet.read_table(meta.root / "data", columns=["episode_index", OBS_STATE])
-    area = np.array(table[OBS_STATE].to_pylist())[
-        :, meta.features[OBS_STATE]["names"].index("contact_area.pos")
-    ]
+    state = np.array(table[OBS_STATE].to_pylist(), float)
+    area = state[:, meta.features[OBS_STATE]["names"].index("contact_area.pos")]
     episode = table["episode_index"].to_numpy()
     return [int(e) for e in np.unique(episode) if not without_specks(area[episode == e]).any()]
 

@@ -172,9 +172,9 @@ class PneutacSim(BaseRobot):
     def _log_outcome(self) -> None:
         self.successes.append(bool(self.world.success))
         logger.info(
-            "Episode %d: touch in %d of %d frames, the task %s.",
-            *(len(self.successes) - 1, self._touched, self._frames),
-            self.world.failure or ("done" if self.successes[-1] else "not done"),
+            "Touch in %d of %d frames; %s.",
+            *(self._touched, self._frames),
+            self.world.failure or ("the task is done" if self.successes[-1] else "the task is not done"),
         )
         if self.successes[-1] and self._spread:
             self._spread.done(self._seed)

@@ -4,6 +4,7 @@ import codecs
 import json
 import re
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,15 +21,17 @@ from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 
 from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment
 from lerobot_pneutac.verbs.check import check_path
+from lerobot_robot_pneutac.lerobot_inside import prepare
 from lerobot_robot_pneutac.policy.tactile_encoder import other_sensor
 from lerobot_robot_pneutac.standin.world import new_gel
 from pneutac_datasets.demonstrations.augment import run
 from pneutac_datasets.demonstrations.augment.reference import read_references
 from pneutac_datasets.demonstrations.faults import TACTILE, Recorded
-from pneutac_datasets.demonstrations.info import ACTION, STATE, task_to_do
+from pneutac_datasets.demonstrations.info import task_to_do
 from pneutac_datasets.demonstrations.naive import augment_naive
 from pneutac_datasets.demonstrations.repair.dataset import repair_dataset
 from pneutac_datasets.demonstrations.replay.reading import load_demonstrations
+from pneutac_sim.dataset_files import ACTION, STATE, Files
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import STATE_NAMES
 from pneutac_sim.gel.sensor import TactileSensor
@@ -237,6 +240,33 @@ def test_check_says_what_the_verbs_refuse(tmp_path, bad):
             refused.append(str(e))
     assert refused
     assert not any("cannot be read by LeRobot" in sentence for sentence in refused)
+
+
+def spoilt(value):
+    def change(action):
+        return np.where(np.arange(len(action))[:, None] == 70, value, action)
+
+    return change
+
+
+@pytest.mark.parametrize("bad", [*BAD, "nan", "infinity"])
+def test_lerobots_commands_refuse_before_their_work_what_check_calls_damaged(tmp_path, monkeypatch, bad):
+    """Of any policy; what is whole but no demonstration is for the policy to refuse."""
+    root = copied(tmp_path)
+    numbers(ACTION, spoilt(float(bad)))(root) if bad not in BAD else BAD[bad][0](root)
+    monkeypatch.setattr(sys, "excepthook", sys.excepthook)
+    try:
+        said = (*Files(root).damage, "")[0] if bad in BAD else "Episode 1 holds numbers that are not finite"
+    except InputError as e:
+        said = str(e)
+    for command, refused in (("train", said), ("replay", said), ("record", said if bad in BAD else "")):
+        argv = f"lerobot-{command} --dataset.repo_id=local/demos --dataset.root={root} --resume=true"
+        monkeypatch.setattr(sys, "argv", argv.split())
+        if refused:
+            with pytest.raises(SystemExit, match=f"^error: .*{re.escape(refused)}"):
+                prepare()
+        else:
+            prepare()
 
 
 REPAIRED = dict.fromkeys(("5 episodes", "episodes cut", "no stats", "stats without images"), "")

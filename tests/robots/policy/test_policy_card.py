@@ -224,6 +224,13 @@ def test_numbers_that_are_none_are_found_before_training(tmp_path, spoilt, said)
         make_policy(PneutacBCConfig(device="cpu"), meta)
 
 
+def test_statistics_that_are_no_numbers_are_found_before_training(tmp_path):
+    meta = write_dataset(tmp_path / "spoilt")
+    meta.stats[ACTION]["max"][1] = np.nan
+    with pytest.raises(InputError, match=r"stats.json has NaN or infinity for 'action' in dy.vel, and no"):
+        make_policy(PneutacBCConfig(device="cpu"), meta)
+
+
 def test_images_that_cannot_be_read_are_named(tmp_path):
     meta = write_dataset(tmp_path / "broken")
     file = next((meta.root / "data").rglob("*.parquet"))

@@ -41,10 +41,11 @@ from lerobot_robot_pneutac.lerobot_inside import (
     write_table_one_row_group_per_episode,
     write_tasks,
 )
-from pneutac_datasets.demonstrations.info import Film, film_of, frame_size, read_film, refuse_version
 from pneutac_datasets.demonstrations.repair.parquet_footer import fix_footer, is_whole
+from pneutac_sim.dataset_files import Film, film_of, frame_size, read_film
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import flush, refuse_pointer
+from pneutac_sim.pace import refuse_version
 
 BACKUP = "meta.before_repair"  # what was there, until the new one is in place
 LEFT_OUT = "left_out"  # numbers and pictures of episodes without a video, which no reader opens

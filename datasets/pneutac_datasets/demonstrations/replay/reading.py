@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from pneutac_datasets.demonstrations.info import ACTION, ROBOT, is_demonstrations, task_of
+from pneutac_datasets.demonstrations.info import is_demonstrations, task_of
+from pneutac_sim.dataset_files import ACTION, ROBOT
 from pneutac_sim.errors import InputError, from_hub, shown
 from pneutac_sim.features import (
     AREA,
