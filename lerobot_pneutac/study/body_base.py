@@ -266,7 +266,7 @@ class BodyBase(EffectStudy):
         twin = model.pipeline.update(fitter.twin_with(model.structure.joints), model.theta, ci95)
         input_model = model.structure.input_model
         switch = input_model.switch
-        if switch is None and "time_sent_s" in self.recording.samples:
+        if "time_sent_s" in self.recording.samples:
             switch = 0.5  # recordings without send times are read with each step at its own instant
         if switch is not None:
             twin.parameters["switch_share"] = Value(float(np.nanmedian(np.array(switch, dtype=float))))

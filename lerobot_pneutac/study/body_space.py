@@ -352,9 +352,12 @@ class BodySpace(Space):
     def with_instants(self, model: BodyModel, every: int) -> BodyModel:
         """The model with the instant of each step of the command, within its sample, re-fitted once."""
         input_model, recording = model.structure.input_model, self.fitter.recording
-        if input_model.switch is None or not len(self._steps) or "time_sent_s" in recording.samples:
+        if input_model.switch is None or not len(self._steps):
             return model
-        share = by_row(recording, self.fitter.steps(input_model), model.pipeline, model.theta)
+        steps = self.fitter.steps(input_model)
+        if not steps.unknown.any():
+            return model
+        share = by_row(recording, steps, model.pipeline, model.theta)
         structure = replace(model.structure, input_model=replace(input_model, switch=tuple(share)))
         return self.fitter.fit(structure, model.values, 6, every)
 

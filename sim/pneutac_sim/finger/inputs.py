@@ -38,12 +38,38 @@ def switches(samples, time: np.ndarray, pressure: np.ndarray, first: np.ndarray,
     """
     at = steps(pressure, first)
     if "time_sent_s" in samples:
-        return _sent(np.asarray(samples["time_sent_s"], dtype=float), time, pressure, first, at)
+        at, share, before, after = _sent(
+            np.asarray(samples["time_sent_s"], dtype=float), time, pressure, first, at
+        )
+        if np.ndim(switch):
+            given = np.asarray(switch, dtype=float)[at]
+            share = np.where(np.isfinite(given), given, share)
+        return at, share, before, after
     share = np.full(len(at), math.nan)
     if switch is not None:
         share = np.broadcast_to(np.asarray(switch, dtype=float), len(time))[at]
     at, share = at[np.isfinite(share)], share[np.isfinite(share)]
     return at, share, pressure[at - 1], pressure[at]
+
+
+def shares(samples, pressure: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Between which shares (k,) and (k,) of the time from row to row each of `steps` may have come.
+
+    The whole time, or where `time_sent_s` is logged, then. But a computer that is faster than the log and
+    goes on sending may have stepped with a command before the one that the row has.
+    """
+    at = steps(pressure, first)
+    if "time_sent_s" not in samples:
+        return np.zeros(len(at)), np.ones(len(at))
+    sent, time = (np.asarray(samples[c], dtype=float) for c in ("time_sent_s", "time_s"))
+    ramp = _ramps(pressure, first)
+    row = time[at] - time[at - 1]
+    latest = np.clip((sent[at] - time[at - 1]) / row, 0, 1)
+    following = np.minimum(at + 1, len(time) - 1)
+    goes_on = (sent[following] != sent[at]) & ~first[following] & ~ramp[at]
+    tick = _tick(sent, time, ramp)
+    unseen = np.floor((sent[at] - time[at - 1]) / tick - 1e-6)
+    return latest - np.where(goes_on, np.maximum(unseen, 0), 0) * tick / row, latest
 
 
 def held(pressure: np.ndarray, first: np.ndarray, share: np.ndarray) -> np.ndarray:
@@ -64,9 +90,7 @@ def _sent(sent, time, pressure, first, steps):
     In a ramp a computer that is faster than the log sends commands that no row has; they lie between their
     neighbours, in time and height.
     """
-    moves = np.diff(pressure, axis=0, prepend=pressure[:1]) != 0
-    moves[first] = False
-    ramp = np.r_[False, (moves[1:] & moves[:-1]).any(axis=1)]  # one chamber moves twice
+    ramp = _ramps(pressure, first)
     held = np.union1d(steps, np.flatnonzero(ramp))
     tick = _tick(sent, time, ramp)
     none = np.zeros((0, pressure.shape[1]))
@@ -91,6 +115,13 @@ def _sent(sent, time, pressure, first, steps):
     at, share, before, after = (np.concatenate(x) for x in zip(*parts, strict=True))
     order = np.lexsort((share, at))
     return at[order], share[order], before[order], after[order]
+
+
+def _ramps(pressure: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """(n,) whether a chamber moves up to a row and moved up to the one before."""
+    moves = np.diff(pressure, axis=0, prepend=pressure[:1]) != 0
+    moves[first] = False
+    return np.r_[False, (moves[1:] & moves[:-1]).any(axis=1)]
 
 
 def _tick(sent: np.ndarray, time: np.ndarray, ramp: np.ndarray) -> float:
@@ -153,8 +184,9 @@ class Inputs:
             trials: what is known of how single trials begin, see `recording.json`; goes before `start`.
             switch: where in the time between two samples a step of the command happens, 0 to 1, one for all
                 or (n,), NaN for a row before which there is none; in a ramp, where its commands are sent, see
-                `held`, and NaN where it goes straight from sample to sample, as everywhere for None. Column
-                `time_sent_s` goes before it, and every command, those of a ramp too, is held until the next.
+                `held`, and NaN where it goes straight from sample to sample, as everywhere for None. With
+                column `time_sent_s` every command, those of a ramp too, is held from then until the next;
+                (n,) has the steps that came at another share, see `shares`.
 
         Raises InputError: a column is missing or time does not rise within a trial.
         """

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from pneutac_sim.finger.data import BodyData
-from pneutac_sim.finger.inputs import pressure_columns, steps
+from pneutac_sim.finger.inputs import pressure_columns, shares, steps
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.finger.problem import Bounds, Problem
 
@@ -30,10 +30,15 @@ _FIRST, _NEARER = 4, (2, 1)  # apart in the grid: what is tried first, and on bo
 
 def step_rows(recording) -> np.ndarray:
     """Rows before which the command of a recording (with `.samples`) steps."""
+    return steps(*_command(recording))
+
+
+def _command(recording) -> tuple[np.ndarray, np.ndarray]:
+    """The command (n, chambers) and where a trial begins (n,)."""
     trial = np.asarray(recording.samples["trial"])
     names = pressure_columns(recording.device)[0]
     command = np.stack([np.asarray(recording.samples[c], dtype=float) for c in names], axis=1)
-    return steps(command, np.r_[True, trial[1:] != trial[:-1]])
+    return command, np.r_[True, trial[1:] != trial[:-1]]
 
 
 class StepRows:
@@ -44,6 +49,8 @@ class StepRows:
     Attributes:
         at: rows before which the command steps.
         read: as given.
+        unknown: (steps,) whether the instant of a step is not known; where the recording has the times at
+            which commands were sent, few or none.
         rows: (steps, 6) rows from there on.
         own: (steps, 6) whether a row belongs to the step: the same trial, before the next step.
     """
@@ -57,16 +64,17 @@ class StepRows:
         self.own = (wanted < end[:, None]) & (trial[self.rows] == trial[self.at][:, None])
         data = read(0.5)
         self._last, self._near = data.inputs.rows[self.at], data.thin(self.rows.ravel())
-        self._known = "time_sent_s" in recording.samples
+        self._earliest, self._latest = shares(recording.samples, *_command(recording))
+        self.unknown = self._latest > self._earliest
+
+    def instant(self, share: float | np.ndarray) -> np.ndarray:
+        """(steps,) of the time between two samples, at a share of when each step may have come."""
+        return self._earliest + share * (self._latest - self._earliest)
 
     def switched(self, share: float | np.ndarray) -> BodyData:
-        """These rows with all steps at one share of the time between two samples, or each at its own.
-
-        As they are where the recording has the times at which commands were sent.
-        """
-        if self._known:
-            return self._near
-        return replace(self._near, inputs=self._near.inputs.switched_at(self._last, share))
+        """These rows with all steps at one share of when they may have come, or each (steps,) at its own."""
+        last, instant = self._last[self.unknown], self.instant(share)[self.unknown]
+        return replace(self._near, inputs=self._near.inputs.switched_at(last, instant))
 
     def residual(self, data: BodyData, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
         """(steps, 6, D) model - measured in these rows of the recording, in the unit of the error."""
@@ -110,7 +118,7 @@ class StepRows:
 
         Each step is tried nearer and nearer to its best share, so that this and its neighbours are known.
         """
-        if self._known:
+        if not self.unknown.any():
             return self.residual(self._near, pipeline, theta)[None]
         each = np.arange(len(self.at))
         out = np.full((len(_GRID), *self.rows.shape, len(self._near.columns)), np.inf)
@@ -183,10 +191,11 @@ def instants(
 ) -> np.ndarray | None:
     """The share of the time between two samples at which each step happened, as a model sees it.
 
-    (n,), NaN where there is no step and ramps go straight; None where there is no step, or `time_sent_s` has
-    the times. `read` takes a share of all steps, or (n,) of each row, to the recording read so.
+    (n,), NaN where there is no step and ramps go straight, or `time_sent_s` has the time; None where there
+    is no other. `read` takes a share of all steps, or (n,) of each row, to the recording read so.
     """
-    if "time_sent_s" in recording.samples or not len(step_rows(recording)):
+    earliest, latest = shares(recording.samples, *_command(recording))
+    if not (latest > earliest).any():
         return None
     return by_row(recording, StepRows(recording, read), pipeline, theta)
 
@@ -194,7 +203,10 @@ def instants(
 def by_row(recording, step: StepRows, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
     """`instants` where the rows after steps have been read already."""
     out = np.full(len(recording.samples["trial"]), np.nan)
-    out[step.at] = np.round(_least(step.errors(pipeline, theta)), 3)
+    found = step.instant(_least(step.errors(pipeline, theta)))
+    out[step.at[step.unknown]] = np.round(found, 3)[step.unknown]
+    if "time_sent_s" in recording.samples:
+        return out
     ramps = np.where(np.isnan(out), np.median(out[step.at]), out)
 
     def error(share: np.ndarray) -> float:

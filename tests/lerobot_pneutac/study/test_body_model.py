@@ -78,6 +78,7 @@ def test_a_dead_time_may_be_none_and_a_lag_is_no_shorter_than_the_samples_show(t
 
 def test_the_air_is_found_with_steps_at_instants_that_nobody_wrote_down(tmp_path):
     recording = Recording.load(write(generate("rod", ["plain"], 3, minutes=1.0), tmp_path / "r"))
+    recording = replace(recording, samples=recording.samples.drop(columns="time_sent_s"))
     twin, at = Twin("finger", recording.length_mm), step_rows(recording)
     share = np.full(len(recording), np.nan)
     share[at] = np.random.default_rng(0).integers(2, 22, len(at)) / 24

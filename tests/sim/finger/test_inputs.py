@@ -248,6 +248,52 @@ def test_instants_are_found_within_a_twentieth_of_a_sample(made):
     assert np.abs(found - share)[at].max() < 0.05
 
 
+def test_the_step_that_begins_a_motion_is_found_among_commands_that_no_row_has():
+    """A computer that sends every 35 ms beside a log at 20 Hz: rows have the last command alone."""
+    rng = np.random.default_rng(3)
+    tick, row, seconds = 0.035, 50, 3.0  # s, ms, s
+    dense, began = [], []
+    for trial in range(16):
+        sent = rng.uniform(0, tick) + tick * np.arange(int(seconds / tick))
+        began.append(sent[rng.integers(20, 60)])
+        height = np.where(sent < began[-1], 0.0, 8 + 4 * np.sin(3 * (sent - began[-1])))
+        changed = np.maximum.accumulate(np.where(np.diff(height, prepend=-1) != 0, np.arange(len(sent)), 0))
+        fine = np.arange(round(seconds * 1e3)) / 1e3
+        last = np.searchsorted(sent, fine + 1e-9, side="right") - 1
+        table = {"time_s": fine, "pressure_cmd_kpa": np.where(last < 0, 0.0, height[last])}
+        table["time_sent_s"] = np.where(last < 0, 0.0, sent[changed[last]])
+        dense.append(pd.DataFrame({"trial": trial} | table))
+    dense = pd.concat(dense, ignore_index=True)
+    samples = dense[::row].copy()
+    twin = Twin.builtin()
+    twin.effects["valve_lag"] = {"fill_time_s": Value(0.1), "vent_time_s": Value(0.1)}
+    truth = Inputs.from_samples(dense.drop(columns="time_sent_s"), start="held", switch=0.5)
+    pipeline = Pipeline.of(twin, truth)
+    theta = pipeline.theta(twin)
+    names = ("tip_x_mm", "tip_z_mm")
+    tip = pipeline.outputs(pipeline.run(truth, theta), names)[samples.index]
+    samples[list(names)] = tip + 0.2 * rng.normal(size=tip.shape)
+    recording = SimpleNamespace(samples=samples.reset_index(drop=True), device="finger", meta={})
+
+    def read(share):
+        return BodyData.of(recording, twin, start="held", switch=share)
+
+    found = instants(recording, read, pipeline, theta)
+    at = step_rows(recording)
+    time, sent = (recording.samples[c].to_numpy() for c in ("time_s", "time_sent_s"))
+    unseen = np.isfinite(found[at])
+    assert 3 < unseen.sum() < len(at) == 16  # of the others no command is hidden
+    assert np.abs(sent[at] - began)[~unseen].max() < 1e-9 < tick - 0.002 < np.abs(sent[at] - began).max()
+    instant = time[at - 1] + found[at] * (time[at] - time[at - 1])
+    assert np.abs(instant - began)[unseen].max() < tick / 3
+
+    def error(share):
+        data = read(share)
+        return data.error(pipeline.outputs(pipeline.run(data.inputs, theta), data.columns) - data.measured)
+
+    assert error(found) < 1.1 * 0.2 * np.sqrt(2) < 0.75 * error(None)
+
+
 def test_where_the_time_of_sending_is_known_nothing_is_sought(made):
     _, twin, pipeline, theta, recording = made
 
