@@ -28,6 +28,7 @@ SCATTERS = "scatters where nothing changes in"
 TURNS = 0.4  # of the rows: noise turns in two thirds, a ramp never
 DELAYS_S = 0.0, 0.1, 0.3, 1.0, 3.0  # of valve, body and tracker
 MOVED = 0.1  # of the pose's variance: a device that pressure moves shows more, in spite of memory and load
+WHOLE = 0.7  # of the long steps: a loop that is late now and then is not late by whole rows
 LEAST_ROWS = 200  # for fewer a map of the pressure explains that much by chance
 ANSWERED = 0.15  # share of the command's steps that feedback explains and a program does not
 
@@ -36,7 +37,8 @@ def clock(recording: Recording) -> Iterator[Finding]:
     """Long pauses within trials, and rows that are missing from an even clock."""
     gaps: list[int] = []
     lost: list[int] = []
-    time, missing, even = recording.column("time_s"), 0, True
+    steps: list[float] = []  # long ones, in usual ones
+    time, even = recording.column("time_s"), True
     for rows in recording.trials().values():
         dt = np.diff(time[rows])
         if len(dt) < 5:
@@ -47,7 +49,10 @@ def clock(recording: Recording) -> Iterator[Finding]:
 
         short = (dt > 1.5 * usual) & ~wide
         lost += list(np.flatnonzero(short) + 1 + rows.start)
-        missing += int(np.round(dt[short] / usual - 1).sum())
+        steps += list(dt[short] / usual)
+    whole = np.round(steps)
+    missing = int((whole - 1).sum())
+    even &= bool((np.abs(steps - whole) < 0.2).sum() >= WHOLE * len(steps))
     if gaps:
         at = max(gaps, key=lambda i: time[i + 1] - time[i])
         text = (
@@ -78,7 +83,7 @@ def closed_loop(recording: Recording) -> Iterator[Finding]:
     """
     columns, _ = headline(recording)
     gains = np.zeros(3)  # sums over rows: of feedback from before, of that of the same row, and of 1
-    command = recording.commands
+    command, time = recording.commands, recording.column("time_s")
     pose = recording.samples[columns].to_numpy(float)
     for rows in recording.trials().values() if columns else ():
         u, y = command[rows], pose[rows]
@@ -91,6 +96,7 @@ def closed_loop(recording: Recording) -> Iterator[Finding]:
         target = u[at][LAGS:]
         # the last pose but one and all before it are known: what is news in the last is noise, or feedback
         known = np.hstack([_past(u[at], 1), _past(u[at] ** 2, 1), _past(y[at - 1], 1)])
+        known = np.hstack([known, _longer(u[at], np.diff(time[rows])[at - 1])])
         if _left(target, known).std(axis=0).max() < ROUNDING * max(np.ptp(u), 1e-9):
             continue
         before, left = _gain(target, known, y[at - 1][LAGS:])
@@ -113,6 +119,16 @@ def closed_loop(recording: Recording) -> Iterator[Finding]:
 def _past(x: np.ndarray, first: int) -> np.ndarray:
     """(n - LAGS, k LAGS): the rows `first`, `first` + 1, ... before each."""
     return np.hstack([x[LAGS - first - k : len(x) - first - k] for k in range(LAGS)])
+
+
+def _longer(u: np.ndarray, step_s: np.ndarray) -> np.ndarray:
+    """(n - LAGS, 3 k): how much farther a program goes, and the device with it, in steps that are longer.
+
+    `step_s` (n,) ends at each row; a row logged after its command's period has the step of the row before.
+    """
+    longer = step_s / max(np.median(step_s), 1e-9) - 1
+    change = np.diff(u, axis=0)[LAGS - 2 : -1]
+    return np.hstack([longer[LAGS - k : len(u) - k, None] * change for k in range(3)])
 
 
 def _left(target: np.ndarray, columns: np.ndarray) -> np.ndarray:

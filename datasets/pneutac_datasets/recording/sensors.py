@@ -12,6 +12,8 @@ from pneutac_datasets.recording.wording import Finding, plural
 
 LONGEST_EXCURSION_S = 2.0
 EXPLAINED_BY_S = 2.0  # a pressure change this long before can still move the tip (dead time and fill time)
+BEFORE_ROWS = 5  # whose median is where the marker was before it moved
+LONELY_ROWS = 3  # in so few no device goes somewhere and back, but for a pulse of pressure
 STARTED_BY_S = 1.0  # a trial may begin with a step that came before its first sample
 
 
@@ -78,8 +80,14 @@ def excursions(t: np.ndarray, y: np.ndarray, p: np.ndarray) -> list[tuple[int, i
     change = np.cumsum(change)
     # at least the row's own change: in a slow log it is more than 0.15 s long
     since = np.maximum(np.minimum(np.searchsorted(t, t - 0.15), np.arange(len(t)) - 1), 0)
-    change -= change[since]
     change *= 3 * span / max(float(np.ptp(p, axis=0).max()), 1e-9)
+
+    def explained(i: int, peak: int, end: int) -> float:
+        """How far the pressure may have moved it, before row `end`, in the time from `before` to `peak`."""
+        at = np.arange(back[i], end)
+        begins = np.minimum(since[at], at - (peak - i + BEFORE_ROWS // 2 + 1))
+        return float((change[at] - change[np.maximum(begins, 0)]).max())
+
     found, end = [], 0
     for i in np.flatnonzero(sudden):
         if i < end or t[i] - t[0] < STARTED_BY_S:
@@ -87,22 +95,28 @@ def excursions(t: np.ndarray, y: np.ndarray, p: np.ndarray) -> list[tuple[int, i
         peak = i
         while peak + 1 < len(t) and size[peak + 1] > 4 * max(usual[peak + 1], noise):
             peak += 1
-        before = np.median(y[max(0, i - 5) : i], axis=0)
+        before = np.median(y[max(0, i - BEFORE_ROWS) : i], axis=0)
         away = np.linalg.norm(y[i : peak + 1] - before, axis=1)
         reach = float(away.max())
         near = np.searchsorted(t, t[i] + LONGEST_EXCURSION_S)
         off = np.linalg.norm(y[i:near] - before, axis=1)
-        home = np.flatnonzero((off < 0.15 * reach) & (np.arange(len(off)) > 0))
+        # after a few rows a device that moves on is not where it was, but its marker jumps back
+        way = (y[i + int(away.argmax())] - before) / max(reach, 1e-12)
+        jumps_back = np.diff(y[i:near], axis=0, prepend=y[i : i + 1]) @ way < -0.5 * reach
+        jumps_back &= (y[i:near] - before) @ way < 0.5 * reach
+        jumps_back[LONELY_ROWS + 1 :] = False
+        home = np.flatnonzero(((off < 0.15 * reach) | jumps_back) & (np.arange(len(off)) > 0))
         if len(home):
             # no device leaves and comes back by itself; a pulse of pressure or the swing after a step does
             end = i + int(home[0])
-            lonely = end - i <= 3 and not _pulse(p, i, end) and _lonely(y, i, end)
-            if change[back[i] : end + 1].max() < reach or lonely:
+            lonely = end - i <= LONELY_ROWS and not _pulse(p, i, end) and _lonely(y, i, end)
+            if explained(i, peak, end + 1) < reach or lonely:
                 end = min(len(t), end + round(0.3 * (end - i)))
                 found.append((int(i), int(end), True))
+                end += 1  # the jump back is not another one
             else:
                 end = i + 1
-        elif change[back[i] : peak + 1].max() < reach:
+        elif explained(i, peak, peak + 1) < reach:
             found.append((int(i), int(peak + 1), False))
             end = peak + 1
     return found

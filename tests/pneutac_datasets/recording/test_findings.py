@@ -232,6 +232,37 @@ def test_feedback_is_found_by_the_row_of_which_it_knows(seen, same_row, every):
         assert ("pose of its own row" in found[0].sentence) == bool(same_row)
 
 
+def late_loop(feedback=0.0, hz=30, n=4000):
+    """A computer that asks a clock where its program is, moves, and is late now and then; logged afterwards.
+
+    The valve swings a little; `feedback` is what it answers to the pose's noise, kPa/rad.
+    """
+    rng = np.random.default_rng(7)
+    step = rng.normal(1, 0.05, n) + (rng.random(n) < 0.01) * rng.exponential(1.0, n)
+    tick = np.cumsum(np.maximum(step, 0.4)) / hz
+    u, y, bend, speed = np.zeros(n - 1), np.zeros(n - 1), 0.0, 0.0
+    for k in range(n - 1):
+        u[k] = 18 - 9 * np.cos(0.8 * tick[k]) - 6 * np.cos(1.7 * tick[k])
+        u[k] -= feedback * (y[k - 1] - bend) if k else 0.0
+        dt = (tick[k + 1] - tick[k]) / 10
+        for _ in range(10):
+            speed += (14.0**2 * (u[k] / 40 - bend) - 20.0 * speed) * dt
+            bend += speed * dt
+        y[k] = bend + 0.001 * rng.normal()
+    s = {"trial": 0, "time_s": tick[1:], "pressure_cmd_kpa": u, "bend_angle_rad": y}
+    return Recording(Path("r"), {}, pd.DataFrame(s), "finger")
+
+
+def test_a_program_of_a_late_loop_follows_nothing_and_lacks_no_row():
+    kinds = {f.kind for f in findings(late_loop())}
+    assert not kinds & {"closed_loop", "missing_rows"}
+    assert "closed_loop" in {f.kind for f in findings(late_loop(feedback=40.0))}
+    even, seen = late_loop(), np.random.default_rng(2).random(3999) > 0.02
+    even.samples["time_s"] = np.arange(3999) / 30
+    dropped = even.keep(seen)
+    assert "missing_rows" in {f.kind for f in findings(dropped)}
+
+
 @pytest.mark.parametrize("seen", [1, None])
 @pytest.mark.parametrize("written", [0, 2, 3])
 def test_a_gauge_that_is_ahead_of_an_ever_changing_command_is_found(seen, written):

@@ -146,6 +146,47 @@ def test_an_outlier_at_a_step_is_still_left_out():
     assert 0 < len(r) - len(clean) < 5 and any("jumps away and comes back 1 time" in s for s in said)
 
 
+def pushes(hz, rng, n=2400):
+    """A person's quick pushes of a lever, with pauses, and the bend behind a valve that swings a little."""
+    p, at, level = np.zeros(n), 10, 0.0
+    while at < n:
+        goal, rows = rng.uniform(0, 15), int(0.6 * hz)
+        p[at : at + rows] = (level + (goal - level) * (1 - np.cos(np.linspace(0, np.pi, rows))) / 2)[: n - at]
+        p[at + rows :], level = goal, goal
+        at += rows + int(rng.uniform(0.5, 7) * hz)
+    bend, x, speed = np.zeros(n), 0.0, 0.0
+    for i in range(1, n):
+        for _ in range(20):
+            speed += (18.0**2 * (p[i - 1] - x) - 22.0 * speed) / hz / 20
+            x += speed / hz / 20
+        bend[i] = 0.06 * x + 0.05 * np.tanh(x / 8)
+    return p, bend + rng.normal(0, 0.002, n)
+
+
+@pytest.mark.parametrize("hz", [8, 10, 15])
+def test_a_persons_quick_push_is_no_shift_of_the_marker_and_a_slip_is(hz):
+    for seed in range(8):
+        p, bend = pushes(hz, np.random.default_rng(seed))
+        assert not any("suddenly" in s or "jumps" in s for s in check(recording(p, bend, hz))[1]), seed
+        moves = np.r_[200, 200 + np.flatnonzero(np.diff(p[200:]))]
+        longest = np.argmax(np.diff(moves))
+        slipped = np.arange(2400) > moves[longest : longest + 2].mean()
+        assert any("suddenly 1 time" in s for s in check(recording(p, bend + 0.2 * slipped, hz))[1]), seed
+
+
+def test_an_outlier_on_a_ramp_is_one_row_and_no_shift():
+    p = np.interp(np.arange(2400), [0, 50, 800, 900, 1500, 2399], [0, 0, 14, 14, 2, 12])
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        bad = np.sort(rng.choice(np.arange(100, 2300, 10), 6, replace=False))
+        bend = 0.06 * p + rng.normal(0, 0.003, 2400)
+        bend[bad] += rng.choice([-1, 1], 6) * rng.uniform(0.1, 0.4, 6)
+        r = recording(p, bend, 20)
+        clean, said = check(r)
+        assert any("comes back 6 times" in s and "6 rows are left out" in s for s in said), said
+        assert not any("suddenly" in s for s in said) and len(r) - len(clean) == 6
+
+
 @pytest.mark.parametrize("tips", [False, True])
 def test_an_open_loop_cosine_with_all_digits_is_no_feedback(tips):
     t = np.arange(1200) / 20
