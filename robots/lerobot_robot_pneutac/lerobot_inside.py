@@ -37,6 +37,7 @@ TRIED_ON = "0.6.1"
 KNOWN = TRIED_ON.rpartition(".")[0]  # series of LeRobot whose inside `LeRobotHooks` knows
 # So lerobot-record and lerobot-rollout announce that an episode begins, and that one has ended.
 BEGINS, ENDS = "Recording episode", ("Reset the environment", "Stop recording")
+ROLLOUT_HZ = 30.0  # of lerobot-rollout where no --fps is given
 
 logger = logging.getLogger(__name__)
 
@@ -118,6 +119,8 @@ _OF_USERS = (InputError, DecodingError, DeviceNotConnectedError, DeviceAlreadyCo
 _OF_HUB = ("huggingface_hub", "httpx", "urllib")  # packages whose errors those are
 
 
+# Before the reason, where draccus tried the types of an option that may be None.
+UNION = r"^`\w+`: Could not decode the value into any of the given types:\s+\w+: "
 NO_FFMPEG = (
     "torchcodec finds no FFmpeg, so videos are read through PyAV, which is installed: nothing is lost. With"
     " FFmpeg's libraries installed (apt install ffmpeg) they are read faster."
@@ -158,7 +161,9 @@ def prepare() -> None:
 
     sys.excepthook = one_sentence
     try:
+        _check_counts(_options())
         _check_folders(_options())
+        _check_rates(_options())
     except InputError as e:
         sys.exit(f"error: {e}")
 
@@ -177,6 +182,40 @@ def _records(options: dict[str, str]) -> bool:
     """Whether the command makes a new dataset."""
     makes = Path(sys.argv[0]).stem.replace("_", "-") in ("lerobot-record", "lerobot-rollout")
     return makes and options.get("resume") != "true"
+
+
+COUNTS = ("steps", "batch_size", "eval.n_episodes", "dataset.num_episodes")
+
+
+def _check_counts(options: dict[str, str]) -> None:
+    """Raises InputError where there is nothing to do, and LeRobot would divide by the number."""
+    for name in COUNTS:
+        if re.fullmatch(r"0|-\d+", value := options.get(name, "")):
+            raise InputError(f"--{name} is {value}; it must be 1 or more.")
+
+
+def _check_rates(options: dict[str, str]) -> None:
+    """Raises InputError where actions would come at another rate than the robot's control rate."""
+    from pneutac_sim.world.station import Station  # MuJoCo
+
+    program, root = Path(sys.argv[0]).stem, options.get("dataset.root", "")
+    if options.get("robot.type") not in ("pneutac", "pneutac_sim") or "config_path" in options:
+        return
+    station = options.get("robot.station")
+    try:
+        hz = (Station.load(station) if station else Station()).control_hz
+    except InputError:  # which the option's own check says
+        return
+    fps, name, remedy = hz, "", ""
+    if "rollout" in program:
+        name, remedy = "--fps is", f"give --fps={hz}, or --robot.station=FILE with that control_hz"
+        with suppress(ValueError):  # of what is no number, as its parser says
+            fps = float(options.get("fps", ROLLOUT_HZ))
+    elif "replay" in program and (Path(root) / "meta" / "info.json").is_file():
+        name, fps = f"--dataset.root={root} has the rate", read_info(info_file(root)).get("fps", hz)
+        remedy = "give --robot.station=FILE, the station.yaml of its recording"
+    if fps != hz:
+        raise InputError(f"{name} {fps:g} Hz and the robot is controlled at {hz} Hz; {remedy}.")
 
 
 def _check_folders(options: dict[str, str]) -> None:
@@ -228,7 +267,7 @@ def explained(error: BaseException) -> str | None:
     while isinstance(error, ParsingError) and isinstance(error.__cause__, Exception):
         error, parsed = error.__cause__, True
     if isinstance(error, _OF_USERS):
-        return printable(str(error))
+        return printable(re.sub(UNION, "", str(error)))
     options = _options()
     frames = traceback.extract_tb(error.__traceback__)
     files = [frame.filename.replace("\\", "/") for frame in frames]
@@ -273,7 +312,11 @@ def _refuse_other(policy: PreTrainedConfig, options: dict[str, str]) -> None:
         given = {k.removeprefix(f"{group}."): v for k, v in options.items() if k.startswith(f"{group}.")}
         if given.get("type") not in ("pneutac", "pneutac_sim", "pneutac_standin"):
             continue
-        station = Station.load(given["station"]) if "station" in given else Station()
+        try:
+            station = Station.load(given["station"]) if "station" in given else Station()
+            twin = Twin.load(given["twin"]) if "twin" in given else Twin.builtin()
+        except InputError:  # which the option's own check says
+            continue
         if (own := getattr(policy, "control_hz", None) or station.control_hz) != station.control_hz:
             raise InputError(
                 f"the policy was trained at {own} Hz and the robot is controlled at {station.control_hz} Hz;"
@@ -281,7 +324,6 @@ def _refuse_other(policy: PreTrainedConfig, options: dict[str, str]) -> None:
             )
         if group == "env" or given["type"] == "pneutac_sim":
             standin = given["type"] == "pneutac_standin" or given.get("standin", "").lower() == "true"
-            twin = Twin.load(given["twin"]) if "twin" in given else Twin.builtin()
             chambers = 1 if standin else CHAMBERS.get(twin.device, 1)
             here = len(state_names(station.joints, chambers)), len(action_names(chambers))
             features = {**(policy.input_features or {}), **(policy.output_features or {})}

@@ -129,6 +129,12 @@ def task_names() -> tuple[str, ...]:
     return (*TASK_NAMES, *sorted(others - set(TASK_NAMES)))
 
 
+def library_tasks() -> set[str]:
+    """Names of the tasks that are the library's own, also where they come by an entry point."""
+    own = {p.name for p in entry_points(group=TASK_GROUP) if p.module.startswith("pneutac_sim.")}
+    return {*TASK_NAMES, *own}
+
+
 def action_limits(
     pressure_range_kpa: tuple[float, float], chambers: int = 1
 ) -> tuple[np.ndarray, np.ndarray]:

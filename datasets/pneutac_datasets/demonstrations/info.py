@@ -5,7 +5,7 @@ from pathlib import Path
 
 from pneutac_sim.dataset_files import ACTION, ROBOT, STATE
 from pneutac_sim.errors import InputError
-from pneutac_sim.features import TASK_NAMES, task_names
+from pneutac_sim.features import library_tasks, task_names
 from pneutac_sim.pace import read_info
 
 
@@ -58,7 +58,7 @@ def task_to_do(given: str, instructions: list[str], folder: Path) -> str:
             raise InputError(f"{folder} holds demonstrations of {several}; give a dataset of one task.")
         return next(iter(tasks.values()))
     for text, named in ((text, tasks_named(text)) for text in instructions):
-        if len(named) == 1 and named[0] != given and {given, *named} <= set(TASK_NAMES):
+        if len(named) == 1 and named[0] != given and {given, *named} <= library_tasks():
             raise InputError(
                 f"{folder}: the instruction '{text}' names the task '{named[0]}', not --task={given};"
                 f" give demonstrations of '{given}', or --task={named[0]}."

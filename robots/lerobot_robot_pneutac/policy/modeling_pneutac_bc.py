@@ -104,6 +104,9 @@ def model_card(
     # A folder of this machine says nothing elsewhere, and a resumed training names its own checkpoint.
     known = config.pretrained_path and not Path(config.pretrained_path).is_dir()
     level = rest_level if config.use_tactile else None
+    from pneutac_sim.world.tasks import tasks_named  # MuJoCo
+
+    instructions = demonstrations.tasks if demonstrations else ()
     return ModelCard.from_template(
         data,
         template_path=str(Path(__file__).with_name("model_card_template.md")),
@@ -113,6 +116,7 @@ def model_card(
         batch_size=None if train is None else train.batch_size,
         fine_tuned_from=Path(config.pretrained_path).as_posix() if known else None,
         features=_feature_rows(config, limits),
+        task=next((task for text in instructions for task in tasks_named(text)), "switch"),
         rest_level=None if level is None else ", ".join(f"{v:.0f}" for v in level),
     )
 

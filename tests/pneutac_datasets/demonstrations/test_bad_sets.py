@@ -445,6 +445,12 @@ def test_demonstrations_of_another_task_are_refused():
     assert task_to_do("mine", ["flip the switch"], here) == "mine"  # of a user's package
     with pytest.raises(InputError, match="names the task 'switch', not --task=egg; give demonstrations"):
         task_to_do("egg", ["flip the switch"], here)
+    for given, text in (
+        ("button", "flip the switch"),
+        ("switch", "Press the call button twice and hold it."),
+    ):
+        with pytest.raises(InputError, match=f"not --task={given}; give demonstrations of '{given}'"):
+            task_to_do(given, [text], here)
     with pytest.raises(InputError, match="of 'switch' .* and 'egg' .*; give a dataset of one task"):
         task_to_do("", ["flip the switch", "Open the egg carton."], here)
 

@@ -2,18 +2,20 @@ import json
 import sys
 from pathlib import Path
 
+import draccus
 import numpy as np
 import pytest
 import torch
 from demonstration_sets import touching, write_episodes
-from draccus.utils import DecodingError
+from draccus.utils import DecodingError, ParsingError
 from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature, PreTrainedConfig
+from lerobot.configs.train import TrainPipelineConfig
 from lerobot.datasets import LeRobotDatasetMetadata
 from lerobot.policies import make_policy
 from lerobot.utils.constants import ACTION, OBS_STATE
 from safetensors.torch import load_file, save_file
 
-from lerobot_robot_pneutac.lerobot_inside import prepare
+from lerobot_robot_pneutac.lerobot_inside import explained, prepare
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy, Scaling
 from pneutac_sim.errors import InputError
@@ -449,6 +451,8 @@ def test_a_policy_of_another_camera_body_or_task_is_refused_before_the_work(
     [
         (["lerobot-eval", "--env.type=pneutac"], "at 30 Hz and the robot is controlled at 15 Hz; give --env"),
         (["lerobot-rollout", "--robot.type=pneutac_sim"], "controlled at 15 Hz; give --robot.station=FILE"),
+        (["lerobot-train", "--steps=0"], "error: --steps is 0; it must be 1 or more"),
+        (["lerobot-eval", "--eval.n_episodes=-2"], "error: --eval.n_episodes is -2; it must be 1 or more"),
         (["lerobot-record", "--dataset.single_task= "], "--dataset.single_task is blank; give the instruc"),
     ],
 )
@@ -464,6 +468,41 @@ def test_what_lerobot_does_not_compare_is_refused_before_the_work(tmp_path, monk
     monkeypatch.setattr(sys, "argv", ["lerobot-eval", *argv[1:], f"--policy.path={tmp_path / 'p'}", fitting])
     if "--env.type=pneutac" in argv:
         prepare()
+
+
+REPLAY = f"lerobot-replay --dataset.root={Path(__file__).parents[2] / 'golden' / 'recordings' / 'demos'}"
+
+
+@pytest.mark.parametrize(
+    ("argv", "said"),
+    [
+        ("lerobot-rollout --robot.type=pneutac_sim", "--fps is 30 Hz and .* at 15 Hz; give --fps=15, or"),
+        ("lerobot-rollout --robot.type=pneutac --fps=20", "--fps is 20 Hz and the robot is controlled at 15"),
+        ("lerobot-rollout --robot.type=pneutac_sim --fps=15", None),
+        ("lerobot-rollout --robot.type=pneutac_sim --robot.station=station.yaml", None),
+        ("lerobot-rollout --robot.type=so101_follower", None),
+        (f"{REPLAY} --robot.type=pneutac_sim", None),
+        (f"{REPLAY} --robot.type=pneutac_sim --robot.station=station.yaml", "has the rate 15 Hz .* at 30 Hz"),
+    ],
+)
+def test_actions_at_another_rate_than_the_robots_are_refused_before_the_work(
+    tmp_path, monkeypatch, argv, said
+):
+    (tmp_path / "station.yaml").write_text("format: pneutac-station/1\ncontrol_hz: 30\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "excepthook", sys.excepthook)
+    monkeypatch.setattr(sys, "argv", argv.split())
+    if said is None:
+        prepare()
+        return
+    with pytest.raises(SystemExit, match=f"error: .*{said}"):
+        prepare()
+
+
+def test_the_reason_is_shown_without_the_types_that_were_tried():
+    with pytest.raises(ParsingError) as e:
+        draccus.parse(TrainPipelineConfig, args=["--policy.type=pneutac_bc", "--policy.optimizer_lr=-1"])
+    assert explained(e.value) == "--policy.optimizer_lr is -1.0; it must be above 0."
 
 
 def test_weights_that_are_no_numbers_are_named(tmp_path):

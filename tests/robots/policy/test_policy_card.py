@@ -98,6 +98,12 @@ def test_a_policy_without_touch_says_so(demonstrations, tmp_path):
     assert "Steps" not in text
 
 
+def test_the_cards_commands_are_of_the_policys_task(tmp_path):
+    meta = write_dataset(tmp_path / "eggs", episodes=2, task="Open the egg carton.")
+    text = make_policy(PneutacBCConfig(device="cpu"), meta).generate_model_card().text
+    assert "--env.task=egg" in text and "--robot.task=egg" in text
+
+
 def test_the_cards_commands_name_options_that_exist(demonstrations):
     policy = make_policy(PneutacBCConfig(device="cpu"), demonstrations)
     block = re.search(r"```bash\n(.*?)```", policy.generate_model_card().text, re.S).group(1)
