@@ -134,15 +134,16 @@ def _measured(
         """The weight pulls at the marker, wherever that is."""
         data.xfrc_applied[last] = np.r_[weight, np.cross(tip.xpos - data.xipos[last], weight)]
 
+    each = (hang,) if weight.any() else ()  # at every substep, of which a session has a hundred thousand
     turned = {g: conditions[g] for g in HANGING} != HANGING or weight.any()
     settle_s = TURNED_S if turned else SETTLE_S
-    finger.advance(0.0, round(settle_s * hz) / hz, hang)
+    finger.advance(0.0, round(settle_s * hz) / hz, *each)
     places, pressure = np.empty((len(command_kpa), 3)), np.empty(len(command_kpa))
     for i in range(len(command_kpa)):
         mujoco.mj_kinematics(model, data)
         places[i] = 1e3 * base.xmat.reshape(3, 3).T @ (tip.xpos - base.xpos)
         pressure[i] = finger.rod.pressure_kpa
-        finger.advance(float(command_kpa[i]), 1 / hz, hang)
+        finger.advance(float(command_kpa[i]), 1 / hz, *each)
     return places, pressure
 
 
