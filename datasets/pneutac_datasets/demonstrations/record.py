@@ -16,7 +16,7 @@ from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
 from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
 from pneutac_datasets.demonstrations.card import write_card
 from pneutac_datasets.demonstrations.episodes import POINTS, points_feature
-from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
+from pneutac_datasets.demonstrations.save import create_dataset, written
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import POINTS_KEY
 from pneutac_sim.gel.contact import SPECKS
@@ -55,7 +55,7 @@ def record_episodes(
     for device in ours:
         device.connect()
     failed = 0
-    with quiet_encoders():
+    with written(dataset):
         try:
             for done in range(episodes):
                 progress("recording demonstrations", done, episodes)
@@ -69,7 +69,6 @@ def record_episodes(
                         )
                 dataset.save_episode()
         finally:
-            dataset.finalize()
             for device in ours:
                 device.disconnect()
     write_card(root, source=SIMULATED)

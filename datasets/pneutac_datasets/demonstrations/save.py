@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import av
 import numpy as np
+from datasets.table import embed_table_storage
 from lerobot.datasets import LeRobotDataset
 
 import datasets
@@ -103,17 +104,23 @@ def _quick() -> Iterator[None]:
         yield
 
 
+def _embedded(rows: datasets.Dataset) -> datasets.Dataset:
+    """Rows with their images' files inside, which LeRobot reads row by row."""
+    found = rows.with_format("arrow").map(embed_table_storage, batched=True, new_fingerprint="embedded")
+    return found.with_format(**rows.format)
+
+
 @contextlib.contextmanager
 def written(dataset: LeRobotDataset) -> Iterator[None]:
     """While episodes are added to a dataset: quiet, and whole at the end, come what may."""
     with contextlib.ExitStack() as stack:
         stack.enter_context(_quick())
-        if not dataset.meta.image_keys:  # what follows takes longer than all else of a row
-            embed = replaced("lerobot.datasets.dataset_writer", "embed_images", lambda rows: rows)
-            # Pickles all rows, to find what was computed of them before; nothing is.
-            name = replaced("datasets.arrow_dataset", "generate_fingerprint", lambda rows: "episode")
-            stack.enter_context(embed)
-            stack.enter_context(name)
+        # What follows takes longer than all else of a row.
+        embed = _embedded if dataset.meta.image_keys else lambda rows: rows
+        stack.enter_context(replaced("lerobot.datasets.dataset_writer", "embed_images", embed))
+        # Pickles all rows, to find what was computed of them before; nothing is.
+        name = replaced("datasets.arrow_dataset", "generate_fingerprint", lambda rows: "episode")
+        stack.enter_context(name)
         stack.callback(dataset.finalize)
         yield
 
