@@ -13,6 +13,7 @@ from pneutac_sim.effects.body_effect import REFERENCE_C
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CHAMBERS
 from pneutac_sim.finger.quantities import observations
+from pneutac_sim.finger.sent import sent_times
 
 STEP_SHARE = 0.02  # of the range: a smaller change from sample to sample is no step
 _UNSEEN = 3  # commands between two samples that are searched for, besides the logged one
@@ -33,23 +34,28 @@ def steps(pressure: np.ndarray, first: np.ndarray) -> np.ndarray:
 def switches(samples, time: np.ndarray, pressure: np.ndarray, first: np.ndarray, switch):
     """Where the command switches between samples: arguments of `Inputs._with_switches`.
 
-    By `time_sent_s` if the log has it, else by `switch`, see `Inputs.from_samples`; pressures (n, chambers)
-    are those commanded, and `first` (n,) is True where a trial begins.
+    By `time_sent_s` if the log has it, else those of ramps as their commands show it and steps by `switch`,
+    see `Inputs.from_samples`; pressures (n, chambers) are those commanded, and `first` (n,) is True where a
+    trial begins.
     """
-    at = steps(pressure, first)
-    if "time_sent_s" in samples:
-        at, share, before, after = _sent(
-            np.asarray(samples["time_sent_s"], dtype=float), time, pressure, first, at
-        )
-        if np.ndim(switch):
-            given = np.asarray(switch, dtype=float)[at]
-            share = np.where(np.isfinite(given), given, share)
-        return at, share, before, after
-    share = np.full(len(at), math.nan)
-    if switch is not None:
-        share = np.broadcast_to(np.asarray(switch, dtype=float), len(time))[at]
+    at, ramp = steps(pressure, first), _ramps(pressure, first)
+    sent = np.full(len(time), math.nan)
+    if logged := "time_sent_s" in samples:
+        sent = np.asarray(samples["time_sent_s"], dtype=float)
+    elif switch is not None:
+        sent = sent_times(time, pressure, first)
+    ramp &= np.isfinite(sent) & np.isfinite(np.roll(sent, 1))
+    at = at[~ramp[at]]
+    share = (sent[at] - time[at - 1]) / (time[at] - time[at - 1]) if logged else np.full(len(at), math.nan)
+    if switch is not None and (np.ndim(switch) or not logged):
+        given = np.broadcast_to(np.asarray(switch, dtype=float), len(time))[at]
+        share = np.where(np.isfinite(given), given, share)
     at, share = at[np.isfinite(share)], share[np.isfinite(share)]
-    return at, share, pressure[at - 1], pressure[at]
+    of_steps = at, share, pressure[at - 1], pressure[at]
+    of_ramps = _of_ramps(sent, time, pressure, np.flatnonzero(ramp))
+    at, share, before, after = (np.concatenate(x) for x in zip(of_steps, of_ramps, strict=True))
+    order = np.lexsort((share, at))
+    return at[order], share[order], before[order], after[order]
 
 
 def shares(samples, pressure: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -67,7 +73,7 @@ def shares(samples, pressure: np.ndarray, first: np.ndarray) -> tuple[np.ndarray
     latest = np.clip((sent[at] - time[at - 1]) / row, 0, 1)
     following = np.minimum(at + 1, len(time) - 1)
     goes_on = (sent[following] != sent[at]) & ~first[following] & ~ramp[at]
-    tick = _tick(sent, time, ramp)
+    tick = _tick(sent, time, np.flatnonzero(ramp))
     unseen = np.floor((sent[at] - time[at - 1]) / tick - 1e-6)
     return latest - np.where(goes_on, np.maximum(unseen, 0), 0) * tick / row, latest
 
@@ -84,37 +90,28 @@ def held(pressure: np.ndarray, first: np.ndarray, share: np.ndarray) -> np.ndarr
     return pressure - np.maximum(late, 0) * step - np.minimum(late, 0) * np.r_[step[1:], 0.0 * step[:1]]
 
 
-def _sent(sent, time, pressure, first, steps):
-    """Switches, from when the log says each command was sent.
+def _of_ramps(sent, time, pressure, ramp: np.ndarray):
+    """Switches before the rows `ramp` (k,), from when each row's command was sent.
 
-    In a ramp a computer that is faster than the log sends commands that no row has; they lie between their
-    neighbours, in time and height.
+    A computer that is faster than the log sends commands that no row has; they lie between their neighbours,
+    in time and height.
     """
-    ramp = _ramps(pressure, first)
-    held = np.union1d(steps, np.flatnonzero(ramp))
-    tick = _tick(sent, time, ramp)
-    none = np.zeros((0, pressure.shape[1]))
-    parts = [(np.zeros(0, int), np.zeros(0), none, none)]
-    gap = sent[held] - sent[held - 1]
+    tick, parts = _tick(sent, time, ramp), []
     for back in range(_UNSEEN, -1, -1):
-        instant = sent[held] - back * tick
-        seen = (instant > sent[held - 1] + tick / 2) & (instant > time[held - 1]) & ramp[held]
-        on = np.flatnonzero(seen | (back == 0))
-        i = held[on]
+        instant = sent[ramp] - back * tick
+        on = (instant > sent[ramp - 1] + tick / 2) & (instant > time[ramp - 1]) | (back == 0)
+        i, instant = ramp[on], instant[on]
 
-        def command(at, i=i, gap=gap[on]):
+        def command(at, i=i):
             """Command (k, chambers) sent at these instants, (k,)."""
-            share = np.where(ramp[i], 1 - (sent[i] - at) / gap, 1.0)
+            share = 1 - (sent[i] - at) / (sent[i] - sent[i - 1])
             return pressure[i - 1] + np.clip(share, 0, 1)[:, None] * (pressure[i] - pressure[i - 1])
 
-        earlier = instant[on] - tick
-        logged = ~ramp[i] | (earlier <= np.maximum(sent[i - 1] + tick / 2, time[i - 1]))
+        earlier = instant - tick
+        logged = earlier <= np.maximum(sent[i - 1] + tick / 2, time[i - 1])
         before = np.where(logged[:, None], pressure[i - 1], command(earlier))
-        share = (instant[on] - time[i - 1]) / (time[i] - time[i - 1])
-        parts.append((i, share, before, command(instant[on])))
-    at, share, before, after = (np.concatenate(x) for x in zip(*parts, strict=True))
-    order = np.lexsort((share, at))
-    return at[order], share[order], before[order], after[order]
+        parts.append((i, (instant - time[i - 1]) / (time[i] - time[i - 1]), before, command(instant)))
+    return [np.concatenate(x) for x in zip(*parts, strict=True)]
 
 
 def _ramps(pressure: np.ndarray, first: np.ndarray) -> np.ndarray:
@@ -124,15 +121,14 @@ def _ramps(pressure: np.ndarray, first: np.ndarray) -> np.ndarray:
     return np.r_[False, (moves[1:] & moves[:-1]).any(axis=1)]
 
 
-def _tick(sent: np.ndarray, time: np.ndarray, ramp: np.ndarray) -> float:
+def _tick(sent: np.ndarray, time: np.ndarray, rows: np.ndarray) -> float:
     """Seconds from command to command: of a loop that logs each one, or of a separate computer.
 
     With a separate computer a sample finds the last command at any age up to that; in a loop all are of one
     age.
     """
-    if not ramp.any():
+    if not len(rows):
         return 1.0  # no ramp, so none unseen
-    rows = np.flatnonzero(ramp)
     gap = sent[rows] - sent[rows - 1]
     low, high = np.quantile((time - sent)[rows], (0.02, 0.98))
     if high - low < 0.2 * np.median(gap):

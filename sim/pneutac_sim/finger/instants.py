@@ -20,6 +20,7 @@ from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.inputs import pressure_columns, shares, steps
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.finger.problem import Bounds, Problem
+from pneutac_sim.finger.sent import sent_times
 
 # Of the noise's variance: what an instant of its own must gain; by fitting noise it gains up to one.
 COST = 1.5
@@ -205,7 +206,9 @@ def by_row(recording, step: StepRows, pipeline: Pipeline, theta: np.ndarray) -> 
     out = np.full(len(recording.samples["trial"]), np.nan)
     found = step.instant(_least(step.errors(pipeline, theta)))
     out[step.at[step.unknown]] = np.round(found, 3)[step.unknown]
-    if "time_sent_s" in recording.samples:
+    command, first = _command(recording)
+    time = np.asarray(recording.samples["time_s"], dtype=float)
+    if "time_sent_s" in recording.samples or np.isfinite(sent_times(time, command, first)).any():
         return out
     ramps = np.where(np.isnan(out), np.median(out[step.at]), out)
 
