@@ -42,6 +42,11 @@ class Augmentation(Result):
         """Of the variants that were tried, those that did the task."""
         return self.summary["kept"] / self.summary["attempts"]
 
+    @property
+    def made(self) -> int:
+        """New demonstrations of this run, without those of one that was stopped."""
+        return self.summary["kept"] - self.summary.get("earlier", 0)
+
     def rows(self) -> list[dict]:
         rejected = {f"rejected: {reason}": count for reason, count in self.summary["rejected"].items()}
         counts = {"accepted": self.summary["kept"]} | rejected | {"yield": f"{100 * self.share:.0f} %"}
@@ -53,8 +58,9 @@ class Augmentation(Result):
         if checks:
             agree = sum(c["success"] for c in checks)
             out.append(f"Material points do the task in {agree} of {len(checks)} of them too.")
-        pace = f"{minutes:.1f} minutes, {stored / minutes:.0f} a minute"
-        new = f"{stored} new ones in {self.config.output.root} ({pace})"
+        pace = f"{minutes:.1f} minutes, {self.made / minutes:.0f} a minute"
+        before = f"{stored - self.made} of them by a run that was stopped; " * (self.made < stored)
+        new = f"{stored} new ones in {self.config.output.root} ({before}{pace})"
         out.append(f"{len(self.references)} demonstrations in, {new}.")
         attempts = self.summary.get("attempts", stored)
         if attempts >= FEW_ATTEMPTS and stored < FEW_WORKED * attempts:
@@ -96,7 +102,7 @@ class Augmentation(Result):
         out |= {"method": self.config.method, "copies": s.get("copies", 0), "yield": self.share}
         out |= {"start_range_m": s.get("start_range_m"), "area_rmse": float(np.mean(rmse)) if rmse else None}
         out |= {"onset_sigma_mm": 1e3 * onset_sigma_m(self.references)}
-        out |= {"demonstrations_per_minute": 60 * s["kept"] / s["wall_s"]}
+        out |= {"demonstrations_per_minute": 60 * self.made / s["wall_s"]}
         out |= {"checks": s["checks"]} if "checks" in s else {}
         return out | ({"set_aside": self.failed} if self.failed else {})
 
@@ -105,6 +111,7 @@ class Augmentation(Result):
         report = Report(f"{summary['kept']} demonstrations from {len(references)}")
         did = f"{summary['kept']} did the task ({100 * self.share:.0f} %)"
         minutes = f"{summary['wall_s'] / 60:.1f} minutes"
+        minutes += " since it went on" * (self.made < summary["kept"])
         report.lead(f"{summary['attempts']} variants were tried and {did}, in {minutes}.")
         moved = "; objects and reference trajectories were moved together by as much in x and y"
         sigma = " / ".join(f"{s:.1f}" for s in 1e3 * onset_sigma_m(references))

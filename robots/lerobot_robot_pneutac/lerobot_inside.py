@@ -119,8 +119,6 @@ _OF_USERS = (InputError, DecodingError, DeviceNotConnectedError, DeviceAlreadyCo
 _OF_HUB = ("huggingface_hub", "httpx", "urllib")  # packages whose errors those are
 
 
-# Before the reason, where draccus tried the types of an option that may be None.
-UNION = r"^`\w+`: Could not decode the value into any of the given types:\s+\w+: "
 NO_FFMPEG = (
     "torchcodec finds no FFmpeg, so videos are read through PyAV, which is installed: nothing is lost. With"
     " FFmpeg's libraries installed (apt install ffmpeg) they are read faster."
@@ -267,7 +265,7 @@ def explained(error: BaseException) -> str | None:
     while isinstance(error, ParsingError) and isinstance(error.__cause__, Exception):
         error, parsed = error.__cause__, True
     if isinstance(error, _OF_USERS):
-        return printable(re.sub(UNION, "", str(error)))
+        return printable(str(error))
     options = _options()
     frames = traceback.extract_tb(error.__traceback__)
     files = [frame.filename.replace("\\", "/") for frame in frames]

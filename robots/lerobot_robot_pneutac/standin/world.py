@@ -422,7 +422,7 @@ class StandinWorld(BaseWorld):
         """Advances one control step, `dt_s`, by an action (4,) as `features.ACTION_NAMES`.
 
         What exceeds the limits is clipped and counted in `clipped`. Raises InputError where the action has
-        another shape or is not finite, FloatingPointError where the physics has diverged.
+        another shape or is not finite, DivergedError where the physics has diverged.
         """
         joints, pressures_kpa = self._send(action)
         self._shown = self._felt()

@@ -113,11 +113,17 @@ def build(
 </mujoco>"""
 
 
+class DivergedError(InputError, FloatingPointError):
+    """The physics of a world has diverged, by what it was made of: networks, conditions or a task."""
+
+
 def check_physics(data: mujoco.MjData) -> None:
-    """Raises FloatingPointError where the physics has diverged."""
+    """Raises DivergedError where the physics has diverged."""
     if any(data.warning[kind].number for kind in DIVERGED):
-        raise FloatingPointError(
-            "The physics has diverged: MuJoCo met values that are not finite or too large."
+        raise DivergedError(
+            "The physics has diverged: MuJoCo met values that are not finite or too large; train finer"
+            " networks with `pneutac surrogate`, give fidelity=probe, which has none, or correct masses and"
+            " stiffnesses of a task of your own."
         )
 
 

@@ -226,7 +226,7 @@ class World(BaseWorld):
 
         Raises:
             InputError: the action has another shape or is not finite.
-            FloatingPointError: the physics has diverged.
+            DivergedError: the physics has diverged.
         """
         joints, pressures_kpa = self._send(action)
         self._advance(joints, self._pipeline.step(pressures_kpa, self.dt_s))

@@ -259,6 +259,16 @@ def test_whether_the_recorded_ones_are_mixed_in_is_reported(copies, said, tmp_pa
     assert said in remarks[-1] and ("would be 40 % of its frames or more" in remarks[-1]) == (copies == 0)
 
 
+def test_the_pace_is_of_what_this_run_made(tmp_path):
+    cfg = AugmentConfig(DatasetRef("a", tmp_path / "a"), DatasetRef("b", tmp_path / "b"))
+    for earlier, said in (
+        (0, "b (1.0 minutes, 10 a"),
+        (6, "b (6 of them by a run that was stopped; 1.0 minutes, 4 a"),
+    ):
+        first, *_ = Augmentation(cfg, {"kept": 10, "wall_s": 60, "earlier": earlier}, [None] * 2).remarks()
+        assert f"10 new ones in {tmp_path}/{said} minute)." in first
+
+
 @pytest.mark.parametrize("attempts, doubted", [(9, False), (22, True), (11, False)])
 def test_few_attempts_that_work_ask_for_the_finger(attempts, doubted, tmp_path):
     """Nothing in a dataset says how long its finger is; what another one does from it seldom works."""

@@ -260,6 +260,20 @@ def test_the_task_is_done_from_starts_and_objects_that_nobody_showed(method):
         np.testing.assert_array_equal(again.action, made[1][0].action)
 
 
+def test_an_attempt_whose_physics_diverges_is_rejected_and_the_next_is_made(monkeypatch):
+    generator = Generator(setup_of(demonstrations("switch", 2), method="expert", attempts=8), touch="area")
+    step, diverges = generator.world.step, iter([False, True])
+
+    def pushed(action):
+        generator.world.data.qvel[0] += 1e12 * next(diverges, False)
+        return step(action)
+
+    monkeypatch.setattr(generator.world, "step", pushed)
+    made, line = generator.episode(0, [])
+    assert line["rejected"][0]["reason"] == "the physics diverged"
+    assert made.reason is None and np.isfinite(made.state).all()
+
+
 def test_what_leads_the_expert_astray_is_carried_out_and_not_stored():
     setup = setup_of(demonstrations("switch", 2), method="expert", start_range=(0.004, 0.004, 0.004))
     made, _ = Generator(setup, touch="area").episode(0, [])

@@ -2,20 +2,18 @@ import json
 import sys
 from pathlib import Path
 
-import draccus
 import numpy as np
 import pytest
 import torch
 from demonstration_sets import touching, write_episodes
-from draccus.utils import DecodingError, ParsingError
+from draccus.utils import DecodingError
 from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature, PreTrainedConfig
-from lerobot.configs.train import TrainPipelineConfig
 from lerobot.datasets import LeRobotDatasetMetadata
 from lerobot.policies import make_policy
 from lerobot.utils.constants import ACTION, OBS_STATE
 from safetensors.torch import load_file, save_file
 
-from lerobot_robot_pneutac.lerobot_inside import explained, prepare
+from lerobot_robot_pneutac.lerobot_inside import prepare
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import TACTILE, PneutacBCConfig
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy, Scaling
 from pneutac_sim.errors import InputError
@@ -497,12 +495,6 @@ def test_actions_at_another_rate_than_the_robots_are_refused_before_the_work(
         return
     with pytest.raises(SystemExit, match=f"error: .*{said}"):
         prepare()
-
-
-def test_the_reason_is_shown_without_the_types_that_were_tried():
-    with pytest.raises(ParsingError) as e:
-        draccus.parse(TrainPipelineConfig, args=["--policy.type=pneutac_bc", "--policy.optimizer_lr=-1"])
-    assert explained(e.value) == "--policy.optimizer_lr is -1.0; it must be above 0."
 
 
 def test_weights_that_are_no_numbers_are_named(tmp_path):

@@ -37,6 +37,7 @@ from pneutac_sim.world.base import Variation
 from pneutac_sim.world.checks import Conditions, draw
 from pneutac_sim.world.expert import ScriptedExpert
 from pneutac_sim.world.gantry import Gantry
+from pneutac_sim.world.scene import DivergedError
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.task_env import SceneCameras, tactile_points
 from pneutac_sim.world.world import World
@@ -112,6 +113,7 @@ def bend_gain_sd(twin: Twin | None) -> float:
 FEED_FORWARD_M_S = 0.01  # velocity added along the motion in contact for a friction factor higher by one
 START_M = 0.004  # standard deviation of the start; its height stays, by which many a contact is met at all
 SHORTEST = 8  # control steps of the paper's rate; what is done sooner was done by where the object stood
+DIVERGED = "the physics diverged"
 IN_THE_WAY = "the object stood where the hand starts"
 TRIES = 10  # variants of one reference before another one gets its turn
 # Noise that is carried out and not stored, so that labels show the way back (Laskey et al., DART, CoRL 2017).
@@ -238,12 +240,16 @@ class Generator:
         rejected = []
         for number in range(self.setup.config.attempts):
             variant, where, rng = self.variant(index, number)
-            if self.setup.config.method == "planner":
-                scene = scenes[variant.source]
-                attempt = self.carry_out(variant, scene, rng)
-                scores = {"cost": attempt.cost, "area_rmse": attempt.area_rmse, "scene": asdict(scene)}
-            else:
-                attempt, scores = self.find_out(variant, rng)
+            try:
+                if self.setup.config.method == "planner":
+                    scene = scenes[variant.source]
+                    attempt = self.carry_out(variant, scene, rng)
+                    scores = {"cost": attempt.cost, "area_rmse": attempt.area_rmse, "scene": asdict(scene)}
+                else:
+                    attempt, scores = self.find_out(variant, rng)
+            except DivergedError:
+                rejected.append({"attempt": number, "reason": DIVERGED, **where})
+                continue
             if attempt.reason is None:
                 return attempt, self.provenance(index, number, where | scores, len(attempt.action), rejected)
             rejected.append({"attempt": number, "reason": attempt.reason, **where})

@@ -304,7 +304,8 @@ def augment_guided(
 
     Returns:
         `attempts`, `kept`, `rejected` (reason to count), `provenance` (a dict each), `seconds` by part,
-        `scenes`, `wall_s`; with checks also `checks`, an `Agreement` each.
+        `scenes`, `wall_s`, `earlier` (how many of `kept` a run had made that was stopped); with checks also
+        `checks`, an `Agreement` each.
 
     Raises:
         InputError: the output exists, an unfinished run is another one, or a demonstration cannot be made.
@@ -315,7 +316,9 @@ def augment_guided(
     work.open(_run(meta, setup))
     with locked(work.folder, wait_s=0.0):
         # It is there where a run was stopped when only its work folder was left to remove.
-        seconds = {} if out.root.exists() else _make_and_write(meta, setup, work, progress)
+        ended = out.root.exists()
+        earlier = sum(ended or work.episode_file(k).exists() for k in range(c.episodes))
+        seconds = {} if ended else _make_and_write(meta, setup, work, progress)
         lines = (out.root / "meta" / PROVENANCE).read_text().splitlines()
         scenes = [work.load_scene(i) for i in range(n) if work.scene_file(i).exists()]
         found = summary_of([json.loads(line) for line in lines], seconds, scenes, began)
@@ -327,7 +330,7 @@ def augment_guided(
         checked = [f for f in map(work.check_file, range(c.check_mpm)) if f.exists()]
         checks = {"checks": [json.loads(f.read_text()) for f in checked]} if checked else {}
         shutil.rmtree(work.folder)
-    return found | checks | {ANSWER_DELAY: _answer_delay(setup) or 0}
+    return found | checks | {"earlier": earlier, ANSWER_DELAY: _answer_delay(setup) or 0}
 
 
 def _answer_delay(setup: AugmentSetup) -> int | None:

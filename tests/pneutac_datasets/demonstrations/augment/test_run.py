@@ -32,7 +32,7 @@ def test_a_run_that_was_stopped_when_only_its_work_folder_was_left_ends(tmp_path
     with pytest.raises(InputError, match="holds 2 demonstrations, not 3; give a new folder for them"):
         run.augment_guided(meta, setup(3))
     found = run.augment_guided(meta, setup(2))
-    assert (found["kept"], found["copies"]) == (2, 1) and not work_folder(new).exists()
+    assert (found["kept"], found["copies"], found["earlier"]) == (2, 1, 2) and not work_folder(new).exists()
 
 
 def test_what_comes_before_the_first_demonstration_has_a_name(tmp_path, monkeypatch):
