@@ -82,6 +82,12 @@ IDLE_OF_NOISE = 0.02  # the same by the noise, for a finished fit (body_base)
 
 # ---------------------------------------------------------------- bodies
 
+SAME_LEVEL = 0.005  # of the largest pressure: commands that differ by less are one (body_base)
+FEW_LEVELS, MOSTLY_HELD = (
+    8,
+    0.95,
+)  # pressures with that share of the rows say little of those between (body_base)
+SMOOTH = 0.1  # of the largest pressure: where it changes by less from row to row no step was seen (body_base)
 GAUGE_BETTER = 0.9  # of the error from the command: what a body driven by the gauge must reach (body_search)
 AS_WELL = 1.1  # of the error from the command alone: what it may leave there (body_search)
 RUNS_WORTH = 0.3  # of the excess that offsets of single runs must explain (body_search)

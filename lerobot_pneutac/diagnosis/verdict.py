@@ -81,6 +81,15 @@ class Evidence:
         return self.after is not None and (self.after <= T.NOISE or self.is_noise_everywhere)
 
     @property
+    def noise_too_large(self) -> bool:
+        """Whether errors are surely below the noise, so that its estimate is none."""
+        return (
+            not self.noise_known
+            and self.after is not None
+            and (self.interval or (0, self.after))[1] < 1 / T.NOISE
+        )
+
+    @property
     def is_noise_everywhere(self) -> bool:
         """Whether what is left is noise in all that no fit saw: test blocks, later rows, other programs.
 
@@ -169,7 +178,7 @@ def explained(e: Evidence) -> Explained:
     if e.poor or e.after is None:
         return Explained.UNDETERMINED
     low, high = e.interval or (e.after, e.after)
-    if e.is_noise and high > T.CLOSE:
+    if e.noise_too_large or (e.is_noise and high > T.CLOSE):
         return Explained.UNDETERMINED
     if e.is_noise_everywhere and not e.unseen:
         return Explained.FULLY

@@ -68,6 +68,7 @@ class State:
     noise_how: str = ""  # how it was found, or why it was not
     noise_measured: bool = True  # whether it was declared or measured by repeats
     at_noise: bool = False  # whether what remains is called noise
+    noise_too_large: bool = False  # whether the error is surely below the estimate of the noise
     poor: str = ""  # why the recording is too poor for any claim; empty where it is not
     causes: tuple[str, ...] = ()  # what is missing, as noun phrases, the largest first
     set_up: tuple[str, ...] = ()  # those of them that are how the device is made and mounted, no effects
@@ -152,6 +153,7 @@ def state_of(study: EffectStudy, outcome: Outcome) -> State:
         noise_how=study.noise.how,
         noise_measured=e.noise_known and study.noise.value is not None,
         at_noise=e.is_noise and study.noise.value is not None,
+        noise_too_large=e.noise_too_large,
         removed=study.reduction(o.before, o.after) if named else (0.0, (0.0, 0.0)),
         rivals=tuple((called(r.effect, r.winner.twin), called(r.rival, r.fit.twin)) for r in o.rivals),
         lower=tuple(map(called, lower)),
@@ -219,6 +221,8 @@ def explanation(s: State) -> str:
             worst = max(where, key=lambda k: where[k] or 0.0)
             but = f"{where[worst] or 0.0:.2f} times the noise in {worst}"
             return f"Explained: mostly. The error is {times}, but {but}."
+        case Explained.UNDETERMINED if s.noise_too_large:
+            return f"Explained: undetermined, since the noise is estimated too large: the error is {times}."
         case Explained.UNDETERMINED if s.at_noise:
             more = f"above {CLOSE:g} times it would be more than noise"
             return f"Explained: undetermined, since the error is known too roughly: {times}, and {more}."
@@ -253,8 +257,9 @@ def _headline(s: State) -> str:
         case Kind.POOR:
             return s.poor
         case Kind.NOTHING if s.at_noise:
-            at = f"the {'' if s.noise_measured else 'estimated '}noise ({s.noise:.3g} {s.unit})"
-            return f"Nothing is missing that this recording can show: the test error of {error} is at {at}."
+            where = "below" if s.noise_too_large else "at"
+            at = f"{where} the {'' if s.noise_measured else 'estimated '}noise ({s.noise:.3g} {s.unit})"
+            return f"Nothing is missing that this recording can show: the test error of {error} is {at}."
         case Kind.NOTHING:
             none = f"Nothing that was tested explains the test error of {error}"
             tried = "neither a known effect nor a black box of the command"

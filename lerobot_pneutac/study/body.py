@@ -18,6 +18,7 @@ from lerobot_pneutac.diagnosis.result import (
     FittedModel,
     Outcome,
     Refits,
+    Rival,
     Tested,
     family_in,
 )
@@ -189,6 +190,7 @@ class _Judgement:
         worth = self.contributions() if helps else []
         others = rivals(done.found, floor, done.terms, family, lambda s: study.fitted(s.model))
         others = [r for r in others if family_in(r.fit.twin, r.rival) != family_in(r.winner.twin, r.effect)]
+        others = [r for r in others if self.still_as_good(r)]
         return study.outcome(
             began,
             self.before,
@@ -289,6 +291,24 @@ class _Judgement:
             if term in done.terms and term not in models:
                 models[term] = self.of_twin(self.study.with_air(self.final, air.model))
         return self.study.contributions(self.after, models, self.known)
+
+    def still_as_good(self, rival: Rival) -> bool:
+        """Whether a rival fits as well in its effect's place when all is there that was found after it."""
+        effect, other, space, final = rival.effect, rival.rival, self.done.space, self.done.model
+        structure, noise_mse = final.model.structure, self.study.noise.floor**2
+        if effect not in structure.effects or effect not in self.done.without:
+            return True
+        if other in structure.effects:
+            return False
+        values = {f"{other}.{k}": v.value for k, v in rival.fit.twin.effects[other].items()}
+        swapped = structure.without(effect).plus(other), final.model.values | values
+        fits = self.search.engine(space).fits(
+            [swapped, *(space.trial(*swapped, other, s) for s in starts(other))], 8
+        )
+        if fits and "pneumatics" in {get_effect(e).stage for e in (effect, other)}:
+            fits[0] = self.search.score(space.refine_actuation(fits[0].model))
+        least = T.AS_GOOD * (self.done.without[effect].value - noise_mse), T.WORTH_OF_NOISE * noise_mse
+        return bool(fits) and fits[0].value - final.value < max(least)
 
     def run_terms(self) -> dict[str, float] | None:
         """Root mean squares over runs of what they have of their own; None where runs do not differ."""

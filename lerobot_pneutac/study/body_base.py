@@ -80,9 +80,18 @@ def can_act(name: str, recording: Recording, marked: bool, known: set[str]) -> b
         np.ptp(recording.column(c)) < T.LEAST_CHANGE.get(c, 0.1) for c in effect.columns if recording.has(c)
     ):
         return False
+    if name == "round(p)" and levels(recording.commands) <= T.FEW_LEVELS:
+        return False  # between so few pressures it is any curve
     if name.startswith("bend"):
         return not marked
     return marked or not effect.of_markers or name == "tracker_lag"
+
+
+def levels(command_kpa: np.ndarray) -> int:
+    """How many pressures, or sets of them, hold nearly all rows (n, chambers) of a command."""
+    step = max(T.SAME_LEVEL * float(np.abs(command_kpa).max()), 1e-9)
+    rows = np.sort(np.unique(np.round(command_kpa / step), axis=0, return_counts=True)[1])[::-1]
+    return 1 + int(np.searchsorted(np.cumsum(rows), T.MOSTLY_HELD * len(command_kpa)))
 
 
 MAD = 1.4826
@@ -146,6 +155,7 @@ def beyond_gain(seen: np.ndarray, plain: np.ndarray) -> np.ndarray:
 
 OUTPUT = {"mm": "tip", "rad": "bend", "1/m": "curvature"}  # by the unit of its error
 RESTED_S = 1e4  # a pause at zero pressure after which everything has rested
+SHORT_PAUSE_S = 1.0  # in a shorter one the air itself is still that of the run before
 # Families that air and body may both cause.
 LATE = ("creep", "relaxation", "overshoot", "valve_lag", "ringing", "leak")
 REPEAT = "Repeat one test after an hour. Differences between the two come from the setup, not the device."
@@ -365,7 +375,16 @@ class BodyBase(EffectStudy):
     @property
     def recorded(self) -> str:
         samples = self.recording.samples
-        out = [f"up to {samples[self.recording.pressure_columns].to_numpy(float).max():.3g} kPa"]
+        kpa = self.recording.commands
+        few = levels(kpa)
+        out = [f"at {few} pressures " * (few <= T.FEW_LEVELS) + f"up to {kpa.max():.3g} kPa"]
+        step_s = np.diff(samples["time_s"].to_numpy(float), prepend=np.inf)
+        change_kpa = np.abs(np.diff(kpa, axis=0, prepend=kpa[:1])).max(axis=1)
+        within = step_s > 0
+        within &= np.r_[False, np.diff(np.unique(samples["trial"], return_inverse=True)[1]) == 0]
+        if change_kpa[within].max(initial=0.0) < T.SMOOTH * kpa.max():
+            rate = np.quantile(change_kpa[within] / step_s[within], 0.99)
+            out.append(f"changing by up to {rate:.2g} kPa/s")
         axes = [f"gravity_{a}" for a in "xyz"]
         if all(map(self.recording.has, axes)):
             ways = len(np.unique(np.round(samples[axes].to_numpy(float), 1), axis=0))
@@ -481,14 +500,16 @@ class BodyBase(EffectStudy):
         pause = twin.parameters.get("pause_s")
         if pause is None or pause.value >= RESTED_S or runs <= set(self.recording.meta.get("trials", {})):
             return []
-        ends = (replace(twin, parameters=twin.parameters | {"pause_s": Value(s)}) for s in (0.0, RESTED_S))
-        none, long = (predict(end, read(self.recording, end))[0] for end in ends)
-        moved = float(np.linalg.norm(none - long, axis=1).max())
+        pauses_s = SHORT_PAUSE_S, RESTED_S
+        ends = (replace(twin, parameters=twin.parameters | {"pause_s": Value(s)}) for s in pauses_s)
+        short, long = (predict(end, read(self.recording, end))[0] for end in ends)
+        moved = float(np.linalg.norm(short - long, axis=1).max())
         if moved < max(3 * (self.noise.value or 0.0), 1e-9):
             return []
         return [
             "How long the device rested before each run is not recorded, and it remembers the run before: "
-            f"between no pause and a long one its {OUTPUT[self.unit]} differs by up to {moved:.2g} "
+            f"between a pause of {SHORT_PAUSE_S:g} s and a long one its {OUTPUT[self.unit]} differs by up to "
+            f"{moved:.2g} "
             f"{self.unit}. One pause of {pause.value:g} s for all fits best; the error on runs with other "
             "pauses may be larger."
         ]

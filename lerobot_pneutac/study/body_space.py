@@ -298,7 +298,13 @@ class BodySpace(Space):
         best, now = model, float((model.residual**2).mean())
         if any(e.remembers for e in model.pipeline.chain):
             input_model = model.structure.input_model
-            for start in ("held", "vented", *PAUSES_S):
+            own = self.fit(
+                (model.structure, model.values), 3, 2
+            )  # else what three more steps gain is a start's
+            if own is not None and (own.residual**2).mean() < now:
+                best, now = own, float((own.residual**2).mean())
+            pauses = PAUSES_S if self.fitter.trial.max() else ()  # before a single run there is none
+            for start in ("held", "vented", *pauses):
                 if start == input_model.start:
                     continue
                 structure = replace(model.structure, input_model=replace(input_model, start=start))

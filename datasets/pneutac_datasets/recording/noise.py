@@ -55,6 +55,8 @@ def regress(design: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 WINDOW_S = 0.4
 MAX_PAIRS = 12
+EARLIER_ROWS = 2  # at most, by which a step of an equal run comes earlier or later
+SETTLED_S = 1.0  # after steps that came at other times, until runs are alike again
 LAGS_ROWS = (0.7, 1.5, 3.0, 6.0, 12.0, 25.0)  # of the responses that are regressed out
 DELAYS_ROWS = (1, 2, 3)
 PLAY_WIDTHS = (0.03, 0.1, 0.25, 0.5)  # share of the command's range
@@ -118,7 +120,11 @@ def noise_floor(recording: Recording) -> NoiseFloor:
         whole = {}
         for c in numeric:
             apart = [recording.column(c)[first] - recording.column(c)[second] for first, second, _ in pairs]
-            fast = [_detrended(d, window) for d, (*_, window) in zip(apart, pairs, strict=True)]
+            fast = [
+                _detrended(piece, window)
+                for d, (first, _, window) in zip(apart, pairs, strict=True)
+                for piece in np.split(d, _gaps(first))
+            ]
             size = np.abs(np.concatenate(fast))
             usual = size[size <= OUTLIER * MAD * np.median(size)]  # without jumps of the marker
             by[c], whole[c] = (float(np.sqrt(np.mean(d**2) / 2)) for d in (usual, np.concatenate(apart)))
@@ -196,12 +202,36 @@ def repeats(recording: Recording) -> list[tuple[np.ndarray, np.ndarray, int]]:
         a = a[ta <= tb[-1]]
         b = j0 + np.round(np.interp(ta[: len(a)], tb, np.arange(len(tb)))).astype(int)  # the nearest
         equal = np.abs(command[a] - command[b]).max(1) <= tolerance
-        n = len(equal) if equal.all() else int(np.argmin(equal))
-        if n < 20 or ta[n - 1] < 3.0 or np.ptp(command[a[:n]]) <= tolerance:
+        steps = np.abs(np.diff(command[a], axis=0, prepend=command[a[:1]])).max(1) > tolerance
+        n, use = _alike(equal, steps, ta[: len(a)])
+        window = max(8, round(WINDOW_S * n / ta[n - 1])) if n > 1 else 8
+        pieces = np.split(np.flatnonzero(use), _gaps(np.flatnonzero(use)))
+        use = np.concatenate([piece for piece in pieces if len(piece) >= min(window, n)] or [pieces[0][:0]])
+        if len(use) < 20 or ta[n - 1] < 3.0 or np.ptp(command[a[use]]) <= tolerance:
             continue
-        window = max(8, round(WINDOW_S * n / ta[n - 1]))
-        found.append((a[:n], b[:n], window))
+        found.append((a[use], b[use], window))
     return found
+
+
+def _alike(equal: np.ndarray, steps: np.ndarray, time: np.ndarray) -> tuple[int, np.ndarray]:
+    """How many rows (n,) two runs have in common, and which of them show the noise.
+
+    A timer that is not even steps between other rows, at times a row earlier or later: the rows after all its
+    steps show more than noise.
+    """
+    edges = np.flatnonzero(np.diff(np.r_[True, equal, True]))
+    first, end = edges[::2], edges[1::2]
+    others = first[end - first > EARLIER_ROWS]
+    n = int(others[0]) if len(others) else len(equal)
+    if not len(first) or first[0] == n:
+        return n, np.ones(n, bool)
+    last = np.maximum.accumulate(np.where(steps | ~equal, time, -np.inf))
+    return n, (time > last + SETTLED_S)[:n]
+
+
+def _gaps(rows: np.ndarray) -> np.ndarray:
+    """Where in rising row numbers (n,) rows are left out."""
+    return 1 + np.flatnonzero(np.diff(rows) > 1)
 
 
 _TOLERANCES = dict.fromkeys(GRAVITY, 0.1) | {"temperature_c": 1.0, "payload_g": 0.1}

@@ -136,6 +136,9 @@ def test_objections_add_up():
         (NOTHING | {"after": 5.0, "near_miss": ["creep"]}, "undetermined"),
         ({"after": None, "before": None}, "undetermined"),
         ({"poor": True}, "undetermined"),
+        ({"after": 0.7, "interval": (0.6, 0.8), "noise_known": False}, "undetermined"),
+        ({"after": 0.8, "interval": (0.7, 0.9), "noise_known": False}, "fully"),
+        ({"after": 0.7, "interval": (0.6, 0.8)}, "fully"),
     ],
 )
 def test_how_much_is_explained_follows_error_interval_and_out_of_time_error(change, answer):

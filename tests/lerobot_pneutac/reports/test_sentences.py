@@ -204,6 +204,10 @@ def right_of(s: State) -> float | None:
             {"explained": Explained.UNDETERMINED},
             "known too roughly: 1.05 times the noise, 95 % interval 1.00 to 1.10, and above 1.5 times",
         ),
+        (
+            {"explained": Explained.UNDETERMINED, "noise_too_large": True, "noise_measured": False},
+            "since the noise is estimated too large: the error is 1.05 times the estimated noise",
+        ),
         ({"at_noise": False, "rest": 0.9, "explained": Explained.NO}, "Explained: no. The error is 2.00"),
         ({"noise": None}, "Explained: undetermined, since the noise is not known."),
         ({"noise_measured": False}, "1.05 times the estimated noise"),

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from lerobot_pneutac.study import data_breaks
-from lerobot_pneutac.study.body_base import BodyBase
+from lerobot_pneutac.study.body_base import BodyBase, can_act
 from lerobot_pneutac.study.data_breaks import change_break, find_change
 from pneutac_datasets.recording.recording import Recording
 
@@ -80,9 +80,31 @@ def test_what_begins_with_another_load_is_no_change_of_the_device(monkeypatch, t
 
 @pytest.mark.parametrize(("heavy_on_its_side", "told"), [(0.0, True), (50.0, False)])
 def test_the_answer_holds_for_loads_in_the_directions_in_which_they_hung(tmp_path, heavy_on_its_side, told):
-    columns = {"pressure_cmd_kpa": [0.0, 9.0] * 2, "gravity_x": 0.0, "gravity_y": [0.0, 0.0, 1.0, 1.0]}
+    columns = {
+        "trial": 0,
+        "time_s": np.arange(4.0),
+        "pressure_cmd_kpa": [0.0, 9.0] * 2,
+        "gravity_x": 0.0,
+        "gravity_y": [0.0, 0.0, 1.0, 1.0],
+    }
     columns |= {"gravity_z": [1.0, 1.0, 0.0, 0.0], "payload_g": [0.0, 50.0, 0.0, heavy_on_its_side]}
     study = SimpleNamespace(recording=Recording(tmp_path, {}, pd.DataFrame(columns), "finger"))
     study._heaviest_everywhere = lambda: BodyBase._heaviest_everywhere(study)
     recorded = BodyBase.recorded.fget(study)
     assert "payload of 0 to 50 g" in recorded and ("not in every direction" in recorded) == told
+
+
+@pytest.mark.parametrize(
+    ("command_kpa", "said"),
+    [
+        (np.repeat([0.0, 4.0, 8.0, 12.0, 8.0, 4.0] * 10, 20), "at 4 pressures up to 12 kPa"),
+        (np.repeat(np.arange(60) * 7 % 60 / 59 * 12, 20), "up to 12 kPa"),
+        (6 - 6 * np.cos(np.arange(1200) / 50), "up to 12 kPa, changing by up to 1.2 kPa/s"),
+        (np.r_[6 - 6 * np.cos(np.arange(1150) / 50), np.full(50, 12.0)], "up to 12 kPa"),
+    ],
+)
+def test_the_answer_holds_for_the_pressures_and_rates_that_were_driven(tmp_path, command_kpa, said):
+    columns = {"trial": 0, "time_s": np.arange(1200) / 10, "pressure_cmd_kpa": command_kpa}
+    recording = Recording(tmp_path, {}, pd.DataFrame(columns), "finger")
+    assert BodyBase.recorded.fget(SimpleNamespace(recording=recording)) == said
+    assert can_act("round(p)", recording, True, set()) == ("at 4" not in said)

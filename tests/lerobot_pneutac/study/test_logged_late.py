@@ -70,3 +70,32 @@ def test_a_row_that_has_the_command_sent_after_its_pose_is_a_dead_time_and_no_sw
     assert found.outcome.after.twin.effects["valve_lag"]["fill_time_s"].value == pytest.approx(
         TAU_S, rel=0.05
     )
+
+
+@pytest.mark.slow
+def test_what_begins_vented_remembers_no_run_and_nothing_stands_in_for_what_only_one_term_explains():
+    """Runs that begin at zero, a quick valve of second order, a room that warms and cools; no gauge."""
+    rng, runs, dt_s, began_s = np.random.default_rng(3), [], 0.005, 0.0
+    for run in range(3):
+        kpa = np.repeat(np.r_[0.0, rng.uniform(0, 50, 39)], 800)
+        valve, speed = np.zeros(len(kpa)), 0.0
+        for i in range(1, len(kpa)):
+            speed += (400.0 * (kpa[i - 1] - valve[i - 1]) - 32.0 * speed) * dt_s
+            valve[i] = valve[i - 1] + speed * dt_s
+        time_s = dt_s * np.arange(len(kpa))
+        warmer_k = 4 * np.sin((began_s + time_s) / 80)
+        bend = 0.025 * valve * (1 + 0.006 * warmer_k)
+        tip = LENGTH_MM * np.array([np.sinc(bend / np.pi), np.sin(bend / 2) * np.sinc(bend / 2 / np.pi)])
+        table = {"trial": run, "time_s": time_s, "pressure_cmd_kpa": kpa, "temperature_c": 22 + warmer_k}
+        table |= {"tip_x_mm": tip[0], "tip_z_mm": tip[1]}
+        runs.append(pd.DataFrame(table)[:: round(0.1 / dt_s)])
+        began_s += time_s[-1] + 15
+    samples = pd.concat(runs, ignore_index=True)
+    samples[["tip_x_mm", "tip_z_mm"]] += rng.normal(0, 0.25, (len(samples), 2))
+    recording = Recording("bench", {"device": "finger", "length_mm": LENGTH_MM}, samples, "finger")
+    found = diagnose(calibrate(new_twin(recording=recording), recording).twin, recording)
+    assert "p dT" in found.selected, found.sentence
+    assert "pause_s" not in found.twin.parameters
+    assert not any("rested" in w or "about as well as dependence" in w for w in found.warnings), (
+        found.warnings
+    )

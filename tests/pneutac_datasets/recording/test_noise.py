@@ -82,10 +82,32 @@ def test_noise_that_is_correlated_from_row_to_row_is_seen_in_quiet_rows():
 
 
 def test_a_short_repeat_is_no_measurement_of_the_noise():
-    _, r, noise = made(Case("logs", "plain", "plain", 801))
+    r = repeated(runs=2).keep(np.arange(1600) < 900)
     floor = noise_floor(r)
-    assert sum(len(a) for a, *_ in repeats(r)) == 80 and not floor.known
-    assert floor.value == pytest.approx(noise, rel=0.1)
+    assert sum(len(a) for a, *_ in repeats(r)) == 100 and not floor.known
+    assert floor.value == pytest.approx(0.01, rel=0.1)
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.1])
+@pytest.mark.parametrize("uneven", [0.02, 0.1])
+def test_one_program_driven_by_an_uneven_timer_measures_the_noise(uneven, drift):
+    rng, hz, rows = np.random.default_rng(6), 10, 900
+    stair = np.resize([0, 3, 6, 9, 12, 9, 6, 3], rows)
+    runs = []
+    for run in range(3):
+        t = np.cumsum(rng.normal(1, uneven, rows)) / hz
+        p = stair[(t / 2.5).astype(int)].astype(float)  # steps every 2.5 s by the clock
+        x = np.zeros(rows)
+        for i in range(1, rows):
+            x[i] = p[i - 1] + (x[i - 1] - p[i - 1]) * np.exp(-(t[i] - t[i - 1]) / 0.2)
+        gain = 0.05 * (1 - drift * np.exp(-(run * 100 + t) / 60))
+        runs.append(
+            pd.DataFrame({"trial": run, "time_s": t, "pressure_cmd_kpa": p, "bend_angle_rad": gain * x})
+        )
+    samples = pd.concat(runs, ignore_index=True)
+    samples["bend_angle_rad"] += rng.normal(0, 0.004, len(samples))
+    floor = noise_floor(Recording(Path("log"), {"device": "finger", "length_mm": 100.0}, samples, "finger"))
+    assert floor.known and floor.value == pytest.approx(0.004, rel=0.1) and "3 pairs" in floor.how
 
 
 def test_jumps_of_the_marker_are_no_noise():
