@@ -15,6 +15,7 @@ import shutil
 import subprocess
 import sys
 import time
+from collections import defaultdict
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -91,7 +92,7 @@ class DemoResult(Result):
 
     @property
     def quick(self) -> bool:
-        return "evaluate" not in self.state
+        return "policies" not in self.state
 
     @property
     def title(self) -> str:
@@ -109,7 +110,7 @@ class DemoResult(Result):
 
         Over the same starts, by resampling them.
         """
-        e = self.state["evaluate"]
+        e = self.state["policies"]
         points = 100 * np.subtract(e["augmented"], e["alone"], dtype=float)
         drawn = np.random.default_rng(0).choice(points, (RESAMPLED, len(points))).mean(1)
         return float(points.mean()), *map(float, np.percentile(drawn, [2.5, 97.5]))
@@ -122,7 +123,7 @@ class DemoResult(Result):
         if self.quick:
             return f"{added} tip error on another day {went}{noise:.2f} mm)."
         left = max(after**2 - noise**2, 0.0) ** 0.5
-        e, made = self.state["evaluate"], self.state["augment"]
+        e, made = self.state["policies"], self.state["augment"]
         mean, low, high = self.difference
         verdict = f"Augmentation {'helped' if low > 0 else 'did not help'}"
         if low <= 0 < mean:
@@ -164,14 +165,14 @@ class DemoResult(Result):
         out |= {"seconds": {name: stage["seconds"] for name, stage in s.items() if name != "options"}}
         if self.quick:
             return out
-        e, (mean, low, high) = s["evaluate"], self.difference
+        e, (mean, low, high) = s["policies"], self.difference
         return out | {
             "success_percent": {name: 100 * float(np.mean(e[name])) for name in ("augmented", "alone")},
             "success_ci95": {name: wilson(e[name]) for name in ("augmented", "alone")},
             "difference_percent": mean,
             "difference_ci95": [low, high],
             "trials": len(e["augmented"]),
-            "final_loss": s["train"]["augmented"][-1],
+            "final_loss": e["losses"]["augmented"][-1],
         }
 
     def page(self) -> Report:
@@ -200,7 +201,7 @@ class DemoResult(Result):
             page.text(f"Both policies on the stand-in from the same starts: {sides}.")
             films = [sorted((out / folder).rglob("*.mp4")) for folder in ("eval", f"eval{ALONE}")]
             for start, pair in list(enumerate(zip(*films, strict=False)))[:FILMS]:
-                done = [state["evaluate"][arm][start] for arm in ("augmented", "alone")]
+                done = [state["policies"][arm][start] for arm in ("augmented", "alone")]
                 ends = ["done" if d else "not done" for d in done]
                 page.videos(pair, f"Start {start + 1}: with augmentation {ends[0]}, the ten alone {ends[1]}.")
             page.heading("What it feels")
@@ -210,11 +211,11 @@ class DemoResult(Result):
                 page.image(image, "Presses and the calibrated model")
             page.heading("Learning curve")
             training, names = (
-                state["train"],
+                state["policies"],
                 {"augmented": "with augmentation", "alone": "recorded ones alone"},
             )
-            at = {arm: training["log_freq"] * (1 + np.arange(len(training[arm]))) for arm in names}
-            lines = ((name, at[arm], training[arm], None) for arm, name in names.items())
+            at = {arm: training["log_freq"] * (1 + np.arange(len(training["losses"][arm]))) for arm in names}
+            lines = ((name, at[arm], training["losses"][arm], None) for arm, name in names.items())
             figure = curves(lines, "step", "loss (mm² per step + kPa²)").update_yaxes(type="log")
             loss = "Training loss of lerobot-train, each on its own data: not which policy is better"
             page.figure(figure, loss)
@@ -256,8 +257,8 @@ def stages(options: dict, quick: bool) -> dict[str, str]:
     return bench | {
         "record": f"Record {options['demonstrations']} demonstrations of a modelled person",
         "augment": f"Make {options['augmented']} more of them on the corrected twin",
-        "train": "Train a policy on all with lerobot-train, and one on the recorded alone",
-        "evaluate": f"Try both with lerobot-eval, the same {options['trials']} starts",
+        "policies": "Train a policy on all and one on the recorded alone, and try both from the same"
+        f" {options['trials']} starts",
     }
 
 
@@ -270,7 +271,8 @@ class Demo:
     def __init__(self, cfg: DemoConfig, announce: Announce, progress: Progress):
         self.cfg, self._announce, self._progress = cfg, announce, progress
         self._commands: list[str] = []  # of the stage that runs
-        self._done: dict[str, tuple[int, int]] = {}  # of each, what is done and of how much
+        # of each by program, what is done and of how much
+        self._done: dict[str, dict[str, tuple[int, int]]] = defaultdict(dict)
         self._file = cfg.out / "state.json"
         options = {k: v for k, v in vars(cfg).items() if k not in ("fresh", "out", "quick")}
         self.state = read_json(self._file) if self._file.exists() else {"options": options}
@@ -295,7 +297,8 @@ class Demo:
                 self._announce(f"{heading} (done before)")
                 continue
             self._announce(heading)
-            start, self._commands, self._done = time.monotonic(), [], {}
+            start, self._commands = time.monotonic(), []
+            self._done.clear()
             found = getattr(self, f"_{name}")()
             self.state[name] = {**found, "seconds": time.monotonic() - start, "commands": self._commands}
             write_json(self._file, self.state)
@@ -340,15 +343,15 @@ class Demo:
         return self._compare("compare_after")
 
     def _record(self) -> dict:
-        """One demonstration by lerobot-record in real time, the others unpaced by the same robot code.
+        """One demonstration by lerobot-record in real time; meanwhile the same robot code records the others.
 
-        The unpaced are recorded until they succeed; whether the first did is in its `outcomes.json`.
+        These, unpaced, are recorded until they succeed; whether the first did is in its `outcomes.json`.
         """
         cfg, first, rest = self.cfg, self._path("recorded_1"), self._path("recorded_2")
         recorded = self._path("demonstrations")
         for folder in (first, rest, recorded):
             shutil.rmtree(folder, ignore_errors=True)
-        self._command(
+        paced = (
             "lerobot-record", "--robot.type=pneutac_sim", "--robot.id=demo", "--robot.standin=true",
             f"--robot.twin={self.twin}", f"--robot.task={TASK}", f"--robot.seed={cfg.seed}",
             f"--robot.start_width={START_WIDTH}", "--teleop.type=pneutac_scripted",
@@ -358,9 +361,12 @@ class Demo:
             f"--dataset.episode_time_s={FIRST_S}", "--dataset.reset_time_s=0",
             "--dataset.streaming_encoding=true", "--dataset.push_to_hub=false", "--play_sounds=false",
         )  # fmt: skip
+        with ThreadPoolExecutor(1) as pool:  # which mostly waits for the clock
+            recording = pool.submit(self._command, *paced)
+            self._unpaced(rest, cfg.demonstrations - 1)
+            recording.result()
         done = read_outcomes(first / "meta").get(0) == DONE
         if done:
-            self._unpaced(rest, cfg.demonstrations - 1)
             self._merge(recorded, first, rest)
         else:
             self._announce("It failed, as some of a person's do, and is left out.")
@@ -393,43 +399,41 @@ class Demo:
         result = json.loads((out / "result.json").read_text())
         return {name: result[name] for name in ("kept", "attempts")} | {"recorded": self.cfg.demonstrations}
 
-    def _train(self) -> dict:
+    def _policies(self) -> dict:
         """The paper's behaviour-cloning policy on what `augment` has mixed, and on the recorded alone."""
-        cfg, every = self.cfg, max(1, self.cfg.steps // 50)
-        pools, trainings = [], []
-        for source, end in (("augmented", ""), ("demonstrations", ALONE)):
-            out, data = self._path(f"train{end}"), self._path(f"training{end}")
-            for folder in (out, data):
-                shutil.rmtree(folder, ignore_errors=True)
-            # Small images, one row a sample: these cores see ten times the frames in the same time.
-            pool = ("python", "-m", "pneutac_datasets.demonstrations.pool", f"--out={data}")
-            pools.append((*pool, str(self._path(source))))
-            trainings.append((
-                "lerobot-train", "--policy.type=pneutac_bc", "--policy.device=cpu",
-                f"--dataset.repo_id=local/{data.name}", f"--dataset.root={data}", f"--output_dir={out}",
-                f"--steps={cfg.steps}", f"--batch_size={cfg.batch_size}", f"--seed={cfg.seed}",
-                "--policy.previous_action_in_data=true", "--policy.optimizer_lr=1e-3", "--num_workers=0",
-                f"--log_freq={every}", "--save_freq=0", "--env_eval_freq=0", "--wandb.enable=false",
-            ))  # fmt: skip
-        self._together(*pools)
-        printed = self._together(*trainings, total=cfg.steps // every, pattern=r"\bloss:")
-        losses = [[float(x) for x in re.findall(r"\bloss:([0-9.eE+-]+)", text)] for text in printed]
-        return {"log_freq": every, "augmented": losses[0], "alone": losses[1]}
+        every = max(1, self.cfg.steps // 50)
+        with ThreadPoolExecutor(2) as pool:
+            augmented = pool.submit(self._policy, "augmented", "", every)
+            alone = pool.submit(self._policy, "demonstrations", ALONE, every)
+            losses = {"augmented": augmented.result(), "alone": alone.result()}
+        success = {"augmented": self._successes("eval"), "alone": self._successes(f"eval{ALONE}")}
+        return {"log_freq": every, "losses": losses} | success
 
-    def _evaluate(self) -> dict:
-        cfg, trials = self.cfg, []
-        for end in ("", ALONE):
-            shutil.rmtree(self._path(f"eval{end}"), ignore_errors=True)
-            trials.append((
-                "lerobot-eval",
-                f"--policy.path={self._path(f'train{end}')}/checkpoints/last/pretrained_model",
-                "--policy.device=cpu", "--env.type=pneutac_standin", f"--env.task={TASK}",
-                f"--env.twin={self.twin}", f"--env.start_width={START_WIDTH}",
-                f"--eval.n_episodes={cfg.trials}", "--eval.batch_size=1", f"--seed={cfg.seed + 5000}",
-                f"--output_dir={self._path(f'eval{end}')}",
-            ))  # fmt: skip
-        self._together(*trials)
-        return {"augmented": self._successes("eval"), "alone": self._successes(f"eval{ALONE}")}
+    def _policy(self, source: str, end: str, every: int) -> list[float]:
+        """Trains a policy on a dataset and tries it; returns its training loss, of `every` so many steps."""
+        cfg = self.cfg
+        data, out, tried = (self._path(f"{name}{end}") for name in ("training", "train", "eval"))
+        for folder in (data, out, tried):
+            shutil.rmtree(folder, ignore_errors=True)
+        # Small images, one row a sample: these cores see ten times the frames in the same time.
+        pool = "python", "-m", "pneutac_datasets.demonstrations.pool", f"--out={data}"
+        self._command(*pool, str(self._path(source)))
+        training = (
+            "lerobot-train", "--policy.type=pneutac_bc", "--policy.device=cpu",
+            f"--dataset.repo_id=local/{data.name}", f"--dataset.root={data}", f"--output_dir={out}",
+            f"--steps={cfg.steps}", f"--batch_size={cfg.batch_size}", f"--seed={cfg.seed}",
+            "--policy.previous_action_in_data=true", "--policy.optimizer_lr=1e-3", "--num_workers=0",
+            f"--log_freq={every}", "--save_freq=0", "--env_eval_freq=0", "--wandb.enable=false",
+        )  # fmt: skip
+        printed = self._command(*training, total=cfg.steps // every, pattern=r"\bloss:")
+        self._command(
+            "lerobot-eval", f"--policy.path={out}/checkpoints/last/pretrained_model",
+            "--policy.device=cpu", "--env.type=pneutac_standin", f"--env.task={TASK}",
+            f"--env.twin={self.twin}", f"--env.start_width={START_WIDTH}",
+            f"--eval.n_episodes={cfg.trials}", "--eval.batch_size=1", f"--seed={cfg.seed + 5000}",
+            f"--output_dir={tried}",
+        )  # fmt: skip
+        return [float(x) for x in re.findall(r"\bloss:([0-9.eE+-]+)", printed)]
 
     def _successes(self, folder: str) -> list[bool]:
         info = json.loads((self._path(folder) / "eval_info.json").read_text())
@@ -461,12 +465,6 @@ class Demo:
             "--operation.type=merge", f"--operation.repo_ids={ids}", f"--operation.roots={roots}",
         )  # fmt: skip
 
-    def _together(self, *commands: tuple[str, ...], total: int = 0, pattern: str = "") -> list[str]:
-        """Runs commands side by side, see `_command`; returns what each printed."""
-        with ThreadPoolExecutor(len(commands)) as pool:
-            running = [pool.submit(self._command, *c, total=total, pattern=pattern) for c in commands]
-            return [each.result() for each in running]
-
     def _command(self, *command: str, total: int = 0, pattern: str = "") -> str:
         """Runs a command and returns what it printed, also into `logs/`; a match of `pattern` is progress."""
         shown = shlex.join(command)
@@ -488,8 +486,8 @@ class Demo:
                     done += 1
                 elif counted := re.fullmatch(COUNTED, line.rstrip()):
                     done, total = map(int, counted.groups())
-                self._done[shown] = done, total
-                self._progress(name, *map(sum, zip(*self._done.values(), strict=True)))
+                self._done[name][shown] = done, total
+                self._progress(name, *map(sum, zip(*self._done[name].values(), strict=True)))
         if process.returncode != 0:
             raise InputError(f"the command above failed; the end of {log} says:\n{''.join(lines[-15:])}")
         return "".join(lines)

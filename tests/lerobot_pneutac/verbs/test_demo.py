@@ -15,7 +15,7 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin, Value
 
 SELECTED = ["creep", "valve_lag"]
-STAGES = ["bench", "twin", "diagnose", "add", "record", "augment", "train", "evaluate"]
+STAGES = ["bench", "twin", "diagnose", "add", "record", "augment", "policies"]
 
 
 class Commands:
@@ -98,25 +98,28 @@ def test_the_stages_run_in_order_and_hand_on_what_they_found(commands, tmp_path)
     run, told = demo(tmp_path / "d", trials=10)
     result = run.run()
     assert [name for name in result.state if name != "options"] == STAGES
-    assert [line.split("  ")[0] for line in told] == [f"{i}/8" for i in range(1, 9)]
-    assert commands.verbs() == [
+    assert [line.split("  ")[0] for line in told] == [f"{i}/7" for i in range(1, 8)]
+    policy = ["pneutac_datasets.demonstrations.pool", "lerobot-train", "lerobot-eval"]
+    lines, recorded = commands.verbs(), ["lerobot-record", "unpaced 9"]
+    assert lines[:8] == [
         "pneutac_datasets.generate",
         *["pneutac new", "pneutac calibrate", "pneutac calibrate", "pneutac compare"],
         "pneutac diagnose",
         *["pneutac add", "pneutac compare"],
-        *["lerobot-record", "unpaced 9", "lerobot-edit-dataset"],
-        "pneutac augment",
-        *["pneutac_datasets.demonstrations.pool"] * 2,
-        *["lerobot-train"] * 2,
-        *["lerobot-eval"] * 2,
     ]
+    assert sorted(lines[8:10]) == sorted(recorded), "side by side"
+    assert lines[10:12] == ["lerobot-edit-dataset", "pneutac augment"]
+    short_of = list(zip(commands.lines, lines, strict=True))[12:]
+    for alone in (False, True):
+        own = [short for line, short in short_of if ("_alone" in line) == alone]
+        assert own == policy
     assert {k: result.state["augment"][k] for k in ("kept", "attempts", "recorded")} == {
         "kept": 3,
         "attempts": 4,
         "recorded": 10,
     }
-    assert result.state["train"]["augmented"] == [3.5, 0.25]
-    assert sum(result.state["evaluate"]["augmented"]) == 9 and sum(result.state["evaluate"]["alone"]) == 5
+    assert result.state["policies"]["losses"] == {arm: [3.5, 0.25] for arm in ("augmented", "alone")}
+    assert sum(result.state["policies"]["augmented"]) == 9 and sum(result.state["policies"]["alone"]) == 5
     policies = [line for line in commands.lines if line.startswith("lerobot-")]
     for seed in ("--seed=1", "--seed=5001"):
         assert sum(seed in line.split() for line in policies) == 2, "both are trained and tried alike"
@@ -131,7 +134,7 @@ def test_the_stages_run_in_order_and_hand_on_what_they_found(commands, tmp_path)
     [
         ("pneutac new", 1, "pneutac new"),
         ("compare_after", 3, "pneutac compare"),
-        ("lerobot-train", 6, "pneutac_datasets.demonstrations.pool"),
+        ("lerobot-eval", 6, "pneutac_datasets.demonstrations.pool"),
     ],
 )
 def test_an_interrupted_demo_goes_on_where_it_stopped(commands, tmp_path, stop, finished, first):
@@ -142,7 +145,7 @@ def test_an_interrupted_demo_goes_on_where_it_stopped(commands, tmp_path, stop, 
     run, told = demo(tmp_path / "d")
     result = run.run()
     again = commands.verbs()[len(before) :]
-    assert [line.endswith("(done before)") for line in told] == [True] * finished + [False] * (8 - finished)
+    assert [line.endswith("(done before)") for line in told] == [True] * finished + [False] * (7 - finished)
     assert again[0] == first
     for name in ("pneutac_datasets.generate", "pneutac diagnose", "lerobot-record"):
         assert commands.verbs().count(name) == 1
@@ -189,10 +192,12 @@ def test_a_failed_command_shows_the_end_of_its_log(tmp_path):
 def test_progress_is_that_of_all_commands_that_run_together(tmp_path):
     shown, run = [], demo(tmp_path / "d")[0]
     run._progress = lambda *what: shown.append(what)
-    code = "print('loss:1\\n' * {}, end='')"
-    run._together(*(("python", "-c", code.format(n)) for n in (2, 3)), total=3, pattern="loss:")
+    for n in (2, 3):
+        run._command("python", "-c", f"print('loss:1\\n' * {n}, end='')", total=3, pattern="loss:")
     assert shown[-1] == ("python", 5, 6)
-    run._done = {}
+    run._command("echo", "hello")
+    assert shown[-1] == ("echo hello", 0, 0), "another program has its own"
+    run._done.clear()
     run._command("python", "-c", "print('making demonstrations: 20 of 60, about 3 min left')")
     assert shown[-1] == ("python", 20, 60)
 
