@@ -97,7 +97,7 @@ class BatchedPpoEnv(VecEnv):
         qpos = fetched(w.qpos).astype(float)
         for i in changed:  # the task's own class says how far it is
             w.single.data.qpos[:] = qpos[i]
-            self._progress[i] = self._view.goal.progress(w.single.task)
+            self._progress[i] = self._view.progress(w.single.task)
         rows = (*w.poses.values(), w.fields["body_pos"], w.fields["body_quat"])
         self._seen: E.Seen = self._view.seen_in(
             *map(fetched, rows), qpos, fetched(w.qvel), self._progress.copy()

@@ -17,6 +17,7 @@ from pneutac_sim.twin import Twin
 from pneutac_sim.world.base import Variation
 from pneutac_sim.world.checks import Conditions
 from pneutac_sim.world.station import Station
+from pneutac_sim.world.tasks import Task
 from pneutac_sim.world.world import World
 
 LENGTH_M = 0.05  # scales lengths of the object's state to about one
@@ -77,8 +78,19 @@ class TaskView:
         """The object in this world."""
         model, d = self._world.model, self._world.data
         poses = (d.geom_xpos, d.geom_xmat.reshape(-1, 3, 3), d.site_xpos)
-        progress = np.asarray(self.goal.progress(self._world.task), float)
+        progress = np.asarray(self.progress(self._world.task))
         return self.seen_in(*poses, model.body_pos, model.body_quat, d.qpos, d.qvel, progress)
+
+    def progress(self, task: Task) -> float:
+        """How far a task has come; raises InputError where its goal fails or gives no finite number."""
+        try:
+            found = float(self.goal.progress(task))
+            why = "" if np.isfinite(found) else f"gives {found}, not a finite number"
+        except Exception as e:  # whatever a class of others raises
+            why = f"fails ({type(e).__name__}: {e})"
+        if why:
+            raise InputError(f"The task '{task.name}': the progress of its goal {why}; correct its class.")
+        return found
 
     def seen_in(self, geom_m, geom_mat, site_m, body_m, body_quat, qpos, qvel, progress) -> Seen:
         """The object in worlds of this model, from arrays as MuJoCo names them, with a first axis or none."""

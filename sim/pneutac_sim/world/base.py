@@ -141,10 +141,12 @@ class BaseWorld(ABC):
         self._ik.reset()
         for _ in range(START_SOLVES):
             self._joints = self._ik.solve(self.target_m - self._base_m)
-        if self._ik.missing_m > MISSING_M:
+        missing_m = np.linalg.norm(self._ik.pose(self._joints)[1] + self._base_m - self.target_m)
+        if missing_m > MISSING_M:
             raise InputError(
-                f"The arm falls {self._ik.missing_m:.2g} m short of {np.round(self.target_m, 3).tolist()} m,"
-                f" where the task '{self.task.name}' starts; give the station another base_m or home_rad."
+                f"The arm falls {missing_m:.2g} m short of {np.round(self.target_m, 3).tolist()} m, where"
+                f" the task '{self.task.name}' starts; give the station another base_m or home_rad, or a task"
+                " of your own another home_m."
             )
         self.data.qpos[self._arm] = self._joints
         self.clipped = self.out_of_range = 0

@@ -27,7 +27,7 @@ from pneutac_benchmarks.policy.main import BenchmarkPolicyConfig
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import AREA, task_names
 from pneutac_sim.world.expert import ScriptedExpert
-from pneutac_sim.world.tasks import make_task
+from pneutac_sim.world.tasks import make_task, tasks_named
 from pneutac_sim.world.world import World
 
 DOC = Path(__file__).parents[3] / "docs" / "how_to" / "add_a_task.md"
@@ -119,6 +119,16 @@ def test_the_verbs_take_it_and_reinforcement_learning_sees_how_far_it_has_come(d
     assert env.view.seen().progress == pytest.approx(0.75)
 
 
+@pytest.mark.parametrize(
+    ("goal", "says"), [("1 / 0", "fails .ZeroDivisionError"), ("float('nan')", "gives nan")]
+)
+def test_a_goal_that_gives_no_number_is_one_sentence(install, goal, says):
+    code = block("python").replace("task.pressed_m / PRESSED_M", goal)
+    install(code, {"doorbell": "pneutac_doorbell:DoorbellTask"})
+    with pytest.raises(InputError, match=f"The task 'doorbell': the progress of its goal {says}"):
+        PpoEnv("doorbell").reset(seed=0)
+
+
 TASK = """
 from pneutac_sim.world.tasks.base import Task
 class Bell(Task):
@@ -128,6 +138,44 @@ class Bell(Task):
     def update(self, model, data, dt): pass
     def success(self): return False
 """
+
+
+def test_a_broken_task_is_no_obstacle_to_another(install):
+    install(TASK.replace("'Ring.'", "''"), {"bell": "bell_task:Bell"}, "bell_task")
+    assert tasks_named("Flip the toggle switch.") == ["switch"] and tasks_named("ring the bell") == ["bell"]
+
+
+def test_a_start_out_of_the_arms_reach_is_one_sentence(install):
+    install(TASK.replace("(0.4, 0, 0.3)", "(4.0, 0, 0.3)"), {"bell": "bell_task:Bell"}, "bell_task")
+    with pytest.raises(InputError, match="short of .4.*where the task 'bell' starts; .*another home_m"):
+        World("bell", touch="none").reset(0)
+
+
+@pytest.mark.parametrize(
+    ("method", "gives", "says"),
+    [
+        ("success", "None", "success gives None, not True or False; correct its class"),
+        ("success", "float('nan')", "success gives nan, not True or False"),
+        ("failure", "3", "failure gives 3, not a text or None"),
+        ("expert", "None", "expert gives None, not a velocity of three finite numbers, and a finite"),
+        ("expert", "(0, 0), 3.0", "expert gives .*, not a velocity of three"),
+        ("expert", "[float('nan')] * 3, 3.0", "expert gives .*, not a velocity of three"),
+        ("expert", "[0, 0, 0], float('inf')", "expert gives .*, not a velocity of three"),
+        ("expert", "[0, 0, 0], 3", None),
+    ],
+)
+def test_what_a_task_must_not_give_is_one_sentence(install, method, gives, says):
+    code = TASK.replace("return False", "return False\n    def failure(self): return None")
+    code += "    def expert(self, *now): return [0, 0, 0], 3.0\n"
+    code = re.sub(rf"(def {method}.*return ).*", rf"\g<1>{gives}", code)
+    install(code, {"bell": "bell_task:Bell"}, "bell_task")
+    given = {"expert": (None, None, 0.0)}.get(method, ())
+    call = getattr(make_task("bell"), method)
+    if says is None:
+        assert call(*given) == ([0, 0, 0], 3)
+        return
+    with pytest.raises(InputError, match=f"^Entry point 'bell' .*: {says}"):
+        call(*given)
 
 
 def test_objects_that_mujoco_does_not_take_are_one_sentence(install):

@@ -7,6 +7,8 @@ import traceback
 from importlib.metadata import entry_points
 from pathlib import Path
 
+import numpy as np
+
 from pneutac_sim.errors import InputError, finite_array, load_entry_point, shown
 from pneutac_sim.features import TASK_GROUP, task_names
 from pneutac_sim.world.station import check_corner
@@ -23,8 +25,16 @@ TASKS: dict[str, type[Task]] = {"switch": SwitchTask, "egg": EggTask, "card": Ca
 def tasks_named(instruction: str) -> list[str]:
     """Names of the tasks whose own instruction this is, else of those whose name is among its words."""
     words = re.findall(r"\w+", instruction.lower())
-    own = [n for n in task_names() if make_task(n).description == instruction]
+    own = [n for n in task_names() if _description(n) == instruction]
     return own or [n for n in task_names() if n in words]
+
+
+def _description(name: str) -> str:
+    """A task's instruction; none of a task that cannot be made, which is said to whoever asks for it."""
+    try:
+        return make_task(name).description
+    except InputError:
+        return ""
 
 
 def make_task(name: str) -> Task:
@@ -68,7 +78,12 @@ def _guarded(kind: type[Task], where: str) -> type[Task]:
         @functools.wraps(method)
         def call(*args, **named):
             try:
-                return method(*args, **named)
+                found = method(*args, **named)
+                if wanted := _wanted(name, found):
+                    raise InputError(
+                        f"{where}: {name} gives {shown(found)}, not {wanted}; correct its class."
+                    )
+                return found
             except InputError:
                 raise
             except Exception as e:  # whatever a class of others raises
@@ -82,6 +97,22 @@ def _guarded(kind: type[Task], where: str) -> type[Task]:
 
     names = (n for n in CALLED if getattr(kind, n) is not getattr(Task, n))
     return type(kind.__name__, (kind,), {n: guarded(n) for n in names} | {"__module__": kind.__module__})
+
+
+def _wanted(name: str, found: object) -> str:
+    """What a method of a task must give, where it gives something else; empty where it is that."""
+    if name == "success" and not isinstance(found, bool | np.bool_):
+        return "True or False"
+    if name == "failure" and not isinstance(found, str | None):
+        return "a text or None"
+    if name == "expert":
+        try:
+            velocity, pressure = found
+            finite_array("velocity", velocity, (3,))
+            finite_array("pressure", [pressure], (1,))
+        except (TypeError, ValueError):  # InputError too
+            return "a velocity of three finite numbers, and a finite pressure"
+    return ""
 
 
 def _check(task: Task) -> None:
