@@ -157,6 +157,8 @@ class Files:
             refuse_version(self.file, self.info)
             if found := self._of_info():
                 return found  # what the files are to hold is not known
+            if not (self.info.get("total_episodes") or any(self.folder.glob("data/*/*.parquet"))):
+                raise InputError(f"{self.folder} holds no episode; delete it and record again.")
             tasks, self._episodes = self._read_tasks(), self._read_episodes()
             self.rows = self._read_rows()
             self._check_statistics()

@@ -144,6 +144,12 @@ def marked(root):
     file.write_bytes(codecs.BOM_UTF8 + file.read_bytes())
 
 
+def nothing(root):
+    info(total_episodes=0, total_frames=0)(root)
+    for folder in ("data", "meta/episodes", "videos"):
+        shutil.rmtree(root / folder)
+
+
 def statistic(name, value):
     """Changes a statistic of the action."""
     return statistics(lambda s: s[ACTION].update({name: [value] * len(s[ACTION][name])}))
@@ -197,6 +203,7 @@ BAD = {
     "stats of nothing": (text("meta/stats.json", "{}"), "'observation.state' lacks 'min'"),
     "stats without images": (statistics(lambda s: s.pop(TACTILE)), "images.tactile' lacks 'min'"),
     "a mean of nan": (statistic("mean", float("nan")), "'action' has a mean outside"),
+    "nothing recorded": (nothing, "demos holds no episode; delete it and record again"),
     "no data": (without("data"), "data holds no .parquet file"),
     "data pointer": (pointer(DATA), "is a Git LFS pointer"),
     "80 of 110 rows": (rows(lambda t: t.iloc[:80]), "rows of episode 1 and meta/episodes counts"),
