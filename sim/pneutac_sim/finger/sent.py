@@ -13,10 +13,12 @@ ROWS, LEAST_ROWS = 60, 20  # of a window that has a phase of its own, and of the
 MOST = 4.0  # commands a row, to which paces are tried
 WINDOWS = 8  # by which the pace is found
 PHASES = np.linspace(0, 1, 40, endpoint=False)
-LEAST_LEVELS = 4  # of the command's resolution from row to row: coarser ones jump by themselves
-SMOOTHEST = 1e-4  # third differences, of the range, below which nothing is smoother
-# Mean decimal logarithm by which third differences must shrink, of all windows and of one that is read so
-SURE, SURE_OF_WINDOW = -0.2, -0.1
+SMOOTHEST = 1e-4  # third differences, of the range, below which nothing is smoother,
+LEVELS = 8  # or of the command's resolution: rounding alone makes up to four
+BEATS = 2  # jumps of the age that a window must have
+# Mean decimal logarithm by which third differences must shrink where every row has a jump, in all windows and
+# in one that is read so
+SURE, SURE_OF_WINDOW = -0.15, -0.05
 
 
 def sent_times(time: np.ndarray, pressure: np.ndarray, first: np.ndarray) -> np.ndarray:
@@ -42,10 +44,10 @@ def _sent_times(time: bytes, pressure: bytes, first: bytes, chambers: int) -> np
         for a in range(start, end - LEAST_ROWS, ROWS)
     ]
     windows = [w for w in windows if (np.diff(p[w], axis=0) != 0).any(axis=1).mean() > 0.5]
-    moved = np.concatenate([np.abs(np.diff(p[w], axis=0)).ravel() for w in windows] or [np.zeros(0)])
-    moved = moved[moved > 1e-9 * span]
-    if len(windows) < WINDOWS or np.median(moved) < LEAST_LEVELS * moved.min():
+    if len(windows) < WINDOWS:
         return out
+    moved = np.concatenate([np.abs(np.diff(p[w], axis=0)).ravel() for w in windows])
+    least = max(SMOOTHEST, LEVELS * moved[moved > 1e-9 * span].min() / span)
     row = float(np.median([(t[w][-1] - t[w][0]) / (len(t[w]) - 1) for w in windows]))
     travel = [np.ptp(p[w], axis=0).max() for w in windows]
     best = [windows[i] for i in np.argsort(travel)[len(windows) // 2 :]]
@@ -59,24 +61,25 @@ def _sent_times(time: bytes, pressure: bytes, first: bytes, chambers: int) -> np
         own = t[w] - t[w.start]
         sent, even = _last(own, ticks[:, None, None], phases[:, None]), row * np.arange(len(own))
         moving = [c for c in p[w].T if np.ptp(c) > 0]
-        rough = lambda x, c: np.log10(_third(x, c) * row**3 / span + SMOOTHEST).mean(axis=-1)  # noqa: E731
+        rough = lambda x, c: np.log10(_third(x, c) * row**3 / span + least).mean(axis=-1)  # noqa: E731
         return np.mean([rough(sent, c) - min(rough(own, c), rough(even, c)) for c in moving], axis=0)
 
-    def least(a_row: np.ndarray, phases: np.ndarray) -> tuple[float, float]:
+    def smoothest(a_row: np.ndarray, phases: np.ndarray) -> tuple[float, float]:
         """The best number of commands a row, and its gain."""
         gain = np.mean([gains(row / a_row, phases, w).min(axis=1) for w in best], axis=0)
         return float(a_row[gain.argmin()]), float(gain.min())
 
     apart = 0.2 / ROWS  # of a window's commands, a fifth of one at its end
     tried = np.arange(1, MOST, apart)
-    tried = tried[np.abs(tried - np.round(tried)) > 2 / ROWS]  # a slower beat shows in no window
-    rough = least(tried, PHASES[::2])[0]
-    a_row, gain = least(rough + apart * np.linspace(-1, 1, 11), PHASES)
-    if gain > SURE:
+    beat = np.abs(tried - np.round(tried)) * ROWS  # jumps of the age in a window
+    rough = smoothest(tried[beat > BEATS], PHASES[::2])[0]
+    a_row, gain = smoothest(rough + apart * np.linspace(-1, 1, 11), PHASES)
+    jumped = min(1.0, 4 * (a_row - 1))  # four rows see a jump
+    if gain > SURE * jumped or abs(a_row - round(a_row)) * ROWS < BEATS + 2 * apart:  # or it is slower
         return out
     for w in windows:
         of_phase = gains(np.array([row / a_row]), PHASES, w)[0]
-        if of_phase.min() < SURE_OF_WINDOW:
+        if of_phase.min() < SURE_OF_WINDOW * jumped:
             out[w] = t[w.start] + _last(t[w] - t[w.start], row / a_row, PHASES[of_phase.argmin()])
     out.flags.writeable = False  # it is cached
     return out
