@@ -103,4 +103,5 @@ def read(recording: Recording, twin: Twin) -> BodyData:
         return at(None)
     pipeline = Pipeline.of(twin, at(None).inputs)
     theta = pipeline.theta(twin, at(None).inputs.pressure_range_kpa)
-    return at(instants(recording, at, pipeline, theta))
+    usual = twin.parameters["switch_share"].value
+    return at(instants(recording, at, pipeline, theta, usual))

@@ -67,7 +67,7 @@ NAMED = 0.5  # the same above which it is named: below, another mechanism is lik
 AT_MOST_ELSEWHERE = 0.75  # the same where later rows or programs are far from the noise: of 62, 47 were right
 WEAK_GAIN = 0.25  # of the mean bend per kPa: with less a device hardly bends (names)
 WEAK_RANGE = 0.08  # of the range of pressure: least stretch of which that is said (names)
-NOT_SHOWN = 0.1  # the same of air that the measured pressure does not show: of 10, none was right (verdict)
+NOT_SHOWN = 0.1  # the same of what the measured pressure does not show: of 10, none was right (verdict)
 
 # ---------------------------------------------------------------- parameters
 
@@ -83,10 +83,8 @@ IDLE_OF_NOISE = 0.02  # the same by the noise, for a finished fit (body_base)
 # ---------------------------------------------------------------- bodies
 
 SAME_LEVEL = 0.005  # of the largest pressure: commands that differ by less are one (body_base)
-FEW_LEVELS, MOSTLY_HELD = (
-    8,
-    0.95,
-)  # pressures with that share of the rows say little of those between (body_base)
+FEW_LEVELS = 8  # pressures that hold most rows say little of those between (body_base)
+MOSTLY_HELD = 0.95  # that share of the rows (body_base)
 SMOOTH = 0.1  # of the largest pressure: where it changes by less from row to row no step was seen (body_base)
 GAUGE_BETTER = 0.9  # of the error from the command: what a body driven by the gauge must reach (body_search)
 AS_WELL = 1.1  # of the error from the command alone: what it may leave there (body_search)

@@ -267,7 +267,8 @@ def mechanism(
         usual: families of its equations with the constants that they mostly have. With others, the least
             number of `FAMILY` counts.
         elsewhere: whether later rows and other programs are predicted within `CLOSE`.
-        gauge: whether the measured pressure shows a cause that is in the air; None where it does not decide.
+        gauge: whether the measured pressure shows a cause where it would be, in the air or in the body; None
+            where it does not decide.
             Most such causes that were wrong were a lag of the tracker, which only the pose shows.
     """
     features = (1.0, float(np.log(max(drop, 1e-3))), removed, missed)

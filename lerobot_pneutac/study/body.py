@@ -10,6 +10,7 @@ import numpy as np
 
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.experiment import predict, read
+from lerobot_pneutac.diagnosis.names import called
 from lerobot_pneutac.diagnosis.result import (
     PROFILE,
     SET_UP,
@@ -29,6 +30,7 @@ from lerobot_pneutac.study.body_model import BodyFitter, BodyModel
 from lerobot_pneutac.study.body_search import LATE_S, LATE_TEMPERATURE, BodySearch, Searched
 from lerobot_pneutac.study.body_space import BodySpace
 from lerobot_pneutac.study.pair import recorded_min
+from pneutac_datasets.recording.wording import joined
 from pneutac_sim.effects.laws import family, is_law, starts
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.finger.data import BodyData
@@ -38,6 +40,11 @@ FLOWS = ("valve_lag", "valve_slew", "orifice_flow")  # equations of how a valve 
 OF_TRIALS = (
     "Each run has its own small offset, gain and time shift. They are no part of the device and not in the "
     "twin; the error without them is reported separately."
+)
+
+IN_THE_AIR = (
+    "What looks like {} lies between the command and the measured pressure: driven by that pressure the body "
+    "is as well described without."
 )
 
 
@@ -186,6 +193,9 @@ class _Judgement:
             helps, self.after, near_miss, done.terms, runs = False, self.before, done.terms, [], None
             evidence = self.evidence(self.after.squared)
             evidence.near_miss = near_miss if evidence.before is None else []
+        if needless := [t for t in done.terms if t in done.needless]:
+            named = joined([called(t, self.after.twin) for t in needless])
+            study.findings = [*study.findings, IN_THE_AIR.format(named)]
         self.known = self.known_causes() if helps else []
         worth = self.contributions() if helps else []
         others = rivals(done.found, floor, done.terms, family, lambda s: study.fitted(s.model))
@@ -262,6 +272,7 @@ class _Judgement:
             elsewhere = max(evidence.elsewhere, default=0.0) <= T.CLOSE
             in_air = all(get_effect(c.name).of_air for c in terms)
             gauge = shown_by_gauge(self.study, self.done, cause, causes) if in_air else None
+            gauge = False if self.done.needless.issuperset(c.name for c in terms) else gauge
             out.append(mechanism(cause, drop, evidence.removed, missed, causes, usual, elsewhere, gauge))
         return out
 

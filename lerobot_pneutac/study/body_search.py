@@ -50,6 +50,8 @@ class Searched:
     # the same of programs, each by a fit to all others; None where fewer than two are named
     program: float | None = None
     unseen: str = ""  # what the recording does not show of an effect found, a clause; empty where nothing
+    # effects of the body without which it fits as well where the measured pressure drives it
+    needless: frozenset[str] = frozenset()
 
 
 class BodySearch:
@@ -85,6 +87,7 @@ class BodySearch:
             driven = self._driven(air)
             other = self._body(driven, InputModel(source="measured", start=study.start), None)
             assert other is not None  # a recording is amended by what the command leaves
+            done.needless = self._needless(done, other)
             close = other.model.value < T.GAUGE_BETTER * done.model.value
             if close and self._foreseen(other, air) < T.AS_WELL * self._foreseen(done):
                 done = replace(other, driven=True)
@@ -99,6 +102,23 @@ class BodySearch:
         model = done.model.model
         twin = self.study.twin_with(model) if air is None else self.study.with_air(model, air.final.model)
         return float((self.study.residual(twin)[self.rows] ** 2).sum(axis=1).mean())
+
+    def _needless(self, done: Searched, driven: Searched) -> frozenset[str]:
+        """Effects of `Searched.needless`: their cause lies between the command and the measured pressure."""
+        known = {*self.study.twin_effects, *base_effects(self.study)}
+        of_air = {family(e) for e in self.study.candidates if get_effect(e).of_air}
+        found, enough = (
+            {
+                e: family(e)
+                for e in s.model.model.structure.effects
+                if e not in known and family(e) not in of_air
+            }
+            for s in (done, driven)
+        )
+        as_well = driven.model.value < T.AS_WELL * done.model.value
+        if not as_well or not set(enough.values()) <= set(found.values()):
+            return frozenset()
+        return frozenset(e for e, kind in found.items() if kind not in enough.values())
 
     def as_it_is(self) -> Scored:
         study = self.study

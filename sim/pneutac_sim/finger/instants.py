@@ -188,17 +188,25 @@ def _least(E: np.ndarray) -> np.ndarray:
 
 
 def instants(
-    recording, read: Callable[..., BodyData], pipeline: Pipeline, theta: np.ndarray
+    recording,
+    read: Callable[..., BodyData],
+    pipeline: Pipeline,
+    theta: np.ndarray,
+    usual: float | None = None,
 ) -> np.ndarray | None:
     """The share of the time between two samples at which each step happened, as a model sees it.
 
     (n,), NaN where there is no step and ramps go straight, or `time_sent_s` has the time; None where there
-    is no other. `read` takes a share of all steps, or (n,) of each row, to the recording read so.
+    is no other. `read` takes a share of all steps, or (n,) of each row, to the recording read so. Without a
+    step, the commands of ramps may be sent at the `usual` share.
     """
     earliest, latest = shares(recording.samples, *_command(recording))
-    if not (latest > earliest).any():
+    if (latest > earliest).any():
+        return by_row(recording, StepRows(recording, read), pipeline, theta)
+    if len(latest) or usual is None or _sent_known(recording):
         return None
-    return by_row(recording, StepRows(recording, read), pipeline, theta)
+    none = np.full(len(recording.samples["trial"]), np.nan)
+    return _as_held(none, usual, read, pipeline, theta)
 
 
 def by_row(recording, step: StepRows, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
@@ -206,14 +214,24 @@ def by_row(recording, step: StepRows, pipeline: Pipeline, theta: np.ndarray) -> 
     out = np.full(len(recording.samples["trial"]), np.nan)
     found = step.instant(_least(step.errors(pipeline, theta)))
     out[step.at[step.unknown]] = np.round(found, 3)[step.unknown]
+    if _sent_known(recording):
+        return out
+    return _as_held(out, float(np.median(out[step.at])), step.read, pipeline, theta)
+
+
+def _sent_known(recording) -> bool:
+    """Whether it is known when the commands of ramps were sent."""
     command, first = _command(recording)
     time = np.asarray(recording.samples["time_s"], dtype=float)
-    if "time_sent_s" in recording.samples or np.isfinite(sent_times(time, command, first)).any():
-        return out
-    ramps = np.where(np.isnan(out), np.median(out[step.at]), out)
+    return "time_sent_s" in recording.samples or bool(np.isfinite(sent_times(time, command, first)).any())
+
+
+def _as_held(out: np.ndarray, share: float, read, pipeline: Pipeline, theta: np.ndarray) -> np.ndarray:
+    """Instants `out` (n,), with ramps whose commands are held, sent at one share, where that fits better."""
+    ramps = np.where(np.isnan(out), share, out)
 
     def error(share: np.ndarray) -> float:
-        data = step.read(share)
+        data = read(share)
         run = pipeline.run(data.inputs, theta, until=pipeline.until(data.columns))
         return float((((pipeline.outputs(run, data.columns) - data.measured) * data.scale) ** 2).sum())
 

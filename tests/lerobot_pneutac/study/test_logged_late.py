@@ -99,3 +99,33 @@ def test_what_begins_vented_remembers_no_run_and_nothing_stands_in_for_what_only
     assert not any("rested" in w or "about as well as dependence" in w for w in found.warnings), (
         found.warnings
     )
+
+
+@pytest.mark.slow
+def test_play_of_a_valve_that_the_gauge_shows_is_no_hysteresis_of_the_body():
+    """A regulator that rests within 1 kPa of its command; each program runs twice."""
+    rng, runs = np.random.default_rng(5), []
+    programs = [np.repeat(rng.uniform(0, 50, 45), 40) for _ in range(2)]
+    programs.append(np.interp(np.arange(1800), np.arange(0, 1900, 100), np.r_[0.0, rng.uniform(0, 50, 18)]))
+    for run, kpa in enumerate((*programs, *programs)):
+        valve = np.zeros(len(kpa))
+        for i in range(1, len(kpa)):
+            away = kpa[i - 1] - valve[i - 1]
+            valve[i] = valve[i - 1] + (1 - np.exp(-0.05 / 0.08)) * away * (abs(away) > 1.0)
+        bend = 0.025 * valve
+        tip = LENGTH_MM * np.array([np.sinc(bend / np.pi), np.sin(bend / 2) * np.sinc(bend / 2 / np.pi)])
+        tip += rng.normal(0, 0.2, tip.shape)
+        table = {"trial": run, "time_s": 0.05 * np.arange(len(kpa)), "pressure_cmd_kpa": kpa}
+        table |= {
+            "pressure_kpa": valve + rng.normal(0, 0.08, len(kpa)),
+            "tip_x_mm": tip[0],
+            "tip_z_mm": tip[1],
+        }
+        runs.append(pd.DataFrame(table))
+    samples = pd.concat(runs, ignore_index=True)
+    recording = Recording("bench", {"device": "finger", "length_mm": LENGTH_MM}, samples, "finger")
+    found = diagnose(calibrate(new_twin(recording=recording), recording).twin, recording)
+    of_body = [m for m in found.outcome.mechanisms if m.cause in ("hysteresis", "friction", "snap")]
+    assert found.outcome.evidence.noise_known and not any(m.named for m in of_body), found.sentence
+    if of_body:
+        assert any("lies between the command and the measured pressure" in w for w in found.warnings)

@@ -248,6 +248,42 @@ def test_instants_are_found_within_a_twentieth_of_a_sample(made):
     assert np.abs(found - share)[at].max() < 0.05
 
 
+@pytest.mark.parametrize("held", (True, False))
+def test_without_a_step_the_commands_of_a_motion_are_held_as_usual_where_that_fits_better(held):
+    """A loop at 10 Hz whose rows have the command that was sent at the row before, or one that ramps."""
+    rng, ms = np.random.default_rng(4), 100
+    rows = np.arange(0, 60_000, ms)
+    kpa = 8 + 6 * np.sin(2e-3 * rows)
+    fine = np.arange(rows[-1] + 1)
+    table = {"trial": np.zeros(len(fine), int), "time_s": fine / 1e3}
+    now = (
+        kpa[np.minimum(np.ceil(fine / ms).astype(int), len(kpa) - 1)] if held else np.interp(fine, rows, kpa)
+    )
+    twin = Twin.builtin()
+    twin.effects["valve_lag"] = {"fill_time_s": Value(0.1), "vent_time_s": Value(0.1)}
+    truth = Inputs.from_samples(table | {"pressure_cmd_kpa": now}, start="held")
+    pipeline = Pipeline.of(twin, truth)
+    theta = pipeline.theta(twin)
+    names = ["tip_x_mm", "tip_z_mm"]
+    tip = pipeline.outputs(pipeline.run(truth, theta), tuple(names))[rows]
+    samples = pd.DataFrame({"trial": 0, "time_s": rows / 1e3, "pressure_cmd_kpa": kpa})
+    samples[names] = tip + 0.2 * rng.normal(size=tip.shape)
+    recording = SimpleNamespace(samples=samples, device="finger", meta={})
+
+    def read(share):
+        return BodyData.of(recording, twin, start="held", switch=share)
+
+    def error(share):
+        data = read(share)
+        return data.error(pipeline.outputs(pipeline.run(data.inputs, theta), data.columns) - data.measured)
+
+    found = instants(recording, read, pipeline, theta, usual=0.02)
+    assert np.isfinite(found).all() if held else np.isnan(found).all()
+    assert error(found) < 1.3 * 0.2 * np.sqrt(2)
+    assert not held or error(None) > 2 * error(found)
+    assert instants(recording, read, pipeline, theta) is None
+
+
 def test_the_step_that_begins_a_motion_is_found_among_commands_that_no_row_has():
     """A computer that sends every 35 ms beside a log at 20 Hz: rows have the last command alone."""
     rng = np.random.default_rng(3)
