@@ -82,7 +82,7 @@ class Evidence:
 
     @property
     def noise_too_large(self) -> bool:
-        """Whether errors are surely below the noise, so that its estimate is none."""
+        """Whether the error is significantly below the estimated noise, which is too large then."""
         return (
             not self.noise_known
             and self.after is not None

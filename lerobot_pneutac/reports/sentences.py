@@ -68,7 +68,7 @@ class State:
     noise_how: str = ""  # how it was found, or why it was not
     noise_measured: bool = True  # whether it was declared or measured by repeats
     at_noise: bool = False  # whether what remains is called noise
-    noise_too_large: bool = False  # whether the error is surely below the estimate of the noise
+    noise_too_large: bool = False  # whether the error is significantly below it
     poor: str = ""  # why the recording is too poor for any claim; empty where it is not
     causes: tuple[str, ...] = ()  # what is missing, as noun phrases, the largest first
     set_up: tuple[str, ...] = ()  # those of them that are how the device is made and mounted, no effects

@@ -43,11 +43,12 @@ def _sent_times(time: bytes, pressure: bytes, first: bytes, chambers: int) -> np
         for start, end in zip(begins, [*begins[1:], len(t)], strict=True)
         for a in range(start, end - LEAST_ROWS, ROWS)
     ]
-    windows = [w for w in windows if (np.diff(p[w], axis=0) != 0).any(axis=1).mean() > 0.5]
+    moves = lambda w: np.abs(np.diff(p[w], axis=0)) > 1e-9 * span  # noqa: E731 - more than rounding
+    windows = [w for w in windows if moves(w).any(axis=1).mean() > 0.5]
     if len(windows) < WINDOWS:
         return out
-    moved = np.concatenate([np.abs(np.diff(p[w], axis=0)).ravel() for w in windows])
-    least = max(SMOOTHEST, LEVELS * moved[moved > 1e-9 * span].min() / span)
+    resolution = min(np.abs(np.diff(p[w], axis=0))[moves(w)].min() for w in windows)
+    least = max(SMOOTHEST, LEVELS * resolution / span)
     row = float(np.median([(t[w][-1] - t[w][0]) / (len(t[w]) - 1) for w in windows]))
     travel = [np.ptp(p[w], axis=0).max() for w in windows]
     best = [windows[i] for i in np.argsort(travel)[len(windows) // 2 :]]

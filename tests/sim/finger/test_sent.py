@@ -22,6 +22,11 @@ def chirp(t, rng):
     return 6 + 5 * np.sin(2 * np.pi * (0.05 + 0.02 * t) * t)
 
 
+def levels(t, rng):
+    """One level a trial, with the rounding of whatever computed it."""
+    return rng.uniform(1, 12) * (1 + 1e-15 * rng.integers(-3, 4, len(t)))
+
+
 def joystick(t, rng):
     """What a hand does, at 20 Hz: smooth over some tenths of a second alone."""
     hand = np.convolve(rng.normal(size=len(t) + 40), np.hanning(9), "same")[20:-20]
@@ -65,6 +70,7 @@ def test_when_a_faster_computer_sent_is_read_off_its_commands(tick_s, resolution
         pytest.param(sine, 0.004, 0.0, id="a loop with jitter"),
         pytest.param(ramps, 0.0, 0.1, id="a command in tenths"),
         pytest.param(joystick, 0.0, 0.0, id="a hand"),
+        pytest.param(levels, 0.0, 0.0, id="levels"),
     ],
 )
 def test_nothing_is_read_off_commands_that_do_not_show_it(form, jitter_s, resolution_kpa):
