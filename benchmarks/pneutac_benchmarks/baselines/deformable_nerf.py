@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from pneutac_benchmarks.baselines.particle_splat import draw_disks
 from pneutac_sim.mpm.body import Body
-from pneutac_sim.splat.body import carry, check_photograph
+from pneutac_sim.splat.body import Carrier, check_photograph
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.rasteriser import Rendering
 
@@ -155,7 +155,7 @@ class DeformableNerf:
         low = np.minimum(positions.min(0), points.min(0)) - h
         shape = np.ceil((np.maximum(positions.max(0), points.max(0)) + h - low) / h).astype(int) + 1
         nodes = low + h * _lattice(shape).reshape(-1, 3)
-        back = carry(nodes, positions, self.body.positions, np.linalg.inv(gradients)) - nodes
+        back = Carrier(nodes, positions)(self.body.positions, np.linalg.inv(gradients)) - nodes
         at = (points - low) / h
         return points + np.stack([_interpolate(back[:, k].reshape(shape), at) for k in range(3)], 1)
 

@@ -10,7 +10,7 @@ from pneutac_benchmarks.baselines.isosurface import isosurface
 from pneutac_benchmarks.baselines.photo_colours import photo_colours
 from pneutac_benchmarks.baselines.triangles import draw_triangles
 from pneutac_sim.mpm.body import Body
-from pneutac_sim.splat.body import carry
+from pneutac_sim.splat.body import Carrier
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.rasteriser import Rendering
 
@@ -45,7 +45,7 @@ class TexturedMesh:
 
     def image(self, positions: np.ndarray, gradients: np.ndarray, camera: Camera) -> Rendering:
         """The body in another state."""
-        moved = carry(self.vertices, self.rest, positions, gradients)
+        moved = Carrier(self.vertices, self.rest)(positions, gradients)
         return draw_triangles(camera, moved, self.faces, self.colours)
 
 

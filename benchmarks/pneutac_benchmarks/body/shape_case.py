@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pneutac_datasets.generate.photographs import Disturbances, joints_of, write_photographs
+from pneutac_datasets.generate.photographs import Disturbances, write_photographs
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import in_order
 from pneutac_sim.features import CHAMBERS
@@ -168,7 +168,7 @@ def at_rest(
 
     Effects of the observation then act on the tips.
     """
-    q_cmd = joints_of(twin, recording.samples)[rows]
+    q_cmd = devices.sampled_targets(twin, recording.samples)[rows]
     solver = devices.BODIES[twin.device](twin, batch=len(q_cmd), particles=particles, device=device)
     q = solve_equilibrium(solver, Loads(q_cmd=q_cmd)).q
     markers = np.zeros((len(q), 5))

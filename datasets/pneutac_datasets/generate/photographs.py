@@ -24,13 +24,12 @@ from pneutac_sim.effects.effect import BODY_STAGES
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError, check_between
 from pneutac_sim.features import CHAMBERS
-from pneutac_sim.finger.inputs import Inputs, pressure_columns
-from pneutac_sim.finger.pipeline import Pipeline
+from pneutac_sim.finger.inputs import pressure_columns
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.solid import PITCH_M, SHAPES
 from pneutac_sim.mpm.solve import solve_equilibrium
 from pneutac_sim.mpm.total_lagrangian import Loads
-from pneutac_sim.splat.body import carry
+from pneutac_sim.splat.body import Carrier
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 from pneutac_sim.world.view import Renderer
@@ -120,19 +119,6 @@ def session(pressure: np.ndarray, device: str, after_s: tuple[float, ...], condi
     return pd.DataFrame(table)
 
 
-def joints_of(twin: Twin, samples: pd.DataFrame) -> np.ndarray:
-    """(n, H) rad of the joint targets at each sample of a recording, as it went.
-
-    Raises:
-        InputError: an effect of the twin asks for a column that is not there.
-    """
-    inputs = Inputs.from_samples(samples, twin.device, twin.length_mm, source="command", start="held")
-    pipeline = Pipeline.of(twin, inputs)
-    for name, why in pipeline.left_out.items():
-        raise InputError(f"The twin's effect '{name}' cannot act: {why}.")
-    return pipeline.run(inputs, pipeline.theta(twin)).joints
-
-
 MARKER_NOISE_MM = 0.3
 
 
@@ -183,7 +169,7 @@ def write_photographs(
         twin.effects[name] = get_effect(name).neutral() | {k: Value(float(v)) for k, v in values.items()}
     pressure = default_pressures(device) if pressures_kpa is None else np.asarray(pressures_kpa, float)
     table = session(pressure, device, after_s, conditions or {})
-    meshes, rest, q, tips = bent_meshes(twin, joints_of(twin, table), particles)
+    meshes, rest, q, tips = bent_meshes(twin, devices.sampled_targets(twin, table), particles)
     turn = Rotation.from_euler("y", -wrong.tilt_deg, degrees=True).as_matrix()
     for mesh in meshes:
         mesh.vertices = mesh.vertices @ turn.T
@@ -250,7 +236,7 @@ def bent_meshes(
     state = solve_equilibrium(solver, Loads(q_cmd=q_cmd))
     width = 1e-3 * devices.parameter(twin, "width_mm")
     straight = SHAPES[twin.device](1e-3 * twin.length_mm, width).subdivide()
-    moved = carry(straight.vertices, solver.body.positions, state.positions, state.gradients)
+    moved = Carrier(straight.vertices, solver.body.positions)(state.positions, state.gradients)
     meshes = [trimesh.Trimesh(x, straight.faces, process=False) for x in moved]
     return meshes, np.asarray(straight.vertices), state.q, devices.spine_points(solver, state.q)[:, -1]
 

@@ -4,7 +4,7 @@ import abc
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import draccus
 from draccus.utils import DecodingError
@@ -22,13 +22,15 @@ if TYPE_CHECKING:
 class ArmConfig(draccus.ChoiceRegistry, abc.ABC):
     """Which arm: `--robot.arm.type=NAME`, and its options."""
 
+    _station: ClassVar["Station | None"] = None  # of an arm that has a model
+
     @property
     def type(self) -> str:
         return str(self.get_choice_name(self.__class__))
 
     @property
     def joints(self) -> int:
-        return PANDA_JOINTS
+        return self._station.joints if self._station else PANDA_JOINTS
 
     @abc.abstractmethod
     def make(self) -> Arm:
@@ -69,10 +71,6 @@ class SimulatedArmConfig(ArmConfig):
     def __post_init__(self):
         self._station = _station(self.model)
 
-    @property
-    def joints(self) -> int:
-        return self._station.joints
-
     def make(self) -> Arm:
         from lerobot_robot_pneutac.hardware.simulated import SimulatedArm
 
@@ -102,10 +100,6 @@ class LeRobotArmConfig(ArmConfig):
             self.degrees and not self.robot.get("use_degrees", True),
             "--robot.arm.robot has use_degrees=false, whose numbers are no angles; leave it out.",
         )
-
-    @property
-    def joints(self) -> int:
-        return self._station.joints
 
     def make(self) -> Arm:
         """See `ArmConfig.make`; raises InputError where LeRobot's robot has other joints."""

@@ -60,7 +60,7 @@ from pneutac_sim.features import (
 class Demonstrations:
     """What a card says about the data that a policy was trained on."""
 
-    repo_ids: tuple[str, ...]  # of the dataset, or of several that were read as one
+    repo_id: str  # of the dataset
     episodes: int  # their number
     frames: int  # their number
     tasks: tuple[str, ...]  # instructions stored with the frames
@@ -68,11 +68,7 @@ class Demonstrations:
     @classmethod
     def of(cls, meta) -> "Demonstrations":
         """Reads them from a LeRobotDatasetMetadata."""
-        return cls((meta.repo_id,), meta.total_episodes, meta.total_frames, tuple(map(str, meta.tasks.index)))
-
-    @property
-    def name(self) -> str:
-        return ", ".join(self.repo_ids)
+        return cls(meta.repo_id, meta.total_episodes, meta.total_frames, tuple(map(str, meta.tasks.index)))
 
 
 def model_card(
@@ -99,7 +95,7 @@ def model_card(
         pipeline_tag="robotics",
         tags=sorted({*(config.tags or []), "lerobot", "robotics", config.type}),
         model_name=config.type,
-        datasets=list(demonstrations.repo_ids) if demonstrations else None,
+        datasets=[demonstrations.repo_id] if demonstrations else None,
     )
     # A folder of this machine says nothing elsewhere, and a resumed training names its own checkpoint.
     known = config.pretrained_path and not Path(config.pretrained_path).is_dir()
@@ -341,7 +337,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
         if model._dataset_scaling is not None:
             model._reach(model._dataset_scaling)
         if model._dataset_rest is not None:
-            check_same_sensor(model.encoder.rest_image, model._dataset_rest, model._demonstrations.name)
+            check_same_sensor(model.encoder.rest_image, model._dataset_rest, model._demonstrations.repo_id)
             model._take_dataset_rest()
         return model
 

@@ -117,25 +117,18 @@ _FLAT = 1 / 255  # an image that varies by less shows nothing to compare
 MOST_ELSEWHERE = 0.05  # share of the pixels that differ from the twin's image at rest; more is noted
 
 
-def rest_image_of(*metas) -> torch.Tensor:
+def rest_image_of(meta) -> torch.Tensor:
     """(3, H, W) float32 in [0, 1]: the median over the first frames of up to 16 episodes, spread evenly.
 
-    A demonstration starts out of contact; the median forgives some that do not. Of several datasets' metadata
-    it is that of the merged ones.
+    A demonstration starts out of contact; the median forgives some that do not.
 
     Raises:
         InputError: an image cannot be read.
     """
-    total = sum(meta.total_episodes for meta in metas)
+    total = meta.total_episodes
     chosen = np.unique(np.linspace(0, total - 1, min(total, MAX_EPISODES)).round().astype(int))
-    frames, before = [], 0
-    for meta in metas:
-        inside = (before <= chosen) & (chosen < before + meta.total_episodes)
-        if inside.any():
-            frames += _first_images(meta, (chosen[inside] - before).tolist())
-        before += meta.total_episodes
-    rest = torch.stack(frames).float().quantile(0.5, dim=0)
-    whole = whole_shape(metas[0].features[TACTILE])[1:]
+    rest = torch.stack(_first_images(meta, chosen.tolist())).float().quantile(0.5, dim=0)
+    whole = whole_shape(meta.features[TACTILE])[1:]
     # Each mean stands for its pixels, and pools to itself.
     return rest if tuple(rest.shape[1:]) == whole else F.interpolate(rest[None], whole)[0]
 

@@ -16,7 +16,7 @@ from lerobot_robot_pneutac.lerobot_inside import LeRobotHooks, paced
 from lerobot_robot_pneutac.options import station_of
 from lerobot_robot_pneutac.robots.base_robot import BaseRobot
 from pneutac_sim.errors import InputError
-from pneutac_sim.files import whole
+from pneutac_sim.files import whole, write_json
 from pneutac_sim.pace import (
     DONE,
     OUTCOME_FILE,
@@ -102,7 +102,10 @@ class EpisodeHooks:
             with contextlib.suppress(OSError):
                 fpath.parent.parent.rmdir()  # LeRobot has made it, and would refuse it next time
             raise InputError(self._other_rate(data["fps"]))
-        frames = data.get("total_frames", 0) - _frames(fpath) if fpath.name == "info.json" else 0
+        frames = 0
+        if fpath.name == "info.json":
+            before = json.loads(fpath.read_text(encoding="utf-8")) if fpath.is_file() else {}
+            frames = data.get("total_frames", 0) - before.get("total_frames", 0)
         with whole(fpath) as part:
             part.write_text(json.dumps(data, indent=4, ensure_ascii=False), encoding="utf-8")
         if frames > 1 and self._times_s is not None and len(self._times_s) >= frames:
@@ -164,9 +167,7 @@ def _add(file: Path, read: Callable[[Path], dict], episode: int, value, plain: C
     except InputError as e:
         logger.warning("%s", e)
         return
-    content = {str(k): plain(v) for k, v in sorted(stored.items())}
-    with whole(file) as part:
-        part.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    write_json(file, {str(k): plain(v) for k, v in sorted(stored.items())})
 
 
 def store_station(robot: BaseRobot, meta: Path) -> None:
@@ -177,8 +178,3 @@ def store_station(robot: BaseRobot, meta: Path) -> None:
     station = station_of(robot.config.station)
     if robot.config.station is not None and station.joints == robot.config.joints:
         station.save(meta)
-
-
-def _frames(info: Path) -> int:
-    """Frames that an `info.json` counts; 0 where there is none yet."""
-    return json.loads(info.read_text(encoding="utf-8")).get("total_frames", 0) if info.is_file() else 0

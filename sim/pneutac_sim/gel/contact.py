@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numba import njit
 from scipy.ndimage import label, maximum
 
 from pneutac_sim.features import SPECKS
@@ -44,7 +43,7 @@ def contact_area(
             f"got {image.dtype} {image.shape} and {rest_image.dtype} {rest_image.shape}"
         )
     sum_limit = int(3 * threshold_levels)
-    pixels = differing(np.ascontiguousarray(image), np.ascontiguousarray(rest_image), sum_limit)
+    pixels = differing(image, rest_image, sum_limit)
     return ContactArea.of(pixels, image.shape[0] * image.shape[1])
 
 
@@ -63,17 +62,10 @@ def without_specks(area: np.ndarray) -> np.ndarray:
     return np.where((stretch > 0) & grown[stretch], area, 0.0)
 
 
-@njit(cache=True)
-def differing(image, rest, sum_limit):
+def differing(image: np.ndarray, rest: np.ndarray, sum_limit: int) -> int:
     """How many pixels of two images, uint8 (H, W, 3), differ by more than `sum_limit` in R + G + B."""
-    n, difference = 0, np.empty(3 * image.shape[1], np.int16)
-    for p in range(image.shape[0]):
-        a, b = image[p].ravel(), rest[p].ravel()
-        for q in range(len(difference)):  # vectorises, as the next
-            difference[q] = max(a[q], b[q]) - min(a[q], b[q])
-        for q in range(image.shape[1]):
-            n += difference[3 * q] + difference[3 * q + 1] + difference[3 * q + 2] > sum_limit
-    return n
+    differences = cv2.transform(cv2.absdiff(image, rest).astype(np.float32), np.ones((1, 3), np.float32))
+    return np.count_nonzero(differences > sum_limit)
 
 
 def quiet_threshold(difference: np.ndarray, quiet: np.ndarray) -> float:

@@ -186,7 +186,12 @@ def joint_targets(
         **{name: np.full(n, float(value)) for name, value in (conditions or {}).items()},
         **dict(zip(pressure_columns(twin.device)[0], pressure.T, strict=True)),
     }
-    inputs = Inputs.from_samples(rows, twin.device, twin.length_mm, source="command", start="held")
+    return sampled_targets(twin, rows)
+
+
+def sampled_targets(twin: Twin, samples: Mapping) -> np.ndarray:
+    """Joint targets (n, H) in rad at each sample of a recording, as it went; raises as `joint_targets`."""
+    inputs = Inputs.from_samples(samples, twin.device, twin.length_mm, source="command", start="held")
     pipeline = Pipeline.of(twin, inputs)
     for name, why in pipeline.left_out.items():
         raise InputError(

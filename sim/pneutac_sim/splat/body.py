@@ -112,11 +112,6 @@ class Carrier:
         return np.einsum("kn,...kni->...ki", self._weights, mapped)
 
 
-def carry(points: np.ndarray, rest: np.ndarray, positions: np.ndarray, gradients: np.ndarray) -> np.ndarray:
-    """One use of `Carrier`: points (..., K, 3), m."""
-    return Carrier(points, rest)(positions, gradients)
-
-
 SEEN = 0.1  # a particle counts as seen from this share of its own footprint on
 OUTSIDE = 0.1  # opacity to start from where the mask says that there is nothing, on the far side too
 FAR_SIDE = 1.6  # blur of what the far side takes from the near one, over the particles' spacing

@@ -51,28 +51,17 @@ class SplatSensor:
 
     Args:
         model: the gel's sizes, rest image and light.
-        layers: of particles, from the window to the surface, 2 or more.
-        looks: colours (n, 3) and opacities (n,) of an earlier sensor with the same model and layers; fitted
-            to the rest image where None (seconds).
         device: that draws: `cpu`, `cuda`, or `auto` for CUDA where gsplat and a device are there; looks are
-            fitted on the CPU.
+            fitted to the rest image on the CPU (seconds).
 
     Attributes:
         camera: the gel's camera, in the gel's frame.
-        looks: colours and opacities.
+        looks: colours (n, 3) and opacities (n,).
 
-    Raises InputError: `layers` or `looks` do not fit, there is no such device, or CUDA or gsplat is missing.
+    Raises InputError: there is no such device, or CUDA or gsplat is missing.
     """
 
-    def __init__(
-        self,
-        model: GelModel,
-        layers: int = LAYERS,
-        looks: tuple[np.ndarray, np.ndarray] | None = None,
-        device: str = "cpu",
-    ):
-        if isinstance(layers, bool) or not isinstance(layers, int) or layers < 2:
-            raise InputError(f"A gel of splats has {layers!r} layers; it needs 2 or more.")
+    def __init__(self, model: GelModel, device: str = "cpu"):
         self.model, self._on = model, on(device)
         self._model_weight, self._lighting = model.weight, model.lighting
         height, width = model.rest_image.shape[:2]
@@ -81,17 +70,15 @@ class SplatSensor:
         view[2, 3] = CAMERA_MM * 1e-3
         K = np.array([[focal_px, 0, width / 2], [0, focal_px, height / 2], [0, 0, 1]])
         self.camera = Camera(K, view, width, height)
-        self._means, self._fraction = particles(model, layers)
+        self._means, self._fraction = particles(model)
         n = len(self._means)
         scale = SCALE_CELLS * model.cell_mm[0] * 1e-3
         self._covariances = np.tile(scale**2 * np.eye(3, dtype=np.float32), (n, 1, 1))
         rest = model.rest_image.astype(np.float32) / 255
         self._background = rest.mean((0, 1))
-        if looks is None:
-            start = np.where(self._fraction == 1, COATING, INSIDE)
-            splats = Splats(self.camera, self._means, self._covariances, start)
-            looks = fit_looks(splats, rest, self._background, iterations=ITERATIONS)
-        self.looks = numbers("gel colours", looks[0], (n, 3)), numbers("gel opacities", looks[1], (n,))
+        start = np.where(self._fraction == 1, COATING, INSIDE)
+        splats = Splats(self.camera, self._means, self._covariances, start)
+        self.looks = fit_looks(splats, rest, self._background, iterations=ITERATIONS)
         splats = self._on(self.camera, self._means, self._covariances, self.looks[1])
         self._residual = rest - splats.render(self.looks[0], self._background).image
 
@@ -166,7 +153,7 @@ class SplatSensor:
         return self._model_weight * cv2.resize(np.ascontiguousarray(grid), size)  # bilinear, by centres
 
 
-def particles(model: GelModel, layers: int) -> tuple[np.ndarray, np.ndarray]:
+def particles(model: GelModel, layers: int = LAYERS) -> tuple[np.ndarray, np.ndarray]:
     """Particles at rest, in the gel's frame (see `gel.probe`), layer by layer from the window to the surface.
 
     Returns:

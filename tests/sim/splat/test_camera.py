@@ -11,7 +11,7 @@ import trimesh
 from pneutac_datasets.recording.photographs import segment
 from pneutac_sim.errors import InputError
 from pneutac_sim.photo_fit.objective import cover
-from pneutac_sim.splat.body import carry
+from pneutac_sim.splat.body import Carrier
 from pneutac_sim.splat.camera import Camera
 from pneutac_sim.splat.rasteriser import Splats, fit_looks, solve_colours
 
@@ -79,7 +79,7 @@ def test_affine_motion_is_met_exactly_also_outside():
     F = np.eye(3) + 0.3 * rng.normal(size=(3, 3))
     points = rng.uniform(-0.004, 0.045, (200, 3))
     gradients = np.broadcast_to(F, (len(rest), 3, 3))
-    moved = carry(points, rest, rest @ F.T + [1, 2, 3], gradients)
+    moved = Carrier(points, rest)(rest @ F.T + [1, 2, 3], gradients)
     np.testing.assert_allclose(moved, points @ F.T + [1, 2, 3], atol=1e-12)
 
 
@@ -103,7 +103,7 @@ def test_bending_converges_with_the_spacing():
     errors = []
     for spacing in (0.002, 0.001):
         rest = lattice(spacing)
-        moved = carry(points, rest, bend(rest), gradient(rest))
+        moved = Carrier(points, rest)(bend(rest), gradient(rest))
         errors.append(np.linalg.norm(moved - bend(points), axis=1).max())
     assert errors[0] < 1e-4
     assert errors[1] < 0.35 * errors[0]

@@ -281,12 +281,12 @@ class Dragging:
 
     def slips(self, known: Self) -> bool:
         """Whether the gel, which stuck before, slips more now."""
-        far = SIGNIFICANT * float(np.hypot(self.error, SLIPS * known.error))
-        return self.turn_deg_per_mm + far < SLIPS * known.turn_deg_per_mm
+        return self.less(known, SLIPS)
 
-    def less(self, known: Self) -> bool:
-        far = SIGNIFICANT * float(np.hypot(self.error, known.error))
-        return self.turn_deg_per_mm + far < known.turn_deg_per_mm
+    def less(self, known: Self, share: float = 1.0) -> bool:
+        """Whether the turn is significantly less than that share of a known one."""
+        far = SIGNIFICANT * float(np.hypot(self.error, share * known.error))
+        return self.turn_deg_per_mm + far < share * known.turn_deg_per_mm
 
     def sentence(self, known: Self | None) -> str:
         """The finding about the gel's friction, a sentence."""
