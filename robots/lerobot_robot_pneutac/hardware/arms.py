@@ -4,7 +4,7 @@ import abc
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import draccus
 from draccus.utils import DecodingError
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 class ArmConfig(draccus.ChoiceRegistry, abc.ABC):
     """Which arm: `--robot.arm.type=NAME`, and its options."""
 
-    _station: ClassVar["Station | None"] = None  # of an arm that has a model
+    _station = None  # of an arm that has a model; with an annotation it would be an option
 
     @property
     def type(self) -> str:
