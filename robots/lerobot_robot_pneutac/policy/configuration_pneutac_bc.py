@@ -10,6 +10,7 @@ from lerobot.optim.schedulers import CosineDecayWithWarmupSchedulerConfig
 from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
 
 from lerobot_robot_pneutac.options import check_range, refuse_if
+from pneutac_sim.dataset_files import Files
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import (
     CHAMBERS,
@@ -203,19 +204,11 @@ class PneutacBCConfig(PreTrainedConfig):
                     " lerobot-edit-dataset --operation.type=recompute_stats."
                 )
             extremes = [np.ravel(v) for k, v in meta.stats[key].items() if k in ("min", "max")]
-            bad = [n for i, n in enumerate(names) if not all(np.isfinite(e[i]) for e in extremes)]
-            if bad:
-                table = parquet.read_table(meta.root / "data", columns=["episode_index", key])
-                broken = ~np.isfinite(np.array(table[key].to_pylist(), float)).all(1)
-                if not broken.any():
-                    raise InputError(
-                        f"{where}: meta/stats.json has NaN or infinity for '{key}' in {', '.join(bad)}, and"
-                        " no frame has; write it with lerobot-edit-dataset --operation.type=recompute_stats."
-                    )
+            if bad := [n for i, n in enumerate(names) if not all(np.isfinite(e[i]) for e in extremes)]:
+                Files(meta.root).refuse_not_finite()
                 raise InputError(
-                    f"{where}: '{key}' contains NaN or infinity in {', '.join(bad)},"
-                    f" first in episode {table['episode_index'][int(broken.argmax())]}; delete such episodes"
-                    " with lerobot-edit-dataset --operation.type=delete_episodes."
+                    f"{where}: meta/stats.json has NaN or infinity for '{key}' in {', '.join(bad)}, and"
+                    " no frame has; write it with lerobot-edit-dataset --operation.type=recompute_stats."
                 )
         if self.previous_action_in_data and PREVIOUS_ACTION not in meta.features:
             raise InputError(

@@ -214,19 +214,10 @@ def test_photographs_of_two_digits_are_alike_and_a_gelsight_is_not():
             check_same_sensor(tensor(a), gelsight, "local/x")
 
 
-@pytest.mark.parametrize(
-    ("spoilt", "said"),
-    [
-        (
-            (OBS_STATE, 3, np.nan),
-            r"'observation.state' contains NaN or infinity in joint_4.pos, first in episode 0;",
-        ),
-        ((ACTION, 1, np.inf), r"'action' contains NaN or infinity in dy.vel, first in episode 0;"),
-    ],
-)
-def test_numbers_that_are_none_are_found_before_training(tmp_path, spoilt, said):
+@pytest.mark.parametrize("spoilt", [(OBS_STATE, 3, np.nan), (ACTION, 1, np.inf)])
+def test_numbers_that_are_none_are_found_before_training(tmp_path, spoilt):
     meta = write_dataset(tmp_path / "spoilt", spoilt=spoilt, episodes=2)
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=r"Each of the episodes \[0, 1\] holds numbers that are not finite"):
         make_policy(PneutacBCConfig(device="cpu"), meta)
 
 
