@@ -127,12 +127,16 @@ class MarkerTracker:
         return out
 
     def _corners(self, image: np.ndarray, number: int) -> np.ndarray | None:
-        """Corners (4, 2), px, of one marker, or None where it is not seen."""
+        """Corners (4, 2), px, of one marker by its edges; None where one cannot be seen, as at the border."""
         grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         corners, ids, _ = self._detector.detectMarkers(grey)
         for i, c in zip([] if ids is None else ids.ravel(), corners, strict=True):
             if i == number:
-                return _refined(grey.astype(np.float32), c[0].astype(float))
+                found = c[0].astype(float)
+                fitted = fit_edges(grey.astype(np.float32), found)
+                side = np.linalg.norm(found - np.roll(found, 1, axis=0), axis=1).mean()
+                moved = np.linalg.norm(fitted - found, axis=1).max()
+                return fitted if moved <= max(MOST_MOVED * side, 2.0) else None
         return None
 
     def _pose(self, corners: np.ndarray, facing: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -147,14 +151,6 @@ class MarkerTracker:
         best = int(np.argmin(errors if facing is None else [-n @ facing for n in normals]))
         turn, shift = cv2.solvePnPRefineLM(self._square, *given, turns[best], shifts[best])
         return cv2.Rodrigues(turn)[0], shift.ravel()
-
-
-def _refined(grey: np.ndarray, found: np.ndarray) -> np.ndarray | None:
-    """Corners by `fit_edges`, or None where an edge cannot be seen, such as at the picture's border."""
-    corners = fit_edges(grey, found)
-    side = np.linalg.norm(found - np.roll(found, 1, axis=0), axis=1).mean()
-    moved = np.linalg.norm(corners - found, axis=1).max()
-    return corners if moved <= max(MOST_MOVED * side, 2.0) else None
 
 
 def fit_edges(grey: np.ndarray, corners: np.ndarray) -> np.ndarray:

@@ -188,14 +188,14 @@ def strip(objective: Objective, positions: np.ndarray, photographs: list[MaskedP
 
     `positions` are (T, P, 3) m of the particles at each pressure, counted by the photographs' `state`.
     """
-    columns = []
-    low, high = _crop(photographs)
+    columns, masks = [], np.concatenate([np.argwhere(p.mask) for p in photographs])
+    low = np.maximum(masks.min(0) - 12, 0)
+    high = np.minimum(masks.max(0) + 12, photographs[0].mask.shape)
     for p in photographs:
         drawn = objective.render(positions[p.state], p.camera)
-        white = drawn.image.clip(0, 1) + (1 - drawn.alpha.clip(0, 1))[..., None]
         edges = differing(p.mask, drawn.alpha > SOLID)
         real = np.where(p.mask[..., None], p.image, 255)
-        stack = [a[low[0] : high[0], low[1] : high[1]] for a in (real, 255 * white.clip(0, 1), edges)]
+        stack = [a[low[0] : high[0], low[1] : high[1]] for a in (real, on_white(drawn), edges)]
         size = (round(SILHOUETTE_HEIGHT * (high[1] - low[1]) / (high[0] - low[0])), SILHOUETTE_HEIGHT)
         small = [cv2.resize(a.astype(np.uint8), size, interpolation=cv2.INTER_AREA) for a in stack]
         columns.append(np.concatenate(small))
@@ -211,12 +211,9 @@ def differing(photograph: np.ndarray, drawn: np.ndarray) -> np.ndarray:
     return image
 
 
-def _crop(photographs: list[MaskedPhotograph]) -> tuple[np.ndarray, np.ndarray]:
-    corners = [np.argwhere(p.mask) for p in photographs]
-    size = np.array(photographs[0].mask.shape)
-    low = np.min([c.min(0) for c in corners], 0) - 12
-    high = np.max([c.max(0) for c in corners], 0) + 12
-    return np.maximum(low, 0), np.minimum(high, size)
+def on_white(drawn) -> np.ndarray:
+    """A rendering (H, W, 3) over white, of 255."""
+    return 255 * (drawn.image.clip(0, 1) + (1 - drawn.alpha.clip(0, 1))[..., None]).clip(0, 1)
 
 
 HEIGHT, GAP, CAPTION = 400, 8, 40  # px of a panel, between panels, and below
@@ -273,14 +270,21 @@ def photograph_painter(twin: Twin, body: Body, recorded: Recorded, spines: np.nd
         nearest = int(np.abs(recorded.pressures - pose.pressure).sum(1).argmin())
         photograph, pressure = recorded.photographs[nearest], recorded.pressures[nearest]
         seen = rasterise(S.carried(looks, body, pose.positions, pose.gradients), camera)
-        light = seen.image.clip(0, 1) + (1 - seen.alpha.clip(0, 1))[..., None]
         mask, solid = photograph.mask, seen.alpha > SOLID
-        panels = (photograph.image, 255 * light.clip(0, 1), differing(mask, solid))
+        panels = (photograph.image, on_white(seen), differing(mask, solid))
         iou = float((mask & solid).sum() / (mask | solid).sum())
         same = bool(np.abs(pressure - pose.pressure).max() < LEVEL_KPA)
         captions = [f"photograph, {pressure_text(pressure)}", f"twin, {pressure_text(pose.pressure)}"]
         captions.append(f"overlap {iou:.1%}" if same else "silhouettes")
-        return _photograph_panels(panels, captions, window), {"iou": iou if same else None}
+        parts = []
+        for panel, below in zip(panels, captions, strict=True):
+            cut = np.ascontiguousarray(panel[window], np.uint8)
+            width = round(HEIGHT * cut.shape[1] / cut.shape[0])
+            part = blank(width + width % 2 + GAP, HEIGHT + CAPTION)
+            part[:HEIGHT, :width] = cv2.resize(cut, (width, HEIGHT), interpolation=cv2.INTER_AREA)
+            write(part, below, 4, HEIGHT + CAPTION - 14)
+            parts.append(part)
+        return np.concatenate(parts, 1), {"iou": iou if same else None}
 
     return paint, LEAD
 
@@ -299,18 +303,6 @@ def _window(recorded: Recorded, spines: np.ndarray, length_m: float) -> tuple[sl
     low = np.maximum(corners.min(0) - margin, 0).astype(int)
     high = np.minimum(corners.max(0) + margin, size).astype(int)
     return slice(low[1], high[1]), slice(low[0], high[0])
-
-
-def _photograph_panels(panels, captions, window: tuple[slice, slice]) -> np.ndarray:
-    parts = []
-    for panel, below in zip(panels, captions, strict=True):
-        cut = np.ascontiguousarray(panel[window], np.uint8)
-        width = round(HEIGHT * cut.shape[1] / cut.shape[0])
-        part = blank(width + width % 2 + GAP, HEIGHT + CAPTION)
-        part[:HEIGHT, :width] = cv2.resize(cut, (width, HEIGHT), interpolation=cv2.INTER_AREA)
-        write(part, below, 4, HEIGHT + CAPTION - 14)
-        parts.append(part)
-    return np.concatenate(parts, 1)
 
 
 def body_film(twin: Twin, config: RenderConfig) -> Film:

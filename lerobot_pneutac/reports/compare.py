@@ -40,7 +40,13 @@ def comparison_page(c) -> Report:
     report.figure(loops(c), "The same against the commanded pressure: a loop shows history.", 420)
     if len(c.history) > 1:
         report.heading("The twin's history")
-        report.figure(ladder(c), "Errors as each version recorded them, on its own recording.", 340)
+        known = [e for e in c.history if e["unit"] == unit]
+        entries = [e for e in known if e["heldout"] is not None or e["train"] is not None]
+        figure = history_figure(entries, unit)
+        if c.noise_floor:
+            dashed = {"color": C.FLOOR, "dash": "dash"}
+            figure.add_hline(y=c.noise_floor, line=dashed, annotation_text="noise")
+        report.figure(figure, "Errors as each version recorded them, on its own recording.", 340)
     report.heading("Where it fails")
     shown = {n: r for n, r in c.by.items() if len(r) > 1}
     caption = "Error under each condition; the line is the noise floor."
@@ -82,25 +88,6 @@ def _heldout(c) -> list[np.ndarray]:
     return out
 
 
-def _add_band(figure: go.Figure, c, i: int, t: np.ndarray, centre: np.ndarray) -> None:
-    """The band of column `i` about `centre` (n,), a closed shape for each stretch of the test part."""
-    low, high = centre - c.band.half[:, i], centre + c.band.half[:, i]
-    parts, name = _thinned(_heldout(c), centre), "95 % band" + ", test" * bool(c.train_samples.any())
-    x = _line([np.append(t[p], t[p[::-1]]) for p in parts], 3)
-    y = _line([np.append(high[p], low[p[::-1]]) for p in parts], 4)
-    look = {"mode": "lines", "fill": "toself", "fillcolor": C.BAND, "line": {"width": 0}, "hoverinfo": "skip"}
-    place = {"legendgroup": "band", "showlegend": i == 0, "row": i + 1, "col": 1}
-    figure.add_scatter(x=x, y=y, name=name, **look, **place)
-
-
-def _add_line(figure: go.Figure, i: int, t, values, parts: list[np.ndarray], name: str, **line) -> None:
-    """A line of column `i` in parts, each thinned."""
-    parts = _thinned(parts, values)
-    x, y = _line([t[p] for p in parts], 3), _line([values[p] for p in parts], 4)
-    place = {"legendgroup": name, "showlegend": i == 0, "row": i + 1, "col": 1}
-    figure.add_scatter(x=x, y=y, name=name, mode="lines", line=line, **place)
-
-
 def _both(c) -> tuple:
     return (c.measured, C.MEASURED, "measured"), (c.model, C.MODEL, "model")
 
@@ -110,11 +97,20 @@ def over_time(c) -> go.Figure:
     figure = stacked(titles, [1.0] * c.counted + [0.6], 0.03)
     t, shift = session_clock(c.recording)
     trials = [np.arange(rows.start, rows.stop) for rows in c.recording.trials().values()]
-    for i in range(c.counted if c.band is not None else 0):
-        _add_band(figure, c, i, t, c.model[:, i])
+    for i in range(c.counted if c.band is not None else 0):  # a closed shape for each stretch of test rows
+        centre, place = c.model[:, i], {"legendgroup": "band", "showlegend": i == 0, "row": i + 1, "col": 1}
+        low, high = centre - c.band.half[:, i], centre + c.band.half[:, i]
+        parts, name = _thinned(_heldout(c), centre), "95 % band" + ", test" * bool(c.train_samples.any())
+        x = _line([np.append(t[p], t[p[::-1]]) for p in parts], 3)
+        y = _line([np.append(high[p], low[p[::-1]]) for p in parts], 4)
+        look = {"mode": "lines", "fill": "toself", "fillcolor": C.BAND, "line": {"width": 0}}
+        figure.add_scatter(x=x, y=y, name=name, hoverinfo="skip", **look, **place)
     for i in range(c.counted):
-        for values, colour, label in _both(c):
-            _add_line(figure, i, t, values[:, i], trials, label, color=colour, width=1.2)
+        for values, colour, name in _both(c):
+            parts = _thinned(trials, values[:, i])
+            x, y = _line([t[p] for p in parts], 3), _line([values[p, i] for p in parts], 4)
+            look = {"mode": "lines", "line": {"color": colour, "width": 1.2}, "legendgroup": name}
+            figure.add_scatter(x=x, y=y, name=name, showlegend=i == 0, **look, row=i + 1, col=1)
     command = c.recording.samples[c.recording.pressure_columns].to_numpy(float)
     for k, name in enumerate(c.recording.pressure_columns):
         index = _thin(np.arange(len(t)), command[:, k])
@@ -176,14 +172,6 @@ def residuals(c) -> go.Figure:
     menu = {"buttons": buttons, "x": 0, "xanchor": "left", "y": 1.15, "yanchor": "top"}
     titles = {"xaxis_title": _title(choices[0][0]), "yaxis_title": f"residual of {_title(c.columns[i])}"}
     return figure.update_layout(**titles, updatemenus=[menu])
-
-
-def ladder(c) -> go.Figure:
-    known = [e for e in c.history if e["unit"] == c.unit]
-    figure = history_figure([e for e in known if e["heldout"] is not None or e["train"] is not None], c.unit)
-    if c.noise_floor:
-        figure.add_hline(y=c.noise_floor, line={"color": C.FLOOR, "dash": "dash"}, annotation_text="noise")
-    return figure
 
 
 def history_figure(entries: list[dict], unit: str) -> go.Figure:

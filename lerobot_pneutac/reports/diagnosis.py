@@ -47,13 +47,28 @@ def diagnosis_page(d, separation: Separation | None) -> Report:
     start = "; with known causes: with what the recording shows by itself, such as its weight" * bool(o.known)
     added = "Test error as terms are added; whiskers: 95 % interval, dashed: noise"
     page.figure(ladder(study, o), f"{added}. Before: the twin as it is, re-fitted{start}.", 300)
-    _contributions(page, study, o)
-    _parameters(page, study, o)
+    if len(o.contributions) > 1:
+        worth = "What each cause is worth: by how much the test error rises without it, all else re-fitted"
+        shown, height = contributions(study, o), 110 + 42 * len(o.contributions)
+        page.figure(shown, f"{worth}; whiskers: 98 % interval.", height)
+    for e in o.selected:
+        text = hedged(study.describe(o.after, e), family_in(o.twin, e), o.mechanisms)
+        page.text(f"**{study.cause(o.after, e)}**: {text} {study.size(o.after, e)}")
+    if o.selected:
+        page.heading("How well each parameter is known")
+        known = [parameter_rows(study.parameters(o.after, e), effect=called(e, o.twin)) for e in o.selected]
+        page.table(sum(known, []))
     _candidates(page, study, o, d.state)
-    if study.recording.device == "gel":
-        page.heading("Where it fails")
-    else:
-        _over_time(page, study, o)
+    page.heading("Where it fails" if study.recording.device == "gel" else "Where the error is")
+    if study.recording.device != "gel":
+        worst = F.worst_passages(study.recording, o.after.squared)
+        what = "Distance between measured and modelled, before and after"
+        shaded = "shaded: the worst passages after. Below: the command."
+        page.figure(over_time(study, o, worst), f"{what}; {shaded}", 460)
+        page.table(worst, "The worst passages after the change.")
+        height = 60 + 260 * ((len(found := shown_axes(study)) + 1) // 2)
+        levels = "Error at each level that was recorded; dashed: the noise."
+        page.figure(by_level(study, o, found), levels, height)
     for picture, caption in study.pictures(o):
         page.image(picture, caption)
     if d.next_experiment != d.do_next:
@@ -66,16 +81,6 @@ def diagnosis_page(d, separation: Separation | None) -> Report:
     size = "Noise" if noise is None else f"Noise {noise:.3g} {study.unit}:"
     page.text(f"{size} {study.noise.how}.")
     return page
-
-
-def _contributions(page: Report, study: EffectStudy, o: Outcome) -> None:
-    if len(o.contributions) > 1:
-        worth = "What each cause is worth: by how much the test error rises without it, all else re-fitted"
-        shown, height = contributions(study, o), 110 + 42 * len(o.contributions)
-        page.figure(shown, f"{worth}; whiskers: 98 % interval.", height)
-    for e in o.selected:
-        text = hedged(study.describe(o.after, e), family_in(o.twin, e), o.mechanisms)
-        page.text(f"**{study.cause(o.after, e)}**: {text} {study.size(o.after, e)}")
 
 
 def contributions(study: EffectStudy, o: Outcome) -> go.Figure:
@@ -128,26 +133,6 @@ def _candidates(page: Report, study: EffectStudy, o: Outcome, state: State) -> N
 def rival_rows(o: Outcome) -> list[dict]:
     pairs = ((called(r.effect, r.winner.twin), called(r.rival, r.fit.twin), r.difference) for r in o.rivals)
     return rows_of(pairs, {"cause": "{0[0]}", "instead": "{0[1]}", "its mean square error": "{0[2]:+.1%}"})
-
-
-def _over_time(page: Report, study: EffectStudy, o: Outcome) -> None:
-    page.heading("Where the error is")
-    worst = F.worst_passages(study.recording, o.after.squared)
-    caption = "Distance between measured and modelled, before and after; shaded: the worst passages after."
-    page.figure(over_time(study, o, worst), f"{caption} Below: the command.", 460)
-    page.table(worst, "The worst passages after the change.")
-    found = shown_axes(study)
-    height = 60 + 260 * ((len(found) + 1) // 2)
-    levels = "Error at each level that was recorded; dashed: the noise."
-    page.figure(by_level(study, o, found), levels, height)
-
-
-def _parameters(page: Report, study: EffectStudy, o: Outcome) -> None:
-    if not o.selected:
-        return
-    page.heading("How well each parameter is known")
-    known = [parameter_rows(study.parameters(o.after, e), effect=called(e, o.twin)) for e in o.selected]
-    page.table(sum(known, []))
 
 
 def ladder(study: EffectStudy, o: Outcome) -> go.Figure:

@@ -114,26 +114,21 @@ def worst_passages(recording, squared: np.ndarray) -> list[dict]:
 
     Each has `trial`, `from_s`, `to_s`, `error` and, if known, `program`; `squared` are the errors (n,).
     """
-    runs = recording.trials().items()
-    found = [p for trial, rows in runs for p in _of_run(recording, trial, rows, squared)]
-    return sorted(found, key=lambda p: -p["error"])[:PASSAGES]
-
-
-def _of_run(recording, trial, rows: slice, squared: np.ndarray) -> list[dict]:
-    t, e = recording.column("time_s")[rows], squared[rows]
-    begin, sums = np.arange(len(t)), np.r_[0.0, np.cumsum(e)]
-    end = np.maximum(np.searchsorted(t, t + PASSAGE_S, side="right"), np.minimum(begin + 2, len(t)))
-    mean = (sums[end] - sums[:-1]) / (end - begin)
-    free = t <= max(t[0], t[-1] - PASSAGE_S)  # a passage is whole, or the whole of a short run
     found = []
-    for a in np.argsort(-mean, kind="stable"):
-        if len(found) == PASSAGES:
-            break
-        if free[a]:
+    for trial, rows in recording.trials().items():
+        t, e = recording.column("time_s")[rows], squared[rows]
+        begin, sums = np.arange(len(t)), np.r_[0.0, np.cumsum(e)]
+        end = np.maximum(np.searchsorted(t, t + PASSAGE_S, side="right"), np.minimum(begin + 2, len(t)))
+        mean = (sums[end] - sums[:-1]) / (end - begin)
+        free = t <= max(t[0], t[-1] - PASSAGE_S)  # a passage is whole, or the whole of a short run
+        for _ in range(PASSAGES):
+            if not free.any():
+                break
+            a = int(np.argmax(np.where(free, mean, -1.0)))
             free[np.abs(t - t[a]) < SEPARATION_S] = False
             passage = {"trial": trial, "from_s": float(t[a]), "to_s": float(t[end[a] - 1])}
             passage["error"] = float(np.sqrt(mean[a]))
             if "program" in recording.samples:
                 passage["program"] = str(recording.column("program")[rows][a])
             found.append(passage)
-    return found
+    return sorted(found, key=lambda p: -p["error"])[:PASSAGES]

@@ -239,15 +239,13 @@ def mechanism(s: State) -> str:
     if not s.mechanisms:
         why = "none is calibrated for such recordings" if s.noise_measured else "the noise was not measured"
         return f"Mechanism: no probability is given, since {why}."
-    return f"Mechanism: {'; '.join(map(_ranked, s.mechanisms))}."
-
-
-def _ranked(m: Mechanism) -> str:
-    if m.certain:
-        return f"{called(m.cause)} is certain ({100 * m.probability:.0f} %)"
-    shown = [(k, p) for k, p in m.ranked if p >= LEAST_SHOWN or k == m.cause]
-    listed = ", ".join(f"{k if k == NONE else called(k)} {100 * p:.0f} %" for k, p in shown)
-    return f"what looks like {called(m.cause)} is {listed}"
+    out = []
+    for m in s.mechanisms:
+        shown = [(k, p) for k, p in m.ranked if p >= LEAST_SHOWN or k == m.cause]
+        listed = ", ".join(f"{k if k == NONE else called(k)} {100 * p:.0f} %" for k, p in shown)
+        certain = f"{called(m.cause)} is certain ({100 * m.probability:.0f} %)"
+        out.append(certain if m.certain else f"what looks like {called(m.cause)} is {listed}")
+    return f"Mechanism: {'; '.join(out)}."
 
 
 def _headline(s: State) -> str:

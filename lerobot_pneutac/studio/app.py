@@ -54,11 +54,7 @@ class Studio:
         self.session = session
         self._name()
         session.when_changed(self._name)
-        self._add_pages(self.server.gui.add_tab_group(), self.pages)
-
-    def _add_pages(self, tabs, pages: dict) -> None:
-        """Each page's module is loaded once the page before it is there."""
-        twin, recording = self.session.twin, self.session.recording
+        tabs, twin, recording = self.server.gui.add_tab_group(), session.twin, session.recording
         body, touch = twin.device in CHAMBERS, twin.device == "gel" or bool(twin.gel)
         of = None if recording is None else "body" if recording.device in CHAMBERS else "gel"
         icon = viser.Icon
@@ -70,10 +66,10 @@ class Studio:
             (of is not None, "Find it", "find_page", "FindPage", icon.SEARCH),
             (body, "World", "world_page", "WorldPage", icon.WORLD),
         ):
-            if shown:
+            if shown:  # its module is loaded once the page before it is there
                 made = getattr(importlib.import_module(f"lerobot_pneutac.studio.{module}"), name)
                 with tabs.add_tab(title, picture):
-                    pages[title] = made(self)
+                    self.pages[title] = made(self)
 
     def _name(self) -> None:
         s = self.session

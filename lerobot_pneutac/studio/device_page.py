@@ -218,7 +218,7 @@ SPEEDS = {"1 x": 1.0, "10 x": 10.0, "100 x": 100.0}
 
 
 class DevicePage(Background):
-    """Knobs, switches, and a body that follows them; `busy_s` is the processor time of the last frame."""
+    """Knobs, switches, and a body that follows them."""
 
     title = "Device"
 
@@ -229,7 +229,12 @@ class DevicePage(Background):
         self._arm = CHAMBERS[twin.device] > 1
         self.readout = self._gui.add_markdown("")
         self._chart = Lines(self._gui, "time, s", (("bend, °", P.MODEL), ("pressure, kPa", P.PRESSURE)), 190)
-        self._pressures = self._pressure_sliders(twin)
+        low, high = map(float, twin.pressure_range_kpa)
+        numbers = [f" {i + 1}" for i in range(CHAMBERS[twin.device])] if self._arm else [""]
+        names = (f"pressure{n}, kPa" for n in numbers)
+        self._pressures = [self._gui.add_slider(name, low, high, 0.1, 0.0) for name in names]
+        for s in self._pressures:
+            s.on_update(self._drive)
         self._loads(twin)
         with self._gui.add_folder("Time and material", expand_by_default=False):
             self._speed = self._gui.add_dropdown("speed of time", tuple(SPEEDS))
@@ -237,7 +242,6 @@ class DevicePage(Background):
             self.solid = SolidPanel(studio, self.scene, self._drive, self._state)
         rested.on_click(studio.safely(self._rest))
         self._series: deque = deque(maxlen=int(CHART_S * CHART_A_S))
-        self.busy_s = 0.0
         self._lock = threading.Lock()
         self._panel = EffectsPanel(self._gui, "Effects of the twin")
         self._changed()
@@ -246,15 +250,6 @@ class DevicePage(Background):
         self.start(self._run, "device page")
 
     # ---------------------------------------------------------------- knobs
-
-    def _pressure_sliders(self, twin: Twin) -> list:
-        low, high = twin.pressure_range_kpa
-        numbers = [f" {i + 1}" for i in range(CHAMBERS[twin.device])] if self._arm else [""]
-        ends = float(low), float(high), 0.1, 0.0
-        sliders = [self._gui.add_slider(f"pressure{n}, kPa", *ends) for n in numbers]
-        for s in sliders:
-            s.on_update(self._drive)
-        return sliders
 
     def _drive(self, _=None) -> None:
         self.solid.hide()
@@ -388,7 +383,6 @@ class DevicePage(Background):
             if self._studio.driver != self.title:
                 self._poke.visible, shown = False, None
                 continue
-            began = time.thread_time()
             shape = self.step(dt * SPEEDS[self._speed.value])
             moved = shown is None or np.abs(shape.markers[:3] - shown).max() > STILL_MM
             if moved:
@@ -399,7 +393,6 @@ class DevicePage(Background):
             if drawn % (FRAMES_A_S // CHART_HZ) == 0 and np.ptp(np.array(self._series)[:, 1]) > 1e-3:
                 t, *lines = np.array(self._series).T
                 self._chart.show(t - t[-1], *lines)
-            self.busy_s = time.thread_time() - began
 
     def _show(self, shape: Shape) -> None:
         self.scene.show(shape)

@@ -45,7 +45,9 @@ class _Switch:
     def __init__(self, gui, effect: Effect, values: Mapping[str, Value] | None, range_kpa: float, changed):
         self.effect = effect
         start = effect.start(range_kpa) | dict(values or {})
-        self._box = gui.add_checkbox(effect.name.replace("_", " "), values is not None, hint=_about(effect))
+        defaults = {k: v.value for k, v in effect.start().items()}
+        about = effect.describe(defaults, "device").partition(". ")[0]
+        self._box = gui.add_checkbox(effect.name.replace("_", " "), values is not None, hint=about)
         self._fixed = {k: v for k, v in start.items() if k not in {p.name for p in effect.parameters}}
         self._sliders = {
             p.name: _slider(gui, p, start[p.name], range_kpa, values is not None) for p in effect.parameters
@@ -84,7 +86,3 @@ def _slider(gui, parameter: Parameter, value: Value, range_kpa: float, visible: 
     unit = f"{name or parameter.name}, {parameter.unit or 'ratio'}".replace("_", " ")
     hint = f"From {low:.4g} to {high:.4g} {parameter.unit}.{known}"
     return gui.add_slider(unit, low, high, step, float(value.value), hint=hint, visible=visible)
-
-
-def _about(effect: Effect) -> str:
-    return effect.describe({k: v.value for k, v in effect.start().items()}, "device").partition(". ")[0]

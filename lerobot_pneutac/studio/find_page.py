@@ -6,10 +6,11 @@ from pathlib import Path
 
 from lerobot_pneutac.cli.options import check_report
 from lerobot_pneutac.reports.diagnosis import ladder, reductions, rival_rows
+from lerobot_pneutac.reports.page import save_table
 from lerobot_pneutac.reports.sentences import alternatives, meaning
 from lerobot_pneutac.studio.plots import Background, show_text, table
 from lerobot_pneutac.verbs.add import add
-from lerobot_pneutac.verbs.benches import save_choice
+from lerobot_pneutac.verbs.benches import program_columns
 from lerobot_pneutac.verbs.compare import compare
 from lerobot_pneutac.verbs.design import Design, design
 from lerobot_pneutac.verbs.diagnose import diagnose
@@ -65,7 +66,7 @@ class ExperimentPanel:
 
             show(f"{best.name}, {best.seconds:.0f} s", 0, 1)
             out.mkdir(parents=True, exist_ok=True)
-            save_choice(out / "program.csv", best)
+            save_table(out / "program.csv", program_columns(best))
             try:
                 measured = bench.follow(out / "program.csv", out / "recording", session.measured)
             except HardwareFault as e:
@@ -80,7 +81,7 @@ class ExperimentPanel:
             return
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "program.csv"
-            save_choice(file, self._design.best)
+            save_table(file, program_columns(self._design.best))
             event.client.send_file_download(file.name, file.read_bytes())
 
 

@@ -24,7 +24,7 @@ DEEPEST_MM = 2.0
 
 
 class GelPage(Background):
-    """An indenter on a gel; `busy_s` is the processor time of the last state."""
+    """An indenter on a gel."""
 
     title = "Touch"
 
@@ -47,7 +47,6 @@ class GelPage(Background):
         self._due = threading.Event()
         for control in (self._shape, self._size, self._x, self._y, self._depth, self._yaw):
             control.on_update(self._moved)
-        self.busy_s = 0.0
         self._changed()
         studio.driver = studio.driver or self.title
         studio.session.when_changed(studio.safely(self._changed))
@@ -115,10 +114,8 @@ class GelPage(Background):
             if not self._due.wait(0.2):
                 continue
             self._due.clear()
-            began, start = time.thread_time(), time.monotonic()
-            image, depth, moved = self.state()
-            self._show(image, depth, moved)
-            self.busy_s = time.thread_time() - began
+            start = time.monotonic()
+            self._show(*self.state())
             self._stop.wait(max(0.0, 1 / FRAMES_A_S - (time.monotonic() - start)))
 
     def _show(self, image: np.ndarray, depth: np.ndarray, moved: np.ndarray) -> None:

@@ -190,17 +190,14 @@ class MeasurementPage(Background):
             self._charts[1].show(x, self._error[at], np.full(len(at), c.noise_floor or np.nan))
             self._charts[2].show(x, *self._pressure[at].T)
             drawn = f"  \nDrawn: one sample of {every}." if every > 1 else ""
-            self.readout.content = self._describe(i) + drawn
+            trial, own = int(c.recording.column("trial")[i]), float(c.recording.column("time_s")[i])
+            heldout = "" if c.heldout is None else f"; test error {c.heldout:.3g} {c.unit} in all"
+            off = f"**Off by {self._error[i]:.2f} {c.unit}** in trial {trial} at {own:.2f} s{heldout}."
+            both = f"measured {main[0][i]:.2f}, model {main[1][i]:.2f}"
+            kpa = " / ".join(f"{p:.1f}" for p in self._pressure[i])
+            said = f"{off}  \n{c.columns[self._main]}: {both}; command {kpa} kPa"
+            self.readout.content = said + drawn
             self._photograph.show(i, shape)
-
-    def _describe(self, i: int) -> str:
-        c = self._c
-        trial, own = int(c.recording.column("trial")[i]), float(c.recording.column("time_s")[i])
-        heldout = "" if c.heldout is None else f"; test error {c.heldout:.3g} {c.unit} in all"
-        off = f"**Off by {self._error[i]:.2f} {c.unit}** in trial {trial} at {own:.2f} s{heldout}."
-        both = f"measured {c.measured[i, self._main]:.2f}, model {c.model[i, self._main]:.2f}"
-        kpa = " / ".join(f"{p:.1f}" for p in self._pressure[i])
-        return f"{off}  \n{c.columns[self._main]}: {both}; command {kpa} kPa"
 
     def close(self) -> None:
         self.player.close()
@@ -236,7 +233,7 @@ class ImagesPage(Background):
         except InputError as e:
             self.readout.content = f"> {e}"
             return
-        self._number.max = max(2, len(self._c.predicted))
+        self._number.max = max(2, len(self._c.drawn.images))
         self._about.content = "\n\n".join(table(rows) for rows in self._c.by.values())
         self._draw()
 
@@ -250,9 +247,9 @@ class ImagesPage(Background):
         c = self._c
         if c is None:
             return
-        i = min(int(self._number.value), len(c.predicted)) - 1
-        sample, score = c.data.samples[i], c.scores[i]
-        three = (sample.image, c.predicted[i], difference(c.predicted[i], sample.image, TIMES))
+        i = min(int(self._number.value), len(c.drawn.images)) - 1
+        sample, score, model = c.data.samples[i], c.drawn.scores[i], c.drawn.images[i]
+        three = (sample.image, model, difference(model, sample.image, TIMES))
         self._picture.image = side_by_side(three, width=THUMBNAIL_PX)
         p, role = sample.press, f" ({sample.role})" if sample.role else ""
         off = f"**Off by {score.rmse:.2f} levels**, in the contact {score.contact_rmse:.2f}"

@@ -86,29 +86,16 @@ def write_rrd(file: Path, twin: Twin, recording: Recording | None = None) -> int
         stream.log("body/tip", rr.Points3D([shape.markers[:3]], colors=[TRAIL], radii=[2.0]))
         stream.log("bend_deg", rr.Scalars(shape.bend_deg))
 
-    count = _sweep(twin, show, stream) if recording is None else _recorded(twin, recording, show, stream)
-    stream.flush()
-    return count
-
-
-def _sweep(twin: Twin, show, stream) -> int:
-    """Slowly up and down the pressures that it was measured over, chamber by chamber."""
-    import rerun as rr
-
-    low, high = twin.pressure_range_kpa
-    body, chambers = LiveBody(twin, {}), CHAMBERS[twin.device]
-    steps = int(SWEEP_S * HZ)
-    ramp = low + (high - low) * (1 - np.abs(np.linspace(-1, 1, steps)))
-    commands = np.concatenate([np.outer(ramp, row) for row in np.eye(chambers)])
-    for i, command in enumerate(commands):
-        show((i + 1) / HZ, body.step(command, np.zeros(3), 1 / HZ))
-        stream.log("pressure_kpa", rr.Scalars(command))
-    return len(commands)
-
-
-def _recorded(twin: Twin, recording: Recording, show, stream) -> int:
-    import rerun as rr
-
+    if recording is None:  # slowly up and down the pressures that it was measured over, chamber by chamber
+        low, high = twin.pressure_range_kpa
+        body, chambers = LiveBody(twin, {}), CHAMBERS[twin.device]
+        ramp = low + (high - low) * (1 - np.abs(np.linspace(-1, 1, int(SWEEP_S * HZ))))
+        commands = np.concatenate([np.outer(ramp, row) for row in np.eye(chambers)])
+        for i, command in enumerate(commands):
+            show((i + 1) / HZ, body.step(command, np.zeros(3), 1 / HZ))
+            stream.log("pressure_kpa", rr.Scalars(command))
+        stream.flush()
+        return len(commands)
     c = compare(twin, recording)
     pipeline = Pipeline.of(twin, c.bench.inputs)
     run = pipeline.run(c.bench.inputs, pipeline.theta(twin, c.bench.inputs.pressure_range_kpa))
@@ -122,4 +109,5 @@ def _recorded(twin: Twin, recording: Recording, show, stream) -> int:
         for k, name in enumerate(c.columns[: c.counted]):
             stream.log(f"{name}/measured", rr.Scalars(c.measured[i, k]))
             stream.log(f"{name}/model", rr.Scalars(c.model[i, k]))
+    stream.flush()
     return len(shown)

@@ -132,7 +132,14 @@ class Augmentation(Result):
             stood = "Where the object stood: the replay of each recorded demonstration in the twin"
             report.table(scenes, stood)
         if "checks" in summary:
-            report.table(list(map(_check_row, summary["checks"])), "Carried out once more by material points")
+            checks = [
+                {"demonstration": c["episode"], "does the task": c["success"]}
+                | {"steps with touch, planned / checked": " / ".join(map(str, c["touched"]))}
+                | {"contact area RMSE": c["area_rmse"], "largest contact area": c["area_peak"]}
+                | {"image RMSE (levels)": c["image_rmse_levels"], "minutes": c["seconds"] / 60}
+                for c in summary["checks"]
+            ]
+            report.table(checks, "Carried out once more by material points")
         report.heading("Touch")
         states = _states(output.repo_id, output.root)[: summary["kept"]]
         sources = [line["source_episode"] for line in summary["provenance"]]
@@ -211,13 +218,6 @@ def command(config: AugmentConfig, terminal: Terminal) -> None:
 
 
 SHOWN = 4  # recorded demonstrations whose touch is drawn
-
-
-def _check_row(check: dict) -> dict:
-    row = {"demonstration": check["episode"], "does the task": check["success"]}
-    row |= {"steps with touch, planned / checked": " / ".join(map(str, check["touched"]))}
-    row |= {"contact area RMSE": check["area_rmse"], "largest contact area": check["area_peak"]}
-    return row | {"image RMSE (levels)": check["image_rmse_levels"], "minutes": check["seconds"] / 60}
 
 
 def _states(repo_id: str, root: Path) -> list[np.ndarray]:

@@ -1,7 +1,6 @@
 """What `learn` measures on: the stand-in for a real finger, or the bench itself."""
 
 import time
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
@@ -11,7 +10,6 @@ import numpy as np
 from lerobot_pneutac.cli.options import parse_options
 from lerobot_pneutac.diagnosis.design import Choice
 from lerobot_pneutac.diagnosis.programs import sent_s
-from lerobot_pneutac.reports.page import save_table
 from pneutac_datasets.recording.axes import command_columns
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError
@@ -31,7 +29,7 @@ class Bench(Protocol):
     pause_s: float | None
 
     def follow(self, program: Path, out: Path, number: int) -> Recording:
-        """Drives a program, a CSV as `save_program` writes it, from rest; records into the new folder `out`.
+        """Drives a program, a CSV of `program_columns`, from rest; records into the new folder `out`.
 
         `number` programs were driven before. Raises HardwareFault where a part failed; the chamber is vented.
         """
@@ -77,24 +75,15 @@ class MeasuredBench:
         return recording
 
 
-def program_columns(time_s, pressure_kpa, kind: str, conditions: Mapping | None = None) -> dict:
+def program_columns(c: Choice) -> dict:
     """A program as `pneutac measure --program=` reads it, its steps between samples (`sent_s`).
 
-    Columns are `time_s`, when a command is sent, the commands (n,) or (n, chambers) kPa, `program`, its
-    `kind`, and the conditions that it asks for, such as `payload_g`.
+    Columns are `time_s`, when a command is sent, the commands in kPa, `program`, its kind, and the conditions
+    that it asks for, such as `payload_g`.
     """
-    commands = np.reshape(pressure_kpa, (len(time_s), -1)).T
+    commands = np.reshape(c.pressure_kpa, (len(c.time_s), -1)).T
     columns = dict(zip(command_columns(len(commands)), commands, strict=True))
-    return {"time_s": sent_s(time_s, pressure_kpa)} | columns | {"program": kind} | dict(conditions or {})
-
-
-def save_program(file: Path, *program) -> None:
-    """Writes a table of `program_columns`."""
-    save_table(file, program_columns(*program))
-
-
-def save_choice(file: Path, c: Choice) -> None:
-    save_program(file, c.time_s, c.pressure_kpa, c.kind, c.conditions)
+    return {"time_s": sent_s(c.time_s, c.pressure_kpa), **columns, "program": c.kind, **c.conditions}
 
 
 STANDIN, MEASURE = BENCHES = ("standin", "measure")

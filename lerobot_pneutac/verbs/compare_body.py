@@ -33,8 +33,6 @@ from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError, option
 from pneutac_sim.finger import BodyData, Pipeline, simulate
 from pneutac_sim.finger.confidence import Z95, independent
-from pneutac_sim.finger.inputs import Inputs
-from pneutac_sim.finger.pipeline import Run
 from pneutac_sim.finger.quantities import root_mean, squared_distance
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
@@ -60,7 +58,15 @@ def prediction_band(twin: Twin, bench: BodyData, train: np.ndarray, noise: Noise
     if moved.shape[-1] == 0:
         how = "the noise alone, as no parameter of the twin has an interval"
         return Band(np.tile(Z95 * sensor, (len(bench), 1)), how) if sensor.any() else None
-    half = Z95 * np.sqrt(_variance(moved, train) + sensor**2)
+    trained = moved[train].reshape(-1, moved.shape[-1])
+    known = independent(trained)  # what these do not separate varies by its own interval alone
+    variance = (moved[..., ~known] ** 2).sum(axis=-1)
+    if known.any():
+        inverse = np.linalg.inv(trained[:, known].T @ trained[:, known])
+        # counted in their own standard deviations, the diagonal of a covariance is one
+        covariance = inverse / np.median(np.diag(inverse))
+        variance += np.einsum("nki,ij,nkj->nk", moved[..., known], covariance, moved[..., known])
+    half = Z95 * np.sqrt(variance + sensor**2)
     return Band(half, "the intervals of the twin's parameters and the noise")
 
 
@@ -84,22 +90,6 @@ def _moved(twin: Twin, bench: BodyData) -> np.ndarray:
         moved = pipeline.outputs(pipeline.run(bench.inputs, there, run), columns)
         out.append((moved - here)[..., None] / STEP)
     return np.concatenate(out, axis=-1)
-
-
-def _variance(moved: np.ndarray, train: np.ndarray) -> np.ndarray:
-    """(n, k) variance of the predictions that the parameters leave open.
-
-    Parameters that the train samples do not separate vary by their own intervals only.
-    """
-    trained = moved[train].reshape(-1, moved.shape[-1])
-    known = independent(trained)
-    variance = (moved[..., ~known] ** 2).sum(axis=-1)
-    if known.any():
-        inverse = np.linalg.inv(trained[:, known].T @ trained[:, known])
-        # counted in their own standard deviations, the diagonal of a covariance is one
-        covariance = inverse / np.median(np.diag(inverse))
-        variance += np.einsum("nki,ij,nkj->nk", moved[..., known], covariance, moved[..., known])
-    return variance
 
 
 _PHRASES = {
@@ -436,8 +426,13 @@ def markers_by_mpm(
     axes = pipeline.geometry.axes
     bend = np.zeros((len(samples), 2))
     bend[:, :axes] = joints.reshape(len(samples), -1, axes).sum(1)
-    seen = _observed(pipeline, run, bench.inputs.thin(samples), np.hstack([1e3 * tips, bend]))
-    shown = replace(run, pressure_kpa=run.pressure_kpa[samples], joints=joints, markers=seen)
+    markers, inputs = np.hstack([1e3 * tips, bend]), bench.inputs.thin(samples)
+    computed = pipeline.computed(run.signals, inputs, at_samples=True)
+    conditions = inputs.conditions_with(computed, at_samples=True)
+    for link in pipeline.chain[pipeline.reads_joints + 1 :]:  # effects of the observation
+        state = np.zeros(link.state_size(markers.shape[1]))
+        markers = link(markers, inputs.sample_dt_s, run.theta, conditions, state)
+    shown = replace(run, pressure_kpa=run.pressure_kpa[samples], joints=joints, markers=markers)
     return pipeline.outputs(shown, bench.columns), len(targets)
 
 
@@ -458,13 +453,3 @@ def _at_rest(solver, targets: np.ndarray, progress) -> tuple[np.ndarray, np.ndar
             raise InputError(f"{e.finding}; compare by fidelity=pipeline, or leave that sample out.") from e
         joints[i], tips[i] = rest.q[0], devices.spine_points(solver, rest.q)[0, -1]
     return joints, tips
-
-
-def _observed(pipeline: Pipeline, run: Run, inputs: Inputs, markers: np.ndarray) -> np.ndarray:
-    """Markers (k, 5) of the body as the pipeline's effects of the observation show them."""
-    computed = pipeline.computed(run.signals, inputs, at_samples=True)
-    conditions = inputs.conditions_with(computed, at_samples=True)
-    for link in pipeline.chain[pipeline.reads_joints + 1 :]:
-        state = np.zeros(link.state_size(markers.shape[1]))
-        markers = link(markers, inputs.sample_dt_s, run.theta, conditions, state)
-    return markers

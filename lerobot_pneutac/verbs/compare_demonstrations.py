@@ -220,29 +220,21 @@ def compare_demonstrations(
     ]
     late = f.fit((Structure((LATE,)), f.start(LATE)), ARM, 40).values[f"{LATE}.latency_s"]
     touch = f.base(TOUCH).values["touch_late"] / CONTROL_HZ
+    halves = [np.cumsum(e.contact) > e.contact.sum() // 2 for e in f.episodes]  # of an episode's touch
+    masks = [[e.contact & (h == later) for e, h in zip(f.episodes, halves, strict=True)] for later in (0, 1)]
+    drift_s = None
+    if min(int(m.sum()) for m in sum(masks, [])) >= 2 * CONTROL_HZ:
+        first, second = map(f.lateness, masks)
+        drift_s = (second - first) / CONTROL_HZ
     return DemonstrationComparison(
         study=study,
         findings=tuple(study.findings),
         replayed=replayed,
         latency_s=late,
         clock_s=touch,
-        drift_s=_clock_drift_s(study),
+        drift_s=drift_s,
         light=light_drift(given.episodes, GelModel.from_twin(twin).rest_image),
     )
-
-
-def _clock_drift_s(study: DemonstrationStudy) -> float | None:
-    """How much later touch is shown in the second halves of the episodes' touches than in the first."""
-    f, halves = study.fitter, []
-    for later in (False, True):
-        masks = []
-        for e in f.episodes:
-            half = np.cumsum(e.contact) > e.contact.sum() // 2
-            masks.append(e.contact & (half if later else ~half))
-        if min(int(m.sum()) for m in masks) < 2 * CONTROL_HZ:
-            return None
-        halves.append(f.lateness(masks) / CONTROL_HZ)
-    return halves[1] - halves[0]
 
 
 WIDTH = 180  # of a picture of the gel, px

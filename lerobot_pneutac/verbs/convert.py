@@ -130,10 +130,28 @@ def convert(config: ConvertConfig, show: Callable[[Understood], None] = lambda u
     if not (film or read):
         raise InputError(f"{config.source} has no markers; leave out --tip, and name columns by --columns.")
     source = read(config.source) if read else Source(config.source)
-    log = readers.shifted(source if config.log is None else _log(config), config.offset_s)
+    log = source
+    if config.log is not None:
+        given = Given(_columns(config), rate_hz=config.rate_hz)
+        table = Understood([config.log], given, log=True, time=config.time).recording.samples
+        times = table["time_s"].to_numpy(float)
+        names = [c for c in table if c not in ("time_s", "trial", "run")]
+        log = Source(config.log, {}, {c: (times, table[c].to_numpy()) for c in names})
+    log = readers.shifted(log, config.offset_s)
     columns = {n: n for n in log.columns} if config.log is not None else config.columns
     if film:
-        tip = _of_film(config)
+        camera = None if config.intrinsics is None else Intrinsics.load(config.intrinsics)
+        if config.marker_mm is not None:
+            if camera is None:
+                raise InputError("A film with ArUco markers needs --intrinsics, the camera's calibration.")
+            ids = [int(n) if n.isdigit() else k for k, n in enumerate((config.base, config.tip))]
+            offset = np.array(config.base_offset_mm)
+            tip = track_aruco(config.source, MarkerTracker(camera, config.marker_mm, *ids, offset))
+        elif None in (config.tip_rgb, config.base_rgb, config.dots_mm):
+            aruco = "--marker_mm (ArUco markers 0 at the base and 1 at the tip, with --intrinsics)"
+            raise InputError(f"A film needs {aruco}, or --tip_rgb, --base_rgb and --dots_mm (coloured dots).")
+        else:
+            tip = track_dots(config.source, config.tip_rgb, config.base_rgb, config.dots_mm, camera)
         z, kpa = tip.position_mm[:, 2], readers.commanded(tip, log, columns)
         seen = np.isfinite(z)
         up = np.sum((z[seen] - np.median(z[seen])) * (kpa[seen] - kpa[seen].mean())) >= 0
@@ -178,7 +196,7 @@ def _convert_tables(config: ConvertConfig, show: Callable[[Understood], None]) -
     options = {"base_mm": base} | {name: getattr(config, name) for name in names}
     options = {n: v for n, v in options.items() if v != Given.__dataclass_fields__[n].default}
     given = replace(given, columns=given.columns | columns, **options)
-    understood = plain.Understood(files, given, time=config.time)
+    understood = Understood(files, given, time=config.time)
     show(understood)
     return understood.write(folder, config.replace)
 
@@ -198,16 +216,6 @@ def _reader(path: Path) -> Callable[[Path], Source] | None:
     return readers.read_vicon if readers.is_vicon(path) else None
 
 
-def _log(config: ConvertConfig) -> Source:
-    assert config.log is not None
-    columns = _columns(config)
-    given = Given(columns, rate_hz=config.rate_hz)
-    table = plain.Understood([config.log], given, log=True, time=config.time).recording.samples
-    times = table["time_s"].to_numpy(float)
-    names = [c for c in table if c not in ("time_s", "trial", "run")]
-    return Source(config.log, {}, {c: (times, table[c].to_numpy()) for c in names})
-
-
 def _frame(base: Track, tip: Track, config: ConvertConfig, kpa: np.ndarray) -> BaseFrame:
     """The base frame, by a body's axes or, of a single marker, by how the tip moves."""
     if base.rotation is not None:
@@ -218,21 +226,6 @@ def _frame(base: Track, tip: Track, config: ConvertConfig, kpa: np.ndarray) -> B
         raise InputError("The base's marker is never seen; choose another --base.")
     frame = readers.of_motion(np.median(base.position_mm[seen], 0), tip.position_mm, kpa)
     return BaseFrame(frame.rotation, frame.origin_mm + frame.rotation @ np.array(config.base_offset_mm))
-
-
-def _of_film(config: ConvertConfig) -> Track:
-    camera = None if config.intrinsics is None else Intrinsics.load(config.intrinsics)
-    if config.marker_mm is not None:
-        if camera is None:
-            raise InputError("A film with ArUco markers needs --intrinsics, the camera's calibration.")
-        ids = [int(n) if n.isdigit() else k for k, n in enumerate((config.base, config.tip))]
-        return track_aruco(
-            config.source, MarkerTracker(camera, config.marker_mm, *ids, np.array(config.base_offset_mm))
-        )
-    if config.tip_rgb is None or config.base_rgb is None or config.dots_mm is None:
-        aruco = "--marker_mm (ArUco markers 0 at the base and 1 at the tip, with --intrinsics)"
-        raise InputError(f"A film needs {aruco}, or --tip_rgb, --base_rgb and --dots_mm (coloured dots).")
-    return track_dots(config.source, config.tip_rgb, config.base_rgb, config.dots_mm, camera)
 
 
 def command(config: ConvertConfig, terminal: Terminal) -> None:

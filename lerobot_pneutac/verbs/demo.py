@@ -367,7 +367,11 @@ class Demo:
             recording.result()
         done = read_outcomes(first / "meta").get(0) == DONE
         if done:
-            self._merge(recorded, first, rest)
+            ids, roots = [f"local/{first.name}", f"local/{rest.name}"], [str(first), str(rest)]
+            self._command(
+                "lerobot-edit-dataset", f"--new_repo_id=local/{recorded.name}", f"--new_root={recorded}",
+                "--operation.type=merge", f"--operation.repo_ids={ids}", f"--operation.roots={roots}",
+            )  # fmt: skip
         else:
             self._announce("It failed, as some of a person's do, and is left out.")
             self._unpaced(recorded, cfg.demonstrations)
@@ -406,7 +410,10 @@ class Demo:
             augmented = pool.submit(self._policy, "augmented", "", every)
             alone = pool.submit(self._policy, "demonstrations", ALONE, every)
             losses = {"augmented": augmented.result(), "alone": alone.result()}
-        success = {"augmented": self._successes("eval"), "alone": self._successes(f"eval{ALONE}")}
+        success = {}
+        for name, end in (("augmented", ""), ("alone", ALONE)):
+            (task,) = json.loads((self._path(f"eval{end}") / "eval_info.json").read_text())["per_task"]
+            success[name] = [bool(done) for done in task["metrics"]["successes"]]
         return {"log_freq": every, "losses": losses} | success
 
     def _policy(self, source: str, end: str, every: int) -> list[float]:
@@ -435,11 +442,6 @@ class Demo:
         )  # fmt: skip
         return [float(x) for x in re.findall(r"\bloss:([0-9.eE+-]+)", printed)]
 
-    def _successes(self, folder: str) -> list[bool]:
-        info = json.loads((self._path(folder) / "eval_info.json").read_text())
-        (task,) = info["per_task"]
-        return [bool(done) for done in task["metrics"]["successes"]]
-
     # ------------------------------------------------------------ what the stages share
 
     def _path(self, name: str) -> Path:
@@ -457,13 +459,6 @@ class Demo:
         other, part = (self._path("friday"), "all") if self.cfg.quick else (self.finger, "heldout")
         result = self._verb("compare", other, out)
         return {"tip_error_mm": result["error"][part], "noise_mm": result["noise_floor"]}
-
-    def _merge(self, into: Path, *parts: Path) -> None:
-        ids, roots = ([f(p) for p in parts] for f in (lambda p: f"local/{p.name}", str))
-        self._command(
-            "lerobot-edit-dataset", f"--new_repo_id=local/{into.name}", f"--new_root={into}",
-            "--operation.type=merge", f"--operation.repo_ids={ids}", f"--operation.roots={roots}",
-        )  # fmt: skip
 
     def _command(self, *command: str, total: int = 0, pattern: str = "") -> str:
         """Runs a command and returns what it printed, also into `logs/`; a match of `pattern` is progress."""

@@ -51,34 +51,28 @@ class PressChoice:
 
 
 def press_choices(data: GelRecording, models: Sequence[Candidate]) -> list[PressChoice]:
-    """Presses of the recording's indenters all over the window, the most informative first.
+    """Presses of the recording's indenters at nine places, the most informative first.
 
-    What a model leaves over is smooth over a contact, so that a photograph counts as `INDEPENDENT` pixels
-    with errors of `ERROR_LEVELS`; two models' images differ as in the mean over the contact.
+    Each is as deep as the shallowest, the middle and the deepest press, and deeper. What a model leaves over
+    is smooth over a contact, so that a photograph counts as `INDEPENDENT` pixels with errors of
+    `ERROR_LEVELS`; two models' images differ as in the mean over the contact.
     """
     predictors = [Predictor(seen_by(GelModel.from_twin(m.twin), data), data.presses) for m in models]
     probability = np.array([m.probability for m in models])
+    width, height = (n / data.px_per_mm for n in data.rest.shape[1::-1])
+    depths = np.sort([s.press.depth_mm for s in data.samples])
+    deeper = max(min(DEEPER * depths[-1], DEEPEST * data.thickness_mm), depths[-1])
+    each = dict.fromkeys(np.round([depths[0], depths[len(depths) // 2], depths[-1], deeper], 2).tolist())
+    tools = {(s.press.indenter, s.press.size_mm): s.press for s in data.samples}
     found = []
-    for press in _presses(data):
+    for tool, x, y, depth in product(tools.values(), PLACES, PLACES, each):
+        press = replace(tool, x_mm=round(x * width, 1), y_mm=round(y * height, 1), depth_mm=depth)
         images = [p.image(press, data.rest, clock=1.0) for p in predictors]  # it comes last
         near = PressPhotograph(press, data.rest, data.rest).near(data.px_per_mm)
         seen = [i[near].astype(float) / np.sqrt(near.sum()) for i in images]
         nats = nats_between(seen, probability, INDEPENDENT / ERROR_LEVELS**2)
         found.append(PressChoice(press, nats, tuple(images)))
     return sorted(found, key=lambda c: -c.rivals)
-
-
-def _presses(data: GelRecording) -> list[Press]:
-    """Each indenter at nine places, as deep as the shallowest, the middle and the deepest one, and deeper."""
-    width, height = (n / data.px_per_mm for n in data.rest.shape[1::-1])
-    depths = np.sort([s.press.depth_mm for s in data.samples])
-    deeper = max(min(DEEPER * depths[-1], DEEPEST * data.thickness_mm), depths[-1])
-    each = dict.fromkeys(np.round([depths[0], depths[len(depths) // 2], depths[-1], deeper], 2).tolist())
-    tools = {(s.press.indenter, s.press.size_mm): s.press for s in data.samples}
-    return [
-        replace(tool, x_mm=round(x * width, 1), y_mm=round(y * height, 1), depth_mm=depth)
-        for tool, x, y, depth in product(tools.values(), PLACES, PLACES, each)
-    ]
 
 
 HOLDS_S, WAITS_S = (10.0, 30.0, 60.0), (3.0, 10.0, 30.0)  # by hand, three seconds at least
@@ -218,8 +212,7 @@ class Design(Result):
         return super().content() | {"contenders": described(self.contenders)}
 
     def tables(self) -> dict[str, dict]:
-        c = self.best
-        return {"program.csv": program_columns(c.time_s, c.pressure_kpa, c.kind, c.conditions)}
+        return {"program.csv": program_columns(self.best)}
 
     def page(self) -> Report:
         page, best = self.lead_page(), self.best

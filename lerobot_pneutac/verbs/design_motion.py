@@ -8,7 +8,7 @@ as many standard deviations as these differ relative to the error on demonstrati
 Pressures are those of the paper's finger; another's are as large a share of its range, as of an expert's.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -186,8 +186,18 @@ def motion_choices(
     out = []
     for i, m in enumerate(motions):
         here = {name: each[i] for name, each in responses.items()}
-        first = {name: each[0] for name, each in here.items()}
-        out.append(MotionChoice(m, _significance(misses, here), first))
+
+        def mean(difference: Callable[[Response, Response], float], a: str, b: str, here=here) -> float:
+            return float(np.mean([difference(x, y) for x, y in zip(here[a], here[b], strict=True)]))
+
+        shape, level = (mean(d, CREEP, COMPLIANCE) for d in (misses.shaped, misses.levelled))
+        confusable = float(np.hypot(shape, level))
+        significance = {
+            CREEP: min(mean(misses.shaped, CREEP, PLAIN), confusable),
+            COMPLIANCE: min(mean(misses.levelled, COMPLIANCE, PLAIN), confusable),
+            FRICTION: mean(misses.turned, FRICTION, PLAIN),
+        }
+        out.append(MotionChoice(m, significance, {name: each[0] for name, each in here.items()}))
     return out
 
 
@@ -197,18 +207,6 @@ def shortest(choices: Sequence[MotionChoice], change: str) -> MotionChoice:
     if significant:
         return min(significant, key=lambda c: c.motion.seconds)
     return max(choices, key=lambda c: c.significance[change])
-
-
-def _significance(misses: Misses, responses: Mapping[str, list[Response]]) -> dict[str, float]:
-    def mean(difference: Callable[[Response, Response], float], a: str, b: str) -> float:
-        return float(np.mean([difference(x, y) for x, y in zip(responses[a], responses[b], strict=True)]))
-
-    confusable = np.hypot(mean(misses.shaped, CREEP, COMPLIANCE), mean(misses.levelled, CREEP, COMPLIANCE))
-    return {
-        CREEP: min(mean(misses.shaped, CREEP, PLAIN), float(confusable)),
-        COMPLIANCE: min(mean(misses.levelled, COMPLIANCE, PLAIN), float(confusable)),
-        FRICTION: mean(misses.turned, FRICTION, PLAIN),
-    }
 
 
 def fingers(twin: Twin) -> dict[str, tuple[Twin, float]]:

@@ -169,7 +169,16 @@ def _law_source(effect: BodyEffect) -> str:
     summary = effect.summary.replace("{does}", FAMILIES.get(family(effect.name), ("",))[0])
     head = f'"""{effect.name}: a law, as it acts in a twin.\n\n{effect.equation}\n'
     head += f'{PROJECT.format(name=own)}"""\n'
-    step = effect.state_size(2) - effect.state_size(1)
+    step, defaults = (
+        effect.state_size(2) - effect.state_size(1),
+        {f.name: f.default for f in fields(Parameter)},
+    )
+    parameters = []
+    for p in effect.parameters:
+        arguments = [f"{p.name!r}, {p.unit!r}, {p.default!r}, {p.lower!r}, {p.upper!r}"]
+        named = ((k, v) for k, v in vars(p).items() if defaults[k] is not MISSING and v != defaults[k])
+        arguments += [f"{k}={v!r}" for k, v in named]
+        parameters.append(f"        Parameter({', '.join(arguments)}),")
     return "\n".join(
         [
             head.replace("\\", "\\\\"),
@@ -180,19 +189,12 @@ def _law_source(effect: BodyEffect) -> str:
             *source.lines(), "", "", body, "", "", "EFFECT = BodyEffect(",
             f"    name={own!r},", f"    stage={effect.stage!r},", f"    signal={effect.signal!r},",
             f"    run={expression},",
-            "    parameters=(", *(f"        {_parameter(p)}," for p in effect.parameters), "    ),",
+            "    parameters=(", *parameters, "    ),",
             f"    columns={effect.columns!r},", f"    state_size=lambda channels: {step} * channels,",
             f"    equation={effect.equation!r},", f"    summary={summary!r},",
             f"    experiment={effect.experiment!r},", ")", "",
         ]
     )  # fmt: skip
-
-
-def _parameter(p: Parameter) -> str:
-    arguments = [f"{p.name!r}, {p.unit!r}, {p.default!r}, {p.lower!r}, {p.upper!r}"]
-    plain = {f.name: f.default for f in fields(Parameter)}
-    arguments += [f"{k}={v!r}" for k, v in vars(p).items() if plain[k] is not MISSING and v != plain[k]]
-    return f"Parameter({', '.join(arguments)})"
 
 
 def units(effect: Effect) -> list[dict[str, str]]:

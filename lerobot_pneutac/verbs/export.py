@@ -175,11 +175,33 @@ def python_file(twin: Twin) -> str:
     theta, of_air = model.theta(twin), _knows_air(twin)
     for part in (Link, Pose, Finger):
         source.add(part)
-    chain = "\n".join(f"    {link}," for link in _links(model, source))
+    links = []
+    for link in model.chain:
+        if isinstance(link, stages.EffectLink):
+            signal = link.effect.signal
+            links.append(_effect(link, model, source, "markers" if signal == "mount" else signal))
+        elif isinstance(link, stages.LoadLink):
+            links += [_effect(e, model, source, "load") for e in link.effects]
+            stiffness, size = (model.names[link.stiffness],), model.geometry.n_joints * model.geometry.axes
+            links.append(_link("equilibrium", "equilibrium", source.add(solve), stiffness, memory=size))
+        elif model.chain.index(link) == model.drive:
+            links.append(_link("drive", "drive", None, tuple(model.names[i] for i in link.indices)))
+        else:
+            planar = model.geometry.axes == 1
+            run = stages.forward_kinematics if planar else stages.forward_kinematics_spatial
+            links.append(_link("kinematics", "kinematics", source.add(run)))
+    constants = []
+    for name, spec, value in zip(model.names, model.specs, theta, strict=True):
+        effect, _, parameter = name.rpartition(".")
+        known = (twin.effects[effect] if effect else twin.parameters).get(parameter, Value(0.0))
+        number = repr(float(value)) if value == value and abs(value) != float("inf") else f'float("{value}")'
+        interval = "95 % interval {:.4g} to {:.4g}".format(*known.ci95) if known.ci95 else ""
+        remark = ", ".join(filter(None, [spec.unit, interval])) or "a ratio"
+        constants.append(f"    {name!r}: {number},  # {remark}")
     reads = _place(model, model.reads_pressure) if of_air else 0, _place(model, model.observes)
     body = [
         *source.lines(), "", "", source.functions, "", "",
-        "CONSTANTS = {", *_constants(twin, model, theta), "}", "", "LINKS = (", chain, ")", "", "",
+        "CONSTANTS = {", *constants, "}", "", "LINKS = (", *(f"    {link}," for link in links), ")", "", "",
         "def finger(**conditions) -> Finger:",
         '    """A new device, vented; see `Finger`."""',
         f"    joints_mm = {[float(x) for x in twin.spine_joint_positions_mm]!r}",
@@ -217,25 +239,6 @@ def _knows_air(twin: Twin) -> bool:
     return not slow and any(get_effect(name).of_air for name in of_body(twin.effects))
 
 
-def _links(model: Pipeline, source: Source) -> list[str]:
-    out = []
-    for link in model.chain:
-        if isinstance(link, stages.EffectLink):
-            signal = link.effect.signal
-            out.append(_effect(link, model, source, "markers" if signal == "mount" else signal))
-        elif isinstance(link, stages.LoadLink):
-            out += [_effect(e, model, source, "load") for e in link.effects]
-            stiffness, size = (model.names[link.stiffness],), model.geometry.n_joints * model.geometry.axes
-            out.append(_link("equilibrium", "equilibrium", source.add(solve), stiffness, memory=size))
-        elif model.chain.index(link) == model.drive:
-            out.append(_link("drive", "drive", None, tuple(model.names[i] for i in link.indices)))
-        else:
-            planar = model.geometry.axes == 1
-            run = stages.forward_kinematics if planar else stages.forward_kinematics_spatial
-            out.append(_link("kinematics", "kinematics", source.add(run)))
-    return out
-
-
 def _place(model: Pipeline, index: int) -> int:
     """What `model.chain[index]` is in the file, where effects of the load are links of their own."""
     loads = [len(link.effects) for link in model.chain[:index] if isinstance(link, stages.LoadLink)]
@@ -253,18 +256,6 @@ def _effect(link: stages.EffectLink, model: Pipeline, source: Source, kind: str)
 
 def _link(name, kind, run, constants=(), columns=(), memory=0) -> str:
     return f"Link({name!r}, {kind!r}, {run}, {constants!r}, {tuple(columns)!r}, {memory})"
-
-
-def _constants(twin: Twin, model: Pipeline, theta) -> list[str]:
-    lines = []
-    for name, spec, value in zip(model.names, model.specs, theta, strict=True):
-        effect, _, parameter = name.rpartition(".")
-        known = (twin.effects[effect] if effect else twin.parameters).get(parameter, Value(0.0))
-        number = repr(float(value)) if value == value and abs(value) != float("inf") else f'float("{value}")'
-        interval = "{:.4g} to {:.4g}".format(*known.ci95) if known.ci95 else ""
-        remark = ", ".join(filter(None, [spec.unit, interval and f"95 % interval {interval}"]))
-        lines.append(f"    {name!r}: {number},  # {remark or 'a ratio'}".rstrip())
-    return lines
 
 
 def _docstring(twin: Twin, model: Pipeline) -> str:

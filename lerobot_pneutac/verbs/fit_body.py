@@ -11,7 +11,7 @@ stiffness alone; it is fitted along and not taken for either.
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 
 import numpy as np
@@ -32,7 +32,6 @@ from pneutac_datasets.recording.wording import joined, plural
 from pneutac_sim.effects.gravity import STANDARD_GRAVITY
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger import BodyData, Pipeline, PipelineFit, fit, simulate
-from pneutac_sim.finger.equilibrium import SoftBody
 from pneutac_sim.finger.quantities import squared_distance
 from pneutac_sim.finger.stages import BODY_SHARE, FORCES
 from pneutac_sim.progress import Progress, no_progress
@@ -53,9 +52,9 @@ class Compliance:
     """What loaded poses determine."""
 
     twin: Twin
-    parameters: dict[str, dict]  # stiffness and modulus, each `value`, `ci95`, `unit` and `note`
     remark: str
-    evaluations: int  # simulations made
+    parameters: dict[str, dict] = field(default_factory=dict)  # stiffness and modulus, as in a `Calibration`
+    evaluations: int = 0  # simulations made
 
 
 def fit_compliance(twin: Twin, recording: Recording, train: np.ndarray, seed: int = 0) -> Compliance:
@@ -64,10 +63,11 @@ def fit_compliance(twin: Twin, recording: Recording, train: np.ndarray, seed: in
     Only the samples `train` (n,) are fitted; of an arm, which bends in two planes, nothing is.
     """
     if twin.device != "finger":
-        return _held(twin, "An arm's modulus and stiffness are not fitted to loaded poses; they stay fixed.")
+        fixed = "An arm's modulus and stiffness are not fitted to loaded poses; they stay fixed."
+        return Compliance(twin, fixed)
     force = known_forces(recording)
     if force is None or np.ptp(force[train], axis=0)[[0, 2]].max() < LEAST_FORCE_N:
-        return _held(twin, f"{NO_LOAD}, so {_NEITHER}; {advice(twin, recording)}.")
+        return Compliance(twin, f"{NO_LOAD}, so {_NEITHER}; {advice(twin, recording)}.")
     samples, start = recording.samples.assign(**dict(zip(FORCES, force.T, strict=True))), twin.copy()
     start.pressure_range_kpa = measured_range(recording) or twin.pressure_range_kpa
     start.effects.pop("payload", None)  # its weight is a force now
@@ -76,7 +76,8 @@ def fit_compliance(twin: Twin, recording: Recording, train: np.ndarray, seed: in
     if turned > TURNED and "gravity" not in effects:
         effects.append("gravity")
     if not (find_spec("taichi") or find_spec("quadrants")):
-        return _held(twin, f"The soft body's torque needs Taichi, which is not installed, so {_NEITHER}.")
+        without = f"The soft body's torque needs Taichi, which is not installed, so {_NEITHER}."
+        return Compliance(twin, without)
     from pneutac_sim.mpm.devices import measure  # the other bench verbs run without Taichi
     from pneutac_sim.mpm.solve import MpmDiverged
     from pneutac_sim.surrogate.collect import bending_range
@@ -84,9 +85,42 @@ def fit_compliance(twin: Twin, recording: Recording, train: np.ndarray, seed: in
     try:
         body = measure(start, bending_range(start), PARTICLES)
     except (InputError, MpmDiverged) as e:
-        return _held(twin, f"No soft body can be put round this spine ({e}), so {_NEITHER}.")
+        return Compliance(twin, f"No soft body can be put round this spine ({e}), so {_NEITHER}.")
     data = BodyData.of(replace(recording, samples=samples), start)
-    return _found(twin, recording, fit(start, data, effects, train, seed=seed, body=body), body)
+    found = fit(start, data, effects, train, seed=seed, body=body)
+    if WHOLE not in found.ci95 or WHOLE in found.at_bound:
+        little = f"The loads bend the finger too little, so {_NEITHER}; {advice(twin, recording)}."
+        return Compliance(twin, little)
+    new, whole = twin.copy(), found.twin.parameters[WHOLE]
+    if whole.ci95[1] > WIDEST * whole.ci95[0]:
+        shown = "anywhere from {:.2g} to {:.2g} N m/rad a joint".format(*whole.ci95)
+        leave = f"The loads leave the stiffness {shown}, so {_NEITHER}; {advice(twin, recording)}."
+        return Compliance(twin, leave)
+    new.parameters[WHOLE] = whole
+    rows = {WHOLE: with_unit(whole, "N m/rad") | {"note": ""}}
+    remark = "Joint stiffness: {:.2g} to {:.2g} N m/rad.".format(*whole.ci95)
+    # a body of the modulus E alone would be as stiff as joints of E times this
+    alone = body.alone(1e-3 * (twin.length_mm - np.asarray(twin.spine_joint_positions_mm)))
+    share = found.twin.parameters[BODY_SHARE]
+    low, high = (whole.value * s / alone for s in share.ci95 or (0.0, 1.0))
+    if BODY_SHARE not in found.at_bound and high < WIDEST * low:
+        new.parameters[MODULUS] = Value(whole.value * share.value / alone, (low, high))
+        rows[MODULUS] = with_unit(new.parameters[MODULUS], "MPa") | {"note": ""}
+        remark += f" Young's modulus: {low:.3g} to {high:.3g} MPa; the rest is the chamber's."
+        return Compliance(new, remark, rows, found.evaluations)
+    value = twin.parameters.get(MODULUS, Value(PAPER_FINGER[MODULUS])).value
+    range_mpa = f"{max(low, 0.0):.2g} to {high:.2g} MPa"
+    rows[MODULUS] = with_unit(Value(value), "MPa") | {"note": f"fixed: not identifiable ({range_mpa})"}
+    angles = any(c.startswith("q_") for c in recording.observations)
+    remedy = "a tensile test of its material shows it" + ", as joint angles (q_1_rad ...) would" * (
+        not angles
+    )
+    remark += f" Young's modulus cannot be identified from these data ({range_mpa}); {remedy}."
+    if value * alone >= whole.value:
+        new.parameters[MODULUS] = Value(0.5 * (low + min(high, 0.9 * whole.value / alone)))
+        remark += f" It is set to {new.parameters[MODULUS].value:.2g} MPa."
+        rows[MODULUS]["value"] = new.parameters[MODULUS].value
+    return Compliance(new, remark, rows, found.evaluations)
 
 
 def known_forces(recording: Recording) -> np.ndarray | None:
@@ -119,46 +153,6 @@ def advice(twin: Twin, recording: Recording) -> str:
 
 NO_LOAD = "No known load bends the finger"
 _NEITHER = "neither the joints' stiffness nor the modulus is identified and both stay fixed"
-
-
-def _held(twin: Twin, remark: str) -> Compliance:
-    return Compliance(twin, {}, remark, 0)
-
-
-def _found(twin: Twin, recording: Recording, found: PipelineFit, body: SoftBody) -> Compliance:
-    if WHOLE not in found.ci95 or WHOLE in found.at_bound:
-        return _held(twin, f"The loads bend the finger too little, so {_NEITHER}; {advice(twin, recording)}.")
-    new, whole = twin.copy(), found.twin.parameters[WHOLE]
-    if whole.ci95[1] > WIDEST * whole.ci95[0]:
-        shown = "anywhere from {:.2g} to {:.2g} N m/rad a joint".format(*whole.ci95)
-        return _held(
-            twin, f"The loads leave the stiffness {shown}, so {_NEITHER}; {advice(twin, recording)}."
-        )
-    new.parameters[WHOLE] = whole
-    rows = {WHOLE: with_unit(whole, "N m/rad") | {"note": ""}}
-    remark = "Joint stiffness: {:.2g} to {:.2g} N m/rad.".format(*whole.ci95)
-    # a body of the modulus E alone would be as stiff as joints of E times this
-    alone = body.alone(1e-3 * (twin.length_mm - np.asarray(twin.spine_joint_positions_mm)))
-    share = found.twin.parameters[BODY_SHARE]
-    low, high = (whole.value * s / alone for s in share.ci95 or (0.0, 1.0))
-    if BODY_SHARE not in found.at_bound and high < WIDEST * low:
-        new.parameters[MODULUS] = Value(whole.value * share.value / alone, (low, high))
-        rows[MODULUS] = with_unit(new.parameters[MODULUS], "MPa") | {"note": ""}
-        remark += f" Young's modulus: {low:.3g} to {high:.3g} MPa; the rest is the chamber's."
-        return Compliance(new, rows, remark, found.evaluations)
-    value = twin.parameters.get(MODULUS, Value(PAPER_FINGER[MODULUS])).value
-    range_mpa = f"{max(low, 0.0):.2g} to {high:.2g} MPa"
-    rows[MODULUS] = with_unit(Value(value), "MPa") | {"note": f"fixed: not identifiable ({range_mpa})"}
-    angles = any(c.startswith("q_") for c in recording.observations)
-    remedy = "a tensile test of its material shows it" + ", as joint angles (q_1_rad ...) would" * (
-        not angles
-    )
-    remark += f" Young's modulus cannot be identified from these data ({range_mpa}); {remedy}."
-    if value * alone >= whole.value:
-        new.parameters[MODULUS] = Value(0.5 * (low + min(high, 0.9 * whole.value / alone)))
-        remark += f" It is set to {new.parameters[MODULUS].value:.2g} MPa."
-        rows[MODULUS]["value"] = new.parameters[MODULUS].value
-    return Compliance(new, rows, remark, found.evaluations)
 
 
 # What a body's parameter means.
@@ -308,7 +302,18 @@ def calibrate_body(
     recording, moved = align_mounts(recording, twin.length_mm, train)
     bench, command = (BodyData.of(recording, twin, source=s) for s in ("auto", "command"))
     loads = fit_compliance(twin, recording, train, seed)
-    fits = _fit_stages(loads.twin, recording, bench, train, seed, progress)
+    # first of the measured pressure, where effects act between it and the command
+    fits, start, left_out = [], loads.twin, simulate(loads.twin, bench).left_out
+    air = [e for e in start.effects if bench.inputs.measured and "measured pressure" in left_out.get(e, "")]
+    stages = 1 + bool(air)
+    if air:
+        progress("fitting the measured pressure", 0, stages)
+        pressure = BodyData.of(recording, start, target="pressure")
+        fits.append(fit(start, pressure, None, train, air, seed=seed))
+        start = fits[0].twin
+    progress("fitting the pose", stages - 1, stages)
+    fits.append(fit(start, bench, train=train, seed=seed))
+    progress("fitted", stages, stages)
     test = _HeldOutTest(command, recording, heldout, seed) if heldout.any() else None
     fits, plain, causes, doubts = _with_known_causes(fits, recording, bench, train, test, seed, progress)
     after = replace(fits[-1].twin, fitted_to={"change": "calibrated", "recording": folder, "seed": seed})
@@ -450,24 +455,6 @@ def _doubt(
 
     residual = now.residual[:, : bench.counted] * scale
     return doubt(cause, recording, predict, residual, np.arange(len(residual)), lost, squared)
-
-
-def _fit_stages(
-    twin: Twin, recording: Recording, bench: BodyData, train: np.ndarray, seed: int, progress
-) -> list[PipelineFit]:
-    """Of the measured pressure, where effects act between it and the command, then of the pose."""
-    left_out = simulate(twin, bench).left_out
-    air = [e for e in twin.effects if bench.inputs.measured and "measured pressure" in left_out.get(e, "")]
-    stages = 1 + bool(air)
-    fits = []
-    if air:
-        progress("fitting the measured pressure", 0, stages)
-        fits.append(fit(twin, BodyData.of(recording, twin, target="pressure"), None, train, air, seed=seed))
-        twin = fits[0].twin
-    progress("fitting the pose", stages - 1, stages)
-    fits.append(fit(twin, bench, train=train, seed=seed))
-    progress("fitted", stages, stages)
-    return fits
 
 
 def parameters(twin: Twin, fits: list[PipelineFit], bench: BodyData, recording: Recording) -> dict[str, dict]:

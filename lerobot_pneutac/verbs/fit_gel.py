@@ -22,7 +22,7 @@ from pneutac_sim.gel.indenter import Press
 from pneutac_sim.gel.inverse import TouchReader
 from pneutac_sim.gel.layout import LIKE, Layout, Orientation, recognise
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.gel.pair import ImageScores, PressPhotograph, disc, rest_changed, score
+from pneutac_sim.gel.pair import ImageScores, disc, rest_changed, score
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 
@@ -126,21 +126,24 @@ class GelCalibration(Calibration):
         return rows
 
     def _identified_of(self) -> list[str]:
-        first = [make_sentence(self.fit)]
+        out = [make_sentence(self.fit)]
         if self.material:
             confirm = "confirm that" if self.fit.refined else "do not confirm that, so it was not taken"
-            first.append(
+            out.append(
                 f"The light was fitted to surfaces of material points ({self.material}) and refined through "
                 f"the splat renderer; held-out parts of the presses {confirm}. The twin draws by the closed "
                 f"form nearest to them, of decay {self.gel.decay_mm:.2f} mm; '{MPM}' by theirs."
             )
         rows, columns = self.gel.rest_image.shape[:2]
         if (rows, columns) != self.data.rest.shape[:2]:
-            first.append(f"The twin's images are {columns} x {rows} px, made of the photographs'.")
-        first.append(modulus_sentence(self.modulus, self.twin))
-        moved = moved_sentences(self.data.presses, self.fit)
-        first.append(residual_sentence(self.fit))
-        return [*filter(None, first), *moved, *identified_sentences(self.identified, self.fit.make)]
+            out.append(f"The twin's images are {columns} x {rows} px, made of the photographs'.")
+        out.append(modulus_sentence(self.modulus, self.twin))
+        for k, (p, found) in enumerate(zip(self.data.presses, self.fit.presses, strict=True), 1):
+            moves = (f"{n} {getattr(found, n):.3g} (stated {getattr(p.press, n):.3g})" for n in p.sd)
+            if p.sd:
+                out.append(f"Within what its row leaves open, calibration press {k} has {', '.join(moves)}.")
+        out.append(residual_sentence(self.fit))
+        return [*filter(None, out), *identified_sentences(self.identified, self.fit.make)]
 
     def save_prior(self, name: str) -> Path:
         """Stores the sensor's lights as the prior of its model, for later calibrations; returns the file."""
@@ -244,14 +247,6 @@ def identified_sentences(found: Identified, make: str) -> list[str]:
     return out
 
 
-def moved_sentences(stated: Sequence[PressPhotograph], fit: GelFit) -> list[str]:
-    out = []
-    for k, (p, found) in enumerate(zip(stated, fit.presses, strict=True), 1):
-        moves = ", ".join(f"{n} {getattr(found, n):.3g} (stated {getattr(p.press, n):.3g})" for n in p.sd)
-        out += [f"Within what its row leaves open, calibration press {k} has {moves}."] * bool(p.sd)
-    return out
-
-
 def residual_sentence(fit: GelFit) -> str:
     """What was added to the light of other sensors' and of the presses' residual fields; empty if nothing."""
     out = []
@@ -299,9 +294,19 @@ def calibrate_gel(
     known = late_effects(
         {n: {k: v.value for k, v in twin.effects[n].items()} for n in of_sensor(twin.effects)}
     )
-    data = _photographs(twin, recording, names, known)
-    start = time.monotonic()
-    points = _points_under(data, twin, progress) if through_points else None
+    data = GelRecording.load(recording, to_fit=True)
+    earlier = twin.arrays.get("rest_image") if twin.gel else None
+    data.warnings += rest_changed(earlier, data.rest, data.px_per_mm)
+    unseen = [n for n in late_effects(dict.fromkeys(names or (), {})) if n not in known]
+    if unseen and not any(p.earlier for p in data.presses):
+        remedy = "give role 'calibration' to a press that came after another"
+        raise InputError(f"effects={','.join(names or ())}: '{unseen[0]}' {UNHELD}, and {remedy}.")
+    start, points = time.monotonic(), None
+    if through_points:
+        from pneutac_sim.mpm.devices import PressedGel
+
+        progress("material points under the presses of the calibration", 0, 1)
+        points = PressedGel(GelModel(data.rest, np.zeros((3, 2)), np.zeros(3), data.px_per_mm), twin)
     args = data.presses, data.px_per_mm, names, data.thickness_mm, library()
     fit = fit_presses(*args, *([points.between] if points else []), known=known)
     if points:
@@ -341,28 +346,6 @@ def calibrate_gel(
     name = "gel_poissons_ratio"
     assumed = "" if name in twin.parameters else ", assumed"
     return replace(found, by_points=by_points, material=f"Poisson's ratio {parameter(twin, name):g}{assumed}")
-
-
-def _points_under(data: GelRecording, twin: Twin, progress: Progress):
-    """The gel of material points under the presses of the calibration."""
-    from pneutac_sim.mpm.devices import PressedGel
-
-    progress("material points under the presses of the calibration", 0, 1)
-    return PressedGel(GelModel(data.rest, np.zeros((3, 2)), np.zeros(3), data.px_per_mm), twin)
-
-
-def _photographs(
-    twin: Twin, recording: Recording, names: Sequence[str] | None, known: dict[str, dict[str, float]]
-) -> GelRecording:
-    """Raises InputError where an effect of `names` is not `known` and they do not show it."""
-    data = GelRecording.load(recording, to_fit=True)
-    earlier = twin.arrays.get("rest_image") if twin.gel else None
-    data.warnings += rest_changed(earlier, data.rest, data.px_per_mm)
-    unseen = [n for n in late_effects(dict.fromkeys(names or (), {})) if n not in known]
-    if unseen and not any(p.earlier for p in data.presses):
-        remedy = "give role 'calibration' to a press that came after another"
-        raise InputError(f"effects={','.join(names or ())}: '{unseen[0]}' {UNHELD}, and {remedy}.")
-    return data
 
 
 def scores_of(data: GelRecording, predicted: list[np.ndarray]) -> list[ImageScores]:
@@ -464,28 +447,19 @@ class GelComparison(Comparison):
         return self.drawn.data
 
     @property
-    def predicted(self) -> list[np.ndarray]:
-        """Of each photograph, uint8 (H, W, 3)."""
-        return self.drawn.images
-
-    @property
-    def scores(self) -> list[ImageScores]:
-        return self.drawn.scores
-
-    @property
     def findings(self) -> tuple[str, ...]:
         return tuple(self.data.warnings)
 
     @property
     def error(self) -> dict[str, float | None]:
-        return errors_of(self.scores, self.data)
+        return errors_of(self.drawn.scores, self.data)
 
     @property
     def image(self) -> dict | None:
         """Mean scores over images whose role is not calibration."""
         if not self.data.heldout:
             return None
-        mean = ImageScores.mean([self.scores[i] for i in self.data.heldout])
+        mean = ImageScores.mean([self.drawn.scores[i] for i in self.data.heldout])
         rest = ImageScores.mean([self.drawn.rest_scores[i] for i in self.data.heldout])
         # two equal pictures have an infinite PSNR, which JSON cannot hold; 8-bit rounding ends at 59 dB
         psnr = {"psnr": min(mean.psnr, 99.0)}
@@ -503,17 +477,17 @@ class GelComparison(Comparison):
 
     @property
     def by(self) -> dict[str, list[dict]]:
-        samples, unseen = self.data.samples, self.data.heldout
+        samples, unseen, scores = self.data.samples, self.data.heldout, self.drawn.scores
         return {
-            "role": _by(self.scores, [s.role or "others" for s in samples]),
-            "indenter": _by([self.scores[i] for i in unseen], [samples[i].press.indenter for i in unseen]),
+            "role": _by(scores, [s.role or "others" for s in samples]),
+            "indenter": _by([scores[i] for i in unseen], [samples[i].press.indenter for i in unseen]),
         }
 
     @property
     def worst(self) -> list[dict]:
-        order = sorted(range(len(self.scores)), key=lambda i: -self.scores[i].contact_rmse)
-        found = [(self.data.samples[i].name, self.scores[i]) for i in order[:WORST]]
-        return [{"image": name, "error": s.rmse, "contact_rmse": s.contact_rmse} for name, s in found]
+        pairs = zip(self.data.samples, self.drawn.scores, strict=True)
+        rows = [{"image": p.name, "error": s.rmse, "contact_rmse": s.contact_rmse} for p, s in pairs]
+        return sorted(rows, key=lambda row: -row["contact_rmse"])[:WORST]
 
     @property
     def touch_error(self) -> dict | None:
@@ -543,7 +517,7 @@ class GelComparison(Comparison):
 
     def pictures(self) -> dict[str, np.ndarray]:
         first = next(iter(self.data.presses), self.data.samples[0])
-        return {"tactile.png": picture_grid(self.data, self.predicted, first)}
+        return {"tactile.png": picture_grid(self.data, self.drawn.images, first)}
 
     def page(self) -> Report:
         page = self.lead_page()

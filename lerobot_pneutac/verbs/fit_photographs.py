@@ -2,7 +2,7 @@
 
 import time
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import numpy as np
 from lerobot_pneutac.rendering.body import strip
 from lerobot_pneutac.reports.page import AFTER, OTHER, Report
 from lerobot_pneutac.study.photographs import PhotoStudy, photo_study
-from lerobot_pneutac.verbs.result import Calibration
+from lerobot_pneutac.verbs.result import Calibration, rms_of
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.files import write_image
 from pneutac_sim.finger.fit import BY_IMAGES
@@ -53,9 +53,8 @@ class PhotoCalibration(Calibration):
         """Root mean square distance to the markers, where there are any."""
         if self.tip_error_mm is None:
             return None
-        parts = {"train": self.study.train, "heldout": ~self.study.train}
-        square = self.tip_error_mm**2
-        return {k: float(np.sqrt(square[m].mean())) if m.any() else None for k, m in parts.items()}
+        square, train = self.tip_error_mm**2, self.study.train
+        return {"train": rms_of(square[train]), "heldout": rms_of(square[~train])}
 
     @property
     def sentence(self) -> str:
@@ -103,8 +102,13 @@ class PhotoCalibration(Calibration):
             "Above the photograph, below the twin; then red where only the photograph, blue where only the "
             "twin."
         )
-        for pictures, caption in _strips(self):
-            page.image(pictures, caption)
+        study = self.study
+        shown = sorted(study.photographs, key=lambda p: p.state)
+        for some in (shown[i : i + 6] for i in range(0, len(shown), 6)):
+            kpa = ["/".join(f"{v:g}" for v in study.pressures[p.state]) + " kPa" for p in some]
+            labels = [k + " (held out)" * (not study.train[p.state]) for k, p in zip(kpa, some, strict=True)]
+            if len({p.mask.shape for p in some}) == 1:
+                page.image(strip(self.objective, self.bodies.positions[0], some), ", ".join(labels))
         page.heading("How the objective fell")
         tried, best = self.search.objectives, {"color": AFTER}
         figure = go.Figure()
@@ -208,15 +212,3 @@ def _looks(p: photo.MaskedPhotograph, equilibria: photo.Equilibria, state: int, 
     first = equilibria.first
     pose = (first.positions[0, state], first.gradients[0, state])
     return fit_body_looks(equilibria.body, *pose, p.image, p.mask, p.camera, detail=detail)
-
-
-def _strips(c) -> Iterator[tuple[np.ndarray, str]]:
-    study = c.study
-    shown = sorted(study.photographs, key=lambda p: p.state)
-    for i in range(0, len(shown), 6):
-        some = shown[i : i + 6]
-        if len({p.mask.shape for p in some}) > 1:
-            continue
-        kpa = ["/".join(f"{v:g}" for v in study.pressures[p.state]) + " kPa" for p in some]
-        labels = [k + " (held out)" * (not study.train[p.state]) for k, p in zip(kpa, some, strict=True)]
-        yield strip(c.objective, c.bodies.positions[0], some), ", ".join(labels)

@@ -1,6 +1,5 @@
 """A twin with its history: as one page to send to somebody, its versions, and the way back to one of them."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from lerobot_pneutac.verbs.result import Result, history_of
 from pneutac_datasets.recording.wording import joined
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
-from pneutac_sim.twin import Twin, Value
+from pneutac_sim.twin import Twin
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -58,7 +57,14 @@ class TwinReport(Result):
         device, out = self.twin.device, []
         for name, values in self.twin.effects.items():
             text = get_effect(name).describe({k: v.value for k, v in values.items()}, device)
-            open_ = [p for p in values if _at_limit(name, p, values[p], self.twin.pressure_range_kpa)]
+            specs, open_ = {p.name: p for p in get_effect(name).parameters}, []
+            for p, known in values.items():  # or its 95 % interval ends where the fit allowed no more
+                if known.ci95 is None or p not in specs:
+                    continue
+                _, lower, upper = specs[p].limits(max(map(abs, self.twin.pressure_range_kpa)))
+                near, (low, high) = T.AT_BOUND * (upper - lower), known.ci95
+                if known.value in (low, high) or low <= lower + near or high >= upper - near:
+                    open_.append(p)
             if open_:
                 text += (
                     f" The recording does not determine {joined(open_)}, at the limit of the allowed range,"
@@ -99,17 +105,6 @@ class TwinReport(Result):
             page.heading("Its touch sensor without contact")
             page.image(twin.arrays["rest_image"], width=240)
         return page
-
-
-def _at_limit(effect: str, parameter: str, known: Value, range_kpa: Sequence[float]) -> bool:
-    """Whether a fitted parameter, or its 95 % interval, ends where the fit allowed no more."""
-    specs = {p.name: p for p in get_effect(effect).parameters}
-    if known.ci95 is None or parameter not in specs:
-        return False
-    _, lower, upper = specs[parameter].limits(max(map(abs, range_kpa)))
-    near = T.AT_BOUND * (upper - lower)
-    low, high = known.ci95
-    return known.value in (low, high) or low <= lower + near or high >= upper - near
 
 
 def report(twin: Twin) -> TwinReport:

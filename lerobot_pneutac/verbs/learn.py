@@ -25,7 +25,7 @@ from lerobot_pneutac.reports.figures import curves, pressure_traces
 from lerobot_pneutac.reports.page import HELDOUT, MEASURED, MODEL, TRAIN, Report, rows_of, save_table
 from lerobot_pneutac.reports.sentences import called
 from lerobot_pneutac.study.pair import same_body, same_chambers, same_length
-from lerobot_pneutac.verbs.benches import Bench, StandinBench, check_bench, make_bench, save_choice
+from lerobot_pneutac.verbs.benches import Bench, StandinBench, check_bench, make_bench, program_columns
 from lerobot_pneutac.verbs.diagnose import Diagnosis, diagnose, load_candidates
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.recording import Recording, joined
@@ -171,8 +171,16 @@ class Learning(Result):
 
     def page(self) -> Report:
         page = self.lead_page()
+        at, unit = [r.number for r in self.rounds], self.last.unit
+        lines = (
+            ("predicted", at, [r.predicted_error for r in self.rounds], {"color": MODEL}),
+            ("as given", at, [r.bare_error for r in self.rounds], {"color": HELDOUT}),
+            ("after", at, [r.error for r in self.rounds], {"color": TRAIN, "dash": "dot"}),
+            ("noise", at, [r.noise for r in self.rounds], {"color": MEASURED, "dash": "dash"}),
+        )
+        ahead = curves(lines, "round", f"error, {unit}", mode="lines+markers").update_xaxes(dtick=1)
         page.figure(
-            _errors_ahead(self),
+            ahead.update_yaxes(rangemode="tozero"),
             "Error on each program before it was used for anything, by the best model until then and by the "
             "twin as it was given, re-fitted, and the error of what was found after it, where no fit saw.",
         )
@@ -184,31 +192,13 @@ class Learning(Result):
             page.text(f"**Round {r.number}, {r.program}.** {r.sentence}")
             file = self.folder / f"round_{r.number}" / PREDICTED
             if file.is_file():
-                page.figure(_as_measured(pd.read_csv(file)), "As predicted before it was measured.", 260)
+                table = pd.read_csv(file)
+                names = [c.removesuffix(" measured") for c in table if c.endswith(" measured")]
+                most = max(names, key=lambda n: np.ptp(table[f"{n} measured"]))
+                kinds = (("predicted", MODEL), ("measured", MEASURED))
+                lines = ((kind, table["time_s"], table[f"{most} {kind}"], colour) for kind, colour in kinds)
+                page.figure(curves(lines, "time, s", most), "As predicted before it was measured.", 260)
         return page
-
-
-def _as_measured(table: pd.DataFrame) -> go.Figure:
-    """Prediction and measurement of the column that moves most."""
-    names = [c.removesuffix(" measured") for c in table if c.endswith(" measured")]
-    name = max(names, key=lambda n: np.ptp(table[f"{n} measured"]))
-    kinds = (("predicted", MODEL), ("measured", MEASURED))
-    lines = ((kind, table["time_s"], table[f"{name} {kind}"], colour) for kind, colour in kinds)
-    return curves(lines, "time, s", name)
-
-
-def _errors_ahead(learning) -> go.Figure:
-    rounds = learning.rounds
-    at = [r.number for r in rounds]
-    lines = (
-        ("predicted", at, [r.predicted_error for r in rounds], {"color": MODEL}),
-        ("as given", at, [r.bare_error for r in rounds], {"color": HELDOUT}),
-        ("after", at, [r.error for r in rounds], {"color": TRAIN, "dash": "dot"}),
-        ("noise", at, [r.noise for r in rounds], {"color": MEASURED, "dash": "dash"}),
-    )
-    figure = curves(lines, "round", f"error, {rounds[-1].unit}", mode="lines+markers")
-    figure.update_xaxes(dtick=1).update_yaxes(rangemode="tozero")
-    return figure
 
 
 def _programs(learning) -> go.Figure:
@@ -481,7 +471,7 @@ class Rounds:
     def _driven(self, folder: Path, choice: Choice) -> str:
         """Drives a program; what a hand did instead of what was asked, empty where that is not seen."""
         shutil.rmtree(folder, ignore_errors=True)
-        save_choice(folder / "program.csv", choice)
+        save_table(folder / "program.csv", program_columns(choice))
         self._bench.follow(folder / "program.csv", folder / "recording", len(self.done))
         if not choice.hand:
             return ""

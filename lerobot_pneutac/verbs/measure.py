@@ -323,7 +323,15 @@ def measure(
     trials = config.trials * config.repeat
     if config.bench == STANDIN:
         on_start(len(trials), sum(t.time_s[-1] for t in trials))
-        return _on_the_standin(config, trials)
+        from pneutac_datasets.generate.finger import standin_arm
+        from pneutac_datasets.generate.standin import write_trials
+
+        if config.chambers > 1:
+            given = [(t.program, t.sent_s, t.pressure_kpa) for t in trials]
+            return standin_arm(config.seed).measure(given, config.out)
+        given = [(t.program, t.pressure_kpa[:, 0]) for t in trials]
+        conditions = config.conditions | dict(trials[0].conditions)
+        return write_trials(config.out, given, config.hz, config.seed, conditions)
     camera = Intrinsics.load(config.intrinsics)
     tracker = MarkerTracker(camera, config.marker_mm, config.base_id, config.tip_id, config.base_offset_mm)
     given = {"camera": config.camera} | ({"tactile": config.digit} if config.digit is not None else {})
@@ -350,17 +358,6 @@ def measure(
         if not stored:
             shutil.rmtree(config.out, ignore_errors=True)
     return Recording.load(config.out)
-
-
-def _on_the_standin(config: MeasureConfig, trials: list[PressureTrial]) -> Recording:
-    from pneutac_datasets.generate.finger import standin_arm
-    from pneutac_datasets.generate.standin import write_trials
-
-    given = [(t.program, t.sent_s, t.pressure_kpa) for t in trials]
-    if config.chambers > 1:
-        return standin_arm(config.seed).measure(given, config.out)
-    conditions = config.conditions | dict(trials[0].conditions)
-    return write_trials(config.out, [(n, p[:, 0]) for n, _, p in given], config.hz, config.seed, conditions)
 
 
 def stored_trials(folder: Path) -> set[int]:

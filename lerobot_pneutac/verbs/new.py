@@ -45,7 +45,16 @@ def new_twin(
     it needs.
     """
     if device == "gel":
-        return _new_gel(recording)
+        twin, gel = Twin(device="gel", length_mm=16.0), GelModel.builtin()
+        if recording is not None:
+            meta = recording.meta
+            missing = [name for name in ("rest_image", "px_per_mm") if name not in meta]
+            if missing:
+                file = recording.folder / "recording.json"
+                raise InputError(f"{file}: field '{missing[0]}' is missing; a gel's recording needs it.")
+            gel = replace(gel, rest_image=recording.image(meta["rest_image"]), px_per_mm=meta["px_per_mm"])
+        gel.into_twin(twin)
+        return twin
     length = body.length_mm if body else length_mm
     joints = (recording.spine_joint_positions_mm if recording and length_mm is None else None) or []
     if length is None:
@@ -70,19 +79,6 @@ def new_twin(
         shorter = len(twin.spine_joint_positions_mm) / twin.length_mm * paper.length_mm
         shorter /= len(paper.spine_joint_positions_mm)
         twin.parameters[stiffness] = Value(PAPER_FINGER[stiffness] * shorter)
-    return twin
-
-
-def _new_gel(recording: Recording | None) -> Twin:
-    twin, gel = Twin(device="gel", length_mm=16.0), GelModel.builtin()
-    if recording is not None:
-        meta = recording.meta
-        missing = [name for name in ("rest_image", "px_per_mm") if name not in meta]
-        if missing:
-            file = recording.folder / "recording.json"
-            raise InputError(f"{file}: field '{missing[0]}' is missing; a gel's recording needs it.")
-        gel = replace(gel, rest_image=recording.image(meta["rest_image"]), px_per_mm=meta["px_per_mm"])
-    gel.into_twin(twin)
     return twin
 
 

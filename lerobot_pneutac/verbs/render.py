@@ -80,25 +80,21 @@ def draw_film(
         file = "film.mp4" if pictures else None
         complete, seconds = len(pictures) == film.count, time.perf_counter() - start
         result = RenderedFilm(film.device, complete, len(pictures), seconds, file, stills)
-        _write(film, pictures, result, out, command)
+        if pictures:
+            from lerobot.utils.io_utils import write_video
+
+            write_video(out / file, pictures + [pictures[-1]] * FPS, FPS)
+            report = Report(f"A {film.device} of material points")
+            report.about = film.about
+            report.lead(film.lead)
+            report.videos([out / file], width=min(960, pictures[0].shape[1]))
+            report.table(stills)
+            for row in stills:
+                report.image(np.asarray(Image.open(out / row["picture"])), row["picture"])
+            report.write(out)
+        write_result(out, result.to_dict() | ({"command": command} if command else {}))
         written(result)
     return result
-
-
-def _write(film: "Film", pictures: list[np.ndarray], result: RenderedFilm, out: Path, command: str) -> None:
-    if pictures:
-        from lerobot.utils.io_utils import write_video
-
-        write_video(out / result.film, pictures + [pictures[-1]] * FPS, FPS)
-        report = Report(f"A {film.device} of material points")
-        report.about = film.about
-        report.lead(film.lead)
-        report.videos([out / result.film], width=min(960, pictures[0].shape[1]))
-        report.table(result.stills)
-        for row in result.stills:
-            report.image(np.asarray(Image.open(out / row["picture"])), row["picture"])
-        report.write(out)
-    write_result(out, result.to_dict() | ({"command": command} if command else {}))
 
 
 # What helps where no equilibrium is found.

@@ -140,7 +140,14 @@ def train_networks(config: SurrogateConfig, twin: Twin, progress: Progress = no_
             twin.networks[name] = file
     twin.folder = folder
     trained = TrainedNetworks(twin, networks, _errors(networks, folder))
-    _write_card(trained, folder)
+    sources = (f"- {name}: {found['source']}, {found['seconds']:.0f} s" for name, found in networks.items())
+    about = (
+        "`action.safetensors` gives the soft body's torque on the joints, `perception.safetensors` the gel's "
+        "face from the probe grid; both against full material points that they were not trained on."
+    )
+    rows = (f"| {' | '.join(row)} |" for row in (HEADER, ("---",) * 3, *trained.errors))
+    card = ["# Networks of this twin", "", about, "", *sources, "", *rows, ""]
+    write_text(folder / CARD, "\n".join(card))
     return trained
 
 
@@ -201,17 +208,6 @@ def _errors(networks: dict, folder: Path) -> list[tuple[str, str, str]]:
         what = f"gel face, {row['indenter']}, {row['contacts']} contacts, {row['depth_mm']:.2f} mm deep"
         rows.append((what, f"{row['network']['mae_mm']:.3f} mm", f"{row['probe']['mae_mm']:.3f} mm"))
     return rows
-
-
-def _write_card(trained: TrainedNetworks, folder: Path) -> None:
-    sources = (f"- {n}: {found['source']}, {found['seconds']:.0f} s" for n, found in trained.networks.items())
-    about = (
-        "`action.safetensors` gives the soft body's torque on the joints, `perception.safetensors` the gel's "
-        "face from the probe grid; both against full material points that they were not trained on."
-    )
-    rows = (f"| {' | '.join(row)} |" for row in (HEADER, ("---",) * 3, *trained.errors))
-    card = ["# Networks of this twin", "", about, "", *sources, "", *rows, ""]
-    write_text(folder / CARD, "\n".join(card))
 
 
 def _sem(x: float | None, digits: int) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lerobot_pneutac.verbs.benches import save_program
+from lerobot_pneutac.reports.page import save_table
 from pneutac_benchmarks.demonstrations import VALVE, names_right
 from pneutac_benchmarks.diagnosis import (
     rules,
@@ -175,7 +175,8 @@ def test_a_device_remembers_the_programs_before(tmp_path):
     bench = TruthBench(("creep_fractional",), 3)
     for number, top in enumerate((0.9, 0.3)):
         file = tmp_path / f"{number}.csv"
-        save_program(file, t, np.where((t > 1) & (t < 5), top * bench.range_kpa[1], 0.0), "steps")
+        kpa = np.where((t > 1) & (t < 5), top * bench.range_kpa[1], 0.0)
+        save_table(file, {"time_s": t, "pressure_cmd_kpa": kpa, "program": "steps"})
         after = bench.follow(file, tmp_path / str(number), number)
         assert bench.pause_s == (None if number == 0 else 120.0)
     fresh = TruthBench(("creep_fractional",), 3).follow(file, tmp_path / "fresh", 0)

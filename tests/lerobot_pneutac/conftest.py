@@ -7,5 +7,5 @@ def no_soft_body():
     from lerobot_pneutac.verbs import fit_body
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fit_body, "fit_compliance", lambda twin, *_: fit_body.Compliance(twin, {}, "", 0))
+        patch.setattr(fit_body, "fit_compliance", lambda twin, *_: fit_body.Compliance(twin, ""))
         yield

@@ -18,7 +18,8 @@ from lerobot_pneutac.diagnosis.design import Limits, choices
 from lerobot_pneutac.diagnosis.experiment import predict
 from lerobot_pneutac.diagnosis.hands import Hands
 from lerobot_pneutac.diagnosis.result import Candidate
-from lerobot_pneutac.verbs.benches import make_bench, save_program
+from lerobot_pneutac.reports.page import save_table
+from lerobot_pneutac.verbs.benches import make_bench
 from lerobot_pneutac.verbs.diagnose import load_candidates, save_candidates
 from lerobot_pneutac.verbs.learn import Learning, Round, Rounds, unlike_request
 from pneutac_datasets.recording.noise import NoiseFloor
@@ -243,7 +244,7 @@ def handled(folder, bench, asked):
     limits = Limits(0.0, 15.0, bench.hz, 600.0, 20.0)
     choice, _ = rounds.next(limits)
     rounds.drive(choice)
-    ranked = choices(rounds._joined(), rounds._contenders, rounds.done[-1].noise, limits, hands)
+    ranked = choices(rounds._joined(), rounds._candidates, rounds.done[-1].noise, limits, hands)
     by_hand = {c.hand: c for c in reversed(ranked) if c.hand}
     rounds.drive(by_hand["payload"])
     return rounds, by_hand
@@ -291,7 +292,8 @@ def test_what_hangs_there_is_seen_in_how_the_finger_moves(tmp_path, hung, asked,
     for number, conditions in enumerate((usual, usual | asked)):
         program = tmp_path / f"{number}.csv"
         driven = usual if hung is None else conditions
-        save_program(program, time_s, 7 * (1 - np.cos(time_s)), "p", driven)
+        kpa = 7 * (1 - np.cos(time_s))
+        save_table(program, {"time_s": time_s, "pressure_cmd_kpa": kpa, "program": "p", **driven})
         recordings.append(bench.follow(program, tmp_path / f"r{number}", number))
     for name, value in asked.items():
         recordings[1].samples[name] = value
