@@ -79,10 +79,11 @@ class Augmentation(Result):
             times = plural(copies // len(self.references), "time")
             out.append(f"The dataset holds the recorded ones {times}, {mixed}.")
         elif share := self.config.real_share:
-            copy = f"one copy of them would be {200 * share / (1 + share):.0f} % of its frames or more"
-            remedy = "Make more (--episodes) or merge both with lerobot-edit-dataset"
+            recorded = sum(map(len, self.references))
+            one = recorded / (recorded + sum(line["frames"] for line in self.summary["provenance"]))
             none = f"The dataset holds none of the recorded ones: --real_share={share:g}"
-            out.append(f"{none}, and {copy}. {remedy}.")
+            remedy = f"Make more (--episodes), or give --real_share={one:.2f} and a new folder"
+            out.append(f"{none}, and one copy of them would be {100 * one:.0f} % of its frames. {remedy}.")
         return out
 
     def subject(self) -> tuple[Twin, Path]:

@@ -15,7 +15,7 @@ import numpy as np
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 
 from pneutac_datasets.demonstrations.augment.options import AugmentConfig
-from pneutac_datasets.demonstrations.augment.run import finish, summary_of
+from pneutac_datasets.demonstrations.augment.run import describe_as, finish, summary_of
 from pneutac_datasets.demonstrations.episodes import (
     TACTILE,
     Episode,
@@ -85,6 +85,7 @@ def augment_naive(
             for k, made in enumerate(varied(load, len(used), states, actions, episodes, seed)):
                 progress("varying demonstrations", k, episodes)
                 save_episode(out, made)
+        describe_as(part, recorded.folder)
         finish(part, provenance, station)
     return summary_of(provenance, {}, [], began)
 

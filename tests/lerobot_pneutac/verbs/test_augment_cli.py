@@ -255,8 +255,10 @@ def test_bad_input_is_named(recorded, made, tmp_path):
 @pytest.mark.parametrize("copies, said", [(0, "holds none of the recorded ones"), (4, "ones 2 times")])
 def test_whether_the_recorded_ones_are_mixed_in_is_reported(copies, said, tmp_path):
     cfg = AugmentConfig(DatasetRef("a", tmp_path / "a"), DatasetRef("b", tmp_path / "b"))
-    remarks = Augmentation(cfg, {"kept": 10, "wall_s": 60, "copies": copies}, [None] * 2).remarks()
-    assert said in remarks[-1] and ("would be 40 % of its frames or more" in remarks[-1]) == (copies == 0)
+    summary = {"kept": 10, "wall_s": 60, "copies": copies, "provenance": [{"frames": 12}] * 10}
+    remarks = Augmentation(cfg, summary, [range(90)] * 2).remarks()
+    one = "one copy of them would be 60 % of its frames. Make more (--episodes), or give --real_share=0.60"
+    assert said in remarks[-1] and (one in remarks[-1]) == (copies == 0)
 
 
 def test_the_pace_is_of_what_this_run_made(tmp_path):

@@ -18,6 +18,7 @@ import pytest
 from augmenting import config_of
 from demonstration_sets import write_demonstrations
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
+from lerobot.datasets.aggregate import aggregate_datasets
 
 from lerobot_pneutac.verbs.augment import AugmentConfig, DatasetRef, augment
 from lerobot_pneutac.verbs.check import check_path
@@ -425,6 +426,25 @@ def test_a_folder_for_a_station_and_a_disk_too_small_are_refused(tmp_path, monke
     (root / "meta" / "station.yaml").mkdir()
     with pytest.raises(InputError, match="There is no file '.*station.yaml'"):
         check_path(root)
+
+
+@pytest.mark.parametrize("used", [[0, 1], [1]])
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_datasets_whose_features_are_described_otherwise_are_mixed_and_merge(used, share, tmp_path):
+    """LeRobot's conversion of older datasets adds the rate to every feature that is no video."""
+    root = copied(tmp_path)
+    content = json.loads((root / "meta/info.json").read_text())
+    for each in content["features"].values():
+        if each["dtype"] != "video":
+            each["fps"] = content["fps"]
+    (root / "meta/info.json").write_text(json.dumps(content))
+    source = LeRobotDatasetMetadata("local/demos", root)
+    shard, part = Path(shutil.copytree(DEMOS, tmp_path / "work" / "set")), tmp_path / "new.part"
+    copies = run._merge(shard, part, "local/new", source, used, share)
+    assert bool(copies) == (share > 0)
+    aggregate_datasets(["local/new", "local/demos"], "local/all", [part, root], tmp_path / "all")
+    frames = LeRobotDatasetMetadata("local/all", tmp_path / "all").total_frames
+    assert frames == source.total_frames + LeRobotDatasetMetadata("local/new", part).total_frames
 
 
 def test_failed_demonstrations_are_not_mixed_in(tmp_path):

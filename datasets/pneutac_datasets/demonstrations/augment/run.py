@@ -295,7 +295,7 @@ def agreement(world: World, episode: int, attempt: Attempt, step=lambda: None) -
 def augment_guided(
     meta: LeRobotDatasetMetadata, setup: AugmentSetup, progress: Progress = no_progress
 ) -> dict:
-    """Writes a LeRobotDataset of new demonstrations that merges with its source.
+    """Writes a LeRobotDataset of new demonstrations with the features of their source.
 
     Args:
         meta: of the source, from `read_references`.
@@ -453,7 +453,8 @@ def _merge(
 ) -> list[dict]:
     """Moves a dataset to `part`, with copies of `used` episodes; gives the copies' provenance.
 
-    There are as many as make that share of the frames recorded ones.
+    There are as many as make that share of the frames recorded ones. The features are described as the
+    recorded ones': LeRobot merges no others, and those of an older or converted dataset have other entries.
     """
     info = load_info(new)
     lengths = sum(meta.episodes[i]["length"] for i in used)
@@ -461,6 +462,7 @@ def _merge(
     shutil.rmtree(part, ignore_errors=True)
     if not copies:
         os.replace(new, part)
+        describe_as(part, Path(meta.root))
         return []
     folder, recorded = new.with_name("copies"), Path(meta.root)
     shutil.rmtree(folder, ignore_errors=True)
@@ -469,13 +471,22 @@ def _merge(
             whole = LeRobotDataset(meta.repo_id, recorded, video_backend="pyav")
             recorded = Path(delete_episodes(whole, left_out, folder / "used", meta.repo_id).root)
         repeated = _repeated(recorded, meta.repo_id, copies, folder)
+        describe_as(new, repeated)
         # One file after the other, as LeRobot would copy what it has merged with every dataset that is added.
         separate = {"concatenate_videos": False, "concatenate_data": False}
         aggregate_datasets([repo_id, meta.repo_id], repo_id, [new, repeated], part, **separate)
+    describe_as(part, Path(meta.root))
     return [
         {"episode": k, "method": RECORDED, "source_episode": source}
         for k, source in enumerate(used * copies, info.total_episodes)
     ]
+
+
+def describe_as(new: Path, recorded: Path) -> None:
+    """Gives a dataset another one's description of its features; videos keep their own encoder's."""
+    info, like = load_info(new), load_info(recorded).features
+    info.features = {k: f if f["dtype"] == "video" else like[k] for k, f in info.features.items()}
+    write_info(info, new)
 
 
 def _repeated(root: Path, repo_id: str, times: int, folder: Path) -> Path:
