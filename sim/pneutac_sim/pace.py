@@ -19,6 +19,7 @@ from pneutac_sim.files import read_json
 PACE_FILE = "achieved_rate.json"  # in a dataset's `meta`; LeRobot drops what it does not know from info.json
 OUTCOME_FILE = "outcomes.json"  # likewise: episode to `DONE` or why it failed
 DONE = "done"
+PROVENANCE = "provenance.jsonl"  # likewise: how `augment` made each episode, a line each
 SHORT, FAST = 0.98, 1.02  # of the rate that was asked for: less and more are reported
 VERSION = 3  # of LeRobot's datasets
 LATE = 1.5  # periods after which a frame is late

@@ -17,6 +17,8 @@ from pneutac_datasets.demonstrations.repair.dataset import repair_dataset
 from pneutac_datasets.demonstrations.repair.parquet_footer import fix_footer
 from pneutac_datasets.demonstrations.save import quiet_encoders
 from pneutac_sim.errors import InputError
+from pneutac_sim.files import write_json
+from pneutac_sim.pace import DONE, OUTCOME_FILE, PACE_FILE, PROVENANCE, read_outcomes, read_pace
 
 FEATURES = {
     "action": {"dtype": "float32", "shape": (4,), "names": list("abcd")},
@@ -167,6 +169,11 @@ def test_an_episode_in_the_middle_is_dropped_and_the_others_are_numbered_anew(tm
     root = write(tmp_path / "three", 3, 1e-6)
     assert len(list(root.rglob("*.mp4"))) == 3
     (root / f"videos/observation.images.tactile/chunk-000/file-00{gone}.mp4").unlink()
+    write_json(root / "meta" / OUTCOME_FILE, {"0": DONE, "1": "slipped", "2": "missed", "3": "never written"})
+    pace = {"achieved_hz": 15.0, "late_frames": 0, "longest_s": 0.1}
+    write_json(root / "meta" / PACE_FILE, {str(e): pace | {"late_frames": e} for e in range(3)})
+    made = [json.dumps({"episode": e, "seed": 10 * e}) for e in range(3)]
+    (root / "meta" / PROVENANCE).write_text("\n".join(made) + "\n")
     with pytest.raises(InputError, match=f"the videos of episode {gone} .*file-00{gone}.mp4 is missing"):
         repair_dataset(root)
     repaired = repair_dataset(root, drop=True)
@@ -175,6 +182,10 @@ def test_an_episode_in_the_middle_is_dropped_and_the_others_are_numbered_anew(tm
     stay = [e for e in range(3) if e != gone]
     assert [int(dataset[i]["action"][0]) for i in range(10)] == [e for e in stay for _ in range(5)]
     assert [int(dataset[i]["index"]) for i in range(10)] == list(range(10))
+    assert read_outcomes(root / "meta") == {0: DONE, 1: {1: "missed", 2: "slipped"}[gone]}
+    assert [p.late_frames for p in read_pace(root / "meta").values()] == stay
+    lines = [json.loads(line) for line in (root / "meta" / PROVENANCE).read_text().splitlines()]
+    assert lines == [{"episode": k, "seed": 10 * e} for k, e in enumerate(stay)]
     shown = [float(dataset[i]["observation.images.tactile"].float().mean()) for i in (0, 5)]
     np.testing.assert_allclose(shown, [40 * e for e in stay], atol=3)
     assert pq.read_table(root / f"left_out/episode-00000{gone}.parquet")["action"][0].as_py() == [gone] * 4

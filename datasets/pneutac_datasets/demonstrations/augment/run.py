@@ -61,12 +61,12 @@ from pneutac_sim.errors import InputError
 from pneutac_sim.executor import faults_named, process_pool, run_pieces
 from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.files import claim, locked, whole, write_json, write_text
+from pneutac_sim.pace import PROVENANCE
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.world.base import START_SOLVES, Variation, solved_joints
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.world import World
 
-PROVENANCE = "provenance.jsonl"  # in the dataset's folder `meta`
 VIDEOS_MB = 1  # a new video file begins there, since LeRobot copies the last one with every episode
 LOOK_S = 0.2  # between two looks whether the next demonstration is there
 WRITING = "writing the dataset"

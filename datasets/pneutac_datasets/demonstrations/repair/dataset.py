@@ -44,8 +44,8 @@ from lerobot_robot_pneutac.lerobot_inside import (
 from pneutac_datasets.demonstrations.repair.parquet_footer import fix_footer, is_whole
 from pneutac_sim.dataset_files import Film, film_of, frame_size, read_film
 from pneutac_sim.errors import InputError
-from pneutac_sim.files import flush, refuse_pointer
-from pneutac_sim.pace import refuse_version
+from pneutac_sim.files import flush, refuse_pointer, write_json, write_text
+from pneutac_sim.pace import OUTCOME_FILE, PACE_FILE, PROVENANCE, refuse_version
 
 BACKUP = "meta.before_repair"  # what was there, until the new one is in place
 LEFT_OUT = "left_out"  # numbers and pictures of episodes without a video, which no reader opens
@@ -116,6 +116,7 @@ def repair_dataset(root: str | Path, like: str | Path | None = None, drop: bool 
         for rows in found[len(known) :]:
             describe(meta, root, info, rows, {k: v[rows.episode] for k, v in places.items()})
         meta.finalize()
+        _number_anew(work / "meta", [e for e in range(len(found) + len(lacking)) if e not in lacking])
         _put_in_place(root, work)
         _clear(root, set(lacking), remarks)
     recovered = len(found) - (before - sum(e < before for e in lacking))
@@ -288,6 +289,19 @@ def _without(
         else:
             out.write_bytes(b"")
     return stay, {k: [p for e, p in enumerate(v) if e not in dropped] for k, v in places.items()}
+
+
+def _number_anew(meta: Path, stay: list[int]) -> None:
+    """Numbers what is stored of single episodes as them: `stay[k]` has become `k`, others are gone."""
+    for file in (meta / name for name in (OUTCOME_FILE, PACE_FILE) if (meta / name).is_file()):
+        with contextlib.suppress(ValueError, AttributeError):  # a damaged one, as its readers say
+            old = {int(e): each for e, each in json.loads(file.read_text(encoding="utf-8")).items()}
+            write_json(file, {str(k): old[e] for k, e in enumerate(stay) if e in old})
+    if (file := meta / PROVENANCE).is_file():  # a line an episode
+        lines = dict(enumerate(file.read_text(encoding="utf-8").splitlines()))
+        with contextlib.suppress(ValueError):
+            left = [json.loads(lines[e]) | {"episode": k} for k, e in enumerate(stay) if e in lines]
+            write_text(file, "".join(json.dumps(line) + "\n" for line in left))
 
 
 def _put_in_place(root: Path, work: Path) -> None:
