@@ -30,7 +30,7 @@ from pneutac_sim.dataset_files import ROBOT, Files
 from pneutac_sim.errors import InputError, printable, unknown_names
 from pneutac_sim.features import CHAMBERS, action_names, state_names
 from pneutac_sim.files import check_writable, inside, read_json, refuse_pointer
-from pneutac_sim.pace import info_file, read_info, refuse_version
+from pneutac_sim.pace import DONE, info_file, read_info, read_outcomes, refuse_version
 from pneutac_sim.twin import Twin
 
 TRIED_ON = "0.6.1"
@@ -257,6 +257,22 @@ def _check_folders(options: dict[str, str]) -> None:
         files.refuse_damaged()
         if any(name in Path(sys.argv[0]).stem for name in ("train", "replay")):
             files.refuse_not_finite()
+        if "train" in Path(sys.argv[0]).stem:
+            _name_failed(Path(root), options.get("dataset.episodes", ""))
+
+
+def _name_failed(root: Path, chosen: str) -> None:
+    """Warns of demonstrations that failed and are trained on; `chosen` lists episodes, all where empty."""
+    numbers = list(map(int, re.findall(r"\d+", chosen)))
+    outcomes = read_outcomes(root / "meta")
+    failed = [e for e, how in outcomes.items() if how != DONE and (e in numbers or not numbers)]
+    if failed:
+        each = ", ".join(f"{e} ({outcomes[e]})" for e in failed)
+        logging.getLogger(__name__).warning(
+            "%s: failed demonstrations are trained on, episode%s %s; leave them out with lerobot-edit-dataset"
+            ' --operation.type=delete_episodes --operation.episode_indices="%s".',
+            *(printable(str(root)), "s" * (len(failed) > 1), printable(each), failed),
+        )
 
 
 def explained(error: BaseException) -> str | None:

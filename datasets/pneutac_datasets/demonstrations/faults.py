@@ -8,7 +8,7 @@ import numpy as np
 
 from pneutac_datasets.recording.sensors import stretches
 from pneutac_sim.dataset_files import ACTION, NOT_FINITE, OWN, ROBOT, STATE, Files, leave_out
-from pneutac_sim.errors import shown
+from pneutac_sim.errors import InputError, shown
 from pneutac_sim.features import (
     CHAMBERS,
     IMAGE_NAME,
@@ -23,7 +23,7 @@ from pneutac_sim.features import (
 )
 from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.pace import DONE, pace_notes, read_outcomes
+from pneutac_sim.pace import DONE, OUTCOME_FILE, pace_notes, read_outcomes
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.scene import SCENE_CAMERAS
 from pneutac_sim.world.station import Station
@@ -78,6 +78,12 @@ class Recorded(Files):
         """
         area = self.info["features"][STATE]["names"].index(AREA_NAME)
         outcomes, failed = read_outcomes(self.folder / "meta"), {}
+        if unknown := sorted(set(outcomes) - set(self.episodes)):
+            raise InputError(
+                f"{self.folder / 'meta' / OUTCOME_FILE} names episode{'s' * (len(unknown) > 1)}"
+                f" {', '.join(map(str, unknown))}, and the dataset has the episodes 0 to"
+                f" {max(self.episodes)}; correct the numbers, which count from 0."
+            )
         for number, (state, _) in self.episodes.items():
             touch = state[:, area]
             if np.isfinite(touch).all() and not without_specks(touch).any():

@@ -407,6 +407,29 @@ def test_too_few_that_did_not_fail_are_one_error(tmp_path, areas, outcomes, said
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.parametrize(
+    "chosen, named", [("", "1 (slipped), 2 (missed)"), ("[0, 2]", "2 (missed)"), ("[0]", "")]
+)
+def test_training_names_the_demonstrations_that_failed(tmp_path, monkeypatch, caplog, chosen, named):
+    root = some_failed(tmp_path / "demos", (0.1, 0.1, 0.1), {"0": DONE, "1": "slipped", "2": "missed"})
+    monkeypatch.setattr(sys, "excepthook", sys.excepthook)
+    argv = ["lerobot-train", f"--dataset.root={root}", *([f"--dataset.episodes={chosen}"] if chosen else [])]
+    monkeypatch.setattr(sys, "argv", argv)
+    prepare()
+    said = [r.getMessage() for r in caplog.records if "are trained on" in r.getMessage()]
+    assert len(said) == bool(named) and all(f"{named}; leave them out with" in each for each in said)
+
+
+def test_outcomes_of_episodes_that_are_not_there_are_refused(tmp_path):
+    """A user who counts from 1 would have a failed demonstration used."""
+    root = some_failed(tmp_path / "demos", (0.1, 0.1, 0.1), {"3": "slipped"})
+    said = "outcomes.json names episode 3, and the dataset has the episodes 0 to 2; correct the numbers"
+    for refuses in (lambda: check_path(root), lambda: naive(root, tmp_path / "new")):
+        with pytest.raises(InputError, match=said):
+            refuses()
+    assert not (tmp_path / "new").exists()
+
+
 def test_damaged_outcomes_are_one_error(tmp_path):
     root = some_failed(tmp_path / "demos", (0.1, 0.1), [1])
     with pytest.raises(InputError, match="outcomes.json is damaged"):
