@@ -54,10 +54,10 @@ MODULES = {
     "report": "lerobot_pneutac.studio.report",
     "studio": "lerobot_pneutac.studio.command",
 }
-# What only the distribution `lerobot_robot_pneutac` installs, and the commands that do nothing without it;
-# none of the packages is on PyPI yet.
 # What others call a verb.
 SYNONYMS = {"fit": "calibrate", "record": "measure", "import": "convert", "validate": "check"}
+# What only the distribution `lerobot_robot_pneutac` installs, and the commands that do nothing without it;
+# none of the packages is on PyPI yet.
 PLUGIN = "lerobot_robot_pneutac"
 INSTALL = "in a clone: pip install . ./packages/lerobot_camera_digit ./robots"
 PACKAGES = "av datasets datatrove lerobot pyarrow quadrants rerun serial taichi torch"

@@ -41,7 +41,12 @@ def command(argv: list[str], terminal) -> None:
     sys.argv[0] = f"pneutac benchmark {name}"
     module = importlib.import_module(TABLES[name])
     config_class = getattr(module, f"Benchmark{name.title().replace('_', '')}Config")
-    page.made_by.update(_made_by(argv))
+    # by what a result can be repeated: command, version and, of a clone, commit
+    page.made_by |= {"made_by": shlex.join(["pneutac", "benchmark", *argv]), "version": version("pneutac")}
+    root = Path(__file__).parents[2]
+    if (root / ".git").exists() and shutil.which("git"):
+        ask = ["git", "-C", str(root), "describe", "--always", "--dirty", "--exclude=*"]
+        page.made_by["commit"] = subprocess.run(ask, capture_output=True, text=True).stdout.strip()
     try:
         config = parse_options(config_class, argv[1:])
         getattr(module, f"benchmark_{name}")(config)
@@ -49,13 +54,3 @@ def command(argv: list[str], terminal) -> None:
         raise InputError(name_option(str(e), config_class, argv)) from e
     finally:
         page.made_by.clear()
-
-
-def _made_by(argv: list[str]) -> dict[str, str]:
-    """By what a result can be repeated: command, version and, of a clone, commit."""
-    made = {"made_by": shlex.join(["pneutac", "benchmark", *argv]), "version": version("pneutac")}
-    root = Path(__file__).parents[2]
-    if (root / ".git").exists() and shutil.which("git"):
-        ask = ["git", "-C", str(root), "describe", "--always", "--dirty", "--exclude=*"]
-        made["commit"] = subprocess.run(ask, capture_output=True, text=True).stdout.strip()
-    return made

@@ -43,22 +43,16 @@ def recording_folder(
     console = Console()
     if known is None or yes:
         show_understood(understood, console)
-    if known is None and not yes and not _confirmed_before(understood, folder):
+    columns, confirmed = {c.name: str(c) for c in understood.columns}, yes or known is not None
+    for file in () if confirmed else folder.parent.glob(f"*{plain.ENDING}/{plain.MAPPING}"):
+        with suppress(InputError):  # one that was edited and no longer reads
+            confirmed = confirmed or plain.Given.load(file).columns == columns  # of a table next to this one
+    if not confirmed:
         confirm(path)
     understood.write(folder, replaces=mapping is None)
     how = f", by {known}" if known else ""
     console.print(f"Stored in {folder}{how}.", highlight=False, soft_wrap=True, markup=False)
     return folder
-
-
-def _confirmed_before(understood: plain.Understood, folder: Path) -> bool:
-    """Whether a table next to this one was taken with the very same columns."""
-    columns = {c.name: str(c) for c in understood.columns}
-    for file in folder.parent.glob(f"*{plain.ENDING}/{plain.MAPPING}"):
-        with suppress(InputError):  # one that was edited and no longer reads
-            if plain.Given.load(file).columns == columns:
-                return True
-    return False
 
 
 def confirm(path: Path) -> None:

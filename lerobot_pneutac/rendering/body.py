@@ -131,20 +131,17 @@ VIEW_CAPTION = 44  # px below a picture from a view
 FOV_DEG = 20.0  # so that four lengths away the straight body fills seven tenths of the height
 
 
-def view_camera(view: RenderView, aim: np.ndarray, length_m: float) -> Camera:
-    """The camera of a view to `aim` (3,) m; the body hangs, and at no angle bends to the right."""
-    around, above = np.radians([view.azimuth_deg, view.elevation_deg])
-    side = np.array([0.0, -np.cos(around), np.sin(around)])
-    base = np.array([-1.0, 0.0, 0.0])
-    direction = np.cos(above) * side + np.sin(above) * base
-    eye = aim + view.distance_lengths * length_m * direction
-    return Camera.look_at(eye, aim, np.cos(above) * base - np.sin(above) * side, FOV_DEG, *BODY_PX)
-
-
 def view_painter(twin: Twin, body: Body, view: RenderView, spines: np.ndarray) -> tuple[Painter, str]:
-    """Draws poses from a view, and says what one sees; in the middle is that of `spines` (T, K, 3) m."""
+    """Draws poses from a view, and says what one sees; in the middle is that of `spines` (T, K, 3) m.
+
+    The body hangs, and at no angle bends to the right.
+    """
     points = spines.reshape(-1, 3)
-    camera = view_camera(view, (points.min(0) + points.max(0)) / 2, 1e-3 * twin.length_mm)
+    aim, away = (points.min(0) + points.max(0)) / 2, 1e-3 * twin.length_mm * view.distance_lengths
+    around, above = np.radians([view.azimuth_deg, view.elevation_deg])
+    side, base = np.array([0.0, -np.cos(around), np.sin(around)]), np.array([-1.0, 0.0, 0.0])
+    eye, up = np.cos(above) * side + np.sin(above) * base, np.cos(above) * base - np.sin(above) * side
+    camera = Camera.look_at(aim + away * eye, aim, up, FOV_DEG, *BODY_PX)
     looks_of = body_looks(twin, body)
 
     def paint(pose: Pose) -> tuple[np.ndarray, dict]:

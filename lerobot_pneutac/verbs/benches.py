@@ -86,14 +86,14 @@ def program_columns(c: Choice) -> dict:
     return {"time_s": sent_s(c.time_s, c.pressure_kpa), **columns, "program": c.kind, **c.conditions}
 
 
-STANDIN, MEASURE = BENCHES = ("standin", "measure")
+BENCHES = ("standin", "measure")
 
 
 def check_bench(bench: str, measure: Path | None) -> None:
     """Raises InputError where there is no such bench, or the file of its options is missing or too much."""
     if bench not in BENCHES:
         raise InputError(f"bench={bench} must be one of {', '.join(BENCHES)}.")
-    if (bench == MEASURE) != (measure is not None):
+    if (bench == "measure") != (measure is not None):
         raise InputError("bench=measure and --measure=FILE.yaml, the options of your bench, go together.")
 
 

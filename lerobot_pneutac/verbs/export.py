@@ -317,7 +317,6 @@ def write_mjcf(twin: Twin, file: Path) -> None:
     if twin.device == "gel":
         raise InputError("A gel has no joints; export the twin of a finger or an arm.")
     import mujoco
-    import numpy as np
 
     from pneutac_sim.world import panda, scene, soft_finger
     from pneutac_sim.world.soft_finger import Pad

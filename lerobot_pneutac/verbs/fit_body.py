@@ -274,7 +274,6 @@ class BodyCalibration(Calibration):
         return super().content() | errors | {"known_causes": self.causes, "compliance": self.compliance}
 
     def page(self) -> Report:
-
         from lerobot_pneutac.reports.figures import curves  # plotly
 
         page = Report(self.title)

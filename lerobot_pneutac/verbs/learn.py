@@ -359,7 +359,7 @@ class Rounds:
         given = out / "given"
         if not (given / "twin.yaml").is_file():
             twin.copy().save(given)
-        elif _body(Twin.load(given)) != _body(twin):
+        elif _body(Twin.load(given, calibrated=False)) != _body(twin):
             raise InputError(f"{out} holds rounds of another twin; give another --out.")
         if not (out / "twin" / "twin.yaml").is_file():
             replace(twin.copy(), folder=None).save(out / "twin")
@@ -443,7 +443,7 @@ class Rounds:
         self._recordings.append(recording)
         r = self._round_of(entry, found, predicted_ahead)
         names = ", ".join(r.selected) or "nothing"
-        history, given = (Twin.load(self._out / name).history for name in ("twin", "given"))
+        history, given = (Twin.load(self._out / name, calibrated=False).history for name in ("twin", "given"))
         errors = {k: found.after[k] for k in ("train", "heldout")} | {"unit": r.unit}
         if len(history) - len(given) == len(self.done):  # else this round was killed just after it saved
             twin = replace(found.twin, history=history)

@@ -39,11 +39,6 @@ class RenderedFilm(Result):
         return self.stills
 
 
-def render(twin: Twin, config: RenderConfig, progress: Progress = no_progress) -> RenderedFilm:
-    """Draws a twin under load into `config.out`: pictures, `film.mp4`, `report.html` and `result.json`."""
-    return draw_film(make_film(twin, filled(config, twin)), config.out, progress)
-
-
 def make_film(twin: Twin, config: RenderConfig) -> "Film":
     if twin.device == "gel":
         from lerobot_pneutac.rendering.body import gel_film as film_of

@@ -6,7 +6,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from generated import once
+from generated import once, twin_of
 from verbs import refused, verb
 
 from lerobot_pneutac import add, compare
@@ -49,7 +49,7 @@ def test_adding_the_hidden_effect_writes_the_next_version(pair, tmp_path):
 def test_what_speaks_against_a_diagnosis_is_told_where_its_finding_is_added(pair, tmp_path):
     _, folder = pair
     recording = Recording.load(folder)
-    twin = Twin("finger", recording.length_mm, recording.spine_joint_positions_mm)
+    twin = twin_of(recording)
     named = add(twin, recording, "creep")
     twin.save(tmp_path / BEFORE)
     named.twin.save(tmp_path / FOUND)
@@ -91,7 +91,7 @@ def test_an_effect_that_does_not_help_is_refused_with_numbers(pair, tmp_path):
 def test_a_fall_that_is_not_significant_says_how_much_more_to_record(tmp_path):
     once(generate, ["creep"], tmp_path / "short", 5003, minutes=2.0, hz=10)
     r = Recording.load(tmp_path / "short")
-    added = add(Twin("finger", r.length_mm, r.spine_joint_positions_mm), r, "friction")
+    added = add(twin_of(r), r, "friction")
     number = r"([\d.]+)"
     found = re.search(
         rf"not significant yet: .* by {number} \[-.* show a fall of {number} mm\^2 with a power of 80 %, so "
@@ -108,7 +108,7 @@ def test_an_effect_in_whose_place_another_explains_more_is_refused_and_stored_on
     pair, tmp_path
 ):
     recording = Recording.load(pair[1])
-    twin = Twin("finger", recording.length_mm, recording.spine_joint_positions_mm)
+    twin = twin_of(recording)
     refused = add(twin, recording, "hysteresis")
     assert not refused.accepted and refused.twin is twin and not refused.unconfirmed
     assert (
@@ -127,7 +127,7 @@ def test_an_effect_in_whose_place_another_explains_more_is_refused_and_stored_on
 @pytest.mark.slow
 def test_of_two_effects_the_one_that_adds_nothing_is_named(pair):
     recording = Recording.load(pair[1])
-    twin = Twin("finger", recording.length_mm, recording.spine_joint_positions_mm)
+    twin = twin_of(recording)
     result = add(twin, recording, ["creep", "leak"])
     assert not result.accepted and "loss of pressure during holds changes nothing" in result.reason
     worth = {c.name: c.error_without - c.error_with for c in result.contributions}

@@ -31,9 +31,9 @@ def stairs(n=2400, hz=20):
     return {"trial": (t // 60).astype(int), "time_s": t, "pressure_cmd_kpa": level}
 
 
-def write(folder, truth, measured=False, noise=0.1):
+def write(folder, truth, measured=False, noise=0.1, **columns):
     """A recording of a device like this twin, with the pressure as its sensor sees it."""
-    table = stairs()
+    table = stairs() | columns
     inputs = Inputs.from_samples(table)
     model = Pipeline.of(truth, inputs)
     run = model.run(inputs, model.theta(truth, 15.0))
@@ -83,16 +83,8 @@ def turned_over(folder, weighs):
     device = truth(*(["gravity"] if weighs else []))
     if weighs:
         device.effects["gravity"]["tip_mass_g"].value = 60.0
-    table = stairs()
-    over = np.where(table["trial"] % 2, 1.0, -1.0)
-    table |= {"gravity_x": 0 * over, "gravity_y": 0 * over, "gravity_z": over}
-    inputs = Inputs.from_samples(table)
-    model = Pipeline.of(device, inputs)
-    run, rng = model.run(inputs, model.theta(device, 15.0)), np.random.default_rng(1)
-    for name in ("tip_x_mm", "tip_z_mm"):
-        table[name] = model.outputs(run, [name])[:, 0] + 0.1 * rng.normal(size=len(over))
-    meta = {"device": "finger", "length_mm": 110.0, "samples": "samples.csv"}
-    return Recording(folder, meta, pd.DataFrame(table), "finger").write(folder)
+    over = np.where(stairs()["trial"] % 2, 1.0, -1.0)
+    return write(folder, device, gravity_x=0 * over, gravity_y=0 * over, gravity_z=over)
 
 
 @pytest.mark.slow

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from generated import once
+from generated import once, twin_of
 
-from lerobot_pneutac import Recording, Twin, add
+from lerobot_pneutac import Recording, add
 from lerobot_pneutac.study.body_base import doubt, size_by_run
 from lerobot_pneutac.verbs import fit_body
 from pneutac_datasets.generate.finger import generate
@@ -39,10 +39,6 @@ def several_loaded(folder, effect, seed):
     meta = made.meta | {"spine_joint_positions_mm": joints, "notes": ""}
     samples = made.samples.drop(columns="time_sent_s", errors="ignore")
     return Recording(folder, meta, samples, "finger")
-
-
-def twin_of(recording):
-    return Twin(recording.device, recording.length_mm, recording.spine_joint_positions_mm)
 
 
 @pytest.mark.slow

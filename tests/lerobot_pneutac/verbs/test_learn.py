@@ -193,7 +193,7 @@ def test_what_a_hidden_arm_of_three_chambers_lacks_is_confirmed_and_it_ends_by_i
     assert "creep" in {family(e) for e in last.confirmed_by}
     assert last.predicted_error < 1.5 * last.noise and last.bare_error > 2 * last.predicted_error
     page = learnt.report(tmp_path / "report").read_text()
-    assert "chamber 3" in page and "the arm shows creep" in learnt.sentence
+    assert "chamber 3" in page and "the arm behaves like creep" in learnt.sentence
 
 
 def test_the_options_of_a_bench_come_from_a_file_as_the_page_shows_it(tmp_path):
