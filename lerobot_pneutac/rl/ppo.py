@@ -32,8 +32,7 @@ from pneutac_sim.executor import check_device
 from pneutac_sim.features import CONTROL_HZ, PANDA_JOINTS
 from pneutac_sim.files import whole, write_json
 from pneutac_sim.progress import Progress, no_progress
-from pneutac_sim.surrogate.fingerprint import fingerprint
-from pneutac_sim.twin import Twin
+from pneutac_sim.twin import Twin, twin_digest
 from pneutac_sim.world.station import Station
 
 CHECKPOINT, CURVE = "checkpoint.safetensors", "curve.json"
@@ -224,7 +223,7 @@ def train_ppo(
     compute, settings, out = compute or Compute(), settings or PpoSettings(), Path(out)
     compute.check(steps)
     env = PpoEnv(task, twin, **options)  # refuses a bad task or twin before anything is written
-    run = {"task": task, "twin": fingerprint(twin) if twin else None, "seed": seed}
+    run = {"task": task, "twin": twin_digest(twin) if twin else None, "seed": seed}
     run["settings"] = asdict(settings)
     plain = {k: asdict(v) if isinstance(v, Station) else v for k, v in options.items()}
     run = json.loads(json.dumps(run | {"weights": WEIGHTS, "options": plain}))

@@ -400,6 +400,16 @@ class Twin:
         }
 
 
+def twin_digest(twin: Twin) -> str:
+    """SHA-256 of all that a twin holds: numbers, effects, history, arrays and networks."""
+    h = hashlib.sha256(yaml.dump(twin._as_dict(), Dumper=_Dumper).encode())
+    for name, values in sorted(twin.arrays.items()):
+        h.update(f"{name}{values.dtype}{values.shape}".encode() + np.ascontiguousarray(values).tobytes())
+    for name, file in sorted(twin.networks.items()):
+        h.update(name.encode() + file.read_bytes())
+    return h.hexdigest()
+
+
 class _Dumper(yaml.SafeDumper):
     """Writes what occurs twice twice, for `read_yaml` takes no aliases."""
 

@@ -28,7 +28,7 @@ from pneutac_benchmarks.policy.units import STARTS_EACH, _why
 from pneutac_sim.errors import InputError
 from pneutac_sim.executor import ExecutorOptions
 from pneutac_sim.features import TASK_NAMES
-from pneutac_sim.twin import Twin
+from pneutac_sim.twin import Twin, twin_digest
 
 pytestmark = pytest.mark.slow
 
@@ -105,6 +105,7 @@ def test_compared_twins_differ_in_the_twin_alone(tmp_path):
     before, after = made["library_before_000"].options, made["library_000"].options
     assert (Path(before["twin"]).name, Path(after["twin"]).name) == ("a", "b")
     assert before | {"twin": ""} == after | {"twin": ""}
+    assert before["digest"] == twin_digest(Twin.builtin())  # another version's units are of other options
     needs = {u.name.split("/")[2]: u.needs for u in by_kind(units, "train")}
     assert needs["sim_only_before_policy"] == ("egg/4/library_before_000",)
     assert needs["library_policy"] == ("egg/4/library_000", "egg/4/real")

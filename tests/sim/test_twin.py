@@ -29,7 +29,7 @@ from pneutac_sim.finger.stages import Geometry
 from pneutac_sim.gel.force import MATERIAL
 from pneutac_sim.gel.model import OWN_PLACE, GelModel
 from pneutac_sim.mpm.solid import BY_DEVICE, DEFAULTS
-from pneutac_sim.twin import GEL, PARAMETERS, Twin, Value
+from pneutac_sim.twin import GEL, PARAMETERS, Twin, Value, twin_digest
 
 
 def test_round_trip_keeps_every_field(tmp_path):
@@ -297,3 +297,26 @@ def test_a_link_out_of_the_folder_is_refused_but_not_in_the_hubs_cache(tmp_path,
     with pytest.raises(InputError, match=f"{name} is a link that leads out of the twin's folder"):
         Twin.load(here)
     assert Twin.load(hub).networks["action"].read_bytes() == b"weights"
+
+
+def test_the_digest_of_a_twin_is_that_of_all_that_it_does(tmp_path):
+    def digest(change=lambda twin: None):
+        twin = Twin.builtin()
+        twin.arrays["rest_image"] = np.zeros((2, 2, 3), np.uint8)
+        change(twin)
+        loaded = Twin.load(twin.save(tmp_path / "twin"))
+        assert twin_digest(loaded) == twin_digest(twin)
+        return twin_digest(loaded)
+
+    def trained(twin):
+        (tmp_path / "net").write_bytes(b"weights")
+        twin.networks["action"] = tmp_path / "net"
+
+    changes = (
+        lambda twin: twin.parameters.update(gain_rad_per_kpa=Value(0.021)),
+        lambda twin: twin.effects.update(creep={p.name: Value(0.1) for p in get_effect("creep").parameters}),
+        lambda twin: twin.gel.update(px_per_mm=11.0),
+        lambda twin: twin.arrays["rest_image"].fill(1),
+        trained,
+    )
+    assert digest() == digest() and len({digest(), *map(digest, changes)}) == 6

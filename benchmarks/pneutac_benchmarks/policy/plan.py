@@ -4,6 +4,7 @@ import math
 from dataclasses import asdict, dataclass, field
 
 from pneutac_sim.features import TASK_NAMES
+from pneutac_sim.twin import Twin, twin_digest
 
 RESULT = "unit.json"  # of each finished unit
 # Starts of a unit's trials or training derive from seed, task and purpose, so that no two share one.
@@ -140,10 +141,11 @@ def plan(cfg) -> list[Unit]:
         cfg: BenchmarkPolicyConfig.
     """
     units: dict[str, Unit] = {}
+    twins = {path: _of_twin(path) for path in {cfg.twin, cfg.twin_before}}
     for name, condition in conditions(cfg).items():
         for seed in cfg.seeds:
             for task in cfg.tasks:
-                for unit in _of_condition(cfg, task, seed, name, condition):
+                for unit in _of_condition(cfg, twins, task, seed, name, condition):
                     units.setdefault(unit.name, unit)
     return sorted(units.values(), key=lambda u: 2 * (u.kind == "film") + u.options.get("further", False))
 
@@ -155,11 +157,13 @@ def recordings(seed: int, sets: int) -> list[tuple[int, str]]:
     return [(group + k // 2, PURPOSES[k % 2]) for k in at]
 
 
-def _of_condition(cfg, task: str, seed: int, name: str, condition: Condition) -> list[Unit]:
+def _of_condition(cfg, twins: dict, task: str, seed: int, name: str, condition: Condition) -> list[Unit]:
     at = f"{task}/{seed}"
     wanted = max(round(condition.real * cfg.demonstrations), 1) if condition.real else 0
-    real = [_recording(cfg, task, *of) for of in recordings(seed, math.ceil(wanted / cfg.demonstrations))]
-    made = _made(cfg, task, seed, condition.made) if condition.made else []
+    real = [
+        _recording(cfg, twins, task, *of) for of in recordings(seed, math.ceil(wanted / cfg.demonstrations))
+    ]
+    made = _made(cfg, twins, task, seed, condition.made) if condition.made else []
     options = {
         "use_tactile": condition.use_tactile,
         "memory": condition.memory,
@@ -180,9 +184,9 @@ def _of_condition(cfg, task: str, seed: int, name: str, condition: Condition) ->
     }
     sources = tuple(u.name for u in [*made, *real] if u.kind not in ("scenes", "ppo"))
     if condition.made and condition.made not in ("student",) and not real:
-        real = [_recording(cfg, task, seed, "real")]  # what is made is made of them
+        real = [_recording(cfg, twins, task, seed, "real")]  # what is made is made of them
     policy = Unit(f"{at}/{name}_policy", "train", options, sources)
-    where = {"task": task, "twin": _text(cfg.twin), "start_width": cfg.of_task(task)[1]}
+    where = {"task": task, **twins[cfg.twin], "start_width": cfg.of_task(task)[1]}
     trials = []
     for k in range(0, cfg.trials, CHUNK):
         numbers = {"start": TEST_START + seed * MAX_TRIALS + k, "trials": min(CHUNK, cfg.trials - k)}
@@ -195,19 +199,19 @@ def _of_condition(cfg, task: str, seed: int, name: str, condition: Condition) ->
     return [*real, *made, policy, *trials, *films]
 
 
-def _recording(cfg, task: str, seed: int, purpose: str) -> Unit:
+def _recording(cfg, twins: dict, task: str, seed: int, purpose: str) -> Unit:
     person, width = cfg.of_task(task)
-    options = {"task": task, "twin": _text(cfg.twin), "episodes": cfg.demonstrations}
+    options = {"task": task, **twins[cfg.twin], "episodes": cfg.demonstrations}
     options |= {"person": person, "start_width": width, "seed": derived_seed(seed, task, purpose)}
     return Unit(f"{task}/{seed}/{purpose}", "record", options)
 
 
-def _made(cfg, task: str, seed: int, source: str) -> list[Unit]:
+def _made(cfg, twins: dict, task: str, seed: int, source: str) -> list[Unit]:
     """Units that make demonstrations; all but scenes and actors hold some."""
     at, needs = f"{task}/{seed}", (f"{task}/{seed}/real",)
     before = source.endswith("_before")
     method, twin = source.removesuffix("_before"), cfg.twin_before if before else cfg.twin
-    options = {"task": task, "twin": _text(twin)}
+    options = {"task": task, **twins[twin]}
     if source == "naive":
         seeded = {"seed": derived_seed(seed, task, "naive"), "episodes": cfg.augmented}
         return [Unit(f"{at}/naive", "naive", seeded, needs)]
@@ -233,8 +237,9 @@ def _fidelity(cfg) -> dict:
     return {"fidelity": cfg.fidelity}
 
 
-def _text(path) -> str | None:
-    return None if path is None else str(path)
+def _of_twin(path) -> dict:
+    """Options of a unit that loads a twin; what was made with an earlier version of it is not taken over."""
+    return {"twin": None} if path is None else {"twin": str(path), "digest": twin_digest(Twin.load(path))}
 
 
 def as_dict(unit: Unit) -> dict:

@@ -63,6 +63,7 @@ from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.files import claim, locked, whole, write_json, write_text
 from pneutac_sim.pace import PROVENANCE
 from pneutac_sim.progress import Progress, no_progress
+from pneutac_sim.twin import Twin, twin_digest
 from pneutac_sim.world.base import START_SOLVES, Variation, solved_joints
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.world import World
@@ -542,7 +543,7 @@ def _run(meta: LeRobotDatasetMetadata, setup: AugmentSetup) -> dict:
         "dataset": meta.repo_id,
         "demonstrations": digest.hexdigest(),
         "task": setup.task,
-        "twin": None if c.twin is None else str(c.twin),
+        "twin": c.twin and twin_digest(Twin.load(c.twin)),
         "fidelity": c.fidelity,
         "station": asdict(setup.station or Station()),
         "conditions": c.conditions,

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,6 +12,7 @@ from pneutac_datasets.demonstrations.augment.reference import Reference
 from pneutac_datasets.demonstrations.info import work_folder
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import write_text
+from pneutac_sim.twin import Twin
 
 
 def test_a_run_that_was_stopped_when_only_its_work_folder_was_left_ends(tmp_path, monkeypatch):
@@ -33,6 +35,20 @@ def test_a_run_that_was_stopped_when_only_its_work_folder_was_left_ends(tmp_path
         run.augment_guided(meta, setup(3))
     found = run.augment_guided(meta, setup(2))
     assert (found["kept"], found["copies"], found["earlier"]) == (2, 1, 2) and not work_folder(new).exists()
+
+
+def test_a_run_does_not_go_on_with_a_twin_that_was_changed_meanwhile(tmp_path):
+    """Half of its demonstrations would be another finger's."""
+    meta, twin = SimpleNamespace(repo_id="local/demos"), Twin.builtin()
+    config = config_of(tmp_path / "demos", tmp_path / "new", twin=twin.save(tmp_path / "twin"))
+    r = Reference(0, np.zeros((9, 3)), np.linspace(0, 0.1, 9), np.zeros((9, 4)), "flip the switch")
+    setup, work = AugmentSetup(config, [r], "switch"), run.Work(tmp_path / "new.work")
+    work.open(run._run(meta, setup))
+    work.open(run._run(meta, setup))
+    twin.parameters["gain_rad_per_kpa"] = replace(twin.parameters["gain_rad_per_kpa"], value=0.021)
+    twin.save(tmp_path / "twin")
+    with pytest.raises(InputError, match="new.work' holds a run with another twin; give another folder"):
+        work.open(run._run(meta, setup))
 
 
 def test_what_comes_before_the_first_demonstration_has_a_name(tmp_path, monkeypatch):
