@@ -167,13 +167,28 @@ def prepare() -> None:
 
 
 def _options() -> dict[str, str]:
-    """What the command line gives, by option."""
+    """What the command line gives, by option; of a training that goes on also the dataset of its file."""
     words, out = sys.argv[1:], {}
     for word, following in zip(words, [*words[1:], "--"], strict=False):
         name, given, value = word.partition("=")
         if name.startswith("--") and (given or not following.startswith("--")):
             out[name.removeprefix("--")] = value if given else following
+    if (file := _training_file(out)) and file.is_file():
+        with suppress(InputError, AttributeError):  # which LeRobot says
+            stored = read_json(file).get("dataset", {}).items()
+            out = {f"dataset.{k}": str(v) for k, v in stored if k in STORED and v is not None} | out
     return out
+
+
+STORED = ("repo_id", "root", "episodes")  # of a dataset in a train_config.json
+
+
+def _training_file(options: dict[str, str]) -> Path | None:
+    """The train_config.json by which a training is to go on; None of another command."""
+    if "train" not in Path(sys.argv[0]).stem or "config_path" not in options:
+        return None
+    path = Path(options["config_path"])
+    return path if path.is_file() else path / "train_config.json"
 
 
 def _records(options: dict[str, str]) -> bool:
@@ -226,7 +241,12 @@ def _check_folders(options: dict[str, str]) -> None:
     policy = Path(options.get("policy.path", ""))
     if (policy.is_absolute() or policy.is_dir()) and (fault := _fault_of_policy(options)):
         raise InputError(fault)
-    if options.get("resume") == "true" and (file := Path(options.get("config_path", ""))).is_file():
+    if options.get("resume") == "true" and (file := _training_file(options)):
+        if not file.is_file():
+            raise InputError(
+                f"--config_path={options['config_path']} holds no train_config.json; give that of a"
+                " checkpoint, as in --config_path=OUTPUT/checkpoints/last/pretrained_model/train_config.json."
+            )
         check_policy(file.parent)
     if _records(options) and not options.get("dataset.single_task", "given").strip():
         raise InputError("--dataset.single_task is blank; give the instruction, such as 'flip the switch'.")

@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 import sys
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -405,6 +406,31 @@ def test_too_few_that_did_not_fail_are_one_error(tmp_path, areas, outcomes, said
     with pytest.raises(InputError, match=said):
         naive(root, tmp_path / "new")
     assert not (tmp_path / "new").exists()
+
+
+def test_a_training_that_goes_on_is_refused_by_the_dataset_of_its_file(tmp_path, monkeypatch):
+    """Its command line names none; LeRobot would fail somewhere in the loading, or train."""
+    root, checkpoint = copied(tmp_path), tmp_path / "pretrained_model"
+    checkpoint.mkdir()
+    monkeypatch.setattr(sys, "excepthook", sys.excepthook)
+    monkeypatch.setattr("lerobot_robot_pneutac.lerobot_inside.check_policy", lambda _: None)
+
+    def resumed(path, match=None):
+        monkeypatch.setattr(sys, "argv", ["lerobot-train", f"--config_path={path}", "--resume=true"])
+        with pytest.raises(SystemExit, match=match) if match else nullcontext():
+            prepare()
+
+    file = checkpoint / "train_config.json"
+    for path in (file, checkpoint):
+        resumed(path, "pretrained_model.* holds no train_config.json; give that of a checkpoint, as in")
+    file.write_text(json.dumps({"dataset": {"repo_id": "local/demos", "root": str(root), "episodes": None}}))
+    resumed(file)
+    (root / DATA).unlink()
+    for path in (file, checkpoint):
+        resumed(path, f"^error: {root}/data holds no .parquet file")
+    shutil.rmtree(root)
+    monkeypatch.setattr("lerobot_robot_pneutac.lerobot_inside.HF_HUB_OFFLINE", True)
+    resumed(file, f"--dataset.root: '{root}' holds no LeRobotDataset")
 
 
 @pytest.mark.parametrize(
