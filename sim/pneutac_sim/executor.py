@@ -364,7 +364,9 @@ def process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
 def _begin() -> None:
     """What a process does first; what else it needs is imported once it can end, since that takes seconds."""
-    os.environ["OMP_NUM_THREADS"] = "1"  # for what is imported from here on
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"  # for what is imported from here on
+    threadpool_limits(limits=1)  # NumPy's has been
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _end_with_parent()
     if "torch" in sys.modules:  # by the program's main module

@@ -24,3 +24,15 @@ def make(folder: Path, number: int) -> None:
 def rest(number: int) -> None:
     """Longer than any test waits."""
     time.sleep(400)
+
+
+def threads() -> list[int]:
+    """Of every library of matrix products in this process, and of its material points."""
+    import scipy.linalg  # has a library of its own, as NumPy
+    from threadpoolctl import threadpool_info
+
+    from pneutac_sim.mpm import runtime
+
+    scipy.linalg.svdvals(np.eye(3))
+    runtime.start("cpu")
+    return [*(x["num_threads"] for x in threadpool_info()), runtime.ti.cfg.cpu_max_num_threads]

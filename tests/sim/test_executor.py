@@ -203,6 +203,15 @@ def test_a_process_of_the_pool_is_another_one():
         assert pool.submit(os.getpid).result() != os.getpid()
 
 
+def test_a_process_of_the_pool_computes_on_one_thread(monkeypatch):
+    """With several, sums round differently from one computer to the next."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        monkeypatch.setenv(name, "2")
+    with process_pool(1) as pool:
+        used = pool.submit(pieces.threads).result()
+    assert len(used) > 2 and set(used) == {1}
+
+
 @pytest.mark.realtime
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a worker ends when its compiled code returns")
 @pytest.mark.parametrize("number", [2, pytest.param(50, marks=pytest.mark.nightly)])

@@ -25,11 +25,11 @@ with warnings.catch_warnings():  # of an escape in one of Taichi's own docstring
 _started: tuple[str, int] | None = None  # device and process
 
 
-def start(device: str = "auto", threads: int = 0) -> str:
+def start(device: str = "auto") -> str:
     """Starts the compiler's runtime once a process, on `cpu`, `cuda`, or `auto` for CUDA where there is one.
 
-    `threads` are of the CPU; 0 for all cores. Returns `cpu` or `cuda`; later calls with the same device do
-    nothing else.
+    On the CPU it computes on all cores, and in a process of a pool on one: the others are busy, and several
+    add numbers in any order. Returns `cpu` or `cuda`; later calls with the same device do nothing else.
 
     Raises InputError: no such device, CUDA is missing, the runtime runs on another device already, or this
     process was forked from one in which it had been started (it would hang).
@@ -56,7 +56,8 @@ def start(device: str = "auto", threads: int = 0) -> str:
         )
     options = {"default_fp": ti.f32, "offline_cache": True, "log_level": ti.ERROR}
     if device == "cpu":
-        options["cpu_max_num_threads"] = threads or multiprocessing.cpu_count()
+        alone = multiprocessing.parent_process() is None
+        options["cpu_max_num_threads"] = multiprocessing.cpu_count() if alone else 1
     with contextlib.redirect_stdout(io.StringIO()):  # a greeting has no place among results
         ti.init(arch=ti.cuda if device == "cuda" else ti.cpu, **options)
     if hasattr(ti, "ArgPack"):  # at exit a pack would look for the runtime, which has gone by then

@@ -207,7 +207,7 @@ def collect_action(
 def _collect(
     twin: Twin, plan: Plan, files: list[Path], label: dict[str, str], device: str, number: int
 ) -> None:
-    (motion,) = _move(twin, plan, [number], runtime.start(device, threads=1))
+    (motion,) = _move(twin, plan, [number], runtime.start(device))
     _write(files[number], motion, label)
 
 

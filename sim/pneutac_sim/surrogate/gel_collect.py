@@ -20,7 +20,7 @@ from pneutac_sim.files import claim, whole, write_text
 from pneutac_sim.gel.indenter import INDENTERS, Press
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.probe import COLS, ROWS, probe_grid
-from pneutac_sim.mpm import devices, runtime
+from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.devices import press_loads
 from pneutac_sim.mpm.solve import MpmDiverged, halved_once, solve_equilibrium
 from pneutac_sim.mpm.total_lagrangian import Loads
@@ -179,7 +179,6 @@ def _press_and_store(solver, model: GelModel, file: Path, seed: int, number: int
 
 
 def _collect(twin: Twin, files: list[Path], seed: int, device: str, number: int) -> None:
-    runtime.start(device, threads=1)
     solver = devices.gel(twin, device=device)
     _press_and_store(solver, GelModel.from_twin(twin), files[number], seed, number)
 
