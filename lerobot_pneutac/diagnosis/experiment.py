@@ -11,6 +11,7 @@ from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.instants import instants
+from pneutac_sim.finger.pauses import pauses
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.twin import Twin
 
@@ -94,14 +95,21 @@ def predict(twin: Twin, bench: BodyData) -> tuple[np.ndarray, np.ndarray]:
 
 
 def read(recording: Recording, twin: Twin) -> BodyData:
-    """A recording as a twin reads it: from the command, each step of it at its own instant."""
+    """A recording as a twin reads it: from the command, each step of it at its own instant.
+
+    Where the twin remembers runs, and pauses between them are not stated, each run has one that suits it.
+    """
+    start: str | tuple[float, ...] = "auto"
 
     def at(share) -> BodyData:
-        return BodyData.of(recording, twin, source="command", switch=share)
+        return BodyData.of(recording, twin, source="command", start=start, switch=share)
 
+    data = at(None)
+    pipeline = Pipeline.of(twin, data.inputs)
+    theta = pipeline.theta(twin, data.inputs.pressure_range_kpa)
+    if "pause_s" in twin.parameters:
+        start = pauses(recording, data, np.arange(len(data)), pipeline, theta) or start
     if "switch_share" not in twin.parameters:
         return at(None)
-    pipeline = Pipeline.of(twin, at(None).inputs)
-    theta = pipeline.theta(twin, at(None).inputs.pressure_range_kpa)
     usual = twin.parameters["switch_share"].value
     return at(instants(recording, at, pipeline, theta, usual))

@@ -72,6 +72,10 @@ class Space(ABC):
         """A model with its actuation refined."""
         return model
 
+    def begun(self, model: Any) -> Any:
+        """A model with how its recording's runs begin, where that is quickly found."""
+        return model
+
     def refine(self, model: Any) -> Any:
         """An accepted model, with how it was recorded."""
         return model
@@ -263,7 +267,8 @@ class Search:
             if key not in seen and len(fine) < T.FINE:
                 seen.add(key)
                 fine.append(s.model)
-        done = self.fits([self.space.again(m) for m in fine], 8)
+        done = [s.model for s in self.fits([self.space.again(m) for m in fine], 8)]
+        done = sorted(self.run(lambda m: self.score(self.space.begun(m)), done), key=lambda s: s.value)
         for s in best_of_each(done, 1):
             self.report(f"tried {' + '.join(s.model.structure.effects)}: error {s.value**0.5:.3g}")
         return done

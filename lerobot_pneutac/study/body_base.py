@@ -39,6 +39,7 @@ from pneutac_sim.finger.confidence import Z95, confidence
 from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.inputs import conditions_of
 from pneutac_sim.finger.instants import step_rows
+from pneutac_sim.finger.pauses import RESTED_S, pauses_read
 from pneutac_sim.twin import Twin, Value
 
 
@@ -154,7 +155,6 @@ def beyond_gain(seen: np.ndarray, plain: np.ndarray) -> np.ndarray:
 
 
 OUTPUT = {"mm": "tip", "rad": "bend", "1/m": "curvature"}  # by the unit of its error
-RESTED_S = 1e4  # a pause at zero pressure after which everything has rested
 SHORT_PAUSE_S = 1.0  # in a shorter one the air itself is still that of the run before
 # Families that air and body may both cause.
 LATE = ("creep", "relaxation", "overshoot", "valve_lag", "ringing", "leak")
@@ -281,8 +281,8 @@ class BodyBase(EffectStudy):
         if switch is not None:
             twin.parameters["switch_share"] = Value(float(np.nanmedian(np.array(switch, dtype=float))))
         if input_model.start != "held":
-            pause = RESTED_S if input_model.start == "vented" else float(input_model.start)
-            twin.parameters["pause_s"] = Value(pause)
+            start = RESTED_S if input_model.start == "vented" else input_model.start
+            twin.parameters["pause_s"] = Value(float(np.median(np.array(start, dtype=float))))
         return replace(twin, arrays={}, gel={}, history=[])
 
     def with_air(self, body: BodyModel, air: BodyModel) -> Twin:
@@ -500,18 +500,19 @@ class BodyBase(EffectStudy):
         pause = twin.parameters.get("pause_s")
         if pause is None or pause.value >= RESTED_S or runs <= set(self.recording.meta.get("trials", {})):
             return []
-        pauses_s = SHORT_PAUSE_S, RESTED_S
-        ends = (replace(twin, parameters=twin.parameters | {"pause_s": Value(s)}) for s in pauses_s)
-        short, long = (predict(end, read(self.recording, end))[0] for end in ends)
+        short, long = (
+            predict(twin, BodyData.of(self.recording, twin, source="command", start=s))[0]
+            for s in (SHORT_PAUSE_S, RESTED_S)
+        )
         moved = float(np.linalg.norm(short - long, axis=1).max())
         if moved < max(3 * (self.noise.value or 0.0), 1e-9):
             return []
+        own = pauses_read(self.recording, read(self.recording, twin))
         return [
             "How long the device rested before each run is not recorded, and it remembers the run before: "
             f"between a pause of {SHORT_PAUSE_S:g} s and a long one its {OUTPUT[self.unit]} differs by up to "
-            f"{moved:.2g} "
-            f"{self.unit}. One pause of {pause.value:g} s for all fits best; the error on runs with other "
-            "pauses may be larger."
+            f"{moved:.2g} {self.unit}. Pauses of {own.min():.2g} to {own.max():.2g} s were fitted, one for "
+            "each run; before a run is measured, its own is not known."
         ]
 
     def _unsent(self, outcome: Outcome) -> list[str]:

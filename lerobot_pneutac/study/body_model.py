@@ -127,7 +127,7 @@ class InputModel:
 
     source: str = "command"  # `command` or `measured` pressure drives the model
     target: str = "pose"  # `pose` or `pressure` is predicted
-    start: str | float = "held"  # of trials
+    start: str | float | tuple[float, ...] = "held"  # of all trials, or the pause before each
     # (n,) instants at which the command steps, as a tuple; one for all; None for no steps
     switch: float | tuple[float, ...] | None = None
 

@@ -12,6 +12,7 @@ from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, BodyStructur
 from pneutac_sim.effects.laws import is_law, starts
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.finger.instants import StepProblem, by_row, step_rows
+from pneutac_sim.finger.pauses import RESTED_S, pauses
 from pneutac_sim.least_squares import minimise
 
 ACTUATIONS = (
@@ -217,8 +218,11 @@ class BodySpace(Space):
             step = 0.02 * moved[i] if spec.log else 0.002 * (high - low)
             moved[i] += step if moved[i] + step <= high else -step
             change = self._values(pipe, pipe.run(thin.inputs, moved, run), thin) - at
-            if np.isfinite(change).all() and np.abs(change).max() > 1e-9:
-                out.append(change / np.abs(change).max())
+            if not np.isfinite(change).all() or np.abs(change).max() < 1e-9:
+                continue
+            change /= np.abs(change).max()
+            if not any(_parallel(change, c) for c in out):  # of a weight alone: one column, fit for pairs
+                out.append(change)
         return [c.ravel() for c in out]
 
     def _values(self, pipe, run, data) -> np.ndarray:
@@ -294,7 +298,7 @@ class BodySpace(Space):
         return self.fitter.fit(moved.structure, moved.values, 8)
 
     def refine(self, model: BodyModel) -> BodyModel:
-        """Tries how trials may begin, then the instants of steps."""
+        """Tries how trials may begin, each after a pause of its own too, then the instants of steps."""
         best, now = model, float((model.residual**2).mean())
         if any(e.remembers for e in model.pipeline.chain):
             input_model = model.structure.input_model
@@ -311,8 +315,39 @@ class BodySpace(Space):
                 tried = self.fit((structure, best.values), 3, 2)
                 if tried is not None and (tried.residual**2).mean() < T.BETTER_START * now:
                     best, now = tried, float((tried.residual**2).mean())
+            best = self.with_pauses(best)
         best = self.with_instants(best, 1)
         return self.fitter.fit(best.structure, best.values, 8)
+
+    def begun(self, model: BodyModel) -> BodyModel:
+        """The model with a pause before each trial, where it remembers and that is better."""
+        input_model = model.structure.input_model
+        if not any(e.remembers for e in model.pipeline.chain):
+            return model
+        if input_model.start == "held":
+            structure = replace(model.structure, input_model=replace(input_model, start=PAUSES_S[4]))
+            tried = self.with_pauses(self.fitter.fit(structure, model.values, 0))
+        else:
+            tried = self.with_pauses(model)
+        return tried if (tried.residual**2).mean() < T.BETTER_START * (model.residual**2).mean() else model
+
+    def with_pauses(self, model: BodyModel) -> BodyModel:
+        """The model with the pause before each trial that suits it, re-fitted, where that is better."""
+        start = model.structure.input_model.start
+        if start == "held":
+            return model
+        for _ in range(3):  # pauses and constants move each other
+            input_model = replace(model.structure.input_model, start=RESTED_S if start == "vented" else start)
+            data, f = self.fitter.data(input_model), self.fitter
+            own = pauses(f.recording, data, f.rows, model.pipeline, model.theta)
+            if own is None:
+                return model
+            structure = replace(model.structure, input_model=replace(input_model, start=own))
+            moved = f.fit(structure, model.values, 6)
+            if (moved.residual**2).mean() > T.BETTER_START * (model.residual**2).mean():
+                return model
+            model, start = moved, own
+        return model
 
     def removable(self, model: BodyModel) -> list[str]:
         return [e for e in model.structure.effects if e not in self.required]
@@ -381,3 +416,9 @@ def _actuation_starts(actuation: tuple[str, ...]) -> list[dict[str, float]]:
         name = "air_resonance"
         out = [out[0] | {f"{name}.frequency_rad_per_s": w, f"{name}.damping_ratio": z} for w, z in tones]
     return out[: 1 if not actuation else None]
+
+
+def _parallel(a: np.ndarray, b: np.ndarray) -> bool:
+    """Whether one of two columns, of any shape, is a multiple of the other."""
+    aa, bb, ab = (float((x * y).sum()) for x, y in ((a, a), (b, b), (a, b)))
+    return ab**2 > (1 - 1e-6) * aa * bb

@@ -33,6 +33,7 @@ from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError, option
 from pneutac_sim.finger import BodyData, Pipeline, simulate
 from pneutac_sim.finger.confidence import Z95, independent
+from pneutac_sim.finger.pauses import pauses_read
 from pneutac_sim.finger.quantities import root_mean, squared_distance
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
@@ -284,6 +285,7 @@ def compare_body(twin: Twin, recording: Recording) -> BodyComparison:
             f"Effect '{name}' {f'acted as at {REFERENCE_C:g} °C' if as_at else 'could not act'}: {why}."
         )
     bench = prediction.data
+    findings += _rested(twin, clean, bench)
     outside, range_finding = out_of_range(twin, bench)
     noise, pressure = noise_floor(clean), None
     if all(clean.has(n.replace("cmd_", "")) for n in clean.pressure_columns):
@@ -304,6 +306,18 @@ def compare_body(twin: Twin, recording: Recording) -> BodyComparison:
         twin=twin,
         bench=bench,
         out_of_range=outside,
+    )
+
+
+def _rested(twin: Twin, recording: Recording, bench: BodyData) -> tuple[str, ...]:
+    """That pauses before runs were fitted to their poses, where they were."""
+    own = pauses_read(recording, bench) if "pause_s" in twin.parameters else np.zeros(0)
+    if not len(own) or np.ptp(own) == 0:
+        return ()
+    return (
+        "How long the device rested before each run is not recorded, and the twin remembers the run before: "
+        f"pauses of {own.min():.2g} to {own.max():.2g} s were fitted, one for each run. State them under "
+        "`trials` in recording.json; `pneutac measure` logs them.",
     )
 
 

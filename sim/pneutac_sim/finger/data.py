@@ -34,7 +34,7 @@ class BodyData:
         twin: Twin,
         source: str = "auto",
         target: str = "pose",
-        start: str | float = "auto",
+        start: str | float | tuple[float, ...] = "auto",
         switch: float | np.ndarray | None = None,
     ) -> "BodyData":
         """Prepares a bench recording (anything with `.samples` and `.device`) of the twin's device.

@@ -4,7 +4,7 @@ When the command switches between two samples.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -163,7 +163,7 @@ class Inputs:
         device: str = "finger",
         length_mm: float = 110.0,
         source: str = "auto",
-        start: str | float = "auto",
+        start: str | float | Sequence[float] = "auto",
         trials: Mapping[str, Mapping] | None = None,
         switch: float | np.ndarray | None = None,
     ) -> "Inputs":
@@ -176,7 +176,8 @@ class Inputs:
             source: `command`, `measured`, or `auto`: measured where it was logged.
             start: what a trial came from: `held` at its first pressure for long, `vented` (at rest at zero),
                 or `auto`: vented where the first poses do not differ although the first pressures do; or
-                seconds: it goes on from the trial before after so long at zero pressure.
+                seconds, one for all or (trials,): it goes on from the trial before after so long at zero
+                pressure.
             trials: what is known of how single trials begin, see `recording.json`; goes before `start`.
             switch: where in the time between two samples a step of the command happens, 0 to 1, one for all
                 or (n,), NaN for a row before which there is none; in a ramp, where its commands are sent, see
@@ -208,7 +209,7 @@ class Inputs:
             rows=np.arange(len(time)),
             columns=_conditions(samples, names, (*command, *measured))
             | {
-                "session_time_s": _session_time(time, first),
+                "session_time_s": _session_time(time, first, _pauses(trial[first], 0.0, trials or {})),
                 "length_mm": np.full(len(time), float(length_mm)),
             },
             measured=use_measured,
@@ -317,6 +318,12 @@ class Inputs:
         dt[last] = whole - dt[last - 2] - SWITCH_S
         return replace(self, dt_s=dt)
 
+    def paused(self, at: np.ndarray, pause_s: np.ndarray) -> "Inputs":
+        """The same inputs with other pauses (k,) before trials; rows `at` (k,) are those at zero pressure."""
+        dt = self.dt_s.copy()
+        dt[at] = pause_s
+        return replace(self, dt_s=dt, _cache={})
+
     def _insert(self, before: np.ndarray, pressure_kpa: np.ndarray, dt_s: np.ndarray) -> "Inputs":
         """With further rows (k,) before these, in rising order, that are no samples."""
         if not len(before):
@@ -385,19 +392,23 @@ def _conditions(samples: Mapping, drive: list[str], own: tuple[str, ...]) -> dic
     return columns
 
 
-def _session_time(time: np.ndarray, first: np.ndarray) -> np.ndarray:
+def _session_time(time: np.ndarray, first: np.ndarray, pause_s: np.ndarray) -> np.ndarray:
+    """(n,) s since the first sample; a clock that starts anew goes on after the pause (trials,) before it."""
     shift, out = -time[0], np.empty_like(time)
     starts = np.flatnonzero(first)
-    for a, b in zip(starts, np.r_[starts[1:], len(time)], strict=True):
+    for a, b, pause in zip(starts, np.r_[starts[1:], len(time)], pause_s, strict=True):
         if a and time[a] + shift < out[a - 1]:
-            shift = out[a - 1] - time[a]
+            shift = out[a - 1] - time[a] + (pause if math.isfinite(pause) else 0.0)
         out[a:b] = time[a:b] + shift
     return out
 
 
-def _pauses(trials: np.ndarray, default: float, known: Mapping[str, Mapping]) -> np.ndarray:
-    """(trials,) seconds at zero pressure before each; infinite: rested; NaN: held at its first pressure."""
-    out = np.full(len(trials), float(default))
+def _pauses(trials: np.ndarray, default, known: Mapping[str, Mapping]) -> np.ndarray:
+    """(trials,) seconds at zero pressure before each; infinite: rested; NaN: held at its first pressure.
+
+    `default` is of those that are not `known`, one for all or (trials,).
+    """
+    out = np.array(np.broadcast_to(np.asarray(default, dtype=float), len(trials)))
     for i, trial in enumerate(trials):
         stated = known.get(str(trial), {})
         if stated.get("start") == "rested":
