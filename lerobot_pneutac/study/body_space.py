@@ -12,7 +12,7 @@ from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, BodyStructur
 from pneutac_sim.effects.laws import is_law, starts
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.finger.instants import StepProblem, by_row, step_rows
-from pneutac_sim.finger.pauses import RESTED_S, pauses
+from pneutac_sim.finger.pauses import RESTED_S, goes_on, pauses
 from pneutac_sim.least_squares import minimise
 
 ACTUATIONS = (
@@ -307,22 +307,21 @@ class BodySpace(Space):
             )  # else what three more steps gain is a start's
             if own is not None and (own.residual**2).mean() < now:
                 best, now = own, float((own.residual**2).mean())
-            pauses = PAUSES_S if self.fitter.trial.max() else ()  # before a single run there is none
-            for start in ("held", "vented", *pauses):
+            common = PAUSES_S if self.fitter.trial.max() else ()  # before a single run there is none
+            for start in ("held", "vented", *common):
                 if start == input_model.start:
                     continue
                 structure = replace(model.structure, input_model=replace(input_model, start=start))
                 tried = self.fit((structure, best.values), 3, 2)
                 if tried is not None and (tried.residual**2).mean() < T.BETTER_START * now:
                     best, now = tried, float((tried.residual**2).mean())
-            best = self.with_pauses(best)
-        best = self.with_instants(best, 1)
+        best = self.with_instants(self.with_pauses(best), 1)
         return self.fitter.fit(best.structure, best.values, 8)
 
     def begun(self, model: BodyModel) -> BodyModel:
-        """The model with a pause before each trial, where it remembers and that is better."""
+        """The model with a pause before each trial, where that matters and is better."""
         input_model = model.structure.input_model
-        if not any(e.remembers for e in model.pipeline.chain):
+        if not goes_on(model.pipeline):
             return model
         if input_model.start == "held":
             structure = replace(model.structure, input_model=replace(input_model, start=PAUSES_S[4]))

@@ -202,6 +202,9 @@ class Inputs:
         time = np.asarray(samples["time_s"], dtype=float)
         trial = np.asarray(samples["trial"]) if "trial" in samples else np.zeros(len(time), int)
         first = np.r_[True, trial[1:] != trial[:-1]]
+        vented = start == "vented" or (start == "auto" and _starts_vented(pressure, first, samples, device))
+        default = start if not isinstance(start, str) else math.inf if vented else math.nan
+        pauses = _pauses(trial[first], default, trials or {})
         largest = [np.abs(np.asarray(samples[c], dtype=float)).max() for c in command if c in samples]
         inputs = cls(
             pressure_kpa=pressure,
@@ -209,7 +212,7 @@ class Inputs:
             rows=np.arange(len(time)),
             columns=_conditions(samples, names, (*command, *measured))
             | {
-                "session_time_s": _session_time(time, first, _pauses(trial[first], 0.0, trials or {})),
+                "session_time_s": _session_time(time, first, pauses),
                 "length_mm": np.full(len(time), float(length_mm)),
             },
             measured=use_measured,
@@ -219,9 +222,7 @@ class Inputs:
             if np.ndim(switch) and "time_sent_s" not in samples:
                 inputs = replace(inputs, pressure_kpa=held(pressure, first, np.asarray(switch, dtype=float)))
             inputs = inputs._with_switches(*switches(samples, time, pressure, first, switch))
-        vented = start == "vented" or (start == "auto" and _starts_vented(pressure, first, samples, device))
-        default = start if not isinstance(start, str) else math.inf if vented else math.nan
-        return inputs._with_pauses(_pauses(trial[first], default, trials or {}))
+        return inputs._with_pauses(pauses)
 
     def conditions(self, names: tuple[str, ...]) -> np.ndarray:
         """(m, k) condition columns in this order."""
@@ -319,10 +320,17 @@ class Inputs:
         return replace(self, dt_s=dt)
 
     def paused(self, at: np.ndarray, pause_s: np.ndarray) -> "Inputs":
-        """The same inputs with other pauses (k,) before trials; rows `at` (k,) are those at zero pressure."""
-        dt = self.dt_s.copy()
+        """The same inputs with other pauses (k,) before trials; rows `at` (k,) are those at zero pressure.
+
+        The session's time moves along, unless one clock goes on from trial to trial.
+        """
+        dt, t = self.dt_s.copy(), self.columns["session_time_s"]
         dt[at] = pause_s
-        return replace(self, dt_s=dt, _cache={})
+        anew = np.abs(t[at] - t[at - 2] - self.dt_s[at]) < 1e-6
+        later = np.zeros(len(t))
+        later[at - 1] = np.where(anew, pause_s - self.dt_s[at], 0.0)
+        columns = self.columns | {"session_time_s": t + np.cumsum(later)}
+        return replace(self, dt_s=dt, columns=columns, _cache={})
 
     def _insert(self, before: np.ndarray, pressure_kpa: np.ndarray, dt_s: np.ndarray) -> "Inputs":
         """With further rows (k,) before these, in rising order, that are no samples."""

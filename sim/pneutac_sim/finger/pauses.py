@@ -1,8 +1,9 @@
 """How long a device rested before each run, where the log does not have it: as the run's own poses show it.
 
-What a body remembers goes on from the run before. A pause is one number a run, fitted to the poses of that
-run, as instants are to the rows after steps (`instants`): all runs at once on the grid `GRID_S`, then each by
-smaller and smaller factors, since the pauses before earlier runs hardly matter.
+What a body remembers goes on from the run before, and a drift with the session's time. A pause is one number
+a run, fitted to the poses of that run, as instants are to the rows after steps (`instants`): all runs at once
+on the grid `GRID_S`, then each by smaller and smaller factors. For a memory that is the pause, since those
+before earlier runs hardly matter; where nothing but the clock goes on, it is the sum of all pauses so far.
 """
 
 import numpy as np
@@ -22,6 +23,12 @@ def unknown_pauses(recording) -> np.ndarray:
     first = np.flatnonzero(trial[1:] != trial[:-1]) + 1
     stated = getattr(recording, "meta", {}).get("trials", {})
     return first[[str(trial[i]) not in stated for i in first]] if len(first) else first
+
+
+def goes_on(pipeline: Pipeline) -> bool:
+    """Whether what a model does in a run depends on how long the pause before it was."""
+    clocked = any("session_time_s" in e.columns for e in pipeline.effects)
+    return clocked or any(link.remembers for link in pipeline.chain)
 
 
 def pauses_read(recording, data: BodyData) -> np.ndarray:
@@ -46,27 +53,33 @@ def pauses(
     Returns None where all are stated, or nothing in the model remembers.
     """
     own = unknown_pauses(recording)
-    if not len(own) or not any(link.remembers for link in pipeline.chain):
+    if not len(own) or not goes_on(pipeline):
         return None
+    clock_alone = not any(link.remembers for link in pipeline.chain)
     trial = np.asarray(recording.samples["trial"])
     number = np.cumsum(np.r_[True, trial[1:] != trial[:-1]]) - 1
     at, thin = data.inputs.rows[own] - 1, data.thin(rows)
 
-    def errors(pause_s: np.ndarray) -> np.ndarray:
+    def of(x: np.ndarray) -> np.ndarray:
+        """(k,) pauses, of what is fitted."""
+        return np.diff(np.maximum.accumulate(x), prepend=0.0) if clock_alone else x
+
+    def errors(x: np.ndarray) -> np.ndarray:
         """(k,) sums of squares over the rows of these runs."""
-        run = pipeline.run(thin.inputs.paused(at, pause_s), theta, until=pipeline.until(thin.columns))
+        run = pipeline.run(thin.inputs.paused(at, of(x)), theta, until=pipeline.until(thin.columns))
         r = (pipeline.outputs(run, thin.columns) - thin.measured) * thin.scale
         return np.bincount(number[rows], (r**2).sum(axis=1), minlength=number[-1] + 1)[number[own]]
 
-    usual = data.inputs.dt_s[at]
-    now = errors(usual)
-    best = GRID_S[np.array([errors(np.full(len(own), s)) for s in GRID_S]).argmin(axis=0)]
+    usual = pauses_read(recording, data)
+    each = np.arange(1.0, len(own) + 1) if clock_alone else np.ones(len(own))
+    now = errors(np.cumsum(usual) if clock_alone else usual)
+    best = each * GRID_S[np.array([errors(s * each) for s in GRID_S]).argmin(axis=0)]
     least = errors(best)
     for factor in _FACTORS:
         tried = errors(factor * best)
         best, least = np.where(tried < least, factor * best, best), np.minimum(tried, least)
     variance = now.sum() / max(np.isin(number[rows], number[own]).sum(), 1)
-    found = np.where(now - least > COST * variance, best, usual)
+    found = of(best) if clock_alone else np.where(now - least > COST * variance, best, usual)
     out = np.full(number[-1] + 1, np.median(found))
     out[number[own]] = found
     return tuple(map(float, out))

@@ -25,7 +25,7 @@ def test_hidden_creep_is_found_down_to_the_noise(creep):
     assert creep.verdict in ("missing_effect", "insufficient_form")
     assert family(creep.selected[0]) == "creep"
     assert creep.outcome.evidence.after < 1.15 < 3 < creep.outcome.evidence.before
-    assert creep.outcome.evidence.left_to_black_box < 0.2 and creep.outcome.evidence.forward
+    assert creep.explained == "fully" and creep.outcome.evidence.forward
 
 
 def test_laws_that_cancel_each_other_are_seen(creep):
