@@ -16,6 +16,7 @@ import pytest
 from lerobot_pneutac.reports.page import save_table
 from pneutac_benchmarks.demonstrations import VALVE, names_right
 from pneutac_benchmarks.diagnosis import (
+    real,
     rules,
     table_truths,
     truths,
@@ -220,3 +221,19 @@ def test_both_days_state_their_pauses_where_that_is_asked():
                 known = [s.pause_s for s in r.starts.values()][1:]
                 assert all((p is not None) == asked.pauses for p in known) and known
     assert asked.key == f"{case.key}_pauses"
+
+
+@pytest.mark.parametrize("held", [(), ("sopra_segment", "three_bellow_arm")])
+def test_real_recordings_that_are_missing_are_named_before_work_starts(tmp_path, monkeypatch, held):
+    for name in held:
+        (tmp_path / "soft" / name).mkdir(parents=True)
+        (tmp_path / "soft" / name / "recording.json").write_text("{}")
+    monkeypatch.setenv("PNEUTAC_DATA", str(tmp_path))
+    missing = "asu_segment" if held else "sopra_segment"
+    with pytest.raises(
+        InputError, match=f"PNEUTAC_DATA={tmp_path} holds no recording soft/{missing}; set it"
+    ):
+        real.cases(BenchmarkDiagnosisConfig(set="real"))
+    monkeypatch.delenv("PNEUTAC_DATA")
+    with pytest.raises(InputError, match="PNEUTAC_DATA= holds no recording soft/sopra_segment; set it to"):
+        real.cases(BenchmarkDiagnosisConfig(set="real", fast=True))

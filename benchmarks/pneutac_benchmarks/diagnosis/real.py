@@ -18,8 +18,17 @@ EARLIER = 0.6  # of the samples: `forward` learns from them and is judged on the
 
 
 def cases(cfg: BenchmarkDiagnosisConfig) -> list[Case]:
-    """Each recording, split by blocks with several seeds, and once forward in time."""
+    """Each recording, split by blocks with several seeds, and once forward in time.
+
+    Raises InputError: a recording is missing.
+    """
     names = RECORDINGS[:1] if cfg.fast else RECORDINGS
+    root = os.environ.get("PNEUTAC_DATA", "")
+    if lacking := [name for name in names if not (Path(root) / "soft" / name / "recording.json").is_file()]:
+        raise InputError(
+            f"PNEUTAC_DATA={root} holds no recording soft/{lacking[0]}; set it to the folder that holds"
+            f" soft/{', soft/'.join(names)}."
+        )
     seeds = range(cfg.first_seed, cfg.first_seed + min(cfg.seeds, MOST_SEEDS))
     made = [Case("real", "blocks", name, seed) for seed in seeds for name in names]
     return made + [Case("real", "forward", name, cfg.first_seed) for name in names]
@@ -31,10 +40,7 @@ def solve(case: Case) -> dict:
     from pneutac_datasets.recording.checks import check
     from pneutac_datasets.recording.recording import Recording
 
-    root = os.environ.get("PNEUTAC_DATA")
-    if not root:
-        raise InputError("Set PNEUTAC_DATA to the folder that holds soft/sopra_segment and the others.")
-    whole, _ = check(Recording.load(Path(root) / "soft" / case.effects))
+    whole, _ = check(Recording.load(Path(os.environ["PNEUTAC_DATA"]) / "soft" / case.effects))
     learn = whole
     if case.kind == "forward":
         learn = whole.keep(np.arange(len(whole)) < EARLIER * len(whole))
