@@ -28,7 +28,7 @@ from safetensors import SafetensorError, safe_open
 
 from pneutac_sim.dataset_files import ROBOT, Files
 from pneutac_sim.errors import InputError, printable, unknown_names
-from pneutac_sim.features import CHAMBERS, action_names, state_names
+from pneutac_sim.features import CHAMBERS, action_names, library_tasks, state_names
 from pneutac_sim.files import check_writable, inside, read_json, refuse_pointer
 from pneutac_sim.pace import DONE, info_file, read_info, read_outcomes, refuse_version
 from pneutac_sim.twin import Twin
@@ -382,7 +382,9 @@ def _refuse_other(policy: PreTrainedConfig, options: dict[str, str]) -> None:
         known = [tasks_named(text) for text in texts]
         for name, task in asked.items():
             wanted = [task] if name.startswith(group) else tasks_named(task)
-            if wanted and known and all(named and not {*named} & {*wanted} for named in known):
+            if not wanted or not {*wanted} <= library_tasks():  # own ones may have any instruction
+                continue
+            if known and all(named and not {*named} & {*wanted} for named in known):
                 raise InputError(
                     f"the policy was trained for '{texts[0]}' and --{name} is '{task}'; give its own task, or"
                     " --policy.instructions=null to try it there."

@@ -425,6 +425,7 @@ SWITCH = {"instructions": ["Flip the toggle switch.", "flip the switch"]}
         ("lerobot-rollout --robot.type=pneutac --task=egg", SWITCH, "--task is 'egg'; give its own task"),
         ("lerobot-train --env.type=pneutac --env.task=egg", SWITCH, None),
         ("lerobot-eval --env.type=pneutac --env.task=switch", SWITCH, None),
+        ("lerobot-eval --env.type=pneutac --env.task=my_own_switch", SWITCH, None),
         ("lerobot-eval --env.type=pneutac --env.task=egg", {"instructions": ["do it"]}, None),
         ("lerobot-eval --env.type=pneutac --env.task=egg --policy.instructions=null", SWITCH, None),
         ("lerobot-eval --env.type=pneutac --env.task=egg", {}, None),
