@@ -79,7 +79,7 @@ def test_a_checkpoint_says_what_it_is(demonstrations, tmp_path):
     assert "`local/demos`, 3 episodes, 6 frames" in card.text
     assert "Task: flip the switch" in card.text
     assert "Steps: 200\n" in card.text
-    assert "mean R, G, B: 90, 110, 70 of 255" in card.text
+    assert "the first frames of `local/demos` (mean R, G, B: 90, 110, 70 of 255)" in card.text
     assert "Control rate: 15 Hz" in card.text
     for name, unit in (("joint_3.vel", "rad/s"), ("ee_z.pos", "m"), ("contact_pixels.pos", "log(1 + pixels")):
         assert f"| `observation.state` | `{name}` | {unit}" in card.text
