@@ -2,12 +2,10 @@
 
 from pathlib import Path
 
-import pytest
 from rerun.experimental import RrdReader
 
 from lerobot_pneutac.studio.report import write_rrd
 from pneutac_datasets.recording.recording import Recording
-from pneutac_sim.errors import InputError
 from pneutac_sim.twin import Twin
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "recordings"
@@ -24,9 +22,3 @@ def test_a_sweep_and_a_recording(tmp_path):
     twin = Twin("finger", recording.length_mm, recording.spine_joint_positions_mm, Twin.builtin().parameters)
     assert write_rrd(tmp_path / "bench.rrd", twin, recording) > 300
     assert {"/body/measured_tip", "/error_mm", "/tip_z_mm/model"} <= _paths(tmp_path / "bench.rrd")
-
-
-def test_a_gel_has_no_body(tmp_path):
-    with pytest.raises(InputError, match="takes a finger or an arm"):
-        write_rrd(tmp_path / "gel.rrd", Twin(device="gel"))
-    assert not (tmp_path / "gel.rrd").exists()

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from generated import twin_of
-from verbs import refused
 
 from lerobot_pneutac import add
 from lerobot_pneutac.verbs.diagnose import diagnose
@@ -101,11 +100,3 @@ def test_nothing_missing_is_adequate_again_and_again_whatever_the_threads(bench)
     assert a.verdict == b.verdict == "adequate" and a.selected == [] and a.evidence == b.evidence
     assert a.evidence.before < 1.15
     np.testing.assert_array_equal(a.after.residual, b.after.residual)
-
-
-def test_wrong_device_and_missing_options_are_one_sentence(bench, tmp_path):
-    recording = bench("none")
-    gain = {n: Value(0.1) for n in ("gain_rad_per_kpa", "gain_alpha", "gain_beta")}
-    twin = Twin("arm", recording.length_mm, parameters=gain).save(tmp_path / "arm")
-    refused("of a finger and .* of an arm; diagnose", "diagnose", twin=twin, recording=recording.folder)
-    refused("Give --twin=PATH", "diagnose", recording=recording.folder)

@@ -99,7 +99,7 @@ def test_a_mount_that_is_knocked_is_told_with_its_moment_and_only_one_side_is_ju
     (told,) = [f for f in d.study.findings if "changed permanently" in f]
     truth = generate("rod", ["mount_knock"], 19)
     away = np.linalg.norm(truth.pose - truth.true_pose, axis=1)
-    kept = int(told.partition("is of the ")[2].split()[0])
+    kept = int(told.partition("Only the ")[2].split()[0])
     assert "after it" in told and abs(len(away) - kept - np.argmax(away > 3)) < 40
     assert d.after["heldout"] < 1.2 * truth.noise_floor
 

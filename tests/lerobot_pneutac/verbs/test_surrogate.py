@@ -130,12 +130,3 @@ def test_two_at_once_on_one_twin_are_refused(tmp_path):
         with pytest.raises(InputError, match=f"Another command is writing into '.*twin/{DATA}'; wait for it"):
             train(tmp_path / "twin")
         process.kill()
-
-
-def test_twins_that_cannot_be_trained_are_refused(tmp_path):
-    for device in ("arm", "gel"):
-        verb("new", twin=tmp_path / device, device=device)
-        with pytest.raises(InputError, match=f"is the twin of an? {device}, .* give a finger's twin"):
-            train(tmp_path / device)
-    with pytest.raises(InputError, match="There is no twin"):
-        train(tmp_path / "nothing")
