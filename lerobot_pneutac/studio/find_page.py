@@ -184,8 +184,10 @@ class FindPage(Background):
 
         def work(show) -> None:
             what = session.diagnosis if chosen == FOUND else chosen
-            session.addition = add(session.twin, recording, what, progress=show)
-            self._show_addition()
+            session.addition = a = add(session.twin, recording, what, progress=show)
+            show_text(self.before_after, f"{a.sentence}\n\n{table(a.rows())}")
+            writes = f"writes version {len(session.twin.history)} of {session.folder.name}"
+            self._keep_button.label, self._keep_button.visible = f"4. Keep it: {writes}", a.accepted
 
         self._work(f"trying {chosen}", work)
 
@@ -244,13 +246,6 @@ class FindPage(Background):
         self._choice.options = (FOUND, *d.selected, *tested)[: 1 + SHOWN]
         self._choice.value = FOUND
         self._choice.visible = self._try.visible = bool(d.outcome.tested)
-
-    def _show_addition(self) -> None:
-        a = self._studio.session.addition
-        show_text(self.before_after, f"{a.sentence}\n\n{table(a.rows())}")
-        number = len(self._studio.session.twin.history)
-        self._keep_button.label = f"4. Keep it: writes version {number} of {self._studio.session.folder.name}"
-        self._keep_button.visible = a.accepted
 
     def _changed(self) -> None:
         session = self._studio.session

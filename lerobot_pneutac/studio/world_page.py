@@ -72,11 +72,11 @@ class EpisodePanel:
             self._charts[1].show(t, *pressure)
             self._show()
 
-        self._studio.session.begin("replaying an episode", work, no_progress, self._failed)
-        self.readout.content = "The episode is replayed ..."
+        def failed(why: str) -> None:
+            self.readout.content = f"> {why}"
 
-    def _failed(self, why: str) -> None:
-        self.readout.content = f"> {why}"
+        self._studio.session.begin("replaying an episode", work, no_progress, failed)
+        self.readout.content = "The episode is replayed ..."
 
     def _show(self) -> None:
         from lerobot_pneutac.verbs.compare_demonstrations import comparison_picture

@@ -196,12 +196,7 @@ class BodyComparison(Comparison):
         if len(squared) < FEW_ROWS:
             few = f"{plural(len(squared), 'row')} are too few to show where it is worst"
             return f"{text}; {few}; record longer."
-        peak = self._peak()
-        return f"{text}; it is worst {peak}." if peak else f"{text}."
-
-    def _peak(self) -> str:
-        """Where the error stands out most against all the rest; empty where it does nowhere."""
-        squared, most, where = self.squared, 1.5, ""
+        most, where = 1.5, ""  # where the error stands out most against all the rest
         for axis in (a for a in self.axes if len(a.labels) > 1):
             for i in range(len(axis.labels)):
                 at = axis.bin == i
@@ -209,8 +204,8 @@ class BodyComparison(Comparison):
                     continue
                 ratio = np.sqrt(squared[at].mean() / max(squared[~at].mean(), 1e-300))
                 if ratio > most:
-                    most, where = ratio, phrase(axis, i)
-        return where
+                    most, where = ratio, f"; it is worst {phrase(axis, i)}"
+        return f"{text}{where}."
 
     @property
     def inside_band(self) -> str:
