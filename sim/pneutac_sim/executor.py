@@ -261,11 +261,15 @@ def _ray(pipeline: list, tasks: int, logs: Path, options: ExecutorOptions) -> No
     with ExitStack() as stack:
         engines.RankWorker = Worker
         if not ray.is_initialized():
+            ended_by = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM)}
             try:
                 ray.init(log_to_driver=False, logging_level="ERROR")
             except Exception as e:  # plain ones too, as where a node does not start in time
                 raise InputError(f"Ray does not start: {(str(e) or repr(e)).splitlines()[0]}") from e
             stack.callback(ray.shutdown)
+            if threading.current_thread() is threading.main_thread():
+                for signum, handler in ended_by.items():
+                    signal.signal(signum, handler)  # Ray's own aborts with a trace of its C++
         workers = options.workers or -1
         engine = _quiet().RayPipelineExecutor(pipeline, tasks, workers, logging_dir=str(logs), **given)
         engine.run()

@@ -1,6 +1,7 @@
 """Pieces of work on each executor: equal files, what goes on after a fault, and what is refused first."""
 
 import os
+import signal
 import stat
 import sys
 import time
@@ -158,6 +159,29 @@ def test_what_is_wrong_with_an_executor_is_one_sentence(tmp_path, cluster, monke
     monkeypatch.setitem(sys.modules, "ray", None)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     refused("'ray', which is not installed; in a clone: uv pip install", executor="ray")
+
+
+def test_what_ends_a_command_is_not_left_to_ray(tmp_path, monkeypatch):
+    """Ray's own handler aborts with a trace, and the command could not say that it goes on."""
+    ray, executor = pytest.importorskip("ray"), pytest.importorskip("datatrove.executor")
+    ended_by = {s: signal.signal(s, lambda *_: None) for s in (signal.SIGTERM, signal.SIGINT)}
+    ours, found = {s: signal.getsignal(s) for s in ended_by}, {}
+
+    def init(**_) -> None:
+        for s in ours:
+            signal.signal(s, signal.SIG_DFL)
+
+    monkeypatch.setattr(ray, "init", init)
+    monkeypatch.setattr(ray, "shutdown", lambda: None)
+    run_of = executor.RayPipelineExecutor
+    monkeypatch.setattr(run_of, "run", lambda _: found.update({s: signal.getsignal(s) for s in ours}))
+    try:
+        with pytest.raises(InputError, match="5 of 5 pieces were not made"):
+            run(tmp_path, ExecutorOptions(executor="ray"))
+    finally:
+        for s, handler in ended_by.items():
+            signal.signal(s, handler)
+    assert found == ours
 
 
 def test_ray_that_does_not_start_is_one_sentence(tmp_path, monkeypatch):
