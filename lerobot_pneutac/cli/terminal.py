@@ -5,7 +5,7 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from textwrap import shorten
 
@@ -40,8 +40,10 @@ class Terminal:
         """Prints what a reader should look at."""
         self.say(f"[yellow]note:[/] {escape(printable(text))}", markup=True)
 
-    def progress(self) -> AbstractContextManager[Callable[[str, int, int], None]]:
-        return progress_bar(Console(stderr=True))
+    def run[R](self, work: Callable[..., R], *given, **options) -> R:
+        """What a function returns that is called with these and with `progress`, which is shown meanwhile."""
+        with progress_bar(Console(stderr=True)) as progress:
+            return work(*given, **options, progress=progress)
 
     def finish(self, result, out: Path | None, sentence: bool = True, store: Path | None = None):
         """Writes result and report into folder `out` (nothing where it is None), then prints the result.

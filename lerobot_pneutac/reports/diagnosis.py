@@ -75,7 +75,16 @@ def diagnosis_page(d, separation: Separation | None) -> Report:
         page.heading("If you record more")
         page.text(d.next_experiment)
     if separation is not None:
-        page.figure(proposed(separation), f"Predictions of the two alternatives: {separation.advice}")
+        first, second = separation.predictions
+        k = int(np.argmax(np.abs(first - second).max(0)))  # where they differ most
+        pair = [np.round(y[:, k], 4) for y in (first, second)]
+        lines = (
+            ("chosen", separation.time_s, pair[0], C.AFTER),
+            ("rival", separation.time_s, pair[1], C.BEFORE),
+            ("difference", separation.time_s, pair[0] - pair[1], {"color": C.OTHER, "dash": "dot"}),
+        )
+        figure = F.curves(lines, "time (s)", separation.columns[min(k, len(separation.columns) - 1)])
+        page.figure(figure, f"Predictions of the two alternatives: {separation.advice}")
     page.heading("The recording")
     noise = study.noise.value
     size = "Noise" if noise is None else f"Noise {noise:.3g} {study.unit}:"
@@ -214,18 +223,6 @@ def by_level(study: EffectStudy, o: Outcome, found: list[Axis]) -> go.Figure:
         for a in found
     }
     return F.bar_panels(panels, study.noise.value).update_yaxes(title_text=study.unit, col=1)
-
-
-def proposed(s: Separation) -> go.Figure:
-    spread = [float(np.abs(a - b).max()) for a, b in zip(s.predictions[0].T, s.predictions[1].T, strict=True)]
-    k = int(np.argmax(spread))
-    pair = [np.round(y[:, k], 4) for y in s.predictions]
-    lines = (
-        ("chosen", s.time_s, pair[0], C.AFTER),
-        ("rival", s.time_s, pair[1], C.BEFORE),
-        ("difference", s.time_s, pair[0] - pair[1], {"color": C.OTHER, "dash": "dot"}),
-    )
-    return F.curves(lines, "time (s)", s.columns[min(k, len(s.columns) - 1)])
 
 
 def physics(study: EffectStudy, o: Outcome) -> tuple[go.Figure, str] | None:

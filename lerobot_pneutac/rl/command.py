@@ -21,9 +21,8 @@ def command(config: PpoConfig, terminal: Terminal) -> None:
     station = Station.load(config.station) if config.station else None
     options = {"conditions": config.conditions} if config.conditions else {}
     options |= {"station": station} if station else {}
-    with terminal.progress() as progress:
-        train = (config.task, twin, config.seed, config.steps, config.out, compute)
-        card = train_ppo(*train, progress=progress, **options)
+    train = (config.task, twin, config.seed, config.steps, config.out, compute)
+    card = terminal.run(train_ppo, *train, **options)
     test = card["test"]
     table = Table("what", "number", title=f"Actor for {config.task}")
     table.add_row("steps of training", f"{card['steps']}")
@@ -34,8 +33,8 @@ def command(config: PpoConfig, terminal: Terminal) -> None:
     if config.student.root is not None:
         from lerobot_pneutac.rl.student import record_student
 
-        with terminal.progress() as progress:
-            what = (config.out, config.task, twin, config.seed, config.student)
-            accepted, trials = record_student(*what, progress, config.conditions, station)
+        options = {"conditions": config.conditions, "station": station}
+        what = (config.out, config.task, twin, config.seed, config.student)
+        accepted, trials = terminal.run(record_student, *what, **options)
         share = f"{accepted} demonstrations of {trials} trials ({100 * accepted / trials:.0f} %)"
         terminal.say(f"{share} in {config.student.root}.")

@@ -425,8 +425,7 @@ def command(cfg: AddConfig, terminal: Terminal) -> None:
         get_effect(e)
     twin, recording = load_pair(cfg.twin, cfg.recording, "add to", cfg.task, cfg.station)
     check_writable(cfg.twin, f"--twin={cfg.twin}")
-    with terminal.progress() as progress:
-        result = add(twin, recording, cfg.diagnosis or effects, **keywords(cfg, add), progress=progress)
+    result = terminal.run(add, twin, recording, cfg.diagnosis or effects, **keywords(cfg, add))
     stored = result.accepted or result.unconfirmed
     terminal.finish(result, cfg.out, stored, cfg.twin if stored else None)
     if not stored:

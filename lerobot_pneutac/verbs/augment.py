@@ -213,9 +213,7 @@ def augment(
 
 
 def command(config: AugmentConfig, terminal: Terminal) -> None:
-    with terminal.progress() as progress:
-        result = augment(config, progress, terminal.note)
-    terminal.finish(result, config.out)
+    terminal.finish(terminal.run(augment, config, note=terminal.note), config.out)
 
 
 SHOWN = 4  # recorded demonstrations whose touch is drawn

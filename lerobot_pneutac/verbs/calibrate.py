@@ -198,8 +198,7 @@ def run(cfg: CalibrateConfig, scratch: Path, terminal: Terminal) -> Calibration:
     if twin.missing:
         terminal.note(f"{cfg.twin}/twin.yaml has no {', '.join(twin.missing)}; the fit begins at defaults.")
     try:
-        with terminal.progress() as progress:
-            result = calibrate(twin, recording, **keywords(cfg, calibrate), keep=keep, progress=progress)
+        result = terminal.run(calibrate, twin, recording, **keywords(cfg, calibrate) | {"keep": keep})
     except KeyboardInterrupt:
         file, stopped = keep / SEARCH, "Stopped before the first candidates were evaluated"
         if file.is_file() and (count := len(json.loads(file.read_text())["evaluations"])):

@@ -258,6 +258,4 @@ def command(cfg: CompareConfig, terminal: Terminal) -> None:
         terminal.finish(ageing(pairs[0][0], [recording for _, recording in pairs], cfg.seed), cfg.out)
         return
     twin, recording = load_pair(cfg.twin, cfg.recording, "compare", cfg.task, cfg.station)
-    with terminal.progress() as progress:
-        result = compare(twin, recording, **keywords(cfg, compare), progress=progress)
-    terminal.finish(result, cfg.out)
+    terminal.finish(terminal.run(compare, twin, recording, **keywords(cfg, compare)), cfg.out)

@@ -183,8 +183,27 @@ class DemonstrationComparison(Comparison):
         caption = f"The same as a film, {len(frames) / CONTROL_HZ:.0f} s."
         page.film(frames[::EVERY], EVERY / CONTROL_HZ, caption, 3 * WIDTH)
         page.heading("Pressure, contact area and path")
+        from lerobot_pneutac.reports.figures import stacked  # plotly
+
+        ends = self.study.fitter.ends
         for i in (row["trial"] for row in self.worst):
-            page.figure(_curves(self, i), f"Episode {i}: recorded, and replayed by the twin.", 520)
+            e, r = self.demonstrations.episodes[i], self.replayed[i]
+            t = np.arange(len(e)) / CONTROL_HZ
+            figure = stacked(("pressure (kPa)", "contact area (%)", "arm (mm)"), (1, 1, 1), 0.05)
+            off = np.linalg.norm(self.residual[ends[i] : ends[i + 1], :3], axis=1)
+            lines = (
+                (1, "commanded", t, e.action[:, 3], COMMAND),
+                (1, "recorded", t, e.state[:, PRESSURE], MEASURED),
+                (1, "replayed", t, r.pressure_kpa, MODEL),
+                (2, "recorded", t, 100 * e.state[:, AREA], MEASURED),
+                (2, "replayed", t, 100 * r.area, MODEL),
+                (3, "arm off its commands", t, off, OTHER),
+            )
+            for row, name, x, y, colour in lines:
+                figure.add_scatter(
+                    x=x, y=y, name=name, line_color=colour, showlegend=row != 2, row=row, col=1
+                )
+            page.figure(figure, f"Episode {i}: recorded, and replayed by the twin.", 520)
         page.heading("Errors")
         for axis in ("episode", "depth"):  # the table above has the phases
             page.table([{axis: r.pop("bin"), **r} for r in map(dict, self.by[axis])])
@@ -245,27 +264,6 @@ EVERY = 2  # frames of an episode that are shown in the film
 def comparison_picture(recorded: np.ndarray, replayed: np.ndarray) -> np.ndarray:
     """Two images of the gel and their difference, `GAIN` times as large, side by side: uint8 (H, W, 3)."""
     return side_by_side((recorded, replayed, difference(recorded, replayed, GAIN)), width=WIDTH, gap=0)
-
-
-def _curves(c, number: int):
-    from lerobot_pneutac.reports.figures import stacked  # plotly
-
-    e, r = c.demonstrations.episodes[number], c.replayed[number]
-    t = np.arange(len(e)) / CONTROL_HZ
-    figure = stacked(("pressure (kPa)", "contact area (%)", "arm (mm)"), (1, 1, 1), 0.05)
-    ends = c.study.fitter.ends
-    off = np.linalg.norm(c.residual[ends[number] : ends[number + 1], :3], axis=1)
-    lines = (
-        (1, "commanded", t, e.action[:, 3], COMMAND),
-        (1, "recorded", t, e.state[:, PRESSURE], MEASURED),
-        (1, "replayed", t, r.pressure_kpa, MODEL),
-        (2, "recorded", t, 100 * e.state[:, AREA], MEASURED),
-        (2, "replayed", t, 100 * r.area, MODEL),
-        (3, "arm off its commands", t, off, OTHER),
-    )
-    for row, name, x, y, colour in lines:
-        figure.add_scatter(x=x, y=y, name=name, line_color=colour, showlegend=row != 2, row=row, col=1)
-    return figure
 
 
 COLOURS = ("red", "green", "blue")

@@ -497,8 +497,7 @@ def command(cfg: DemoConfig, terminal: Terminal) -> None:
     def announce(text: str) -> None:
         terminal.say(text, style="dim" if text.startswith("$") else "bold")
 
-    with terminal.progress() as progress:
-        result = Demo(cfg, announce, progress).run()
+    result = terminal.run(lambda progress: Demo(cfg, announce, progress).run())
     report = result.report(cfg.out)
     terminal.say(f"\n{result.sentence}", style="bold")
     terminal.say(f"Report: {report} ({(time.monotonic() - start) / 60:.1f} minutes)")

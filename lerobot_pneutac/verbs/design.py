@@ -410,9 +410,7 @@ def command(cfg: DesignConfig, terminal: Terminal) -> None:
         if cfg.diagnosis:
             raise InputError("diagnosis: motions are chosen by the twin alone; leave it out.")
         twin, shown = load_pair(cfg.twin, cfg.recording, "design by", cfg.task, cfg.station)
-        with terminal.progress() as progress:
-            motion = design_motion(twin, shown, progress)
-        return terminal.finish(motion, cfg.out)
+        return terminal.finish(terminal.run(design_motion, twin, shown), cfg.out)
     no_demonstrations(cfg.recording, cfg.task, cfg.station)
     twin, recording = load_bench_pair(cfg.twin, cfg.recording, "design by")
     if cfg.diagnosis is None:

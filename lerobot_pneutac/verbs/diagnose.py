@@ -350,6 +350,5 @@ class DiagnoseConfig(PairOptions):
 
 def command(cfg: DiagnoseConfig, terminal: Terminal) -> None:
     twin, recording = load_pair(cfg.twin, cfg.recording, "diagnose", cfg.task, cfg.station)
-    with terminal.progress() as progress:
-        result = diagnose(twin, recording, **keywords(cfg, diagnose), progress=progress)
+    result = terminal.run(diagnose, twin, recording, **keywords(cfg, diagnose))
     terminal.finish(result if cfg.out is None else result.stored_in(cfg.out), cfg.out)

@@ -185,8 +185,27 @@ class Learning(Result):
             "twin as it was given, re-fitted, and the error of what was found after it, where no fit saw.",
         )
         page.table(self._all_rows(), "* confirmed by a program of another kind that was predicted with it.")
-        page.figure(_programs(self), "What was commanded.", 120 + 90 * len(self.rounds))
-        page.figure(_likely(self), "How likely each model was after each round, by its last effects.")
+        count = len(self.rounds)
+        figure = make_subplots(count, 1, vertical_spacing=0.25 / max(count, 2))
+        for i, r in enumerate(self.rounds):
+            table = pd.read_csv(self.folder / f"round_{r.number}" / "program.csv")
+            commands = table[[c for c in table if c.startswith("pressure_cmd_")]].to_numpy(float)
+            for trace in pressure_traces(table["time_s"], commands):
+                trace.update(legendgroup=trace.name, showlegend=trace.showlegend and not i)
+                figure.add_trace(trace, i + 1, 1)
+            figure.update_yaxes(title_text=f"{r.number}, kPa", row=i + 1, col=1)
+        figure.update_xaxes(title_text="time, s", row=count, col=1)
+        page.figure(figure, "What was commanded.", 120 + 90 * count)
+        figure = go.Figure()
+        for r in self.rounds:
+            for name, p in sorted(r.probabilities.items(), key=lambda item: -item[1]):
+                label = " + ".join(map(called, name.split(" + "))) or "no effect"
+                text = {"name": label, "hovertext": label, "text": label.split(" + ")[-1]}
+                figure.add_bar(x=[r.number], y=[p], showlegend=False, **text)
+        figure.update_layout(barmode="stack", yaxis_title="probability").update_xaxes(
+            title_text="round", dtick=1
+        )
+        page.figure(figure, "How likely each model was after each round, by its last effects.")
         page.heading("What was found, round by round")
         for r in self.rounds:
             page.text(f"**Round {r.number}, {r.program}.** {r.sentence}")
@@ -199,33 +218,6 @@ class Learning(Result):
                 lines = ((kind, table["time_s"], table[f"{most} {kind}"], colour) for kind, colour in kinds)
                 page.figure(curves(lines, "time, s", most), "As predicted before it was measured.", 260)
         return page
-
-
-def _programs(learning) -> go.Figure:
-    rounds = learning.rounds
-    figure = make_subplots(len(rounds), 1, vertical_spacing=0.25 / max(len(rounds), 2))
-    for i, r in enumerate(rounds):
-        table = pd.read_csv(learning.folder / f"round_{r.number}" / "program.csv")
-        commands = table[[c for c in table if c.startswith("pressure_cmd_")]].to_numpy(float)
-        for trace in pressure_traces(table["time_s"], commands):
-            trace.update(legendgroup=trace.name, showlegend=trace.showlegend and not i)
-            figure.add_trace(trace, i + 1, 1)
-        figure.update_yaxes(title_text=f"{r.number}, kPa", row=i + 1, col=1)
-    figure.update_xaxes(title_text="time, s", row=len(rounds), col=1)
-    return figure
-
-
-def _likely(learning) -> go.Figure:
-    figure = go.Figure()
-    for r in learning.rounds:
-        for name, p in sorted(r.probabilities.items(), key=lambda item: -item[1]):
-            label = " + ".join(map(called, name.split(" + "))) or "no effect"
-            text = {"name": label, "hovertext": label, "text": label.split(" + ")[-1]}
-            figure.add_bar(x=[r.number], y=[p], showlegend=False, **text)
-    figure.update_layout(barmode="stack")
-    figure.update_xaxes(title_text="round", dtick=1)
-    figure.update_yaxes(title_text="probability")
-    return figure
 
 
 SHARES = (0.0, 0.25, 0.5, 0.67, 1.5, 2.0, 3.0, 4.0)  # of the weight that was asked for, tried
@@ -597,8 +589,7 @@ def command(cfg: LearnConfig, terminal: Terminal) -> None:
     how = keywords(cfg, learn) | {"hands": Hands.of(named(cfg.hands), usual, cfg.payload_g, cfg.warm_c, ask)}
     how |= {"budget_s": 60 * cfg.budget_min, "on_round": show_round}
     try:
-        with terminal.progress() as progress:
-            result = learn(twin, bench, cfg.out, **how, progress=progress)
+        result = terminal.run(learn, twin, bench, cfg.out, **how)
     except HardwareFault as e:
         raise InputError(f"{e} Finished rounds are stored; the same command continues after them.") from e
     terminal.finish(result, cfg.out)

@@ -106,8 +106,7 @@ def command(config: RenderConfig, terminal: Terminal) -> None:
 
     results: list[RenderedFilm] = []
     try:
-        with terminal.progress() as progress:
-            draw_film(film, config.out, progress, results.append, terminal.line)
+        terminal.run(draw_film, film, config.out, written=results.append, command=terminal.line)
     except MpmDiverged as e:
         remedy = GEL_REMEDY if twin.device == "gel" else BODY_REMEDY
         raise InputError(f"{e.finding}; {remedy}.") from e

@@ -225,7 +225,6 @@ def command(config: SurrogateConfig, terminal: Terminal) -> None:
         stored = f"Finished simulations are stored in {config.twin / DATA}"
         again = "after an interruption the same command goes on from them, and trains the networks anew"
         terminal.say(f"Full simulations and training: {about}. {stored}: {again}.")
-    with terminal.progress() as progress:
-        trained = train_networks(config, twin, progress)
+    trained = terminal.run(train_networks, config, twin)
     terminal.finish(trained, config.out)
     terminal.say(f"networks and {CARD} are in {config.twin}")
