@@ -267,7 +267,8 @@ def test_the_pace_is_of_what_this_run_made(tmp_path):
         (0, "b (1.0 minutes, 10 a"),
         (6, "b (6 of them by a run that was stopped; 1.0 minutes, 4 a"),
     ):
-        first, *_ = Augmentation(cfg, {"kept": 10, "wall_s": 60, "earlier": earlier}, [None] * 2).remarks()
+        summary = {"kept": 10, "wall_s": 60, "copies": 2, "earlier": earlier}
+        first, *_ = Augmentation(cfg, summary, [None] * 2).remarks()
         assert f"10 new ones in {tmp_path}/{said} minute)." in first
 
 
@@ -275,7 +276,8 @@ def test_the_pace_is_of_what_this_run_made(tmp_path):
 def test_few_attempts_that_work_ask_for_the_finger(attempts, doubted, tmp_path):
     """Nothing in a dataset says how long its finger is; what another one does from it seldom works."""
     cfg = AugmentConfig(DatasetRef("a", tmp_path / "a"), DatasetRef("b", tmp_path / "b"))
-    summary = {"kept": 2 if attempts > 11 else attempts // 2, "attempts": attempts, "wall_s": 60}
+    summary = {"kept": 2 if attempts > 11 else attempts // 2, "attempts": attempts}
+    summary |= {"wall_s": 60, "copies": 3}
     said = " ".join(Augmentation(cfg, summary, [None] * 3).remarks())
     assert ("Only 2 of 22 attempts" in said and "110 mm long (--twin)?" in said) == doubted
 
