@@ -39,7 +39,7 @@ from pneutac_sim.finger.confidence import Z95, confidence
 from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.inputs import conditions_of
 from pneutac_sim.finger.instants import step_rows
-from pneutac_sim.finger.pauses import RESTED_S, pauses_read
+from pneutac_sim.finger.pauses import RESTED_S, pauses_read, unknown_pauses
 from pneutac_sim.twin import Twin, Value
 
 
@@ -495,10 +495,10 @@ class BodyBase(EffectStudy):
         )
 
     def _unpaused(self, outcome: Outcome) -> list[str]:
-        """That runs go on from those before them, after pauses that nobody logged."""
-        twin, runs = outcome.after.twin, set(self.recording.samples["trial"].astype(str))
+        """That what was found goes on in pauses between runs that nobody logged."""
+        twin = outcome.after.twin
         pause = twin.parameters.get("pause_s")
-        if pause is None or pause.value >= RESTED_S or runs <= set(self.recording.meta.get("trials", {})):
+        if pause is None or pause.value >= RESTED_S or not len(unknown_pauses(self.recording)):
             return []
         short, long = (
             predict(twin, BodyData.of(self.recording, twin, source="command", start=s))[0]
@@ -509,10 +509,10 @@ class BodyBase(EffectStudy):
             return []
         own = pauses_read(self.recording, read(self.recording, twin))
         return [
-            "How long the device rested before each run is not recorded, and it remembers the run before: "
-            f"between a pause of {SHORT_PAUSE_S:g} s and a long one its {OUTPUT[self.unit]} differs by up to "
-            f"{moved:.2g} {self.unit}. Pauses of {own.min():.2g} to {own.max():.2g} s were fitted, one for "
-            "each run; before a run is measured, its own is not known."
+            "How long the device rested before each run is not recorded, and what was found goes on "
+            f"meanwhile: between a pause of {SHORT_PAUSE_S:g} s and a long one its {OUTPUT[self.unit]} differs "
+            f"by up to {moved:.2g} {self.unit}. A pause was fitted to each run, {own.min():.2g} s the shortest "
+            f"and {own.max():.2g} s the longest; before a run is measured, its own is not known."
         ]
 
     def _unsent(self, outcome: Outcome) -> list[str]:

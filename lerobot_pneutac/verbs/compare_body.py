@@ -310,8 +310,8 @@ def _rested(twin: Twin, recording: Recording, bench: BodyData) -> tuple[str, ...
     if not len(own) or np.ptp(own) == 0:
         return ()
     return (
-        "How long the device rested before each run is not recorded, and the twin remembers the run before: "
-        f"pauses of {own.min():.2g} to {own.max():.2g} s were fitted, one for each run. State them under "
+        "How long the device rested before each run is not recorded, and effects of the twin go on "
+        f"meanwhile: a pause was fitted to each run, {own.min():.2g} to {own.max():.2g} s. State them under "
         "`trials` in recording.json; `pneutac measure` logs them.",
     )
 

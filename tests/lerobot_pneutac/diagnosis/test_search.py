@@ -51,6 +51,9 @@ class LinearSpace:
     def bases(self):
         return [()]
 
+    def begun(self, model):
+        return model
+
     def with_actuations(self, model, starts=True):
         return []
 
@@ -165,6 +168,9 @@ class Table:
     def __init__(self, rows, bases=("",), lines=(), kept="", bare=()):
         self.rows, self.kept, self.begins, self.lines, self.bare = rows, kept, bases, lines, bare
         self.asked, self.fitted = [], []
+
+    def begun(self, model):
+        return model
 
     def fit(self, trial, steps=0, every=None):
         self.fitted.append((tuple(trial), steps, every))
