@@ -510,9 +510,9 @@ class BodyBase(EffectStudy):
         own = pauses_read(self.recording, read(self.recording, twin))
         return [
             "How long the device rested before each run is not recorded, and what was found goes on "
-            f"meanwhile: between a pause of {SHORT_PAUSE_S:g} s and a long one its {OUTPUT[self.unit]} differs "
-            f"by up to {moved:.2g} {self.unit}. A pause was fitted to each run, {own.min():.2g} s the shortest "
-            f"and {own.max():.2g} s the longest; before a run is measured, its own is not known."
+            f"meanwhile: between a pause of {SHORT_PAUSE_S:g} s and a long one its {OUTPUT[self.unit]} "
+            f"differs by up to {moved:.2g} {self.unit}. A pause was fitted to each run, {own.min():.2g} s the "
+            f"shortest and {own.max():.2g} s the longest; before a run is measured, its own is not known."
         ]
 
     def _unsent(self, outcome: Outcome) -> list[str]:
