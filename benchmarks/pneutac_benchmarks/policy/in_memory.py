@@ -218,13 +218,13 @@ def learn_from(policy: PneutacBCPolicy, frames: Frames) -> None:
     policy._demonstrations = _card(frames)
     if policy.encoder is not None:
         policy._dataset_rest = frames.rest.to(policy.encoder.rest_image.device)
-        check_same_sensor(policy.encoder.rest_image, policy._dataset_rest, policy._demonstrations.name)
+        check_same_sensor(policy.encoder.rest_image, policy._dataset_rest, policy._demonstrations.repo_id)
         policy._take_dataset_rest()
 
 
 def _card(frames: Frames) -> Demonstrations:
     """What a model card says of the data."""
-    return Demonstrations(("benchmark",), frames.episodes, len(frames), ())
+    return Demonstrations("benchmark", frames.episodes, len(frames), ())
 
 
 def _batches(rows: np.ndarray, batch: int, rng: np.random.Generator) -> Iterator[np.ndarray]:
