@@ -72,7 +72,7 @@ class BenchmarkExperimentsConfig(ExecutorOptions):
             if name not in EFFECTS or self.device not in EFFECTS[name].devices:
                 raise InputError(
                     f"effects: there is no truth '{name}' of {DEVICES[self.device][1]}; give some of "
-                    f"{LAWS + NO_FORM}."
+                    f"{', '.join(LAWS + NO_FORM)}."
                 )
 
 

@@ -278,20 +278,22 @@ def _check_folders(options: dict[str, str]) -> None:
         if any(name in Path(sys.argv[0]).stem for name in ("train", "replay")):
             files.refuse_not_finite()
         if "train" in Path(sys.argv[0]).stem:
-            _name_failed(Path(root), options.get("dataset.episodes", ""))
+            _name_failed(Path(root), options.get("dataset.episodes", ""), info.get("total_episodes", 0))
 
 
-def _name_failed(root: Path, chosen: str) -> None:
+def _name_failed(root: Path, chosen: str, total: int) -> None:
     """Warns of demonstrations that failed and are trained on; `chosen` lists episodes, all where empty."""
-    numbers = list(map(int, re.findall(r"\d+", chosen)))
+    numbers = set(map(int, re.findall(r"\d+", chosen))) or set(range(total))
     outcomes = read_outcomes(root / "meta")
-    failed = [e for e, how in outcomes.items() if how != DONE and (e in numbers or not numbers)]
+    failed = sorted(e for e in numbers if outcomes.get(e, DONE) != DONE)
     if failed:
         each = ", ".join(f"{e} ({outcomes[e]})" for e in failed)
+        others = [str(e) for e in sorted(numbers - set(failed))]
         logging.getLogger(__name__).warning(
-            "%s: failed demonstrations are trained on, episode%s %s; leave them out with lerobot-edit-dataset"
-            ' --operation.type=delete_episodes --operation.episode_indices="%s".',
-            *(printable(str(root)), "s" * (len(failed) > 1), printable(each), failed),
+            "%s: failed demonstrations are trained on, episode%s %s; leave them out by"
+            ' --dataset.episodes="[%s]".',
+            *(printable(str(root)), "s" * (len(failed) > 1), printable(each)),
+            ",".join(others[:10]) + ",..." * (len(others) > 10),
         )
 
 

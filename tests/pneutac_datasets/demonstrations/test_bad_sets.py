@@ -434,16 +434,22 @@ def test_a_training_that_goes_on_is_refused_by_the_dataset_of_its_file(tmp_path,
 
 
 @pytest.mark.parametrize(
-    "chosen, named", [("", "1 (slipped), 2 (missed)"), ("[0, 2]", "2 (missed)"), ("[0]", "")]
+    "chosen, named",
+    [
+        ("", '1 (slipped), 2 (missed); leave them out by --dataset.episodes="[0,3]"'),
+        ("[0, 2]", '2 (missed); leave them out by --dataset.episodes="[0]"'),
+        ("[0]", ""),
+    ],
 )
 def test_training_names_the_demonstrations_that_failed(tmp_path, monkeypatch, caplog, chosen, named):
-    root = some_failed(tmp_path / "demos", (0.1, 0.1, 0.1), {"0": DONE, "1": "slipped", "2": "missed"})
+    outcomes = {"0": DONE, "1": "slipped", "2": "missed"}
+    root = some_failed(tmp_path / "demos", (0.1, 0.1, 0.1, 0.1), outcomes)
     monkeypatch.setattr(sys, "excepthook", sys.excepthook)
     argv = ["lerobot-train", f"--dataset.root={root}", *([f"--dataset.episodes={chosen}"] if chosen else [])]
     monkeypatch.setattr(sys, "argv", argv)
     prepare()
     said = [r.getMessage() for r in caplog.records if "are trained on" in r.getMessage()]
-    assert len(said) == bool(named) and all(f"{named}; leave them out with" in each for each in said)
+    assert len(said) == bool(named) and all(f"episode{'s' * (not chosen)} {named}." in each for each in said)
 
 
 def test_outcomes_of_episodes_that_are_not_there_are_refused(tmp_path):
