@@ -111,7 +111,7 @@ def over_time(c) -> go.Figure:
             x, y = _line([t[p] for p in parts], 3), _line([values[p, i] for p in parts], 4)
             look = {"mode": "lines", "line": {"color": colour, "width": 1.2}, "legendgroup": name}
             figure.add_scatter(x=x, y=y, name=name, showlegend=i == 0, **look, row=i + 1, col=1)
-    command = c.recording.samples[c.recording.pressure_columns].to_numpy(float)
+    command = c.recording.commands
     for k, name in enumerate(c.recording.pressure_columns):
         index = _thin(np.arange(len(t)), command[:, k])
         figure.add_scatter(

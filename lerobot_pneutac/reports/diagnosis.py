@@ -264,7 +264,7 @@ def _panels(x: np.ndarray, lines: dict[str, np.ndarray], x_title: str, y_title: 
 
 
 def _steps(recording: Recording, lines, column: str, effect: str) -> tuple[go.Figure, str] | None:
-    p = recording.samples[list(recording.pressure_columns)].to_numpy(float).mean(1)
+    p = recording.commands.mean(1)
     span, found = float(np.ptp(p)), []
     for rows in recording.trials().values():
         t, q = recording.column("time_s")[rows], p[rows]
@@ -295,7 +295,7 @@ def _steps(recording: Recording, lines, column: str, effect: str) -> tuple[go.Fi
 
 
 def _loop(recording: Recording, lines, column: str, effect: str) -> tuple[go.Figure, str] | None:
-    p = recording.samples[list(recording.pressure_columns)].to_numpy(float).mean(1)
+    p = recording.commands.mean(1)
     way = next((a for a in axes(recording) if a.name == "direction"), None)
     if way is None or "loading" not in way.labels or "unloading" not in way.labels:
         return None

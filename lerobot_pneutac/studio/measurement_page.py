@@ -111,22 +111,17 @@ class MeasurementPage(Background):
             return
         session.comparison = comparison
         with self._lock:  # the twin may be another before the first one is laid out
-            self._read(comparison)
             self._lay_out(comparison)
         self._draw()
 
-    def _read(self, c) -> None:
-        """Keeps what is drawn of a comparison, trials laid end to end."""
-        pipeline = Pipeline.of(c.twin, c.bench.inputs)
+    def _lay_out(self, c) -> None:
+        """Keeps what is drawn of a comparison, trials laid end to end, and makes what shows it."""
+        pipeline, gui = Pipeline.of(c.twin, c.bench.inputs), self._gui
         self._run_of = pipeline.run(c.bench.inputs, pipeline.theta(c.twin, c.bench.inputs.pressure_range_kpa))
         self._t, self._shift = session_clock(c.recording)
         self._c, self._error = c, np.sqrt(c.squared)
         self._main = int(np.argmax(np.var(c.measured[:, : c.counted], axis=0)))
-        self._pressure = c.recording.samples[c.recording.pressure_columns].to_numpy(float)
-        self._tip = measured_tips(c)
-
-    def _lay_out(self, c) -> None:
-        gui = self._gui
+        self._pressure, self._tip = c.recording.commands, measured_tips(c)
         self.player.reaches(float(self._t[-1]))
         if not self._charts:
             name, _, unit = c.columns[self._main].rpartition("_")

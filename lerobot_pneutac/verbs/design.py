@@ -263,7 +263,7 @@ def design(
     if not contenders:
         raise InputError("The diagnosis is of demonstrations; give one of a bench recording.")
     recording = usable(recording)[0]  # no program goes beyond the supply by itself
-    command = recording.samples[recording.pressure_columns].to_numpy(float)
+    command = recording.commands
     low = np.minimum(command.min(axis=0), 0.0) if min_kpa is None else min_kpa
     high = command.max(axis=0) if max_kpa is None else max_kpa
     ends = (per_chamber(n, v, len(command.T)) for n, v in (("min_kpa", low), ("max_kpa", high)))

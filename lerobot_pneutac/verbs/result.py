@@ -324,8 +324,7 @@ def measured_range(recording: Recording) -> tuple[float, float] | None:
 
     It ends where the supply does.
     """
-    columns = recording.pressure_columns
-    pressures = usable(recording)[0].samples[columns].to_numpy(float)
+    pressures = usable(recording)[0].commands
     if not pressures.size or not pressures.any():
         return None
     return 0.0 - _outwards(-min(pressures.min(), 0.0)), _outwards(max(pressures.max(), 0.0))
