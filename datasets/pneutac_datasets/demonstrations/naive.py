@@ -62,7 +62,7 @@ def augment_naive(
     with readable(recorded.folder):
         meta = LeRobotDatasetMetadata(config.dataset.repo_id, recorded.folder)
         features = demonstration_features(meta)
-        source = LeRobotDataset(meta.repo_id, recorded.folder)
+        source = LeRobotDataset(meta.repo_id, recorded.folder, video_backend="pyav")
     used = recorded.used
     if faults := recorded.motion_faults() or ([] if used else recorded.too_few()):
         raise InputError(faults[0])

@@ -88,7 +88,7 @@ def pool_demonstrations(sources: list[Path], out: str | Path, repo_id: str) -> P
         with written(new), replaced(*how):
             for meta in metas:
                 with readable(meta.root):
-                    source = LeRobotDataset(meta.repo_id, root=meta.root)
+                    source = LeRobotDataset(meta.repo_id, meta.root, video_backend="pyav")
                 for index in range(meta.total_episodes):
                     with readable(meta.root):
                         e = load_episode(source, index)

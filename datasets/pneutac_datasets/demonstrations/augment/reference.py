@@ -175,7 +175,7 @@ def read_references(
     with readable(recorded.folder):
         meta = LeRobotDatasetMetadata(repo_id, recorded.folder)
         demonstration_features(meta)
-        dataset = LeRobotDataset(repo_id, recorded.folder)
+        dataset = LeRobotDataset(repo_id, recorded.folder, video_backend="pyav")
     references, places = [], Places.of(recorded.chambers)
     for i in recorded.used:
         (state, action), task = recorded.episodes[i], meta.episodes[i]["tasks"][0]

@@ -60,7 +60,7 @@ from pneutac_datasets.demonstrations.save import (
 from pneutac_sim.errors import InputError
 from pneutac_sim.executor import faults_named, process_pool, run_pieces
 from pneutac_sim.features import CONTROL_HZ
-from pneutac_sim.files import claim, locked, whole, write_json, write_text
+from pneutac_sim.files import LOCK, claim, locked, whole, write_json, write_text
 from pneutac_sim.pace import PROVENANCE
 from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin, twin_digest
@@ -82,8 +82,18 @@ class Work:
         self.folder = Path(folder)
 
     def open(self, run: dict) -> None:
-        """Begins a run or goes on with the same one; raises InputError where the folder holds another."""
-        claim(self.folder / "run.json", run)
+        """Begins a run or goes on with the same one; raises InputError where the folder holds other things.
+
+        It is removed when the run has ended.
+        """
+        file = self.folder / "run.json"
+        if not file.exists() and self.folder.is_dir():
+            if others := [f.name for f in self.folder.iterdir() if f.suffix != ".part" and f.name != LOCK]:
+                raise InputError(
+                    f"'{self.folder}' is where this run would be kept until it is whole, and it holds"
+                    f" '{min(others)}'; move that folder away, or give another --output.root."
+                )
+        claim(file, run)
 
     @property
     def prepared(self) -> Path:

@@ -114,7 +114,7 @@ def load_demonstrations(
     _refuse(recorded, twin or Twin.builtin(), where)
     notes = recorded.notes(where)
     with readable(folder):
-        dataset = LeRobotDataset(f"local/{folder.name}", folder)
+        dataset = LeRobotDataset(f"local/{folder.name}", folder, video_backend="pyav")
     count = len(recorded.episodes)
     if missing := [i for i in only or () if not 0 <= i < count]:
         raise InputError(f"{name} has no episode {missing[0]}; it has {count}, the first is 0.")

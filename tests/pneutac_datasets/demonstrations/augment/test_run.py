@@ -51,6 +51,16 @@ def test_a_run_does_not_go_on_with_a_twin_that_was_changed_meanwhile(tmp_path):
         work.open(run._run(meta, setup))
 
 
+def test_a_folder_of_somebody_else_is_not_taken_for_a_runs_own_and_removed(tmp_path):
+    work = run.Work(tmp_path / "new.work")
+    work.folder.mkdir()
+    (work.folder / "run.json.17.part").touch()  # of a run that was killed as it began
+    work.open({"seed": 0})
+    (work.folder / "run.json").rename(work.folder / "thesis.txt")
+    with pytest.raises(InputError, match="new.work' is where this run .* and it holds 'thesis.txt'; move"):
+        work.open({"seed": 0})
+
+
 def test_what_comes_before_the_first_demonstration_has_a_name(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "_made", None)
     monkeypatch.setattr(run, "Generator", lambda setup: setup)
