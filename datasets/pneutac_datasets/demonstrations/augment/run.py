@@ -18,19 +18,22 @@ import os
 import shutil
 import threading
 import time
-from collections.abc import Collection
+import zlib
+from collections.abc import Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import redirect_stderr
+from contextlib import contextmanager, redirect_stderr
 from dataclasses import asdict, dataclass
 from functools import partial
 from io import StringIO
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.datasets.aggregate import aggregate_datasets
 from lerobot.datasets.dataset_tools import delete_episodes
 from lerobot.utils.constants import ACTION, OBS_STATE
+from numpy.lib.npyio import NpzFile
 
 from lerobot_robot_pneutac.lerobot_inside import load_info, write_info
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import ANSWER_DELAY
@@ -114,9 +117,19 @@ class Work:
         d = json.loads(self.scene_file(source).read_text())
         return Scene(**d | {"shift_m": tuple(d["shift_m"])})
 
+    @contextmanager
+    def _episode(self, index: int) -> Iterator[NpzFile]:
+        """A demonstration's file; raises InputError where it is damaged."""
+        file = self.episode_file(index)
+        try:
+            with np.load(file) as d:
+                yield d
+        except (OSError, EOFError, ValueError, KeyError, BadZipFile, zlib.error) as e:
+            raise InputError(f"'{file}' is damaged; delete it, and the same command makes it again.") from e
+
     def load_spent(self, index: int) -> tuple[dict, dict]:
         """Reads a demonstration's provenance, and the seconds that it took, alone."""
-        with np.load(self.episode_file(index)) as d:
+        with self._episode(index) as d:
             return json.loads(str(d["provenance"])), json.loads(str(d["seconds"]))
 
     def load_episode(self, index: int) -> tuple[Attempt, dict, dict]:
@@ -126,7 +139,7 @@ class Work:
         state, action, images = (columns.pop(key) for key in (OBS_STATE, ACTION, TACTILE))
         provenance, seconds = self.load_spent(index)
         scores = provenance.get("cost", 0.0), provenance.get("area_rmse", 1.0)
-        with np.load(self.episode_file(index)) as d:
+        with self._episode(index) as d:
             values = json.loads(str(d["start"]))
             carried_out = d["carried_out"] if "carried_out" in d.files else None
         seed = values.pop("seed")
@@ -135,7 +148,7 @@ class Work:
 
     def load_columns(self, index: int) -> tuple[dict[str, np.ndarray], dict[str, Film]]:
         """Reads a demonstration's features (T, ...), and those that are videos."""
-        with np.load(self.episode_file(index)) as d:
+        with self._episode(index) as d:
             found = {key.removeprefix(FEATURE): d[key] for key in d.files if key.startswith(FEATURE)}
             statistics = json.loads(str(d["statistics"]))
         films = {

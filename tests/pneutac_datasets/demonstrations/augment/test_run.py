@@ -7,12 +7,13 @@ import pytest
 from augmenting import config_of
 
 from pneutac_datasets.demonstrations.augment import run
-from pneutac_datasets.demonstrations.augment.episode import AugmentSetup
+from pneutac_datasets.demonstrations.augment.episode import Attempt, AugmentSetup
 from pneutac_datasets.demonstrations.augment.reference import Reference
 from pneutac_datasets.demonstrations.info import work_folder
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import write_text
 from pneutac_sim.twin import Twin
+from pneutac_sim.world.base import Variation
 
 
 def test_a_run_that_was_stopped_when_only_its_work_folder_was_left_ends(tmp_path, monkeypatch):
@@ -59,6 +60,20 @@ def test_a_folder_of_somebody_else_is_not_taken_for_a_runs_own_and_removed(tmp_p
     (work.folder / "run.json").rename(work.folder / "thesis.txt")
     with pytest.raises(InputError, match="new.work' is where this run .* and it holds 'thesis.txt'; move"):
         work.open({"seed": 0})
+
+
+@pytest.mark.parametrize("keep", [0, 100, 400, None])
+def test_a_demonstration_that_was_damaged_meanwhile_is_named(tmp_path, keep):
+    work, start = run.Work(tmp_path), (3, Variation())
+    state, images = np.zeros((9, 20), np.float32), np.zeros((9, 8, 6, 3), np.uint8)
+    work.save_episode(0, Attempt(state, state[:, :4], images, None, 0.0, 1.0, start), {"source": 0}, {})
+    assert work.load_spent(0) == ({"source": 0}, {"encoding": work.load_spent(0)[1]["encoding"]})
+    file = work.episode_file(0)
+    data = file.read_bytes()
+    middle = len(data) // 2
+    file.write_bytes(data[:keep] if keep is not None else data[:middle] + b"?" * 200 + data[middle + 200 :])
+    with pytest.raises(InputError, match="episode_000000.npz' is damaged; delete it, and the same command"):
+        work.load_episode(0)
 
 
 def test_what_comes_before_the_first_demonstration_has_a_name(tmp_path, monkeypatch):
