@@ -11,7 +11,7 @@ import numpy as np
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.reports.page import SERIES, Report
 from lerobot_pneutac.verbs.result import Result
-from pneutac_datasets.demonstrations.augment.options import AugmentConfig, DatasetRef  # noqa: F401
+from pneutac_datasets.demonstrations.augment.options import MOST_REAL, AugmentConfig, DatasetRef  # noqa: F401
 from pneutac_datasets.demonstrations.augment.reference import Reference, onset_sigma_m, read_references
 from pneutac_datasets.demonstrations.faults import Recorded
 from pneutac_datasets.recording.wording import plural
@@ -82,7 +82,8 @@ class Augmentation(Result):
             recorded = sum(map(len, self.references))
             one = recorded / (recorded + sum(line["frames"] for line in self.summary["provenance"]))
             none = f"The dataset holds none of the recorded ones: --real_share={share:g}"
-            remedy = f"Make more (--episodes), or give --real_share={one:.2f} and a new folder"
+            other = f", or give --real_share={one:.2f} and a new folder" if one <= MOST_REAL else ""
+            remedy = f"Make more (--episodes){other}"
             out.append(f"{none}, and one copy of them would be {100 * one:.0f} % of its frames. {remedy}.")
         return out
 

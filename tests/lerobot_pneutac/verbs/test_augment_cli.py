@@ -259,6 +259,8 @@ def test_whether_the_recorded_ones_are_mixed_in_is_reported(copies, said, tmp_pa
     remarks = Augmentation(cfg, summary, [range(90)] * 2).remarks()
     one = "one copy of them would be 60 % of its frames. Make more (--episodes), or give --real_share=0.60"
     assert said in remarks[-1] and (one in remarks[-1]) == (copies == 0)
+    long = Augmentation(cfg, summary | {"copies": 0}, [range(900)] * 2).remarks()[-1]
+    assert long.endswith("would be 94 % of its frames. Make more (--episodes).")  # a share that is refused
 
 
 def test_the_pace_is_of_what_this_run_made(tmp_path):
