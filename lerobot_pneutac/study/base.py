@@ -76,6 +76,8 @@ GAUGED = ("valve_lag", "valve_slew", "orifice_flow")  # those that it shows at a
 
 def _recorded_already(effect: str, recording: Recording) -> str:
     """What a recording has of an effect's own experiment; empty where something of it is missing."""
+    if not isinstance(recording, Recording):
+        return ""  # these are experiments on the bench: demonstrations and pictures of a gel have none
     s, gravity = recording.samples, [f"gravity_{a}" for a in "xyz"]
     if effect == "gravity" and all(map(recording.has, gravity)):
         ways = np.unique(np.round(s[gravity].to_numpy(float), 1), axis=0)

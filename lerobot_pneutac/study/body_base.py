@@ -511,8 +511,8 @@ class BodyBase(EffectStudy):
         return [
             "How long the device rested before each run is not recorded, and what was found goes on "
             f"meanwhile: between a pause of {SHORT_PAUSE_S:g} s and a long one its {OUTPUT[self.unit]} "
-            f"differs by up to {moved:.2g} {self.unit}. A pause was fitted to each run, {own.min():.2g} s the "
-            f"shortest and {own.max():.2g} s the longest; before a run is measured, its own is not known."
+            f"differs by up to {moved:.2g} {self.unit}. A pause was fitted to each run, the shortest of "
+            f"{own.min():.2g} s and the longest of {own.max():.2g} s; of a run to come it is not known."
         ]
 
     def _unsent(self, outcome: Outcome) -> list[str]:
