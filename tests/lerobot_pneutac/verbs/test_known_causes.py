@@ -139,3 +139,14 @@ def test_a_mount_must_lower_the_error_from_trial_to_trial():
     in_one[-50:] = 4.0
     assert "from trial to trial" in doubt("base_tilt", recording, predict, residual, rows, in_one, squared)
     assert doubt("base_tilt", recording, predict, residual, rows, in_all, squared) == ""
+
+
+@pytest.mark.parametrize(("worse", "left_out"), [(1, False), (5, True)])
+def test_runs_may_differ_much_in_how_far_they_show_a_stretch(worse, left_out):
+    # Two of ten runs go to high pressures and show most of it, so that the mean over runs scatters.
+    recording, predict, residual = loaded([0] * 10, [0.0] * 10)
+    fall = np.array([3.0, 2.6, 0.7, 0.5, 0.3, 0.25, 0.2, 0.1, 0.09, 0.02])
+    fall[-1 - worse : -1] *= -1
+    rows, squared = np.arange(len(residual)), np.ones(len(residual))
+    without = np.exp(np.repeat(fall, len(residual) // 10))
+    assert bool(doubt("elongation", recording, predict, residual, rows, without, squared)) == left_out
