@@ -422,7 +422,7 @@ def _pauses(trials: np.ndarray, default, known: Mapping[str, Mapping]) -> np.nda
         if stated.get("start") == "rested":
             out[i] = math.inf
         elif stated.get("start") == "continues":
-            out[i] = float(stated.get("pause_s", 0.0))
+            out[i] = float(stated.get("pause_s", out[i] if math.isfinite(out[i]) else 0.0))
     return out
 
 

@@ -22,7 +22,8 @@ def unknown_pauses(recording) -> np.ndarray:
     trial = np.asarray(recording.samples["trial"])
     first = np.flatnonzero(trial[1:] != trial[:-1]) + 1
     stated = getattr(recording, "meta", {}).get("trials", {})
-    return first[[str(trial[i]) not in stated for i in first]] if len(first) else first
+    known = {k for k, how in stated.items() if how.get("start") == "rested" or "pause_s" in how}
+    return first[np.array([str(trial[i]) not in known for i in first], dtype=bool)]
 
 
 def goes_on(pipeline: Pipeline) -> bool:

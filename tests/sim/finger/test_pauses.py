@@ -71,9 +71,10 @@ def test_what_is_stated_stays_and_is_read_as_if_it_had_been_found():
     assert found(Log(table, stated), twin()) is None
     as_found = error(Log(table), twin(), tuple(TRUE_S))
     assert error(Log(table, stated), twin(), "auto") == pytest.approx(as_found)
-    partly = {k: v for k, v in stated.items() if k != "3"}
-    data = BodyData.of(Log(table, partly), twin(), source="command", start=found(Log(table, partly), twin()))
-    assert pauses_read(Log(table, partly), data).item() == pytest.approx(12, rel=0.1)
+    for how in ({}, {"3": {"start": "unknown"}}, {"3": {"start": "continues"}}):
+        partly = Log(table, {k: v for k, v in stated.items() if k != "3"} | how)
+        data = BodyData.of(partly, twin(), source="command", start=found(partly, twin()))
+        assert pauses_read(partly, data).item() == pytest.approx(12, rel=0.1)
 
 
 def test_a_body_without_memory_has_no_pauses_and_noise_alone_shows_none():
