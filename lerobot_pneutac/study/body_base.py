@@ -508,11 +508,12 @@ class BodyBase(EffectStudy):
         if moved < max(3 * (self.noise.value or 0.0), 1e-9):
             return []
         own = pauses_read(self.recording, read(self.recording, twin))
+        runs, what = plural(len(own), "run"), OUTPUT[self.unit]
         return [
-            "How long the device rested before each run is not recorded, and what was found goes on "
-            f"meanwhile: between a pause of {SHORT_PAUSE_S:g} s and a long one its {OUTPUT[self.unit]} "
-            f"differs by up to {moved:.2g} {self.unit}. A pause was fitted to each run, the shortest of "
-            f"{own.min():.2g} s and the longest of {own.max():.2g} s; of a run to come it is not known."
+            f"How long the device rested before {runs} is not recorded, and what was found goes on "
+            f"meanwhile: between a pause of {SHORT_PAUSE_S:g} s and a long one its {what} differs by up to "
+            f"{moved:.2g} {self.unit}. A pause was fitted to each, the shortest of {own.min():.2g} s and the "
+            f"longest of {own.max():.2g} s; of a run to come it is not known."
         ]
 
     def _unsent(self, outcome: Outcome) -> list[str]:

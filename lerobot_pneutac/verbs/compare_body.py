@@ -310,9 +310,9 @@ def _rested(twin: Twin, recording: Recording, bench: BodyData) -> tuple[str, ...
     if not len(own) or np.ptp(own) == 0:
         return ()
     return (
-        "How long the device rested before each run is not recorded, and effects of the twin go on "
-        f"meanwhile: a pause was fitted to each run, {own.min():.2g} to {own.max():.2g} s. State them under "
-        "`trials` in recording.json; `pneutac measure` logs them.",
+        f"How long the device rested before {plural(len(own), 'run')} is not recorded, and effects of the "
+        f"twin go on meanwhile: a pause was fitted to each, {own.min():.2g} to {own.max():.2g} s. State "
+        "them under `trials` in recording.json; `pneutac measure` logs them.",
     )
 
 

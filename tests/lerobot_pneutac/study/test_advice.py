@@ -104,7 +104,7 @@ def test_pauses_that_a_memory_goes_on_in_are_asked_for():
     twin.effects["creep"] = weights
     twin.parameters["pause_s"] = Value(9.0)
     found = SimpleNamespace(after=SimpleNamespace(twin=twin), selected=["creep"])
-    assert "A pause was fitted to each run" in " ".join(study.caveats(found))
+    assert "before 2 runs is not recorded" in " ".join(study.caveats(found))
     assert "under `trials`, how long the device rested" in study.to_log(found)
     stated = {str(k): {"start": "continues", "pause_s": 9} for k in (1, 2)}
     for trials in (stated, {"0": {"start": "rested"}} | stated):  # nothing is before the first run

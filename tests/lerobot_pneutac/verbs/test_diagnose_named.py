@@ -71,7 +71,7 @@ def test_a_marker_that_slips_is_told_with_its_moment_and_fitted_down_to_the_nois
     study = study_of(Twin("finger", recording.length_mm), recording, 12)
     left = study.refits((), Steps(None)).before.residual
     at = int(np.linalg.norm(np.diff(truth.pose - truth.true_pose, axis=0), axis=1).argmax()) + 1
-    (told,) = [f for f in study.findings if "slipped" in f]
+    (finding,) = [f for f in study.findings if "slipped" in f]
     row = int(told.partition("rows from ")[2].split()[0])
     assert abs(row - 1 - at) <= 2
     assert np.sqrt((left**2).sum(1).mean()) < 1.2 * truth.noise_floor
@@ -96,11 +96,11 @@ def test_six_effects_at_once_make_no_marker_slip(tmp_path):
 @pytest.mark.nightly
 def test_a_mount_that_is_knocked_is_told_with_its_moment_and_only_one_side_is_judged(tmp_path):
     d = found("mount_knock", tmp_path, 19)
-    (told,) = [f for f in d.study.findings if "changed permanently" in f]
+    (finding,) = [f for f in d.study.findings if "changed permanently" in f]
     truth = generate("rod", ["mount_knock"], 19)
     away = np.linalg.norm(truth.pose - truth.true_pose, axis=1)
-    kept = int(told.partition("Only the ")[2].split()[0])
-    assert "after it" in told and abs(len(away) - kept - np.argmax(away > 3)) < 40
+    kept = int(finding.partition("Only the ")[2].split()[0])
+    assert "after it" in finding and abs(len(away) - kept - np.argmax(away > 3)) < 40
     assert d.after["heldout"] < 1.2 * truth.noise_floor
 
 
