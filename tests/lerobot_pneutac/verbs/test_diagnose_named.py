@@ -72,7 +72,7 @@ def test_a_marker_that_slips_is_told_with_its_moment_and_fitted_down_to_the_nois
     left = study.refits((), Steps(None)).before.residual
     at = int(np.linalg.norm(np.diff(truth.pose - truth.true_pose, axis=0), axis=1).argmax()) + 1
     (finding,) = [f for f in study.findings if "slipped" in f]
-    row = int(told.partition("rows from ")[2].split()[0])
+    row = int(finding.partition("rows from ")[2].split()[0])
     assert abs(row - 1 - at) <= 2
     assert np.sqrt((left**2).sum(1).mean()) < 1.2 * truth.noise_floor
 
