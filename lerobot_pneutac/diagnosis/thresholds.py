@@ -99,7 +99,7 @@ INSTANTS_AGAIN = 0.97  # of the error: instants of steps are fitted again while 
 BETTER_START = 0.995  # of the error: another way for trials to begin must reach this (body_space)
 GRAVITY_CHANGE = 0.1  # of g: the base is turned by so much where weight can be tested (body_base, body)
 DEAF_GAUGE = 0.05  # of the command's range: a measured pressure that moves less is of no use (body_base)
-WORTH_OF_CAUSE = 0.01  # of the mean square error: a known cause that lowers it by less is left out (fit_body)
+WORTH_OF_CAUSE = 0.01  # of the mean square error: a cause that lowers it by less goes (fit_body, body_search)
 NEARLY = 0.9  # of what a better effect removes: two forms of one mechanism, as two models of a valve (add)
 
 # ---------------------------------------------------------------- data breaks

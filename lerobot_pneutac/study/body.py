@@ -85,8 +85,8 @@ class BodyStudy(BodyBase):
         """The twin re-fitted as it is, with the known causes, and with these effects too.
 
         Known causes are chosen with the effects in place: those without which the cross-validated error rises
-        significantly, and of which there is no `doubt`. One that the twin has goes where it does nothing once
-        the effects are there.
+        significantly, and of which there is no `doubt`. One that the twin has goes where it is worth
+        nothing once the effects are there.
         """
         search = BodySearch(self, map, lambda text: None)
         start = search.as_it_is()

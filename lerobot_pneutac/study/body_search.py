@@ -270,26 +270,28 @@ class BodySearch:
         """The model without terms that ended where they do nothing, at the same instants of steps.
 
         A term that is as quick as the samples can show may still be needed, see `Search.is_needed`. A known
-        cause of the twin goes too where an effect was found with which it does nothing: it stood in for that
-        effect.
+        cause of the twin goes too where an effect was found with which it is worth no more than one that
+        calibration leaves out: it stood in for that effect.
         """
         own, causes, engine = self.study.twin_effects, base_effects(self.study), self.engine(space)
         for term in model.model.structure.effects:
             effects = model.model.structure.effects
             replaced = term in causes and term in own and not set(effects) <= set(own)
-            if (term not in chosen or replaced) and space.idle(model.model, term):
-                bare = self.score(space.bare(model.model, term))
-                if engine.is_needed(bare, model):
-                    continue
-                model = bare
-                if replaced:
-                    self.left_out[term] = self._replaced(term)
+            if not replaced and (term in chosen or not space.idle(model.model, term)):
+                continue
+            bare = self.score(space.bare(model.model, term))
+            worth = replaced and bare.value > (1 + T.WORTH_OF_CAUSE) * model.value
+            if worth or engine.is_needed(bare, model):
+                continue
+            model = bare
+            if replaced:
+                self.left_out[term] = self._replaced(term)
         return model
 
     def _replaced(self, term: str) -> str:
         return (
-            f"{term.replace('_', ' ')} of the twin explains nothing in this recording once what was found is "
-            "added, and is left out then."
+            f"{term.replace('_', ' ')} of the twin hardly lowers the error of this recording once what was "
+            "found is added, and is left out then."
         )
 
     def _refined(self, space: BodySpace, model: Scored, found: Found) -> Scored:
