@@ -123,10 +123,11 @@ def excursions(t: np.ndarray, y: np.ndarray, p: np.ndarray) -> list[tuple[int, i
 
 
 def _pulse(p: np.ndarray, i: int, end: int) -> bool:
-    """Whether a pressure leaves in row i or the one before and is back in row `end`, as the marker does."""
-    before, after = p[max(i - 2, 0)], p[min(end, len(p) - 1)]
-    away = np.abs(p[max(i - 1, 0) : end] - before).max()
-    return bool(away > 0.05 * np.ptp(p, axis=0).max() and away > 3 * np.abs(after - before).max())
+    """Whether a pressure leaves by row i and is back or beyond by row `end`, as the marker."""
+    moved = p[max(i - 1, 0) : min(end, len(p) - 1) + 1] - p[max(i - 2, 0)]
+    row, chamber = np.unravel_index(np.abs(moved[:-1]).argmax(), moved[:-1].shape)
+    away = moved[row, chamber]
+    return bool(abs(away) > 0.05 * np.ptp(p, axis=0).max() and moved[-1, chamber] / away < 0.5)
 
 
 def _lonely(y: np.ndarray, i: int, end: int) -> bool:

@@ -161,6 +161,14 @@ def test_a_commanded_pulse_is_no_jump_of_the_tracker(hz, rows):
     assert len(check(r)[0]) == len(r)
 
 
+def test_a_pulse_that_steps_back_beyond_where_it_began_is_no_jump_of_the_tracker():
+    rng, p = np.random.default_rng(0), np.full(600, 6.8)
+    for i in range(30, 600, 120):
+        p[i : i + 3], p[i + 3 : i + 30] = 2.2, 8.4
+    r = recording(p, 0.07 * (p + 1) + rng.normal(0, 0.011, 600), 4)
+    assert len(check(r)[0]) == len(r)
+
+
 def test_an_outlier_at_a_step_is_still_left_out():
     r = stepped(hz=10, hold_s=3.0, rows=600, noise=0.004)
     r.samples.loc[r.samples.index[300], "bend_angle_rad"] += 1.0
