@@ -88,7 +88,7 @@ def calibrate(
     elif recording.device == "gel":
         method = "presses"
     else:
-        markers = [c for c in recording.observations if not c.startswith("image")]
+        markers = recording.poses
         method = by or ("images" if not markers and masked_cameras(recording) else "markers")
     levels = training_levels(train_kpa)
     given = {"by": by, "effects": effects, "through": through, "image_size": image_size}

@@ -90,7 +90,7 @@ def _bench(folder: Path) -> Checked:
 
 def _unfit(recording: Recording) -> list[str]:
     """What verbs refuse of a recording that can be read, by a twin of its own."""
-    poses = [c for c in recording.observations if not c.startswith("image")]
+    poses = recording.poses
     if recording.device == "gel" or not poses:
         return []  # gels and photographs have checks of their own
     twin = new_twin(recording.device, recording)

@@ -35,9 +35,7 @@ ANSWERED = 0.15  # share of the command's steps that feedback explains and a pro
 
 def clock(recording: Recording) -> Iterator[Finding]:
     """Long pauses within trials, and rows that are missing from an even clock."""
-    gaps: list[int] = []
-    lost: list[int] = []
-    steps: list[float] = []  # long ones, in usual ones
+    gaps, lost, steps = [], [], []  # rows before a pause, rows after a long step, and its size in usual ones
     time, even = recording.column("time_s"), True
     for rows in recording.trials().values():
         dt = np.diff(time[rows])
@@ -46,7 +44,6 @@ def clock(recording: Recording) -> Iterator[Finding]:
         usual, wide = wide_gaps(time[rows])
         even &= bool((np.abs(dt - usual) < 0.2 * usual).mean() > 0.9)
         gaps += list(np.flatnonzero(wide) + rows.start)
-
         short = (dt > 1.5 * usual) & ~wide
         lost += list(np.flatnonzero(short) + 1 + rows.start)
         steps += list(dt[short] / usual)
@@ -88,47 +85,48 @@ def closed_loop(recording: Recording) -> Iterator[Finding]:
     for rows in recording.trials().values() if columns else ():
         u, y = command[rows], pose[rows]
         at = 1 + np.flatnonzero(np.abs(np.diff(u, axis=0)).max(1, initial=0) > 0)
-        if len(at) < 200:
+        if len(at) < 200 or (np.abs(np.diff(u[at], 2, axis=0)).max(1) > 1e-4 * _reach(u)).mean() < 0.5:
             continue
-        bent = np.abs(np.diff(u[at], 2, axis=0)).max(1) > 1e-4 * max(np.ptp(u), 1e-9)
-        if bent.mean() < 0.5:
-            continue
-        target = u[at][LAGS:]
+        # how much farther a program goes, and the device with it, in steps that are longer; a row logged
+        # after its command's period has the step of the row before
+        step_s, change = np.diff(time[rows])[at - 1], np.diff(u[at], axis=0)[LAGS - 2 : -1]
+        longer = step_s / max(np.median(step_s), 1e-9) - 1
+        longer = [longer[LAGS - k : len(at) - k, None] * change for k in range(3)]
         # the last pose but one and all before it are known: what is news in the last is noise, or feedback
-        known = np.hstack([_past(u[at], 1), _past(u[at] ** 2, 1), _past(y[at - 1], 1)])
-        known = np.hstack([known, _longer(u[at], np.diff(time[rows])[at - 1])])
-        if _left(target, known).std(axis=0).max() < ROUNDING * max(np.ptp(u), 1e-9):
+        known = np.hstack([_past(u[at], 1), _past(u[at] ** 2, 1), _past(y[at - 1], 1), *longer])
+        target, last = u[at][LAGS:], y[at - 1][LAGS:]
+        alone = _left(target, known)
+        if alone.std(axis=0).max() < ROUNDING * _reach(u):
             continue
-        before, left = _gain(target, known, y[at - 1][LAGS:])
-        shown = (y @ _answer(u, y))[at][LAGS:]  # (n, chambers), each growing with its chamber's pressure
-        same, sign = _same_row(left, np.hstack([known, y[at - 1][LAGS:]]), shown)
+        known_and_last = np.hstack([known, last])
+        left = _left(target, known_and_last)
+        free = len(target) - known.shape[1] - 1
+        scale = free / max(free - last.shape[1], 1)  # by chance more columns explain more
+        before = 1 - scale * (left**2).sum() / max((alone**2).sum(), 1e-30)
+        # the unit direction in which the device goes when a chamber's pressure grows
+        slope = np.linalg.lstsq(np.c_[u, np.ones(len(u))], y, rcond=None)[0][: u.shape[1]].T
+        shown = (y @ (slope / np.maximum(np.linalg.norm(slope, axis=0), 1e-12)))[at][LAGS:]
+        same, sign = _same_row(left, known_and_last, shown)
         gains += len(target) * np.array([before, same * (sign < 0), 1.0])
     before, same, _ = gains / max(gains[2], 1)
     if max(before, same) > ANSWERED:
-        own_row = same > ANSWERED
         text = (
             f"The command follows the measured motion ({max(before, same):.0%} of its steps are explained by "
             "it): under feedback noise passes for physics; record open-loop programs."
         )
-        if own_row:
+        if own_row := same > ANSWERED:
             text += " It answers to the pose of its own row, so it was sent after it: log time_sent_s."
         numbers = {"share": float(max(before, same)), "same_row": float(own_row)}
         yield Finding("closed_loop", text, tuple(recording.pressure_columns), numbers=numbers)
 
 
+def _reach(u: np.ndarray) -> float:
+    return max(float(np.ptp(u)), 1e-9)
+
+
 def _past(x: np.ndarray, first: int) -> np.ndarray:
     """(n - LAGS, k LAGS): the rows `first`, `first` + 1, ... before each."""
     return np.hstack([x[LAGS - first - k : len(x) - first - k] for k in range(LAGS)])
-
-
-def _longer(u: np.ndarray, step_s: np.ndarray) -> np.ndarray:
-    """(n - LAGS, 3 k): how much farther a program goes, and the device with it, in steps that are longer.
-
-    `step_s` (n,) ends at each row; a row logged after its command's period has the step of the row before.
-    """
-    longer = step_s / max(np.median(step_s), 1e-9) - 1
-    change = np.diff(u, axis=0)[LAGS - 2 : -1]
-    return np.hstack([longer[LAGS - k : len(u) - k, None] * change for k in range(3)])
 
 
 def _left(target: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -137,26 +135,12 @@ def _left(target: np.ndarray, columns: np.ndarray) -> np.ndarray:
     return target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
 
 
-def _gain(target: np.ndarray, own: np.ndarray, more: np.ndarray) -> tuple[float, np.ndarray]:
-    """Share of what its own past leaves of a target that more columns explain (0 by chance); what is left."""
-    alone, both = _left(target, own), _left(target, np.hstack([own, more]))
-    n, k, m = len(target), own.shape[1] + 1, more.shape[1]
-    scale = (n - k) / max(n - k - m, 1)
-    return float(1 - scale * (both**2).sum() / max((alone**2).sum(), 1e-30)), both
-
-
 def _same_row(left: np.ndarray, known: np.ndarray, shown: np.ndarray) -> tuple[float, float]:
     """Share of what is left that news in this row's pose explains, and the sign of its answer."""
     news = _left(shown, known)
     covariance = (left * news).sum()
     share = covariance**2 / max((left**2).sum() * (news**2).sum(), 1e-30)
     return float(min(share, 1.0)), float(np.sign(covariance))
-
-
-def _answer(u: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """(k, chambers) unit direction in which the device goes when a chamber's pressure grows."""
-    slope = np.linalg.lstsq(np.c_[u, np.ones(len(u))], y, rcond=None)[0][: u.shape[1]].T
-    return slope / np.maximum(np.linalg.norm(slope, axis=0), 1e-12)
 
 
 def late_command(recording: Recording) -> Iterator[Finding]:
@@ -168,54 +152,45 @@ def late_command(recording: Recording) -> Iterator[Finding]:
     gauges = {c: [m] for m, c in measured_pressures(recording).items()}
     for name in recording.pressure_columns:
         seen = gauges.get(name) or headline(recording)[0]
-        reach = np.ptp(recording.column(name))
-        trials = recording.trials().values()
         how = _as_measured(recording, name, seen[0]) if name in gauges else ""
-        swapped = Finding(
-            "exchanged_pressures",
-            f"Column '{name}' {how} '{seen[0]}', as a measured pressure and no command does: the two columns"
-            " may be in each other's place.",
-            (name, seen[0]),
-        )
-        if how == SCATTERS:
-            yield swapped
-            continue
-        leads = [lead for rows in trials for lead in _leads(recording, name, seen, rows, reach)]
+        leads = [] if how == SCATTERS else _leads(recording, name, seen)
         ahead = [lead for lead in leads if lead > 0]
+        late, shown = 0, "all along"
         if len(leads) >= 5 and len(ahead) >= 0.8 * len(leads):
             late, shown = int(np.median(ahead)), f"in {len(ahead)} of {len(leads)} steps"
-        elif name in gauges and (late := _predicted_ahead(recording, name, seen[0])):
-            shown = "all along"
-        else:
-            if how:
-                yield swapped
-            continue
-        what = f"Column '{seen[0]}'" if len(seen) == 1 else "The marker"
-        rows = plural(late, "row")
-        text = (
-            f"{what} moves {rows} before the command '{name}' does, {shown}: the command is written too "
-            f"late; move it up by {rows}, or give time_sent_s."
-        )
-        yield Finding("late_command", text, (name,), numbers={"rows_late": float(late)})
+        elif name in gauges and how != SCATTERS:
+            late = _predicted_ahead(recording, name, seen[0])
+        if late:
+            what, rows = f"Column '{seen[0]}'" if len(seen) == 1 else "The marker", plural(late, "row")
+            text = (
+                f"{what} moves {rows} before the command '{name}' does, {shown}: the command is written too "
+                f"late; move it up by {rows}, or give time_sent_s."
+            )
+            yield Finding("late_command", text, (name,), numbers={"rows_late": float(late)})
+        elif how:
+            text = (
+                f"Column '{name}' {how} '{seen[0]}', as a measured pressure and no command does: the two "
+                "columns may be in each other's place."
+            )
+            yield Finding("exchanged_pressures", text, (name, seen[0]))
 
 
-def _leads(recording: Recording, name: str, seen: list[str], rows: slice, reach: float) -> list[int]:
-    """By how many rows the device went ahead of each step of a command, of such a range, out of a rest."""
-    u = recording.column(name)[rows].astype(float)
-    y = recording.samples.iloc[rows][seen].to_numpy(float)
-    other = [c for c in recording.pressure_columns if c != name]
-    others = recording.samples.iloc[rows][other].to_numpy(float)
-    moves = np.abs(np.diff(np.c_[u, others], axis=0, prepend=np.c_[u, others][:1])).max(1)
-    out = []
-    for i in np.flatnonzero(moves > 0.002 * reach):
-        rested = i >= 10 and moves[i - 10 : i].max() <= 1e-6 * reach
-        if not rested or i + 5 > len(u) or np.abs(u[i : i + 10] - u[i - 1]).max() < 0.1 * reach:
-            continue
-        calm = y[i - 10 : i - 4]
-        motion = y[min(i + 10, len(y) - 1)] - calm.mean(0)
-        along = (y[i - 10 : i] - calm.mean(0)) @ motion / max(np.linalg.norm(motion), 1e-12)
-        ahead = along[::-1] > max(0.03 * np.linalg.norm(motion), 6 * along[:6].std(), 1e-12)
-        out.append(int(np.argmin(np.r_[ahead, False])))
+def _leads(recording: Recording, name: str, seen: list[str]) -> list[int]:
+    """By how many rows the device went ahead of each step of a command out of a rest."""
+    out, reach = [], np.ptp(recording.column(name))
+    names = [name, *(c for c in recording.pressure_columns if c != name)]
+    for rows in recording.trials().values():
+        commands, y = (recording.samples.iloc[rows][c].to_numpy(float) for c in (names, seen))
+        u, moves = commands[:, 0], np.abs(np.diff(commands, axis=0, prepend=commands[:1])).max(1)
+        for i in np.flatnonzero(moves > 0.002 * reach):
+            rested = i >= 10 and moves[i - 10 : i].max() <= 1e-6 * reach
+            if not rested or i + 5 > len(u) or np.abs(u[i : i + 10] - u[i - 1]).max() < 0.1 * reach:
+                continue
+            calm = y[i - 10 : i - 4].mean(0)
+            motion = y[min(i + 10, len(y) - 1)] - calm
+            along = (y[i - 10 : i] - calm) @ motion / max(np.linalg.norm(motion), 1e-12)
+            ahead = along[::-1] > max(0.03 * np.linalg.norm(motion), 6 * along[:6].std(), 1e-12)
+            out.append(int(np.argmin(np.r_[ahead, False])))
     return out
 
 
@@ -226,7 +201,7 @@ def _predicted_ahead(recording: Recording, name: str, gauge: str) -> int:
         agree, n = 0.0, 0
         for rows in recording.trials().values():
             u, p = (np.diff(recording.column(c)[rows].astype(float)) for c in (name, gauge))
-            if len(u) < 200 or (np.abs(np.diff(u)) > 1e-4 * max(np.ptp(u), 1e-9)).mean() < 0.5:
+            if len(u) < 200 or (np.abs(np.diff(u)) > 1e-4 * _reach(u)).mean() < 0.5:
                 continue
             m = len(u) - ahead
             known = [u[LAGS + ahead - 1 - k : m + ahead - 1 - k] for k in range(LAGS + ahead - 1)]
@@ -241,14 +216,14 @@ def _predicted_ahead(recording: Recording, name: str, gauge: str) -> int:
 
 def _as_measured(recording: Recording, name: str, gauge: str) -> str:
     """How a command behaves towards what is called its gauge if it is the measured pressure; else empty."""
-    parts = [(recording.column(name)[r], recording.column(gauge)[r]) for r in recording.trials().values()]
     far = FOLLOWS_NEAR * np.ptp(recording.column(gauge))
     away, change, still = [], [], []
-    for u, p in parts:
-        step = np.diff(p.astype(float))
-        stands = [np.arange(a, b) for a, b in sensors.stretches(step == 0) if b - a > sensors.STANDS]
-        noisy = np.concatenate(stands) if stands else np.zeros(0, int)
-        still.append(np.diff(u)[noisy[np.abs(u - p)[noisy] < far]])
+    for rows in recording.trials().values():
+        u, p = recording.column(name)[rows], recording.column(gauge)[rows]
+        step, stands = np.diff(p.astype(float)), np.zeros(len(p) - 1, bool)
+        for a, b in sensors.stretches(step == 0):
+            stands[a:b] = b - a > sensors.STANDS
+        still.append(np.diff(u)[stands & (np.abs(u - p)[:-1] < far)])
         calm = np.abs(step) < far  # in the row of a step both have moved
         away.append((p - u)[:-1][calm])
         change.append(np.diff(u)[calm])
@@ -299,13 +274,12 @@ MUCH_NEARER = 0.3
 
 def unwrap(recording: Recording) -> tuple[Recording, list[Finding]]:
     """Takes whole turns off angles where it is certain that they are the tracker's."""
-    found, samples = [], recording.samples
-    for name in [c for c in samples if re.fullmatch(r"\w+_rad", str(c))]:
+    found, straightened = [], {}
+    for name in [c for c in recording.samples if re.fullmatch(r"\w+_rad", str(c))]:
         x = recording.column(name).astype(float)
         straight, jumps, certain = x.copy(), [], True
         for rows in recording.trials().values():
-            step = np.diff(x[rows])
-            wraps = np.abs(np.abs(step) - TURN) < 0.25 * np.pi
+            wraps = np.abs(np.abs(np.diff(x[rows])) - TURN) < 0.25 * np.pi
             jumps += list(np.flatnonzero(wraps) + 1 + rows.start)
             straight[rows] = np.unwrap(x[rows])
             certain &= bool(np.abs(np.diff(straight[rows])).max(initial=0) < 0.25 * np.pi)
@@ -314,18 +288,14 @@ def unwrap(recording: Recording) -> tuple[Recording, list[Finding]]:
         # a tracker wraps at the ends of one turn and shows nothing beyond
         certain &= bool(np.ptp(x) <= TURN + 1e-6)
         certain &= bool(np.abs(np.diff(x[np.add.outer(jumps, [-1, 0])])).min() > 5.5)
-        times = f"{plural(len(jumps), 'time')} (first in {where(recording, jumps[0])})"
-        text = f"Column '{name}' jumps by a whole turn {times}; " + (
-            "it moves smoothly otherwise, so the turns are taken off."
-            if certain
-            else "it also moves quickly elsewhere, so it was not changed: unwrap it yourself."
-        )
-        found.append(Finding("wrapped_angle", text, (name,), np.array(jumps), {"unwrapped": float(certain)}))
+        how = "it also moves quickly elsewhere, so it was not changed: unwrap it yourself."
         if certain:
-            samples = samples.assign(**{name: straight})
-    if samples is recording.samples:
-        return recording, found
-    return replace(recording, samples=samples), found
+            straightened[name] = straight
+            how = "it moves smoothly otherwise, so the turns are taken off."
+        times = f"{plural(len(jumps), 'time')} (first in {where(recording, jumps[0])})"
+        text = f"Column '{name}' jumps by a whole turn {times}; {how}"
+        found.append(Finding("wrapped_angle", text, (name,), np.array(jumps), {"unwrapped": float(certain)}))
+    return replace(recording, samples=recording.samples.assign(**straightened)), found
 
 
 def _drive(recording: Recording) -> np.ndarray:
@@ -357,12 +327,13 @@ def misplaced_tip(recording: Recording) -> Iterator[Finding]:
         return
     if len(recording) < LEAST_TIPS:
         return
-    tip = recording.samples[names].to_numpy(float)
-    tip = tip[:: max(1, len(tip) // MOST_TIPS)] / length
+    every = recording.samples[names].to_numpy(float)
+    tip = every[:: max(1, len(every) // MOST_TIPS)] / length
     x, aside = tip[:, 0], np.linalg.norm(tip[:, 1:], axis=1)
-    now, readings = _off_path(x, aside), []
+    now = _off_path(x, aside)
     if now < OFF_PATH:
         return
+    readings = []  # distance from the path, remedy, and which kind of reading it is
     for (in_x, kx), (in_z, kz) in product(LENGTHS.items(), LENGTHS.items()):
         if kx == kz == 1:
             continue
@@ -375,25 +346,29 @@ def misplaced_tip(recording: Recording) -> Iterator[Finding]:
     to_base = "x points from the tip to the base; change the sign of tip_x_mm"
     readings += (_off_path(x + 1, aside), from_tip, 1), (_off_path(-x, aside), to_base, -1)
     scales = [s for s in np.geomspace(1 / 6, 6, 91) if not 1 / OTHER_LENGTH < s < OTHER_LENGTH]
-    best = min(scales, key=lambda s: _off_path(s * x, s * aside))
+    off, best = min((_off_path(s * x, s * aside), s) for s in scales)
     remedy = f"it fits a device of {length / best:.3g} mm; correct length_mm, or the scale of the tip"
-    readings.append((2 * _off_path(best * x, best * aside), remedy, best))
-    driven = np.abs(_drive(recording)).max(1)
-    rest = np.median(recording.samples[names].to_numpy(float)[driven <= np.quantile(driven, 0.1)], axis=0)
-    away, origin = float(np.linalg.norm(rest)), rest / length - np.eye(len(names))[0]
+    readings.append((2 * off, remedy, best))
+    rest = _at_rest(_drive(recording), every)
+    origin = rest / length - np.eye(len(names))[0]
     if np.linalg.norm(origin) > 1 - 1 / OTHER_LENGTH:  # a finger bent at rest is not straight on x either
         shifted = tip - origin
         place = ", ".join(f"{v:.3g}" for v in length * origin)
         remedy = f"its base is at ({place}) mm of the frame; subtract that from {' and '.join(names)}"
         readings.append((2 * _off_path(shifted[:, 0], np.linalg.norm(shifted[:, 1:], axis=1)), remedy, 1))
     off, remedy, kind = min(readings, key=lambda r: r[0])
-    if off > MUCH_NEARER * now:
-        return
-    text = (
-        f"At the lowest pressures the tip is {away:.3g} mm from the base of a {recording.device} of "
-        f"{length:g} mm, and its path does not fit such a device: {remedy}."
-    )
-    yield Finding("misplaced_tip", text, tuple(names), numbers={"off_path": now, "reading": float(kind)})
+    if off <= MUCH_NEARER * now:
+        text = (
+            f"At the lowest pressures the tip is {np.linalg.norm(rest):.3g} mm from the base of a "
+            f"{recording.device} of {length:g} mm, and its path does not fit such a device: {remedy}."
+        )
+        yield Finding("misplaced_tip", text, tuple(names), numbers={"off_path": now, "reading": float(kind)})
+
+
+def _at_rest(drive: np.ndarray, tip: np.ndarray) -> np.ndarray:
+    """Where the tip (n, k) is at the lowest pressures (n, chambers)."""
+    driven = np.abs(drive).max(1)
+    return np.median(tip[driven <= np.quantile(driven, 0.1)], axis=0)
 
 
 def _off_path(x: np.ndarray, aside: np.ndarray) -> float:
@@ -414,14 +389,10 @@ def other_way_round(recording: Recording) -> Iterator[Finding]:
     p = _drive(recording)
     if p.max() < -p.min() or not np.ptp(p[:, 0]):
         return  # vacuum bends it: which way is positive is its maker's choice
-    for name in ("tip_z_mm", "bend_angle_rad"):
-        if not recording.has(name):
-            continue
+    least = {"tip_z_mm": 0.05 * (recording.length_mm or 100.0), "bend_angle_rad": 0.05}
+    for name in filter(recording.has, least):
         y = recording.column(name).astype(float)
-        far = float(np.ptp(y))
-        if far < (0.05 * (recording.length_mm or 100.0) if name == "tip_z_mm" else 0.05):
-            continue
-        if np.corrcoef(p[:, 0], y)[0, 1] < -0.7:
+        if np.ptp(y) >= least[name] and np.corrcoef(p[:, 0], y)[0, 1] < -0.7:
             text = (
                 f"Column '{name}' falls as the pressure rises, but a finger's bend is positive at positive "
                 "pressure: it was mounted, or z drawn, the other way round; change the sign of the column, "
@@ -445,8 +416,13 @@ def base_axes(recording: Recording) -> tuple[str, str]:
     if recording.device != "finger" or len(names) < 2 or not recording.pressure_columns:
         return RIGHT_AXES
     p, tip = _drive(recording), recording.samples[list(names.values())].to_numpy(float)
-    driven, moved = np.abs(p).max(1), {a: _moved_by(recording, p, c) for a, c in names.items()}
-    rest = np.median(tip[driven <= np.quantile(driven, 0.1)], axis=0)
+    ranges = []  # of each coordinate, as a static map of the pressure explains it
+    for rows in recording.trials().values():
+        if np.ptp(p[rows], axis=0).max() > 0.3 * np.ptp(p, axis=0).max():
+            columns = static_columns(p[rows])
+            ranges.append(np.ptp(columns @ regress(columns, tip[rows]), axis=0))
+    moved = dict(zip(names, np.median(ranges or [np.zeros(len(names))], axis=0).tolist(), strict=True))
+    rest = _at_rest(p, tip)
     i, far = int(np.abs(rest).argmax()), float(np.linalg.norm(rest))
     across = max(way for a, way in moved.items() if a != list(names)[i])
     stated = None if recording.meta.get("length_proposed") else recording.length_mm
@@ -464,52 +440,36 @@ def base_axes(recording: Recording) -> tuple[str, str]:
     return along, towards
 
 
-def _moved_by(recording: Recording, p: np.ndarray, name: str) -> float:
-    """Range of a column that a static map of the pressure explains, the median over trials."""
-    y, ranges = recording.column(name).astype(float)[:, None], []
-    for rows in recording.trials().values():
-        if np.ptp(p[rows], axis=0).max() > 0.3 * np.ptp(p, axis=0).max():
-            columns = static_columns(p[rows])
-            ranges.append(float(np.ptp(columns @ regress(columns, y[rows]))))
-    return float(np.median(ranges)) if ranges else 0.0
-
-
 def drift(recording: Recording) -> Iterator[Finding]:
     """A steady move of the output over the session at equal pressures."""
-    columns, unit = headline(recording)
-    same = _usual_conditions(recording)
+    (columns, unit), s = headline(recording), recording.samples
+    # the most common orientation and payload, and near the median temperature
+    same = np.ones(len(recording), bool)
+    for name in (n for n in (*GRAVITY, "payload_g") if n in s):
+        rounded = s[name].round(1)
+        same &= (rounded == rounded.mode()[0]).to_numpy()
+    if "temperature_c" in s:
+        same &= ((s["temperature_c"] - s["temperature_c"].median()).abs() < 2.0).to_numpy()
     if not columns or same.sum() < 200:
         return
-    p, block = _drive(recording)[same], time_blocks(recording.samples)[same]
-    step_s = recording.samples.groupby("trial")["time_s"].diff().fillna(0.0)  # no pauses between trials
+    design, block = static_columns(_drive(recording)[same]), time_blocks(s)[same]
+    step_s = s.groupby("trial")["time_s"].diff().fillna(0.0)  # no pauses between trials
     done = np.cumsum(step_s.to_numpy(float))[same]
-    y = recording.samples[columns].to_numpy(float)[same]
+    y = s[columns].to_numpy(float)[same]
     floor = noise_floor(recording).by_column
     moved = {}
     for i, name in enumerate(columns):
-        total, steady = _trend(static_columns(p), y[:, i : i + 1], done, block)
+        total, steady = _trend(design, y[:, i : i + 1], done, block)
         if steady and abs(total) > max(5 * floor.get(name, 0.0), 0.02 * np.ptp(y[:, i])):
             moved[name] = total
-    if not moved:
-        return
-    how = " and ".join(f"'{c}' by {x:+.3g} {unit}" for c, x in moved.items())
-    text = (
-        f"At equal pressures the output drifts steadily over the session, {how}: the tracker, the mount or a "
-        "gauge drifts, or the device softens or warms. Repeat the first program at the end to find out which."
-    )
-    yield Finding("drift", text, tuple(moved), numbers=moved)
-
-
-def _usual_conditions(recording: Recording) -> np.ndarray:
-    """Mask (n,) of rows in the most common orientation and payload, and near the median temperature."""
-    s, mask = recording.samples, np.ones(len(recording), bool)
-    for name in (*GRAVITY, "payload_g"):
-        if name in s:
-            rounded = s[name].round(1)
-            mask &= (rounded == rounded.mode()[0]).to_numpy()
-    if "temperature_c" in s:
-        mask &= ((s["temperature_c"] - s["temperature_c"].median()).abs() < 2.0).to_numpy()
-    return mask
+    if moved:
+        how = " and ".join(f"'{c}' by {x:+.3g} {unit}" for c, x in moved.items())
+        text = (
+            f"At equal pressures the output drifts steadily over the session, {how}: the tracker, the mount "
+            "or a gauge drifts, or the device softens or warms. Repeat the first program at the end to find "
+            "out which."
+        )
+        yield Finding("drift", text, tuple(moved), numbers=moved)
 
 
 def _trend(design: np.ndarray, y: np.ndarray, done: np.ndarray, block: np.ndarray) -> tuple[float, bool]:
@@ -560,11 +520,10 @@ def _looked(recording: Recording) -> tuple[Recording, list[Finding]]:
     """The recording with its angles and pressures as they may be used, and all that is found."""
     if recording.device == "gel":
         return recording, []
-    measured = pressures.measured_pressures(recording)
+    measured = measured_pressures(recording)
     recording, found = unwrap(recording)
     recording, more = pressures.usable(recording)
-    found += more
-    found += [finding for look in LOOKS for finding in look(recording)]
+    found += [*more, *(finding for look in LOOKS for finding in look(recording))]
     gone = [f.rows for f in found if f.kind == "jumps" and not f.numbers["kept"]]
     # a tracker that writes 0 where it lost the marker jumps; it does not saturate
     found = [f for f in found if f.kind != "saturated" or np.isin(f.rows, gone).mean() < 0.9]

@@ -108,8 +108,7 @@ def headline(recording: Recording) -> tuple[list[str], str]:
 
 def noise_floor(recording: Recording) -> NoiseFloor:
     """Estimates the noise from repeats, else from what the file declares, else from local contrasts."""
-    columns, unit = headline(recording)
-    numeric = [c for c in recording.observations if not c.startswith("image")]
+    (columns, unit), numeric = headline(recording), recording.poses
     pairs = repeats(recording)
     if sum(len(first) for first, *_ in pairs) < LEAST_REPEATED:
         pairs = []

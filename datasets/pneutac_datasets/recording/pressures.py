@@ -65,69 +65,48 @@ def supply_limits(recording: Recording) -> dict[str, float]:
     return found if isinstance(found, dict) else {}
 
 
-@dataclass(frozen=True)
-class _Pair:
-    """A gauge and its command."""
-
-    p: np.ndarray  # (n,) measured, kPa
-    u: np.ndarray  # (n,) commanded, kPa, behind the lag with which the gauge follows best
-    range_kpa: float  # of the command
-    dt_s: float  # usual time between two rows
-    trials: tuple[slice, ...]
-
-    def line(self, rows: np.ndarray) -> tuple[float, float, float]:
-        """Slope, value at a command of 0, and correlation over some rows (mask)."""
-        u, p = self.u[rows], self.p[rows]
-        if len(u) < 2 or np.ptp(u) < 1e-9 or np.ptp(p) < 1e-9:
-            return 0.0, float(np.median(p)) if len(p) else 0.0, 0.0
-        slope, at_zero = np.polyfit(u, p, 1)
-        return float(slope), float(at_zero), float(np.corrcoef(u, p)[0, 1])
-
-
 def _judged(recording: Recording, measured: str, command: str) -> tuple[Recording, list[Finding]]:
     """The recording with one gauge and its command as they may be used, and why."""
-    raw = recording.column(command).astype(float)
-    pair = _lagged(recording, measured, command)
-    without = replace(recording, samples=recording.samples.drop(columns=measured))
-    if pair.range_kpa <= 1e-3:
+    p, raw = (recording.column(c).astype(float) for c in (measured, command))
+    u, reach, device = _lagged(recording, p, raw), float(np.ptp(raw)), recording.device
+    if reach <= 1e-3:
         return recording, []
+    without = replace(recording, samples=recording.samples.drop(columns=measured))
 
     def left_out(kind: str, text: str, rows=(), **numbers: float) -> tuple[Recording, list[Finding]]:
         text = f"Column '{measured}' {text}; {ALONE}."
         return without, [Finding(kind, text, (measured,), np.array(rows, int), numbers)]
 
-    if np.ptp(pair.p) < 1e-6 * pair.range_kpa:
-        at = float(pair.p[0])
-        text = f"stands at {at:.4g} in every row while '{command}' moves: the gauge carries no information"
-        return left_out("gauge_stuck", text, at=at)
-    flat = [end for sign in (1, -1) if (end := _end(pair, sign)) is not None]
+    if np.ptp(p) < 1e-6 * reach:
+        text = f"stands at {p[0]:.4g} in every row while '{command}' moves: the gauge carries no information"
+        return left_out("gauge_stuck", text, at=float(p[0]))
+    flat = [end for sign in (1, -1) if (end := _end(u, p, reach, sign)) is not None]
     for end in flat:
-        way = _device_goes_on(recording, pair, end.rows)
-        if way is False:
-            continue
-        text = f"stays at {end.level:.4g} while '{command}' goes on from {end.begin:.4g} to {end.far:.4g} kPa"
-        text += "" if way is None else f" and the {recording.device} follows the command"
-        text += ": the gauge saturates" + ("" if way else ", or the supply ends there")
-        return left_out("saturated", text, np.flatnonzero(end.rows), at=end.level)
-    inside = ~np.any([end.rows for end in flat], axis=0) if flat else np.ones(len(pair.p), bool)
-    stuck = _stuck(pair, inside)
+        way = _device_goes_on(recording, u, end.rows)
+        if way is not False:
+            text = f"stays at {end.level:.4g} while '{command}' goes on from {end.begin:.4g} to"
+            text += f" {end.far:.4g} kPa" + ("" if way is None else f" and the {device} follows the command")
+            text += ": the gauge saturates" + ("" if way else ", or the supply ends there")
+            return left_out("saturated", text, np.flatnonzero(end.rows), at=end.level)
+    inside = ~np.any([end.rows for end in flat], axis=0) if flat else np.ones(len(p), bool)
+    stuck = _stuck(recording, u, p, reach, inside)
     if len(stuck):
         trial, t = (recording.column(c)[stuck[0]] for c in ("trial", "time_s"))
-        when = f"in {len(stuck) / len(pair.p):.0%} of the rows (first in trial {trial} at {t:.2f} s)"
+        when = f"in {len(stuck) / len(p):.0%} of the rows (first in trial {trial} at {t:.2f} s)"
         when = "throughout" if len(stuck) > 0.9 * inside.sum() else when
-        at = float(np.median(pair.p[stuck]))
+        at = float(np.median(p[stuck]))
         text = f"stands near {at:.4g} {when} while '{command}' moves: the gauge was stuck"
         return left_out("gauge_stuck", text, stuck, at=at)
-    late = _late(recording, measured, inside)
-    if late:
-        text = f"shows each change {late:.2g} s after the {recording.device} has moved: it is read late"
+    if late := _late(recording, p, inside):
+        text = f"shows each change {late:.2g} s after the {device} has moved: it is read late"
         return left_out("gauge_late", text, late_s=late)
-    slope, at_zero, correlation = pair.line(inside)
+    slope, at_zero, correlation = 0.0, float(np.median(p[inside])) if inside.any() else 0.0, 0.0
+    if inside.sum() >= 2 and np.ptp(u[inside]) >= 1e-9 and np.ptp(p[inside]) >= 1e-9:
+        slope, at_zero = map(float, np.polyfit(u[inside], p[inside], 1))
+        correlation = float(np.corrcoef(u[inside], p[inside])[0, 1])
     if abs(correlation) < LEAST_CORRELATION:
         text = f"does not follow '{command}' (correlation {correlation:.2f})"
         return left_out("gauge_alone", text, correlation=correlation)
-    rest = float(raw[np.argmin(np.abs(raw))])
-    offset = at_zero + (slope - 1) * rest
     for unit, kpa in UNITS.items():
         for factor, wrong in ((1 / kpa, measured), (kpa, command)):
             if slope > 0 and abs(np.log(slope / factor)) < SAME_UNIT:
@@ -137,11 +116,14 @@ def _judged(recording: Recording, measured: str, command: str) -> tuple[Recordin
                 )
                 return without, [Finding("other_unit", text, (wrong,), numbers={"ratio": slope})]
     if not SCALES[0] < slope < SCALES[1]:
-        text = _other_scale(measured, command, raw, slope, at_zero)
+        text = (
+            f"Column '{measured}' moves {slope:.2g} times as far as '{command}' and reads {at_zero:.3g} at a "
+            f"command of 0: {_other_scale(command, raw, slope)}; give both in kPa. Until then {ALONE}."
+        )
         return without, [Finding("gauge_scale", text, (measured,), numbers={"ratio": slope})]
     found = []
-    noise = float(np.median(np.abs(np.diff(pair.p)))) if len(pair.p) > 1 else 0.0
-    if abs(offset) > max(OFFSET * pair.range_kpa, 5 * noise):
+    offset = at_zero + (slope - 1) * float(raw[np.argmin(np.abs(raw))])
+    if abs(offset) > max(OFFSET * reach, 5 * np.median(np.abs(np.diff(p)))):
         absolute_command = raw.min() > -offset / 2 and _is_atmosphere(-offset)
         wrong, other = (command, measured) if absolute_command else (measured, command)
         more = abs(offset) if wrong == command or offset > 0 else offset
@@ -154,9 +136,18 @@ def _judged(recording: Recording, measured: str, command: str) -> tuple[Recordin
         found.append(Finding("pressure_offset", text, (wrong,), numbers={"offset_kpa": float(more)}))
         corrected = {wrong: recording.column(wrong) - more}
         recording = replace(recording, samples=recording.samples.assign(**corrected))
-    for end in flat:
-        recording, finding = _clipped(recording, command, measured, end, (slope, at_zero))
-        found.append(finding)
+    for end in flat:  # commands beyond the supply count as what it delivers
+        level = float(recording.column(measured)[end.rows].mean())
+        bound = {"upper" if end.far > end.begin else "lower": level}
+        delivered = recording.samples[command].astype(float).clip(**bound)
+        meta = recording.meta | {SUPPLY: supply_limits(recording) | {command: level}}
+        recording = replace(recording, samples=recording.samples.assign(**{command: delivered}), meta=meta)
+        text = (
+            f"Column '{measured}' stays at {level:.4g} kPa while '{command}' goes on from {end.begin:.4g} to "
+            f"{end.far:.4g} kPa, and the {device} stays too: the supply ends there. Commands beyond count as "
+            f"{level:.4g} kPa; no program should command more."
+        )
+        found.append(Finding("supply_limit", text, (command,), np.flatnonzero(end.rows), {"at": level}))
     return recording, found
 
 
@@ -164,44 +155,34 @@ def _is_atmosphere(kpa: float) -> bool:
     return ATMOSPHERE_KPA[0] < kpa < ATMOSPHERE_KPA[1]
 
 
-def _other_scale(measured: str, command: str, u: np.ndarray, slope: float, at_zero: float) -> str:
-    counts = (u == np.round(u)).all() and u.min() >= 0
+def _other_scale(command: str, u: np.ndarray, slope: float) -> str:
+    """What is wrong where a gauge moves so many times as far as its command (n,), kPa."""
     most = next((m for m in (100, 255, 1023, 4095) if 0.6 * m < u.max() <= m), None)
     if slope < 0:
-        guess = "its sign is wrong, or its wires are exchanged"
-    elif slope < SCALES[0] and counts and most:
+        return "its sign is wrong, or its wires are exchanged"
+    if slope < SCALES[0] and most and (u == np.round(u)).all() and u.min() >= 0:
         what = "percent" if most == 100 else "PWM"
-        guess = f"'{command}' holds whole numbers up to {u.max():.0f}: {what} and not kPa?"
-    else:
-        guess = f"one of them is not in kPa ({'volts' if slope < 1 else 'counts'}?), or its scale is off"
-    return (
-        f"Column '{measured}' moves {slope:.2g} times as far as '{command}' and reads {at_zero:.3g} at a "
-        f"command of 0: {guess}; give both in kPa. Until then {ALONE}."
-    )
+        return f"'{command}' holds whole numbers up to {u.max():.0f}: {what} and not kPa?"
+    return f"one of them is not in kPa ({'volts' if slope < 1 else 'counts'}?), or its scale is off"
 
 
-def _lagged(recording: Recording, measured: str, command: str) -> _Pair:
-    """The command behind a first-order lag, the one with which the gauge agrees best."""
-    p, u = recording.column(measured).astype(float), recording.column(command).astype(float)
-    trials, dt = tuple(recording.trials().values()), recording.step_s or 1.0
+def _lagged(recording: Recording, p: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """A command (n,) behind the first-order lag with which its gauge p (n,) agrees best.
+
+    Or ahead by a few rows, as one that was written late.
+    """
+    parts, dt = [u[rows] for rows in recording.trials().values()], recording.step_s or 1.0
+    keeps = [np.exp(-dt / lag) if lag else 0.0 for lag in LAGS_S]
+    tried = [[lfilter([1 - k], [1, -k], x, zi=[k * x[0]])[0] for x in parts] for k in keeps]
+    for ahead in range(1, MOST_AHEAD + 1):
+        tried.append([x[np.minimum(np.arange(len(x)) + ahead, len(x) - 1)] for x in parts])
     best, most = u, -1.0
-    for behind in _behind(u, trials, dt):
+    for behind in map(np.concatenate, tried):
         spread = float(np.std(behind) * np.std(p))
         agree = float(np.mean((behind - behind.mean()) * (p - p.mean()))) / spread if spread > 1e-12 else 0.0
         if abs(agree) > most + 1e-6:
             best, most = behind, abs(agree)
-    return _Pair(p, best, float(np.ptp(u)), dt, trials)
-
-
-def _behind(u: np.ndarray, trials: tuple[slice, ...], dt: float) -> Iterator[np.ndarray]:
-    """A command behind each of some lags, and ahead by a few rows, as one that was written late."""
-    for lag in LAGS_S:
-        keep = np.exp(-dt / lag) if lag else 0.0
-        parts = (u[rows] for rows in trials)
-        yield np.concatenate([lfilter([1 - keep], [1, -keep], x, zi=[keep * x[0]])[0] for x in parts])
-    for ahead in range(1, MOST_AHEAD + 1):
-        parts = (u[rows] for rows in trials)
-        yield np.concatenate([x[np.minimum(np.arange(len(x)) + ahead, len(x) - 1)] for x in parts])
+    return best
 
 
 # ---------------------------------------------------------------- where a gauge stops
@@ -215,11 +196,11 @@ class _End:
     begin: float  # command at which that begins
     far: float  # command at the end
     rows: np.ndarray  # (n,) mask of rows beyond `begin`
-    sign: int  # 1 at the upper end, -1 at the lower one
 
 
-def _end(pair: _Pair, sign: int) -> _End | None:
-    u, p = sign * pair.u, sign * pair.p
+def _end(u: np.ndarray, p: np.ndarray, reach: float, sign: int) -> _End | None:
+    """The upper end (`sign` 1) or the lower one (-1) of a command (n,) with such a range."""
+    u, p = sign * u, sign * p
     edges = np.linspace(u.min(), u.max(), BINS + 1)
     bins = np.clip(np.searchsorted(edges, u, side="right") - 1, 0, BINS - 1)
     used = [i for i in range(BINS) if (bins == i).sum() >= LEAST_ROWS]
@@ -239,106 +220,79 @@ def _end(pair: _Pair, sign: int) -> _End | None:
     a, b = np.polyfit(at[: len(at) - flat], level[: len(at) - flat], 1)
     begin = (stands - b) / a if a > 0.1 * usual else at[-flat - 1]
     begin = float(np.clip(begin, at[-flat - 2] if flat + 2 <= len(at) else at[0], at[-flat]))
-    if u.max() - begin < WIDE * pair.range_kpa:
+    if u.max() - begin < WIDE * reach:
         return None
-    return _End(sign * stands, sign * begin, float(sign * u.max()), u > begin, sign)
+    return _End(sign * stands, sign * begin, float(sign * u.max()), u > begin)
 
 
-def _device_goes_on(recording: Recording, pair: _Pair, beyond: np.ndarray) -> bool | None:
+def _device_goes_on(recording: Recording, u: np.ndarray, beyond: np.ndarray) -> bool | None:
     """Whether the device moves on with the command where its gauge stays; None if unknown."""
     columns = headline(recording)[0]
     if not columns or min(beyond.sum(), (~beyond).sum()) < LEAST_ROWS:
         return None
     y = recording.samples[columns].to_numpy(float)
-
-    def slope(rows: np.ndarray) -> np.ndarray:
-        u = pair.u[rows]
-        return np.polyfit(u, y[rows], 1)[0] if np.ptp(u) > 1e-9 else np.zeros(y.shape[1])
-
-    ratio = np.linalg.norm(slope(beyond)) / max(np.linalg.norm(slope(~beyond)), 1e-12)
-    return False if ratio < STANDS else True if ratio > FOLLOWS else None
-
-
-def _clipped(
-    recording: Recording, command: str, measured: str, end: _End, line: tuple[float, float]
-) -> tuple[Recording, Finding]:
-    """Commands beyond the supply count as what it delivers."""
-    u = recording.column(command).astype(float)
-    level = float(recording.column(measured)[end.rows].mean())
-    u = np.minimum(u, level) if end.sign > 0 else np.maximum(u, level)
-    limits = supply_limits(recording) | {command: level}
-    text = (
-        f"Column '{measured}' stays at {level:.4g} kPa while '{command}' goes on from {end.begin:.4g} to "
-        f"{end.far:.4g} kPa, and the {recording.device} stays too: the supply ends there. Commands beyond "
-        f"count as {level:.4g} kPa; no program should command more."
+    far, near = (
+        np.linalg.norm(np.polyfit(u[rows], y[rows], 1)[0]) if np.ptp(u[rows]) > 1e-9 else 0.0
+        for rows in (beyond, ~beyond)
     )
-    samples, meta = recording.samples.assign(**{command: u}), recording.meta | {SUPPLY: limits}
-    clipped = replace(recording, samples=samples, meta=meta)
-    return clipped, Finding("supply_limit", text, (command,), np.flatnonzero(end.rows), {"at": level})
+    ratio = far / max(near, 1e-12)
+    return False if ratio < STANDS else True if ratio > FOLLOWS else None
 
 
 # ---------------------------------------------------------------- whether it follows
 
 
-def _pieces(pair: _Pair, inside: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
-    """Row numbers of stretches in which the command moves by `PIECE` of its range, and the gauge's share.
+def _stuck(
+    recording: Recording, u: np.ndarray, p: np.ndarray, reach: float, inside: np.ndarray
+) -> np.ndarray:
+    """Numbers of the rows in which the gauge stands while its command moves.
 
-    A level counts where the command stays above, or below it, for `SUSTAINED_S`.
+    It is looked at in stretches in which the command moves by `PIECE` of its range; a level counts where the
+    command stays above, or below it, for `SUSTAINED_S`.
     """
-    n = max(LEAST_ROWS, round(SUSTAINED_S / max(pair.dt_s, 1e-6)))
-    for rows in pair.trials:
+    n = max(LEAST_ROWS, round(SUSTAINED_S / max(recording.step_s or 1.0, 1e-6)))
+    pieces, moved = [], []  # row numbers, and how far the gauge moved with the command
+    for rows in recording.trials().values():
         at = np.arange(rows.start, rows.stop)[inside[rows]]
         if len(at) < 2 * n:
             continue
-        u = pair.u[at]
         # over the last rows: what the command did not fall below, and did not exceed
-        least, most = (f(u, n, origin=(n - 1) // 2) for f in (minimum_filter1d, maximum_filter1d))
+        least, most = (f(u[at], n, origin=(n - 1) // 2) for f in (minimum_filter1d, maximum_filter1d))
         start, low, high = 0, np.inf, -np.inf
         for i in range(len(at)):
             if i - start < n - 1:
                 continue
             low, high = min(low, most[i]), max(high, least[i])
-            if high - low > PIECE * pair.range_kpa:
-                piece, v = at[start : i + 1], u[start : i + 1]
-                near = 0.1 * (high - low)
-                top, bottom = (np.median(pair.p[piece[x]]) for x in (v > high - near, v < low + near))
-                yield piece, float(top - bottom) / (high - low)
+            if high - low > PIECE * reach:
+                piece, near = at[start : i + 1], 0.1 * (high - low)
+                top, bottom = (p[piece[x]] for x in (u[piece] > high - near, u[piece] < low + near))
+                pieces.append(piece)
+                moved.append(abs(np.median(top) - np.median(bottom)) / (high - low))
                 start, low, high = i + 1, np.inf, -np.inf
-
-
-def _stuck(pair: _Pair, inside: np.ndarray) -> np.ndarray:
-    """Numbers of the rows in which the gauge stands while its command moves."""
-    pieces = list(_pieces(pair, inside))
     if not pieces:
         return np.zeros(0, int)
-    ratio = np.abs([r for _, r in pieces])
-    usual = float(np.median(ratio[ratio >= ratio.max() / 2]))
-    found = [rows for (rows, _), r in zip(pieces, ratio, strict=True) if r < STUCK * usual]
-    return np.concatenate(found) if found else np.zeros(0, int)
+    moved = np.array(moved)
+    usual = np.median(moved[moved >= moved.max() / 2])
+    return np.concatenate([np.zeros(0, int), *(pieces[i] for i in np.flatnonzero(moved < STUCK * usual))])
 
 
-def _late(recording: Recording, measured: str, inside: np.ndarray) -> float:
-    """Seconds by which a gauge comes after the motion that its pressure makes; 0 where it does not.
+def _late(recording: Recording, p: np.ndarray, inside: np.ndarray) -> float:
+    """Seconds by which a gauge p (n,) comes after the motion that its pressure makes; 0 where it does not.
 
     A device moves with its pressure or later, so what a later reading explains better was read late.
     """
-    columns = headline(recording)[0]
-    if not columns:
-        return 0.0
-    p = recording.column(measured).astype(float)
-    y = recording.samples[columns].to_numpy(float)
-    trials, dt = recording.trials().values(), recording.step_s
+    columns, dt = headline(recording)[0], recording.step_s
     most = min(round(2.0 / dt), 200) if dt > 0 else 0
-    if most < 1:  # a slower log shows no such lag
+    if not columns or most < 1:  # a slower log shows no such lag
         return 0.0
-    shifts = sorted({0, *np.unique(np.round(np.geomspace(1, most, 16)).astype(int))})
+    y, trials = recording.samples[columns].to_numpy(float), recording.trials().values()
     long = [np.arange(rows.start, rows.stop - most) for rows in trials if rows.stop - rows.start > most + 20]
     rows = np.concatenate([np.zeros(0, int), *long])
     rows = rows[inside[rows]]
     if len(rows) < 50:
         return 0.0
     left = {}
-    for k in shifts:
+    for k in sorted({0, *np.unique(np.round(np.geomspace(1, most, 16)).astype(int))}):
         design = static_columns(p[rows + k, None] / max(float(np.abs(p).max()), 1e-9))
         left[k] = float(((y[rows] - design @ regress(design, y[rows])) ** 2).sum())
     best = min(left, key=left.__getitem__)

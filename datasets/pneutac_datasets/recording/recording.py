@@ -189,6 +189,11 @@ class Recording:
         return rules.observations(self.samples, self.device)
 
     @property
+    def poses(self) -> list[str]:
+        """Columns of observations but images."""
+        return [c for c in self.observations if not c.startswith("image")]
+
+    @property
     def pressure_columns(self) -> list[str]:
         """Commanded pressure, one column a chamber."""
         return rules.pressure_commands(self.samples)

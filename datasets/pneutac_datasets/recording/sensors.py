@@ -42,22 +42,20 @@ def jumps(recording: Recording) -> Iterator[Finding]:
             else:
                 slips.append(rows.start + a)
     if bad.any():
-        at = np.flatnonzero(bad)
-        first, many = where(recording, at[0]), bool(bad.mean() > 0.05)
-        runs = len(list(stretches(bad)))
-        text = (
-            f"The tracker seems to jump in {bad.mean():.0%} of the rows (first in {first}); so many may be "
-            "the device itself, so they were not removed: see a video."
-            if many
-            else f"The tracker jumps away and comes back {plural(runs, 'time')} (first in {first});"
-            f" {_left_out(bad)}."
-        )
+        at, many = np.flatnonzero(bad), bool(bad.mean() > 0.05)
+        first, times = where(recording, at[0]), plural(len(list(stretches(bad))), "time")
+        text = f"The tracker jumps away and comes back {times} (first in {first}); {_left_out(bad)}."
+        if many:
+            text = (
+                f"The tracker seems to jump in {bad.mean():.0%} of the rows (first in {first}); so many may "
+                "be the device itself, so they were not removed: see a video."
+            )
         yield Finding("jumps", text, tuple(columns), at, {"kept": int(many)})
     if slips:
         text = (
             f"The marker shifts suddenly {plural(len(slips), 'time')} without a change of pressure that "
             f"explains it and stays there (first in {where(recording, slips[0])}); these rows were not "
-            f"changed: a slipped marker or the device itself."
+            "changed: a slipped marker or the device itself."
         )
         yield Finding("shift", text, tuple(columns), np.array(slips))
 
@@ -69,18 +67,15 @@ def excursions(t: np.ndarray, y: np.ndarray, p: np.ndarray) -> list[tuple[int, i
     """
     span = np.linalg.norm(np.quantile(y, 0.99, axis=0) - np.quantile(y, 0.01, axis=0))
     size = np.r_[0.0, np.linalg.norm(np.diff(y, axis=0), axis=1)]
-    window = max(5, round(0.5 / np.median(np.diff(t))))
-    usual = _local_median(size, window)
-    noise = np.median(size)
-    sudden = size > np.maximum(8 * np.maximum(usual, noise), 0.02 * span)
+    window = 2 * min(max(5, round(0.5 / np.median(np.diff(t)))), len(t)) + 1
+    usual = np.maximum(median_filter(size, window, mode="nearest"), np.median(size))
     # a sudden change of pressure shortly before, as motion at three times the mean slope over the range
     back = np.searchsorted(t, t - EXPLAINED_BY_S)
     change = np.r_[0.0, np.abs(np.diff(p, axis=0)).max(1)]
-    change *= change > 3 * _local_median(change, window)
-    change = np.cumsum(change)
+    change = np.cumsum(change * (change > 3 * median_filter(change, window, mode="nearest")))
+    change *= 3 * span / max(float(np.ptp(p, axis=0).max()), 1e-9)
     # at least the row's own change: in a slow log it is more than 0.15 s long
     since = np.maximum(np.minimum(np.searchsorted(t, t - 0.15), np.arange(len(t)) - 1), 0)
-    change *= 3 * span / max(float(np.ptp(p, axis=0).max()), 1e-9)
 
     def explained(i: int, peak: int, end: int) -> float:
         """How far the pressure may have moved it, before row `end`, in the time from `before` to `peak`."""
@@ -89,61 +84,54 @@ def excursions(t: np.ndarray, y: np.ndarray, p: np.ndarray) -> list[tuple[int, i
         return float((change[at] - change[np.maximum(begins, 0)]).max())
 
     found, end = [], 0
-    for i in np.flatnonzero(sudden):
+    for i in np.flatnonzero(size > np.maximum(8 * usual, 0.02 * span)).tolist():
         if i < end or t[i] - t[0] < STARTED_BY_S:
             continue
         peak = i
-        while peak + 1 < len(t) and size[peak + 1] > 4 * max(usual[peak + 1], noise):
+        while peak + 1 < len(t) and size[peak + 1] > 4 * usual[peak + 1]:
             peak += 1
         before = np.median(y[max(0, i - BEFORE_ROWS) : i], axis=0)
         away = np.linalg.norm(y[i : peak + 1] - before, axis=1)
         reach = float(away.max())
-        near = np.searchsorted(t, t[i] + LONGEST_EXCURSION_S)
-        off = np.linalg.norm(y[i:near] - before, axis=1)
+        after = y[i : np.searchsorted(t, t[i] + LONGEST_EXCURSION_S)]
+        off = np.linalg.norm(after - before, axis=1)
         # after a few rows a device that moves on is not where it was, but its marker jumps back
         way = (y[i + int(away.argmax())] - before) / max(reach, 1e-12)
-        jumps_back = np.diff(y[i:near], axis=0, prepend=y[i : i + 1]) @ way < -0.5 * reach
-        jumps_back &= (y[i:near] - before) @ way < 0.5 * reach
+        jumps_back = np.diff(after, axis=0, prepend=after[:1]) @ way < -0.5 * reach
+        jumps_back &= (after - before) @ way < 0.5 * reach
         jumps_back[LONELY_ROWS + 1 :] = False
-        home = np.flatnonzero(((off < 0.15 * reach) | jumps_back) & (np.arange(len(off)) > 0))
+        home = 1 + np.flatnonzero(((off < 0.15 * reach) | jumps_back)[1:])
         if len(home):
             # no device leaves and comes back by itself; a pulse of pressure or the swing after a step does
-            end = i + int(home[0])
-            lonely = end - i <= LONELY_ROWS and not _pulse(p, i, end) and _lonely(y, i, end)
-            if explained(i, peak, end + 1) < reach or lonely:
-                end = min(len(t), end + round(0.3 * (end - i)))
-                found.append((int(i), int(end), True))
-                end += 1  # the jump back is not another one
-            else:
-                end = i + 1
+            home = i + int(home[0])
+            if explained(i, peak, home + 1) < reach or _lonely(y, p, i, home):
+                home = min(len(t), home + round(0.3 * (home - i)))
+                found.append((i, home, True))
+                end = home + 1  # the jump back is not another one
         elif explained(i, peak, peak + 1) < reach:
-            found.append((int(i), int(peak + 1), False))
             end = peak + 1
+            found.append((i, end, False))
     return found
 
 
-def _pulse(p: np.ndarray, i: int, end: int) -> bool:
-    """Whether a pressure leaves by row i and is back or beyond by row `end`, as the marker."""
+def _lonely(y: np.ndarray, p: np.ndarray, i: int, end: int) -> bool:
+    """Whether few rows i..end-1 differ from calm neighbours on both sides, and no pulse of pressure does.
+
+    Of a pulse a pressure leaves by row i and is back or beyond by row `end`, as the marker.
+    """
     moved = p[max(i - 1, 0) : min(end, len(p) - 1) + 1] - p[max(i - 2, 0)]
     row, chamber = np.unravel_index(np.abs(moved[:-1]).argmax(), moved[:-1].shape)
     away = moved[row, chamber]
-    return bool(abs(away) > 0.05 * np.ptp(p, axis=0).max() and moved[-1, chamber] / away < 0.5)
-
-
-def _lonely(y: np.ndarray, i: int, end: int) -> bool:
-    """Whether rows i..end-1 differ from calm neighbours on both sides."""
+    pulse = abs(away) > 0.05 * np.ptp(p, axis=0).max() and moved[-1, chamber] / away < 0.5
     around = np.r_[y[max(0, i - 4) : i], y[end : end + 4]]
-    calm = np.linalg.norm(around - np.median(around, axis=0), axis=1).max()
-    return bool(np.linalg.norm(y[i:end] - np.median(around, axis=0), axis=1).min() > 4 * max(calm, 1e-12))
-
-
-def _local_median(x: np.ndarray, window: int) -> np.ndarray:
-    return median_filter(x, size=2 * min(window, len(x)) + 1, mode="nearest")
+    middle = np.median(around, axis=0)
+    calm, off = (np.linalg.norm(rows - middle, axis=1) for rows in (around, y[i:end]))
+    return bool(end - i <= LONELY_ROWS and not pulse and off.min() > 4 * max(calm.max(), 1e-12))
 
 
 def frozen(recording: Recording) -> Iterator[Finding]:
     """Rows where every observed number repeats for half a second and more while the pressure moves."""
-    columns, _, repeats = _pose(recording)
+    _, repeats = _pose(recording)
     p, t = recording.commands, recording.column("time_s")
     bad, least = np.zeros(len(recording), bool), 0.05 * np.ptp(p, axis=0).max()
     for a, b in stretches(repeats):
@@ -151,39 +139,36 @@ def frozen(recording: Recording) -> Iterator[Finding]:
         if b - a >= 8 and t[b - 1] - t[a] >= 0.5 and np.ptp(early, axis=0).max() > least:
             bad[a:b] = True
     # a recording without any noise repeats numbers everywhere, which says nothing about the tracker
-    if repeats.sum() - bad.sum() > 0.2 * len(recording) or not bad.any():
-        return
-    at = np.flatnonzero(bad)
-    text = (
-        f"The tracker stands still while the pressure moves (first in {where(recording, at[0])}); "
-        f"{_left_out(bad)}."
-    )
-    yield Finding("frozen", text, tuple(columns), at)
+    if repeats.sum() - bad.sum() <= 0.2 * len(recording) and bad.any():
+        at = np.flatnonzero(bad)
+        text = (
+            f"The tracker stands still while the pressure moves (first in {where(recording, at[0])}); "
+            f"{_left_out(bad)}."
+        )
+        yield Finding("frozen", text, tuple(recording.poses), at)
 
 
 def stale(recording: Recording) -> Iterator[Finding]:
     """Rows that repeat the pose of the row before to the last digit, also while it moves."""
-    columns, pose, repeats = _pose(recording)
+    pose, repeats = _pose(recording)
     moving = np.concatenate([is_moving(pose[rows]) for rows in recording.trials().values()])
     share = repeats[moving].mean() if moving.any() else 0.0
-    if (repeats & moving).sum() < 10 or share < 0.005:
-        return
-    text = (
-        f"{repeats.mean():.1%} of the rows repeat the pose of the row before to the last digit, and so do "
-        f"{share:.1%} of those in which it moves: frames were dropped, or the tracker is slower than the "
-        "log, so such a pose is older than its time."
-    )
-    numbers = {"share": float(repeats.mean())}
-    yield Finding("stale_pose", text, tuple(columns), np.flatnonzero(repeats), numbers)
+    if (repeats & moving).sum() >= 10 and share >= 0.005:
+        text = (
+            f"{repeats.mean():.1%} of the rows repeat the pose of the row before to the last digit, and so do"
+            f" {share:.1%} of those in which it moves: frames were dropped, or the tracker is slower than the"
+            " log, so such a pose is older than its time."
+        )
+        numbers = {"share": float(repeats.mean())}
+        yield Finding("stale_pose", text, tuple(recording.poses), np.flatnonzero(repeats), numbers)
 
 
-def _pose(recording: Recording) -> tuple[list[str], np.ndarray, np.ndarray]:
-    """Observed columns but images, their numbers (n, k), and which rows (n,) repeat the row before."""
-    columns = [c for c in recording.observations if not c.startswith("image")]
-    pose = recording.samples[columns].to_numpy(float)
-    repeats = np.r_[False, (np.diff(pose, axis=0) == 0).all(1)] & bool(columns)
+def _pose(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+    """What is observed but images (n, k), and which rows (n,) repeat the row before."""
+    pose = recording.samples[recording.poses].to_numpy(float)
+    repeats = np.r_[False, (np.diff(pose, axis=0) == 0).all(1)] & bool(pose.shape[1])
     repeats[[rows.start for rows in recording.trials().values()]] = False
-    return columns, pose, repeats
+    return pose, repeats
 
 
 def stretches(mask: np.ndarray) -> Iterator[tuple[int, int]]:
@@ -218,40 +203,33 @@ PILED = 3  # times the rows at the next number that a sensor's end holds
 NEAR_REST = 0.2  # of the largest pressure
 
 
-def _measured(recording: Recording) -> list[str]:
-    poses = [c for c in recording.observations if not c.startswith("image")]
-    return [*poses, *measured_pressures(recording)]
-
-
 def saturated(recording: Recording) -> Iterator[Finding]:
     """Columns that stick to their largest or smallest number while the command varies."""
     command, t = recording.commands, recording.column("time_s")
-    for name in _measured(recording):
-        x = recording.column(name)
+    for name in (*recording.poses, *measured_pressures(recording)):
+        x, seen = recording.column(name), name in recording.observations
         numbers, counts = np.unique(x, return_counts=True)
         for end, inwards, word in ((-1, -2, "largest"), (0, 1, "smallest")):
             # coarse steps gather rows at each number; what saturates gathers them at the last
             if len(numbers) < 2 or counts[end] < PILED * counts[inwards]:
                 continue
-            extreme = numbers[end]
-            at = x == extreme
-            early = np.zeros(len(x), bool)
+            at, early = x == numbers[end], np.zeros(len(x), bool)
             for rows in recording.trials().values():
                 for a, b in stretches(at[rows]):
                     early[rows.start + a : rows.start + _early(t[rows], a, b)] = True
             spread = np.ptp(command[early], axis=0).max() / max(np.ptp(command, axis=0).max(), 1e-9)
-            if at.sum() >= 20 and at.mean() > 0.01 and spread > 0.1:
-                seen = name in recording.observations
-                gone = seen and _goes_on(recording, at)
-                what = ", the marker leaves its view or the device is held" * seen
-                follows = "a fit follows that; if it is the sensor, leave those rows out, or"
-                text = (
-                    f"Column '{name}' sticks to its {word} number {extreme:g} in {at.mean():.1%} of the rows "
-                    f"while the command varies: the sensor saturates there{what}; "
-                    f"{f'{_left_out(at)};' if gone else follows} record within its range."
-                )
-                found = {"at": float(extreme), "kept": int(not gone)}
-                yield Finding("saturated", text, (name,), np.flatnonzero(at), found)
+            if at.sum() < 20 or at.mean() <= 0.01 or spread <= 0.1:
+                continue
+            gone = seen and _goes_on(recording, at)
+            what = ", the marker leaves its view or the device is held" * seen
+            follows = "a fit follows that; if it is the sensor, leave those rows out, or"
+            text = (
+                f"Column '{name}' sticks to its {word} number {numbers[end]:g} in {at.mean():.1%} of the rows"
+                f" while the command varies: the sensor saturates there{what}; "
+                f"{f'{_left_out(at)};' if gone else follows} record within its range."
+            )
+            found = {"at": float(numbers[end]), "kept": int(not gone)}
+            yield Finding("saturated", text, (name,), np.flatnonzero(at), found)
 
 
 def _goes_on(recording: Recording, at: np.ndarray) -> bool:
@@ -311,22 +289,25 @@ def _stands(recording: Recording, u: np.ndarray, extreme: float) -> Iterator[tup
 
 def coarse(recording: Recording) -> Iterator[Finding]:
     """Readings that are multiples of one step, larger than the noise."""
-    trials, gauges = recording.trials().values(), measured_pressures(recording)
-    ramps = _on_ramps(recording)
-    for name in _measured(recording):
+    trials, gauges, u = recording.trials().values(), measured_pressures(recording), recording.commands
+    # where readings should pass every value: the command moves, and not in steps
+    ramps = np.zeros(len(u), bool)
+    for rows in trials:
+        move = np.r_[0.0, np.abs(np.diff(u[rows], axis=0)).max(1)] / max(float(np.ptp(u)), 1e-9)
+        ramps[rows] = (minimum_filter1d(move, 11) > 1e-5) & (maximum_filter1d(move, 11) < 0.03)
+    for name in (*recording.poses, *gauges):
         x = recording.column(name).astype(float)
         steps = [s for s in (_step(x[rows]) for rows in trials) if s is not None]
         still = [np.diff(x[rows])[~is_moving(x[rows][:, None])[1:]] == 0 for rows in trials]
         step = float(np.median(steps)) if len(steps) >= 0.5 * len(trials) else 0.0
         if step <= COARSE * np.ptp(x) or np.concatenate(still).mean() < 0.3:
             step = _comb(x[ramps]) if name in gauges else None
-        if step is None:
-            continue
-        text = (
-            f"Column '{name}' moves in steps of {step:.3g}: what it shows between them is lost, so count "
-            f"{step / np.sqrt(12):.2g} (the step over the root of 12) as its noise at least."
-        )
-        yield Finding("quantised", text, (name,), numbers={"step": step})
+        if step is not None:
+            text = (
+                f"Column '{name}' moves in steps of {step:.3g}: what it shows between them is lost, so count "
+                f"{step / np.sqrt(12):.2g} (the step over the root of 12) as its noise at least."
+            )
+            yield Finding("quantised", text, (name,), numbers={"step": step})
 
 
 def _step(x: np.ndarray) -> float | None:
@@ -339,16 +320,6 @@ def _step(x: np.ndarray) -> float | None:
     digits = 2e-4 * np.abs(levels).max()  # a file may hold four digits
     off = np.abs(gaps / step - np.round(gaps / step)) * step
     return step if (off <= np.maximum(0.05 * step, min(digits, 0.2 * step))).mean() > 0.95 else None
-
-
-def _on_ramps(recording: Recording) -> np.ndarray:
-    """Mask (n,) of rows in which readings should pass every value: the command moves, and not in steps."""
-    u = recording.commands
-    out = np.zeros(len(u), bool)
-    for rows in recording.trials().values():
-        move = np.r_[0.0, np.abs(np.diff(u[rows], axis=0)).max(1)] / max(float(np.ptp(u)), 1e-9)
-        out[rows] = (minimum_filter1d(move, 11) > 1e-5) & (maximum_filter1d(move, 11) < 0.03)
-    return out
 
 
 def _comb(x: np.ndarray) -> float | None:
@@ -369,28 +340,24 @@ def repeated(recording: Recording) -> Iterator[Finding]:
     """Gauges that are read less often than rows are written."""
     steps = {f.columns[0]: f.numbers["step"] for f in coarse(recording)}
     for name, command in measured_pressures(recording).items():
-        x, u = (recording.column(c).astype(float) for c in (name, command))
-        lasts = [_lasts(x[rows], u[rows], 2 * steps.get(name, 0.0)) for rows in recording.trials().values()]
-        lasts = np.concatenate(lasts)
-        usual = int(np.median(lasts)) if len(lasts) else 1
-        exact = usual > 1 and (lasts == usual).mean() > 0.8
+        lasts = np.zeros(0, int)  # for how many rows each reading stands between two changes
+        for rows in recording.trials().values():
+            x, u = (recording.column(c)[rows].astype(float) for c in (name, command))
+            new = np.flatnonzero(np.r_[True, np.diff(x) != 0])
+            stands, change = np.diff(new)[1:], np.abs(np.diff(x[new]))
+            # without what stands long, as pressure may, and what came and stays with a step of the command
+            usual = (stands <= STANDS) & (np.minimum(change[:-1], change[1:]) >= 2 * steps.get(name, 0.0))
+            ideal = (np.diff(u, prepend=u[0]) != 0)[new[1:-1]] & (u[new[2:] - 1] == u[new[1:-1]])
+            lasts = np.r_[lasts, stands[usual & ~(ideal & (stands > 1))]]
+        each = int(np.median(lasts)) if len(lasts) else 1
+        exact = each > 1 and (lasts == each).mean() > 0.8
         if len(lasts) < 20 or not (exact or lasts.mean() > 1.4):
             continue
-        each = float(usual if exact else lasts.mean())
-        how = f"each value {usual} times" if exact else f"its values, about {each:.1f} times each,"
+        how = f"each value {each} times" if exact else f"its values, about {lasts.mean():.1f} times each,"
         text = (
             f"Column '{name}' repeats {how} while rows go on: it is read less often than they are written, "
             "so its readings are late by up to that much, and neighbouring rows do not show its noise."
         )
-        yield Finding("repeated", text, (name,), numbers={"rows_each": each})
-
-
-def _lasts(x: np.ndarray, u: np.ndarray, least: float) -> np.ndarray:
-    """For how many rows each reading stands between two changes of at least so much.
-
-    Without those that stand long, as pressure may, and those that came and stay with a step of the command.
-    """
-    new = np.flatnonzero(np.r_[True, np.diff(x) != 0])
-    lasts, change = np.diff(new)[1:], np.abs(np.diff(x[new]))
-    ideal = (np.diff(u, prepend=u[0]) != 0)[new[1:-1]] & (u[new[2:] - 1] == u[new[1:-1]]) & (lasts > 1)
-    return lasts[(lasts <= STANDS) & (np.minimum(change[:-1], change[1:]) >= least) & ~ideal]
+        yield Finding(
+            "repeated", text, (name,), numbers={"rows_each": float(each if exact else lasts.mean())}
+        )
