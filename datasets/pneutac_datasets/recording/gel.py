@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from pneutac_datasets.recording.recording import Recording
-from pneutac_datasets.recording.wording import grouped
+from pneutac_datasets.recording.wording import collected, grouped
 from pneutac_sim.errors import InputError, shown
 from pneutac_sim.gel.indenter import FIGURES, INDENTERS, AnyFigure, Figure, Outline, Press
 from pneutac_sim.gel.pair import (
@@ -55,6 +55,11 @@ BLACK_LEVEL, WHITE_LEVEL = 8, 247  # an image below or above all over shows noth
 ASSUMED_RADIUS_MM = 3.0  # of a ball that the recording does not state: the scale of the light absorbs it
 NO_PRESS = (
     "The recording has no row with role 'calibration'; add a column 'role' and mark one indentation with it."
+)
+# Of numbers in a row: what must hold, and the remedy where it does not.
+NUMBERS = {"force_n": (lambda n: 0 < n < MOST_N, f"give newton, above 0 and below {MOST_N:g}")}
+NUMBERS |= dict.fromkeys(
+    UNCERTAIN, (lambda sd: 0 <= sd < math.inf, "give a standard deviation, or leave it empty")
 )
 
 
@@ -121,20 +126,22 @@ def gel_faults(recording: Recording) -> tuple[list[str], list[str]]:
 
 def _read(recording: Recording) -> GelRecording:
     """All photographs; their checks wait until no row is wrong."""
-    out, rests = _begun(recording)
-    clocks = _clock(recording.samples)
+    out, named = _begun(recording), recording.meta["rest_image"]
+    rests: dict[str, np.ndarray] = {named: out.rest}
     figures: dict[str, Figure] = {}
-    for (i, row), clock in zip(recording.samples.iterrows(), clocks, strict=True):
-        try:
-            out.samples.append(_sample(recording, out, rests, figures, int(i), row, clock))
-        except InputError as e:
-            out.faults.append(str(e))
+    clock = np.arange(len(recording)) / max(len(recording) - 1, 1)
+    for name in ("trial", "time_s"):  # where they run on
+        time = recording.column(name).astype(float)
+        if np.ptp(time) > 0 and (np.diff(time) >= 0).all():
+            clock = (time - time[0]) / np.ptp(time)
+    for i, (_, row) in enumerate(recording.samples.iterrows()):
+        with collected(out.faults):
+            out.samples.append(_sample(recording, out, rests, figures, i, row, float(clock[i])))
     if out.faults:
         out.faults = grouped(out.faults)
         return out
     _fill_earlier(recording, out.samples)
-    misplaced, rest_doubts = _misplaced(out), _rest_doubts(out)
-    empty, bright, scale = [], [], out.px_per_mm
+    misplaced, empty, bright, scale = _misplaced(out), [], [], out.px_per_mm
     for i, s in enumerate(out.samples, 1):
         if s.role != "calibration":
             empty += [str(i)] * (not shows_contact(s.rest, s.image, s.press, scale))
@@ -143,7 +150,7 @@ def _read(recording: Recording) -> GelRecording:
         try:
             check_pair(s.rest, s.image, s.press, scale)
         except InputError as e:
-            where = f"rest image '{recording.meta['rest_image']}', indentation '{s.name}'"
+            where = f"rest image '{named}', indentation '{s.name}'"
             out.unfit.append(f"{recording.folder} ({where}): {e}")
     out.unfit = grouped(out.unfit)
     out.warnings += misplaced
@@ -155,12 +162,14 @@ def _read(recording: Recording) -> GelRecording:
         out.warnings.append(
             f"most of the contact is saturated in rows {rows}, which stay in the fit; lower the exposure."
         )
-    out.warnings += rest_doubts
+    of_rest = {id(s.rest): [r for r in out.samples if r.rest is s.rest] for s in out.samples}
+    for samples in of_rest.values():
+        out.warnings += _rest_doubts(samples, scale) if len(samples) >= REST_SAMPLES else []
     return out
 
 
-def _begun(recording: Recording) -> tuple[GelRecording, dict[str, np.ndarray]]:
-    """A recording without its samples yet, and its rest images by name."""
+def _begun(recording: Recording) -> GelRecording:
+    """A recording without its samples yet."""
     file, meta = recording.folder / "recording.json", recording.meta
     scale, field = meta.get("px_per_mm"), f"{file}: field"
     if isinstance(scale, bool) or not isinstance(scale, int | float) or not 0 < scale < math.inf:
@@ -171,10 +180,9 @@ def _begun(recording: Recording) -> tuple[GelRecording, dict[str, np.ndarray]]:
             " median of five or more presses at different places serves."
         )
     size = meta.get("gel_size_mm")
-    if size is not None:
-        sizes = size if isinstance(size, list) and len(size) == 3 else [None]
-        if not all(isinstance(x, int | float) and 0 < x < 1000 for x in sizes):
-            raise InputError(f"{field} 'gel_size_mm' is {shown(size)}; give width, height and thickness.")
+    sizes = size if isinstance(size, list) and len(size) == 3 else [None]
+    if size is not None and not all(isinstance(x, int | float) and 0 < x < 1000 for x in sizes):
+        raise InputError(f"{field} 'gel_size_mm' is {shown(size)}; give width, height and thickness.")
     thickness = float(size[2]) if size is not None else THICKNESS_MM
     rest = _image(recording, meta["rest_image"], f"{file}: rest image {shown(meta['rest_image'])}")
     width_mm = rest.shape[1] / scale
@@ -183,8 +191,7 @@ def _begun(recording: Recording) -> tuple[GelRecording, dict[str, np.ndarray]]:
             f"{file}: px_per_mm is {scale:g}, so that the image would be {width_mm:.3g} mm wide; "
             f"a gel's is {WINDOW_MM[0]:g} to {WINDOW_MM[1]:g} mm."
         )
-    out = GelRecording(rest, float(scale), thickness, [], list(recording.warnings))
-    return out, {meta["rest_image"]: rest}
+    return GelRecording(rest, float(scale), thickness, [], list(recording.warnings))
 
 
 def _image(recording: Recording, value, what: str, like: np.ndarray | None = None) -> np.ndarray:
@@ -202,15 +209,6 @@ def _image(recording: Recording, value, what: str, like: np.ndarray | None = Non
         colour = "black" if bright < BLACK_LEVEL else "white"
         raise InputError(f"{what} is {colour} all over; take it again with the light on and not too bright.")
     return image
-
-
-def _clock(samples: pd.DataFrame) -> np.ndarray:
-    """When each image was taken, 0 to 1: by `time_s` where it runs on, else by trial, else by row."""
-    for name in ("time_s", "trial"):
-        time = samples[name].to_numpy(float)
-        if np.ptp(time) > 0 and (np.diff(time) >= 0).all():
-            return (time - time[0]) / np.ptp(time)
-    return np.arange(len(samples)) / max(len(samples) - 1, 1)
 
 
 def _fill_earlier(recording: Recording, samples: list[GelSample]) -> None:
@@ -281,15 +279,8 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
     return float((a * b).sum() / norm) if norm > 0 else 0.0
 
 
-def _rest_doubts(data: GelRecording) -> list[str]:
-    """Notes where a rest image differs from what the presses show away from their contacts."""
-    rests = {id(s.rest): [r for r in data.samples if r.rest is s.rest] for s in data.samples}
-    each = [_rest_doubt(s[0].rest, s, data.px_per_mm) for s in rests.values() if len(s) >= REST_SAMPLES]
-    return sum(each, [])
-
-
-def _rest_doubt(rest: np.ndarray, samples: list[GelSample], px_per_mm: float) -> list[str]:
-    """As `_rest_doubts` of one rest image: its difference to the median of its presses."""
+def _rest_doubts(samples: list[GelSample], px_per_mm: float) -> list[str]:
+    """Notes where a rest image differs from the median of its presses away from their contacts."""
     stack = np.stack([cells(s.image, px_per_mm) for s in samples])
     y, x = np.indices(stack.shape[1:3])
     cell = cell_px(px_per_mm)
@@ -300,7 +291,7 @@ def _rest_doubt(rest: np.ndarray, samples: list[GelSample], px_per_mm: float) ->
     if free.mean() < 0.3:
         return []
     median = np.nanmedian(np.where(free[..., None], stack, 0), 0)
-    mine = cells(rest, px_per_mm)
+    mine = cells(samples[0].rest, px_per_mm)
 
     def likeness(image: np.ndarray) -> float:
         return _correlation(*(v[free] - v[free].mean(0) for v in (image, median)))
@@ -351,21 +342,21 @@ def _sample(
         figure = _figure(recording.folder, row, kind, figures)
         size_mm, depth_mm = _size_and_depth(row, gel, kind, figure)
         press = Press(kind, size_mm, x_mm, y_mm, depth_mm, _number(row, "yaw_rad") or 0.0, figure)
-        radius_px = _number(row, "contact_radius_px")
+        radius_px, sd = _number(row, "contact_radius_px"), {}  # what no deviation is stated of holds
         if radius_px is None:
             radius_px = press.contact_radius_mm * gel.px_per_mm
         role = str(row.get("role", ""))
-        sd = {} if role == KNOWN else _deviations(row)
+        for column, attributes in UNCERTAIN.items() if role != KNOWN else ():
+            if deviation := _number(row, column):
+                sd |= dict.fromkeys(attributes, deviation)
         force_n = _number(row, "force_n")
-        if force_n is not None and not 0 < force_n < MOST_N:
-            raise InputError(f"force_n is {force_n:g}; give newton, above 0 and below {MOST_N:g}.")
     except InputError as e:
         raise InputError(f"{where}: {e}") from e
     return GelSample(
         press=press,
         image=image,
         rest=rests[name],
-        clock=float(clock),
+        clock=clock,
         sd=sd,
         name=str(row["image"]),
         role=role,
@@ -382,39 +373,33 @@ def _figure(folder: Path, row: pd.Series, indenter: str, read: dict[str, Figure]
     None where it is one of the plain shapes; raises InputError where the column is empty, or names no
     indenter. `read` holds the files that were read before.
     """
-    if indenter == "outline":
-        return Outline.of_text(_text(row, "outline_mm", "give its corners in mm, x y; x y; x y"))
-    if indenter != "mesh":
+    columns = {
+        "outline": ("outline_mm", "give its corners in mm, x y; x y; x y"),
+        "mesh": ("indenter_file", "name the STL inside the recording's folder"),
+    }
+    if indenter not in columns:
         return None
-    name = _text(row, "indenter_file", "name the STL inside the recording's folder")
-    if name not in read:
-        if "\0" in name:
-            raise InputError(f"indenter_file {shown(name)} is no file's name; give its file.")
-        read[name] = Figure.read(folder / name, within=folder)
-    return read[name]
-
-
-def _text(row: pd.Series, column: str, remedy: str) -> str:
-    value = row.get(column)
-    if not isinstance(value, str) or not value.strip():
+    column, remedy = columns[indenter]
+    text = row.get(column)
+    if not isinstance(text, str) or not text.strip():
         raise InputError(f"{column} is empty; {remedy}.")
-    return value
-
-
-def _deviations(row: pd.Series) -> dict[str, float]:
-    """Attribute of the press to the standard deviation that the row states; what it does not state holds."""
-    out = {}
-    for column, attributes in UNCERTAIN.items():
-        value = _number(row, column)
-        if value is not None and not 0 <= value < math.inf:
-            raise InputError(f"{column} is {value:g}; give a standard deviation, or leave it empty.")
-        out |= dict.fromkeys(attributes, value) if value else {}
-    return out
+    if indenter == "outline":
+        return Outline.of_text(text)
+    if text not in read:
+        if "\0" in text:
+            raise InputError(f"indenter_file {shown(text)} is no file's name; give its file.")
+        read[text] = Figure.read(folder / text, within=folder)
+    return read[text]
 
 
 def _number(row: pd.Series, *names: str) -> float | None:
-    """The first of these columns that is there and filled."""
-    return next((float(row[n]) for n in names if n in row and pd.notna(row[n])), None)
+    """The first of these columns that is there and filled; raises InputError where it breaks its rule."""
+    for name in (n for n in names if n in row and pd.notna(row[n])):
+        value, (holds, remedy) = float(row[name]), NUMBERS.get(name, (bool, ""))
+        if remedy and not holds(value):
+            raise InputError(f"{name} is {value:g}; {remedy}.")
+        return value
+    return None
 
 
 def _place(row: pd.Series, px_per_mm: float, axis: str, size_px: int) -> tuple[float, float]:

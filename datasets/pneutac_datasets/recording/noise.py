@@ -18,7 +18,7 @@ them from y), sigma^2 = |(I - H) c|^2 / tr((I - H) C C').
 """
 
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import accumulate, combinations, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -109,62 +109,55 @@ def headline(recording: Recording) -> tuple[list[str], str]:
 def noise_floor(recording: Recording) -> NoiseFloor:
     """Estimates the noise from repeats, else from what the file declares, else from local contrasts."""
     (columns, unit), numeric = headline(recording), recording.poses
-    pairs = repeats(recording)
-    if sum(len(first) for first, *_ in pairs) < LEAST_REPEATED:
-        pairs = []
-    declared = recording.meta.get("noise") or {}
-    by: dict[str, float] = {}
+    pairs, declared = repeats(recording), recording.meta.get("noise") or {}
+    rows = sum(len(first) for first, *_ in pairs)
+    stated = all(c in declared for c in columns)
     session, calm = None, contrasts(recording, numeric, at_rest=True)
-    if pairs:
-        whole = {}
+    if repeated := rows >= LEAST_REPEATED:
+        by, whole = {}, {}
         for c in numeric:
-            apart = [recording.column(c)[first] - recording.column(c)[second] for first, second, _ in pairs]
-            fast = [
-                _detrended(piece, window)
-                for d, (first, _, window) in zip(apart, pairs, strict=True)
-                for piece in np.split(d, _gaps(first))
-            ]
+            x, apart, fast = recording.column(c), [], []
+            for first, second, window in pairs:
+                apart.append(x[first] - x[second])
+                for piece in np.split(apart[-1], _gaps(first)):
+                    n = min(window, len(piece))  # straight lines are taken off window by window
+                    piece = piece[: len(piece) // n * n].reshape(-1, n)
+                    # scaled for the two degrees of freedom that each line costs
+                    fast.append((detrend(piece, axis=1) * np.sqrt(n / max(n - 2, 1))).ravel())
             size = np.abs(np.concatenate(fast))
             usual = size[size <= OUTLIER * MAD * np.median(size)]  # without jumps of the marker
             by[c], whole[c] = (float(np.sqrt(np.mean(d**2) / 2)) for d in (usual, np.concatenate(apart)))
         session = _norm(whole, columns)
         pair = plural(len(pairs), "pair")
         how = f"the difference between equal runs ({pair}), without slow drift"
-    elif all(c in declared for c in columns):
+    elif stated:
         by = {c: float(declared[c]) for c in numeric if c in declared}
         how, calm = "stated in recording.json", {}  # what is stated is not judged by an estimate
     else:
         by = contrasts(recording, numeric)
         how = "what neighbouring rows and the commanded pressure do not predict"
-    calm = {c: v for c, v in calm.items() if v > EXACT * float(np.ptp(recording.column(c)))}
-    swings = {c: by[c] / v for c, v in calm.items() if by.get(c, 0.0) > SWINGS * v}
-    times = max((swings[c] for c in columns if c in swings), default=None)
-    if times is not None:
+    least = {c: EXACT * float(np.ptp(recording.column(c))) for c in numeric}
+    swings = {c: by[c] / v for c, v in calm.items() if v > least[c] and by.get(c, 0.0) > SWINGS * v}
+    if in_headline := [swings[c] for c in columns if c in swings]:
         by |= {c: calm[c] for c in swings}
         how = (
             "the difference between neighbouring rows at rest; under pressure rows or equal runs differ "
-            f"{times:.1f} times as much, which is the device or its air and not the sensor"
+            f"{max(in_headline):.1f} times as much, which is the device or its air and not the sensor"
         )
-    exact = [c for c in by if by[c] <= EXACT * float(np.ptp(recording.column(c)))]
+    exact = [c for c in by if by[c] <= least[c]]
     by = {c: sigma for c, sigma in by.items() if c not in exact}
     value = _norm(by, columns) if columns and all(c in by for c in columns) else None
-    if value is None:
-        how = f"cannot be determined from this recording; {_more(recording)}"
-        if exact:
-            how = (
-                f"cannot be determined: column '{exact[0]}' repeats to the last digit, as computed numbers "
-                "do; declare 'noise' in recording.json"
-            )
-    known = value is not None and (bool(pairs) or all(c in declared for c in columns))
-    return NoiseFloor(value, session, unit, how, by, known)
-
-
-def _more(recording: Recording) -> str:
-    """What would show the noise and is not there yet, a clause."""
-    longer = "" if recorded_s(recording.samples) >= LONG_S else "record two minutes or more, "
-    rows = sum(len(first) for first, *_ in repeats(recording))
-    twice = f" for {LEAST_REPEATED} rows or more (not {rows})" if rows else ""
-    return f"{longer}run one program twice{twice}, or declare 'noise' in recording.json"
+    if value is None and exact:
+        how = (
+            f"cannot be determined: column '{exact[0]}' repeats to the last digit, as computed numbers "
+            "do; declare 'noise' in recording.json"
+        )
+    elif value is None:
+        longer = "" if recorded_s(recording.samples) >= LONG_S else "record two minutes or more, "
+        twice = f" for {LEAST_REPEATED} rows or more (not {rows})" if rows else ""
+        how = f"cannot be determined from this recording; {longer}run one program twice{twice}, or declare"
+        how += " 'noise' in recording.json"
+    return NoiseFloor(value, session, unit, how, by, value is not None and (repeated or stated))
 
 
 def noise_text(value: float | None) -> str:
@@ -184,11 +177,15 @@ def repeats(recording: Recording) -> list[tuple[np.ndarray, np.ndarray, int]]:
     K) and payload, at least three seconds of it.
     """
     s = recording.samples
-    time = s["time_s"].to_numpy()
-    command = recording.commands
+    time, command = s["time_s"].to_numpy(), recording.commands
     tolerance = 0.01 * max(float(np.ptp(command)), 1e-9)
-    runs = _runs(recording)
-    found = []
+    found, runs = [], []  # first row and row after the last of each trial, cut also where the program changes
+    for rows in recording.trials().values():
+        cuts = []
+        if recording.has("program"):
+            program = s["program"].to_numpy()[rows]
+            cuts = np.flatnonzero(program[1:] != program[:-1]) + 1 + rows.start
+        runs += pairwise([rows.start, *(cuts if len(cuts) < 50 else ()), rows.stop])
     for (i0, i1), (j0, j1) in combinations(runs, 2):
         if len(found) == MAX_PAIRS:
             break
@@ -204,11 +201,11 @@ def repeats(recording: Recording) -> list[tuple[np.ndarray, np.ndarray, int]]:
         steps = np.abs(np.diff(command[a], axis=0, prepend=command[a[:1]])).max(1) > tolerance
         n, use = _alike(equal, steps, ta[: len(a)])
         window = max(8, round(WINDOW_S * n / ta[n - 1])) if n > 1 else 8
-        pieces = np.split(np.flatnonzero(use), _gaps(np.flatnonzero(use)))
-        use = np.concatenate([piece for piece in pieces if len(piece) >= min(window, n)] or [pieces[0][:0]])
-        if len(use) < 20 or ta[n - 1] < 3.0 or np.ptp(command[a[use]]) <= tolerance:
-            continue
-        found.append((a[use], b[use], window))
+        use = np.flatnonzero(use)
+        pieces = np.split(use, _gaps(use))
+        use = np.concatenate([piece for piece in pieces if len(piece) >= min(window, n)] or [use[:0]])
+        if len(use) >= 20 and ta[n - 1] >= 3.0 and np.ptp(command[a[use]]) > tolerance:
+            found.append((a[use], b[use], window))
     return found
 
 
@@ -236,27 +233,6 @@ def _gaps(rows: np.ndarray) -> np.ndarray:
 _TOLERANCES = dict.fromkeys(GRAVITY, 0.1) | {"temperature_c": 1.0, "payload_g": 0.1}
 
 
-def _runs(recording: Recording) -> list[tuple[int, int]]:
-    """First and last+1 row of each trial, cut also where the program changes."""
-    runs = []
-    for rows in recording.trials().values():
-        edges = [rows.start, rows.stop]
-        if recording.has("program"):
-            p = recording.samples["program"].to_numpy()[rows]
-            cuts = np.flatnonzero(p[1:] != p[:-1]) + 1 + rows.start
-            if len(cuts) < 50:
-                edges = [rows.start, *cuts, rows.stop]
-        runs += list(zip(edges[:-1], edges[1:], strict=True))
-    return runs
-
-
-def _detrended(x: np.ndarray, window: int) -> np.ndarray:
-    """Residuals (n - n % window,) of straight lines fitted window by window, scaled for the two they cost."""
-    window = min(window, len(x))
-    x = x[: len(x) // window * window].reshape(-1, window)
-    return (detrend(x, axis=1) * np.sqrt(window / max(window - 2, 1))).ravel()
-
-
 # ---------------------------------------------------------------- local contrasts
 
 
@@ -265,11 +241,16 @@ def contrasts(recording: Recording, columns: list[str], at_rest: bool = False) -
 
     `at_rest` by rows without pressure alone, in which no regulator hunts.
     """
-    rows, trial = _pieces(recording)
+    pieces = [np.arange(s.start, s.stop) for s in recording.trials().values()]
+    if len(recording) > MOST_ROWS:
+        pieces = [r[a : a + PIECE_ROWS] for r in pieces for a in range(0, len(r), PIECE_ROWS)]
+        every = np.linspace(0, len(pieces) - 1, MOST_ROWS // PIECE_ROWS).astype(int)
+        pieces = [pieces[i] for i in np.unique(every)]
+    rows, piece = np.concatenate(pieces), np.repeat(np.arange(len(pieces)), [len(r) for r in pieces])
     if len(rows) < LEAST_ROWS or not columns:
         return {}
     t = recording.column("time_s")[rows].astype(float)
-    first = np.r_[True, trial[1:] != trial[:-1]]
+    first = np.r_[True, piece[1:] != piece[:-1]]
     step_s = np.diff(t)[~first[1:]]
     if len(step_s) < LEAST_ROWS // 2:
         return {}
@@ -280,7 +261,7 @@ def contrasts(recording: Recording, columns: list[str], at_rest: bool = False) -
     if at_rest:
         quiet[(np.abs(u) > REST * np.abs(u).max()).any(axis=1)] = np.nan  # no wait is over there
     wide = max(WIDE_ROWS, round(WIDE_S / float(np.median(step_s))))
-    near, far = _Contrasts(t, trial, F, Y, 1), _Contrasts(t, trial, F, Y, wide)
+    near, far = _Contrasts(t, piece, F, Y, 1), _Contrasts(t, piece, F, Y, wide)
     out = {}
     for k, name in enumerate(columns):
         sigma = near.deviation(k, quiet, QUIET_S if at_rest else (None, *QUIET_S))
@@ -288,43 +269,26 @@ def contrasts(recording: Recording, columns: list[str], at_rest: bool = False) -
         if sigma is not None and slow is not None and slow > CORRELATED * sigma:
             sigma = slow
         if sigma is not None:
-            out[name] = max(sigma, _resolution(Y[:, k], first) / np.sqrt(12))
+            out[name] = max(sigma, _resolution(np.abs(np.diff(Y[:, k]))[~first[1:]]) / np.sqrt(12))
     return out
-
-
-def _pieces(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
-    """Rows that are used, and a number of the trial or piece of one in which each lies."""
-    rows = [np.arange(s.start, s.stop) for s in recording.trials().values()]
-    if len(recording) > MOST_ROWS:
-        rows = [r[a : a + PIECE_ROWS] for r in rows for a in range(0, len(r), PIECE_ROWS)]
-        every = np.linspace(0, len(rows) - 1, MOST_ROWS // PIECE_ROWS).astype(int)
-        rows = [rows[i] for i in np.unique(every)]
-    return np.concatenate(rows), np.repeat(np.arange(len(rows)), [len(r) for r in rows])
 
 
 def _responses(u: np.ndarray, first: np.ndarray) -> np.ndarray:
     """(n, f) what usual responses to a command u (n,) are made of; `first` (n,) marks where trials begin."""
     x, out = (u - u.min()) / max(float(np.ptp(u)), 1e-9), []
-    edges = np.r_[np.flatnonzero(first), len(x)]
-    for a, b in zip(edges[:-1], edges[1:], strict=True):
-        v = x[a:b]
+    for v in np.split(x, np.flatnonzero(first)[1:]):
         columns = [v, v**2, v**3]
         for k in DELAYS_ROWS:
-            late = v[np.maximum(np.arange(b - a) - k, 0)]
+            late = v[np.maximum(np.arange(len(v)) - k, 0)]
             columns += [late, late**2]
         for lag in LAGS_ROWS:
             g = 1 - np.exp(-1 / lag)
             columns += [lfilter([g], [1, g - 1], z, zi=[(1 - g) * z[0]])[0] for z in (v, v**2)]
-        columns += [_play(v, width) for width in PLAY_WIDTHS]
+        for width in PLAY_WIDTHS:
+            play = accumulate(v, lambda s, w, h=width / 2: min(max(s, w - h), w + h), initial=v[0])
+            columns.append(np.fromiter(play, float)[1:])
         out.append(np.stack(columns, axis=1))
     return np.concatenate(out)
-
-
-def _play(x: np.ndarray, width: float) -> np.ndarray:
-    out, state = np.empty_like(x), x[0]
-    for i, v in enumerate(x):
-        out[i] = state = min(max(state, v - width / 2), v + width / 2)
-    return out
 
 
 def quiet_s(t: np.ndarray, first: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -334,15 +298,13 @@ def quiet_s(t: np.ndarray, first: np.ndarray, u: np.ndarray) -> np.ndarray:
     return t - t[last]
 
 
-def _resolution(y: np.ndarray, first: np.ndarray) -> float:
-    """Least step of a column that often repeats itself from row to row and moves in such steps, else 0."""
-    steps = np.abs(np.diff(y)[~first[1:]])
+def _resolution(steps: np.ndarray) -> float:
+    """Least of the steps (n,) of a column that often repeats itself and moves in such steps, else 0."""
     moves = steps[steps > 0]
     if not len(moves) or (steps == 0).mean() < 0.2:
         return 0.0
-    least = float(moves.min())
-    counts = moves / least
-    return least if (np.abs(counts - np.round(counts)) < 0.02).mean() > 0.95 else 0.0
+    counts = moves / moves.min()
+    return float(moves.min()) if (np.abs(counts - np.round(counts)) < 0.02).mean() > 0.95 else 0.0
 
 
 class _Contrasts:
@@ -357,7 +319,7 @@ class _Contrasts:
         rows = np.repeat(np.arange(len(i)), 3), np.add.outer(i, (-s, 0, s)).ravel()
         self.C = csr_array((W.ravel(), rows), shape=(len(i), len(t)))
         self.X, self.c = self.C @ F, self.C @ Y
-        self.i, self.s, self.t = i, s, t
+        self.before, self.after, self.lasts_s = i - s, i + s, t[i + s] - t[i - s]
         self._basis: dict[float | None, np.ndarray] = {}
 
     def deviation(self, k: int, quiet: np.ndarray, after_s: tuple[float | None, ...]) -> float | None:
@@ -366,13 +328,10 @@ class _Contrasts:
         A response that no feature follows can only enlarge an estimate, so the first of those that are not
         significantly above the least is taken. None where too few rows are left.
         """
-        i, s, t = self.i, self.s, self.t
-        found = []
+        found, since_s = [], quiet[self.before]
+        held = quiet[self.after] - since_s > 0.99 * self.lasts_s
         for wait in after_s:
-            use = np.ones(len(i), bool)
-            if wait is not None:
-                held = quiet[i + s] - quiet[i - s] > 0.99 * (t[i + s] - t[i - s])
-                use = held & (quiet[i - s] >= wait)
+            use = np.ones(len(held), bool) if wait is None else held & (since_s >= wait)
             if use.sum() >= LEAST_DOF and (estimate := self._estimate(k, use, wait)):
                 found.append(estimate)
         upper = min((sigma * (1 + 2 / np.sqrt(dof)) for sigma, dof in found), default=0.0)
