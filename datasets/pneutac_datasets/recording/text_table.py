@@ -4,7 +4,7 @@ import csv
 import re
 import warnings
 from dataclasses import dataclass, field
-from itertools import islice
+from itertools import accumulate, islice
 from pathlib import Path
 
 import numpy as np
@@ -121,8 +121,11 @@ def _read(file: Path, encoding: str, head: list[str]) -> TextTable:
     at, units_row = above[-1], None
     if len(above) > 1 and _are_units(cells[at]) and len(cells[above[-2]]) >= len(cells[at]) > 0:
         at, units_row = above[-2], at
-    names = [c.strip() for c in cells[at]]
-    names = _above(names, cells.get(above[above.index(at) - 1]) if above.index(at) else None)
+    names, over = [c.strip() for c in cells[at]], above[: above.index(at)][-1:]
+    if over and len(cells[over[0]]) == len(names) and len(set(filter(None, names))) < sum(map(bool, names)):
+        # axes alone stand in the header: `Tip`, `` and below it `x`, `y`
+        groups = accumulate(cells[over[0]], lambda last, group: group or last)
+        names = [f"{group} {name}".strip() for group, name in zip(groups, names, strict=True)]
     while names and not names[-1] and len(names) > width:
         names.pop()
     typical_width = _median([len(cells[i]) for i in body if i >= first] or [len(names)])
@@ -155,11 +158,10 @@ def _read(file: Path, encoding: str, head: list[str]) -> TextTable:
         )  # fmt: skip
     if len(frame) > MAX_ROWS:
         raise InputError(f"{file} has over {MAX_ROWS} rows; keep every n-th row.")
-    lines = np.arange(len(frame)) + begin + 1
-    table = TextTable(file, frame, {}, lines)
-    if units_row is not None:
-        found = [u.strip("[](){} ") for u in cells[units_row]]
-        table.units = {c: u for c, u in zip(columns, found, strict=False) if u}
+    behind = () if units_row is None else cells[units_row]
+    found = [u.strip("[](){} ") for u in behind]
+    units = {c: u for c, u in zip(columns, found, strict=False) if u}
+    table = TextTable(file, frame, units, np.arange(len(frame)) + begin + 1)
     _shape(table, names, mark)
     decimal = _texts_to_numbers(table, mark, comma)
     _cut_ends(table)
@@ -343,18 +345,6 @@ def _cells(line: str, mark: str) -> list[str]:
         return [c.strip() for c in next(csv.reader([line], delimiter=mark, skipinitialspace=True))]
     except (csv.Error, StopIteration):
         return line.split(mark)
-
-
-def _above(names: list[str], over: list[str] | None) -> list[str]:
-    """Names with those of the line above where axes alone stand in the header: `Tip`, `` and `x`, `y`."""
-    given = [n for n in names if n]
-    if over is None or len(over) != len(names) or len(set(given)) == len(given):
-        return names
-    last, joined = "", []
-    for name, group in zip(names, over, strict=True):
-        last = group or last
-        joined.append(f"{last} {name}".strip())
-    return joined
 
 
 def _count(cells: list[str]) -> int:

@@ -375,7 +375,7 @@ class _Table:
     def recognise(self, units: dict[str, str]) -> None:
         """Finds each column by what is given, by a recording's own name, or by its words."""
         stated = (Column.parsed(n, t) for n, t in self.given.items())
-        columns, named = {c.name: self._as_its_name_says(c, units.get(c.name, "")) for c in stated}, {}
+        columns, named = {c.name: self._stated(c, units.get(c.name, "")) for c in stated}, {}
         for name in (n for n in self.frame if n not in self.given):
             own = name.strip().lower()
             if not OWN.fullmatch(own):
@@ -387,7 +387,11 @@ class _Table:
                 unit = unit_named(BASE_UNIT.get(dimension, ""), dimension)
             columns[name] = Column(name, own, unit)
         taken = {c.column for c in columns.values()}
-        named = _one_clock(named, "time_s" in taken)
+        # one clock: `T` next to a time is a temperature; frames and dates count without one
+        kinds = {n.kind for n in named.values()} if "time_s" not in taken else set()
+        clock = next((k for k in ("time", "T", "date", "frame") if k in kinds), "time")
+        meant_as = {"T": "temperature", "date": "", "frame": "", clock: "time"}
+        named = {n: replace(v, kind=meant_as.get(v.kind, v.kind)) for n, v in named.items()}
         targets = _targets(named, taken)
         for name, target in targets.items():
             column = Column(name, target)
@@ -399,14 +403,20 @@ class _Table:
                 what = f"{' and '.join(map(shown, names))} could each be {target}"
                 self.questions.append((what, f"{names[0]}: {target}, {names[1]}: -"))
 
-    def _as_its_name_says(self, column: Column, unit: str) -> Column:
-        """A column that is given without unit and factor, in the unit of its name or of the line of units."""
+    def _stated(self, column: Column, unit: str) -> Column:
+        """A column that is given, without a unit in that of its name, of the line of units, or its own."""
         dimension, unit = dimension_of(column.column), unit or read_name(column.name).unit
-        if column.unit or column.retained or column.factor != 1 or not dimension:
+        if column.unit or column.retained or not dimension:
             return column
-        suits = any(unit_named(unit, d) for d in (dimension, "voltage"))
         # what a name only ends with may be a word, not a unit
-        return self._in_written_unit(column, unit) if unit and (suits or "[" in column.name) else column
+        suits = any(unit_named(unit, d) for d in (dimension, "voltage")) or "[" in column.name
+        if column.factor == 1 and unit and suits:
+            column = self._in_written_unit(column, unit)
+        if column.unit or column.guess or self.frame[column.name].dtype.kind not in "fiu":
+            return column  # also times of day
+        full = dimension == "pressure" and column.factor != 1  # a pressure with a factor is stated in full
+        own = "" if full else BASE_UNIT.get(dimension, "")
+        return replace(column, unit=unit_named(own, dimension))
 
     def _in_written_unit(self, column: Column, text: str) -> Column:
         dimension = dimension_of(column.column)
@@ -427,39 +437,29 @@ class _Table:
     def find_units(self) -> None:
         """Units that are not written, by those of the others or by the size of the numbers."""
         for i, column in enumerate(self.columns):
-            dimension = dimension_of(column.column)
-            open_unit = not (column.unit or column.retained or column.guess)
-            if column.name in self.given and open_unit and dimension:
-                # its name says the unit; a pressure with a factor is stated in full
-                unit = "" if dimension == "pressure" and column.factor != 1 else BASE_UNIT.get(dimension, "")
-                numbers = self.frame[column.name].dtype.kind in "fiu"  # else times of day
-                self.columns[i] = replace(column, unit=unit_named(unit, dimension) if numbers else None)
-        for i, column in enumerate(self.columns):
             target, name, dimension = column.column, column.name, dimension_of(column.column)
             if column.guess == "voltage":
                 what = f"{shown(name)} is no pressure but a signal; give kPa for each of its units"
                 self.questions.append((what, f"{name}: {target} * KPA_PER_UNIT + KPA_AT_ZERO"))
                 continue
-            done = column.unit is not None or name in self.given
-            if done or column.retained or target == LEAVE_OUT or not dimension:
-                continue
-            if self.frame[name].dtype.kind not in "fiu":
-                continue  # times of day, or what the rules refuse
+            done = column.unit is not None or name in self.given or column.retained or not dimension
+            if done or self.frame[name].dtype.kind not in "fiu":
+                continue  # also times of day, and what the rules refuse
             kin = [c.unit for c in self._same_quantity(dimension) if c.unit and not c.guess]
             if kin and dimension in POSES:
                 if len({unit.scale for unit in kin}) == 1:
                     self.columns[i] = replace(column, unit=kin[0], guess="as the others")
                     continue
-                what = f"{shown(name)} has no unit and the others have several"
-                self.questions.append((what, f"{name}: {target} [{'|'.join(map(str, kin))}]"))
-                continue
-            unit = self._by_size(column)
-            if isinstance(unit, tuple):
+                units, question = map(str, kin), f"{shown(name)} has no unit and the others have several"
+            else:
+                unit = self._by_size(column)
+                if isinstance(unit, str):
+                    by_size = replace(column, unit=unit_named(unit, dimension), guess="by size")
+                    self.columns[i] = by_size if unit else column
+                    continue
                 what, *units = unit
-                question = f"{shown(name)} ({what}) has no unit", f"{name}: {target} [{'|'.join(units)}]"
-                self.questions.append(question)
-            elif unit:
-                self.columns[i] = replace(column, unit=unit_named(unit, dimension), guess="by size")
+                question = f"{shown(name)} ({what}) has no unit"
+            self.questions.append((question, f"{name}: {target} [{'|'.join(units)}]"))
 
     def _by_size(self, column: Column) -> str | tuple[str, ...]:
         """The only unit that such numbers have, empty for none, else what they are and the choice."""
@@ -569,14 +569,6 @@ class _Table:
                 what += f"; the bend is {shown(curved[0])} (1/m) times the length (m), here of 0.1 m"
                 answer = f"{curved[0]}: bend_angle_rad * 0.1"
             self.questions.append((what, answer))
-
-
-def _one_clock(named: dict[str, Named], has_time: bool) -> dict[str, Named]:
-    """The names, with one clock: `T` next to a time is a temperature; frames and dates count without one."""
-    kinds = {n.kind for n in named.values()}
-    clock = next((k for k in ("time", "T", "date", "frame") if k in kinds), "") if not has_time else ""
-    renamed = {"T": "temperature", "date": "", "frame": ""} | ({clock: "time"} if clock else {})
-    return {n: replace(v, kind=renamed.get(v.kind, v.kind)) for n, v in named.items()}
 
 
 def _targets(named: dict[str, Named], taken: set[str]) -> dict[str, str]:

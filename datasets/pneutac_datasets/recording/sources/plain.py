@@ -222,12 +222,17 @@ class Understood:
         self.columns = understand(
             frame, units, given.columns, self._source, given.length_mm, log, self._convert, self._empty
         )
-        self._note_misspelt()
-        self.guessed = guesses(self.columns)
-        self._clock = next((c for c in self.columns if c.column == "time_s"), None)
+        self.guessed, have = guesses(self.columns), {c.column: c for c in self.columns}
+        self._clock = have.get("time_s")
+        for c in (c for c in self.columns if c.name not in given.columns):
+            if (target := meant(c)) and target not in have:
+                answer = quote(f"{c.name}: {target}")
+                self.notes.append(
+                    f"{self._source}: {shown(c.name)} is stored as it is; if it is {target}, `{self._convert}"
+                    f" --columns={answer}` takes it as that."
+                )
         self._began, self._absolute = np.zeros(len(files)), False  # when files begin, by one clock or not
-        table = self._converted(frame)
-        table, left_out = self._seen(table)
+        table, left_out = self._seen(self._converted(frame))
         self._fill(table)
         self._into_base(table)
         rest = _at_rest(table)
@@ -239,18 +244,14 @@ class Understood:
                 " finger is 40 to 250 mm long; check its unit, give the base's place if it is elsewhere"
                 f" (`{self._convert} --base=X,Y,Z`), or the measured length (--length_mm)."
             )
+        proposed = given.length_mm is None and self.length_mm is not None
         meta = {"length_mm": self.length_mm, "date": given.date or self._date(frame)}
-        meta = {k: v for k, v in meta.items() if v not in (None, "")}
-        if given.length_mm is None and self.length_mm:
-            meta["length_proposed"] = True
-        meta["notes"] = f"from {', '.join(f.name for f in files)}"
+        meta |= {"length_proposed": proposed or None, "notes": f"from {', '.join(f.name for f in files)}"}
+        meta |= {"trials": {} if log else self._pauses(table)}
+        meta = {k: v for k, v in meta.items() if v not in (None, "", {})}
         device = "arm" if "pressure_cmd_1_kpa" in table else "finger"
-        if not log and (trials := self._pauses(table)):
-            meta["trials"] = trials
         self.recording = Recording(files[0].parent, meta, table, device)
-        self.faults = [] if log else self._faults()
-        if not log and not self.faults:
-            self.faults += self._axes_faults()
+        self.faults = [] if log else self._faults() or self._axes_faults()
         self.notes = grouped(self.notes)
         meta["conversion"] = {"notes": self.notes, "rows_left_out": left_out}
 
@@ -279,17 +280,6 @@ class Understood:
                 f"{self._source}: {listed(map(shown, empty))} {are} empty or not a number, left out."
             )
         return frame.drop(columns=empty)
-
-    def _note_misspelt(self) -> None:
-        """Notes each column that is stored as it is though its name is nearly that of a recording's."""
-        have = {c.column for c in self.columns}
-        for c in self.columns:
-            if (target := meant(c)) and target not in have and c.name not in self.given.columns:
-                answer = quote(f"{c.name}: {target}")
-                self.notes.append(
-                    f"{self._source}: {shown(c.name)} is stored as it is; if it is {target}, `{self._convert}"
-                    f" --columns={answer}` takes it as that."
-                )
 
     def _converted(self, frame: pd.DataFrame) -> pd.DataFrame:
         """The table by the recording's names and units, with trials and a clock in seconds."""

@@ -228,6 +228,14 @@ def joined(tip: Track, frame: BaseFrame, log: Source, columns: dict[str, str], l
 
 
 SECTIONS = ("trajectories", "objects", "segments")
+# Where messages have a position, and their orientation.
+PLACES = {
+    "pose.position": "pose.orientation",
+    "pose.pose.position": "pose.pose.orientation",
+    "position": "orientation",
+    "transform.translation": "transform.rotation",
+    "point": "",
+}
 
 
 def read_optitrack(file: Path) -> Source:
@@ -252,15 +260,14 @@ def read_optitrack(file: Path) -> Source:
     found: dict[str, dict[str, int]] = {}
     for column in range(2, len(axes)):
         if kinds[column] in ("position", "rotation"):
-            name = name_row[column].strip()
-            found.setdefault(name, {}).setdefault(f"{kinds[column]} {axes[column]}", column)
-    source, time_s = Source(file), table[:, 1]
+            of_name = found.setdefault(name_row[column].strip(), {})
+            of_name.setdefault(f"{kinds[column]} {axes[column]}", column)
+    source = Source(file)
     for name, columns in found.items():
         places = [columns[f"position {a}"] for a in "xyz" if f"position {a}" in columns]
         turns = [columns[f"rotation {a}"] for a in "xyzw" if f"rotation {a}" in columns]
-        if len(places) < 3:
-            continue
-        source.tracks[name] = Track.of(time_s, scale * table[:, places], table[:, turns])
+        if len(places) == 3:
+            source.tracks[name] = Track.of(table[:, 1], scale * table[:, places], table[:, turns])
     return source
 
 
@@ -274,44 +281,36 @@ def read_vicon(file: Path) -> Source:
     rows = _rows(file)
     source = Source(file)
     for at in (i for i, row in enumerate(rows) if row and row[0].strip().lower() in SECTIONS):
-        _vicon_section(file, rows, at, source)
+        section = rows[at][0].strip()
+        if len(rows) < at + 6:
+            raise InputError(f"{file} ends within the section '{section}'; export it again.")
+        rate = pd.to_numeric(pd.Series(rows[at + 1][:1], dtype=object), errors="coerce").max()
+        if not rate > 0:
+            raise InputError(f"{file}: the line below '{section}' must be the rate in Hz.")
+        names, axes, units = rows[at + 2 : at + 5]
+        axes = [a.strip().upper() for a in axes]
+        end = next((i for i in range(at + 5, len(rows)) if not any(c.strip() for c in rows[i])), len(rows))
+        table = _numbers(rows[at + 5 : end], len(axes))
+        labels = [(c, label.strip()) for c, label in enumerate(names) if label.strip()]
+        ends = [*(column for column, _ in labels[1:]), len(axes)]
+        for (column, label), last in zip(labels, ends, strict=False) if len(table) else ():
+            here = {a: c for c, a in enumerate(axes[column:last], column)}
+            place = [here[a] for a in ("TX", "TY", "TZ") if a in here] or [
+                here[a] for a in "XYZ" if a in here
+            ]
+            if len(place) != 3:
+                continue
+            unit = units[place[0]].strip().lower() if place[0] < len(units) else ""
+            turns = [here[a] for a in ("RX", "RY", "RZ", "RW") if a in here]  # of three the order is unknown
+            moved = _scale(file, unit or "mm") * table[:, place], table[:, turns]
+            time_s = (table[:, 0] - table[0, 0]) / rate
+            source.tracks[label.split(":")[-1]] = Track.of(time_s, *moved)
     if not source.tracks:
         raise InputError(
             f"{file} has no markers in a section {' or '.join(s.capitalize() for s in SECTIONS)}; export"
             " trajectories from Nexus as ASCII, or objects from Tracker as CSV."
         )
     return source
-
-
-def _vicon_section(file: Path, rows: list[list[str]], at: int, source: Source) -> None:
-    """Adds the markers or bodies of one section."""
-    if len(rows) < at + 6:
-        raise InputError(f"{file} ends within the section '{rows[at][0].strip()}'; export it again.")
-    try:
-        rate = float(rows[at + 1][0])
-    except (ValueError, IndexError):
-        rate = 0.0
-    if not rate > 0:
-        raise InputError(f"{file}: the line below '{rows[at][0].strip()}' must be the rate in Hz.")
-    names, axes, units = rows[at + 2 : at + 5]
-    axes = [a.strip().upper() for a in axes]
-    end = next((i for i in range(at + 5, len(rows)) if not any(c.strip() for c in rows[i])), len(rows))
-    table = _numbers(rows[at + 5 : end], len(axes))
-    if not len(table):
-        return
-    time_s = (table[:, 0] - table[0, 0]) / rate
-    labels = [(c, label.strip()) for c, label in enumerate(names) if label.strip()]
-    for k, (column, label) in enumerate(labels):
-        last = labels[k + 1][0] if k + 1 < len(labels) else len(axes)
-        here = {a: c for c, a in enumerate(axes[column:last], column)}
-        place = [here[a] for a in ("TX", "TY", "TZ") if a in here] or [here[a] for a in "XYZ" if a in here]
-        if len(place) != 3:
-            continue
-        unit = units[place[0]].strip().lower() if place[0] < len(units) else ""
-        turns = [here[a] for a in ("RX", "RY", "RZ", "RW") if a in here]
-        # three angles are of an unknown order
-        track = Track.of(time_s, _scale(file, unit or "mm") * table[:, place], table[:, turns])
-        source.tracks[label.split(":")[-1]] = track
 
 
 def is_optitrack(file: Path) -> bool:
@@ -371,44 +370,30 @@ def read_rosbag(folder: Path) -> Source:
         from rosbags.typesys import Stores, get_typestore
     except ImportError as e:
         raise InputError("A ROS 2 bag needs rosbags: uv pip install -e '.[ros]' in PneuTac's folder.") from e
-    times: dict[str, list[float]] = {}
-    numbers: dict[str, list[dict[str, float]]] = {}
+    topics: dict[str, list[dict[str, float]]] = {}
     try:
         with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             for connection, logged_ns, raw in reader.messages():
                 message = reader.deserialize(raw, connection.msgtype)
-                found: dict[str, float] = {}
+                stamp = getattr(getattr(message, "header", None), "stamp", None)
+                seconds = 0.0 if stamp is None else stamp.sec + 1e-9 * stamp.nanosec
+                found = {"": seconds if seconds > 0 else logged_ns * 1e-9}  # a header may never be set
                 _flatten("", message, found)
-                stamp = _stamp(message)
-                times.setdefault(connection.topic, []).append(logged_ns * 1e-9 if stamp is None else stamp)
-                numbers.setdefault(connection.topic, []).append(found)
+                topics.setdefault(connection.topic, []).append(found)
     except (AnyReaderError, OSError, ValueError, KeyError) as e:
         raise InputError(f"{folder} is no ROS 2 bag that rosbags reads ({e}).") from e
-    source, begin = Source(folder), min((t[0] for t in times.values()), default=0.0)
-    for topic, messages in numbers.items():
-        at = np.array(times[topic]) - begin
-        order = np.argsort(at, kind="stable")
-        columns = {str(name): values.to_numpy()[order] for name, values in pd.DataFrame(messages).items()}
-        source.columns |= {f"{topic}.{name}": (at[order], values) for name, values in columns.items()}
-        track = _track(at[order], columns)
-        if track is not None:
-            source.tracks[topic] = track
+    source, begin = Source(folder), min((messages[0][""] for messages in topics.values()), default=0.0)
+    for topic, messages in topics.items():
+        table = pd.DataFrame(messages).sort_values("", kind="stable")
+        at = table.pop("").to_numpy() - begin
+        source.columns |= {f"{topic}.{name}": (at, table[name].to_numpy()) for name in table}
+        for place, turn in PLACES.items():
+            if all(f"{place}.{a}" in table for a in "xyz"):
+                turns = [f"{turn}.{a}" for a in "xyzw" if f"{turn}.{a}" in table]
+                position_m = table[[f"{place}.{a}" for a in "xyz"]].to_numpy()
+                source.tracks[topic] = Track.of(at, 1e3 * position_m, table[turns].to_numpy())
+                break
     return source
-
-
-def _track(time_s: np.ndarray, columns: dict[str, np.ndarray]) -> Track | None:
-    for place, turn in (
-        ("pose.position", "pose.orientation"),
-        ("pose.pose.position", "pose.pose.orientation"),
-        ("position", "orientation"),
-        ("transform.translation", "transform.rotation"),
-        ("point", ""),
-    ):
-        if all(f"{place}.{a}" in columns for a in "xyz"):
-            position_m = np.stack([columns[f"{place}.{a}"] for a in "xyz"], 1)
-            turns = [columns[f"{turn}.{a}"] for a in "xyzw" if f"{turn}.{a}" in columns]
-            return Track.of(time_s, 1e3 * position_m, np.reshape(turns, (-1, len(time_s))).T)
-    return None
 
 
 def _flatten(name: str, value: Any, into: dict[str, float]) -> None:
@@ -421,13 +406,6 @@ def _flatten(name: str, value: Any, into: dict[str, float]) -> None:
     elif dataclasses.is_dataclass(value):
         for entry in (f.name for f in dataclasses.fields(value) if not f.name.startswith("__")):
             _flatten(f"{name}.{entry}" if name else entry, getattr(value, entry), into)
-
-
-def _stamp(message: Any) -> float | None:
-    """Time of a message's header, s; None where it has none or it was never set."""
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
-    seconds = 0.0 if stamp is None else stamp.sec + 1e-9 * stamp.nanosec
-    return seconds if seconds > 0 else None
 
 
 TIME = "time_s"
