@@ -72,14 +72,12 @@ def motion(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
 
     Of several chambers the rate is their sum's, since loading means more air in all.
     """
-    rate = np.zeros(len(recording))
     p, time_s, begins = recording.commands, recording.column("time_s"), np.zeros(len(recording), bool)
-    begins[[rows.start for rows in recording.trials().values()]] = True
+    rate = np.zeros(len(recording))
     for rows in recording.trials().values():
-        t, q = time_s[rows], p[rows]
+        t, q, begins[rows.start] = time_s[rows], p[rows], True
         back = np.minimum(np.searchsorted(t, t - 0.2), np.maximum(np.arange(len(t)) - 1, 0))
-        span = np.maximum(t - t[back], 1e-9)
-        rate[rows] = np.where(np.arange(len(t)) > 0, (q - q[back]).sum(1) / span, 0.0)
+        rate[rows] = (q - q[back]).sum(1) / np.maximum(t - t[back], 1e-9)
     return rate, quiet_s(time_s, begins, p)
 
 

@@ -5,7 +5,6 @@ Indenters of any form, as the rows of a gel's recording describe them.
 
 import math
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -127,8 +126,7 @@ def gel_faults(recording: Recording) -> tuple[list[str], list[str]]:
 def _read(recording: Recording) -> GelRecording:
     """All photographs; their checks wait until no row is wrong."""
     out, named = _begun(recording), recording.meta["rest_image"]
-    rests: dict[str, np.ndarray] = {named: out.rest}
-    figures: dict[str, Figure] = {}
+    rows = _Rows(recording, out, {named: out.rest})
     clock = np.arange(len(recording)) / max(len(recording) - 1, 1)
     for name in ("trial", "time_s"):  # where they run on
         time = recording.column(name).astype(float)
@@ -136,7 +134,7 @@ def _read(recording: Recording) -> GelRecording:
             clock = (time - time[0]) / np.ptp(time)
     for i, (_, row) in enumerate(recording.samples.iterrows()):
         with collected(out.faults):
-            out.samples.append(_sample(recording, out, rests, figures, i, row, float(clock[i])))
+            out.samples.append(rows.sample(i, row, float(clock[i])))
     if out.faults:
         out.faults = grouped(out.faults)
         return out
@@ -155,13 +153,11 @@ def _read(recording: Recording) -> GelRecording:
     out.unfit = grouped(out.unfit)
     out.warnings += misplaced
     if empty and not misplaced:
-        rows = ", ".join(empty)
-        out.warnings.append(f"no contact shows where rows {rows} put it; check their x_mm and y_mm.")
+        where = f"no contact shows where rows {', '.join(empty)} put it"
+        out.warnings.append(f"{where}; check their x_mm and y_mm.")
     if bright and not misplaced:
-        rows = ", ".join(bright)
-        out.warnings.append(
-            f"most of the contact is saturated in rows {rows}, which stay in the fit; lower the exposure."
-        )
+        where = f"most of the contact is saturated in rows {', '.join(bright)}"
+        out.warnings.append(f"{where}, which stay in the fit; lower the exposure.")
     of_rest = {id(s.rest): [r for r in out.samples if r.rest is s.rest] for s in out.samples}
     for samples in of_rest.values():
         out.warnings += _rest_doubts(samples, scale) if len(samples) >= REST_SAMPLES else []
@@ -316,80 +312,105 @@ def _rest_doubts(samples: list[GelSample], px_per_mm: float) -> list[str]:
     return out
 
 
-def _sample(
-    recording: Recording,
-    gel: GelRecording,
-    rests: dict[str, np.ndarray],
-    figures: dict[str, Figure],
-    i: int,
-    row: pd.Series,
-    clock: float,
-) -> GelSample:
-    """One row; raises InputError where it is wrong. `rests` and `figures` hold, by name, what was read."""
-    where, own = f"{recording.folder}, row {i + 1}", row.get("rest_image")
-    own = own if own and isinstance(own, dict | str) else recording.meta["rest_image"]
-    name = own if isinstance(own, str) else where
-    if name not in rests:
-        rests[name] = _image(recording, own, f"{where}: rest image {shown(name)}", gel.rest)
-    image = _image(recording, row["image"], f"{where}: image {shown(str(row['image']))}", rests[name])
-    try:
-        kind = str(row["indenter"])
-        if kind not in INDENTERS + FIGURES:
-            every = ", ".join(INDENTERS + FIGURES)
-            raise InputError(f"indenter is {shown(kind)}; it must be one of {every}.")
-        x_px, x_mm = _place(row, gel.px_per_mm, "x", image.shape[1])
-        y_px, y_mm = _place(row, gel.px_per_mm, "y", image.shape[0])
-        figure = _figure(recording.folder, row, kind, figures)
-        size_mm, depth_mm = _size_and_depth(row, gel, kind, figure)
-        press = Press(kind, size_mm, x_mm, y_mm, depth_mm, _number(row, "yaw_rad") or 0.0, figure)
-        radius_px, sd = _number(row, "contact_radius_px"), {}  # what no deviation is stated of holds
-        if radius_px is None:
-            radius_px = press.contact_radius_mm * gel.px_per_mm
-        role = str(row.get("role", ""))
-        for column, attributes in UNCERTAIN.items() if role != KNOWN else ():
-            if deviation := _number(row, column):
-                sd |= dict.fromkeys(attributes, deviation)
-        force_n = _number(row, "force_n")
-    except InputError as e:
-        raise InputError(f"{where}: {e}") from e
-    return GelSample(
-        press=press,
-        image=image,
-        rest=rests[name],
-        clock=clock,
-        sd=sd,
-        name=str(row["image"]),
-        role=role,
-        x_px=x_px,
-        y_px=y_px,
-        radius_px=radius_px,
-        force_n=force_n,
-    )
+@dataclass
+class _Rows:
+    """Reads the rows of a recording; `rests` and `figures` hold, by name, what was read."""
 
+    recording: Recording
+    gel: GelRecording
+    rests: dict[str, np.ndarray]
+    figures: dict[str, Figure] = field(default_factory=dict)
 
-def _figure(folder: Path, row: pd.Series, indenter: str, read: dict[str, Figure]) -> AnyFigure | None:
-    """Of a row's indenter: its `outline_mm`, or the `indenter_file` in the recording's folder.
+    def sample(self, i: int, row: pd.Series, clock: float) -> GelSample:
+        """Row `i` from 0; raises InputError where it is wrong."""
+        recording, scale = self.recording, self.gel.px_per_mm
+        where, own = f"{recording.folder}, row {i + 1}", row.get("rest_image")
+        own = own if own and isinstance(own, dict | str) else recording.meta["rest_image"]
+        name = own if isinstance(own, str) else where
+        if name not in self.rests:
+            self.rests[name] = _image(recording, own, f"{where}: rest image {shown(name)}", self.gel.rest)
+        rest = self.rests[name]
+        image = _image(recording, row["image"], f"{where}: image {shown(str(row['image']))}", rest)
+        try:
+            kind = str(row["indenter"])
+            if kind not in INDENTERS + FIGURES:
+                every = ", ".join(INDENTERS + FIGURES)
+                raise InputError(f"indenter is {shown(kind)}; it must be one of {every}.")
+            x_px, x_mm = _place(row, scale, "x", image.shape[1])
+            y_px, y_mm = _place(row, scale, "y", image.shape[0])
+            figure = self._figure(row, kind)
+            size_mm, depth_mm = self._size_and_depth(row, kind, figure)
+            press = Press(kind, size_mm, x_mm, y_mm, depth_mm, _number(row, "yaw_rad") or 0.0, figure)
+            radius_px, sd = _number(row, "contact_radius_px"), {}  # what no deviation is stated of holds
+            radius_px = press.contact_radius_mm * scale if radius_px is None else radius_px
+            role = str(row.get("role", ""))
+            for column, attributes in UNCERTAIN.items() if role != KNOWN else ():
+                if deviation := _number(row, column):
+                    sd |= dict.fromkeys(attributes, deviation)
+            force_n = _number(row, "force_n")
+        except InputError as e:
+            raise InputError(f"{where}: {e}") from e
+        return GelSample(
+            press=press,
+            image=image,
+            rest=rest,
+            clock=clock,
+            sd=sd,
+            name=str(row["image"]),
+            role=role,
+            x_px=x_px,
+            y_px=y_px,
+            radius_px=radius_px,
+            force_n=force_n,
+        )
 
-    None where it is one of the plain shapes; raises InputError where the column is empty, or names no
-    indenter. `read` holds the files that were read before.
-    """
-    columns = {
-        "outline": ("outline_mm", "give its corners in mm, x y; x y; x y"),
-        "mesh": ("indenter_file", "name the STL inside the recording's folder"),
-    }
-    if indenter not in columns:
-        return None
-    column, remedy = columns[indenter]
-    text = row.get(column)
-    if not isinstance(text, str) or not text.strip():
-        raise InputError(f"{column} is empty; {remedy}.")
-    if indenter == "outline":
-        return Outline.of_text(text)
-    if text not in read:
+    def _figure(self, row: pd.Series, indenter: str) -> AnyFigure | None:
+        """Of a row's indenter: its `outline_mm`, or the `indenter_file` in the recording's folder.
+
+        None where it is one of the plain shapes; raises InputError where the column is empty, or names no
+        indenter.
+        """
+        columns = {
+            "outline": ("outline_mm", "give its corners in mm, x y; x y; x y"),
+            "mesh": ("indenter_file", "name the STL inside the recording's folder"),
+        }
+        if indenter not in columns:
+            return None
+        column, remedy = columns[indenter]
+        text, folder = row.get(column), self.recording.folder
+        if not isinstance(text, str) or not text.strip():
+            raise InputError(f"{column} is empty; {remedy}.")
+        if indenter == "outline":
+            return Outline.of_text(text)
         if "\0" in text:
             raise InputError(f"indenter_file {shown(text)} is no file's name; give its file.")
-        read[text] = Figure.read(folder / text, within=folder)
-    return read[text]
+        if text not in self.figures:
+            self.figures[text] = Figure.read(folder / text, within=folder)
+        return self.figures[text]
+
+    def _size_and_depth(self, row: pd.Series, kind: str, figure: AnyFigure | None) -> tuple[float, float]:
+        """Indenter size and depth, mm; of a ball the depth may follow from the contact radius (Hertz)."""
+        names, gel = ("indenter_radius_mm", "indenter_size_mm"), self.gel
+        names = names[::-1] if kind in ("cube", "edge") else names
+        size = figure.reach_mm if figure else _number(row, *names)
+        radius_px = _number(row, "contact_radius_px") if kind == "sphere" else None
+        if size is None and radius_px is not None:
+            size, ball = ASSUMED_RADIUS_MM, f"a ball of {ASSUMED_RADIUS_MM:g} mm is assumed"
+            note = f"indenter_radius_mm is empty; {ball}, which scales the light alone."
+            gel.warnings += [note] * (note not in gel.warnings)
+        if size is None:
+            raise InputError(f"indenter_radius_mm or indenter_size_mm is empty; give the {kind}'s size.")
+        depth = _number(row, "depth_mm")
+        if depth is None and radius_px is not None:
+            depth = (radius_px / gel.px_per_mm) ** 2 / size  # Hertz: a^2 = R d
+        if depth is None:
+            raise InputError("depth_mm is empty; give it, or contact_radius_px of a sphere.")
+        if depth > gel.thickness_mm:
+            raise InputError(
+                f"depth_mm is {depth:g} but the gel is {gel.thickness_mm:g} mm thick; give millimetres, or"
+                " gel_size_mm in recording.json."
+            )
+        return size, depth
 
 
 def _number(row: pd.Series, *names: str) -> float | None:
@@ -422,30 +443,3 @@ def _place(row: pd.Series, px_per_mm: float, axis: str, size_px: int) -> tuple[f
             " centre; correct one of them."
         )
     return px, centred_mm
-
-
-def _size_and_depth(
-    row: pd.Series, gel: GelRecording, kind: str, figure: AnyFigure | None
-) -> tuple[float, float]:
-    """Indenter size and depth, mm; of a ball the depth may follow from the contact radius (Hertz)."""
-    names = ("indenter_radius_mm", "indenter_size_mm")
-    size = figure.reach_mm if figure else _number(row, *(names[::-1] if kind in ("cube", "edge") else names))
-    radius_px = _number(row, "contact_radius_px") if kind == "sphere" else None
-    if size is None and radius_px is not None:
-        size = ASSUMED_RADIUS_MM
-        note = f"indenter_radius_mm is empty; a ball of {size:g} mm is assumed, which scales the light alone."
-        if note not in gel.warnings:
-            gel.warnings.append(note)
-    if size is None:
-        raise InputError(f"indenter_radius_mm or indenter_size_mm is empty; give the {kind}'s size.")
-    depth = _number(row, "depth_mm")
-    if depth is None and radius_px is not None:
-        depth = (radius_px / gel.px_per_mm) ** 2 / size  # Hertz: a^2 = R d
-    if depth is None:
-        raise InputError("depth_mm is empty; give it, or contact_radius_px of a sphere.")
-    if depth > gel.thickness_mm:
-        raise InputError(
-            f"depth_mm is {depth:g} but the gel is {gel.thickness_mm:g} mm thick; give millimetres, or"
-            " gel_size_mm in recording.json."
-        )
-    return size, depth

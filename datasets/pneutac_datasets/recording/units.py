@@ -128,25 +128,29 @@ def base_unit(column: str) -> Unit | None:
 def unit_faults(samples: pd.DataFrame, meta: dict, file: Path) -> Iterator[str]:
     """A sentence for each quantity whose numbers can only be in another unit than its columns say."""
 
-    def other(
-        name: str, row: int, unit: str, remedy: str, value: float | None = None, rows=None
-    ) -> list[str]:
+    def other(name: str, value: float, row: int, unit: str, remedy: str, rows: int | None = None) -> str:
         if rows is not None and rows < FEW * np.count_nonzero(samples[name]):
             unit, remedy = f"an error ({plural(rows, 'such row')})", "correct it, or leave out that row"
-        value = abs(float(samples[name].iloc[row])) if value is None else value
         where = row_name(int(samples.index[row]), file)
-        return [f"{file}: column {shown(name)}, {where} is {value:g}, which can only be {unit}; {remedy}."]
+        return f"{file}: column {shown(name)}, {where} is {value:g}, which can only be {unit}; {remedy}."
 
     def beyond(pattern: str, most: float, unit: str, remedy: str) -> list[str]:
         for name in _columns(samples, pattern):
             value, row = _top(samples, name)
             if value > most:
-                return other(name, row, unit, remedy, rows=int((samples[name].abs() > most).sum()))
+                return [other(name, value, row, unit, remedy, int((samples[name].abs() > most).sum()))]
         return []
 
-    pascal = "pascal", "divide the column by 1000"
-    kpa = beyond(r"pressure_(cmd_)?(\d+_)?kpa", MAX_PRESSURE_KPA, *pascal)
-    yield from kpa or _pressures_differ(samples, other)
+    kpa = beyond(r"pressure_(cmd_)?(\d+_)?kpa", MAX_PRESSURE_KPA, "pascal", "divide the column by 1000")
+    for name in _columns(samples, r"pressure_(\d+_)?kpa") if not kpa else ():
+        command = name.replace("pressure_", "pressure_cmd_")
+        if kpa or command not in samples:
+            continue
+        (measured, row), (commanded, _) = _top(samples, name), _top(samples, command)
+        if min(measured, commanded) > 0 and not 1 / RATIO < measured / commanded < RATIO:
+            unit = f"another unit than that of '{command}' (up to {commanded:g})"
+            kpa = [other(name, measured, row, unit, "give both in kPa above the surroundings")]
+    yield from kpa
     length = meta.get("length_mm")  # which has rules of its own
     yield from _tip_elsewhere(samples, length if isinstance(length, int | float) else None, other)
     yield from beyond(r"bend_angle_rad|q_\d+_rad", 4 * np.pi, "degrees", "multiply the column by pi/180")
@@ -166,48 +170,34 @@ def unit_faults(samples: pd.DataFrame, meta: dict, file: Path) -> Iterator[str]:
     yield from beyond("temperature_c", 150, "kelvin", "subtract 273.15 from the column")
 
 
-def _pressures_differ(samples: pd.DataFrame, other: Callable[..., list[str]]) -> list[str]:
-    for name in _columns(samples, r"pressure_(\d+_)?kpa"):
-        command = name.replace("pressure_", "pressure_cmd_")
-        if command not in samples:
-            continue
-        (measured, row), (commanded, _) = _top(samples, name), _top(samples, command)
-        if min(measured, commanded) > 0 and not 1 / RATIO < measured / commanded < RATIO:
-            unit = f"another unit than that of '{command}' (up to {commanded:g})"
-            return other(name, row, unit, "give both in kPa above the surroundings")
-    return []
-
-
-def _tip_elsewhere(
-    samples: pd.DataFrame, length_mm: float | None, other: Callable[..., list[str]]
-) -> list[str]:
+def _tip_elsewhere(samples: pd.DataFrame, length_mm: float | None, other: Callable) -> Iterator[str]:
+    """A sentence where the tip is in another unit or frame; `other` as in `unit_faults`."""
     tips = _columns(samples, r"tip_[xyz]_mm")
     if not tips or "tip_x_mm" not in tips and len(tips) < 3:
-        return []  # one coordinate across the finger may hardly move
+        return  # one coordinate across the finger may hardly move
     reach = np.hypot.reduce(samples[tips].to_numpy(float), axis=1)  # squares of huge numbers overflow
     row, value = int(reach.argmax()), float(reach.max())
     if 0 < value < (SHORTEST_TIP * length_mm if length_mm else 1.0):
-        return other(tips[0], row, "metres", "multiply the tip columns by 1000", value)
-    most, name = LONGEST_TIP * (length_mm or MOST_LENGTH_MM), str(samples[tips].iloc[row].abs().idxmax())
-    far = None, int((reach > most).sum())
-    if not length_mm and value <= most:
-        return []
-    if not length_mm:
-        remedy = f"give the tip in millimetres, at most {MOST_LENGTH_MM:g}"
-        return other(name, row, "another unit or frame", remedy, *far)
-    commands, rest = _columns(samples, r"pressure_cmd_(\d+_)?kpa"), 0.0
-    if commands:
+        yield other(tips[0], value, row, "metres", "multiply the tip columns by 1000")
+        return
+    rest, commands = 0.0, _columns(samples, r"pressure_cmd_(\d+_)?kpa")
+    if commands and length_mm:
         driven = samples[commands].abs().max(axis=1).to_numpy(float)
         rest = float(np.median(reach[driven <= np.quantile(driven, 0.05)]))
     for unit, mm in (("centimetres", 10.0), ("inches", 25.4)):
-        if rest and abs(rest * mm / length_mm - 1) < SAME_LENGTH and value < 3 * rest:
+        if length_mm and abs(rest * mm / length_mm - 1) < SAME_LENGTH and value < 3 * rest:
             unit += f": at rest the tip is {rest:.3g} from the base of a finger of {length_mm:g} mm"
-            return other(tips[0], row, unit, f"multiply the tip columns by {mm:g}", value)
+            yield other(tips[0], value, row, unit, f"multiply the tip columns by {mm:g}")
+            return
+    most = LONGEST_TIP * (length_mm or MOST_LENGTH_MM)
     if value > most:
-        unit = f"another unit or frame (length_mm is {length_mm:g})"
-        remedy = "give the tip in millimetres from the base of the device, or the right length"
-        return other(name, row, unit, remedy, *far)
-    return []
+        name = str(samples[tips].iloc[row].abs().idxmax())
+        known, remedy = "", f"give the tip in millimetres, at most {MOST_LENGTH_MM:g}"
+        if length_mm:
+            known = f" (length_mm is {length_mm:g})"
+            remedy = "give the tip in millimetres from the base of the device, or the right length"
+        far, unit = abs(float(samples[name].iloc[row])), f"another unit or frame{known}"
+        yield other(name, far, row, unit, remedy, int((reach > most).sum()))
 
 
 def _columns(samples: pd.DataFrame, pattern: str) -> list[str]:
