@@ -158,11 +158,8 @@ def augment(
     """Augments a LeRobotDataset; writes the new one, and goes on where it was stopped.
 
     Before anything is made `note` is called with a sentence on the failed demonstrations, and one where the
-    twin's gel looks otherwise at rest.
-
-    Raises:
-        InputError: a dataset cannot be read or exists, names no task, is of another task or sensor, fewer
-            than two demonstrations have not failed, or too few variants succeed.
+    twin's gel looks otherwise at rest. Raises InputError: a dataset cannot be read or exists, names no task,
+    is of another task or sensor, fewer than two demonstrations have not failed, or too few variants succeed.
     """
     from pneutac_datasets.demonstrations.info import check_new, task_to_do
 

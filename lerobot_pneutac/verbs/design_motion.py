@@ -305,8 +305,7 @@ def design_motion(twin: Twin, recording: Demonstrations, progress: Progress = no
         recording: demonstrations, as many as would be recorded, in whose station.
         progress: called with how many motions have been simulated.
 
-    Raises:
-        InputError: the twin has several chambers, or its finger does not find the bar there.
+    Raises InputError: the twin has several chambers, or its finger does not find the bar there.
     """
     last = ([{}] + [h for h in twin.history if h.get("unit") == UNIT])[-1]
     known = Strength.known(last, TASK) is not None

@@ -248,8 +248,7 @@ def read_found(
         Its result, and the twin as it was, re-fitted, with known causes (None where there are none), and
         with all that was found.
 
-    Raises:
-        InputError: the folder holds no diagnosis, or one of another recording, twin or version of it.
+    Raises InputError: the folder holds no diagnosis, or one of another recording, twin or version of it.
     """
     folder = Path(folder)
     file = folder / "result.json"

@@ -308,11 +308,9 @@ def _pressure(twin: Twin) -> float:
 def write_mjcf(twin: Twin, file: Path) -> None:
     """Writes the body that the world uses, hanging from a fixed flange, with a DIGIT at its tip.
 
-    A motor's control is the angle in rad at which its free joint rests, `joints_rad` of the Python
-    file; of an arm the rotation about x, y, z of the link before: 0, -angle towards +z, angle towards +y.
-
-    Raises:
-        InputError: the twin is of a gel.
+    A motor's control is the angle in rad at which its free joint rests, `joints_rad` of the Python file; of
+    an arm the rotation about x, y, z of the link before: 0, -angle towards +z, angle towards +y. Raises
+    InputError: the twin is of a gel.
     """
     if twin.device == "gel":
         raise InputError("A gel has no joints; export the twin of a finger or an arm.")

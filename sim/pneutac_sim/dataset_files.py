@@ -58,8 +58,7 @@ class Film:
 def read_film(file: Path) -> Film:
     """Reads which frames a video holds, without decoding them.
 
-    Raises:
-        InputError: it is missing, a pointer of Git LFS, or no video.
+    Raises InputError: it is missing, a pointer of Git LFS, or no video.
     """
     import av  # which the bench, whose recordings have no videos, does without
 
@@ -97,8 +96,7 @@ def film_of(films: dict[Path, Film | InputError], file: Path) -> Film:
 def frame_size(file: Path, times_s: Sequence[float]) -> tuple[int, int]:
     """Decodes the frames at these times; returns their height and width.
 
-    Raises:
-        InputError: one of them cannot be decoded.
+    Raises InputError: one of them cannot be decoded.
     """
     import av
 

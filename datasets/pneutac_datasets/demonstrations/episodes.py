@@ -141,8 +141,7 @@ def points_feature(window_mm: tuple[float, float]) -> dict:
 def readable(folder: str | Path) -> Iterator[None]:
     """While LeRobot reads a dataset: what it raises, of Arrow, FFmpeg or the Hub, becomes one sentence.
 
-    Raises:
-        InputError: it could not be read.
+    Raises InputError: it could not be read.
     """
     try:
         yield

@@ -46,8 +46,7 @@ def check_new(out_root: Path, repo_id: str) -> None:
 def task_to_do(given: str, instructions: list[str], folder: Path) -> str:
     """The task that demonstrations are of: the given one, or the one that their instructions name.
 
-    Raises:
-        InputError: the instructions name none, several, or another one of the library's than was given.
+    Raises InputError: the instructions name none, several, or another one of the library's than was given.
     """
     from pneutac_sim.world.tasks import tasks_named
 
@@ -69,8 +68,7 @@ def task_to_do(given: str, instructions: list[str], folder: Path) -> str:
 def task_of(instruction: str, folder: Path) -> str:
     """The task whose own instruction this is, or the only one that it names.
 
-    Raises:
-        InputError: it is none's.
+    Raises InputError: it is none's.
     """
     from pneutac_sim.world.tasks import tasks_named
 

@@ -51,9 +51,7 @@ def augment_naive(
 
     The recorded ones that have not failed take turns, and the seed decides every variation. `progress` is
     called with a text, and how many of how many are made. The result has the keys of `run.augment_guided`.
-
-    Raises:
-        InputError: the source has other features, or the new folder exists.
+    Raises InputError: the source has other features, or the new folder exists.
     """
     new, seed, episodes, began = config.output, config.seed, config.episodes, time.monotonic()
     if new.root.exists():

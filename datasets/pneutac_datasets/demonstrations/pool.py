@@ -41,8 +41,7 @@ from pneutac_sim.world.station import Station, station_of
 def pool_demonstrations(sources: list[Path], out: str | Path, repo_id: str) -> Path:
     """Writes the demonstrations of several datasets as one whose images are 80 x 60, lying ones 60 x 80.
 
-    Raises:
-        InputError: a source is no dataset of this robot, rates, sizes or stations differ, or `out` exists.
+    Raises InputError: a source is no dataset of this robot, rates, sizes or stations differ, or `out` exists.
     """
     check_new(Path(out), repo_id)
     for root in sources:

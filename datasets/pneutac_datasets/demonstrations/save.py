@@ -30,11 +30,8 @@ def create_dataset(
 ) -> LeRobotDataset:
     """A new LeRobotDataset for unpaced writing.
 
-    The video encoder drops frames that it cannot queue, so its queue holds the longest episode, in frames.
-    A video file grows to `videos_mb`, LeRobot's default where None.
-
-    Raises:
-        InputError: `root` exists.
+    The video encoder drops frames that it cannot queue, so its queue holds the longest episode, in frames. A
+    video file grows to `videos_mb`, LeRobot's default where None. Raises InputError: `root` exists.
     """
     if Path(root).exists():
         raise InputError(f"'{root}' exists; give a new folder for dataset '{repo_id}'.")

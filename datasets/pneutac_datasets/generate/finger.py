@@ -170,8 +170,7 @@ def generate(
         hz: samples a second.
         measured_pressure: whether the recording has `pressure_kpa`.
 
-    Raises:
-        InputError: an unknown effect, or a number out of its range.
+    Raises InputError: an unknown effect, or a number out of its range.
     """
     names = [effects] if isinstance(effects, str) else list(effects)
     names = [] if names == ["none"] else names

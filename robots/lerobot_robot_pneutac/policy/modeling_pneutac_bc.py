@@ -233,8 +233,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
                 action, unless such weights bring the scale that they were trained with.
             **kwargs: what else LeRobot passes (dataset statistics) and this policy has no use for.
 
-        Raises:
-            InputError: features or dataset do not fit.
+        Raises InputError: features or dataset do not fit.
         """
         super().__init__(config)
         self._dataset_rest = self._demonstrations = None
@@ -301,9 +300,8 @@ class PneutacBCPolicy(PreTrainedPolicy):
     def _load_as_safetensor(cls, model, model_file, map_location, strict):
         """Loads weights; a rest image from the present dataset outlives the one in the file.
 
-        Raises:
-            InputError: the file lacks weights or holds others, those of another body, or the two rest images
-                cannot be of the same kind of sensor.
+        Raises InputError: the file lacks weights or holds others, those of another body, or the two rest
+        images cannot be of the same kind of sensor.
         """
         with safe_open(model_file, "pt") as file:
             if model.encoder is not None and REST in file.keys():
@@ -397,8 +395,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
         Returns:
             loss, and its two terms by name.
 
-        Raises:
-            InputError: the loss is not finite, or there is no dataset to remember.
+        Raises InputError: the loss is not finite, or there is no dataset to remember.
         """
         recalled = self._memories[self._rows(batch)] if self.config.memory else None
         if self.config.previous_action_in_data:
@@ -478,8 +475,7 @@ class PneutacBCPolicy(PreTrainedPolicy):
     def select_action(self, batch: dict[str, Tensor], **kwargs) -> Tensor:
         """The next action (B, 3 + C), within the action limits; remembered with the observation.
 
-        Raises:
-            InputError: an observation is not finite or has another shape, or there is no rest image.
+        Raises InputError: an observation is not finite or has another shape, or there is no rest image.
         """
         self._previous = self.predict_action_chunk(batch)[:, 0]
         if self._memory is not None:

@@ -84,9 +84,7 @@ class TactileEncoder(nn.Module):
             image: (B, 3, H, W) in [0, 1], or (B, 3, 80, 60) where its pixels are means already.
 
         The brightness is the median ratio to the rest image: a touch covers less than half of the image.
-
-        Raises:
-            InputError: the images have another shape, or there is no rest image.
+        Raises InputError: the images have another shape, or there is no rest image.
         """
         pooled = tuple(image.shape[1:]) == (POOLED_SHAPE[2], *self._small)
         if not pooled and image.shape[1:] != self.rest_image.shape:
@@ -120,10 +118,8 @@ MOST_ELSEWHERE = 0.05  # share of the pixels that differ from the twin's image a
 def rest_image_of(meta) -> torch.Tensor:
     """(3, H, W) float32 in [0, 1]: the median over the first frames of up to 16 episodes, spread evenly.
 
-    A demonstration starts out of contact; the median forgives some that do not.
-
-    Raises:
-        InputError: an image cannot be read.
+    A demonstration starts out of contact; the median forgives some that do not. Raises InputError: an image
+    cannot be read.
     """
     total = meta.total_episodes
     chosen = np.unique(np.linspace(0, total - 1, min(total, MAX_EPISODES)).round().astype(int))

@@ -20,8 +20,7 @@ NAMES = ("touch_depth_mm", "touch_force_n", "touch_area_mm2", "touch_x_mm", "tou
 class TouchProcessorStep(ObservationProcessorStep):
     """Adds `NAMES` to a robot's observation; zeros where nothing touches.
 
-    Raises:
-        InputError: there is no such twin, or it has no gel.
+    Raises InputError: there is no such twin, or it has no gel.
     """
 
     twin: str  # folder of a twin with a calibrated gel

@@ -306,8 +306,8 @@ class BatchedWorld:
             station: workspace, mount, rate and latency; the arm is replaced by slides.
             forked: whether `fork` and `resume` are called.
 
-        Raises:
-            InputError: as `World`; no such device; the task, or an effect of the twin, has no batched form.
+        Raises InputError: as `World`; no such device; the task, or an effect of the twin, has no batched
+        form.
         """
         if task not in RULES:
             raise InputError(
@@ -471,9 +471,8 @@ class BatchedWorld:
         Returns:
             `state`.
 
-        Raises:
-            InputError: another number of variations, or one with late touch or conditions, or starts that do
-                not divide.
+        Raises InputError: another number of variations, or one with late touch or conditions, or starts that
+        do not divide.
         """
         N, starts = self.worlds, starts or self.worlds
         if starts % N:
@@ -614,8 +613,7 @@ class BatchedWorld:
         Returns:
             `state` (N, 8 + C), `area` (N,), `success` (N,) bool and the force on the gel (N,) in N.
 
-        Raises:
-            InputError: actions of another shape, or not finite.
+        Raises InputError: actions of another shape, or not finite.
         """
         with self._on_device():
             actions = torch.as_tensor(actions, dtype=torch.float32, device=self.torch_device)

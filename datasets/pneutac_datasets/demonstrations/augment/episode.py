@@ -234,8 +234,7 @@ class Generator:
         Returns:
             the accepted attempt, and its provenance with every rejection's reason.
 
-        Raises:
-            InputError: none of `attempts` variants did the task.
+        Raises InputError: none of `attempts` variants did the task.
         """
         rejected = []
         for number in range(self.setup.config.attempts):

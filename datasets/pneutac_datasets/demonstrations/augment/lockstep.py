@@ -145,8 +145,7 @@ class Lockstep:
         seconds: spent by this process in `world` and `controllers`.
         steps: control steps of all worlds.
 
-    Raises:
-        InputError: as `BatchedWorld`.
+    Raises InputError: as `BatchedWorld`.
     """
 
     def __init__(self, setup: AugmentSetup, scenes: Sequence[Scene] = ()):
@@ -196,8 +195,7 @@ class Lockstep:
             progress: is called with how many are made.
             done: of them before these.
 
-        Raises:
-            InputError: none of the attempts at one of them did the task.
+        Raises InputError: none of the attempts at one of them did the task.
         """
         self._open, self._ended = set(missing), defaultdict(dict)
         self._jobs = ((k, n) for n in range(self._setup.config.attempts) for k in missing if k in self._open)

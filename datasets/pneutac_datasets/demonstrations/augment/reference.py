@@ -147,8 +147,7 @@ def reaction_hz(references: list[Reference]) -> np.ndarray:
 def onset_sigma_m(references: list[Reference]) -> np.ndarray:
     """Standard deviation (3,) of the flange position at the contact onset over demonstrations, metres.
 
-    Raises:
-        InputError: fewer than two demonstrations, or one without contact.
+    Raises InputError: fewer than two demonstrations, or one without contact.
     """
     if len(references) < 2:
         raise InputError(
@@ -162,10 +161,8 @@ def read_references(
 ) -> tuple["LeRobotDatasetMetadata", list[Reference]]:
     """The recorded demonstrations that have not failed, without their images.
 
-    With the twin's `sensor` the images are read, for the middles of the imprints.
-
-    Raises:
-        InputError: it is damaged, its features are not those of the robot, or an episode is not finite.
+    With the twin's `sensor` the images are read, for the middles of the imprints. Raises InputError: it is
+    damaged, its features are not those of the robot, or an episode is not finite.
     """
     from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata  # seconds, which --help need not wait
 

@@ -331,8 +331,7 @@ def augment_guided(
         `scenes`, `wall_s`, `earlier` (how many of `kept` a run had made that was stopped); with checks also
         `checks`, an `Agreement` each.
 
-    Raises:
-        InputError: the output exists, an unfinished run is another one, or a demonstration cannot be made.
+    Raises InputError: the output exists, an unfinished run is another one, or a demonstration cannot be made.
     """
     c, out, began = setup.config, setup.config.output, time.monotonic()
     work, n = Work(work_folder(out.root)), len(setup.references)

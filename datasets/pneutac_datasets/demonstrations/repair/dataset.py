@@ -85,11 +85,9 @@ def repair_dataset(root: str | Path, like: str | Path | None = None, drop: bool 
 
     Nothing else may be writing in `root`. `like`, a whole dataset of the same robot and frame rate, is wanted
     only where `meta/info.json` is torn; with `drop` episodes whose videos are missing are left out, and their
-    numbers move to `left_out`.
-
-    Raises:
-        InputError: the folder is no dataset of LeRobot or cannot be written, `info.json` is torn and `like`
-            is missing or other, or videos are missing and `drop` is False. Nothing is changed then.
+    numbers move to `left_out`. Raises InputError: the folder is no dataset of LeRobot or cannot be written,
+    `info.json` is torn and `like` is missing or other, or videos are missing and `drop` is False. Nothing is
+    changed then.
     """
     root = Path(root)
     if not ((root / "meta").is_dir() or (root / BACKUP).is_dir()):

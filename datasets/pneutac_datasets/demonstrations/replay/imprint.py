@@ -153,8 +153,7 @@ Pose = tuple[np.ndarray, np.ndarray]  # position (3,) m and rotation (9,) of the
 def find_place(world: World, episode: Episode) -> Place:
     """The start and displacement with which the twin first feels what the episode felt.
 
-    Raises:
-        InputError: it touches nothing, or no object of the task comes into the gel's reach there.
+    Raises InputError: it touches nothing, or no object of the task comes into the gel's reach there.
     """
     contact = episode.contact()
     if contact is None:

@@ -130,8 +130,7 @@ def load_demonstrations(
 def checked(given: Demonstrations) -> Demonstrations:
     """The same, where each episode has touch and a pressure that was measured.
 
-    Raises:
-        InputError: one has not, or there is no such task.
+    Raises InputError: one has not, or there is no such task.
     """
     from pneutac_datasets.demonstrations.faults import unmeasurable
     from pneutac_sim.world.tasks import make_task
