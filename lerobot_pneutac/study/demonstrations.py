@@ -331,7 +331,24 @@ class DemonstrationStudy(EffectStudy):
             search = Search(space, self._learnt(), fold, float(floor), pool.map, report)
             found = search.find()
             found.final = space.pruned(found.final, search.score, partial(self._least, columns))
+            found.final = self._confirmed(found, search, space)
             return found
+
+    def _confirmed(self, found: Found, search: Search, space: DemonstrationSpace) -> Scored:
+        """What a stage found, without the terms that do not lower the error of the held-out episodes too.
+
+        Of few episodes that are learnt from, one that stands out may bring in a term that the others lack.
+        """
+        now = found.final
+        while terms := now.model.structure.effects:
+            without = [search.score(space.without(now.model, e)) for e in terms]
+            error, *errors = (
+                self._heldout(s.model, space.fitter, space.columns).mean() for s in (now, *without)
+            )
+            if min(errors) > error:
+                return now if now is found.final or search.is_worth(found.base, now) else found.base
+            now = without[int(np.argmin(errors))]
+        return now
 
     def _worth(self, found: Found, base: DemonstrationModel, fitter: Fitter, columns: slice) -> bool:
         """Whether what a stage found lowers the error of the held-out episodes too, by a good part."""

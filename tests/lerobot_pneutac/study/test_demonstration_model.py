@@ -233,3 +233,27 @@ def test_imprints_that_are_all_fainter_tell_a_softer_finger(twin, monkeypatch, s
     assert "gel that has hardened" in study.confusable_with([COMPLIANCE])
     if word == "stiffer":  # more creep, or a slow valve, may be what made them stronger
         assert pressing_as(study, bare, study.bare_touch, study.fitter, ["creep"]) is None
+
+
+@pytest.mark.parametrize(("worth", "left"), [(True, ("creep",)), (False, ())])
+def test_a_term_that_held_out_episodes_do_not_confirm_goes(worth, left):
+    """Without the stiffening they show less error; creep stays where it is worth it by itself."""
+    heldout = {("stiffening", "creep"): 1.0, ("creep",): 0.9, ("stiffening",): 1.2, (): 1.4}
+
+    def scored(effects):
+        return SimpleNamespace(model=SimpleNamespace(structure=Structure(effects)))
+
+    space = SimpleNamespace(
+        fitter=None,
+        columns=TOUCH,
+        without=lambda model, term: scored(model.structure.without(term).effects).model,
+    )
+    search = SimpleNamespace(
+        score=lambda model: SimpleNamespace(model=model), is_worth=lambda now, after: worth
+    )
+    study = SimpleNamespace(
+        _heldout=lambda model, fitter, columns: np.array(heldout[model.structure.effects])
+    )
+    found = Found(scored(()), [], scored(("stiffening", "creep")))
+    confirmed = DemonstrationStudy._confirmed(study, found, search, space)
+    assert confirmed.model.structure.effects == left

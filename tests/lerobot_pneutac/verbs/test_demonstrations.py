@@ -115,20 +115,25 @@ def measured(tmp_path_factory):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(
-    ("hidden", "found", "left"),
+    ("hidden", "found", "shows", "left"),
     [
-        (Physics(late_commands=3), "late_commands", 0.5),
-        (Physics(creep=0.5), "creep", 0.9),
-        (Physics(), None, 1.0),
+        (Physics(late_commands=3), "late_commands", "heldout", 0.5),
+        (Physics(creep=0.5), "creep", "touch", 0.8),
+        (Physics(), None, "heldout", 1.0),
     ],
 )
-def test_ten_demonstrations_reveal_what_is_hidden_in_the_stand_in(measured, hidden, found, left):
-    """Commands three steps late instead of one, creep three times as large, and nothing."""
+def test_ten_demonstrations_reveal_what_is_hidden_in_the_stand_in(measured, hidden, found, shows, left):
+    """Commands three steps late instead of one, creep three times as large, and nothing.
+
+    Arm and gauge, most of the whole error, know nothing of creep: touch alone shows it.
+    """
+    from lerobot_pneutac.diagnosis.thresholds import NOISE
     from pneutac_sim.effects.laws import family
 
     diagnosis = diagnose(measured, shown(10, 100, hidden), jobs=1)
     assert ([family(e) for e in diagnosis.selected][:1] or [None]) == [found]
-    assert diagnosis.after["heldout"] <= left * diagnosis.before["heldout"]
+    assert diagnosis.after[shows] <= left * diagnosis.before[shows]
+    assert diagnosis.after["heldout"] <= min(diagnosis.before["heldout"], NOISE * diagnosis.study.noise.floor)
 
 
 @pytest.mark.nightly
