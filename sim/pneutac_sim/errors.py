@@ -17,6 +17,7 @@ import numpy as np
 # All but tab and newline: what a terminal obeys, and marks that turn the direction of text.
 CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 MOST_SHOWN = 80  # characters of a value in a sentence
+MOST_LISTED = 10  # names in a sentence
 
 
 class InputError(ValueError):
@@ -71,10 +72,12 @@ def unknown_names(given: Iterable, known: Iterable[str], kind: str = "field") ->
     A name that is given already is suggested only where no other is close.
     """
     given, known, out = [str(g) for g in given], list(known), []
+    exist = ", ".join(known[:MOST_LISTED]) or "none"
+    exist += f" and {len(known) - MOST_LISTED} more" * (len(known) > MOST_LISTED)
     for name in (g for g in given if g not in known):
         free = [k for k in known if k not in given]
         near = difflib.get_close_matches(name, free, n=1) or difflib.get_close_matches(name, known, n=1)
-        hint = f"did you mean '{near[0]}'?" if near else f"those that exist are {', '.join(known) or 'none'}."
+        hint = f"did you mean '{near[0]}'?" if near else f"those that exist are {exist}."
         out.append(f"unknown {kind} {shown(name)}; {hint}")
     return out
 
