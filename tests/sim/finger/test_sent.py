@@ -43,7 +43,7 @@ def table(sent_by, rng, jitter_s=0.0):
     return np.concatenate(time), np.concatenate(pressure)[:, None], np.arange(TRIALS * len(t)) % len(t) == 0
 
 
-@pytest.mark.parametrize("tick_s", (0.0173, 0.0311, 0.0463))
+@pytest.mark.parametrize("tick_s", (0.0173, 0.0252, 0.0311, 0.0463, 0.0496))
 @pytest.mark.parametrize("resolution_kpa", (0.0, 0.001))
 def test_when_a_faster_computer_sent_is_read_off_its_commands(tick_s, resolution_kpa):
     rng, truth = np.random.default_rng(1), []
