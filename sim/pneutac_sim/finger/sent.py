@@ -52,8 +52,8 @@ def _sent_times(time: bytes, pressure: bytes, first: bytes, chambers: int) -> np
     out.flags.writeable = False  # it is cached
     trials = [slice(a, b) for a, b in zip(begins, [*begins[1:], len(t)], strict=True)]
     moves = lambda w: np.abs(np.diff(p[w], axis=0)) > 1e-9 * span  # noqa: E731 - more than rounding
-    moving = lambda parts: [w for w in parts if moves(w).any(axis=1).mean() > 0.5]  # noqa: E731
-    windows = moving(
+    in_motion = lambda parts: [w for w in parts if moves(w).any(axis=1).mean() > 0.5]  # noqa: E731
+    windows = in_motion(
         slice(a, min(a + ROWS, w.stop)) for w in trials for a in range(w.start, w.stop - LEAST_ROWS, ROWS)
     )
     if len(windows) < WINDOWS:
@@ -89,7 +89,7 @@ def _sent_times(time: bytes, pressure: bytes, first: bytes, chambers: int) -> np
     jumped, phases = min(1.0, 4 * (a_row - 1)), PHASES  # four rows see a jump
     nearer = apart * np.linspace(-1, 1, 201)
     if gain > SURE * jumped or abs(a_row - round(a_row)) * ROWS < BEATS + 2 * apart:
-        windows = moving(trials)
+        windows = in_motion(trials)
         a_row = _nearly_whole([p[w] / span for w in windows], least)
         if a_row is None:
             return out  # or it is slower
