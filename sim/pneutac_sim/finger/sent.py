@@ -89,8 +89,8 @@ def _sent_times(time: bytes, pressure: bytes, first: bytes, chambers: int) -> np
     jumped, phases = min(1.0, 4 * (a_row - 1)), PHASES  # four rows see a jump
     nearer = apart * np.linspace(-1, 1, 201)
     if gain > SURE * jumped or abs(a_row - round(a_row)) * ROWS < BEATS + 2 * apart:
-        windows = in_motion(trials)
-        a_row = _nearly_whole([p[w] / span for w in windows], least)
+        windows = in_motion(w for w in trials if w.stop - w.start > LEAST_ROWS)
+        a_row = _nearly_whole([p[w] / span for w in windows], least) if windows else None
         if a_row is None:
             return out  # or it is slower
         seldom = abs(a_row - round(a_row))

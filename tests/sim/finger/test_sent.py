@@ -22,6 +22,10 @@ def chirp(t, rng):
     return 6 + 5 * np.sin(2 * np.pi * (0.05 + 0.02 * t) * t)
 
 
+def then_rests(t, rng):
+    return np.where(t < SECONDS / 3, sine(t, rng), 6.0)
+
+
 def levels(t, rng):
     """One level a trial, with the rounding of whatever computed it."""
     return rng.uniform(1, 12) * (1 + 1e-15 * rng.integers(-3, 4, len(t)))
@@ -71,6 +75,7 @@ def test_when_a_faster_computer_sent_is_read_off_its_commands(tick_s, resolution
         pytest.param(ramps, 0.0, 0.1, id="a command in tenths"),
         pytest.param(joystick, 0.0, 0.0, id="a hand"),
         pytest.param(levels, 0.0, 0.0, id="levels"),
+        pytest.param(then_rests, 0.0, 0.0, id="a loop that moves for a third of a trial"),
     ],
 )
 def test_nothing_is_read_off_commands_that_do_not_show_it(form, jitter_s, resolution_kpa):
@@ -81,6 +86,13 @@ def test_nothing_is_read_off_commands_that_do_not_show_it(form, jitter_s, resolu
         return np.round(p / resolution_kpa) * resolution_kpa if resolution_kpa else p
 
     assert np.isnan(sent_times(*table(command, rng, jitter_s))).all()
+
+
+def test_a_trial_of_three_rows_changes_nothing():
+    rng = np.random.default_rng(2)
+    time, pressure, first = table(lambda t, trial: sine(t, rng), rng)
+    rows = slice(0, np.flatnonzero(first)[-1] + 3)
+    assert np.isnan(sent_times(time[rows], pressure[rows], first[rows])).all()
 
 
 def test_the_inputs_hold_each_command_until_the_next_as_if_its_time_were_logged():
