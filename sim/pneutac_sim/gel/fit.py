@@ -32,7 +32,7 @@ from pneutac_sim.gel.photograph import (
     gains,
     press_depth,
     registered,
-    session_light,
+    smooth_part,
 )
 from pneutac_sim.gel.probe import COLS, ROWS, THICKNESS_MM
 from pneutac_sim.gel.residual import ERROR_LEVELS, INDEPENDENT, Leftover, faded, learn, levels, trusted_share
@@ -295,6 +295,7 @@ class Problem:
         gel: as given; may be replaced by what was found.
         cell: grid spacing in mm, along x and y.
         rests: (80, 59, 3) rest image of each photograph, levels.
+        changes: (80, 59, 3) difference of each photograph to its rest image, levels, by one brightness.
         seen: (80, 59, 3) what its contact changes, levels; drift of the light is taken out.
         masks: (80, 59) where it is compared, bool.
     """
@@ -313,12 +314,22 @@ class Problem:
         self._residues = Residues(gel, [p.earlier for p in photographs])
         self.masks = [to_grid(p.near(gel.px_per_mm)) > 0.5 for p in photographs]
         self.rests = [to_grid(p.rest) for p in photographs]
+        self.changes = [to_grid(p.image / gains(gel, p.clock) - p.rest) for p in photographs]
         self.seen = []
-        for p in photographs:
-            drift = 0 if drift_known(gel) else session_light(p, gel.px_per_mm)
-            image = p.image / gains(gel, p.clock) if drift_known(gel) else p.image.astype(np.float32)
-            self.seen.append(to_grid(image - p.rest) - drift)
+        for i, (change, left) in enumerate(zip(self.changes, self.left(gel), strict=True)):
+            light = 0 if left is None else self.contact_light(gel, i, left)
+            self.seen.append(light + self.without_drift(i, change - light))
         self.evaluations = 0
+
+    def contact_light(self, gel: GelModel, i: int, left_mm: np.ndarray | None) -> np.ndarray:
+        """What the press of photograph i changes, (80, 59, 3) levels."""
+        return contact_light(gel, self.photographs[i].press, left_mm) * gel.weight_on(self.rests[i])
+
+    def without_drift(self, i: int, change: np.ndarray) -> np.ndarray:
+        """A change of photograph i, (80, 59, 3) levels, without what may be drift of the session's light."""
+        if drift_known(self.gel):
+            return change
+        return change - smooth_part(change, self.photographs[i], self.gel.px_per_mm)
 
     def surfaces(self, decay_mm: float, depth_scale: float) -> list[np.ndarray]:
         """Displacement (80, 59) in mm under each photograph."""
@@ -463,7 +474,7 @@ def refine_contacts(
     Minimises |(predicted - seen) / error|^2 + |(x - neutral) / prior_sd|^2 linearised at the present x.
     Returns effect to its values.
     """
-    photographs = problem.photographs
+    photographs, late = problem.photographs, any(e.late for e in effects)
     specs = [(e, p) for e in effects for p in e.parameters]
     neutral = np.array([p.neutral for _, p in specs])
     now = np.array([gel.effects[e.name][p.name] for e, p in specs])
@@ -478,25 +489,27 @@ def refine_contacts(
             out.setdefault(e.name, {})[p.name] = value
         return out
 
-    def predicted(x: np.ndarray) -> list[np.ndarray]:
+    def left_over(x: np.ndarray) -> list[np.ndarray]:
         moved = replace(gel, effects=gel.effects | values(x))
         out = []
-        for p, rest in zip(photographs, problem.rests, strict=True):
+        for i, p in enumerate(photographs):
             left = Residues(moved, [p.earlier]).surfaces(moved)[0]
-            out.append(contact_light(moved, p.press, left) * gel.weight_on(rest))
+            light = problem.contact_light(moved, i, left)
+            # earlier presses may lie where this photograph's drift is read off
+            off = problem.without_drift(i, problem.changes[i] - light) if late else problem.seen[i] - light
+            out.append(off)
         return out
 
-    late = any(e.late for e in effects)
-    base = predicted(now)
-    moved = [predicted(now + step * unit) for step, unit in zip(steps, np.eye(len(now)), strict=True)]
+    base = left_over(now)
+    moved = [left_over(now + step * unit) for step, unit in zip(steps, np.eye(len(now)), strict=True)]
     sd = np.concatenate([e.prior_sd for e in effects])
     A, b = [np.diag(1 / sd)], [(neutral - now) / sd]
-    for j, (near, difference) in enumerate(zip(problem.masks, problem.seen, strict=True)):
+    for j, near in enumerate(problem.masks):
         scale = np.sqrt(INDEPENDENT / max(near.sum(), 1)) / ERROR_LEVELS
         mask = near | _left_in(gel, photographs[j]) if late else near
-        slopes = [((m[j] - base[j]) / step)[mask].ravel() for m, step in zip(moved, steps, strict=True)]
+        slopes = [((base[j] - m[j]) / step)[mask].ravel() for m, step in zip(moved, steps, strict=True)]
         A.append(scale * np.stack(slopes, -1))
-        b.append(scale * (difference - base[j])[mask].ravel())
+        b.append(scale * base[j][mask].ravel())
     M, y = np.concatenate(A), np.concatenate(b)
     low, high = np.array([(p.lower, p.upper) for _, p in specs]).T
     # branches are much alike: without bounds one would stand against another
@@ -691,6 +704,7 @@ def fit_photographs(
         best = problem.best(makes, near, quick=quick or left > 0)
         if left:
             near = best.gel
+            gel = replace(near, effects=dict(near.effects))
             if of_contacts:
                 gel.effects |= refine_contacts(near, of_contacts, problem)
             if uncertain:

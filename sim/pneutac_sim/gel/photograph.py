@@ -76,11 +76,19 @@ class Residues:
 
 
 def session_light(pair: PressPhotograph, px_per_mm: float) -> np.ndarray:
-    """`smooth_change` of a photograph away from its contact; zero where hardly anything lies away from it."""
+    """`smooth_part` of all that a photograph changes."""
+    return smooth_part(to_grid(pair.image.astype(np.float32) - pair.rest), pair, px_per_mm)
+
+
+def smooth_part(change: np.ndarray, pair: PressPhotograph, px_per_mm: float) -> np.ndarray:
+    """`smooth_change` of a change (80, 59, 3) in levels away from a photograph's contact.
+
+    Zero where hardly anything lies away from it.
+    """
     far = pair.far(px_per_mm)
     if far.mean() <= FAR_ENOUGH:
         return np.zeros((ROWS, COLS, 3))
-    return smooth_change(to_grid(pair.image.astype(np.float32) - pair.rest), to_grid(pair.rest), far)
+    return smooth_change(change, to_grid(pair.rest), far)
 
 
 def expected_drift(pairs: Sequence[PressPhotograph], rest: np.ndarray, px_per_mm: float) -> np.ndarray:

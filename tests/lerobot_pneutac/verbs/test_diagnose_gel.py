@@ -10,7 +10,7 @@ from lerobot_pneutac.diagnosis.search import Steps
 from lerobot_pneutac.diagnosis.thresholds import APART, FOLDS, NEEDED
 from lerobot_pneutac.study import gel as gel_study
 from lerobot_pneutac.study.gel import GelStudy, deal_photographs, photograph_folds, predict
-from pneutac_datasets.generate.gel import SIZES, write_gel_recording, write_hidden_gel
+from pneutac_datasets.generate.gel import NOISE_LEVELS, SIZES, write_gel_recording, write_hidden_gel
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.gel.fit import GelFit
 from pneutac_sim.gel.model import GelModel
@@ -56,7 +56,8 @@ def test_a_hidden_effect_is_named_added_and_lowers_the_error(effect, tmp_path, c
     added = run("add", tmp_path / "a", twin, recording, f"--effect={effect}")
     assert added["after"]["heldout"] < added["before"]["heldout"] and added["version"] == 1
     after = run("compare", tmp_path / "c2", twin, recording)["error"]["heldout"]
-    assert after < 0.85 * before, "the stored twin predicts better"
+    left, excess = after - NOISE_LEVELS, before - NOISE_LEVELS  # no model predicts the camera's noise
+    assert left < 0.3 * excess, "the stored twin predicts better"
     assert list(Twin.load(twin).effects) == [effect]
     capsys.readouterr()
 
