@@ -285,7 +285,9 @@ def test_the_shares_are_found_in_a_session_and_stay_where_no_press_came_before(c
     def left(values):
         return share_left(get_effect("gel_creep").late(values), 60.0, 3.0)
 
-    assert left(fitted(linear, photographs(creeping))) == pytest.approx(left(CREEP), rel=0.15)
+    found = fitted(linear, photographs(creeping))
+    assert found == pytest.approx(CREEP, rel=0.25), "none of it is taken for drift of the light"
+    assert left(found) == pytest.approx(left(CREEP), rel=0.15)
     assert fitted(creeping, [replace(p, earlier=()) for p in photographs(linear)[:1]]) == CREEP
     assert left(fitted(linear, photographs(linear))) < 0.01
 
