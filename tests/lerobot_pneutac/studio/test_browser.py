@@ -95,7 +95,7 @@ class Page:
         return self.page.get_by_role("button", name=name)
 
     def heldout_mm(self) -> float:
-        shown = self.page.get_by_text("Test error").first
+        shown = self.page.locator("strong", has_text="Test error")
         expect(shown).to_be_visible(timeout=60_000)
         return float(re.search(r"error ([0-9.]+) mm", shown.inner_text())[1])
 
@@ -207,7 +207,7 @@ def test_a_newcomer_finds_and_adds_what_is_missing(browser, tmp_path):
         expect(page.get_by_text("Stored as version 1").first).to_be_visible(timeout=60_000)
         assert seen.heldout_mm() < 0.5 * before
         assert Twin.load(tmp_path / "finger").history[-1]["change"].startswith("added ")
-        page.get_by_text("Test error").first.scroll_into_view_if_needed()
+        page.locator("strong", has_text="Test error").scroll_into_view_if_needed()
         page.get_by_text("History of the twin").click()
         seen.frame(3500, wait_ms=1000)
         seen.film("studio")
