@@ -78,7 +78,7 @@ FAR = 0.3  # of a range: a fit without a fold stays so near to the whole one, wh
 TRUST = 0.3  # of a range: the same for demonstrations (demonstration_fit)
 CORRELATED = 8.0  # neighbouring residuals are worth one independent one (body_model)
 IDLE_OF_RESIDUAL = 0.02  # an effect that moves the prediction by less of it does nothing (body_space)
-IDLE_OF_NOISE = 0.02  # the same by the noise, for a finished fit (body_base)
+IDLE_OF_NOISE = 0.02  # the same by the noise, for a finished fit (body_base, gel)
 
 # ---------------------------------------------------------------- bodies
 

@@ -453,6 +453,14 @@ class GelStudy(EffectStudy):
         rest = mean_squares(p.image.astype(float) - p.rest for p in self.space.photographs)
         return self.test.reduction(rest, model.squared, self.noise.floor)[0]
 
+    def idle(self, model: FittedGel, effect: str) -> bool:
+        """Whether an effect moves the images by less than `thresholds.IDLE_OF_NOISE` of the noise."""
+        gel, n = model.fit.gel, len(self.space.photographs)
+        without = replace(gel, effects={e: v for e, v in gel.effects.items() if e != effect})
+        seen, plain = (self.space.differences([g] * n) for g in (gel, without))
+        moved = mean_squares(a - b for a, b in zip(seen, plain, strict=True))
+        return root_mean(moved) < T.IDLE_OF_NOISE * self.noise.floor
+
     def _far(self, model: FittedGel) -> float:
         """Error of a model away from contacts on test photographs, levels."""
         space, shown = self.space, np.flatnonzero(self.parts.test)

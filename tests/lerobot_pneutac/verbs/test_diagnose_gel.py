@@ -1,5 +1,6 @@
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from lerobot_pneutac.study import gel as gel_study
 from lerobot_pneutac.study.gel import GelStudy, deal_photographs, photograph_folds, predict
 from pneutac_datasets.generate.gel import NOISE_LEVELS, SIZES, write_gel_recording, write_hidden_gel
 from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.effects import get_effect
 from pneutac_sim.gel.fit import GelFit
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.twin import Twin
@@ -72,6 +74,18 @@ def test_a_diagnosis_and_a_comparison_predict_the_same_images(tmp_path):
     differences = study.space.differences([gel] * len(study.data.samples))
     predicted = [s.image + d for s, d in zip(study.data.samples, differences, strict=True)]
     np.testing.assert_array_equal(predicted, predict(gel, study.data))
+
+
+def test_an_effect_is_idle_where_it_moves_no_image(tmp_path):
+    """A fit with it is then better for having searched longer alone, and it is not added."""
+    recording = write_gel_recording(tmp_path / "recording", seed=1, heldout=2)
+    study = GelStudy(Twin(device="gel"), recording)
+    neutral = {p.name: p.neutral for p in get_effect("registration_shift").parameters}
+    for shift_mm in (0.0, 0.5):
+        effects = {"registration_shift": neutral | {"shift_x_mm": shift_mm}}
+        gel = replace(study.space.gel, light=GelModel.builtin().light, effects=effects)
+        model = SimpleNamespace(fit=GelFit(gel, 0.0, 1))
+        assert study.idle(model, "registration_shift") == (shift_mm == 0)
 
 
 @pytest.mark.nightly  # every day: a search on five photographs, below
