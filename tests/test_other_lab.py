@@ -99,7 +99,7 @@ def test_a_finger_of_60_kpa_an_arm_a_sensor_and_a_doorbell_go_from_the_bench_to_
     bench(tmp_path / "bench")
     sensor(tmp_path / "gel")
     station(tmp_path)
-    assert "measured from 0 to 60 kPa" in run("pneutac new --twin=twin --recording=bench")
+    assert "recording goes from 0 to 60 kPa" in run("pneutac new --twin=twin --recording=bench")
     run("pneutac calibrate --twin=twin --recording=bench")
     run("pneutac calibrate --twin=twin --recording=gel")
     run("pneutac check bench gel twin")
