@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from lerobot_pneutac.verbs.diagnose import Diagnosis, diagnose
     from lerobot_pneutac.verbs.learn import Learning, learn
     from lerobot_pneutac.verbs.result import Calibration, Comparison
-    from pneutac_datasets.demonstrations.replay.reading import Demonstrations, load_demonstrations
+    from pneutac_datasets.demonstrations.reading import Demonstrations, load_demonstrations
     from pneutac_datasets.recording.recording import Recording
     from pneutac_sim.errors import InputError
     from pneutac_sim.twin import Twin
@@ -37,7 +37,7 @@ _NAMES = {
     "pneutac_sim.twin": "Twin",
     "pneutac_sim.errors": "InputError",
     "pneutac_datasets.recording.recording": "Recording",
-    "pneutac_datasets.demonstrations.replay.reading": "Demonstrations load_demonstrations",
+    "pneutac_datasets.demonstrations.reading": "Demonstrations load_demonstrations",
     "lerobot_pneutac.verbs.result": "Calibration Comparison",
     "lerobot_pneutac.verbs.calibrate": "calibrate",
     "lerobot_pneutac.verbs.compare": "compare",

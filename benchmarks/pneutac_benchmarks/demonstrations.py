@@ -20,8 +20,8 @@ from lerobot_pneutac.verbs.diagnose import diagnose
 from lerobot_robot_pneutac.standin.world import Physics, StandinWorld
 from pneutac_benchmarks.tables import markdown, terminal
 from pneutac_datasets.demonstrations.episodes import Episode
-from pneutac_datasets.demonstrations.replay.imprint import Dragging, light_drift
-from pneutac_datasets.demonstrations.replay.reading import Demonstrations, checked
+from pneutac_datasets.demonstrations.imprint import Dragging, light_drift
+from pneutac_datasets.demonstrations.reading import Demonstrations, checked
 from pneutac_datasets.generate.standin import write_finger, write_gel
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.laws import family

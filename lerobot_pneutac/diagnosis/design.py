@@ -14,10 +14,17 @@ import numpy as np
 
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.experiment import predict
-from lerobot_pneutac.diagnosis.hands import Hands
 from lerobot_pneutac.diagnosis.law_programs import law_program
 from lerobot_pneutac.diagnosis.names import called
-from lerobot_pneutac.diagnosis.programs import Limits, common_programs, on_chambers, table, visited, ways
+from lerobot_pneutac.diagnosis.programs import (
+    Hands,
+    Limits,
+    common_programs,
+    on_chambers,
+    table,
+    visited,
+    ways,
+)
 from lerobot_pneutac.diagnosis.result import Candidate
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import plural
@@ -45,7 +52,7 @@ class Choice:
     new: float  # share of the time at levels, paces and rests that no recording has
     predictions: tuple[np.ndarray, ...]  # (n, k) headline columns by each candidate
     worth: float = 0.0  # all three for a second of the bench's time, see `choices`
-    hand: str = ""  # what a hand changes for it, see `hands.HANDS`; empty for nothing
+    hand: str = ""  # what a hand changes for it, see `programs.HANDS`; empty for nothing
     # in force throughout; empty where no hand may change any
     conditions: Mapping[str, float] = field(default_factory=dict)
 

@@ -10,8 +10,7 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.data import BodyData
-from pneutac_sim.finger.instants import instants
-from pneutac_sim.finger.pauses import pauses
+from pneutac_sim.finger.instants import instants, pauses
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.twin import Twin
 

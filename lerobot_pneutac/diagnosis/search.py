@@ -14,8 +14,7 @@ from typing import Any, Self
 import numpy as np
 
 from lerobot_pneutac.diagnosis import thresholds as T
-from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
-from lerobot_pneutac.diagnosis.parts import out_of_time
+from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap, out_of_time
 from lerobot_pneutac.diagnosis.result import Candidate, FittedModel, Rival
 from pneutac_sim.twin import Twin
 
@@ -129,7 +128,8 @@ class Search:
         floor: noise, in the unit of the error.
         run: like `map`, perhaps in parallel.
         report: called with a line of progress.
-        condition: (N,) number of each row's physical condition, see `parts.conditions`; None for one alone.
+        condition: (N,) number of each row's physical condition, see `bootstrap.conditions`; None for
+            one alone.
     """
 
     def __init__(

@@ -13,8 +13,8 @@ from lerobot_pneutac.rl.options import StudentRef
 from pneutac_datasets.demonstrations.episodes import Episode, save_episode
 from pneutac_datasets.demonstrations.save import create_dataset, quiet_encoders
 from pneutac_sim.errors import InputError
+from pneutac_sim.executor import Progress, no_progress
 from pneutac_sim.features import ACTION_NAMES, IMAGE_NAME, state_names
-from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.checks import Conditions
 from pneutac_sim.world.station import Station

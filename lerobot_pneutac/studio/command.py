@@ -39,7 +39,7 @@ def command(cfg: StudioConfig, terminal: Terminal) -> None:
         if e.name != "viser":
             raise
         raise InputError("The studio needs viser; in a clone: uv pip install -e '.[studio]'") from e
-    from lerobot_pneutac.studio.session import Session
+    from lerobot_pneutac.studio.app import Session
 
     bench = None if cfg.bench == "none" else make_bench(cfg.measure, Path("outputs/studio"), 0, device)[0]
     session = Session(cfg.twin, cfg.recording, cfg.policy, cfg.demonstrations, bench)

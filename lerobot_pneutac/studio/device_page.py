@@ -10,14 +10,13 @@ import numpy as np
 import viser
 
 from lerobot_pneutac.studio import plots as P
-from lerobot_pneutac.studio.effects_panel import EffectsPanel
 from lerobot_pneutac.studio.live import LiveBody, Shape, Skin
-from lerobot_pneutac.studio.plots import Background, Lines, rgb, show_text
+from lerobot_pneutac.studio.plots import Background, EffectsPanel, Lines, rgb, show_text
 from pneutac_sim.effects.registry import body_effects, get_effect, of_body, of_sensor
 from pneutac_sim.errors import InputError
+from pneutac_sim.executor import Progress, no_progress
 from pneutac_sim.features import CHAMBERS
 from pneutac_sim.finger.online import COMPUTED, OTHERS
-from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.splat.body import MOST_STRAIN, strain, stretch_colours
 from pneutac_sim.splat.render import Gaussians
 from pneutac_sim.twin import Twin

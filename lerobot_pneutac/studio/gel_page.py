@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from lerobot_pneutac.reports.page import side_by_side
-from lerobot_pneutac.studio.effects_panel import EffectsPanel
-from lerobot_pneutac.studio.plots import SKIN, Background
+from lerobot_pneutac.studio.plots import SKIN, Background, EffectsPanel
 from pneutac_sim.effects.registry import sensor_effects
 from pneutac_sim.gel.indenter import INDENTERS, Press
 from pneutac_sim.gel.model import GelModel

@@ -15,8 +15,8 @@ from lerobot.utils.import_utils import register_third_party_plugins
 from lerobot_pneutac.reports.page import side_by_side
 from lerobot_pneutac.studio.plots import FLOOR, MEASURED, MODEL, Background, Lines, Player
 from pneutac_sim.errors import InputError
+from pneutac_sim.executor import no_progress
 from pneutac_sim.features import AREA, CHAMBERS, IMAGE_NAME, PRESSURE, TRIAL_S, pressure_names, task_names
-from pneutac_sim.progress import no_progress
 
 BY_INSTRUCTION = "as its instruction says"
 
@@ -56,9 +56,9 @@ class EpisodePanel:
         task = "" if self._task.value == BY_INSTRUCTION else self._task.value
 
         def work(_) -> None:
-            from pneutac_datasets.demonstrations.replay.imprint import find_place
-            from pneutac_datasets.demonstrations.replay.reading import load_demonstrations
-            from pneutac_datasets.demonstrations.replay.replaying import replay
+            from pneutac_datasets.demonstrations.imprint import find_place
+            from pneutac_datasets.demonstrations.reading import load_demonstrations
+            from pneutac_datasets.demonstrations.replaying import replay
             from pneutac_sim.world.world import World
 
             given = load_demonstrations(name, task, twin, only=[number])

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from lerobot_pneutac.study.base import EffectStudy
-from pneutac_datasets.demonstrations.replay.reading import Demonstrations
+from pneutac_datasets.demonstrations.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.twin import Twin
 

@@ -11,10 +11,9 @@ import numpy as np
 
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.black_box import share_left
-from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap, PairedTest
+from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap, PairedTest, Parts
 from lerobot_pneutac.diagnosis.experiment import Separation
 from lerobot_pneutac.diagnosis.names import called, hardly_bends
-from lerobot_pneutac.diagnosis.parts import Parts
 from lerobot_pneutac.diagnosis.result import (
     Contribution,
     FittedModel,

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import linregress, ttest_1samp, wilcoxon
 
 from lerobot_pneutac.diagnosis import thresholds as T
-from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
+from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap, conditions, deal
 from lerobot_pneutac.diagnosis.experiment import (
     Separation,
     predict,
@@ -18,7 +18,6 @@ from lerobot_pneutac.diagnosis.experiment import (
 )
 from lerobot_pneutac.diagnosis.law_programs import law_program
 from lerobot_pneutac.diagnosis.names import PROFILE, called
-from lerobot_pneutac.diagnosis.parts import conditions, deal
 from lerobot_pneutac.diagnosis.result import FittedModel, Outcome, Rival, Untested
 from lerobot_pneutac.diagnosis.verdict import too_few
 from lerobot_pneutac.study.base import EffectStudy
@@ -35,11 +34,10 @@ from pneutac_sim.effects.body_effect import BodyEffect
 from pneutac_sim.effects.laws import family, is_law, law, law_names
 from pneutac_sim.effects.registry import body_effects, get_effect, of_body
 from pneutac_sim.features import CHAMBERS
-from pneutac_sim.finger.confidence import Z95, confidence
 from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.inputs import conditions_of
-from pneutac_sim.finger.instants import step_rows
-from pneutac_sim.finger.pauses import RESTED_S, pauses_read, unknown_pauses
+from pneutac_sim.finger.instants import RESTED_S, pauses_read, step_rows, unknown_pauses
+from pneutac_sim.least_squares import Z95, confidence
 from pneutac_sim.twin import Twin, Value
 
 

@@ -7,8 +7,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from lerobot_pneutac.diagnosis import thresholds as T
-from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
-from lerobot_pneutac.diagnosis.parts import conditions, out_of_time
+from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap, conditions, out_of_time
 from lerobot_pneutac.diagnosis.result import CURVE_LIKE
 from lerobot_pneutac.diagnosis.search import Found, Scored, Search, Start, chosen_in, deal_folds
 from lerobot_pneutac.study.body_base import COMES_WITH, BodyBase, base_effects, doubt

@@ -11,8 +11,7 @@ from lerobot_pneutac.diagnosis.search import Space, Start
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel, BodyStructure, InputModel
 from pneutac_sim.effects.laws import is_law, starts
 from pneutac_sim.effects.registry import get_effect
-from pneutac_sim.finger.instants import StepProblem, by_row, step_rows
-from pneutac_sim.finger.pauses import RESTED_S, goes_on, pauses
+from pneutac_sim.finger.instants import RESTED_S, StepProblem, by_row, goes_on, pauses, step_rows
 from pneutac_sim.least_squares import minimise
 
 ACTUATIONS = (

@@ -21,8 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lerobot_pneutac.diagnosis import thresholds as T
-from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
-from lerobot_pneutac.diagnosis.parts import conditions
+from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap, conditions
 from lerobot_pneutac.diagnosis.search import Scored
 from lerobot_pneutac.study.base import EffectStudy
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel

@@ -22,16 +22,16 @@ from scipy.signal import lfilter
 
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.search import Scored, Space, Start, Structure
-from pneutac_datasets.demonstrations.replay.imprint import brightness, find_place, rest_image, strengths
-from pneutac_datasets.demonstrations.replay.reading import Demonstrations
-from pneutac_datasets.demonstrations.replay.replaying import Place, commanded, late, replay
+from pneutac_datasets.demonstrations.imprint import brightness, find_place, rest_image, strengths
+from pneutac_datasets.demonstrations.reading import Demonstrations
+from pneutac_datasets.demonstrations.replaying import Place, commanded, late, replay
 from pneutac_sim.effects.effect import Parameter
 from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.executor import Progress, no_progress
 from pneutac_sim.features import CONTROL_HZ, EE, PRESSURE
 from pneutac_sim.finger import Pipeline
-from pneutac_sim.finger.confidence import Z95
 from pneutac_sim.finger.inputs import Inputs
-from pneutac_sim.progress import Progress, no_progress
+from pneutac_sim.least_squares import Z95
 from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.checks import USUAL
 from pneutac_sim.world.soft_finger import GEL_ALONG_M

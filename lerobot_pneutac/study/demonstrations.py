@@ -12,8 +12,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from lerobot_pneutac.diagnosis import thresholds as T
-from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
-from lerobot_pneutac.diagnosis.parts import Parts
+from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap, Parts
 from lerobot_pneutac.diagnosis.result import FittedModel, Outcome, Rival, Tested
 from lerobot_pneutac.diagnosis.search import Found, Scored, Search, Steps, Structure, chosen_in, rivals
 from lerobot_pneutac.study.base import EffectStudy, with_unit
@@ -33,13 +32,13 @@ from lerobot_pneutac.study.demonstration_fit import (
     episode_data,
     latency_s,
 )
-from pneutac_datasets.demonstrations.replay.imprint import Dragging, brightness, rest_image
-from pneutac_datasets.demonstrations.replay.reading import Demonstrations
+from pneutac_datasets.demonstrations.imprint import Dragging, brightness, rest_image
+from pneutac_datasets.demonstrations.reading import Demonstrations
 from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_sim.effects.laws import family, is_law, law
 from pneutac_sim.effects.registry import body_effects, get_effect, of_body
+from pneutac_sim.executor import Progress, no_progress
 from pneutac_sim.finger.quantities import rms
-from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 
 UNIT = "mm at the tip"

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lerobot_pneutac.diagnosis import thresholds as T
-from lerobot_pneutac.diagnosis.parts import Parts
+from lerobot_pneutac.diagnosis.bootstrap import Parts
 from pneutac_datasets.recording.photographs import (
     background_of,
     column_of,

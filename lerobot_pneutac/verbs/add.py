@@ -19,7 +19,7 @@ from lerobot_pneutac.study import study_of
 from lerobot_pneutac.study.pair import load_pair, same_body
 from lerobot_pneutac.verbs.diagnose import Diagnosis, read_found
 from lerobot_pneutac.verbs.result import ANOTHER_DAY, Result, command_on
-from pneutac_datasets.demonstrations.replay.reading import Demonstrations
+from pneutac_datasets.demonstrations.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import joined
 from pneutac_sim.effects.laws import is_law

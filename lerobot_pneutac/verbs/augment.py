@@ -16,9 +16,9 @@ from pneutac_datasets.demonstrations.augment.reference import Reference, onset_s
 from pneutac_datasets.demonstrations.faults import Recorded
 from pneutac_datasets.recording.wording import plural
 from pneutac_sim.errors import InputError
+from pneutac_sim.executor import Progress, no_progress
 from pneutac_sim.features import VELOCITY_NAMES, Places
 from pneutac_sim.gel.contact import without_specks
-from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.station import Station, station_of
 

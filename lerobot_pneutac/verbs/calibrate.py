@@ -15,14 +15,13 @@ from lerobot_pneutac.cli.options import PairOptions, keywords
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.study.pair import no_demonstrations, same_body
 from lerobot_pneutac.verbs.result import Calibration, measured_range
-from pneutac_datasets.demonstrations.replay.reading import Demonstrations, is_dataset, load_demonstrations
+from pneutac_datasets.demonstrations.reading import Demonstrations, is_dataset, load_demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.sources.plain import refuse_other_axes
 from pneutac_datasets.recording.wording import an
 from pneutac_sim.errors import InputError, check_choice, check_least
-from pneutac_sim.executor import one_thread
+from pneutac_sim.executor import Progress, no_progress, one_thread
 from pneutac_sim.files import check_writable
-from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin, no_twin
 
 SEARCH = "evaluations.json"  # in the folder where a search by images is stored

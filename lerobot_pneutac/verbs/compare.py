@@ -16,11 +16,10 @@ from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.reports.page import rows_of
 from lerobot_pneutac.study.pair import load_bench_pair, load_pair, no_demonstrations, same_body
 from lerobot_pneutac.verbs.result import Comparison, Result
-from pneutac_datasets.demonstrations.replay.reading import Demonstrations
+from pneutac_datasets.demonstrations.reading import Demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError, check_choice
-from pneutac_sim.executor import one_thread
-from pneutac_sim.progress import Progress, no_progress
+from pneutac_sim.executor import Progress, no_progress, one_thread
 from pneutac_sim.twin import Twin
 
 FIDELITIES = ("pipeline", "mpm")

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
+from lerobot_pneutac.diagnosis.bootstrap import deal
 from lerobot_pneutac.diagnosis.experiment import read
-from lerobot_pneutac.diagnosis.parts import deal
 from lerobot_pneutac.diagnosis.thresholds import NOISE
 from lerobot_pneutac.reports.figures import worst_passages
 from lerobot_pneutac.reports.page import Report
@@ -31,11 +31,11 @@ from pneutac_datasets.recording.wording import plural
 from pneutac_sim.effects.body_effect import REFERENCE_C
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError, option
+from pneutac_sim.executor import Progress, no_progress
 from pneutac_sim.finger import BodyData, Pipeline, simulate
-from pneutac_sim.finger.confidence import Z95, independent
-from pneutac_sim.finger.pauses import pauses_read
+from pneutac_sim.finger.instants import pauses_read
 from pneutac_sim.finger.quantities import root_mean, squared_distance
-from pneutac_sim.progress import Progress, no_progress
+from pneutac_sim.least_squares import Z95, independent
 from pneutac_sim.twin import Twin
 
 FEW_ROWS = 50  # below this no place where the error is large says anything

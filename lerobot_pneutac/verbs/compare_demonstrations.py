@@ -12,14 +12,14 @@ from lerobot_pneutac.study.demonstration_fit import ARM, LATE, TOUCH
 from lerobot_pneutac.study.demonstrations import UNIT, DemonstrationStudy
 from lerobot_pneutac.verbs.result import Calibration, Comparison, rms_of
 from pneutac_datasets.demonstrations.episodes import Episode
-from pneutac_datasets.demonstrations.replay.imprint import Dragging, LightDrift, light_drift, rest_image
-from pneutac_datasets.demonstrations.replay.reading import Demonstrations
-from pneutac_datasets.demonstrations.replay.replaying import Replayed, replay
+from pneutac_datasets.demonstrations.imprint import Dragging, LightDrift, light_drift, rest_image
+from pneutac_datasets.demonstrations.reading import Demonstrations
+from pneutac_datasets.demonstrations.replaying import Replayed, replay
 from pneutac_sim.errors import InputError
+from pneutac_sim.executor import Progress, no_progress
 from pneutac_sim.features import AREA, CONTROL_HZ, PRESSURE
 from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.gel.model import GelModel
-from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.world import World
 

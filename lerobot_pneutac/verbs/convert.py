@@ -12,7 +12,7 @@ import numpy as np
 
 from lerobot_pneutac.cli.tables import confirm, show_understood
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.measuring.camera import Intrinsics, MarkerTracker, track_aruco, track_dots
+from lerobot_pneutac.measuring import Intrinsics, MarkerTracker, track_aruco, track_dots
 from pneutac_datasets.recording import rules
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.sources import plain, readers

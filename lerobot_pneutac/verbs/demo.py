@@ -35,10 +35,10 @@ from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import joined
 from pneutac_sim.errors import InputError, check_between, check_least
+from pneutac_sim.executor import Progress
 from pneutac_sim.features import CONTROL_HZ, TRIAL_S
 from pneutac_sim.files import read_json, whole, write_json
 from pneutac_sim.pace import DONE, read_outcomes
-from pneutac_sim.progress import Progress
 from pneutac_sim.twin import Twin
 
 # Of three tasks augmentation helps most on this one. Person and starts are those of benchmarks/policy.md.
@@ -380,7 +380,7 @@ class Demo:
     def _unpaced(self, root: Path, episodes: int) -> None:
         from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
         from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
-        from lerobot_robot_pneutac.teleoperators.config_pneutac_scripted import PneutacScriptedConfig
+        from lerobot_robot_pneutac.teleoperators.base_teleop import PneutacScriptedConfig
         from lerobot_robot_pneutac.teleoperators.pneutac_scripted import PneutacScripted
         from pneutac_datasets.demonstrations.record import record_episodes
 

@@ -12,7 +12,7 @@ from lerobot_pneutac.cli.options import PairOptions
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.design import NO_HANDS, Choice, Limits, choices, nats_between
-from lerobot_pneutac.diagnosis.hands import GRAVITY, Hands, instructions, named, refuse_unused
+from lerobot_pneutac.diagnosis.programs import GRAVITY, Hands, instructions, named, refuse_unused
 from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.diagnosis.thresholds import LITTLE_GAIN
 from lerobot_pneutac.reports.figures import pressure_traces, stacked
@@ -22,7 +22,7 @@ from lerobot_pneutac.study.pair import load_bench_pair, load_pair, no_demonstrat
 from lerobot_pneutac.verbs.benches import program_columns
 from lerobot_pneutac.verbs.diagnose import Diagnosis, described, load_candidates, named_terms
 from lerobot_pneutac.verbs.result import Result, drive_command
-from pneutac_datasets.demonstrations.replay.reading import is_dataset
+from pneutac_datasets.demonstrations.reading import is_dataset
 from pneutac_datasets.recording.axes import per_chamber
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.noise import noise_floor

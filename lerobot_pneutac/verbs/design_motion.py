@@ -21,12 +21,12 @@ from lerobot_pneutac.reports.page import Report, rows_of
 from lerobot_pneutac.study.demonstration_fit import COMPLIANCE, STIFFNESS, TYPICAL, Strength
 from lerobot_pneutac.study.demonstrations import UNIT
 from lerobot_pneutac.verbs.result import Result
-from pneutac_datasets.demonstrations.replay.reading import Demonstrations
+from pneutac_datasets.demonstrations.reading import Demonstrations
 from pneutac_datasets.recording.wording import joined
 from pneutac_sim.effects import get_effect
 from pneutac_sim.errors import InputError
+from pneutac_sim.executor import Progress, no_progress
 from pneutac_sim.features import CONTROL_HZ, PRESSURES
-from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.base import Variation
 from pneutac_sim.world.expert import pressures_of

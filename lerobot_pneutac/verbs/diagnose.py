@@ -23,7 +23,7 @@ from lerobot_pneutac.study import study_of
 from lerobot_pneutac.study.base import EffectStudy
 from lerobot_pneutac.study.pair import load_pair, same_body
 from lerobot_pneutac.verbs.result import Result, command_on
-from pneutac_datasets.demonstrations.replay.reading import Demonstrations
+from pneutac_datasets.demonstrations.reading import Demonstrations
 from pneutac_datasets.recording.noise import noise_text
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError, option

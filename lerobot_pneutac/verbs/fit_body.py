@@ -17,8 +17,7 @@ from importlib.util import find_spec
 import numpy as np
 
 from lerobot_pneutac.diagnosis import thresholds as T
-from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap
-from lerobot_pneutac.diagnosis.parts import deal
+from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap, deal
 from lerobot_pneutac.diagnosis.result import CURVE_LIKE, Contribution
 from lerobot_pneutac.reports.page import HELDOUT, MEASURED, MODEL, Report
 from lerobot_pneutac.study.base import experiment_of, not_identifiable, unidentified, with_unit
@@ -31,10 +30,10 @@ from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.wording import joined, plural
 from pneutac_sim.effects.gravity import STANDARD_GRAVITY
 from pneutac_sim.errors import InputError
+from pneutac_sim.executor import Progress, no_progress
 from pneutac_sim.finger import BodyData, Pipeline, PipelineFit, fit, simulate
 from pneutac_sim.finger.quantities import squared_distance
 from pneutac_sim.finger.stages import BODY_SHARE, FORCES
-from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import PAPER_FINGER, Twin, Value
 
 WHOLE, MODULUS = "joint_stiffness_nm_per_rad", "youngs_modulus_mpa"

@@ -9,13 +9,23 @@ from pathlib import Path
 import numpy as np
 
 from lerobot_pneutac.reports.page import Report, difference, side_by_side
-from lerobot_pneutac.study.gel import UNHELD, at_bound, late_effects, predict, seen_by
-from lerobot_pneutac.study.gel_modulus import Modulus, Pasted, keep_modulus, modulus_sentence
+from lerobot_pneutac.study.gel import (
+    UNHELD,
+    Modulus,
+    Pasted,
+    at_bound,
+    keep_modulus,
+    late_effects,
+    modulus_sentence,
+    predict,
+    seen_by,
+)
 from lerobot_pneutac.verbs.result import Calibration, Comparison, rms_of
 from pneutac_datasets.recording.gel import GelRecording, GelSample
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.effects.registry import get_effect, of_sensor, sensor_effects
 from pneutac_sim.errors import InputError
+from pneutac_sim.executor import Progress, no_progress
 from pneutac_sim.gel.fit import ERROR_LEVELS, GelFit, fit_presses, slope_light
 from pneutac_sim.gel.identifiability import Identified, identify, library, save
 from pneutac_sim.gel.indenter import Press
@@ -23,7 +33,6 @@ from pneutac_sim.gel.inverse import TouchReader
 from pneutac_sim.gel.layout import LIKE, Layout, Orientation, recognise
 from pneutac_sim.gel.model import GelModel
 from pneutac_sim.gel.pair import ImageScores, disc, rest_changed, score
-from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 
 EFFECTS, STANDARD = "effects", "standard"  # in the history of a twin whose effects nobody chose

@@ -17,8 +17,14 @@ from lerobot_pneutac.cli.options import keywords
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis.design import NO_HANDS, Choice, Limits, choices
 from lerobot_pneutac.diagnosis.experiment import predict, read
-from lerobot_pneutac.diagnosis.hands import GRAVITY, Hands, instructions, named, refuse_unused
-from lerobot_pneutac.diagnosis.programs import first_program
+from lerobot_pneutac.diagnosis.programs import (
+    GRAVITY,
+    Hands,
+    first_program,
+    instructions,
+    named,
+    refuse_unused,
+)
 from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.diagnosis.thresholds import NOISE
 from lerobot_pneutac.reports.figures import curves, pressure_traces
@@ -64,7 +70,7 @@ class Round:
     selected: list[str]  # effects found now, the most important first
     sentence: str  # what was found
     probabilities: dict[str, float]  # each candidate's among the others, its terms joined by ` + `
-    hand: str = ""  # what a hand had changed for it, see `hands.HANDS`; empty for nothing
+    hand: str = ""  # what a hand had changed for it, see `programs.HANDS`; empty for nothing
     # effect to the number of the round whose recording was predicted with it, and not without
     needed_by: dict[str, int] = field(default_factory=dict)
     # those of them found while the form sufficed and noise alone was left: else a law may stand in for

@@ -13,13 +13,11 @@ from lerobot.cameras import Camera, CameraConfig, make_cameras_from_configs
 from lerobot.cameras.opencv import OpenCVCameraConfig  # noqa: F401  registers the type
 
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.diagnosis.hands import instructions
 from lerobot_pneutac.diagnosis.law_programs import EVENLY, law_programs
-from lerobot_pneutac.diagnosis.programs import Limits, menu, sampled, sent_s, turning
-from lerobot_pneutac.measuring.camera import MARKERS, Intrinsics, MarkerTracker, calibrate_camera
+from lerobot_pneutac.diagnosis.programs import Limits, instructions, menu, sampled, sent_s, turning
+from lerobot_pneutac.measuring import MARKERS, Intrinsics, MarkerTracker, calibrate_camera
 from lerobot_robot_pneutac import DigitConfig  # noqa: F401  registers the tactile cameras
-from lerobot_robot_pneutac.hardware.chambers import Chambers
-from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault
+from lerobot_robot_pneutac.hardware.parts import COMMAND_S, Chambers, HardwareFault
 from lerobot_robot_pneutac.robots.config_pneutac import PressureConfig
 from pneutac_datasets.recording import axes
 from pneutac_datasets.recording.axes import per_chamber

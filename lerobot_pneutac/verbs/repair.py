@@ -24,7 +24,7 @@ def command(config: RepairConfig, terminal: Terminal) -> None:
         raise InputError(
             f"like={config.like} is no dataset of LeRobot (no meta/info.json); give a whole one."
         )
-    from pneutac_datasets.demonstrations.repair.dataset import repair_dataset
+    from pneutac_datasets.demonstrations.repair import repair_dataset
 
     repaired = repair_dataset(config.dataset, config.like, config.drop)
     for remark in repaired.remarks:

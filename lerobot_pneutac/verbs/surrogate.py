@@ -18,11 +18,9 @@ from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.verbs.result import Result
 from pneutac_datasets.recording.wording import an
 from pneutac_sim.errors import InputError, check_between, check_choice, refuse_given
-from pneutac_sim.executor import ExecutorOptions
+from pneutac_sim.executor import ExecutorOptions, Progress, no_progress
 from pneutac_sim.files import locked, whole, write_text
-from pneutac_sim.progress import Progress, no_progress
-from pneutac_sim.surrogate.finger import builtin, fits
-from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
+from pneutac_sim.surrogate.finger import builtin, fingerprint, fits, gel_fingerprint
 from pneutac_sim.twin import NETWORKS, Twin
 
 DATA = "surrogate_data"  # in the twin's folder

@@ -1,7 +1,7 @@
 """Independent pieces of work, each of which writes one file: on this machine, or on a Ray or Slurm cluster.
 
 datatrove carries them out. A piece whose file is there is done, so that the same command goes on with a run
-that was stopped, on any executor.
+that was stopped, on any executor. `Progress` is how long work reports how far it is.
 """
 
 import ctypes
@@ -32,7 +32,6 @@ from threadpoolctl import threadpool_limits
 
 from pneutac_sim.errors import InputError, check_between, check_choice, check_least
 from pneutac_sim.files import read_fields, read_made
-from pneutac_sim.progress import Progress, no_progress
 
 EXECUTORS = ("local", "ray", "slurm")
 MOST_WORKERS, MOST_WORLDS = 10_000, 100_000  # a typo beyond would take all memory
@@ -45,6 +44,12 @@ LOOKING_SHARE = 0.05
 RAY_ANSWERS_S = 3.0  # how long a Ray cluster may take to answer
 ENDED = "a process ended, out of memory perhaps"
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
+
+Progress = Callable[[str, int, int], None]  # a few words, what is done and of how much
+
+
+def no_progress(text: str, done: int, total: int) -> None:
+    """Reports nothing."""
 
 
 @dataclass(kw_only=True)

@@ -51,18 +51,18 @@ def test_an_effect_shows_its_equation(name):
 
 def test_the_table_of_places_has_every_effect_and_asks_the_places(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "docs" / "generate")
-    import places
+    import catalogue
 
-    page = places.page()
+    page = catalogue.places_page()
     assert all(f"| `{name}` |" in page for name in all_effects())
     rows = [line for line in page.splitlines() if line.startswith(("| `", "| law"))]
     assert len(rows) < len(all_effects()) + 12 and all(r.count("|") == rows[0].count("|") for r in rows)
-    assert places.places("thermal") == ("joints",) * 5
-    assert places.places("tip_y += x z") == ("tip", "tip; no pictures", "tip", "tip", "tip")
-    assert places.places("base_tilt") == ("tip",) * 5
-    assert places.places("camera_misalignment") == (*("reading",) * 4, "-")
-    assert places.places("shadow") == (*("image",) * 4, "area")
-    assert places.places("registration_shift") == ("photographs", "-", "-", "-", "-")
+    assert catalogue.places("thermal") == ("joints",) * 5
+    assert catalogue.places("tip_y += x z") == ("tip", "tip; no pictures", "tip", "tip", "tip")
+    assert catalogue.places("base_tilt") == ("tip",) * 5
+    assert catalogue.places("camera_misalignment") == (*("reading",) * 4, "-")
+    assert catalogue.places("shadow") == (*("image",) * 4, "area")
+    assert catalogue.places("registration_shift") == ("photographs", "-", "-", "-", "-")
 
 
 def test_what_a_reader_runs_meets_no_folder_of_another_page():

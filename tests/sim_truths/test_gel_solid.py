@@ -5,9 +5,8 @@ import pytest
 
 from pneutac_benchmarks.tactile.drag import drag
 from pneutac_truths.__main__ import main
-from pneutac_truths.gel.faults import GEL_EFFECTS
 from pneutac_truths.gel.scene import Look, Sensor, grid, shine
-from pneutac_truths.gel.session import _session, named, write_gel
+from pneutac_truths.gel.session import GEL_EFFECTS, _session, named, write_gel
 from pneutac_truths.gel.solid import KINDS, Punch, Rubber, press
 from pneutac_truths.light import (
     BOX,

@@ -13,9 +13,8 @@ import torch
 
 from pneutac_benchmarks.policy.plan import RESULT, Unit, as_dict
 from pneutac_sim.errors import InputError
-from pneutac_sim.executor import ExecutorOptions, run_pieces
+from pneutac_sim.executor import ExecutorOptions, Progress, no_progress, run_pieces
 from pneutac_sim.files import write_json
-from pneutac_sim.progress import Progress, no_progress
 
 LOG = "log.txt"
 GPU_TRAININGS = 6  # side by side on each GPU of this machine

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 
 from lerobot_robot_pneutac.robots.episode_hooks import EpisodeHooks
 from pneutac_benchmarks.robustness.outcome import Outcome
-from pneutac_datasets.demonstrations.repair.dataset import repair_dataset
+from pneutac_datasets.demonstrations.repair import repair_dataset
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, IMAGE_NAME, STATE_NAMES
 

@@ -9,7 +9,7 @@ from pneutac_benchmarks.surrogate.rows import row
 from pneutac_sim.errors import InputError
 from pneutac_sim.surrogate.action import without_torque
 from pneutac_sim.surrogate.collect import FRAME_S, Motion, Plan, collect_action, read_motions
-from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
+from pneutac_sim.surrogate.finger import fingerprint, gel_fingerprint
 from pneutac_sim.surrogate.gel_collect import Pairs, collect_gel, read_contacts
 from pneutac_sim.surrogate.gel_train import evaluate_gel
 from pneutac_sim.surrogate.network import ActionNetwork

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lerobot_pneutac.study.gel_modulus import Pasted
+from lerobot_pneutac.study.gel import Pasted
 from pneutac_benchmarks.baselines.dot_sim import DotSim
 from pneutac_benchmarks.baselines.pair import Pair
 from pneutac_benchmarks.baselines.tacchi import Tacchi

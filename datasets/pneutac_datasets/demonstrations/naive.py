@@ -27,9 +27,9 @@ from pneutac_datasets.demonstrations.episodes import (
 from pneutac_datasets.demonstrations.faults import Recorded
 from pneutac_datasets.demonstrations.save import create_dataset, written
 from pneutac_sim.errors import InputError
+from pneutac_sim.executor import Progress, no_progress
 from pneutac_sim.features import PANDA_JOINTS, PAPER_RANGE_KPA, PRESSURES, action_limits, state_limits
 from pneutac_sim.files import whole
-from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.world.station import Station
 
 # How far each variation goes; small against the differences between phases of a demonstration.

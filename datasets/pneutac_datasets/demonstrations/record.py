@@ -18,9 +18,9 @@ from pneutac_datasets.demonstrations.card import write_card
 from pneutac_datasets.demonstrations.episodes import POINTS, points_feature
 from pneutac_datasets.demonstrations.save import create_dataset, written
 from pneutac_sim.errors import InputError
+from pneutac_sim.executor import Progress, no_progress
 from pneutac_sim.features import POINTS_KEY
 from pneutac_sim.gel.contact import SPECKS
-from pneutac_sim.progress import Progress, no_progress
 
 SIMULATED = "Recorded in simulation; a script played the operator."
 

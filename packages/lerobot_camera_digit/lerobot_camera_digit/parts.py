@@ -1,9 +1,23 @@
-"""How hardware is waited for, and how it and its options say that something is wrong."""
+"""How hardware is waited for, and how it and its options say that something is wrong.
 
+Importing ends in one sentence where LeRobot is too old, whose own imports would end in tracebacks.
+"""
+
+import re
+import sys
 import time
 from collections.abc import Callable
+from importlib.metadata import version
 
 from draccus.utils import DecodingError
+
+OLDEST = "0.6.1"
+
+if [int(n) for n in re.findall(r"\d+", version("lerobot"))[:3]] < [int(n) for n in OLDEST.split(".")]:
+    sys.exit(
+        f"LeRobot {version('lerobot')} is too old for lerobot_camera_digit and lerobot_robot_pneutac; they"
+        f" need {OLDEST} or later; pip install 'lerobot>={OLDEST},<0.7'."
+    )
 
 TICK_S = 0.02  # between two looks at what is waited for
 TURNS = 3  # of a listening thread, after which a part that is alive has been heard

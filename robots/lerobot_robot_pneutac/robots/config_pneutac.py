@@ -9,13 +9,13 @@ from lerobot.robots import RobotConfig
 
 from lerobot_robot_pneutac import options
 from lerobot_robot_pneutac.hardware.arms import ArmConfig
-from lerobot_robot_pneutac.hardware.limits import Limits
+from lerobot_robot_pneutac.hardware.safety import Limits
 from lerobot_robot_pneutac.options import named, refuse_if, station_of, twin_of
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import IMAGE_NAME, state_names
 
 if TYPE_CHECKING:
-    from lerobot_robot_pneutac.hardware.chambers import Chambers
+    from lerobot_robot_pneutac.hardware.parts import Chambers
 
 
 @dataclass(kw_only=True)
@@ -35,7 +35,7 @@ class PressureConfig:
 
     def make(self) -> "Chambers":
         """The controllers, not connected; raises InputError where type or options are unknown or unfit."""
-        from lerobot_robot_pneutac.hardware.chambers import Chambers
+        from lerobot_robot_pneutac.hardware.parts import Chambers
         from lerobot_robot_pneutac.hardware.pressure import make_pressure_controller
 
         self._check()

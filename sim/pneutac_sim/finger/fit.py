@@ -13,12 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from pneutac_sim.errors import InputError
-from pneutac_sim.finger.confidence import Z95, Confidence, confidence, independent
 from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.equilibrium import SoftBody
 from pneutac_sim.finger.pipeline import Pipeline
 from pneutac_sim.finger.problem import Bounds, Problem, level_stretch, past_jumps
-from pneutac_sim.least_squares import minimise
+from pneutac_sim.least_squares import Z95, Confidence, confidence, independent, minimise
 from pneutac_sim.twin import Twin
 
 # Tried for each joint: rad at the largest pressure, rest pressure over the largest one, angle over 2 pi.

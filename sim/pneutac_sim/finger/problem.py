@@ -6,12 +6,12 @@ from functools import cached_property
 
 import numpy as np
 
-from pneutac_sim.finger.confidence import Z95
 from pneutac_sim.finger.data import BodyData
 from pneutac_sim.finger.equilibrium import sensitivities
 from pneutac_sim.finger.inputs import Inputs
 from pneutac_sim.finger.pipeline import BENDING_PRESSURE, Pipeline, Run
 from pneutac_sim.finger.stages import EffectLink, LoadLink
+from pneutac_sim.least_squares import Z95
 
 # How a pipeline's outputs change with its parameters, to first order.
 #

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pneutac_sim.errors import InputError
+from pneutac_sim.executor import Progress, no_progress
 from pneutac_sim.mpm.kernels import LEAST_J
 from pneutac_sim.mpm.total_lagrangian import Loads, TotalLagrangian
-from pneutac_sim.progress import Progress, no_progress
 
 CHUNK = {"cpu": 25, "cuda": 50}  # substeps between two looks at the residual
 SLOWEST = 12  # times slower than the guess may the slowest motion be; a rate too low lets all swing on

@@ -14,7 +14,7 @@ import numpy as np
 from pneutac_sim.errors import InputError
 from pneutac_sim.mpm import devices
 from pneutac_sim.surrogate.collect import FRAME_S, Motion, read_motions
-from pneutac_sim.surrogate.fingerprint import fingerprint
+from pneutac_sim.surrogate.finger import fingerprint
 from pneutac_sim.surrogate.network import HIDDEN, ActionNetwork
 from pneutac_sim.surrogate.skeleton import Skeleton
 from pneutac_sim.twin import Twin

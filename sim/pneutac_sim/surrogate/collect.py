@@ -29,8 +29,7 @@ from pneutac_sim.finger.online import COMPUTED, PressurePipeline
 from pneutac_sim.mpm import devices, runtime
 from pneutac_sim.mpm.solve import simulate, solve_equilibrium
 from pneutac_sim.mpm.total_lagrangian import Loads
-from pneutac_sim.surrogate.finger import bending_pressure, joint_targets
-from pneutac_sim.surrogate.fingerprint import fingerprint
+from pneutac_sim.surrogate.finger import bending_pressure, fingerprint, joint_targets
 from pneutac_sim.twin import Twin
 
 KINDS = ("steps", "ramps", "chirp", "random")

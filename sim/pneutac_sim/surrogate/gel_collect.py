@@ -24,7 +24,7 @@ from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.devices import press_loads
 from pneutac_sim.mpm.solve import MpmDiverged, halved_once, solve_equilibrium
 from pneutac_sim.mpm.total_lagrangian import Loads
-from pneutac_sim.surrogate.fingerprint import gel_fingerprint
+from pneutac_sim.surrogate.finger import gel_fingerprint
 from pneutac_sim.twin import Twin
 
 # Contacts of the gel: an indenter, anywhere and tilted, for both the probe grid and MPM.

@@ -7,8 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap, PairedTest
-from lerobot_pneutac.diagnosis.parts import conditions, deal, out_of_time
+from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap, PairedTest, conditions, deal, out_of_time
 from pneutac_datasets.recording.recording import Recording
 
 N, HZ = 4000, 10.0

@@ -18,8 +18,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import expect, sync_playwright
 
-from lerobot_pneutac.studio.app import Studio
-from lerobot_pneutac.studio.session import Session
+from lerobot_pneutac.studio.app import Session, Studio
 from pneutac_sim.twin import Twin
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

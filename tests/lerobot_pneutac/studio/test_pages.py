@@ -11,8 +11,7 @@ from arms import arm_twin
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.utils.constants import ACTION, OBS_STATE
 
-from lerobot_pneutac.studio.app import Studio
-from lerobot_pneutac.studio.session import Session
+from lerobot_pneutac.studio.app import Session, Studio
 from lerobot_robot_pneutac.policy.configuration_pneutac_bc import PneutacBCConfig
 from lerobot_robot_pneutac.policy.modeling_pneutac_bc import PneutacBCPolicy
 from lerobot_robot_pneutac.policy.processor_pneutac_bc import make_pneutac_bc_pre_post_processors

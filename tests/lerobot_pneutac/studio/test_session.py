@@ -16,9 +16,8 @@ from verbs import refused
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from lerobot_pneutac.studio.app import Studio
+from lerobot_pneutac.studio.app import Session, Studio
 from lerobot_pneutac.studio.live import LiveBody, Shape, links
-from lerobot_pneutac.studio.session import Session
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.errors import InputError
 from pneutac_sim.finger.stages import forward_kinematics_spatial

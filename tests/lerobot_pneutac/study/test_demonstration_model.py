@@ -23,7 +23,7 @@ from lerobot_pneutac.study.demonstration_fit import (
     stiffness_n_per_rad,
 )
 from lerobot_pneutac.study.demonstrations import UNIT, DemonstrationStudy, demonstration_outcome, pressing_as
-from pneutac_datasets.demonstrations.replay.replaying import Place
+from pneutac_datasets.demonstrations.replaying import Place
 from pneutac_sim.effects.registry import get_effect
 from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.finger import Pipeline

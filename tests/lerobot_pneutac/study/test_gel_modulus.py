@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lerobot_pneutac import InputError, Twin
-from lerobot_pneutac.study.gel_modulus import keep_modulus, modulus_sentence
+from lerobot_pneutac.study.gel import keep_modulus, modulus_sentence
 from pneutac_datasets.generate.standin import write_gel
 from pneutac_datasets.recording.gel import GelRecording
 from pneutac_datasets.recording.recording import Recording

@@ -20,8 +20,7 @@ from pneutac_datasets.recording.axes import Axis, axes, motion
 from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.finger import BodyData, fit, simulate
-from pneutac_sim.surrogate.finger import builtin
-from pneutac_sim.surrogate.fingerprint import fingerprint
+from pneutac_sim.surrogate.finger import builtin, fingerprint
 from pneutac_sim.surrogate.network import MARGIN, ActionNetwork
 from pneutac_sim.twin import Twin, Value
 

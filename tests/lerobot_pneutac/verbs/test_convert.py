@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from lerobot_pneutac.cli import run_verb
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.measuring.camera import DICTIONARY, Intrinsics
+from lerobot_pneutac.measuring import DICTIONARY, Intrinsics
 from lerobot_pneutac.verbs.convert import ConvertConfig, command, convert
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import InputError

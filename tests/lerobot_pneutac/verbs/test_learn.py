@@ -16,7 +16,7 @@ from lerobot_pneutac import design, learn
 from lerobot_pneutac.cli.terminal import show
 from lerobot_pneutac.diagnosis.design import Limits, choices
 from lerobot_pneutac.diagnosis.experiment import predict
-from lerobot_pneutac.diagnosis.hands import Hands
+from lerobot_pneutac.diagnosis.programs import Hands
 from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.reports.page import save_table
 from lerobot_pneutac.verbs.benches import make_bench

@@ -13,7 +13,7 @@ from lerobot.cameras import utils as camera_utils
 from verbs import refused, verb
 
 from lerobot_pneutac.cli import run_verb
-from lerobot_pneutac.measuring.camera import DICTIONARY, Intrinsics, MarkerTracker, calibrate_camera
+from lerobot_pneutac.measuring import DICTIONARY, Intrinsics, MarkerTracker, calibrate_camera
 from lerobot_pneutac.verbs import measure as library
 from lerobot_pneutac.verbs.compare import compare as compare_library
 from lerobot_pneutac.verbs.new import new_twin

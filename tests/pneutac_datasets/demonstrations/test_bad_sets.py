@@ -31,8 +31,8 @@ from pneutac_datasets.demonstrations.augment.reference import read_references
 from pneutac_datasets.demonstrations.faults import TACTILE, Recorded
 from pneutac_datasets.demonstrations.info import task_to_do
 from pneutac_datasets.demonstrations.naive import augment_naive
-from pneutac_datasets.demonstrations.repair.dataset import repair_dataset
-from pneutac_datasets.demonstrations.replay.reading import load_demonstrations
+from pneutac_datasets.demonstrations.reading import load_demonstrations
+from pneutac_datasets.demonstrations.repair import repair_dataset
 from pneutac_sim.dataset_files import ACTION, STATE, Files
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import STATE_NAMES

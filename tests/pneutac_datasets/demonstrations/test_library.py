@@ -13,7 +13,7 @@ from pneutac_datasets.demonstrations.augment.library import (
     start_spread_m,
 )
 from pneutac_datasets.demonstrations.augment.reference import Reference, reaction_hz
-from pneutac_sim.finger.confidence import Z95
+from pneutac_sim.least_squares import Z95
 from pneutac_sim.twin import Twin, Value
 from pneutac_sim.world.expert import Person
 

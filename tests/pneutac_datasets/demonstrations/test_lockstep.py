@@ -15,9 +15,8 @@ from pneutac_datasets.demonstrations.augment.lockstep import Lockstep  # noqa: E
 from pneutac_datasets.demonstrations.augment.planner import PlannerConfig  # noqa: E402
 from pneutac_datasets.demonstrations.augment.run import Work, save_sensed  # noqa: E402
 from pneutac_datasets.demonstrations.augment.scene import Scene  # noqa: E402
-from pneutac_sim.executor import process_pool  # noqa: E402
+from pneutac_sim.executor import no_progress, process_pool  # noqa: E402
 from pneutac_sim.features import EE  # noqa: E402
-from pneutac_sim.progress import no_progress  # noqa: E402
 
 pytestmark = pytest.mark.nightly
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"

@@ -13,8 +13,8 @@ import pytest
 from lerobot.datasets import LeRobotDataset
 
 from pneutac_benchmarks.robustness.killed_recording import kill_recordings
-from pneutac_datasets.demonstrations.repair.dataset import repair_dataset
-from pneutac_datasets.demonstrations.repair.parquet_footer import fix_footer
+from pneutac_datasets.demonstrations.parquet_footer import fix_footer
+from pneutac_datasets.demonstrations.repair import repair_dataset
 from pneutac_datasets.demonstrations.save import quiet_encoders
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import write_json

@@ -6,7 +6,7 @@ from generated import once
 from scipy import signal
 from scipy.spatial.transform import Rotation
 
-from lerobot_pneutac.diagnosis.parts import deal
+from lerobot_pneutac.diagnosis.bootstrap import deal
 from pneutac_datasets.generate.finger import generate
 from pneutac_datasets.recording.mounts import align_mounts, moved, remounted
 from pneutac_datasets.recording.recording import Recording

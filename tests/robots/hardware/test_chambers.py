@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from pressure_rig import terminal, until
 
-from lerobot_robot_pneutac.hardware.chambers import Chambers
-from lerobot_robot_pneutac.hardware.parts import HardwareFault
+from lerobot_robot_pneutac.hardware.parts import Chambers, HardwareFault
 from lerobot_robot_pneutac.hardware.pneutac_serial import PneutacSerial
 from lerobot_robot_pneutac.hardware.simulated import SimulatedPressure
 from lerobot_robot_pneutac.robots.config_pneutac import PressureConfig

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from draccus.utils import DecodingError
 
-from lerobot_robot_pneutac.hardware.limits import EXCESS, STOPPING_S, Limits, why_refused
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S
+from lerobot_robot_pneutac.hardware.safety import EXCESS, STOPPING_S, Limits, why_refused
 
 CENTRE = np.array([0.5, 0.0, 0.4])
 

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from lerobot_robot_pneutac.hardware.limits import Limits
 from lerobot_robot_pneutac.hardware.panda import RECOVERIES, PandaArm
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault
-from lerobot_robot_pneutac.hardware.safety import Guard
+from lerobot_robot_pneutac.hardware.safety import Guard, Limits
 from lerobot_robot_pneutac.hardware.simulated import SimulatedArm, SimulatedPressure
 
 

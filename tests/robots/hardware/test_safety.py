@@ -16,9 +16,8 @@ from awake import awake_s, hold_up_us, until
 import lerobot_camera_digit
 import lerobot_robot_pneutac
 from lerobot_robot_pneutac.hardware import safety
-from lerobot_robot_pneutac.hardware.limits import Limits
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, ArmState, HardwareFault
-from lerobot_robot_pneutac.hardware.safety import RECENT, REFUSALS, VENT_S, Guard
+from lerobot_robot_pneutac.hardware.safety import RECENT, REFUSALS, VENT_S, Guard, Limits
 
 pytestmark = pytest.mark.realtime
 CENTRE = np.array([0.5, 0.0, 0.4])
@@ -428,7 +427,7 @@ sys.path[:0] = {sys.path!r}
 for name, path in {packages!r}.items():
     sys.modules[name] = types.ModuleType(name)
     sys.modules[name].__path__ = path
-from lerobot_robot_pneutac.hardware.limits import Limits
+from lerobot_robot_pneutac.hardware.safety import Limits
 from lerobot_robot_pneutac.hardware.parts import ArmState
 from lerobot_robot_pneutac.hardware import safety
 from lerobot_robot_pneutac.hardware.safety import Guard

@@ -14,8 +14,8 @@ from lerobot_camera_digit.digit import DigitConfig
 from lerobot_robot_pneutac.cameras import tactile
 from lerobot_robot_pneutac.cameras.simulated import DigitGeneratedConfig
 from lerobot_robot_pneutac.hardware.arms import PandaConfig, SimulatedArmConfig
-from lerobot_robot_pneutac.hardware.limits import Limits
 from lerobot_robot_pneutac.hardware.parts import COMMAND_S, HardwareFault
+from lerobot_robot_pneutac.hardware.safety import Limits
 from lerobot_robot_pneutac.robots import pneutac
 from lerobot_robot_pneutac.robots.config_pneutac import PneutacConfig, PressureConfig
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig

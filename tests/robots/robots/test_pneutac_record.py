@@ -18,7 +18,7 @@ from pressure_rig import build, terminal
 
 from lerobot_robot_pneutac.robots.config_pneutac_sim import PneutacSimConfig
 from lerobot_robot_pneutac.robots.pneutac_sim import PneutacSim
-from pneutac_datasets.demonstrations.repair.dataset import repair_dataset
+from pneutac_datasets.demonstrations.repair import repair_dataset
 from pneutac_sim.features import ACTION_NAMES, STATE_NAMES
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
@@ -40,7 +40,7 @@ class HandConfig(TeleoperatorConfig):
     "lerobot_teleoperator_hand/hand.py": """
 from lerobot.teleoperators import Teleoperator
 from lerobot_teleoperator_hand.config_hand import HandConfig
-from pneutac_datasets.demonstrations.repair.dataset import repair_dataset
+from pneutac_datasets.demonstrations.repair import repair_dataset
 from pneutac_sim.features import ACTION_NAMES
 class Hand(Teleoperator):
     config_class, name = HandConfig, "hand"

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from pneutac_sim.finger import BodyData, Inputs, Pipeline
-from pneutac_sim.finger.pauses import pauses, pauses_read
+from pneutac_sim.finger.instants import pauses, pauses_read
 from pneutac_sim.twin import Twin, Value
 
 DT_S, TAU_S, SHARE = 0.1, 20.0, 0.3

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pneutac_sim.surrogate.fingerprint import fingerprint
+from pneutac_sim.surrogate.finger import fingerprint
 from pneutac_sim.surrogate.network import HIDDEN, ActionNetwork
 from pneutac_sim.surrogate.skeleton import Skeleton
 from pneutac_sim.twin import Twin

@@ -14,8 +14,7 @@ from pneutac_sim.executor import ExecutorOptions
 from pneutac_sim.mpm.body import Body, Material, Spine
 from pneutac_sim.surrogate.action import FEWEST, split, train_action
 from pneutac_sim.surrogate.collect import Plan, collect_action, joint_targets, read_motions
-from pneutac_sim.surrogate.finger import SurrogateFinger, network_of
-from pneutac_sim.surrogate.fingerprint import fingerprint, gel_fingerprint
+from pneutac_sim.surrogate.finger import SurrogateFinger, fingerprint, gel_fingerprint, network_of
 from pneutac_sim.surrogate.network import MARGIN, ActionNetwork
 from pneutac_sim.surrogate.skeleton import Skeleton, advance
 from pneutac_sim.twin import Twin, Value

@@ -14,7 +14,7 @@ from pneutac_sim.gel.surface import surface
 from pneutac_sim.mpm import devices
 from pneutac_sim.mpm.solve import MpmDiverged
 from pneutac_sim.surrogate import gel_collect
-from pneutac_sim.surrogate.fingerprint import gel_fingerprint
+from pneutac_sim.surrogate.finger import gel_fingerprint
 from pneutac_sim.surrogate.gel_collect import (
     Contact,
     Pairs,

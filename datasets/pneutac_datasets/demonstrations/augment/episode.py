@@ -27,11 +27,11 @@ from pneutac_datasets.demonstrations.augment.reference import (
 )
 from pneutac_datasets.demonstrations.augment.scene import Scene, command_latency, find_scene
 from pneutac_datasets.demonstrations.episodes import POINTS
-from pneutac_datasets.demonstrations.replay.replaying import FEEDBACK_HZ, follow
+from pneutac_datasets.demonstrations.replaying import FEEDBACK_HZ, follow
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import MAX_PRESSURE_KPA, PRESSURES, VELOCITY_NAMES, Places
-from pneutac_sim.finger.confidence import Z95
 from pneutac_sim.gel.sensor import centre_mm
+from pneutac_sim.least_squares import Z95
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.base import Variation
 from pneutac_sim.world.checks import Conditions, draw

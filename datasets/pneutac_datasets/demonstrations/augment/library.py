@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from pneutac_datasets.demonstrations.augment.reference import FIRM, Reference, felt_and_done
-from pneutac_datasets.demonstrations.replay.replaying import FEEDBACK_HZ
+from pneutac_datasets.demonstrations.replaying import FEEDBACK_HZ
 from pneutac_sim.features import CONTROL_HZ, MAX_PRESSURE_KPA, MAX_SPEED_M_S, PRESSURES
 
 TOUCH = 0.0007  # area from which it is a touch: some 50 pixels of 76,800

@@ -34,7 +34,7 @@ from pneutac_datasets.demonstrations.augment.library import Followers
 from pneutac_datasets.demonstrations.augment.planner import LATE_RELEASE, LATE_TOUCH, CemPlanner
 from pneutac_datasets.demonstrations.augment.reference import EXTRA_STEPS
 from pneutac_datasets.demonstrations.augment.scene import Scene
-from pneutac_sim.progress import Progress
+from pneutac_sim.executor import Progress
 from pneutac_sim.world.base import Variation
 from pneutac_sim.world.batch import BatchedWorld, Rollouts
 

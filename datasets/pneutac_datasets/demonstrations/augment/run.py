@@ -61,11 +61,10 @@ from pneutac_datasets.demonstrations.save import (
     written,
 )
 from pneutac_sim.errors import InputError
-from pneutac_sim.executor import faults_named, process_pool, run_pieces
+from pneutac_sim.executor import Progress, faults_named, no_progress, process_pool, run_pieces
 from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.files import LOCK, claim, locked, whole, write_json, write_text
 from pneutac_sim.pace import PROVENANCE
-from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin, twin_digest
 from pneutac_sim.world.base import START_SOLVES, Variation, solved_joints
 from pneutac_sim.world.station import Station

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pneutac_datasets.demonstrations.augment.reference import EXTRA_STEPS, FIRM, Reference, frames_at
-from pneutac_datasets.demonstrations.replay.imprint import SHALLOW_MM, Pose, depth_mm, first_touches, on_table
-from pneutac_datasets.demonstrations.replay.replaying import (
+from pneutac_datasets.demonstrations.imprint import SHALLOW_MM, Pose, depth_mm, first_touches, on_table
+from pneutac_datasets.demonstrations.replaying import (
     AWAY_M,
     Place,
     along,
@@ -23,7 +23,7 @@ from pneutac_datasets.demonstrations.replay.replaying import (
     latency_s,
     smooth,
 )
-from pneutac_datasets.demonstrations.replay.replaying import late as delayed
+from pneutac_datasets.demonstrations.replaying import late as delayed
 from pneutac_sim.features import PRESSURES
 from pneutac_sim.gel.sensor import centre_mm
 from pneutac_sim.world.gantry import Gantry

@@ -14,7 +14,7 @@ from played import episode_of, played, shown
 from lerobot_pneutac.verbs.compare_demonstrations import TOUCHED_MM
 from lerobot_robot_pneutac.standin.world import Physics, StandinWorld
 from pneutac_datasets.demonstrations.episodes import Episode
-from pneutac_datasets.demonstrations.replay.imprint import (
+from pneutac_datasets.demonstrations.imprint import (
     Dragging,
     find_place,
     light_drift,
@@ -23,13 +23,13 @@ from pneutac_datasets.demonstrations.replay.imprint import (
     turn_deg_per_mm,
     turns_deg,
 )
-from pneutac_datasets.demonstrations.replay.reading import (
+from pneutac_datasets.demonstrations.reading import (
     Demonstrations,
     checked,
     is_dataset,
     load_demonstrations,
 )
-from pneutac_datasets.demonstrations.replay.replaying import late, replay
+from pneutac_datasets.demonstrations.replaying import late, replay
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, AREA, CONTROL_HZ, EE, PRESSURE, state_names
 from pneutac_sim.twin import Twin

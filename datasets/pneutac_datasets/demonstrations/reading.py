@@ -155,7 +155,7 @@ def _touch_anew(given: Demonstrations) -> Demonstrations:
 
     So it begins where the light has drifted: every pixel differs from the rest image that the robot has.
     """
-    from pneutac_datasets.demonstrations.replay.imprint import areas
+    from pneutac_datasets.demonstrations.imprint import areas
 
     begun = [i for i, e in enumerate(given.episodes) if (e.contact() or (len(e),))[0] < SOON]
     if not begun:

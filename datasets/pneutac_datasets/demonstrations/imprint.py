@@ -26,7 +26,7 @@ import cv2
 import numpy as np
 
 from pneutac_datasets.demonstrations.episodes import Episode
-from pneutac_datasets.demonstrations.replay.replaying import Place, replay
+from pneutac_datasets.demonstrations.replaying import Place, replay
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import ACTION_NAMES, AREA, EE
 from pneutac_sim.gel.contact import THRESHOLD_LEVELS, without_specks

@@ -41,7 +41,7 @@ from lerobot_robot_pneutac.lerobot_inside import (
     write_table_one_row_group_per_episode,
     write_tasks,
 )
-from pneutac_datasets.demonstrations.repair.parquet_footer import fix_footer, is_whole
+from pneutac_datasets.demonstrations.parquet_footer import fix_footer, is_whole
 from pneutac_sim.dataset_files import Film, film_of, frame_size, read_film
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import flush, refuse_pointer, write_json, write_text

@@ -1,8 +1,16 @@
-"""Pages from files next to docs/: the tables of benchmarks/, CHANGELOG and CONTRIBUTING."""
+"""Pages from files next to docs/ (benchmarks/, CHANGELOG, CONTRIBUTING), formulas, and fields of the API.
 
+Formulas become MathML, which browsers draw by themselves: no script, no fonts from elsewhere.
+"""
+
+import ast
+import html
 import re
+from itertools import takewhile
 from pathlib import Path
 
+import griffe
+from latex2mathml.converter import convert
 from mkdocs.structure.files import File
 
 ROOT = Path(__file__).parents[2]
@@ -12,8 +20,9 @@ PICTURES = (".png", ".webp", ".svg")
 SOURCES = {
     "sim/pneutac_sim/effects": "concepts/effects.md",
     "sim/pneutac_sim/effects/laws.py": "concepts/laws.md",
-    "generate/places.py": "concepts/places.md",
+    "generate/catalogue.py": "concepts/places.md",
 }
+FORMULA = re.compile(r'<(span|div) class="arithmatex">\\([\[(])(.*?)\\[\])]</\1>', re.S)
 
 
 def on_files(files, config):
@@ -50,3 +59,28 @@ def _linked(text: str, place: str) -> str:
     text = _results(re.sub(r"\]\((?:\.\./)*docs/", f"]({up}", text), up)
     text = re.sub(r"\]\((?:\.\./)*README\.md(#[\w-]+)?\)", f"]({up}index.md)", text)
     return re.sub(r"\[([^\]]+)\]\((?:\.\./)*(?:[\w/.]+\.(?:py|toml|cff)|SECURITY\.md)\)", r"\1", text)
+
+
+def on_page_content(content, **_):
+    """Replaces what `pymdownx.arithmatex` marked."""
+    return FORMULA.sub(_mathml, content)
+
+
+def _mathml(match) -> str:
+    kind, latex = match.group(2), html.unescape(match.group(3))
+    return convert(latex, display="block" if kind == "[" else "inline")
+
+
+class FieldComments(griffe.Extension):
+    """Makes the comments of a class' fields their docstrings, since griffe reads no comments."""
+
+    def on_attribute_instance(self, *, node, attr: griffe.Attribute, **_) -> None:
+        """Describes an annotated field of a class."""
+        if attr.docstring or not attr.parent.is_class or not isinstance(node, ast.AnnAssign):
+            return
+        lines = [line.strip() for line in attr.lines_collection[attr.filepath][: attr.lineno]]
+        above = [*takewhile(lambda line: line.startswith("# "), reversed(lines[:-1]))][::-1]
+        behind = lines[-1].partition("  # ")[2]
+        texts = [line[2:] for line in above] + [behind] * ("pyright:" not in behind)
+        if text := " ".join(texts).strip():
+            attr.docstring = griffe.Docstring(f"{text[:1].upper()}{text[1:].rstrip('.')}.", parent=attr)
