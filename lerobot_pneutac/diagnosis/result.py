@@ -5,8 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lerobot_pneutac.diagnosis.names import PROFILE, family_in
-from lerobot_pneutac.diagnosis.verdict import Evidence, Explained, Mechanism, explained
+from lerobot_pneutac.diagnosis.verdict import PROFILE, Evidence, Explained, Mechanism, explained, family_in
 from pneutac_sim.finger.quantities import squared_distance
 from pneutac_sim.twin import Twin
 

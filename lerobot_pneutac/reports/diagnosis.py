@@ -7,9 +7,9 @@ import pandas as pd
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from lerobot_pneutac.diagnosis.experiment import Separation, read
-from lerobot_pneutac.diagnosis.names import called, family_in
+from lerobot_pneutac.diagnosis.design import Separation, read
 from lerobot_pneutac.diagnosis.result import Outcome
+from lerobot_pneutac.diagnosis.verdict import called, family_in
 from lerobot_pneutac.reports import figures as F
 from lerobot_pneutac.reports import page as C
 from lerobot_pneutac.reports.page import Report, parameter_rows, rows_of

@@ -5,11 +5,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from lerobot_pneutac.diagnosis.experiment import Separation
-from lerobot_pneutac.diagnosis.names import called, family_in
+from lerobot_pneutac.diagnosis.design import Separation
 from lerobot_pneutac.diagnosis.result import SET_UP, Outcome
 from lerobot_pneutac.diagnosis.thresholds import AS_IS_NOISE, CLOSE, NOISE
-from lerobot_pneutac.diagnosis.verdict import NONE, Explained, Mechanism
+from lerobot_pneutac.diagnosis.verdict import NONE, Explained, Mechanism, called, family_in
 from lerobot_pneutac.study.base import EffectStudy
 from pneutac_datasets.recording.noise import LEAST_REPEATED
 from pneutac_datasets.recording.wording import joined

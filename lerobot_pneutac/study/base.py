@@ -12,8 +12,7 @@ import numpy as np
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.black_box import share_left
 from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap, PairedTest, Parts
-from lerobot_pneutac.diagnosis.experiment import Separation
-from lerobot_pneutac.diagnosis.names import called, hardly_bends
+from lerobot_pneutac.diagnosis.design import Separation
 from lerobot_pneutac.diagnosis.result import (
     Contribution,
     FittedModel,
@@ -24,7 +23,7 @@ from lerobot_pneutac.diagnosis.result import (
     Untested,
 )
 from lerobot_pneutac.diagnosis.search import Steps
-from lerobot_pneutac.diagnosis.verdict import Evidence, decide
+from lerobot_pneutac.diagnosis.verdict import Evidence, called, decide, hardly_bends
 from pneutac_datasets.recording.axes import motion
 from pneutac_datasets.recording.noise import NoiseFloor
 from pneutac_datasets.recording.recording import Recording

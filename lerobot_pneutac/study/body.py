@@ -9,8 +9,7 @@ from itertools import chain
 import numpy as np
 
 from lerobot_pneutac.diagnosis import thresholds as T
-from lerobot_pneutac.diagnosis.experiment import predict, read
-from lerobot_pneutac.diagnosis.names import called
+from lerobot_pneutac.diagnosis.design import predict, read
 from lerobot_pneutac.diagnosis.result import (
     PROFILE,
     SET_UP,
@@ -24,7 +23,7 @@ from lerobot_pneutac.diagnosis.result import (
     family_in,
 )
 from lerobot_pneutac.diagnosis.search import Found, Scored, Steps, contenders, rivals
-from lerobot_pneutac.diagnosis.verdict import Evidence, Mechanism, mechanism
+from lerobot_pneutac.diagnosis.verdict import Evidence, Mechanism, called, mechanism
 from lerobot_pneutac.study.body_base import BodyBase, base_effects
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel
 from lerobot_pneutac.study.body_search import LATE_S, LATE_TEMPERATURE, BodySearch, Searched

@@ -9,7 +9,7 @@ from scipy.stats import linregress, ttest_1samp, wilcoxon
 
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.bootstrap import BlockBootstrap, conditions, deal
-from lerobot_pneutac.diagnosis.experiment import (
+from lerobot_pneutac.diagnosis.design import (
     Separation,
     predict,
     predictions,
@@ -17,9 +17,8 @@ from lerobot_pneutac.diagnosis.experiment import (
     separations,
 )
 from lerobot_pneutac.diagnosis.law_programs import law_program
-from lerobot_pneutac.diagnosis.names import PROFILE, called
 from lerobot_pneutac.diagnosis.result import FittedModel, Outcome, Rival, Untested
-from lerobot_pneutac.diagnosis.verdict import too_few
+from lerobot_pneutac.diagnosis.verdict import PROFILE, called, too_few
 from lerobot_pneutac.study.base import EffectStudy
 from lerobot_pneutac.study.body_model import BodyFitter, BodyModel
 from lerobot_pneutac.study.data_breaks import Break, without_break

@@ -7,8 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from lerobot_pneutac.diagnosis import thresholds as T
-from pneutac_datasets.demonstrations.info import is_demonstrations
-from pneutac_datasets.demonstrations.reading import Demonstrations, is_dataset, load_demonstrations
+from pneutac_datasets.demonstrations.reading import (
+    Demonstrations,
+    is_dataset,
+    is_demonstrations,
+    load_demonstrations,
+)
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.units import unit_faults

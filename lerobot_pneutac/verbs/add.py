@@ -9,10 +9,9 @@ from lerobot_pneutac.cli.options import PairOptions, keywords
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis import thresholds as T
 from lerobot_pneutac.diagnosis.bootstrap import PairedTest
-from lerobot_pneutac.diagnosis.names import called, family_in
 from lerobot_pneutac.diagnosis.result import Contribution, FittedModel, Refits
 from lerobot_pneutac.diagnosis.search import Steps
-from lerobot_pneutac.diagnosis.verdict import Mechanism
+from lerobot_pneutac.diagnosis.verdict import Mechanism, called, family_in
 from lerobot_pneutac.reports.page import AFTER, BEFORE, KNOWN, Report, parameter_rows, span
 from lerobot_pneutac.reports.sentences import hedged, percent
 from lerobot_pneutac.study import study_of

@@ -161,7 +161,7 @@ def augment(
     twin's gel looks otherwise at rest. Raises InputError: a dataset cannot be read or exists, names no task,
     is of another task or sensor, fewer than two demonstrations have not failed, or too few variants succeed.
     """
-    from pneutac_datasets.demonstrations.info import check_new, task_to_do
+    from pneutac_datasets.demonstrations.reading import check_new, task_to_do
 
     check_new(config.output.root, config.output.repo_id)  # before imports that take seconds
     recorded = Recorded(config.dataset.root)

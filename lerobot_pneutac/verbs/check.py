@@ -16,7 +16,7 @@ from lerobot_pneutac.study import study_of
 from lerobot_pneutac.study.pair import enough_to_compare, fit_parts
 from lerobot_pneutac.verbs.new import new_twin
 from pneutac_datasets.demonstrations.faults import Recorded
-from pneutac_datasets.demonstrations.info import is_demonstrations
+from pneutac_datasets.demonstrations.reading import is_demonstrations
 from pneutac_datasets.recording.checks import check, recording_faults
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.sources import plain

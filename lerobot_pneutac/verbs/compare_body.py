@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from lerobot_pneutac.diagnosis.bootstrap import deal
-from lerobot_pneutac.diagnosis.experiment import read
+from lerobot_pneutac.diagnosis.design import read
 from lerobot_pneutac.diagnosis.thresholds import NOISE
 from lerobot_pneutac.reports.figures import worst_passages
 from lerobot_pneutac.reports.page import Report

@@ -28,7 +28,7 @@ from scipy.stats import binomtest
 
 from lerobot_pneutac.cli import INSTALL
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.diagnosis.names import called
+from lerobot_pneutac.diagnosis.verdict import called
 from lerobot_pneutac.reports.page import AFTER, BEFORE, MEASURED, Report
 from lerobot_pneutac.verbs.compare import compare
 from lerobot_pneutac.verbs.result import Result

@@ -12,7 +12,7 @@ from rich.markup import escape
 
 from lerobot_pneutac.cli.options import PairOptions, keywords
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.diagnosis.experiment import Separation
+from lerobot_pneutac.diagnosis.design import Separation
 from lerobot_pneutac.diagnosis.result import PROFILE, Candidate, Outcome
 from lerobot_pneutac.diagnosis.search import Steps
 from lerobot_pneutac.diagnosis.verdict import Explained

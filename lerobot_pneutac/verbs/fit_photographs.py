@@ -13,11 +13,11 @@ from lerobot_pneutac.reports.page import AFTER, OTHER, Report
 from lerobot_pneutac.study.photographs import PhotoStudy, photo_study
 from lerobot_pneutac.verbs.result import Calibration, rms_of
 from pneutac_datasets.recording.recording import Recording
+from pneutac_sim.executor import Progress, no_progress
 from pneutac_sim.files import write_image
 from pneutac_sim.finger.fit import BY_IMAGES
 from pneutac_sim.photo_fit import objective as photo
 from pneutac_sim.photo_fit import search as cma
-from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.splat.body import fit_body_looks, looks_into_twin
 from pneutac_sim.splat.render import Gaussians
 from pneutac_sim.twin import Twin

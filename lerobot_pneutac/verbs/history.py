@@ -5,8 +5,8 @@ from pathlib import Path
 
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.diagnosis import thresholds as T
-from lerobot_pneutac.diagnosis.names import called
 from lerobot_pneutac.diagnosis.result import CURVE_LIKE
+from lerobot_pneutac.diagnosis.verdict import called
 from lerobot_pneutac.reports.page import Report, span
 from lerobot_pneutac.verbs.result import Result, history_of
 from pneutac_datasets.recording.wording import joined

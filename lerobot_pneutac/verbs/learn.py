@@ -15,8 +15,7 @@ from plotly.subplots import make_subplots
 
 from lerobot_pneutac.cli.options import keywords
 from lerobot_pneutac.cli.terminal import Terminal
-from lerobot_pneutac.diagnosis.design import NO_HANDS, Choice, Limits, choices
-from lerobot_pneutac.diagnosis.experiment import predict, read
+from lerobot_pneutac.diagnosis.design import NO_HANDS, Choice, Limits, choices, predict, read
 from lerobot_pneutac.diagnosis.programs import (
     GRAVITY,
     Hands,

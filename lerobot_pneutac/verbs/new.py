@@ -14,7 +14,7 @@ from lerobot_pneutac.cli.options import TableOptions
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.study.pair import fit_parts
 from lerobot_pneutac.verbs.result import measured_range, range_sentence
-from pneutac_datasets.demonstrations.info import is_demonstrations
+from pneutac_datasets.demonstrations.reading import is_demonstrations
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.sources.plain import refuse_other_axes
 from pneutac_datasets.recording.wording import an

@@ -14,8 +14,8 @@ from lerobot_pneutac.rendering.options import FPS, RenderConfig, filled
 from lerobot_pneutac.reports.page import Report, write_result
 from lerobot_pneutac.verbs.result import Result, about
 from pneutac_sim.errors import InputError
+from pneutac_sim.executor import Progress, no_progress
 from pneutac_sim.files import write_image
-from pneutac_sim.progress import Progress, no_progress
 from pneutac_sim.twin import Twin
 
 if TYPE_CHECKING:

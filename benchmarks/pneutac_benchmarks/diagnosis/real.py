@@ -73,7 +73,7 @@ def _forward(d, whole) -> dict:
     """Errors on the later part; twins run through the whole, so that they remember the earlier part."""
     from types import SimpleNamespace
 
-    from lerobot_pneutac.diagnosis.experiment import predict, read
+    from lerobot_pneutac.diagnosis.design import predict, read
     from lerobot_pneutac.study.body_base import features
 
     later = np.arange(len(whole)) >= EARLIER * len(whole)

@@ -87,7 +87,7 @@ class Days:
 
     def residual(self, twin: Twin, judge: Recording | None = None) -> np.ndarray:
         """(n, k) of day 2, or of it without some columns, predicted from its commands alone."""
-        from lerobot_pneutac.diagnosis.experiment import predict, read
+        from lerobot_pneutac.diagnosis.design import predict, read
 
         data = read(judge or self.judge, twin)
         return data.measured[:, : data.counted] - predict(twin, data)[0]
@@ -105,7 +105,7 @@ class Days:
 
     def constant(self) -> float:
         """Root mean square error of day 2's own mean."""
-        from lerobot_pneutac.diagnosis.experiment import read
+        from lerobot_pneutac.diagnosis.design import read
 
         data = read(self.judge, self.twin)
         seen = data.measured[:, : data.counted]

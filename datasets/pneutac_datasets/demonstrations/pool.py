@@ -29,7 +29,7 @@ from pneutac_datasets.demonstrations.episodes import (
     readable,
     save_episode,
 )
-from pneutac_datasets.demonstrations.info import check_new
+from pneutac_datasets.demonstrations.reading import check_new
 from pneutac_datasets.demonstrations.save import create_dataset, written
 from pneutac_sim.dataset_files import Files
 from pneutac_sim.errors import InputError

@@ -1,4 +1,4 @@
-"""From the regulator's inlet to the pressure in the chamber. Pressures are shares of the top pressure."""
+"""From the computer through the regulator to the pressure in the chamber; shares of the top pressure."""
 
 import functools
 import math
@@ -11,9 +11,9 @@ from scipy.signal import lfilter
 
 from pneutac_truths.effects.table import by_column, effect
 from pneutac_truths.programs import DT_S
-from pneutac_truths.world import World
+from pneutac_truths.world import World, seconds
 
-acts = partial(effect, "air")
+of_air = partial(effect, "air")
 
 AMBIENT_KPA = 101.3
 
@@ -41,7 +41,7 @@ def lag(x: np.ndarray, tau: float) -> np.ndarray:
     return _uneven_lag(x, tau, tau)
 
 
-@acts(critical=(0.2, 0.45), supply=(1.6, 3.0), growth=(0.3, 1.5), size=(0.02, 4.0))
+@of_air(critical=(0.2, 0.45), supply=(1.6, 3.0), growth=(0.3, 1.5), size=(0.02, 4.0))
 def fill_orifice(w: World, critical: float, supply: float, growth: float, size: float) -> None:
     """Air passes an orifice, choked or subsonic, into a chamber that grows as it fills.
 
@@ -80,7 +80,7 @@ def _orifice(wanted, out, ambient, b, supply, growth, fill):
         out[i] = x
 
 
-@acts(size=(0.05, 6.0))
+@of_air(size=(0.05, 6.0))
 def valve_slew(w: World, size: float) -> None:
     """The proportional valve opens no faster than its slew limit, so pressure follows in ramps.
 
@@ -98,7 +98,7 @@ def _slew(x, out, most):
         out[i] = y
 
 
-@acts(damping=(0.08, 0.5), size=(0.05, 3.0))
+@of_air(damping=(0.08, 0.5), size=(0.05, 3.0))
 def line_second_order(w: World, damping: float, size: float) -> None:
     """Air in a long tube with a volume behind it swings (second order).
 
@@ -122,7 +122,7 @@ def swing(x, out, omega, damping):
         out[i] = y
 
 
-@acts(power=(1.3, 3.0), lag_s=(0.015, 0.04), size=(0.005, 0.4))
+@of_air(power=(1.3, 3.0), lag_s=(0.015, 0.04), size=(0.005, 0.4))
 def leak(w: World, power: float, lag_s: float, size: float) -> None:
     """A leak draws more the higher the pressure is, against the regulator's finite flow.
 
@@ -140,7 +140,7 @@ def _leak(u, out, power, lag_s, size):
         out[i] = x
 
 
-@acts(pace=(0.3, 1.5), size=(0.01, 0.25))
+@of_air(pace=(0.3, 1.5), size=(0.01, 0.25))
 def hunting(w: World, pace: float, size: float) -> None:
     """The on-off regulator never settles: pressure hunts about the command in a limit cycle.
 
@@ -166,7 +166,7 @@ def _hunting(u, out, band, pace):
         out[i] = x
 
 
-@acts(recover_s=(2.0, 12.0), size=(0.02, 0.8))
+@of_air(recover_s=(2.0, 12.0), size=(0.02, 0.8))
 def supply_sag(w: World, recover_s: float, size: float) -> None:
     """The supply sags while air is drawn, and recovers slowly through its own regulator.
 
@@ -178,7 +178,7 @@ def supply_sag(w: World, recover_s: float, size: float) -> None:
     w.air = w.air / (1 + size * lfilter([1.0], [1.0, -keep], used))[:, None]
 
 
-@acts(cool_s=(0.4, 4.0), size=(0.02, 0.4))
+@of_air(cool_s=(0.4, 4.0), size=(0.02, 0.4))
 def gas_heat(w: World, cool_s: float, size: float) -> None:
     """Filled fast, the air warms and then cools at the wall, so pressure overshoots and falls back.
 
@@ -188,7 +188,7 @@ def gas_heat(w: World, cool_s: float, size: float) -> None:
     w.air = w.air + size * (w.air - lag(w.air, cool_s))
 
 
-@acts(fill_share=(0.1, 0.4), size=(0.02, 5.0))
+@of_air(fill_share=(0.1, 0.4), size=(0.02, 5.0))
 def vent_slow(w: World, fill_share: float, size: float) -> None:
     """Venting through a clogged silencer is slower than filling.
 
@@ -198,7 +198,7 @@ def vent_slow(w: World, fill_share: float, size: float) -> None:
     w.air = _uneven_lag(w.air, size * fill_share, size)
 
 
-@acts(kink=(0.35, 0.65), size=(0.02, 20.0))
+@of_air(kink=(0.35, 0.65), size=(0.02, 20.0))
 def tube_kink(w: World, kink: float, size: float) -> None:
     """Bent beyond an angle the supply tube kinks, and air passes slowly until it opens again.
 
@@ -215,3 +215,123 @@ def _kinked(u, out, kink, slow):
         shut = x > (kink - 0.08 if shut else kink)
         x += (1.0 - math.exp(-DT_S / (slow if shut else 0.005))) * (u[i] - x)
         out[i] = x
+
+
+of_command = partial(effect, "command")
+
+
+@of_command(size=(0.01, 0.8))
+def dead_time(w: World, size: float) -> None:
+    """Commands reach the regulator late (bus and valve driver).
+
+    `size`: delay in s. Source: Nilsson, Real-time control systems with delays, thesis, Lund (1998).
+    """
+    k = seconds(size)
+    w.sent = np.concatenate([np.zeros((k, w.sent.shape[1])), w.sent[:-k]])
+
+
+@of_command(settle=(0.05, 0.5), size=(0.01, 0.25))
+def valve_deadband(w: World, settle: float, size: float) -> None:
+    """The valve stays where it is until the command has moved by more than its dead band.
+
+    `size`: dead band, share of the top pressure; it stops at `settle` of the band from the command. Source:
+    Beater, Pneumatic Drives (2007) ch. 7 (overlap of spools); SMC ITV series catalogue (sensitivity).
+    """
+    w.sent = _deadband(w.sent, size, settle * size)
+
+
+@by_column
+def _deadband(sent, out, band, settle):
+    x, moving = 0.0, False
+    for i in range(len(sent)):
+        miss = sent[i] - x
+        if abs(miss) > band:
+            moving = True
+        if moving:
+            x = sent[i] - np.sign(miss) * min(abs(miss), settle)
+            moving = False
+        out[i] = x
+
+
+@of_command(size=(0.003, 0.12))
+def regulator_zero(w: World, size: float) -> None:
+    """The regulator's zero is another in each trial.
+
+    `size`: standard deviation over trials, share of the top pressure. Source: SMC ITV series catalogue
+    (repeatability, zero drift of electro-pneumatic regulators).
+    """
+    x = w.draws("regulator_zero").normal(size=(len(w.plan.starts), w.sent.shape[1]))
+    if len(x) > 1:  # one trial alone has no spread
+        x = (x - x.mean(0)) / x.std(0)
+    zero = np.vstack([size * x, np.zeros(x.shape[1])])
+    w.sent = w.sent + zero[w.plan.trial]
+
+
+@of_command(way=(-1.0, 1.0), size=(0.005, 0.15))
+def regulator_bow(w: World, way: float, size: float) -> None:
+    """The regulator's characteristic is bowed between its end points.
+
+    `size`: most it is off, at half the top pressure; upwards where `way` is positive. Source: SMC ITV series
+    catalogue (linearity error).
+    """
+    w.sent = w.sent + np.where(way > 0, 1, -1) * size * 4 * w.sent * (1 - w.sent)
+
+
+@of_command(size=(0.01, 0.3))
+def coarse_steps(w: World, size: float) -> None:
+    """The converter in front of the valve knows few steps.
+
+    `size`: one step, share of the top pressure. Source: Widrow and Kollar, Quantization Noise (2008).
+    """
+    w.sent = np.round(w.sent / size) * size
+
+
+@of_command(minutes=(1.5, 5.0), size=(0.02, 0.5))
+def regulator_warm_up(w: World, minutes: float, size: float) -> None:
+    """The regulator delivers less while it warms up after it was switched on.
+
+    `size`: share that is missing at first. Source: SMC ITV series catalogue (temperature characteristic).
+    """
+    w.sent = w.sent * (1 - size * np.exp(-w.time_s / (60 * minutes)))[:, None]
+
+
+@of_command(jump=(0.1, 0.6), size=(0.01, 0.25))
+def valve_stiction(w: World, jump: float, size: float) -> None:
+    """A proportional spool sticks and slides: the output has play against the command.
+
+    `size`: stick band, share of the top pressure; on letting go it slips by `jump` of it. Source: Choudhury,
+    Thornhill and Shah, Control Eng. Practice 13 (2005) 641: valve stiction.
+    """
+    w.sent = _stiction(w.sent, size, jump * size)
+
+
+@by_column
+def _stiction(sent, out, band, jump):
+    x, sliding = 0.0, 0.0
+    for i in range(len(sent)):
+        miss = sent[i] - x
+        if sliding * miss > 0:  # goes on as it went
+            if abs(miss) > band - jump:
+                x = sent[i] - sliding * (band - jump)
+        elif abs(miss) > band:
+            sliding = np.sign(miss)
+            x = sent[i] - sliding * (band - jump)
+        out[i] = max(x, 0.0)
+
+
+@of_command(per_minute=(4.0, 12.0), size=(0.03, 3.0))
+def stalls(w: World, per_minute: float, size: float) -> None:
+    """The computer stalls at times, mostly at large changes; the regulator holds the last command.
+
+    `size`: mean stall, s. Source: Nilsson, Real-time control systems with delays, thesis, Lund (1998).
+    """
+    rng, t = w.draws("stalls"), w.time_s
+    at = np.arange(len(t))
+    change = np.abs(np.diff(w.plan.command, axis=0)).max(1)
+    n = round(per_minute * t[-1] / 60)
+    lasts = rng.uniform(0.3, 1.7, n) * size
+    sends = rng.choice(t[1:], n, p=change / change.sum())
+    for start, last in zip(sends - rng.uniform(0, 0.5, n) * lasts, lasts, strict=True):
+        a, b = max(int(start / DT_S), 0), min(int((start + last) / DT_S) + 1, len(t))
+        at[a:b] = np.minimum(at[a:b], at[a])
+    w.sent = w.sent[at]

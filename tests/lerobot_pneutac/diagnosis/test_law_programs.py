@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lerobot_pneutac.diagnosis.experiment import predict, separations
+from lerobot_pneutac.diagnosis.design import predict, separations
 from lerobot_pneutac.diagnosis.law_programs import law_program
 from lerobot_pneutac.verbs.measure import read_program
 from pneutac_datasets.recording.recording import Recording

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from lerobot_pneutac.diagnosis.names import called, hardly_bends
+from lerobot_pneutac.diagnosis.verdict import called, hardly_bends
 from lerobot_pneutac.study.base import EffectStudy
 from lerobot_pneutac.verbs.history import report
 from pneutac_sim.effects import get_effect

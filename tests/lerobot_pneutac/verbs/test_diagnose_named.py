@@ -13,7 +13,7 @@ import pytest
 from generated import twin_of
 from verbs import verb
 
-from lerobot_pneutac.diagnosis.experiment import separations
+from lerobot_pneutac.diagnosis.design import separations
 from lerobot_pneutac.diagnosis.search import Steps
 from lerobot_pneutac.study import study_of
 from lerobot_pneutac.study.pair import same_body

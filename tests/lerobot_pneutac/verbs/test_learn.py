@@ -14,8 +14,7 @@ from rich.console import Console
 
 from lerobot_pneutac import design, learn
 from lerobot_pneutac.cli.terminal import show
-from lerobot_pneutac.diagnosis.design import Limits, choices
-from lerobot_pneutac.diagnosis.experiment import predict
+from lerobot_pneutac.diagnosis.design import Limits, choices, predict
 from lerobot_pneutac.diagnosis.programs import Hands
 from lerobot_pneutac.diagnosis.result import Candidate
 from lerobot_pneutac.reports.page import save_table

@@ -29,9 +29,8 @@ from lerobot_robot_pneutac.standin.world import new_gel
 from pneutac_datasets.demonstrations.augment import run
 from pneutac_datasets.demonstrations.augment.reference import read_references
 from pneutac_datasets.demonstrations.faults import TACTILE, Recorded
-from pneutac_datasets.demonstrations.info import task_to_do
 from pneutac_datasets.demonstrations.naive import augment_naive
-from pneutac_datasets.demonstrations.reading import load_demonstrations
+from pneutac_datasets.demonstrations.reading import load_demonstrations, task_to_do
 from pneutac_datasets.demonstrations.repair import repair_dataset
 from pneutac_sim.dataset_files import ACTION, STATE, Files
 from pneutac_sim.errors import InputError

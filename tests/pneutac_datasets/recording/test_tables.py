@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from scipy.io import savemat
 
-from pneutac_datasets.demonstrations.info import is_demonstrations
+from pneutac_datasets.demonstrations.reading import is_demonstrations
 from pneutac_datasets.recording.checks import check
 from pneutac_datasets.recording.recording import Recording
 from pneutac_datasets.recording.sources import plain

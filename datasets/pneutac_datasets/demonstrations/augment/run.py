@@ -50,7 +50,7 @@ from pneutac_datasets.demonstrations.episodes import (
     further_features,
     save_episode,
 )
-from pneutac_datasets.demonstrations.info import check_new, work_folder
+from pneutac_datasets.demonstrations.reading import check_new, work_folder
 from pneutac_datasets.demonstrations.save import (
     EncodedVideos,
     Film,

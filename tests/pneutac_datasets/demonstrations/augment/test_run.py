@@ -9,7 +9,7 @@ from augmenting import config_of
 from pneutac_datasets.demonstrations.augment import run
 from pneutac_datasets.demonstrations.augment.episode import Attempt, AugmentSetup
 from pneutac_datasets.demonstrations.augment.reference import Reference
-from pneutac_datasets.demonstrations.info import work_folder
+from pneutac_datasets.demonstrations.reading import work_folder
 from pneutac_sim.errors import InputError
 from pneutac_sim.files import write_text
 from pneutac_sim.twin import Twin
