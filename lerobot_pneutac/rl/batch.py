@@ -8,7 +8,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from lerobot_pneutac.rl import env as E
 from pneutac_sim.features import ACTION_NAMES
 from pneutac_sim.twin import Twin
-from pneutac_sim.world.base import START_SOLVES, solved_joints
+from pneutac_sim.world.base import converged, solved_joints
 from pneutac_sim.world.batch import BatchedWorld
 
 STARTS = 4  # that are drawn for each world at a reset; later episodes begin at any of them
@@ -60,8 +60,7 @@ class BatchedPpoEnv(VecEnv):
         self._previous[worlds], self._done[worlds] = 0.0, 0
         self._moment = self._look(worlds)
         self._begins.reset(np.tile(self._arm.home_rad, (len(worlds), 1)))
-        for _ in range(START_SOLVES):
-            self._begins.solve(self._flange_m[worlds])
+        converged(self._begins, self._flange_m[worlds])
         self._solver.q[worlds] = self._begins.q
 
     def step_async(self, actions: np.ndarray) -> None:

@@ -198,7 +198,7 @@ def fit_parts(
         InputError: no column says what the device did, pressure or device never moves, or rows are too few.
     """
     folder = recording.folder
-    if not [c for c in recording.observations if not c.startswith("image")]:
+    if not recording.poses:
         raise InputError(
             f"{folder}: no column tip_x_mm, bend_angle_rad, curvature_x_1_per_m or q_1_rad has what the "
             "device did; add one of them."
@@ -218,7 +218,7 @@ def fit_parts(
 
 def device_moves(recording: Recording) -> None:
     """Raises InputError where every measured number of the device is the same in all rows."""
-    poses = [c for c in recording.observations if not c.startswith("image")]
+    poses = recording.poses
     if poses and len(recording) > 1 and not np.ptp(recording.samples[poses].to_numpy(float), axis=0).any():
         never = f"never change{'s' * (len(poses) == 1)}"
         named = f"{recording.folder}: {joined(map(repr, poses))}"

@@ -11,7 +11,7 @@ import numpy as np
 from lerobot_pneutac.cli.terminal import Terminal
 from lerobot_pneutac.reports.page import SERIES, Report
 from lerobot_pneutac.verbs.result import Result
-from pneutac_datasets.demonstrations.augment.options import MOST_REAL, AugmentConfig, DatasetRef  # noqa: F401
+from pneutac_datasets.demonstrations.augment.options import MOST_REAL, AugmentConfig, DatasetRef
 from pneutac_datasets.demonstrations.augment.reference import Reference, onset_sigma_m, read_references
 from pneutac_datasets.demonstrations.faults import Recorded
 from pneutac_datasets.recording.wording import plural
@@ -21,6 +21,8 @@ from pneutac_sim.features import VELOCITY_NAMES, Places
 from pneutac_sim.gel.contact import without_specks
 from pneutac_sim.twin import Twin
 from pneutac_sim.world.station import Station, station_of
+
+__all__ = ["Augmentation", "AugmentConfig", "DatasetRef", "augment", "command"]
 
 FEW_ATTEMPTS, FEW_WORKED = 20, 0.15  # with demonstrations of the same finger 17 % or more do the task
 

@@ -138,7 +138,7 @@ def checked(given: Demonstrations) -> Demonstrations:
 
     Raises InputError: one has not, or there is no such task.
     """
-    from pneutac_datasets.demonstrations.faults import unmeasurable
+    from pneutac_datasets.demonstrations.faults import UNTOUCHED, unmeasurable
     from pneutac_sim.world.tasks import make_task
 
     make_task(given.task)
@@ -146,9 +146,8 @@ def checked(given: Demonstrations) -> Demonstrations:
     untouched = [i for i, e in enumerate(given.episodes) if e.contact() is None]
     if untouched:
         raise InputError(
-            f"{given.folder}: episode {untouched[0]} never touches anything (contact_area.pos is 0 "
-            "throughout), so it contains no information on the finger; leave it out with "
-            "lerobot-edit-dataset."
+            f"{given.folder}: episode {untouched[0]} {UNTOUCHED}, so it contains no information on the "
+            "finger; leave it out with lerobot-edit-dataset."
         )
     for i, e in enumerate(given.episodes):
         if reason := unmeasurable(e.state, e.action, CONTROL_HZ):

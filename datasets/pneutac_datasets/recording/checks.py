@@ -552,11 +552,12 @@ def recording_faults(folder: str | Path) -> tuple[list[str], list[str]]:
         read = reading.read_table(folder, meta)
     with collected(faults):
         device = rules.device_of(meta, pd.DataFrame() if read is None else read[0], folder)
-        sound = {} if faults else meta
-        faults += rules.look(read[0], device, sound, read[1])[1] if read is not None else []
+        if read is not None:
+            samples, found, warnings = rules.look(read[0], device, {} if faults else meta, read[1])
+            faults += found
     if faults:
         return faults, []
-    recording = Recording.load(folder)
+    recording = Recording.of_rows(folder, meta, samples, device, warnings)
     faults, notes = gel_faults(recording) if recording.device == "gel" else (_pictures(recording), [])
     return faults, [] if faults else [*check(recording)[1], *notes]
 

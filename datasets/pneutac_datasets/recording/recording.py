@@ -132,6 +132,13 @@ class Recording:
         table, file = reading.read_table(folder, meta)
         device = rules.device_of(meta, table, folder)
         samples, warnings = rules.check_samples(table, device, meta, file)
+        return cls.of_rows(folder, meta, samples, device, warnings)
+
+    @classmethod
+    def of_rows(
+        cls, folder: Path, meta: dict, samples: pd.DataFrame, device: str, warnings: list[str]
+    ) -> "Recording":
+        """Of samples that `rules.look` has cleaned, with what it warned of."""
         warnings = [*meta.get("conversion", {}).get("notes", []), *warnings]
         return cls(folder, meta, samples.reset_index(drop=True), device, warnings)
 

@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from pneutac_sim.effects import BodyEffect, Parameter, kernel
+from pneutac_sim.effects.body_effect import in_lines, replace_by
 
 
 @kernel
@@ -67,19 +68,8 @@ def second_order(s, f, dt, omega, zeta):
 @kernel
 def run(x, dt, theta, conditions, state):
     """State, a row each: nothing, the input before, pressure and its rate."""
-    n, channels = x.shape
-    s, f = state.reshape(4, channels), np.empty((n + 1, channels))
-    for i in range(channels):
-        f[0, i] = s[1, i]
-    for t in range(n):  # not whole arrays: Numba takes seconds to compile the check of their shapes
-        for i in range(channels):
-            f[t + 1, i] = x[t, i]
-    y = second_order(s, f, dt, theta[0], theta[1])
-    for t in range(n):
-        for i in range(channels):
-            x[t, i] = y[t, i]
-    for i in range(channels):
-        s[1, i] = f[n, i]
+    s, f = in_lines(x, state, 4)
+    replace_by(x, second_order(s, f, dt, theta[0], theta[1]), s, f)
 
 
 EFFECT = BodyEffect(

@@ -44,6 +44,34 @@ SIGNALS = {
 kernel = njit(cache=True, error_model="numpy", nogil=True)
 
 
+@kernel
+def in_lines(x, state, rows):
+    """What a step through straight lines takes: rows of memory, and the input behind the one before it.
+
+    Returns `state` as (rows, channels), whose row 1 is the input (channels,) before, and that with x (n + 1,
+    channels). Entry by entry, as Numba takes seconds to compile the check of the shapes of whole arrays.
+    """
+    n, channels = x.shape
+    s, f = state.reshape(rows, channels), np.empty((n + 1, channels))
+    for i in range(channels):
+        f[0, i] = s[1, i]
+    for t in range(n):
+        for i in range(channels):
+            f[t + 1, i] = x[t, i]
+    return s, f
+
+
+@kernel
+def replace_by(x, y, s, f):
+    """Writes the output y over the input x (n, channels), and the last of f (n + 1, channels) into memory."""
+    n, channels = x.shape
+    for t in range(n):
+        for i in range(channels):
+            x[t, i] = y[t, i]
+    for i in range(channels):
+        s[1, i] = f[n, i]
+
+
 REFERENCE_C = 23.0  # temperature of the laws, and of a recording without one
 
 

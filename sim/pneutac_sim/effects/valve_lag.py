@@ -3,28 +3,16 @@
 The command is taken as a straight line between samples, for which the step is exact.
 """
 
-import numpy as np
-
 from pneutac_sim.effects import BodyEffect, Parameter, kernel
+from pneutac_sim.effects.body_effect import in_lines, replace_by
 from pneutac_sim.effects.laws import fill_vent_lag
 
 
 @kernel
 def run(x, dt, theta, conditions, state):
     """State, a row each: nothing, the command before, the pressure."""
-    n, channels = x.shape
-    s, f = state.reshape(3, channels), np.empty((n + 1, channels))
-    for i in range(channels):
-        f[0, i] = s[1, i]
-    for t in range(n):  # not whole arrays: Numba takes seconds to compile the check of their shapes
-        for i in range(channels):
-            f[t + 1, i] = x[t, i]
-    y = fill_vent_lag(s, f, dt, theta)
-    for t in range(n):
-        for i in range(channels):
-            x[t, i] = y[t, i]
-    for i in range(channels):
-        s[1, i] = f[n, i]
+    s, f = in_lines(x, state, 3)
+    replace_by(x, fill_vent_lag(s, f, dt, theta), s, f)
 
 
 EFFECT = BodyEffect(

@@ -49,6 +49,13 @@ class Variation:
     more_rad: float = 0.0  # bend in addition to that, shared by the joints
 
 
+def converged(solver, flange_m: np.ndarray) -> np.ndarray:
+    """Angles (..., N) rad of an arm whose flange stands there (..., 3), by a solver that begins anywhere."""
+    for _ in range(START_SOLVES):
+        joints = solver.solve(flange_m)
+    return joints
+
+
 def solved_joints(solver, flange_m: np.ndarray, velocity_m_s: np.ndarray, dt_s: float) -> np.ndarray:
     """Angles (..., N) rad and rates (..., N) rad/s, (2, ..., N), of an arm whose flange moves like that.
 
@@ -139,8 +146,7 @@ class BaseWorld(ABC):
         self.target_m = self.home_m + self._rng.uniform(-1, 1, 3) * self._start_half_m
         self.target_m[1] += self._rng.choice(self._starts_m)
         self._ik.reset()
-        for _ in range(START_SOLVES):
-            self._joints = self._ik.solve(self.target_m - self._base_m)
+        self._joints = converged(self._ik, self.target_m - self._base_m)
         missing_m = np.linalg.norm(self._ik.pose(self._joints)[1] + self._base_m - self.target_m)
         if missing_m > MISSING_M:
             raise InputError(

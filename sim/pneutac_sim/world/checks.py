@@ -9,6 +9,7 @@ from pneutac_sim.errors import InputError, unknown_names
 from pneutac_sim.features import CHAMBERS, task_names
 from pneutac_sim.finger.online import COMPUTED, PressurePipeline, check_conditions, needed_conditions
 from pneutac_sim.twin import Twin
+from pneutac_sim.world.base import converged
 from pneutac_sim.world.station import MISSING_M, Station
 from pneutac_sim.world.tasks import make_task
 
@@ -92,8 +93,7 @@ def out_of_reach(station: Station, length_mm: float) -> dict[str, float]:
         for aside in task.starts_m:
             start = np.array(station.home_m or task.home_m + lift_m) + (0.0, aside, 0.0)
             solver.reset()
-            for _ in range(20):
-                solver.solve(start - arm.base_m)
+            converged(solver, start - arm.base_m)
             if solver.missing_m > MISSING_M:
                 short[name] = max(short.get(name, 0.0), solver.missing_m)
     return short

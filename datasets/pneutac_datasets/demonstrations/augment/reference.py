@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pneutac_datasets.demonstrations.faults import Recorded
+from pneutac_datasets.demonstrations.faults import UNTOUCHED, Recorded
 from pneutac_sim.errors import InputError
 from pneutac_sim.features import CONTROL_HZ, PRESSURES, Places
 from pneutac_sim.gel.contact import without_specks
@@ -79,7 +79,7 @@ class Reference:
             fault = (
                 "touches something in its first frame (pressed, or in another light than the rest image)"
                 if len(frames)
-                else "never touches anything (contact_area.pos is 0 throughout)"
+                else UNTOUCHED
             )
             raise InputError(
                 f"Episode {self.source} {fault}; leave it out with lerobot-edit-dataset"

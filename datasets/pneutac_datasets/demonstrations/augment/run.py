@@ -66,7 +66,7 @@ from pneutac_sim.features import CONTROL_HZ
 from pneutac_sim.files import LOCK, claim, locked, whole, write_json, write_text
 from pneutac_sim.pace import PROVENANCE
 from pneutac_sim.twin import Twin, twin_digest
-from pneutac_sim.world.base import START_SOLVES, Variation, solved_joints
+from pneutac_sim.world.base import Variation, converged, solved_joints
 from pneutac_sim.world.station import Station
 from pneutac_sim.world.world import World
 
@@ -213,8 +213,7 @@ def save_sensed(setup: AugmentSetup, folder: Path, index: int, sensed: Sensed, p
     began, world = time.process_time(), generator(setup, folder).world
     solver, states = world.arm.solver(), sensed.states
     flange_m = states[:, :3] - world.arm.base_m
-    for _ in range(START_SOLVES):
-        solver.solve(flange_m[0])
+    converged(solver, flange_m[0])
     shown = np.maximum(np.arange(len(states)) - sensed.start[1].late_touch, 0)
     rows = []
     for at, state, contact in zip(flange_m, states, states[shown, CONTACT], strict=True):
