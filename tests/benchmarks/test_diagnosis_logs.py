@@ -27,15 +27,18 @@ def test_each_level_comes_at_least_forty_times_in_600_plain_logs():
             assert sum(getattr(x, name) == value for x in drawn) >= 40, (name, value)
 
 
+def off_a_line(r) -> float:
+    """Standard deviation of the bend from the straight line in pressure that fits it best."""
+    line, bend = np.c_[r.column("pressure_cmd_kpa"), np.ones(len(r))], r.column("bend_angle_rad")
+    return (bend - line @ np.linalg.lstsq(line, bend, rcond=None)[0]).std()
+
+
 def test_a_plain_log_is_a_straight_line_and_noise():
     for seed in range(6):
         log, r, noise = logs.made(Case("logs", "plain", "plain", seed))
         if log.tips:
             continue
-        line = np.c_[r.column("pressure_cmd_kpa"), np.ones(len(r))]
-        left = r.column("bend_angle_rad")
-        left = left - line @ np.linalg.lstsq(line, left, rcond=None)[0]
-        assert left.std() == pytest.approx(noise, rel=0.1)
+        assert off_a_line(r) == pytest.approx(noise, rel=0.1)
         assert ("time_sent_s" in r.samples) == log.sent and ("pressure_kpa" in r.samples) == log.gauge
         assert ("noise" in r.meta) == log.stated and r.samples["trial"].nunique() == log.trials
 
@@ -44,10 +47,7 @@ def test_an_effect_is_five_times_the_noise():
     for effect in logs.ACCEPTED:
         log, r, noise = logs.made(Case("logs", "effect", effect, 3))
         if not log.tips:
-            line = np.c_[r.column("pressure_cmd_kpa"), np.ones(len(r))]
-            left = r.column("bend_angle_rad")
-            left = left - line @ np.linalg.lstsq(line, left, rcond=None)[0]
-            assert left.std() / noise == pytest.approx(26**0.5, rel=0.1)
+            assert off_a_line(r) / noise == pytest.approx(26**0.5, rel=0.1)
 
 
 def test_other_effects_are_refused_in_one_sentence():

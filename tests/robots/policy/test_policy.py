@@ -372,6 +372,17 @@ def changed(**fields):
     return change
 
 
+def check_prepare(monkeypatch, argv: list[str], said: str | None) -> None:
+    """Whether `prepare` ends a command of LeRobot's by these words, or lets it go on where None."""
+    monkeypatch.setattr(sys, "argv", argv)
+    monkeypatch.setattr(sys, "excepthook", sys.excepthook)  # which `prepare` changes
+    if said is None:
+        prepare()
+        return
+    with pytest.raises(SystemExit, match=said):
+        prepare()
+
+
 @pytest.mark.parametrize(
     ("name", "damage", "said"),
     [
@@ -385,12 +396,10 @@ def changed(**fields):
 )
 def test_a_damaged_checkpoint_is_one_sentence_before_the_work(tmp_path, monkeypatch, name, damage, said):
     make_ready_policy().save_pretrained(tmp_path / "p")
-    monkeypatch.setattr(sys, "argv", ["lerobot-eval", f"--policy.path={tmp_path / 'p'}"])
-    monkeypatch.setattr(sys, "excepthook", sys.excepthook)  # which `prepare` changes
-    prepare()
+    argv = ["lerobot-eval", f"--policy.path={tmp_path / 'p'}"]
+    check_prepare(monkeypatch, argv, None)
     damage(tmp_path / "p" / name)
-    with pytest.raises(SystemExit, match=f"^error: --policy.path: .*{said}"):
-        prepare()
+    check_prepare(monkeypatch, argv, f"^error: --policy.path: .*{said}")
 
 
 SMALLER = {OBS_STATE: {"type": "STATE", "shape": [20]}, TACTILE: {"type": "VISUAL", "shape": [3, 48, 64]}}
@@ -436,13 +445,8 @@ def test_a_policy_of_another_camera_body_or_task_is_refused_before_the_work(
 ):
     make_ready_policy().save_pretrained(tmp_path / "p")
     changed(**fields)(tmp_path / "p" / "config.json")
-    monkeypatch.setattr(sys, "excepthook", sys.excepthook)
-    monkeypatch.setattr(sys, "argv", [*argv.split(), f"--policy.path={tmp_path / 'p'}"])
-    if said is None:
-        prepare()
-        return
-    with pytest.raises(SystemExit, match=f"error: --policy.path: .*{said}"):
-        prepare()
+    argv = [*argv.split(), f"--policy.path={tmp_path / 'p'}"]
+    check_prepare(monkeypatch, argv, said and f"error: --policy.path: .*{said}")
 
 
 @pytest.mark.parametrize(
@@ -459,14 +463,10 @@ def test_what_lerobot_does_not_compare_is_refused_before_the_work(tmp_path, monk
     make_ready_policy().save_pretrained(tmp_path / "p")
     changed(control_hz=30)(tmp_path / "p" / "config.json")
     (tmp_path / "station.yaml").write_text("format: pneutac-station/1\ncontrol_hz: 30\n")
-    monkeypatch.setattr(sys, "excepthook", sys.excepthook)
-    monkeypatch.setattr(sys, "argv", [*argv, f"--policy.path={tmp_path / 'p'}"])
-    with pytest.raises(SystemExit, match=said):
-        prepare()
-    fitting = f"--env.station={tmp_path / 'station.yaml'}"
-    monkeypatch.setattr(sys, "argv", ["lerobot-eval", *argv[1:], f"--policy.path={tmp_path / 'p'}", fitting])
+    argv = [*argv, f"--policy.path={tmp_path / 'p'}"]
+    check_prepare(monkeypatch, argv, said)
     if "--env.type=pneutac" in argv:
-        prepare()
+        check_prepare(monkeypatch, [*argv, f"--env.station={tmp_path / 'station.yaml'}"], None)
 
 
 REPLAY = f"lerobot-replay --dataset.root={Path(__file__).parents[2] / 'golden' / 'recordings' / 'demos'}"
@@ -489,13 +489,7 @@ def test_actions_at_another_rate_than_the_robots_are_refused_before_the_work(
 ):
     (tmp_path / "station.yaml").write_text("format: pneutac-station/1\ncontrol_hz: 30\n")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "excepthook", sys.excepthook)
-    monkeypatch.setattr(sys, "argv", argv.split())
-    if said is None:
-        prepare()
-        return
-    with pytest.raises(SystemExit, match=f"error: .*{said}"):
-        prepare()
+    check_prepare(monkeypatch, argv.split(), said and f"error: .*{said}")
 
 
 def test_weights_that_are_no_numbers_are_named(tmp_path):

@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 from installed import packages
 
-from lerobot_pneutac import add, calibrate, compare
+from lerobot_pneutac import calibrate, compare
 from pneutac_datasets.generate.gel import write_hidden_gel
 from pneutac_sim.effects import BodyEffect, Parameter, all_effects, body_effects, get_effect, in_order, kernel
 from pneutac_sim.effects.body_effect import SIGNALS
@@ -119,16 +119,6 @@ def test_a_sensors_effect_is_fitted_saved_and_rendered_like_any_other(backlight,
     )
     np.testing.assert_array_equal(lit.image(np.zeros_like(depth)), lit.rest_image)
     assert lit.contact_from_depth(depth) == lit.contact(lit.image(depth))
-
-
-@pytest.mark.nightly  # every day: it is fitted, saved and rendered like any other, above
-@pytest.mark.slow
-def test_a_sensors_effect_is_added_like_any_other(backlight, tmp_path):
-    recording = write_hidden_gel(tmp_path / "gel", ["rest_colour", "backlight"], images=12)
-    twin = calibrate(Twin(device="gel", length_mm=16.0), recording, effects=["rest_colour"]).twin
-    result = add(twin, recording, "backlight")
-    assert result.accepted and "backlight" in result.twin.effects
-    assert result.parameters["backlight_red_levels"]["unit"] == "levels"
 
 
 CHANNELS = {"pressure": 3, "joints": 4, "loads": 6, "markers": 5, "mount": 5}

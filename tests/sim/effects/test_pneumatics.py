@@ -112,11 +112,9 @@ def test_it_vents_quicker_from_a_higher_pressure():
     np.testing.assert_allclose(y[1:], expected, atol=0.02)
 
 
-@pytest.mark.parametrize(
-    ("name", "values"),
-    [("air_resonance", RESONANCE), ("valve_slew", SLEW)],
-)
-def test_twice_the_samples_of_straight_lines_hardly_matter_and_a_rest_lasts(name, values):
+def test_twice_the_samples_of_straight_lines_hardly_matter_and_a_rest_lasts():
+    """Of effects with a law alike `test_laws.py` says so."""
+    name, values = "valve_slew", SLEW
     levels = np.random.default_rng(0).uniform(0, 8, 30)
     x = np.interp(np.linspace(0, 29, 801), np.arange(30), levels)
     fine = np.interp(np.arange(0, 800.5, 0.5), np.arange(801), x)
