@@ -8,8 +8,7 @@ import numpy as np
 from PIL import Image
 
 from pneutac_datasets.recording.gel import GelRecording, GelSample
-from pneutac_datasets.recording.reading import read_meta
-from pneutac_datasets.recording.recording import Recording
+from pneutac_datasets.recording.recording import Recording, read_meta
 from pneutac_sim.errors import InputError, check_choice
 
 THUMB_PX = 96  # height of the pictures in the grid

@@ -11,10 +11,17 @@ import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
 
-from pneutac_datasets.recording import pressures, reading, rules, sensors
+from pneutac_datasets.recording import pressures, rules, sensors
 from pneutac_datasets.recording.gel import gel_faults
 from pneutac_datasets.recording.noise import headline, noise_floor, regress, static_columns
-from pneutac_datasets.recording.recording import GRAVITY, Recording, time_blocks, wide_gaps
+from pneutac_datasets.recording.recording import (
+    GRAVITY,
+    Recording,
+    read_meta,
+    read_table,
+    time_blocks,
+    wide_gaps,
+)
 from pneutac_datasets.recording.sensors import measured_pressures, where
 from pneutac_datasets.recording.wording import Finding, collected, plural
 from pneutac_sim.errors import InputError
@@ -544,12 +551,12 @@ def recording_faults(folder: str | Path) -> tuple[list[str], list[str]]:
     """
     folder, faults, read = Path(folder), [], None
     try:
-        meta = reading.read_meta(folder)
+        meta = read_meta(folder)
     except InputError as e:
         return [str(e)], []
     faults += rules.meta_faults(meta, folder / "recording.json")
     with collected(faults):
-        read = reading.read_table(folder, meta)
+        read = read_table(folder, meta)
     with collected(faults):
         device = rules.device_of(meta, pd.DataFrame() if read is None else read[0], folder)
         if read is not None:

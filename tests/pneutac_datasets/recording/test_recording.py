@@ -9,7 +9,6 @@ import pytest
 from PIL import Image
 
 from pneutac_benchmarks.robustness.recordings import damage_recordings
-from pneutac_datasets.recording import reading
 from pneutac_datasets.recording.recording import Recording
 from pneutac_sim.errors import CONTROL, InputError
 
@@ -193,7 +192,7 @@ def test_what_is_no_table_or_too_large_is_refused_before_it_is_read(tmp_path, mo
     (folder / "recording.json").write_text(json.dumps(META | {"samples": "samples.parquet"}))
     with pytest.raises(InputError, match="Parquet"):
         Recording.load(folder)
-    monkeypatch.setattr(reading, "MAX_CELLS", 60)
+    monkeypatch.setattr("pneutac_datasets.recording.recording.MAX_CELLS", 60)
     table()[:20].to_parquet(folder / "samples.parquet")
     with pytest.raises(InputError, match="has 8 columns of 20 rows"):
         Recording.load(folder)

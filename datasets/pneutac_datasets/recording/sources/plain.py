@@ -14,9 +14,9 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from pneutac_datasets.recording import reading, rules
+from pneutac_datasets.recording import rules
 from pneutac_datasets.recording.checks import RIGHT_AXES, base_axes
-from pneutac_datasets.recording.recording import Recording, count_left_out
+from pneutac_datasets.recording.recording import Recording, count_left_out, read_meta, read_parquet
 from pneutac_datasets.recording.sources import readers
 from pneutac_datasets.recording.sources.columns import (
     LEAVE_OUT,
@@ -182,7 +182,7 @@ def read_table(file: Path, time: str = "") -> TextTable:
     if file.suffix.lower() == ".npz":
         return readers.npz_table(file, time)
     if file.suffix.lower() == ".parquet":
-        frame = reading.read_parquet(file).rename(columns=str).reset_index(drop=True)
+        frame = read_parquet(file).rename(columns=str).reset_index(drop=True)
         return TextTable(file, frame, {}, np.arange(len(frame)) + 1, "Parquet")
     if readers.is_optitrack(file) or readers.is_vicon(file):
         raise InputError(
@@ -593,7 +593,7 @@ class Understood:
         """
         if self.faults:
             raise InputError(self.faults[0])
-        earlier = reading.read_meta(folder) if (folder / "recording.json").is_file() else {}
+        earlier = read_meta(folder) if (folder / "recording.json").is_file() else {}
         if is_ours(folder) and not (replaces or is_unfinished(folder)):
             same = read_yaml(folder / MAPPING) == yaml.safe_load(self.given.text(self.columns))
             if not same or set(earlier.get("source", {}).get("files", {})) != {f.name for f in self.files}:

@@ -14,8 +14,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from pneutac_datasets.recording.reading import MAX_CELLS
-from pneutac_datasets.recording.recording import Recording, count_left_out
+from pneutac_datasets.recording.recording import MAX_CELLS, Recording, count_left_out
 from pneutac_datasets.recording.sources.columns import EXAMPLES, read_name
 from pneutac_datasets.recording.text_table import MAX_CSV_BYTES, MAX_ROWS, TextTable
 from pneutac_datasets.recording.units import UNITS
