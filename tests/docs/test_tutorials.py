@@ -26,7 +26,8 @@ pytestmark = pytest.mark.timeout(1200)  # two busy cores; a page takes one or tw
         pytest.param("docs/tutorials/own_finger.md", marks=NIGHTLY),
         pytest.param("docs/how_to/pictures.md", marks=NIGHTLY),
         pytest.param("docs/how_to/photographs.md", marks=NIGHTLY),
-        pytest.param("docs/how_to/ask_the_bench.md", marks=NIGHTLY),
+        # It searches again after each of a dozen programs.
+        pytest.param("docs/how_to/ask_the_bench.md", marks=[NIGHTLY, pytest.mark.timeout(2400)]),
         pytest.param("docs/how_to/command_a_bend.md", marks=NIGHTLY),
         pytest.param("docs/how_to/take_the_finger_along.md", marks=NIGHTLY),
         pytest.param("docs/how_to/demonstrations.md", marks=NIGHTLY),
