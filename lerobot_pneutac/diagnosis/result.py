@@ -28,7 +28,8 @@ class FittedModel:
 
 
 CURVE_LIKE = ("base_tilt", "elongation")  # fitted causes that compensate for a missing curve of the pressure
-SET_UP = (PROFILE, "base_tilt")  # how the body is made and mounted: fitted, but no effect that is missing
+# How the body is made, mounted and read: fitted, but no effect that is missing
+SET_UP = (PROFILE, "base_tilt", "curvature_reading")
 
 
 @dataclass

@@ -50,6 +50,8 @@ def sort_candidates(recording: Recording, twin: Twin) -> tuple[list[str], list[U
             continue
         if is_law(name) and not can_act(name, recording, marked, known):
             continue
+        if name == "curvature_reading" and name not in known_causes(recording):
+            continue  # no curvature was read
         missing = [c for c in effect.columns if c not in known]
         if any(c.startswith("other_") for c in missing):
             continue  # there is no other chamber on record, so none whose effect could be missing
@@ -570,7 +572,7 @@ def base_effects(study: "BodyBase") -> tuple[str, ...]:
 
 
 def known_causes(recording: Recording) -> tuple[str, ...]:
-    """Effects that belong to how any body bends: its mount, weight, load and stretch, as far as they show."""
+    """What any body may show of how it is made, mounted and read: tilt, weight, load, stretch, curvature."""
     out = []
     tip = all(recording.has(f"tip_{a}_mm") for a in "xz")
     if tip:
@@ -584,6 +586,8 @@ def known_causes(recording: Recording) -> tuple[str, ...]:
             out.append("payload")
     if tip:
         out.append("elongation")
+    elif recording.has("curvature_x_1_per_m"):
+        out.append("curvature_reading")
     return tuple(out)
 
 

@@ -113,6 +113,7 @@ PRIOR = {
     "base_tilt.shift_y_mm": 3.0,
     "base_tilt.shift_z_mm": 3.0,
     "elongation.strain_1_per_kpa": 0.05,
+    "curvature_reading.uneven_1_per_rad2": 0.05,
     "payload.share": 3.0,
     "gravity.body_mass_g": 300.0,
     "gravity.tip_mass_g": 300.0,

@@ -6,7 +6,7 @@ Order within a stage (it matters: a leak is slowed by the lag behind it):
 - drive: gain_saturation, stiffening, hysteresis, friction, crosstalk
 - load (in static equilibrium with the joints): gravity, payload
 - material: twist, thermal, cyclic_softening, creep; then elongation (of the finished pose)
-- observation: base_tilt, camera_misalignment
+- observation: base_tilt, camera_misalignment, curvature_reading
 - gel: registration_shift, gel_creep
 - light: near_light, photometric_nonlinearity, shadow, rest_colour, illumination_drift
 
@@ -32,8 +32,8 @@ ENTRY_POINT_GROUP = "pneutac.effects"
 BUILTIN = """
     leak valve_lag orifice_flow valve_slew air_resonance dead_time sensor_offset gain_saturation
     stiffening hysteresis friction crosstalk gravity payload twist thermal
-    cyclic_softening creep elongation base_tilt camera_misalignment registration_shift gel_creep
-    near_light photometric_nonlinearity shadow rest_colour illumination_drift
+    cyclic_softening creep elongation base_tilt camera_misalignment curvature_reading registration_shift
+    gel_creep near_light photometric_nonlinearity shadow rest_colour illumination_drift
 """.split()
 
 

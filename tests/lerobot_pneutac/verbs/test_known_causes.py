@@ -12,7 +12,9 @@ from lerobot_pneutac.study.body_base import doubt, size_by_run
 from lerobot_pneutac.verbs import fit_body
 from pneutac_datasets.generate.finger import generate
 from pneutac_sim.effects.registry import get_effect
+from pneutac_sim.twin import Twin
 from pneutac_truths import generate as simulate
+from pneutac_truths import write
 from pneutac_truths.programs import plan as drawn
 
 pytestmark = pytest.mark.usefixtures("no_soft_body")
@@ -82,6 +84,17 @@ def test_a_weight_named_by_the_user_must_stand_out_from_equal_trials(tmp_path):
     assert not refused.accepted
     hangs = last_loaded(tmp_path / "hangs", ["payload"], 1)
     assert add(twin_of(hangs), hangs, "payload").accepted
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "found"), [(20297, ["curvature_reading"]), (22511, [])])
+def test_curvatures_of_an_arm_that_bends_far_are_read_off_the_arc(seed, found, tmp_path):
+    truth = simulate("arm", [], seed, minutes=3.0)  # the first bends by 1.9 rad, the second by 1.0
+    recording = Recording.load(write(truth, tmp_path / "bench"))
+    result = fit_body.calibrate_body(Twin("arm", recording.length_mm), recording)
+    assert [c.name for c in result.causes] == list(result.twin.effects) == found
+    assert result.error["heldout"] < 1.03 * truth.noise_floor
+    assert not found or result.without_causes > 1.15 * truth.noise_floor
 
 
 @pytest.mark.nightly  # every day: what a body remembers is no known cause, above

@@ -102,6 +102,21 @@ def camera(x=TIPS, **values):
     return get_effect("camera_misalignment").apply(x, np.ones(len(x)), zero | values, np.full(len(x), 110.0))
 
 
+def test_a_curvature_read_off_the_tip_of_a_body_that_is_no_arc_is_one_number_off():
+    theta, rigid = np.linspace(0.02, 1.2, 60), 0.25  # of the length, at the tip, which does not bend
+    along = (1 - rigid) * np.sin(theta) / theta + rigid * np.cos(theta)
+    aside = (1 - rigid) * (1 - np.cos(theta)) / theta + rigid * np.sin(theta)
+    read = 2 * np.arctan2(aside, along)  # the chord of an arc lies at half its bend
+    gain = (read @ theta) / (theta @ theta)
+    terms = np.c_[theta, theta**3]
+    (a, b), *_ = np.linalg.lstsq(terms, read, rcond=None)
+    x = np.c_[np.zeros((60, 3)), 0.6 * a * theta, 0.8 * a * theta]
+    seen = get_effect("curvature_reading").apply(x, np.ones(60), {"uneven_1_per_rad2": b / a**3})
+    np.testing.assert_allclose(seen[:, 3] / seen[:, 4], 0.75)  # its direction is read as it is
+    left = np.abs(np.hypot(seen[:, 3], seen[:, 4]) - read).max()
+    assert left < 0.05 * np.abs(gain * theta - read).max()
+
+
 def test_tilt_is_a_rigid_motion():
     y = tilt(pitch_rad=0.1, yaw_rad=-0.2, roll_rad=0.3, shift_x_mm=5.0, shift_y_mm=-2.0, shift_z_mm=1.0)
     R = (
