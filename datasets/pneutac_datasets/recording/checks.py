@@ -503,8 +503,9 @@ LOOKS += unmoved, exchanged_axes, misplaced_tip, other_way_round, drift
 def check(recording: Recording) -> tuple[Recording, list[str]]:
     """Finds faults and undoes those that are certain; returns the recording and a sentence for each.
 
-    It is left without rows where the tracker jumped away and came back, stood still or saturates, with angles
-    that do not wrap, and with pressures as `pressures.usable` gives them. The loader's warnings come first.
+    It is left without rows where the tracker jumped away and came back, stood still, lost frames or
+    saturates, with angles that do not wrap, and with pressures as `pressures.usable` gives them. The loader's
+    warnings come first.
     """
     clean, found = _looked(recording)
     keep = np.ones(len(recording), bool)

@@ -14,6 +14,7 @@ LONGEST_EXCURSION_S = 2.0
 EXPLAINED_BY_S = 2.0  # a pressure change this long before can still move the tip (dead time and fill time)
 BEFORE_ROWS = 5  # whose median is where the marker was before it moved
 LONELY_ROWS = 3  # in so few no device goes somewhere and back, but for a pulse of pressure
+MOST_LOST = 0.03  # of the rows repeat the one before where frames were lost; of a slow tracker more do
 STARTED_BY_S = 1.0  # a trial may begin with a step that came before its first sample
 
 
@@ -149,17 +150,24 @@ def frozen(recording: Recording) -> Iterator[Finding]:
 
 
 def stale(recording: Recording) -> Iterator[Finding]:
-    """Rows that repeat the pose of the row before to the last digit, also while it moves."""
+    """Rows that repeat the pose of the row before to the last digit, also while it moves.
+
+    Few are frames that were lost, and are left out; many are of a tracker that is slower than the log.
+    """
     pose, repeats = _pose(recording)
     moving = np.concatenate([is_moving(pose[rows]) for rows in recording.trials().values()])
     share = repeats[moving].mean() if moving.any() else 0.0
     if (repeats & moving).sum() >= 10 and share >= 0.005:
+        lost = repeats.mean() <= MOST_LOST
+        why = f"frames were lost; {_left_out(repeats)}"
+        if not lost:
+            why = "frames were dropped, or the tracker is slower than the log, so such a pose is older"
+            why += " than its time"
         text = (
             f"{repeats.mean():.1%} of the rows repeat the pose of the row before to the last digit, and so do"
-            f" {share:.1%} of those in which it moves: frames were dropped, or the tracker is slower than the"
-            " log, so such a pose is older than its time."
+            f" {share:.1%} of those in which it moves: {why}."
         )
-        numbers = {"share": float(repeats.mean())}
+        numbers = {"share": float(repeats.mean()), "kept": float(not lost)}
         yield Finding("stale_pose", text, tuple(recording.poses), np.flatnonzero(repeats), numbers)
 
 

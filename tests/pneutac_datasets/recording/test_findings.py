@@ -335,12 +335,15 @@ def test_rows_that_an_even_clock_lacks_are_counted(clean):
     assert findings(uneven.keep(keep)) == []
 
 
-def test_poses_that_are_repeated_are_found(r):
-    at = np.arange(7, len(r), 20)
+@pytest.mark.parametrize("every", [20, 60])
+def test_poses_that_are_repeated_are_found_and_left_out_where_they_are_few(r, every):
+    at = np.arange(7, len(r), every)
     r.samples.loc[at, TIP] = r.samples.loc[at - 1, TIP].to_numpy()
-    f = only(r)
-    assert f.kind == "stale_pose" and f.numbers["share"] == pytest.approx(0.05, abs=0.002)
+    f, left = only(r), check(r)[0]
+    assert f.kind == "stale_pose" and f.numbers["share"] == pytest.approx(1 / every, abs=0.002)
     assert set(at) - set(f.rows) <= {int(s.start) for s in r.trials().values()}
+    few = every == 60  # a tracker that is slower than the log repeats more
+    assert len(r) - len(left) == few * len(f.rows) and ("left out" in f.sentence) == few
 
 
 @pytest.mark.parametrize("pair", [("tip_y_mm", "tip_z_mm"), ("tip_x_mm", "tip_z_mm")])
