@@ -213,7 +213,7 @@ def python_file(twin: Twin) -> str:
     ]  # fmt: skip
     text = "\n".join(body)
     if not of_air:
-        text = text.replace(GAUGE, COMMAND)
+        text = text.replace(GAUGE, COMMAND).replace(LAST, LAST + FORMER)
     needed = [line for used, line in IMPORTS.items() if used in text]
     head = f'"""{_docstring(twin, model)}"""\n\nfrom __future__ import annotations\n'
     return "\n".join([head.replace("\\", "\\\\"), *needed, "", "import numpy as np", "", text])
@@ -222,6 +222,14 @@ def python_file(twin: Twin) -> str:
 # A line of `Pose`, and what it is where the twin has no air between the command and the finger.
 GAUGE = "    pressure_kpa: np.ndarray  # (chambers,) as the gauge reads it\n"
 COMMAND = "    command_kpa: np.ndarray  # (chambers,) as commanded; that in the finger is not modelled\n"
+LAST = "with the errors that the twin knows of\n"  # end of `Pose`
+FORMER = '''
+    @property
+    def pressure_kpa(self):
+        """`command_kpa` by its name until version 0.1."""
+        warnings.warn("pressure_kpa is the command; read command_kpa.", FutureWarning, stacklevel=2)
+        return self.command_kpa
+'''
 
 
 def _knows_air(twin: Twin) -> bool:
