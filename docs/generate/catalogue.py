@@ -195,7 +195,7 @@ def laws_page() -> str:
 
 def _law_row(name: str) -> str:
     effect = law(name)
-    told = [
+    ways = [
         f"`{r['parameter']}` {r['bounds']}" + (f" {r['unit']}" if r["unit"] != "(a ratio)" else "")
         for r in units(effect)
         if r["parameter"] not in (*HELD, "weight")
@@ -204,7 +204,7 @@ def _law_row(name: str) -> str:
     equation = effect.equation.replace("|", r"\vert ")
     shown = name.replace("|", r"\|")
     return (
-        f"| `{shown}` | {plain_name(name)} | \\({equation}\\) | {', '.join(told) or '-'} | {needs or '-'} |"
+        f"| `{shown}` | {plain_name(name)} | \\({equation}\\) | {', '.join(ways) or '-'} | {needs or '-'} |"
     )
 
 

@@ -152,14 +152,14 @@ def frozen(recording: Recording) -> Iterator[Finding]:
 def stale(recording: Recording) -> Iterator[Finding]:
     """Rows that repeat the pose of the row before to the last digit, also while it moves.
 
-    Few are frames that were lost, and are left out; many are of a tracker that is slower than the log.
+    Few are mostly frames that were lost, and are left out; many are of a tracker that is slower than the log.
     """
     pose, repeats = _pose(recording)
     moving = np.concatenate([is_moving(pose[rows]) for rows in recording.trials().values()])
     share = repeats[moving].mean() if moving.any() else 0.0
     if (repeats & moving).sum() >= 10 and share >= 0.005:
         lost = repeats.mean() <= MOST_LOST
-        why = f"frames were lost; {_left_out(repeats)}"
+        why = f"such a pose may be older than its time; {_left_out(repeats)}"
         if not lost:
             why = "frames were dropped, or the tracker is slower than the log, so such a pose is older"
             why += " than its time"
